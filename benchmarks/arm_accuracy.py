@@ -13,8 +13,8 @@ import numpy.typing as npt
 import undeadzone as uz
 from benchmarks.markdown import head, row
 from undeadzone.analysis.identifiability.linear import MARGIN
-from undeadzone.ensemble.bands import true_width
 from undeadzone.ensemble.batch import Batch, prepare
+from undeadzone.ensemble.metrics import true_width
 from undeadzone.scenario.reader import read
 from undeadzone.scenario.schema import Scenario
 from undeadzone.statistics.intervals import Interval, proportion, quantile

@@ -14,7 +14,8 @@ import numpy as np
 
 from benchmarks.coverage import Verdict, covariance, verdict
 from benchmarks.markdown import row
-from undeadzone import sensor
+from undeadzone.ends import sensor
+from undeadzone.ends.sensor import Sensor, Zone, resolve
 from undeadzone.engine import lanes
 from undeadzone.interfaces import Estimate, Reading
 from undeadzone.observers import Extended
@@ -24,7 +25,6 @@ from undeadzone.plants.robots.arm import torque
 from undeadzone.plants.robots.options import TwoLink
 from undeadzone.plants.system import System, sampled
 from undeadzone.scenario.reader import read
-from undeadzone.sensor import Sensor, Zone, resolve
 from undeadzone.signals import noise as noises
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support import tree

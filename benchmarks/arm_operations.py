@@ -9,8 +9,9 @@ from typing import Any
 import casadi as ca
 
 from benchmarks.markdown import row
-from undeadzone import sensor
 from undeadzone.controllers import LQR, ComputedTorque
+from undeadzone.ends import sensor
+from undeadzone.ends.sensor import Sensor, resolve
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Estimate, Reading
 from undeadzone.observers import Extended
@@ -19,7 +20,6 @@ from undeadzone.plants.options import Plant
 from undeadzone.plants.robots.arm import acceleration
 from undeadzone.plants.robots.options import URDF
 from undeadzone.plants.system import System, sampled
-from undeadzone.sensor import Sensor, resolve
 from undeadzone.support import tree
 from undeadzone_arena import GravityPD
 

@@ -15,11 +15,11 @@ import numpy as np
 
 from benchmarks.markdown import head, row
 from undeadzone.controllers import StateFeedback
+from undeadzone.ends.sensor import Sensor
 from undeadzone.observers import Censored
 from undeadzone.observers.parts.claims import Claims
 from undeadzone.plants.options import Plant
 from undeadzone.scenario.schema import Model, Scenario, Simulation
-from undeadzone.sensor import Sensor
 from undeadzone.signals.exosystem import Random, Sines, Tone
 from undeadzone.support.arrays import Floats
 from undeadzone_arena.contest.leaderboard import FRAME, NAIVE, regrets

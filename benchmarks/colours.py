@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks.closed_loops import loop
 from benchmarks.markdown import head, row
 from undeadzone.observers import Censored, censored
-from undeadzone.observers.parts.member import Member
+from undeadzone.observers.parts.judged_filter import Member
 from undeadzone.observers.parts.model_bank import bank
 from undeadzone.scenario.schema import Scenario
 from undeadzone.signals.exosystem import Random, Sines, Step, Tone

@@ -23,6 +23,7 @@ from benchmarks.random_problems import (
     problems,
 )
 from benchmarks.random_problems import World as World
+from undeadzone.ends.sensor import Sensor, resolve, side
 from undeadzone.engine import lanes
 from undeadzone.interfaces import Observer, Reading
 from undeadzone.linear.hold import zoh
@@ -30,7 +31,6 @@ from undeadzone.observers import Censored, Kalman
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import sampled
-from undeadzone.sensor import Sensor, resolve, side
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 

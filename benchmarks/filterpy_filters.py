@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.random_problems import STEP, Problems
-from undeadzone.sensor import deadzone
+from undeadzone.ends.sensor import deadzone
 from undeadzone.support.arrays import Floats
 
 

@@ -16,13 +16,13 @@ import numpy as np
 from benchmarks import coverage
 from benchmarks.markdown import row
 from benchmarks.random_problems import DURATION, STEP, Problems, World, problems
+from undeadzone.ends.sensor import Sensor, resolve, side
 from undeadzone.engine import lanes
 from undeadzone.interfaces import Observer, Reading
 from undeadzone.observers import Auto
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import sampled
-from undeadzone.sensor import Sensor, resolve, side
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 

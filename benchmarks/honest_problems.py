@@ -12,9 +12,9 @@ import numpy as np
 
 from benchmarks.glitches import HALF, Spoil, anywhere, clean, frozen, one_of, tenth_of, zeros
 from benchmarks.random_problems import CORRELATION, Problems, World, drive, response, wrong_model
+from undeadzone.ends.sensor import deadzone
 from undeadzone.linear.hold import zoh
 from undeadzone.linear.matrices import Matrices
-from undeadzone.sensor import deadzone
 from undeadzone.support.arrays import Floats
 
 ORDERS = (1, 2, 3, 4)

@@ -16,12 +16,12 @@ from benchmarks.markdown import head, row
 from benchmarks.random_loops import Loops, run_loops
 from undeadzone.catalogue import ObserverOptions
 from undeadzone.controllers import StateFeedback
+from undeadzone.ends.sensor import Sensor, resolve
 from undeadzone.observers import Censored, Certified, Kalman, Luenberger
 from undeadzone.plants.options import Plant
 from undeadzone.plants.time_scales import pace
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario, Simulation
-from undeadzone.sensor import Sensor, resolve
 from undeadzone.signals.exosystem import Random, Sine
 from undeadzone.statistics.intervals import quantile
 from undeadzone_arena import AdaptiveInverse

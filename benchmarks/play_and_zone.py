@@ -28,11 +28,11 @@ from benchmarks.play import (
     rms_and_quantum,
 )
 from benchmarks.random_loops import Loops, run_loops
+from undeadzone.ends.sensor import Sensor, resolve
 from undeadzone.observers import Kalman
 from undeadzone.plants.time_scales import pace
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Model
-from undeadzone.sensor import Sensor, resolve
 
 READINGS = {  # noise and quantum, in amplitudes of the reference
     "noise 0.2 %": (0.002, 0.0),

@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from undeadzone.ends.play import levels
 from undeadzone.engine import lanes
 from undeadzone.interfaces import Estimate
 from undeadzone.plants.options import Plant
-from undeadzone.play import levels
 from undeadzone.scenario.problem import Problem
 from undeadzone.simulation.simulate import prepare
 from undeadzone.support import tree

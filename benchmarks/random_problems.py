@@ -6,9 +6,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from undeadzone.ends.sensor import deadzone
 from undeadzone.linear.hold import zoh
 from undeadzone.linear.matrices import Matrices
-from undeadzone.sensor import deadzone
 from undeadzone.signals import noise as noises
 from undeadzone.support.arrays import Floats
 

@@ -18,16 +18,16 @@ from benchmarks.random_loops import Loops, random_plant, run_loops
 from benchmarks.random_problems import RANGE, STEP, WORLDS, Problems, problems
 from undeadzone.catalogue import ObserverOptions
 from undeadzone.controllers import StateFeedback
+from undeadzone.ends.limits import Limits
+from undeadzone.ends.sensor import Sensor, deadzone, resolve
 from undeadzone.engine import lanes
 from undeadzone.interfaces import Observer, received
-from undeadzone.limits import Limits
 from undeadzone.observers import Censored, Certified, Kalman
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import sampled
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario, Simulation
-from undeadzone.sensor import Sensor, deadzone, resolve
 from undeadzone.signals.exosystem import Random, Sine
 from undeadzone.statistics.intervals import quantile
 from undeadzone.support import tree

@@ -17,9 +17,9 @@ from benchmarks.glitches import doubting, from_ranges
 from benchmarks.honest_problems import KINDS, problems
 from benchmarks.markdown import head, row
 from benchmarks.random_problems import Problems
+from undeadzone.ends.sensor import Sensor
 from undeadzone.interfaces import Estimate, graph_of
 from undeadzone.plants.options import Plant
-from undeadzone.sensor import Sensor
 from undeadzone.simulation.online import Online, built_for
 from undeadzone.simulation.smoother import Smoothed, smooth
 from undeadzone.support.arrays import Floats

@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.actuator import Actuator, resolve_actuator, through_zone
+from undeadzone.ends.actuator import Actuator, resolve_actuator, through_zone
+from undeadzone.ends.play import held
 from undeadzone.identification.friction_step import simulate
-from undeadzone.play import held
 from undeadzone.support.arrays import Floats
 
 FOLDER = Path(__file__).parent / "figures" / "which"

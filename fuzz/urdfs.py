@@ -12,7 +12,7 @@ from fuzz.case import Case
 from fuzz.damage import TEXTS, bent, number
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
-from undeadzone.plants.robots import urdf_file
+from undeadzone.plants.robots import urdf_elements
 from undeadzone.plants.robots.options import URDF
 
 NAME = "arm.urdf"
@@ -38,7 +38,7 @@ def case(draw: random.Random) -> Case:
 
 def _read(build: bool, folder: Path) -> None:
     """A file read, and made a plant."""
-    robot = urdf_file.read(folder / NAME)
+    robot = urdf_elements.read(folder / NAME)
     for link in robot.links:
         robot.way(link)
     if build:

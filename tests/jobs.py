@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.ensemble.blocks import run_blocks
-from undeadzone.ensemble.blocks.job import Layout
+from undeadzone.ensemble import run_blocks
+from undeadzone.ensemble.job import Layout
 from undeadzone.support.arrays import Floats
 
 

@@ -14,7 +14,9 @@ from hypothesis import strategies as st
 import undeadzone as uz
 from scenes import PAPER_PLANT, scene
 from test_engines import distance, parts, small
-from undeadzone.actuator import (
+from undeadzone.analysis.identifiability.both_ends import both_ends
+from undeadzone.analysis.identifiability.linear import invisible
+from undeadzone.ends.actuator import (
     Actuator,
     ActuatorModel,
     believed,
@@ -22,15 +24,13 @@ from undeadzone.actuator import (
     through_zone,
     within_rate,
 )
-from undeadzone.analysis.identifiability.both_ends import both_ends
-from undeadzone.analysis.identifiability.linear import invisible
 from undeadzone.engine import interpret, lanes
 from undeadzone.ensemble.run_ensemble import deviation, run_ensemble
 from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.exports import parts as export_parts
 from undeadzone.exports import vectors
 from undeadzone.numerics.gaussian import Gaussian
-from undeadzone.observers.parts.unknown_actuator import Zones, entering
+from undeadzone.observers.parts.further_constants import Zones, entering
 from undeadzone.plants.system import sampled
 from undeadzone.report.run_figures import overview
 from undeadzone.report.run_page import run_page

@@ -13,8 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scenes import PAPER_PLANT, on_numbers, scene
-from undeadzone import sensor
 from undeadzone.analysis.certificate.passivity import certify
+from undeadzone.ends import sensor
+from undeadzone.ends.sensor import Sensor, resolve
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate
 from undeadzone.observers import Certified
@@ -27,7 +28,6 @@ from undeadzone.observers.parts.width_laws import (
     Sigma,
 )
 from undeadzone.plants.system import System, sampled
-from undeadzone.sensor import Sensor, resolve
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.arrays import Floats
 

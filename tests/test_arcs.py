@@ -10,8 +10,15 @@ import pytest
 
 from scenes import scene, slopes
 from undeadzone.errors import InputError
-from undeadzone.numerics.dense_output import DenseStep, _moved, runge_kutta, taylor
-from undeadzone.numerics.event_location import Levels, _crossing, _secant
+from undeadzone.numerics.dense_output import (
+    DenseStep,
+    Levels,
+    _crossing,
+    _moved,
+    _secant,
+    runge_kutta,
+    taylor,
+)
 from undeadzone.results.run import Run
 from undeadzone.simulation.simulate import simulate
 

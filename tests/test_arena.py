@@ -21,8 +21,7 @@ from hypothesis import strategies as st
 from scenes import scene, slopes
 from undeadzone.catalogue import OBSERVERS
 from undeadzone.cli import group
-from undeadzone.ensemble.binding import bind
-from undeadzone.ensemble.run_noise import drawn
+from undeadzone.ensemble.binding import bind, drawn
 from undeadzone.errors import FileError, InputError
 from undeadzone.scenario.ensemble_table import Vary
 from undeadzone.scenario.problem import resolve_scenario

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from scenes import PAPER_PLANT, scene
+from undeadzone.ends.sensor import Sensor, Zone, resolve
 from undeadzone.errors import InputError
 from undeadzone.observers import Auto, Censored, Certified, HighGain
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled
-from undeadzone.sensor import Sensor, Zone, resolve
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support import tree
 from undeadzone_arena.contest.leaderboard import regrets

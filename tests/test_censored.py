@@ -18,8 +18,9 @@ from scipy.linalg import expm
 from scipy.stats import norm, truncnorm
 
 from scenes import PAPER_PLANT, linear, on_numbers, random_plant, scene
-from undeadzone import sensor
 from undeadzone.controllers.state_feedback import rest
+from undeadzone.ends import sensor
+from undeadzone.ends.sensor import Sensor, Zone, resolve
 from undeadzone.engine import interpret
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Estimate
@@ -29,12 +30,13 @@ from undeadzone.numerics import gaussian
 from undeadzone.observers import Censored, Kalman
 from undeadzone.observers.parts.gaussian_filter import Params
 from undeadzone.observers.parts.model_bank import mixture_std, weighted_mean, wider_of_two
-from undeadzone.observers.parts.model_tolerance import sampled_slopes, tolerances
 from undeadzone.observers.parts.shown_belief import ambiguous
 from undeadzone.observers.parts.unknown_inputs import (
     SMALL,
     coloured,
     rest_under_bias,
+    sampled_slopes,
+    tolerances,
     unknowns,
 )
 from undeadzone.plants.build import system
@@ -43,7 +45,6 @@ from undeadzone.plants.system import System, sampled
 from undeadzone.plants.time_scales import time_scale
 from undeadzone.results.run import Run
 from undeadzone.scenario.problem import resolve_scenario
-from undeadzone.sensor import Sensor, Zone, resolve
 from undeadzone.simulation.simulate import prepare, simulate
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats

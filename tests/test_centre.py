@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from scenes import scene
+from undeadzone.ends.sensor import Sensor, resolve
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.observers.parts.prior import build_prior
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import sampled
 from undeadzone.results.run import Run
-from undeadzone.sensor import Sensor, resolve
 from undeadzone.simulation.simulate import simulate
 from undeadzone.synthesis.check import check
 

@@ -13,16 +13,16 @@ from benchmarks.designs import random_design, random_matrices
 from scipy.linalg import block_diag, expm
 
 from scenes import PAPER_PLANT, random_plant
-from undeadzone.analysis.certificate import positive_real
+from undeadzone.analysis.certificate import weights
 from undeadzone.analysis.certificate.nearest import decay_limit, nearest
 from undeadzone.analysis.certificate.passivity import (
     Certificate,
     certify,
     certify_dynamics,
+    defective,
     passive_gain,
     recheck,
 )
-from undeadzone.analysis.certificate.stability import defective
 from undeadzone.analysis.certificate.weights import margin
 from undeadzone.analysis.error_dynamics import Dynamics, adaptation, delta, dynamics
 from undeadzone.errors import InputError, ShapeError, StructureError
@@ -131,7 +131,7 @@ def test_worst_frequency_is_never_above_a_dense_grid(seed: int) -> None:
     grid = 1 + gridded(linear, L, Ts)
     assert least <= grid + 1e-9 * max(1, abs(grid))
     assert grid - least < 1e-3 * max(1, abs(grid))
-    G = positive_real.response(delta(linear, Ts), linear.C, L, np.eye(p), Ts)
+    G = weights.response(delta(linear, Ts), linear.C, L, np.eye(p), Ts)
     at = w if Ts is None else 2 / Ts * np.tan(w * Ts / 2)
     there = np.linalg.eigvalsh(G.at(np.array([at]))[0])[0]
     assert there == pytest.approx(least, rel=1e-6, abs=1e-9)

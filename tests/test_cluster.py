@@ -20,7 +20,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.jobs import sines
 
-from undeadzone.ensemble.blocks import batches, dask_cluster, journal, run_blocks
+from undeadzone.ensemble import dask_cluster, job, journal, run_blocks
 from undeadzone.errors import ClusterError, InputError
 
 ROOT = Path(__file__).parents[1]
@@ -96,28 +96,29 @@ def test_what_a_block_raises_arrives_and_the_others_are_kept(
 def test_no_more_is_computed_than_is_taken(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dask: LocalCluster
 ) -> None:
-    monkeypatch.setattr(batches, "LONGEST", 0.0)
+    monkeypatch.setattr(job, "LONGEST", 0.0)
     make = functools.partial(sines, 1000, 0.0, tmp_path)
-    blocks = dask_cluster.results(make, range(100), cluster=dask.scheduler_address)
-    next(blocks)
-    time.sleep(0.5)
-    assert len(list(tmp_path.iterdir())) <= 4 * batches.AHEAD
-    assert len(list(blocks)) == 99
+    with dask_cluster.pool(make, dask.scheduler_address) as pool:
+        blocks = job.results(pool, range(100))
+        next(blocks)
+        time.sleep(0.5)
+        assert len(list(tmp_path.iterdir())) <= 4 * job.AHEAD
+        assert len(list(blocks)) == 99
 
 
 @given(st.floats(1e-6, 100), st.integers(1, 10**9), st.integers(1, 10**6), st.integers(1, 1000))
 def test_batches_are_neither_too_short_nor_too_large_and_end_together(
     seconds: float, size: int, left: int, threads: int
 ) -> None:
-    blocks = batches.batch_size(seconds, size, left, threads)
-    longest, shortest = batches.LONGEST * (1 + 1e-9), batches.SHORTEST * (1 + 1e-9)
+    blocks = job.batch_size(seconds, size, left, threads)
+    longest, shortest = job.LONGEST * (1 + 1e-9), job.SHORTEST * (1 + 1e-9)
     if blocks > 1:
         assert blocks * seconds <= longest
-        assert blocks * size <= batches.LARGEST
-        assert blocks * seconds <= shortest or blocks * threads * batches.AHEAD <= left
+        assert blocks * size <= job.LARGEST
+        assert blocks * seconds <= shortest or blocks * threads * job.AHEAD <= left
     more = blocks + 1
-    long_enough = more * seconds * (1 + 1e-9) > batches.SHORTEST
-    assert long_enough or more * size > batches.LARGEST
+    long_enough = more * seconds * (1 + 1e-9) > job.SHORTEST
+    assert long_enough or more * size > job.LARGEST
 
 
 def test_workers_with_other_versions_are_refused(
@@ -150,7 +151,7 @@ def test_a_module_that_workers_cannot_import(
 
 
 def test_a_cluster_without_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(batches, "PATIENCE", 0.3)
+    monkeypatch.setattr(job, "PATIENCE", 0.3)
     make, path = functools.partial(sines, 605), tmp_path / "runs.partial"
     words = r"no worker is there; start some \(dask worker tcp://"
     with local(0) as empty, pytest.raises(ClusterError, match=words):

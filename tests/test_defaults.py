@@ -12,7 +12,7 @@ from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.controllers import LQR, ComputedTorque, StateFeedback
 from undeadzone.errors import InputError
 from undeadzone.observers import Auto, Certified, Kalman
-from undeadzone.observers.parts.default_gains import default_adaptation, default_gain
+from undeadzone.observers.parts.gain import default_adaptation, default_gain
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled

@@ -28,9 +28,8 @@ from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.arrays import Floats
-from undeadzone.synthesis.candidates import candidate_of
+from undeadzone.synthesis.candidates import candidate_of, certified
 from undeadzone.synthesis.check import check
-from undeadzone.synthesis.criteria import certified
 from undeadzone.synthesis.design import design, rounds
 from undeadzone.synthesis.gain_search import Weights
 from undeadzone.synthesis.task import make_task, watched

@@ -159,7 +159,7 @@ def test_a_terminal_of_few_characters_is_no_error(scenario: Path) -> None:
 STOPPED = """
 import sys, time
 from undeadzone.cli.ending import ended
-from undeadzone.ensemble.blocks import run_blocks
+from undeadzone.ensemble import run_blocks
 import functools, pathlib
 from tests.jobs import say, sines
 

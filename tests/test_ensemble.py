@@ -24,9 +24,14 @@ from test_engines import OBSERVERS, PENDULUM, TWO_OUTPUTS, distance, identical, 
 from undeadzone.cli import main
 from undeadzone.engine import interpret, lanes
 from undeadzone.ensemble.batch import Batch, prepare
-from undeadzone.ensemble.replay import recorded_bands, replay
 from undeadzone.ensemble.result import Ensemble
-from undeadzone.ensemble.run_ensemble import deviation, replay_run, run_ensemble
+from undeadzone.ensemble.run_ensemble import (
+    deviation,
+    recorded_bands,
+    replay,
+    replay_run,
+    run_ensemble,
+)
 from undeadzone.errors import InputError
 from undeadzone.results.run import LAST, Run
 from undeadzone.scenario.ensemble_table import Vary

@@ -13,9 +13,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from undeadzone.ensemble.bands import LEVELS, bands, true_width
-from undeadzone.ensemble.info import Info
+from undeadzone.ensemble.metrics import LEVELS, bands, true_width
 from undeadzone.ensemble.result import Ensemble
+from undeadzone.ensemble.saved import Info
 from undeadzone.errors import FileError, InputError
 from undeadzone.report.ensemble_page import figures, write_ensemble
 from undeadzone.scenario.schema import Units

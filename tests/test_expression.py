@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from undeadzone.errors import InputError
-from undeadzone.plants.formulas import _FUNCTIONS, evaluate
+from undeadzone.plants.build import _FUNCTIONS, evaluate
 
 NUMPY_NAMES = {
     name: getattr(math, name) for name in ("sin", "cos", "tanh", "atan", "atan2", "pi")

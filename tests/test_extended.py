@@ -15,17 +15,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scenes import on_numbers, random_plant, scene
-from undeadzone import sensor
+from undeadzone.ends import sensor
+from undeadzone.ends.sensor import Sensor, Zone, resolve
 from undeadzone.engine import interpret
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Estimate
 from undeadzone.observers import Censored, Extended, Kalman
-from undeadzone.observers.parts.even_states import even_units
+from undeadzone.observers.parts.augmented_state import even_units
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.robots.options import OneLink, TwoLink
 from undeadzone.plants.system import System, sampled
-from undeadzone.sensor import Sensor, Zone, resolve
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.arrays import Floats
 

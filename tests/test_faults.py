@@ -15,7 +15,7 @@ import pytest
 from tests.jobs import sines
 from tests.test_strangers import COMMAND, SCENARIO, scenario
 
-from undeadzone.ensemble.blocks import run_blocks
+from undeadzone.ensemble import run_blocks
 from undeadzone.ensemble.result import Ensemble
 from undeadzone.results.run import Run
 
@@ -25,7 +25,7 @@ VARIED = f'{SCENARIO}\n[ensemble]\nruns = 50\n"sensor.right" = {{ uniform = [0.3
 WITH_WORKERS = """
 import functools, os, pathlib, sys
 from tests.jobs import say, sines
-from undeadzone.ensemble.blocks import run_blocks
+from undeadzone.ensemble import run_blocks
 
 if __name__ == "__main__":
     make, path = functools.partial(sines, 605, 0.01), pathlib.Path(sys.argv[1])

@@ -17,7 +17,7 @@ from scipy.stats import norm
 import undeadzone as uz
 from scenes import PAPER_PLANT, scene
 from undeadzone.errors import InputError
-from undeadzone.numerics import doubtful, gaussian
+from undeadzone.numerics import gaussian
 from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.plants.system import sampled
 from undeadzone.simulation.simulate import simulate
@@ -193,10 +193,10 @@ def test_a_reading_or_a_glitch_is_the_mixture_by_bayes(e: float, R: float, share
     P, reach = 2.0, 30.0
     S = P + R
     regular = (1 - share) * norm.pdf(e, scale=np.sqrt(S))
-    wrong = share / (reach + doubtful.TAIL * np.sqrt(S))
+    wrong = share / (reach + gaussian.TAIL * np.sqrt(S))
     beta, gain = regular / (regular + wrong), P / S
     odds = np.log(share / (1 - share))
-    known = doubtful.update_unless_glitch(
+    known = gaussian.update_unless_glitch(
         Gaussian(ca.SX(1.0), ca.SX(P)), ca.SX(1.0), ca.SX(e), R, 1.0, odds, reach
     )
     mean, cov, trust, log = numbers(*known.belief, known.trust, known.log)
@@ -211,7 +211,7 @@ def test_a_reading_or_a_glitch_is_the_mixture_by_bayes(e: float, R: float, share
 def test_a_huge_reading_leaves_the_belief_to_the_last_bit(e: float) -> None:
     belief = Gaussian(ca.SX([1.0, 2.0]), ca.SX(np.array([[2.0, 0.3], [0.3, 1.0]])))
     h = ca.SX([[1.0, -1.0]])
-    known = doubtful.update_unless_glitch(belief, h, ca.SX(e), 0.1, 1.0, -3.0, 20.0)
+    known = gaussian.update_unless_glitch(belief, h, ca.SX(e), 0.1, 1.0, -3.0, 20.0)
     for before, after in zip(numbers(*belief), numbers(*known.belief), strict=True):
         assert after == pytest.approx(before, rel=1e-15)
 
@@ -226,7 +226,7 @@ def test_the_log_of_a_chance_agrees_with_scipy() -> None:
 def test_a_silence_that_nothing_explains_is_fake(alpha: float) -> None:
     """Beyond what a thousandth explains, the belief stays."""
     belief = Gaussian(ca.SX(-alpha), ca.SX(1.0))
-    known, used, _ = doubtful.truncate_unless_fake(
+    known, used, _ = gaussian.truncate_unless_fake(
         belief, ca.SX(1.0), ca.SX(-alpha), 0.0, 1.0, 1.6, np.log(1e-3)
     )
     mean, cov, trust = numbers(*known.belief, known.trust)

@@ -16,15 +16,14 @@ from hypothesis import strategies as st
 import undeadzone as uz
 from scenes import PAPER_PLANT
 from test_glitches import AT, PLANT, SENSOR, TS, drive
+from undeadzone.ends.sensor import resolve
 from undeadzone.interfaces import Estimate, InPython, Reading
 from undeadzone.linear.hold import zoh
-from undeadzone.numerics.doubtful import truncate_unless_fake, update_unless_glitch
-from undeadzone.numerics.gaussian import Gaussian
+from undeadzone.numerics.gaussian import Gaussian, truncate_unless_fake, update_unless_glitch
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import sampled
 from undeadzone.plants.time_scales import arrival
-from undeadzone.sensor import resolve
 from undeadzone.support.arrays import Floats
 
 LOW, HIGH = 0.2, 3.0

@@ -20,10 +20,12 @@ from undeadzone.analysis.identifiability.linear import (
     Verdict,
     cures,
     invisible,
+    kernel,
+    unobservable,
     verdicts,
 )
-from undeadzone.analysis.identifiability.subspaces import kernel, unobservable
 from undeadzone.analysis.side_schedule import Schedule, planned
+from undeadzone.ends.sensor import deadzone
 from undeadzone.linear.hold import zoh
 from undeadzone.linear.matrices import Matrices
 from undeadzone.plants.build import matrices
@@ -31,7 +33,6 @@ from undeadzone.plants.options import Plant, TransferFunction
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
 from undeadzone.scenario.schema import Scenario
-from undeadzone.sensor import deadzone
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.arrays import Floats
 from undeadzone.synthesis.check import check

@@ -8,9 +8,9 @@ import pytest
 
 import undeadzone as uz
 from scenes import PAPER_PLANT
+from undeadzone.ends.sensor import Zone, resolve
 from undeadzone.interfaces import COLUMNS, Estimate, Observer, Reading
 from undeadzone.plants.system import System, sampled
-from undeadzone.sensor import Zone, resolve
 from undeadzone.support import tree
 
 CONTINUOUS = PAPER_PLANT

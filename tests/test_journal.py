@@ -7,6 +7,7 @@ import os
 import random
 import re
 import resource
+import stat
 import subprocess
 import sys
 import time
@@ -18,8 +19,8 @@ import numpy as np
 import pytest
 from tests.jobs import Sines, layout, sines
 
-from undeadzone.ensemble.blocks import journal, run_blocks
-from undeadzone.ensemble.blocks.journal import Store
+from undeadzone.ensemble import journal, run_blocks
+from undeadzone.ensemble.journal import Store
 from undeadzone.errors import FileError, InputError, ShapeError
 
 ROOT = Path(__file__).parents[1]
@@ -237,6 +238,23 @@ def test_unwritable_places(tmp_path: Path) -> None:
             journal.start(tmp_path / name, layout(95))
 
 
+@pytest.mark.parametrize("link", ["symlink_to", "hardlink_to"])
+def test_nothing_is_written_through_links(tmp_path: Path, link: str) -> None:
+    outside, path = tmp_path / "outside", tmp_path / "runs.partial"
+    if link == "hardlink_to":
+        outside.write_bytes(b"")
+    getattr(path, link)(outside)
+    with pytest.raises(FileError, match=r"runs\.partial: cannot write: it is .* delete it, or"):
+        journal.start(path, sines(605).layout)
+    assert not outside.exists() or outside.read_bytes() == b""
+
+
+def test_what_is_kept_is_for_its_owner(tmp_path: Path) -> None:
+    store = journal.start(tmp_path / "runs.partial", sines(605).layout)
+    store.close()
+    assert stat.S_IMODE(store.path.stat().st_mode) == 0o600
+
+
 def test_a_removed_store_is_noticed(tmp_path: Path) -> None:
     store = stored(tmp_path / "folder" / "runs.partial", blocks=range(2))
     store.path.unlink()
@@ -317,7 +335,7 @@ def test_memory_does_not_grow_with_the_runs(tmp_path: Path) -> None:
 IMPORTS = """
 import sys
 sys.modules["fcntl"] = sys.modules["distributed"] = None
-import undeadzone.ensemble.blocks.run_blocks
+import undeadzone.ensemble.run_blocks
 print([name for name in ("llvmlite", "scipy", "casadi", "dask") if name in sys.modules])
 """
 

@@ -19,7 +19,8 @@ from scipy.integrate import quad
 from scipy.stats import norm, truncnorm
 
 from scenes import PAPER_PLANT, on_numbers, random_plant, scene
-from undeadzone import sensor
+from undeadzone.ends import sensor
+from undeadzone.ends.sensor import Sensor, Zone, resolve
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.numerics import gaussian
 from undeadzone.numerics.gaussian import Gaussian
@@ -33,7 +34,6 @@ from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled
 from undeadzone.results.run import Run
-from undeadzone.sensor import Sensor, Zone, resolve
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.arrays import Floats
 

@@ -24,8 +24,8 @@ OTHERS = {undeadzone_paper: ("undeadzone",), undeadzone_arena: ("undeadzone", "u
 FLOORS = (
     ("errors",),
     ("support",),
-    ("actuator", "engine", "gaps", "limits", "linear", "logs", "numerics", "play", "statistics"),
-    ("plants", "sensor", "signals"),
+    ("ends", "engine", "linear", "logs", "numerics", "statistics"),
+    ("plants", "signals"),
     ("feedforward",),
     ("analysis", "interfaces"),
     ("catalogue",),

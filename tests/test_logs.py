@@ -9,12 +9,15 @@ import numpy as np
 import pytest
 
 from undeadzone.errors import FileError, InputError
-from undeadzone.logs.column import split_unit
-from undeadzone.logs.dialect import dialect_of
-from undeadzone.logs.grid import Grid
-from undeadzone.logs.names import Layout, layout_of_numbers, layout_of_titles, parse_columns
-from undeadzone.logs.samples import LogReader, Samples
-from undeadzone.logs.text import Text
+from undeadzone.logs.names import (
+    Layout,
+    layout_of_numbers,
+    layout_of_titles,
+    parse_columns,
+    split_unit,
+)
+from undeadzone.logs.samples import Grid, LogReader, Samples
+from undeadzone.logs.text import Text, dialect_of
 
 
 def titles(text: str) -> list:

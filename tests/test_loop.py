@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm, solve_continuous_are
 
 from scenes import scene, slopes
-from undeadzone.numerics.event_location import Crossing
+from undeadzone.numerics.dense_output import Crossing
 from undeadzone.results.run import Run
 from undeadzone.signals import noise
 from undeadzone.simulation.close import entered, exogenous_at

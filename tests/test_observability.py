@@ -13,18 +13,21 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from scenes import linear, random_plant
-from undeadzone.analysis.identifiability import linearised_run, square_root
+from undeadzone.analysis.identifiability import linearised_run, nonlinear
 from undeadzone.analysis.identifiability.linear import Verdict, unknown_bias, verdicts
-from undeadzone.analysis.identifiability.nonlinear import variance, verdicts_along
-from undeadzone.analysis.identifiability.observability import Observability, observability
-from undeadzone.analysis.reading_levels import reading_levels
-from undeadzone.analysis.side_schedule import recorded
+from undeadzone.analysis.identifiability.nonlinear import (
+    Observability,
+    observability,
+    variance,
+    verdicts_along,
+)
+from undeadzone.analysis.side_schedule import reading_levels, recorded
+from undeadzone.ends.sensor import Sensor, Zone, deadzone, resolve, zone
 from undeadzone.plants.build import initial_state, system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.robots.options import ElasticJoint, OneLink, TwoLink
 from undeadzone.plants.system import System, sampled
 from undeadzone.scenario.reader import convert
-from undeadzone.sensor import Sensor, Zone, deadzone, resolve, zone
 from undeadzone.signals.exosystem import Step
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.arrays import Floats
@@ -193,7 +196,7 @@ def test_no_reading_shows_the_invisible_and_the_gramian_says_how_much_the_others
 
     Along any other they differ as the Gramian has it.
     """
-    monkeypatch.setattr(square_root, "CAP", 1e9)
+    monkeypatch.setattr(nonlinear, "CAP", 1e9)
     leaving_fast = {"upright": 1.5, "two links": 1.5, "cart and pole": 3.0}  # their neighbours
     run = swinging(name, leaving_fast.get(name, 6.0))
     found, n, p = run.observability(), run.model.n, run.model.p
@@ -333,7 +336,7 @@ def test_what_is_known_very_well_need_not_be_known_better(
     """
     run = swinging(name, 20.0)
     capped = run.observability()
-    monkeypatch.setattr(square_root, "CAP", 1e8)
+    monkeypatch.setattr(nonlinear, "CAP", 1e8)
     found = run.observability()
     for i in range(run.model.p):
         assert capped.hidden.width(i, "centre") == (i == 1)
@@ -415,10 +418,10 @@ def test_a_jump_sensor_and_a_run_that_diverges() -> None:
 def test_every_reading_weighs_once() -> None:
     """Readings count at the nearest kept sample, by side, up to half a step after the last."""
     side = np.array([1, 1, 0, -1, -1, -1, 1, 0, 1, 1])[:, None]
-    weight = square_root.reading_weights(np.array([0, 4, 8]), side, np.array([0.25]))
+    weight = nonlinear.reading_weights(np.array([0, 4, 8]), side, np.array([0.25]))
     assert weight.shape == (3, 1, 2)
     assert 0.25 * weight[:, 0] ** 2 == pytest.approx(np.array([[2, 0], [0, 3], [3, 0]]))
-    alone = square_root.reading_weights(np.array([0]), side, np.array([1.0]))
+    alone = nonlinear.reading_weights(np.array([0]), side, np.array([1.0]))
     assert alone.tolist() == [[[1.0, 0.0]]]
 
 

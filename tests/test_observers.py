@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 from scipy.linalg import solve_continuous_are
 
 from scenes import PAPER_PLANT, linear, on_numbers, random_plant, scene
-from undeadzone import sensor
 from undeadzone.analysis.certificate.passivity import certify
+from undeadzone.ends import sensor
+from undeadzone.ends.sensor import Sensor, Zone, resolve
 from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.observers import Certified, Luenberger, Oracle
 from undeadzone.plants.system import System, sampled
-from undeadzone.sensor import Sensor, Zone, resolve
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.arrays import Floats
 from undeadzone_paper.observer import Printed

@@ -22,9 +22,9 @@ from undeadzone.catalogue import Options
 from undeadzone.interfaces import Observer
 from undeadzone.observers.parts.gain import gains
 from undeadzone.observers.parts.measured_side import measured_side
-from undeadzone.observers.parts.widths import bounded_widths
+from undeadzone.observers.parts.width_laws import bounded_widths
 from undeadzone.plants.system import System
-from undeadzone.sensor import Zone
+from undeadzone.ends.sensor import Zone
 from undeadzone.support.arrays import Array
 
 

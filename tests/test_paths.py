@@ -18,10 +18,10 @@ from tests.scenes import linear
 
 from undeadzone.errors import InputError, ShapeError, TrackingError
 from undeadzone.feedforward import joint_path as kinematics
+from undeadzone.feedforward.joint_path import equations_of, mapped, nearest, singular, solved
 from undeadzone.feedforward.targets import linear_targets
-from undeadzone.feedforward.tip_equations import equations_of, mapped, nearest, singular, solved
 from undeadzone.linear.matrices import Matrices
-from undeadzone.plants.robots import planar
+from undeadzone.plants.robots import build
 from undeadzone.plants.robots.arm import Arm, Chain, arm
 from undeadzone.plants.robots.build import flat
 from undeadzone.plants.system import System
@@ -34,7 +34,7 @@ T = np.linspace(-0.9, 9.9, 541) + 0.003
 VIA = Quintic(points=[[0.0, 1.0], [1.0, -1.0], [0.5, 2.0], [0.0, 1.0]], times=[0.0, 1.0, 3.0, 4.0])
 CIRCLE = Circle(centre=[0.4, 0.1], radius=0.15, period=4.0, phase=0.3)
 EIGHT = FigureEight(centre=[0.35, 0.2], width=0.3, height=0.2, period=5.0)
-TWO_LINK = arm(planar.two_link())
+TWO_LINK = arm(build.two_link())
 ELBOWS = [[0.3, 0.8], [0.8, -0.8]]
 UR5 = File(__file__).parents[1] / "examples" / "ur5.urdf"
 
@@ -597,7 +597,7 @@ def test_too_few_joints() -> None:
         match=r"reference.space: an arm with 1 joint cannot .* 2 coordinates; "
         r"give the joints' path",
     ):
-        joints(arm(planar.one_link()), tip_path(CIRCLE), [0.3])
+        joints(arm(build.one_link()), tip_path(CIRCLE), [0.3])
 
 
 @pytest.mark.parametrize("harmonics", [[1], [1, 2]])

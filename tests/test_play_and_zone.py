@@ -19,16 +19,16 @@ from test_play import CENSORED, KALMAN, late, slow
 from test_which import STEP, driven, through
 from undeadzone.analysis.identifiability.play_and_zone import Readings, told_of_both
 from undeadzone.analysis.side_schedule import planned, recorded
+from undeadzone.ends.sensor import Sensor, resolve
 from undeadzone.engine import interpret, lanes
 from undeadzone.ensemble.run_ensemble import deviation, run_ensemble
 from undeadzone.errors import InputError, UndeadzoneError
 from undeadzone.linear.matrices import Matrices
-from undeadzone.observers.parts import unknown_gaps
+from undeadzone.observers.parts import further_constants
 from undeadzone.report.run_page import run_page
 from undeadzone.results.run import Run
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
-from undeadzone.sensor import Sensor, resolve
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.arrays import Floats
 from undeadzone_arena.contest.prior_knowledge import situation
@@ -238,12 +238,12 @@ def test_a_wrong_model_leaves_the_error() -> None:
 
 def test_a_wrong_sign_puts_the_gap_into_the_widths(monkeypatch: pytest.MonkeyPatch) -> None:
     right = simulate(both({"noise": 0.02}, KALMAN))
-    sign = unknown_gaps.offset
+    sign = further_constants.offset
 
     def wrong(side: Any, *gaps: Any) -> Any:
         return -sign(side, *gaps)
 
-    monkeypatch.setattr(unknown_gaps, "offset", wrong)
+    monkeypatch.setattr(further_constants, "offset", wrong)
     turned = follow(right, both({"noise": 0.02}, KALMAN))
     assert turned.consistent is False
     assert np.abs(turned.d_hat[-1] - [1.0, 0.7]).min() > 0.5

@@ -12,10 +12,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scenes import PAPER_PLANT, linear, random_plant, scene
-from undeadzone.analysis.certificate.jacobian_bounds import slopes_on
 from undeadzone.analysis.certificate.passivity import Certificate, certify, passive_gain
-from undeadzone.analysis.certificate.polytopic import certify_on, design_on
-from undeadzone.analysis.certificate.subdivision import _entry_slopes, absolute, form, halved
+from undeadzone.analysis.certificate.polytopic import (
+    _entry_slopes,
+    absolute,
+    certify_on,
+    design_on,
+    form,
+    halved,
+    slopes_on,
+)
 from undeadzone.analysis.error_dynamics import Dynamics
 from undeadzone.engine.interval import Interval, enclosure
 from undeadzone.errors import InputError, ShapeError, StructureError

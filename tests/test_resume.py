@@ -65,6 +65,17 @@ def test_what_is_kept_is_not_computed_again(tmp_path: Path) -> None:
     assert told == list(range(10))
 
 
+@pytest.mark.parametrize("link", ["symlink_to", "hardlink_to"])
+def test_nothing_is_written_through_links(tmp_path: Path, link: str) -> None:
+    outside, path = tmp_path / "outside", tmp_path / "kept"
+    if link == "hardlink_to":
+        outside.write_bytes(b"")
+    getattr(path, link)(outside)
+    with pytest.raises(FileError, match=r"kept: cannot write: it is .* delete it, or"):
+        squares(path)
+    assert not outside.exists() or outside.read_bytes() == b""
+
+
 @settings(max_examples=60)
 @given(st.data())
 def test_a_damaged_file_gives_right_answers_or_none(

@@ -19,6 +19,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scenes import PAPER_PLANT, linear, random_plant, response, scene, slopes
+from undeadzone.ends.sensor import Sensor, Zone, deadzone, resolve, side
+from undeadzone.ends.sensor import jump as jump_sensor
 from undeadzone.engine import interpret
 from undeadzone.errors import InputError, ShapeError, StepError, StructureError
 from undeadzone.feedforward.targets import Target
@@ -34,8 +36,6 @@ from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
-from undeadzone.sensor import Sensor, Zone, deadzone, resolve, side
-from undeadzone.sensor import jump as jump_sensor
 from undeadzone.simulation.simulate import prepare, run_loop, simulate
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats

@@ -19,18 +19,22 @@ from scipy.optimize import minimize
 
 import undeadzone_arena.unscented as unscented
 from scenes import PAPER_PLANT, on_numbers, random_plant, scene
-from undeadzone import sensor
+from undeadzone.ends import sensor
+from undeadzone.ends.sensor import Sensor, Zone, resolve
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import COLUMNS, Estimate, InPython, Observer, Reading, Traits, in_python
 from undeadzone.numerics.gaussian import symmetric, triangle
 from undeadzone.observers import Kalman
-from undeadzone.observers.parts.augmented_state import agitation, joint_prior, quarter_period
-from undeadzone.observers.parts.even_states import even_units
+from undeadzone.observers.parts.augmented_state import (
+    agitation,
+    even_units,
+    joint_prior,
+    quarter_period,
+)
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled
 from undeadzone.scenario.problem import resolve_scenario
-from undeadzone.sensor import Sensor, Zone, resolve
 from undeadzone.simulation import exogenous as inputs
 from undeadzone.simulation import sample_by_sample as live
 from undeadzone.simulation.online import Online

@@ -21,9 +21,10 @@ from scenes import scene
 from test_engines import compiled, distance, generated, parts
 from test_ensemble import table
 from test_report import Auditor
+from undeadzone.ends.sensor import quantised, side
 from undeadzone.engine import interpret
 from undeadzone.ensemble.batch import prepare
-from undeadzone.ensemble.replay import replay
+from undeadzone.ensemble.run_ensemble import replay
 from undeadzone.errors import FileError, InputError, ShapeError, StepError, TrackingError
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
@@ -36,7 +37,6 @@ from undeadzone.results.run import FRAMES, Run
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import parse
 from undeadzone.scenario.schema import Scenario
-from undeadzone.sensor import quantised, side
 from undeadzone.simulation.simulate import labels as _told_apart
 from undeadzone.simulation.simulate import simulate
 

@@ -26,10 +26,10 @@ from undeadzone.results.run import Run
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation import exogenous as inputs
+from undeadzone.simulation.packed import graph
 from undeadzone.simulation.simulate import prepare, run_loop, simulate
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
-from undeadzone.tuning.candidates import graph
 from undeadzone_arena import GravityPD
 
 TWO = {"kind": "two_link"}

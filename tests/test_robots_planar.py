@@ -14,14 +14,14 @@ from scipy.integrate import solve_ivp
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
-from undeadzone.plants.robots import planar
+from undeadzone.plants.robots import build
 from undeadzone.plants.robots.arm import Arm, acceleration, arm, torque
 from undeadzone.plants.robots.options import ElasticJoint, OneLink, TwoLink
 from undeadzone.plants.system import System
 from undeadzone.support.arrays import Floats
 
 seeds = st.integers(0, 2**32 - 1)
-CHAINS = {"one_link": planar.one_link(), "two_link": planar.two_link()}
+CHAINS = {"one_link": build.one_link(), "two_link": build.two_link()}
 ARMS = {name: arm(chain) for name, chain in CHAINS.items()}
 kinds = pytest.mark.parametrize("kind", ARMS)
 
@@ -78,7 +78,7 @@ def energy(body: Arm, numbers: Floats, q: Floats, v: Floats) -> float:
 
 def elastic_energy(plant: System, numbers: Floats, x: Floats) -> float:
     p = dict(zip(plant.names, numbers, strict=True))
-    link = arm(planar.one_link())
+    link = arm(build.one_link())
     of_link = energy(
         link,
         params(link, **{name: p[name] for name in ("m", "l", "c", "I", "g", "payload")}),
@@ -371,7 +371,7 @@ def test_flat_state_and_torque_satisfy_the_equations_along_a_path(seed: int) -> 
 
 
 def test_the_stiff_limit_is_the_rigid_arm_with_the_motors_inertia() -> None:
-    rigid = arm(planar.one_link())
+    rigid = arm(build.one_link())
     path = [0.4, -1.2, 2.0, -3.0, 5.0]
     q, v, a = path[:3]
     friction = {"b1": 0.2, "b2": 0.1, "f1": 0.3, "f2": 0.4}
@@ -470,4 +470,4 @@ def test_what_else_is_refused() -> None:
 
 
 def test_changed_parameters_are_those_of_the_chain_alone() -> None:
-    assert planar.changed({"m": 1.0, "l": 2.0}, {"l": 3.0, "b1": 4.0}) == {"m": 1.0, "l": 3.0}
+    assert build.changed({"m": 1.0, "l": 2.0}, {"l": 3.0, "b1": 4.0}) == {"m": 1.0, "l": 3.0}

@@ -15,6 +15,7 @@ from scipy.linalg import expm
 from scipy.optimize import minimize_scalar
 
 from scenes import PAPER_PLANT, scene
+from undeadzone.analysis.certificate.driven import leaking, ultimate_bound
 from undeadzone.analysis.certificate.passivity import certify, certify_dynamics, passive_gain
 from undeadzone.analysis.certificate.robust import (
     certified_radius,
@@ -23,7 +24,6 @@ from undeadzone.analysis.certificate.robust import (
     project,
     sector,
 )
-from undeadzone.analysis.certificate.ultimate import leaking, ultimate_bound
 from undeadzone.analysis.convergence.falsify import Mode, falsify, generator
 from undeadzone.analysis.error_dynamics import Dynamics, dynamics, pattern
 from undeadzone.errors import InputError, ShapeError

@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from undeadzone.errors import InputError
-from undeadzone.statistics.sampling import ROUNDS, _feistel, permuted, points
-from undeadzone.statistics.sobol import BITS, DIMENSIONS, _directions
+from undeadzone.statistics.sampling import BITS, ROUNDS, _feistel, permuted, points
 from undeadzone.support.arrays import Floats
 
 DESIGNS = ["random", "latin_hypercube", "sobol", "saltelli"]
@@ -103,11 +102,6 @@ def test_sobol_points_are_those_of_scipy(seed: int, entries: int) -> None:
     assert np.array_equal(points("sobol", seed, 100, 50, entries, 256), expected[100:150])
     far = engine.fast_forward(10**6).random(10) + 2.0 ** -(BITS + 1)
     assert np.array_equal(points("sobol", seed, 10**6 + 256, 10, entries, 256), far)
-
-
-def test_direction_numbers_are_those_of_scipy() -> None:
-    assert stats.qmc.Sobol.MAXDIM == DIMENSIONS
-    assert np.array_equal(_directions(2000), stats.qmc.Sobol(2000, bits=BITS, scramble=False)._sv)
 
 
 def test_no_warning_escapes_from_blocks_of_any_size() -> None:

@@ -13,8 +13,6 @@ from scipy.linalg import expm
 
 from undeadzone.errors import FileError, InputError, ShapeError
 from undeadzone.signals import exosystem as signals
-from undeadzone.signals import shapes
-from undeadzone.signals.csv_file import read_csv
 from undeadzone.signals.exosystem import (
     Random,
     Samples,
@@ -24,9 +22,10 @@ from undeadzone.signals.exosystem import (
     Step,
     Tone,
     Trapezoid,
+    common_period,
     exosystem,
+    read_csv,
 )
-from undeadzone.signals.periods import common_period
 
 T = np.linspace(0.013, 5.987, 523)
 
@@ -274,7 +273,7 @@ def test_common_period(frequencies: list[float], period: float | None) -> None:
         assert common_period(frequencies) == pytest.approx(period, rel=1e-12)
 
 
-@pytest.mark.parametrize("shape", [shapes.lines, shapes.spline])
+@pytest.mark.parametrize("shape", [signals.lines, signals.spline])
 def test_shapes_go_through_their_samples_and_are_held_at_their_ends(shape: Any) -> None:
     t = np.array([0.0, 0.5, 2.0, 3.0])
     values = np.array([[1.0, 0.0], [2.0, -1.0], [0.0, 4.0], [3.0, 3.0]])
@@ -287,7 +286,7 @@ def test_shapes_go_through_their_samples_and_are_held_at_their_ends(shape: Any) 
 
 def test_a_trapezoid_by_hand() -> None:
     corners = np.array([0.0, 1.0, 3.0, 5.0, 7.0, 8.0])
-    derivatives = shapes.trapezoid(corners, np.array([2.0]))
+    derivatives = signals.trapezoid(corners, np.array([2.0]))
     values = derivatives(np.array([0.5, 2.0, 4.5, 6.0, 7.5, 8.5]))[:, :, 0]
     assert values[:, 0].tolist() == [1.0, 2.0, -1.0, -2.0, -1.0, 1.0]
     assert values[:, 1].tolist() == [2.0, 0.0, -2.0, 0.0, 2.0, 2.0]

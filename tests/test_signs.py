@@ -15,15 +15,15 @@ from scipy.stats import norm
 
 from scenes import PAPER_PLANT, linear
 from test_identifiability import visiting
-from undeadzone.analysis.certificate.passivity import certify
+from undeadzone.analysis.certificate.passivity import certify, defective
 from undeadzone.analysis.certificate.robust import l2_gain
-from undeadzone.analysis.certificate.stability import defective
 from undeadzone.analysis.convergence.falsify import falsify
 from undeadzone.analysis.dissipation import _lyapunov
 from undeadzone.analysis.identifiability.edges import reaching
 from undeadzone.analysis.identifiability.linear import unknown_bias
 from undeadzone.analysis.identifiability.linearised_run import _run
 from undeadzone.analysis.side_schedule import _samples, arriving
+from undeadzone.ends.sensor import Sensor, resolve
 from undeadzone.errors import InputError
 from undeadzone.linear.matrices import Matrices
 from undeadzone.linear.riccati import riccati
@@ -31,12 +31,11 @@ from undeadzone.linear.structure import output_chains, uncontrollable_modes, uno
 from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.numerics.optimise import evolve, pareto
 from undeadzone.observers import Certified
-from undeadzone.observers.parts.member import log_density
+from undeadzone.observers.parts.judged_filter import log_density
 from undeadzone.observers.parts.prior import build_prior
 from undeadzone.observers.parts.shown_belief import FAR, clipped
-from undeadzone.observers.parts.widths import bounded_widths
+from undeadzone.observers.parts.width_laws import bounded_widths
 from undeadzone.plants.system import sampled
-from undeadzone.sensor import Sensor, resolve
 from undeadzone.signals.exosystem import Random
 from undeadzone_arena.observers.parts import interval_step
 

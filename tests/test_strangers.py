@@ -15,17 +15,17 @@ from hypothesis import strategies as st
 
 from undeadzone.analysis.certificate.design_file import Design
 from undeadzone.cli.common import json_text, print_blocks
-from undeadzone.ensemble.blocks import journal, table_file
-from undeadzone.ensemble.blocks.job import Layout
+from undeadzone.ensemble import journal, saved
+from undeadzone.ensemble.job import Layout
 from undeadzone.errors import FileError, InputError
 from undeadzone.exports.source import _plain as commented
 from undeadzone.identification.readers import read_log
-from undeadzone.plants.robots import urdf_file
+from undeadzone.plants.robots import urdf_elements
 from undeadzone.report.html import page, table
 from undeadzone.report.style import plain
 from undeadzone.results.run import Run
 from undeadzone.scenario.reader import confined, parse, read
-from undeadzone.signals.csv_file import read_csv
+from undeadzone.signals.exosystem import read_csv
 from undeadzone.simulation.simulate import compare, simulate
 from undeadzone.support import files
 from undeadzone.support.files import read_bytes, require_folder
@@ -184,11 +184,11 @@ def special(folder: Path) -> dict[Path, str]:
 READERS = {
     "scenario": read,
     "signal": lambda path: read_csv("reference", str(path), 1),
-    "urdf": urdf_file.read,
+    "urdf": urdf_elements.read,
     "design": Design.load,
     "run": Run.load,
     "log": read_log,
-    "ensemble": table_file.load,
+    "ensemble": saved.load,
     "journal": lambda path: journal.start(path, Layout(10, ("a",), 10, {})),
 }
 

@@ -17,6 +17,7 @@ from undeadzone.analysis.dissipation import Inequality, check
 from undeadzone.analysis.identifiability import nonlinear
 from undeadzone.analysis.identifiability.information import deviations
 from undeadzone.analysis.side_schedule import recorded
+from undeadzone.ends.sensor import Sensor, resolve
 from undeadzone.errors import StructureError
 from undeadzone.linear import riccati
 from undeadzone.linear.matrices import Matrices
@@ -29,7 +30,6 @@ from undeadzone.observers.parts.augmented_state import (
     joint_prior,
 )
 from undeadzone.plants.system import sampled
-from undeadzone.sensor import Sensor, resolve
 from undeadzone_arena.observers.parts import learned_residual
 from undeadzone_arena.observers.parts.boxes import cut
 

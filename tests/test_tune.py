@@ -21,25 +21,31 @@ from undeadzone.ensemble.batch import prepare
 from undeadzone.errors import InputError, StructureError
 from undeadzone.observers import HighGain
 from undeadzone.results.scales import LIMIT
+from undeadzone.scenario.address import numbers, with_numbers
 from undeadzone.scenario.ensemble_table import Distribution, Vary
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert, parse, read
 from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.tune_table import Range, Tune
 from undeadzone.simulation.exogenous import exogenous
+from undeadzone.simulation.packed import graph
 from undeadzone.simulation.simulate import prepare as prepare_loop
 from undeadzone.simulation.simulate import run_loop
 from undeadzone.statistics.intervals import Interval
 from undeadzone.support import toml
 from undeadzone.support.arrays import Floats
-from undeadzone.tuning.candidates import graph
-from undeadzone.tuning.objective import Frame, Objective, losses, objective, statistic
-from undeadzone.tuning.one_by_one import row
-from undeadzone.tuning.parameters import numbers, parameters, with_numbers
+from undeadzone.tuning.candidates import Frame, Objective, losses, objective, row, statistic
+from undeadzone.tuning.parameters import parameters, values_at
 from undeadzone.tuning.result import HeldOut, Worth, change
-from undeadzone.tuning.search import FORBIDDEN, REACH, Evaluation, _penalised, gradient, values_at
-from undeadzone.tuning.sweep import sweep
-from undeadzone.tuning.tune import tune
+from undeadzone.tuning.tune import (
+    FORBIDDEN,
+    REACH,
+    Evaluation,
+    _penalised,
+    gradient,
+    sweep,
+    tune,
+)
 from undeadzone_arena import ParticleFilter, TaylorResidual
 
 EXAMPLES = Path(__file__).parents[1] / "examples"

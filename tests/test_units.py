@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 import undeadzone as uz
+from undeadzone.ends.sensor import resolve
 from undeadzone.ensemble.metrics import Tally, rows
 from undeadzone.linear.hold import sampled_noise, zoh, zoh_slopes
 from undeadzone.linear.matrices import Matrices, companion
@@ -23,7 +24,6 @@ from undeadzone.results.scales import plant_scales
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
 from undeadzone.scenario.schema import Scenario
-from undeadzone.sensor import resolve
 
 POLES = -np.array([1.0, 1.5, 2.0, 3.0])  # [1/s]
 MISMATCH = np.array([1.05, 0.95, 1.05, 0.95])  # of the model's coefficients

@@ -13,11 +13,12 @@ from scipy import stats
 
 from scenes import random_plant, scene, table
 from undeadzone.engine import interpret
-from undeadzone.ensemble.addresses import matching, sizes
 from undeadzone.ensemble.binding import Binding, bind, initial_copies
+from undeadzone.ensemble.varied import sizes
 from undeadzone.errors import InputError, UndeadzoneError
-from undeadzone.linear import batched_hold
+from undeadzone.linear import hold
 from undeadzone.plants.system import sampled
+from undeadzone.scenario.address import matching
 from undeadzone.scenario.ensemble_table import Distribution, Vary, decoded, spread
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert, parse
@@ -408,7 +409,7 @@ def test_blocks_do_not_matter_to_the_last_bit(sampling: str, first: int, count: 
 def held(AB: Floats, Ts: float) -> Floats:
     """[Ad, Bd] of many plants (plants x n x (n + m)) from their [A, B]."""
     plants_last = np.ascontiguousarray(np.moveaxis(AB, 0, -1))
-    return np.moveaxis(batched_hold.zoh(plants_last, Ts), -1, 0)
+    return np.moveaxis(hold.zoh_of_each(plants_last, Ts), -1, 0)
 
 
 @settings(max_examples=40, deadline=None)

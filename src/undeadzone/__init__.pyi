@@ -1,8 +1,14 @@
-from .actuator import Actuator as Actuator
-from .actuator import ActuatorModel as ActuatorModel
 from .analysis.certificate.design_file import Design as Design
+from .analysis.certificate.driven import Ultimate as Ultimate
+from .analysis.certificate.driven import ultimate_bound as ultimate_bound
+from .analysis.certificate.nearest import decay_limit as decay_limit
 from .analysis.certificate.passivity import Certificate as Certificate
 from .analysis.certificate.passivity import certify as certify
+from .analysis.certificate.polytopic import certify_on as certify_on
+from .analysis.certificate.polytopic import design_on as design_on
+from .analysis.certificate.robust import certified_radius as certified_radius
+from .analysis.certificate.robust import closed_loop as closed_loop
+from .analysis.error_dynamics import Dynamics as Dynamics
 from .catalogue import Options as Options
 from .compensators import NoInverse as NoInverse
 from .compensators import SmoothZoneInverse as SmoothZoneInverse
@@ -15,6 +21,9 @@ from .controllers import ComputedTorque as ComputedTorque
 from .controllers import LinearController as LinearController
 from .controllers import Robust as Robust
 from .controllers import StateFeedback as StateFeedback
+from .ends.actuator import Actuator as Actuator
+from .ends.actuator import ActuatorModel as ActuatorModel
+from .ends.sensor import Sensor as Sensor
 from .ensemble.result import Ensemble as Ensemble
 from .ensemble.run_ensemble import replay_run as replay_run
 from .ensemble.run_ensemble import run_ensemble as run_ensemble
@@ -49,6 +58,7 @@ from .observers.parts.width_laws import Gradient as Gradient
 from .observers.parts.width_laws import LeastSquares as LeastSquares
 from .observers.parts.width_laws import Normalised as Normalised
 from .observers.parts.width_laws import Sigma as Sigma
+from .plants.build import system as system
 from .plants.interop import from_control as from_control
 from .plants.interop import from_scipy as from_scipy
 from .plants.interop import to_control as to_control
@@ -56,11 +66,13 @@ from .plants.interop import to_scipy as to_scipy
 from .plants.options import Plant as Plant
 from .plants.options import SecondOrder as SecondOrder
 from .plants.options import TransferFunction as TransferFunction
+from .plants.region import Box as Box
 from .plants.region import Region as Region
 from .plants.robots.options import URDF as URDF
 from .plants.robots.options import ElasticJoint as ElasticJoint
 from .plants.robots.options import OneLink as OneLink
 from .plants.robots.options import TwoLink as TwoLink
+from .plants.system import System as System
 from .report.plot import plot as plot
 from .results.estimation import Estimation as Estimation
 from .results.run import Run as Run
@@ -73,7 +85,6 @@ from .scenario.schema import Simulation as Simulation
 from .scenario.schema import Units as Units
 from .scenario.tune_table import Range as Range
 from .scenario.tune_table import Tune as Tune
-from .sensor import Sensor as Sensor
 from .signals.exosystem import Random as Random
 from .signals.exosystem import Samples as Samples
 from .signals.exosystem import Sine as Sine
@@ -93,8 +104,8 @@ from .synthesis.check import check as check
 from .synthesis.design import design as design
 from .synthesis.gain_search import Weights as Weights
 from .tuning.result import Tuned as Tuned
-from .tuning.sweep import Sweep as Sweep
-from .tuning.sweep import sweep as sweep
+from .tuning.tune import Sweep as Sweep
+from .tuning.tune import sweep as sweep
 from .tuning.tune import tune as tune
 
 __version__: str

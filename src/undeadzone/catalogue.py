@@ -22,10 +22,10 @@ from undeadzone.errors import InputError
 from undeadzone.support import arrays
 
 if TYPE_CHECKING:
-    from undeadzone.actuator import Belief
+    from undeadzone.ends.actuator import Belief
+    from undeadzone.ends.sensor import Zone
     from undeadzone.interfaces import Compensator, Controller, Observer
     from undeadzone.plants.system import System
-    from undeadzone.sensor import Zone
 
 
 class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="method"):

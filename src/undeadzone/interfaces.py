@@ -8,10 +8,10 @@ from typing import Any, Final, Literal, NamedTuple
 import casadi as ca
 import numpy as np
 
+from undeadzone.ends.limits import Limits, beyond
+from undeadzone.ends.sensor import Zone, inverse, present, side
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
-from undeadzone.limits import Limits, beyond
-from undeadzone.sensor import Zone, inverse, present, side
 from undeadzone.support.arrays import Floats
 
 

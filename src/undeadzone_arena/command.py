@@ -12,6 +12,7 @@ from undeadzone.cli.common import (
     confined,
     named_files,
     origin,
+    prepare_figures,
     print_blocks,
     print_json,
     say,
@@ -142,6 +143,8 @@ def arena(
     grounds = own or built_in(held_out)
     try:
         contest = _held(names, grounds, tuple(range(seeds)), tuned, processes, keep, resume)
+        if writes:
+            prepare_figures()
         written = _written(contest, folder, bool(own)) if writes else []
         if keep is not None:
             keep.unlink(missing_ok=True)

@@ -10,10 +10,11 @@ from typing import Any, Final, NamedTuple
 
 import msgspec
 
-from undeadzone.observers import Certified, Luenberger
+from undeadzone.ends.sensor import Sensor
+from undeadzone.observers.certified import Certified
+from undeadzone.observers.luenberger import Luenberger
 from undeadzone.results.run import Run
 from undeadzone.scenario.schema import Model, Scenario, Simulation
-from undeadzone.sensor import Sensor
 from undeadzone.signals.exosystem import Sine
 from undeadzone.simulation.simulate import simulate
 from undeadzone_paper.example import (

@@ -8,10 +8,10 @@ import msgspec
 import numpy as np
 
 from undeadzone.controllers import PD, StateFeedback
+from undeadzone.ends.sensor import Sensor
 from undeadzone.observers import Certified
 from undeadzone.plants.options import Plant, SecondOrder
 from undeadzone.scenario.schema import Scenario, Simulation
-from undeadzone.sensor import Sensor
 from undeadzone.signals.exosystem import Sine
 from undeadzone_paper.observer import Printed
 

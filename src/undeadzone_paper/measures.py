@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from undeadzone.ends.sensor import deadzone, indicators, zone
 from undeadzone.linear.riccati import paper_riccati
 from undeadzone.plants.build import matrices
 from undeadzone.results.run import LAST, Run
 from undeadzone.results.scales import LIMIT
-from undeadzone.sensor import deadzone, indicators, zone
 from undeadzone.support.arrays import Floats
 from undeadzone_paper.example import ALPHA, L_PRINTED, printed
 

@@ -7,13 +7,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from undeadzone.catalogue import Options
+from undeadzone.ends.sensor import Zone, indicators, saturation
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate, Observer, Reading, Traits, estimate
 from undeadzone.linear.riccati import paper_riccati, weight
 from undeadzone.observers.parts.gain import gains
-from undeadzone.observers.parts.widths import pairs
+from undeadzone.observers.parts.width_laws import pairs
 from undeadzone.plants.system import System
-from undeadzone.sensor import Zone, indicators, saturation
 from undeadzone.support.arrays import Array, Floats, scalar
 
 STAND_INS = {

@@ -8,6 +8,7 @@ from typing import TypeAlias
 import casadi as ca
 import numpy as np
 
+from undeadzone.ends.sensor import bound, deadzone, offset, resolve, saturation, zone
 from undeadzone.interfaces import Reading, graph_of
 from undeadzone.linear.matrices import Matrices
 from undeadzone.linear.poles import observer_gain
@@ -15,7 +16,6 @@ from undeadzone.linear.riccati import paper_riccati
 from undeadzone.plants.build import matrices, system
 from undeadzone.results.run import Run
 from undeadzone.scenario.schema import Scenario
-from undeadzone.sensor import bound, deadzone, offset, resolve, saturation, zone
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 from undeadzone_paper import measures as m

@@ -1,4 +1,4 @@
-"""What the commands share: their common options, the progress bar, printing of numbers."""
+"""What the commands share: options, the progress bar, printing of numbers, tables of logs."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from undeadzone.support.text import printable
 
 if TYPE_CHECKING:
     from undeadzone.report.html import Origin
+    from undeadzone.results.info import LogInfo
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 LARGE = 1e7  # [bytes] of a table of signals that is written unasked
@@ -116,7 +117,17 @@ def folder_for(out: Path | None, no_figures: bool, default: str) -> Path | None:
     """
     if out is None and no_figures:
         return None
-    return writable(Path(default) if out is None else out)
+    folder = writable(Path(default) if out is None else out)
+    if not no_figures:
+        prepare_figures()
+    return folder
+
+
+def prepare_figures() -> None:
+    """Let figures look the same in every folder; called before the first is drawn."""
+    from undeadzone.report.style import own_settings
+
+    own_settings()
 
 
 def writable(folder: Path) -> Path:
@@ -198,3 +209,25 @@ def _paint(found: re.Match[str]) -> str:
 def _coloured() -> bool:
     """Whether colours are wanted (no-color.org)."""
     return not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
+
+
+def strict_option(command: Command) -> Command:
+    """Add --strict."""
+    return click.option(
+        "--strict", is_flag=True, help="Stop at the first line that cannot be read."
+    )(command)
+
+
+def columns_option(command: Command) -> Command:
+    """Add --columns."""
+    return click.option(
+        "--columns",
+        default=None,
+        metavar="y=NAME,u=NAME",
+        help="Columns by name or number: t=1,y=angle,u=voltage; several: y[0]=a,y[1]=b.",
+    )(command)
+
+
+def exit_code(info: LogInfo) -> int:
+    """1 where the record is not consistent, else 0."""
+    return 1 if info.consistent is False else 0

@@ -202,7 +202,7 @@ def _words(design: Design, judged: Check) -> list[Block]:
     """A design in words, and what `check` says of it."""
     import msgspec
 
-    from undeadzone.analysis.certificate.design_words import in_words as design_in_words
+    from undeadzone.analysis.certificate.design_file import in_words as design_in_words
 
     first, *others = judged.blocks()
     assert isinstance(first, dict)

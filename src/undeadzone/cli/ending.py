@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import os
+import re
 import signal
 import sys
 import traceback
@@ -25,6 +27,11 @@ INTERNAL: Final = 70  # EX_SOFTWARE of sysexits.h
 INTERRUPTED: Final = 130  # 128 + SIGINT
 TERMINATED: Final = 143  # 128 + SIGTERM
 DEBUG: Final = "UNDEADZONE_DEBUG"  # set: an unexpected exception shows its traceback
+EPOCH: Final = "SOURCE_DATE_EPOCH"  # libraries read it when they are imported, and fail
+NO_MEMORY: Final = re.compile(
+    "cannot allocate|failed to map segment|bad_alloc|can't start new thread", re.IGNORECASE
+)
+LEAST_MEMORY: Final = 400_000_000  # [bytes] of addresses
 PRINTERS: Final = ("click", "rich")  # the packages that print
 LONGEST: Final = 200  # characters of an unexpected exception's message that are shown
 
@@ -34,6 +41,9 @@ def ended(command: Callable[[], Any]) -> int:
     try:
         if _open_streams():
             return _refused("stdout is closed, and the results would be lost; use > /dev/null")
+        hindrance = _hindrance()
+        if hindrance:
+            return _refused(hindrance)
         _catch_terminate()
         with warnings.catch_warnings():
             if not os.environ.get(DEBUG):  # NumPy's remarks are no message to a user
@@ -51,9 +61,11 @@ def ended(command: Callable[[], Any]) -> int:
         return _stopped("interrupted", str(error.__cause__ or error), INTERRUPTED)
     except Terminated as error:
         return _stopped("terminated", str(error), TERMINATED)
-    except OSError as error:
-        return _stdout_failed(error) if _stdout_fails(error) else _unexpected(error)
     except Exception as error:
+        if _memory_ran_out(error):
+            return _refused("memory ran out; allow more, or ask for less at once")
+        if isinstance(error, OSError) and _stdout_fails(error):
+            return _stdout_failed(error)
         return _unexpected(error)
 
 
@@ -75,6 +87,23 @@ def _open_streams() -> bool:
         if isinstance(stream, io.TextIOWrapper):  # a terminal that cannot show ± is no error
             stream.reconfigure(errors="backslashreplace")
     return closed
+
+
+def _hindrance() -> str:
+    """Why libraries would fail, or never come back, while they are imported; empty: nothing."""
+    if not os.environ.get(EPOCH, "0").isdecimal():
+        return f"{EPOCH}: expected whole seconds since 1970; set it so, or unset it"
+    if sys.platform == "win32":
+        return ""
+    import resource
+
+    allowed, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if allowed != resource.RLIM_INFINITY and allowed < LEAST_MEMORY:
+        return (
+            f"memory ran out: {allowed / 1e6:.0f} MB of addresses are allowed, and libraries alone "
+            f"take {LEAST_MEMORY / 1e6:.0f}; raise it (ulimit -v)"
+        )
+    return ""
 
 
 def _catch_terminate() -> None:
@@ -118,6 +147,15 @@ def _unexpected(error: Exception) -> int:
         f"that {DEBUG}=1 shows"
     )
     return INTERNAL
+
+
+def _memory_ran_out(error: Exception) -> bool:
+    """Whether the system gave no memory: for numbers, for a process, for the code of a library."""
+    if isinstance(error, MemoryError):
+        return True
+    if isinstance(error, OSError) and error.errno == errno.ENOMEM:
+        return True
+    return isinstance(error, ImportError | RuntimeError) and bool(NO_MEMORY.search(str(error)))
 
 
 def _stdout_fails(error: OSError) -> bool:

@@ -12,6 +12,7 @@ from undeadzone.cli.common import (
     common,
     confined,
     origin,
+    prepare_figures,
     print_blocks,
     print_json,
     writable,
@@ -101,6 +102,7 @@ def ensemble(
     summary = result.summary()
     written = [path]
     if not no_figures:
+        prepare_figures()
         from undeadzone.report.ensemble_page import write_ensemble
 
         written += write_ensemble(result, summary, folder, origin(scenario, result.info.seed))

@@ -7,17 +7,19 @@ from pathlib import Path
 import click
 
 from undeadzone.cli.common import (
+    columns_option,
     common,
     confined,
     csv_option,
+    exit_code,
     folder_for,
     named_files,
     origin,
     print_blocks,
     print_json,
+    strict_option,
     wanted_table,
 )
-from undeadzone.cli.log_table import columns_option, exit_code, strict_option
 from undeadzone.support.progress import on_terminal as progress
 
 

@@ -8,15 +8,16 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from undeadzone.cli.common import (
+    columns_option,
     common,
     folder_for,
     named_files,
     origin,
     print_blocks,
     print_json,
+    strict_option,
     writable,
 )
-from undeadzone.cli.log_table import columns_option, strict_option
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:

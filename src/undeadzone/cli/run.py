@@ -14,6 +14,7 @@ from undeadzone.cli.common import (
     folder_for,
     named_files,
     origin,
+    prepare_figures,
     print_blocks,
     print_json,
     wanted_table,
@@ -72,6 +73,7 @@ def run(
     met them to the last bit.
     """
     if animation is not None:
+        prepare_figures()
         from undeadzone.report.animation import require_movie
 
         require_movie(animation)

@@ -107,8 +107,8 @@ def tune(
     or not certified though this was asked for.
     """
     from undeadzone.scenario.reader import read
+    from undeadzone.tuning.result import in_words
     from undeadzone.tuning.tune import tune as search
-    from undeadzone.tuning.words import in_words
 
     tuned = read(scenario, confine)
     folder = folder_for(out, no_figures, f"{scenario.stem}-tune")

@@ -8,8 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import SCHEMA, confined, print_blocks
-from undeadzone.cli.log_table import columns_option, exit_code, strict_option
+from undeadzone.cli.common import (
+    SCHEMA,
+    columns_option,
+    confined,
+    exit_code,
+    print_blocks,
+    strict_option,
+)
 from undeadzone.errors import FileError, Terminated
 
 if TYPE_CHECKING:

@@ -6,8 +6,8 @@ from typing import Any
 
 import casadi as ca
 
-from undeadzone.actuator import Belief
 from undeadzone.compensators.parts.coasting import Coasts, coasted, coasting
+from undeadzone.ends.actuator import Belief
 from undeadzone.interfaces import Compensator, Estimate, Reading
 from undeadzone.plants.system import System
 

@@ -7,9 +7,15 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.actuator import Belief, Drive
-from undeadzone.compensators.parts.coasting import Coasts, coasted, coasting
-from undeadzone.compensators.parts.inverse import beyond, inverted, known_drive
+from undeadzone.compensators.parts.coasting import (
+    Coasts,
+    beyond,
+    coasted,
+    coasting,
+    inverted,
+    known_drive,
+)
+from undeadzone.ends.actuator import Belief, Drive
 from undeadzone.interfaces import Compensator, Estimate, Reading
 from undeadzone.plants.system import System
 from undeadzone.support.arrays import Array, Floats, positive

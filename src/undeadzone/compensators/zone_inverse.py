@@ -4,9 +4,15 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from undeadzone.actuator import Belief, Drive
-from undeadzone.compensators.parts.coasting import Coasts, coasted, coasting
-from undeadzone.compensators.parts.inverse import beyond, inverted, known_drive
+from undeadzone.compensators.parts.coasting import (
+    Coasts,
+    beyond,
+    coasted,
+    coasting,
+    inverted,
+    known_drive,
+)
+from undeadzone.ends.actuator import Belief, Drive
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Compensator, Estimate, Reading
 from undeadzone.plants.system import System

@@ -12,9 +12,8 @@ from undeadzone.catalogue import Options
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
-from undeadzone.linear.fast_gain import fast_feedback
 from undeadzone.linear.poles import state_gain
-from undeadzone.linear.riccati import feedback, lyapunov, weight
+from undeadzone.linear.riccati import fast_feedback, feedback, lyapunov, weight
 from undeadzone.plants.system import System
 from undeadzone.plants.time_scales import mean_pole, pace, state_units
 from undeadzone.support.arrays import Array, Floats, array, matrix, scalar

@@ -10,10 +10,9 @@ import numpy as np
 
 from undeadzone.engine import lanes
 from undeadzone.ensemble import metrics
-from undeadzone.ensemble.binding import Binding, Lanes, bind
-from undeadzone.ensemble.blocks.job import Layout
+from undeadzone.ensemble.binding import Binding, Lanes, RunNoise, bind, drawn
+from undeadzone.ensemble.job import Layout
 from undeadzone.ensemble.metrics import Measured, Tally
-from undeadzone.ensemble.run_noise import RunNoise, drawn
 from undeadzone.results.run import last_samples
 from undeadzone.results.scales import plant_scales
 from undeadzone.scenario.ensemble_table import Vary

@@ -1,8 +1,9 @@
-"""What is kept of a run without its signals: sums and extremes that the loop itself accumulates."""
+"""What is kept of runs: sums and extremes that the loop accumulates, bands of some signals."""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -10,10 +11,14 @@ import numpy as np
 from undeadzone.plants.robots.arm import Arm
 from undeadzone.plants.system import System
 from undeadzone.results.scales import LIMIT, Scales, shares
+from undeadzone.scenario.address import matching
 from undeadzone.scenario.problem import Problem
 from undeadzone.simulation.loop import Exogenous, Loop, Outputs, Params
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
+
+LEVELS: Final = (0.01, 0.05, 0.5, 0.95, 0.99)
+EDGES: Final = ("right", "left")
 
 
 class Tally(NamedTuple):
@@ -170,3 +175,67 @@ def rows(
     tip = np.sqrt(tally.tip / tail)
     behind = np.sqrt(tally.behind / (tail * tracked))
     return np.hstack([*metrics, tally.right, tally.left, tip, behind, ~bounded[:, None]])
+
+
+class Bands(NamedTuple):
+    """Quantiles of the recorded runs over time, by name; i is the output.
+
+    Attributes:
+        t: instants (N) [s]
+        quantiles: N x len(LEVELS) each: of |z - r| as `tracking[i]`, of the errors d^ - d of the
+            widths as `d_right[i]` and `d_left[i]`
+    """
+
+    t: Floats
+    quantiles: dict[str, Floats]
+
+
+def bands(
+    t: Floats, z: Floats, r: Floats, d_hat: Floats, widths: Floats, tracked: Sequence[int]
+) -> Bands:
+    """The bands of recorded runs.
+
+    A signal that is no number any more counts as infinitely far off, so that a band is one of all
+    runs.
+
+    Args:
+        t: instants (N) [s]
+        z: outputs (lanes x N x p)
+        r: references (lanes x N x k)
+        d_hat: estimated widths (lanes x N x 2p), right and left of each output in turn
+        widths: true widths (lanes x 2p) in the same order
+        tracked: the outputs that follow the k references
+    """
+    errors = {}
+    for k, i in enumerate(tracked):
+        errors[f"tracking[{i}]"] = np.abs(z[:, :, i] - r[:, :, k])
+    for j in range(d_hat.shape[2]):
+        name = f"d_{EDGES[j % 2]}[{j // 2}]"
+        errors[name] = d_hat[:, :, j] - widths[:, None, j]
+    return Bands(t, {name: _quantiles(error) for name, error in errors.items()})
+
+
+def true_width(name: str, nominal: float, varied: Mapping[str, Floats]) -> Floats:
+    """The true width of an edge in each run: a number, or a column (runs) where it varies.
+
+    Args:
+        name: the edge, such as `right[0]`
+        nominal: its width in the scenario
+        varied: columns by the names of `varied.UncertainNumber`, in whatever words they name the
+            edge
+    """
+    for words, column in varied.items():
+        address = words.removesuffix(" (relative)")
+        if any(matching(part, [f"sensor.{name}"]) for part in address.split(" + ")):
+            relative = address != words
+            return column * nominal if relative else column
+    return np.asarray(nominal)
+
+
+def _quantiles(values: Floats) -> Floats:
+    """The quantiles at each instant (N x levels) of values (lanes x N).
+
+    Each is the value of a run: nothing is interpolated between a number and infinity.
+    """
+    bounded = np.where(np.isnan(values), np.inf, values)
+    return np.quantile(bounded, LEVELS, axis=0, method="inverted_cdf").T

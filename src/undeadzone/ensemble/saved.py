@@ -1,18 +1,240 @@
-"""An ensemble in a file: its columns, and in the header what it knows besides."""
+"""An ensemble in a file, `.npz` or `.parquet`: its columns, and what it knows besides.
+
+An `.npz` has the same bytes for the same numbers and is read as a map; a `.parquet` is for other
+tools.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import struct
+import zipfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, BinaryIO, Final, NamedTuple
 
 import msgspec
+import numpy as np
 
-from undeadzone.ensemble.bands import Bands
-from undeadzone.ensemble.blocks import table_file
-from undeadzone.ensemble.info import Info
-from undeadzone.errors import FileError
+from undeadzone.ensemble.metrics import Bands
+from undeadzone.errors import FileError, InputError
+from undeadzone.scenario.schema import Units
 from undeadzone.support.arrays import Floats
+from undeadzone.support.files import reason, replacing, require_plain
+
+HEADER: Final = "undeadzone"
+COLUMNS: Final = "columns/"  # what names of arrays in an `.npz` begin with
+ATTACHED: Final = "attached/"
+CHECKSUM: Final = "checksum"  # of the other metadata of a `.parquet`, whose pages have their own
+CHUNK: Final = 2**20  # rows in a row group of Parquet
+ZIP_SIZES: Final = 26  # where a zip file's local header holds the lengths of name and extra field
+IN_OUTPUT_UNIT: Final = (
+    "rms_",
+    "peak_",
+    "d_",
+    "sensor.right",
+    "sensor.left",
+    "sensor.noise",
+    "reference.amplitude",
+)
+
+
+class Table(NamedTuple):
+    """What a file holds.
+
+    Attributes:
+        header: text
+        columns: equally long, by name
+        attached: other arrays, by name
+    """
+
+    header: str
+    columns: Mapping[str, Floats]
+    attached: Mapping[str, Floats]
+
+
+def require(path: Path) -> None:
+    """Raise InputError where no table can be written: another suffix, or pyarrow is missing."""
+    if path.suffix not in (".npz", ".parquet"):
+        raise InputError(f"{path}: the name must end in .npz or .parquet")
+    if path.suffix == ".parquet":
+        _arrow()
+
+
+def save(table: Table, path: Path) -> Path:
+    """Write a table as its suffix says. Raises FileError, InputError."""
+    require(path)
+    if path.suffix == ".parquet":
+        _write_parquet(table, path)
+    else:
+        _write_npz(table, path)
+    return path
+
+
+def load(path: Path) -> Table:
+    """Read a table. Raises FileError; InputError where pyarrow is missing."""
+    try:
+        require_plain(path)
+        return _read_parquet(path) if path.suffix == ".parquet" else _read_npz(path)
+    except InputError:
+        raise
+    except OSError as error:
+        raise FileError(f"{path}: cannot read: {reason(error)}") from None
+    except (ValueError, KeyError, struct.error, zipfile.BadZipFile) as error:
+        raise FileError(f"{path}: not an ensemble saved by undeadzone ({error})") from None
+
+
+def _write_npz(table: Table, path: Path) -> None:
+    """Write the header and every array as a member of a zip file."""
+    arrays: dict[str, Any] = {HEADER: np.frombuffer(table.header.encode(), np.uint8)}
+    for name, values in table.columns.items():
+        arrays[COLUMNS + name] = values
+    for name, values in table.attached.items():
+        arrays[ATTACHED + name] = np.ascontiguousarray(values)
+    with replacing(path) as temporary, open(temporary, "wb") as file:
+        np.savez(file, **arrays)
+
+
+def _read_npz(path: Path) -> Table:
+    """Arrays are mapped, not read; but every byte is checked first."""
+    arrays = {}
+    with zipfile.ZipFile(path) as archive, open(path, "rb") as file:
+        torn = archive.testzip()
+        if torn is not None:
+            raise ValueError(f"{torn} is damaged")
+        for entry in archive.infolist():
+            arrays[entry.filename.removesuffix(".npy")] = _mapped(path, file, entry.header_offset)
+    header = arrays[HEADER].tobytes().decode()
+    return Table(header, _below(COLUMNS, arrays), _below(ATTACHED, arrays))
+
+
+def _mapped(path: Path, file: BinaryIO, offset: int) -> Any:
+    """The array of an uncompressed member of a zip file, as a map; offset: of its local header."""
+    file.seek(offset + ZIP_SIZES)
+    name_size, extra_size = struct.unpack("<HH", file.read(4))
+    file.seek(name_size + extra_size, 1)
+    np.lib.format.read_magic(file)
+    shape, fortran, dtype = np.lib.format.read_array_header_1_0(file)
+    return np.memmap(path, dtype, "r", file.tell(), shape, "F" if fortran else "C")
+
+
+def _below(kind: str, arrays: Mapping[str, Any]) -> dict[str, Any]:
+    """The arrays of one kind, by their own names."""
+    names = [name for name in arrays if name.startswith(kind)]
+    return {name.removeprefix(kind): arrays[name] for name in names}
+
+
+def _write_parquet(table: Table, path: Path) -> None:
+    """Write the columns as Parquet; header and other arrays become its metadata."""
+    arrow = _arrow()
+    import pyarrow.parquet as parquet
+
+    metadata: dict[str, str | bytes] = {HEADER: table.header}
+    for name, values in table.attached.items():
+        metadata[ATTACHED + name] = np.ascontiguousarray(values, "<f8").tobytes()
+    metadata[CHECKSUM] = _checksum(metadata)
+    schema = arrow.schema([(name, arrow.float64()) for name in table.columns], metadata=metadata)
+    runs = len(next(iter(table.columns.values())))
+    with (
+        replacing(path) as temporary,
+        parquet.ParquetWriter(
+            temporary, schema, compression="zstd", write_page_checksum=True
+        ) as writer,
+    ):
+        for start in range(0, runs, CHUNK):
+            chunks = [column[start : start + CHUNK] for column in table.columns.values()]
+            parts = [arrow.array(np.asarray(chunk, float)) for chunk in chunks]
+            writer.write_table(arrow.Table.from_arrays(parts, schema=schema))
+
+
+def _read_parquet(path: Path) -> Table:
+    """The columns in memory, header and other arrays from the metadata."""
+    _arrow()
+    import pyarrow.parquet as parquet
+
+    table = parquet.read_table(path, page_checksum_verification=True)
+    metadata = {key.decode(): value for key, value in (table.schema.metadata or {}).items()}
+    kept = metadata.pop(CHECKSUM, None)  # earlier versions wrote none
+    if kept is not None and kept.decode() != _checksum(metadata):
+        raise ValueError("its header is damaged")
+    columns = {name: table.column(name).to_numpy() for name in table.column_names}
+    attached = {}
+    for name, value in _below(ATTACHED, metadata).items():
+        attached[name] = np.frombuffer(value, "<f8")
+    return Table(metadata[HEADER].decode(), columns, attached)
+
+
+def _checksum(metadata: Mapping[str, str | bytes]) -> str:
+    """The checksum of metadata; what other programs add to them does not count."""
+    digest = hashlib.blake2b(digest_size=16)
+    for name in sorted(metadata):
+        if name == HEADER or name.startswith(ATTACHED):
+            value = metadata[name]
+            content = value.encode() if isinstance(value, str) else value
+            digest.update(f"{name} {len(content)} ".encode() + content)
+    return digest.hexdigest()
+
+
+def _arrow() -> Any:
+    """The package pyarrow. Raises InputError where it is missing."""
+    try:
+        import pyarrow
+    except ImportError:
+        raise InputError(
+            "a .parquet file needs pyarrow: pip install 'undeadzone[parquet]', or name it .npz"
+        ) from None
+    return pyarrow
+
+
+class Info(msgspec.Struct, frozen=True, kw_only=True):
+    """What an ensemble knows besides its columns.
+
+    Attributes:
+        title: of the scenario
+        method: of the observer
+        time: "continuous" or "sampled"
+        step: time step [s]
+        duration: of a run [s]
+        seed: of the values and of the noise
+        sampling: how the values were drawn
+        runs: number of runs
+        tolerance: of |z - r| for settling, as a share of the largest |r|
+        tracked: the outputs that follow a reference
+        widths: the nominal right and left width of each output in turn (2p)
+        scenario: the scenario as TOML; with a run's number it replays the run
+        version: of undeadzone
+        recorded: number of the first runs, those behind the bands
+        numbers: a digest of what all runs share
+        units: of output and input
+    """
+
+    title: str
+    method: str
+    time: str
+    step: float
+    duration: float
+    seed: int
+    sampling: str
+    runs: int
+    tolerance: float
+    tracked: list[int]
+    widths: list[float]
+    scenario: str
+    version: str
+    recorded: int = 0
+    numbers: str = ""
+    units: Units = Units()
+
+
+def unit_of_column(name: str, units: Units) -> str:
+    """The unit of a column, 1 also where it is not known; units: of output and input."""
+    if name.endswith("(relative)"):
+        return "1"
+    stem = name.partition("[")[0]
+    known = {"settling_time": "s", "rms_input": units.input, "rms_tip": "m"}
+    if stem in known:
+        return known[stem]
+    return units.output if stem.startswith(IN_OUTPUT_UNIT) else "1"
 
 
 class Contents(NamedTuple):
@@ -51,12 +273,12 @@ def write(contents: Contents, path: Path) -> Path:
     if contents.bands is not None:
         attached = {"t": contents.bands.t, **contents.bands.quantiles}
     text = msgspec.json.encode(header).decode()
-    return table_file.save(table_file.Table(text, columns, attached), path)
+    return save(Table(text, columns, attached), path)
 
 
 def read(path: Path) -> Contents:
     """Read a file. Raises FileError, InputError."""
-    table = table_file.load(path)
+    table = load(path)
     try:
         header = msgspec.json.decode(table.header, type=_Header)
         varied = {name: table.columns[name] for name in header.varied}

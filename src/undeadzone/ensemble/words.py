@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Final, NamedTuple
 
-from undeadzone.ensemble.info import Info, unit_of_column
+from undeadzone.ensemble.saved import Info, unit_of_column
 from undeadzone.results.run import LAST
 from undeadzone.results.sheet import number, within
 from undeadzone.support.shown import Block

@@ -133,10 +133,11 @@ def _require_plain(
 
 def _prefix(name: str | None, title: str) -> str:
     """What every symbol begins with. Raises InputError for a name that C cannot use."""
-    prefix = identifier(title)[:24].strip("_") if name is None else name
+    prefix = identifier(identifier(title)[:24]) if name is None else name
     if not NAME.fullmatch(prefix) or identifier(prefix) != prefix:
         raise InputError(
-            f"name: expected a letter, then up to 39 of a-z, 0-9 and single _, found {prefix!r}"
+            f"name: expected a letter, then up to 39 of a-z, 0-9 and single _, found {prefix!r}; "
+            "words of C and Python, headers and modules (math) are taken"
         )
     return prefix
 

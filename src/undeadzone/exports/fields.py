@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import keyword
 import re
+import sys
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +18,14 @@ auto break case char const continue default do double else enum extern float for
 int long register restrict return short signed sizeof static struct switch typedef union
 unsigned void volatile while bool true false class new delete this and or not
 """
+_HEADERS = """
+arduino assert complex ctype errno fenv float inttypes iso646 limits locale main malloc math memory
+pthread setjmp signal stdalign stdarg stdatomic stdbool stddef stdint stdio stdlib stdnoreturn
+string strings tgmath threads time uchar unistd wchar wctype avr numpy
+"""
 _KEYWORDS = frozenset(_RESERVED.split())
+# Words of C and Python, and files that one with such a name would hide.
+_TAKEN = frozenset({*_KEYWORDS, *_HEADERS.split(), *keyword.kwlist, *sys.stdlib_module_names})
 
 
 class Field(NamedTuple):
@@ -34,11 +43,15 @@ class Field(NamedTuple):
 
 
 def identifier(text: str) -> str:
-    """A name for C made of any text: letters, digits and single underscores, in lower case."""
+    """A name for files and symbols of any language, made of any text.
+
+    It has letters, digits and single underscores in lower case; an n comes before what is a word of
+    C or Python, a header of C or a module of Python, as math is.
+    """
     name = re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_").lower()
     if not name:
         return "observer"
-    return f"n{name}" if name[0].isdigit() or name in _KEYWORDS else name
+    return f"n{name}" if name[0].isdigit() or name in _TAKEN else name
 
 
 def state_fields(state: Any, drop: str = "") -> list[Field]:

@@ -7,15 +7,15 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from undeadzone.ends.limits import Limits
+from undeadzone.ends.sensor import present
 from undeadzone.errors import InputError
 from undeadzone.exports.fields import Field, estimate_fields, state_fields
 from undeadzone.exports.tunable import folded, require_used
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Compensator, Estimate, Observer, graph_of, received
-from undeadzone.limits import Limits
 from undeadzone.scenario.problem import Problem
 from undeadzone.scenario.schema import Units
-from undeadzone.sensor import present
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 

@@ -11,8 +11,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.errors import TrackingError
-from undeadzone.linear.matrices import Matrices
-from undeadzone.linear.scaling import sizes
+from undeadzone.linear.matrices import Matrices, sizes
 from undeadzone.plants.system import System
 from undeadzone.signals.exosystem import Exosystem
 from undeadzone.support.arrays import Floats, listed

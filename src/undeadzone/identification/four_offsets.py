@@ -18,9 +18,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from undeadzone.ends.play import ticked
 from undeadzone.identification.log import Flags
 from undeadzone.identification.motion import Sensing, sides
-from undeadzone.play import ticked
 from undeadzone.support.arrays import Floats, Integers
 
 NAMES = ("neither", "dead_zone", "play", "both")

@@ -8,7 +8,7 @@ import numpy as np
 
 from undeadzone.errors import FileError, InputError
 from undeadzone.identification.log import Flags, Log, where
-from undeadzone.logs.grid import Regular, filled
+from undeadzone.logs.samples import Regular, filled
 from undeadzone.support.arrays import Floats, Integers
 
 JITTER = 0.01  # of a step, by which regular times may differ

@@ -6,7 +6,7 @@ import dataclasses
 import json
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from undeadzone.errors import InputError
 from undeadzone.identification.result import Identified
@@ -15,9 +15,6 @@ from undeadzone.support import shown
 from undeadzone.support.arrays import finite
 from undeadzone.support.files import write_text
 from undeadzone.support.shown import Block
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -11,8 +11,7 @@ import numpy as np
 
 from undeadzone.errors import FileError, InputError
 from undeadzone.identification.log import Log, checked_log
-from undeadzone.logs.column import Title, numbers
-from undeadzone.logs.names import Layout, layout_of_titles, parse_columns
+from undeadzone.logs.names import Layout, Title, layout_of_titles, numbers, parse_columns
 from undeadzone.logs.samples import MOST_UNREADABLE, LogReader, Samples, counted_lines
 from undeadzone.logs.text import blocks_of
 from undeadzone.logs.whole import BINARY, samples_of

@@ -6,7 +6,7 @@ import dataclasses
 import json
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,9 +23,6 @@ from undeadzone.support import shown
 from undeadzone.support.arrays import Floats, finite
 from undeadzone.support.files import write_text
 from undeadzone.support.shown import Block
-
-if TYPE_CHECKING:
-    pass
 
 WRITTEN = ("play", "both", "input_zone")  # verdicts besides the sensor's zone that a scenario has
 

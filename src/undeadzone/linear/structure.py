@@ -7,8 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.errors import StructureError
-from undeadzone.linear.matrices import Matrices
-from undeadzone.linear.scaling import sizes
+from undeadzone.linear.matrices import Matrices, sizes
 from undeadzone.support.arrays import LARGEST, Floats, listed
 
 TOLERANCE = 1e-9

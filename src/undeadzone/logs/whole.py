@@ -1,22 +1,40 @@
-"""A whole log at once: from .npz, .mat, a DataFrame, or arrays."""
+"""A whole log at once: from .npz, .mat, a DataFrame, or arrays.
+
+Nothing in a file is ever executed.
+"""
 
 from __future__ import annotations
 
+import math
+import zipfile
+import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 
 from undeadzone.errors import FileError, InputError
-from undeadzone.logs.column import Column, Title, numbers
-from undeadzone.logs.containers import of_frame, of_mat, of_npz
-from undeadzone.logs.dialect import LARGEST
-from undeadzone.logs.names import Layout, layout_of_titles
+from undeadzone.logs.names import Column, Layout, Title, layout_of_titles, numbers, split_unit
 from undeadzone.logs.samples import Samples
+from undeadzone.logs.text import LARGEST
 from undeadzone.support.arrays import Floats
+from undeadzone.support.files import (
+    LARGEST_RUN,
+    LARGEST_TABLE,
+    reason,
+    require_plain,
+    require_unpacked,
+)
 
 BINARY: Final = (".npz", ".mat")  # endings of files that are no CSV text
+LARGEST_MATRICES: Final = LARGEST_RUN // 8  # [bytes] of a .mat file, of which each may be a number
+COMPRESSED: Final = 15  # type of an element of a .mat file
+PIECE: Final = 1 << 20  # [bytes] unpacked at once
+_CLASSES = """
+double single logical int8 uint8 int16 uint16 int32 uint32 int64 uint64
+"""
+NUMERIC: Final = frozenset(_CLASSES.split())
 
 
 def samples_of(
@@ -104,3 +122,107 @@ def _rows(key: str, value: Any, size: int) -> Floats:
         shape = " x ".join(map(str, rows.shape)) or "one number"
         raise InputError(f"{key}: expected a row of {size} for each sample, found {shape}")
     return rows
+
+
+def of_frame(frame: Any) -> list[Column]:
+    """The numeric columns of a DataFrame; times of day become seconds since the first."""
+    titled = [(str(title), np.asarray(frame[title])) for title in frame.columns]
+    if frame.index.name is not None:
+        titled.insert(0, (str(frame.index.name), np.asarray(frame.index)))
+    columns = []
+    for title, values in titled:
+        name, unit = split_unit(title)
+        if values.dtype.kind == "M":
+            values = (values - values[0]) / np.timedelta64(1, "ns") * 1e-9
+        elif values.dtype.kind == "m":
+            values = values / np.timedelta64(1, "ns") * 1e-9
+        if values.dtype.kind in "iufb":
+            columns.append(Column(name, unit, values.astype(float)))
+    return columns
+
+
+def of_npz(path: Path) -> list[Column]:
+    """The arrays of an .npz file as columns. Raises FileError."""
+    try:
+        require_plain(path, LARGEST_RUN)
+        require_unpacked(path, LARGEST_RUN)
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files if name != "info"}
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile, KeyError) as error:
+        raise FileError(f"{path}: cannot read: {reason(error)}") from None
+    except Exception as error:  # damaged archives raise whatever their decoders raise
+        raise FileError(f"{path}: cannot read: {type(error).__name__}") from None
+    return _columns_of(arrays, path)
+
+
+def of_mat(path: Path) -> list[Column]:
+    """The variables of a .mat file as columns. Raises FileError."""
+    from scipy.io import loadmat, whosmat
+    from scipy.io.matlab import MatReadError
+
+    try:
+        require_plain(path, LARGEST_TABLE)
+        _require_small(path.read_bytes())
+        declared = [entry for entry in whosmat(path) if entry[2] in NUMERIC]
+        if sum(math.prod(shape) for _, shape, _ in declared) > LARGEST_MATRICES:
+            raise ValueError("its matrices are larger than any log")
+        names = [name for name, _, _ in declared]
+        arrays = loadmat(path, mat_dtype=True, variable_names=names) if names else {}
+    except NotImplementedError:
+        raise FileError(f'{path}: MATLAB 7.3 file; save it with save(..., "-v7")') from None
+    except (OSError, ValueError, MatReadError) as error:
+        raise FileError(f"{path}: cannot read: {reason(error)}") from None
+    except Exception as error:  # damaged files raise whatever their decoders raise
+        raise FileError(f"{path}: cannot read: {type(error).__name__}") from None
+    named = {name: array for name, array in arrays.items() if not name.startswith("__")}
+    return _columns_of(named, path)
+
+
+def _require_small(content: bytes) -> None:
+    """Raise ValueError for a .mat file whose compressed elements unpack to more than any log.
+
+    A file of version 5 has a head of 128 bytes and then elements: four bytes say the type, four the
+    length. The lengths inside of an element may lie, so what it unpacks to is counted.
+    """
+    order: Literal["little", "big"] = "little" if content[126:128] == b"IM" else "big"
+    at, left = 128, LARGEST_MATRICES
+    while at + 8 <= len(content):
+        kind = int.from_bytes(content[at : at + 4], order)
+        length = int.from_bytes(content[at + 4 : at + 8], order)
+        if kind == COMPRESSED:
+            left -= _unpacked(content[at + 8 : at + 8 + length], left)
+        at += 8 + length
+        if left <= 0:
+            raise ValueError(f"it would unpack to more than {LARGEST_MATRICES / 1e6:,.0f} MB")
+
+
+def _unpacked(packed: bytes, most: int) -> int:
+    """How many bytes a stream unpacks to; counting ends at `most`."""
+    reader, count = zlib.decompressobj(), 0
+    while packed and count < most and not reader.eof:
+        count += len(reader.decompress(packed, PIECE))
+        packed = reader.unconsumed_tail
+    return count
+
+
+def _columns_of(arrays: dict[str, Any], path: Path) -> list[Column]:
+    """Arrays of one length as columns; a matrix gives `u[0]`, `u[1]`, ... Raises FileError."""
+    longest = 0
+    for array in arrays.values():
+        if isinstance(array, np.ndarray) and array.dtype.kind in "iuf" and array.ndim <= 2:
+            longest = max(longest, *array.shape, 0)
+    columns: list[Column] = []
+    for name, array in arrays.items():
+        usable = isinstance(array, np.ndarray) and array.dtype.kind in "iuf"
+        if not usable or array.ndim not in (1, 2) or longest not in array.shape:
+            continue
+        flat = array.ndim == 1 or 1 in array.shape
+        rows = array.reshape(longest, 1) if flat else array
+        if rows.shape[0] != longest:
+            rows = rows.T
+        for k in range(rows.shape[1]):
+            title = name if rows.shape[1] == 1 else f"{name}[{k}]"
+            columns.append(Column(title, "", rows[:, k].astype(float)))
+    if not columns:
+        raise FileError(f"{path}: holds no arrays of numbers; it should hold t, y and u")
+    return columns

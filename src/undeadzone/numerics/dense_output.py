@@ -1,15 +1,22 @@
-"""Solutions over a step on one branch of the sensor, with dense output."""
+"""Solutions over a step with dense output, and steps that find where the sensor changes side.
+
+On one branch of the sensor a step is smooth; where the side changes inside it the branch is
+followed up to there, so that the order survives the kink.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import casadi as ca
 
 from undeadzone.numerics.runge_kutta import hermite, hermite_slope, rk4
+
+NEWTON = 4  # iterations
+CHANGES = 2  # of side that are located in a step
 
 
 class DenseStep(NamedTuple):
@@ -143,3 +150,252 @@ def _polynomial(terms: list[ca.SX], c: Any) -> ca.SX:
     for term in terms[-2::-1]:
         total = term + (total if at_end else c * total)
     return total
+
+
+class Mode(Protocol):
+    """A branch of the loop, with the side that is read on it (per output), as `Levels` count."""
+
+    @property
+    def side(self) -> Any:
+        """The side that is read."""
+        ...
+
+
+Branch = TypeVar("Branch", bound=Mode)
+
+
+class Levels(NamedTuple):
+    """Levels of z between the sides (p each): side k is read above k of `above` and below none.
+
+    Side -k is read below k of `below`. From the lowest of `below` to the highest of `above` they
+    never fall.
+
+    Attributes:
+        above: from side 0 upwards.
+        below: from side 0 downwards.
+    """
+
+    above: tuple[Any, ...]
+    below: tuple[Any, ...]
+
+
+class Crossing(NamedTuple):
+    """What changed, per output.
+
+    Attributes:
+        changed: whether anything did.
+        side: the side entered.
+        level: the level that was met.
+        rising: whether z rose through it.
+    """
+
+    changed: Any
+    side: Any
+    level: Any
+    rising: Any
+
+
+class StepAttempt(NamedTuple):
+    """A step with so many changes of side located.
+
+    Attributes:
+        end: the state at its end.
+        more: whether there may be more changes, which the next attempt finds.
+    """
+
+    end: ca.SX
+    more: ca.SX
+
+
+class _Followed(NamedTuple):
+    """A step along its changes of side: its end, and its last branch, arc and change."""
+
+    end: ca.SX
+    mode: Any
+    arc: DenseStep
+    changed: ca.SX
+
+
+class _Course(NamedTuple):
+    """The outputs z (p) along an arc.
+
+    Attributes:
+        start, final: z at the beginning and at the end.
+        slope: dz/dc at the beginning.
+        turns: whether z turns back on the way.
+        turn: the fraction of the arc at which it does; 1 where it does not.
+        peak: z at the turn, or at the end.
+    """
+
+    start: ca.SX
+    final: ca.SX
+    slope: ca.SX
+    turns: ca.SX
+    turn: ca.SX
+    peak: ca.SX
+
+
+def located_step(
+    arc: Callable[[ca.SX, Any, Any], DenseStep],
+    levels: Levels,
+    first: Branch,
+    second: Callable[[Branch, Crossing], Branch],
+    x: ca.SX,
+) -> list[StepAttempt]:
+    """A step from x: with no change of side, with one simple one located, with `CHANGES` of them.
+
+    The last attempt also minds where z turns. The first attempt that needs no more is right, or the
+    last. An excursion that ends before the step does is two changes. Branch-free, and the first
+    attempt costs little more than its arc.
+
+    Args:
+        arc: arc(x, c, mode) is the solution on a branch from x at the fraction c of the step.
+        levels: of z between the sides.
+        first: the branch at the beginning of the step, followed to the earliest change.
+        second: second(mode, crossing) is the branch after a change of side.
+        x: the state at the beginning of the step.
+
+    Returns:
+        The attempts, cheapest first.
+    """
+    whole = arc(x, 0.0, first)
+    unchanged = StepAttempt(whole.end, _may_change(whole, levels, first.side))
+    simple = _follow(arc, levels, first, second, whole, changes=1, turning=False)
+    turns = ca.sum1(whole.slope(0.0) * whole.slope(1.0) < 0) > 0
+    again = ca.logic_or(turns, _may_change(simple.arc, levels, simple.mode.side))
+    more = ca.logic_or(ca.logic_not(simple.changed), again)
+    full = _follow(arc, levels, first, second, whole, changes=CHANGES, turning=True)
+    return [unchanged, StepAttempt(simple.end, more), StepAttempt(full.end, ca.SX(0.0))]
+
+
+def _follow(
+    arc: Callable[[ca.SX, Any, Any], DenseStep],
+    levels: Levels,
+    first: Branch,
+    second: Callable[[Branch, Crossing], Branch],
+    whole: DenseStep,
+    changes: int,
+    turning: bool,
+) -> _Followed:
+    """The step whose first arc is `whole`, with so many changes located one after another."""
+    mode, now, end = first, whole, whole.end
+    begin, changed = ca.SX(0.0), ca.SX(0.0)
+    for _ in range(changes):
+        crossing, c = _earliest(now, levels, mode.side, turning)
+        split = ca.mmin(c)
+        at_split = ca.logic_and(crossing.changed, c <= split)
+        mode = second(mode, crossing._replace(changed=at_split))
+        begin = begin + (1.0 - begin) * split
+        now = arc(now.at(split), begin, mode)
+        changed = ca.sum1(crossing.changed) > 0
+        end = ca.if_else(changed, now.end, end)
+    return _Followed(end, mode, now, changed)
+
+
+def _may_change(arc: DenseStep, levels: Levels, side: ca.SX) -> ca.SX:
+    """Whether the side may change on an arc.
+
+    It may if it is another at the end, or would be if z went on for half of the arc as it sets
+    out.
+    """
+    final, onward = _beyond(arc.final, levels, side), _beyond(arc.onward, levels, side)
+    return ca.sum1(ca.logic_or(final, onward)) > 0
+
+
+def _beyond(z: ca.SX, levels: Levels, side: ca.SX) -> ca.SX:
+    """Whether z lies where another side is read."""
+    other = ca.SX(0.0)
+    for k, (above, below) in enumerate(zip(*levels, strict=True)):
+        other = ca.logic_or(other, (z > above) != (side > k))
+        other = ca.logic_or(other, (z < below) != (side < -k))
+    return other
+
+
+def _earliest(arc: DenseStep, levels: Levels, side: ca.SX, turning: bool) -> tuple[Crossing, ca.SX]:
+    """The first change of each output on an arc, and the fraction of the arc at which it is.
+
+    The fraction is 1 where there is no change. turning: mind where z turns; else it is taken to
+    move one way.
+    """
+    course = _course(arc, turning)
+    ends = _beyond(course.final, levels, side)
+    returns = ca.logic_and(ca.logic_not(ends), _beyond(course.peak, levels, side))
+    excursion = ca.logic_and(course.turns, returns)
+    farthest = ca.if_else(excursion, course.peak, course.final)
+    crossing = _crossing(farthest, levels, side)
+    c = _meeting(arc, course, crossing)
+    return crossing, ca.if_else(crossing.changed, c, 1.0)
+
+
+def _course(arc: DenseStep, turning: bool) -> _Course:
+    """z along an arc; without `turning` it is taken to move one way."""
+    start, final = arc.output(0.0), arc.final
+    s0, s1 = arc.slope(0.0), arc.slope(1.0)
+    turns = s0 * s1 < 0 if turning else ca.SX.zeros(s0.shape)
+    turn = ca.if_else(turns, _secant(arc.slope, s0, s1), 1.0)
+    return _Course(start, final, s0, turns, turn, arc.output(turn))
+
+
+def _crossing(z: ca.SX, levels: Levels, side: ca.SX) -> Crossing:
+    """The change of side of an output that comes from `side` and reaches z: to the next one."""
+    outermost = len(levels.above)
+    up, down = met(levels, side, ca.SX(1.0)), met(levels, side, ca.SX(0.0))
+    rises = ca.logic_and(side < outermost, z > up)
+    falls = ca.logic_and(side > -outermost, z < down)
+    way = 1.0 * rises - 1.0 * falls
+    nothing_silent = levels.above[0] <= levels.below[0]
+    skipped = ca.logic_and(side + way == 0, nothing_silent)
+    changed = ca.logic_or(rises, falls)
+    return Crossing(changed, side + way + skipped * way, ca.if_else(rises, up, down), rises)
+
+
+def met(levels: Levels, side: ca.SX, rising: ca.SX) -> ca.SX:
+    """The level that z meets first when it leaves a side (p).
+
+    Args:
+        levels: between the sides.
+        side: that z leaves (p).
+        rising: whether z rises (p).
+    """
+    level = ca.SX(0.0)
+    for k, (above, below) in enumerate(zip(*levels, strict=True)):
+        of_above = ca.if_else(rising, side == k, side == k + 1)
+        of_below = ca.if_else(rising, side == -k - 1, side == -k)
+        level = ca.if_else(of_above, above, ca.if_else(of_below, below, level))
+    return level
+
+
+def _meeting(arc: DenseStep, course: _Course, crossing: Crossing) -> ca.SX:
+    """The fraction of an arc at which z meets the level, by Newton's method from a guess."""
+    z0, z1, turn, turns = course.start, course.final, course.turn, course.turns
+    # z moves through the level as it does at first: ahead of the turn.
+    before = (course.slope > 0) == crossing.rising
+    low = ca.if_else(ca.logic_and(turns, ca.logic_not(before)), turn, 0.0)
+    high = ca.if_else(ca.logic_and(turns, before), turn, 1.0)
+    # Between a turn and an end z is nearly a parabola, else nearly a line.
+    end = ca.if_else(before, z0, z1)
+    level = crossing.level
+    part = ca.sqrt(ca.fmax((course.peak - level) / (course.peak - end), 0.0))
+    parabola = ca.if_else(before, turn * (1.0 - part), turn + (1.0 - turn) * part)
+    line = (level - z0) / (z1 - z0)
+    c = _clamp(ca.if_else(turns, parabola, line), low, high)
+    for _ in range(NEWTON):
+        c = _clamp(c - (arc.output(c) - level) / arc.slope(c), low, high)
+    return c
+
+
+def _secant(slope: Callable[[Any], ca.SX], s0: ca.SX, s1: ca.SX) -> ca.SX:
+    """Where a slope that changes its sign between 0 and 1 vanishes."""
+    before, after = ca.SX.zeros(s0.shape), s0
+    c = s0 / (s0 - s1)
+    for _ in range(NEWTON):
+        now = slope(c)
+        moved = c - now * (c - before) / (now - after)
+        settled = now == after
+        before, after, c = c, now, ca.if_else(settled, c, _clamp(moved, 0.0, 1.0))
+    return c
+
+
+def _clamp(c: ca.SX, low: Any, high: Any) -> ca.SX:
+    """c brought between low and high."""
+    return ca.fmin(ca.fmax(c, low), high)

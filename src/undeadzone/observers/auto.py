@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from undeadzone.ends.sensor import Zone
 from undeadzone.interfaces import Observer
 from undeadzone.observers.censored import Censored
 from undeadzone.observers.certified import Certified
@@ -12,7 +13,6 @@ from undeadzone.observers.parts.claims import Claims
 from undeadzone.observers.parts.prior import width_ranges
 from undeadzone.plants.system import System
 from undeadzone.plants.time_scales import fastest_pole
-from undeadzone.sensor import Zone
 
 # Of `high_gain`, in times and rates of the plant's fastest pole, as the arena's tuning found them.
 EPSILON = 0.25

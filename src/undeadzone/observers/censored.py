@@ -6,29 +6,32 @@ from functools import partial
 
 import numpy as np
 
+from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
-from undeadzone.observers.parts.augmented_state import default_disturbance
-from undeadzone.observers.parts.claims import Claims
-from undeadzone.observers.parts.doubt import glitch_share
-from undeadzone.observers.parts.even_states import counted_prior, even_units, shown_states
+from undeadzone.observers.parts.augmented_state import (
+    counted_prior,
+    default_disturbance,
+    even_units,
+    shown_states,
+)
+from undeadzone.observers.parts.claims import Claims, glitch_share
+from undeadzone.observers.parts.further_constants import zones_of
 from undeadzone.observers.parts.gaussian_filter import Params
 from undeadzone.observers.parts.judged_filter import judged
 from undeadzone.observers.parts.measured_kalman import measured_filter
 from undeadzone.observers.parts.model_bank import bank
-from undeadzone.observers.parts.model_tolerance import tolerances
 from undeadzone.observers.parts.motion import heard_by_motion
 from undeadzone.observers.parts.prior import build_prior, claimed_traits
-from undeadzone.observers.parts.unknown_actuator import zones_of
 from undeadzone.observers.parts.unknown_inputs import (
     coloured,
     correlation_time,
     span,
+    tolerances,
     unknowns,
 )
 from undeadzone.plants.system import System, in_units
 from undeadzone.plants.time_scales import arrival
-from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, Floats, nonnegative, scalar
 
 OFFSET = 0.25  # bias, in disturbances, unless it is claimed

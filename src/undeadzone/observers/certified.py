@@ -6,15 +6,13 @@ The mathematics is in docs/observer.md.
 from __future__ import annotations
 
 from undeadzone.catalogue import Options
+from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
-from undeadzone.observers.parts.default_gains import default_adaptation
-from undeadzone.observers.parts.gain import gains
+from undeadzone.observers.parts.gain import default_adaptation, gains
 from undeadzone.observers.parts.measured_side import measured_side
-from undeadzone.observers.parts.width_laws import Adaptation, Gradient
-from undeadzone.observers.parts.widths import bounded_widths
+from undeadzone.observers.parts.width_laws import Adaptation, Gradient, bounded_widths
 from undeadzone.plants.system import System
-from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, Floats, vector
 
 

@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 from undeadzone.catalogue import Options
+from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate, Observer, Reading, Traits, estimate
 from undeadzone.plants.system import System
-from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Floats
 
 

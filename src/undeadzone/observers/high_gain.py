@@ -7,13 +7,13 @@ import math
 import numpy as np
 
 from undeadzone.catalogue import Options
+from undeadzone.ends.sensor import Zone
 from undeadzone.errors import StepError
 from undeadzone.interfaces import Observer
 from undeadzone.linear.structure import output_chains
 from undeadzone.observers.parts.output_error import adapted, output_error
 from undeadzone.plants.system import System
 from undeadzone.plants.time_scales import fastest_pole
-from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, Floats, scalar
 
 

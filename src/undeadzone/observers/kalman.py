@@ -6,19 +6,23 @@ The mathematics is in docs/filters.md.
 from __future__ import annotations
 
 from undeadzone.catalogue import Options
+from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
-from undeadzone.observers.parts.augmented_state import agitation
-from undeadzone.observers.parts.doubt import GLITCHES, glitch_share
-from undeadzone.observers.parts.even_states import counted_prior, even_units, shown_states
+from undeadzone.observers.parts.augmented_state import (
+    agitation,
+    counted_prior,
+    even_units,
+    shown_states,
+)
+from undeadzone.observers.parts.claims import GLITCHES, glitch_share
+from undeadzone.observers.parts.further_constants import zones_of
 from undeadzone.observers.parts.gaussian_filter import white
 from undeadzone.observers.parts.judged_filter import judged
 from undeadzone.observers.parts.measured_kalman import measured_filter
 from undeadzone.observers.parts.motion import heard_by_motion
 from undeadzone.observers.parts.prior import build_prior, claimed_traits
-from undeadzone.observers.parts.unknown_actuator import zones_of
 from undeadzone.plants.system import System, in_units
-from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, nonnegative
 
 SWING = 0.2  # rms, in largest widths, by which the default disturbance moves z (docs/filters.md)

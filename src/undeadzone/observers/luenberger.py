@@ -8,12 +8,12 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.catalogue import Options
+from undeadzone.ends.sensor import Zone, present
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate, Observer, Reading, Traits, estimate
 from undeadzone.linear.poles import observer_gain
 from undeadzone.observers.parts.gain import gains
 from undeadzone.plants.system import System
-from undeadzone.sensor import Zone, present
 from undeadzone.support.arrays import Array, Floats
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from undeadzone.catalogue import Options
+from undeadzone.ends.sensor import Zone
 from undeadzone.interfaces import Observer
 from undeadzone.observers.parts.gain import gains
 from undeadzone.observers.parts.measured_side import measured_side
 from undeadzone.plants.system import System
-from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array
 
 

@@ -8,11 +8,10 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.actuator import Belief
+from undeadzone.ends.actuator import Belief
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.linear.hold import zoh
-from undeadzone.linear.matrices import Matrices
-from undeadzone.linear.scaling import similar
+from undeadzone.linear.matrices import Matrices, similar
 from undeadzone.numerics.runge_kutta import rk4_change
 from undeadzone.plants.robots.arm import Arm
 from undeadzone.support.arrays import LARGEST, Floats

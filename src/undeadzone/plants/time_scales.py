@@ -6,8 +6,7 @@ from math import comb
 
 import numpy as np
 
-from undeadzone.linear.matrices import Matrices
-from undeadzone.linear.scaling import balancing, feedback_loops, similar
+from undeadzone.linear.matrices import Matrices, balancing, feedback_loops, similar
 from undeadzone.plants.system import System
 from undeadzone.support.arrays import Floats, scalar
 

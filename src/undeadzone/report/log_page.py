@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from undeadzone.observers.parts.doubt import CHANCE
-from undeadzone.observers.parts.innovation_sums import FAR
+from undeadzone.observers.parts.claims import CHANCE
+from undeadzone.observers.parts.judged_filter import FAR
 from undeadzone.report.html import (
     Html,
     Origin,

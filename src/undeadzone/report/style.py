@@ -5,7 +5,10 @@ The colours are those of Okabe and Ito, which colour-blind readers can tell apar
 
 from __future__ import annotations
 
+import contextlib
 import io
+import os
+import sys
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -65,6 +68,21 @@ _STYLE: Final[Any] = {
     "figure.titleweight": "bold",
 }
 BAND = 2  # standard deviations on either side
+
+
+def own_settings() -> None:
+    """Import Matplotlib with its defaults, whatever the working folder or environment ask for.
+
+    A file `matplotlibrc` there would change figures, and may belong to a stranger. This is for the
+    command line, whose process is its own: in a notebook the user's settings hold.
+    """
+    if "matplotlib" in sys.modules:
+        return
+    os.environ.pop("MPLBACKEND", None)
+    with contextlib.chdir(Path(__file__).parent / "rc"):  # Matplotlib looks there first
+        import matplotlib
+
+        matplotlib.get_backend()
 
 
 def sheet(

@@ -42,7 +42,7 @@ from undeadzone.support.arrays import Floats
 from undeadzone.support.text import counted
 from undeadzone.tuning.parameters import Parameter
 from undeadzone.tuning.result import HeldOut, Tuned
-from undeadzone.tuning.sweep import Sweep, sweep
+from undeadzone.tuning.tune import Sweep, sweep
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

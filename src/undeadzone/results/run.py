@@ -10,8 +10,7 @@ from typing import Any, ClassVar, Final
 
 import numpy as np
 
-from undeadzone.analysis.identifiability.linear import DIRECTIONS
-from undeadzone.analysis.identifiability.words import yes_no
+from undeadzone.analysis.identifiability.linear import DIRECTIONS, yes_no
 from undeadzone.results import files, sheet
 from undeadzone.results.info import Info
 from undeadzone.results.listening import in_words as listening_in_words

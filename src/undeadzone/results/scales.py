@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from undeadzone.analysis.error_dynamics import delta
-from undeadzone.linear.scaling import sizes
+from undeadzone.linear.matrices import sizes
 from undeadzone.support.arrays import Floats
 
 if TYPE_CHECKING:

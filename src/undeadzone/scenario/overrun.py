@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError
-from undeadzone.sensor import Zone
 from undeadzone.signals.exosystem import Exosystem
 from undeadzone.support.arrays import Floats
 

@@ -1,4 +1,7 @@
-"""From a scenario's words to checked parts: what is wrong is said here, by key, before a run."""
+"""From a scenario's words to checked parts: what is wrong is said here, by key, before a run.
+
+That includes the path of an arm's joints that a reference asks for, and an arm's units: SI.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +10,14 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from undeadzone.actuator import ActuatorModel, Belief, Drive, believed, resolve_actuator
 from undeadzone.compensators import SmoothZoneInverse
 from undeadzone.controllers.parts.behind_play import led_across
+from undeadzone.ends.actuator import ActuatorModel, Belief, Drive, believed, resolve_actuator
+from undeadzone.ends.gaps import gaps_of
+from undeadzone.ends.sensor import Sensor, Zone, resolve
 from undeadzone.errors import InputError
+from undeadzone.feedforward.joint_path import joint_path, require_range, require_torque
 from undeadzone.feedforward.targets import flat_targets
-from undeadzone.gaps import gaps_of
 from undeadzone.interfaces import Compensator, Controller, Observer
 from undeadzone.linear.structure import require_structure
 from undeadzone.observers.parts.actuated import built
@@ -22,10 +27,8 @@ from undeadzone.plants.options import Plant
 from undeadzone.plants.region import box
 from undeadzone.plants.system import System
 from undeadzone.plants.time_scales import pace
-from undeadzone.scenario import reference_path as paths
-from undeadzone.scenario.arm_units import with_units
 from undeadzone.scenario.overrun import require_contact
-from undeadzone.scenario.schema import Scenario
+from undeadzone.scenario.schema import Scenario, Units
 from undeadzone.scenario.time_step import (
     checked_time,
     require_bounded_error,
@@ -33,10 +36,11 @@ from undeadzone.scenario.time_step import (
     require_resolved,
     sampled_within_limits,
 )
-from undeadzone.sensor import Sensor, Zone, resolve
 from undeadzone.signals import exosystem as signals
 from undeadzone.signals.exosystem import Exosystem
 from undeadzone.support.arrays import Array, Floats, nonnegative, scalar
+
+CHECKED = 0.01  # [s] between the instants at which a path is checked
 
 
 class Problem(NamedTuple):
@@ -319,7 +323,7 @@ def _reference(
         reference = signals.exosystem("reference", scenario.reference, len(tracked))
         require_resolved("reference", reference, step)
         return reference, None
-    path = paths.followed(scenario, flow, x0, step)
+    path = followed(scenario, flow, x0, step)
     size = len(tracked)
     reference = Exosystem(
         np.zeros((size, size)), np.eye(size), lambda t: flat_targets(flow, path, tracked, t).r
@@ -347,3 +351,59 @@ def constant_gains(observer: Observer, model: System) -> tuple[Floats, Floats] |
         return None
     step = 1.0 if model.Ts is None else model.Ts
     return traits.L / step, traits.gamma / step
+
+
+def followed(scenario: Scenario, model: System, start: Floats, step: float) -> Exosystem:
+    """The path of the flat coordinates: of the joints, or of an elastic joint's link.
+
+    The reference gives it as such, or for the tip.
+
+    Args:
+        scenario: the scenario, for its reference and duration.
+        model: model of the robot, in continuous time.
+        start: the state from which the joints set out (n).
+        step: between the instants at which a path of the tip is checked [s].
+
+    Raises:
+        InputError: or a subclass; TrackingError where the tip or the motors cannot follow.
+    """
+    reference, duration = scenario.reference, scenario.simulation.duration
+    body = model.arm
+    assert body is not None
+    t = np.append(np.arange(0.0, duration, max(step, CHECKED)), duration)
+    if getattr(reference, "space", "joint") == "joint":
+        path = signals.exosystem("reference", reference, model.m)
+        if model.m == body.size:
+            require_range(body.chain, t, path.value(t), path.value(t, 1))
+    elif model.m < body.size:
+        raise InputError(
+            "reference.space: the path of an elastic joint is its link's angle; use space = 'joint'"
+        )
+    else:
+        task = signals.exosystem("reference", reference, len(body.chain.plane), task=True)
+        path = joint_path(body, model.params, task, duration, step, start[: body.size])
+    require_torque(model, path, t)
+    return path
+
+
+def with_units(scenario: Scenario, plant: System) -> Scenario:
+    """The scenario with the units of an arm where it names none.
+
+    The outputs, inputs and states of other plants may be anything: they keep the unit 1. So do
+    those of an arm with sliding joints, which has outputs of two units.
+
+    Args:
+        scenario: that was read.
+        plant: its plant.
+    """
+    arm = plant.arm
+    if arm is None or arm.chain.slides or scenario.units != Units():
+        return scenario
+    velocity = getattr(scenario.plant.arm, "measured", None) == "velocity"
+    half = plant.n // 2
+    units = Units(
+        output="rad/s" if velocity else "rad",
+        input="N m",
+        state=half * ["rad"] + half * ["rad/s"],
+    )
+    return msgspec.structs.replace(scenario, units=units)

@@ -1,4 +1,8 @@
-"""The problem as a value: read from TOML, or built in Python from the same words."""
+"""The problem as a value: read from TOML, or built in Python from the same words.
+
+Parts that are made in Python are checked as those of a file are; a scenario that names no observer
+or controller has the usual one (docs/decisions.md).
+"""
 
 from __future__ import annotations
 
@@ -8,25 +12,93 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 import msgspec
+import numpy as np
 
-from undeadzone.actuator import Actuator, ActuatorModel
-from undeadzone.catalogue import CompensatorOptions, ControllerOptions, ObserverOptions
+from undeadzone.catalogue import (
+    CONTROLLERS,
+    OBSERVERS,
+    CompensatorOptions,
+    ControllerOptions,
+    ObserverOptions,
+)
+from undeadzone.ends.actuator import Actuator, ActuatorModel
+from undeadzone.ends.sensor import Sensor
 from undeadzone.errors import InputError
 from undeadzone.observers.parts.claims import Claims
 from undeadzone.plants.options import Plant
 from undeadzone.plants.region import Region
-from undeadzone.scenario.changes import with_tables, with_value
+from undeadzone.plants.robots.options import ElasticJoint
+from undeadzone.scenario.address import with_tables, with_value
 from undeadzone.scenario.ensemble_table import Vary
-from undeadzone.scenario.kinds import CURES, require_kinds
 from undeadzone.scenario.tune_table import Tune
-from undeadzone.scenario.unnamed import usual_controller, usual_observer
-from undeadzone.sensor import Sensor
 from undeadzone.signals.exosystem import Disturbance, Signal
 from undeadzone.support import shown, toml
-from undeadzone.support.arrays import Array
+from undeadzone.support.arrays import Array, array
 from undeadzone.support.files import write_text
 
+CURES: Final = {
+    "plant": "uz.Plant(A=..., B=..., C=...), or uz.from_control(system)",
+    "sensor": "uz.Sensor(right=..., left=...)",
+    "reference": "a signal such as uz.Sine(amplitude=..., frequency=...)",
+    "observer": "options such as uz.Auto(right=[0.0, 2.0])",
+    "controller": "options such as uz.StateFeedback()",
+}
+VAGUE: Final = 3.0  # in largest widths: where the widths lie if nothing is declared
+BANDWIDTH: Final = 10.0  # of a rigid arm [rad/s]
 UNNAMED: Final[Any] = None  # stands for an observer or a controller until the usual one does
+
+
+def require_kinds(parts: dict[str, Any]) -> None:
+    """Raise InputError where a part is of another type, such as a name, a number or a system.
+
+    Args:
+        parts: plant, sensor, reference, observer and controller of a scenario; the last two may be
+            None.
+    """
+    sound = {
+        "plant": isinstance(parts["plant"], Plant),
+        "sensor": isinstance(parts["sensor"], Sensor),
+        "reference": hasattr(parts["reference"], "__struct_fields__"),
+        "observer": parts["observer"] is None or hasattr(parts["observer"], "build"),
+        "controller": parts["controller"] is None or hasattr(parts["controller"], "build"),
+    }
+    for name, is_sound in sound.items():
+        if not is_sound:
+            found = type(parts[name]).__name__
+            raise InputError(f"{name}: expected {CURES[name]}, found {found}")
+    for side in ("right", "left"):
+        array(f"sensor.{side}", getattr(parts["sensor"], side))
+
+
+def vague_claims(sensor: Sensor) -> Claims:
+    """That the widths lie between 0 and `VAGUE` times the largest; nothing else is claimed."""
+    largest = float(max(np.max(sensor.right), np.max(sensor.left)))
+    return Claims(right=[0.0, VAGUE * (largest or 1.0)])
+
+
+def usual_observer(sensor: Sensor, declared: Claims | None) -> ObserverOptions:
+    """`auto`, with what is declared.
+
+    Args:
+        sensor: the dead zone, whose widths count if nothing is declared.
+        declared: the claims of the scenario.
+    """
+    claims = vague_claims(sensor) if declared is None else declared
+    return OBSERVERS.made("auto", **claims.claims())
+
+
+def usual_controller(plant: Plant, sampled: bool) -> ControllerOptions:
+    """What follows a reference with this kind of plant: no option depends on units.
+
+    Args:
+        plant: the plant.
+        sampled: whether time is sampled.
+    """
+    if plant.arm is None:
+        return CONTROLLERS.made("state_feedback")
+    if not isinstance(plant.arm, ElasticJoint):
+        return CONTROLLERS.made("computed_torque", bandwidth=BANDWIDTH)
+    return CONTROLLERS.made("lqr" if sampled else "state_feedback")
 
 
 class Model(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

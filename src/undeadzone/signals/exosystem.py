@@ -1,22 +1,45 @@
 """References and disturbances as outputs of a linear exosystem w' = S w, r = Q w.
 
-The exosystem is linear in pieces where the signal has corners.
+The exosystem is linear in pieces where the signal has corners: a trapezoid, straight lines, a
+spline, also through the samples of a CSV file (time first, then one column per channel). A piece is
+a function `derivatives(t)` of the value and its derivatives (len(t) x order x channels).
 """
 
 from __future__ import annotations
 
+import csv
+import io
+import math
 from collections.abc import Callable
+from fractions import Fraction
 from typing import NamedTuple
 
 import msgspec
 import numpy as np
 
-from undeadzone.errors import InputError
-from undeadzone.signals import shapes
-from undeadzone.signals.csv_file import read_csv
+from undeadzone.errors import FileError, InputError
 from undeadzone.signals.paths import Circle, FigureEight, Path, Quintic, curve
-from undeadzone.signals.periods import common_period
 from undeadzone.support.arrays import Array, Floats, scalar, vector
+from undeadzone.support.files import LARGEST_TABLE, read_text, reason
+
+Derivatives = Callable[[Floats], Floats]
+
+
+def common_period(frequencies: list[float]) -> float | None:
+    """The least common period [s] of frequencies [Hz].
+
+    None if their ratios are not those of whole numbers up to 1000.
+    """
+    first = frequencies[0]
+    ratios = [Fraction(frequency / first).limit_denominator(1000) for frequency in frequencies]
+    for frequency, ratio in zip(frequencies, ratios, strict=True):
+        if abs(frequency / first - ratio) > 1e-12 * ratio:
+            return None
+    cycles = Fraction(
+        math.lcm(*(ratio.denominator for ratio in ratios)),
+        math.gcd(*(ratio.numerator for ratio in ratios)),
+    )
+    return float(cycles) / first
 
 
 class Exosystem(NamedTuple):
@@ -209,9 +232,7 @@ def exosystem(key: str, signal: Signal, channels: int, task: bool = False) -> Ex
             return exo._replace(corners=path.corners, period=path.period)
 
 
-def piecewise(
-    derivatives: shapes.Derivatives, channels: int, closure: Floats | None = None
-) -> Exosystem:
+def piecewise(derivatives: Derivatives, channels: int, closure: Floats | None = None) -> Exosystem:
     """An exosystem whose states are a value and its derivatives.
 
     Args:
@@ -282,7 +303,7 @@ def _trapezoid(key: str, signal: Trapezoid, channels: int) -> Exosystem:
     rise = scalar(f"{key}.rise", signal.rise, above=0.0)
     hold = scalar(f"{key}.hold", signal.hold, least=0.0)
     corners = np.cumsum([0.0, rise, hold, 2 * rise, hold, rise])
-    exo = piecewise(shapes.trapezoid(corners, amplitude), channels)
+    exo = piecewise(trapezoid(corners, amplitude), channels)
     return exo._replace(period=float(corners[-1]), corners=corners)
 
 
@@ -290,5 +311,125 @@ def _samples(key: str, signal: Samples, channels: int) -> Exosystem:
     """The exosystem of samples in a file."""
     t, values = read_csv(key, signal.path, channels)
     smooth = signal.smooth and t.size > 2
-    derivatives = shapes.spline(t, values) if smooth else shapes.lines(t, values)
+    derivatives = spline(t, values) if smooth else lines(t, values)
     return piecewise(derivatives, channels)._replace(corners=t)
+
+
+def trapezoid(corners: Floats, amplitude: Floats) -> Derivatives:
+    """A periodic trapezoid between plus and minus its amplitude, with one derivative.
+
+    Args:
+        corners: times of its corners in one period, the first at 0 (6) [s].
+        amplitude: amplitude of each channel (channels).
+    """
+    levels = np.array([0.0, 1.0, 1.0, -1.0, -1.0, 0.0])
+    slopes = np.diff(levels) / np.where(np.diff(corners) > 0, np.diff(corners), np.inf)
+
+    def derivatives(t: Floats) -> Floats:
+        phase = np.mod(t, corners[-1])
+        piece = np.clip(np.searchsorted(corners, phase, side="right") - 1, 0, 4)
+        value = levels[piece] + slopes[piece] * (phase - corners[piece])
+        return np.stack([value, slopes[piece]], axis=1)[:, :, None] * amplitude
+
+    return derivatives
+
+
+def lines(t: Floats, values: Floats) -> Derivatives:
+    """Straight lines between samples, with one derivative; held at the ends.
+
+    Args:
+        t: times of the samples (N) [s].
+        values: the samples (N x channels).
+    """
+    slopes = np.diff(values, axis=0) / np.diff(t)[:, None]
+
+    def derivatives(at: Floats) -> Floats:
+        inside = np.clip(at, t[0], t[-1])
+        piece = np.clip(np.searchsorted(t, inside, side="right") - 1, 0, t.size - 2)
+        moving = ((at >= t[0]) & (at < t[-1]))[:, None]
+        value = values[piece] + slopes[piece] * (inside - t[piece])[:, None]
+        return np.stack([value, slopes[piece] * moving], axis=1)
+
+    return derivatives
+
+
+def spline(t: Floats, values: Floats) -> Derivatives:
+    """A cubic spline through samples, with three derivatives; held at the ends.
+
+    Args:
+        t: times of the samples (N) [s].
+        values: the samples (N x channels).
+    """
+    from scipy.interpolate import CubicSpline
+
+    curve = CubicSpline(t, values, bc_type="natural" if t.size < 4 else "not-a-knot")
+
+    def derivatives(at: Floats) -> Floats:
+        inside = np.clip(at, t[0], t[-1])
+        moving = ((at >= t[0]) & (at <= t[-1]))[:, None]
+        slopes = [curve(inside, order) * moving for order in range(1, 4)]
+        return np.stack([curve(inside, 0), *slopes], axis=1)
+
+    return derivatives
+
+
+def read_csv(key: str, path: str, channels: int) -> tuple[Floats, Floats]:
+    """The samples in a CSV file; a header line and lines that start with # are allowed.
+
+    Args:
+        key: name of the signal in messages.
+        path: the file.
+        channels: number of columns beside that of time.
+
+    Returns:
+        Times (N) [s] and values (N x channels).
+
+    Raises:
+        FileError: the file cannot be read, or holds something else.
+    """
+    rows = _rows(key, path)
+    if rows and all(_number(cell) is None for cell in rows[0]):
+        rows = rows[1:]
+    if not rows:
+        raise FileError(f"{key}.path: {path} holds no samples")
+    for number, row in enumerate(rows, 1):
+        _require_sample(f"{key}.path: {path}: sample {number}", row, channels)
+    table = np.array(rows, float)
+    if table.shape[0] < 2 or (np.diff(table[:, 0]) <= 0).any():
+        raise FileError(f"{key}.path: {path}: needs two samples or more, with time increasing")
+    return table[:, 0], table[:, 1:]
+
+
+def _rows(key: str, path: str) -> list[list[str]]:
+    """The cells of a CSV file without empty lines and comments. Raises FileError."""
+    try:
+        lines = io.StringIO(read_text(path, LARGEST_TABLE).removeprefix("\ufeff"), newline="")
+        return [row for row in csv.reader(lines) if row and not row[0].lstrip().startswith("#")]
+    except UnicodeDecodeError:
+        raise FileError(f"{key}.path: cannot read {path}: not UTF-8 text") from None
+    except (OSError, ValueError, csv.Error) as error:
+        raise FileError(f"{key}.path: cannot read {path}: {reason(error)}") from None
+
+
+def _require_sample(where: str, row: list[str], channels: int) -> None:
+    """Raise FileError unless a row holds a time and as many values as channels, all finite."""
+    if len(row) != channels + 1:
+        columns = f"{len(row)} column{'s' * (len(row) != 1)}"
+        values = f"{channels} value{'s' * (channels != 1)}"
+        raise FileError(
+            f"{where} has {columns}, expected {channels + 1} "
+            f"(time and {values}, separated by commas)"
+        )
+    # The cell itself is not quoted: the scenario may name a file that is not its author's.
+    for column, cell in enumerate(row, 1):
+        value = _number(cell)
+        if value is None or not math.isfinite(value):
+            raise FileError(f"{where} is not all finite numbers: see column {column}")
+
+
+def _number(text: str) -> float | None:
+    """The number in a cell, None where there is something else."""
+    try:
+        return float(text)
+    except ValueError:
+        return None

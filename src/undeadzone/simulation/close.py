@@ -8,16 +8,24 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from undeadzone.actuator import Drive
+from undeadzone.ends.actuator import Drive
+from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Compensator, Controller, Observer
-from undeadzone.numerics.dense_output import DenseStep, runge_kutta, taylor
-from undeadzone.numerics.event_location import Crossing, Levels, StepAttempt, located_step, met
+from undeadzone.numerics.dense_output import (
+    Crossing,
+    DenseStep,
+    Levels,
+    StepAttempt,
+    located_step,
+    met,
+    runge_kutta,
+    taylor,
+)
 from undeadzone.numerics.runge_kutta import rk4
 from undeadzone.plants.system import System
 from undeadzone.scenario.problem import Problem
-from undeadzone.sensor import Zone
 from undeadzone.simulation.loop import (
     HELD,
     RUNGE_KUTTA,

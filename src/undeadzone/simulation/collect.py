@@ -11,11 +11,11 @@ import undeadzone
 from undeadzone.analysis.certificate.passivity import Certificate, certify
 from undeadzone.analysis.identifiability.linear import DIRECTIONS, Verdict
 from undeadzone.analysis.side_schedule import Schedule, recorded
+from undeadzone.ends.play import levels
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import flat_targets
 from undeadzone.plants.robots.arm import evaluate_rows
 from undeadzone.plants.system import System
-from undeadzone.play import levels
 from undeadzone.results.info import Info, IntegrationError
 from undeadzone.results.run import FRAMES, Run
 from undeadzone.results.scales import plant_scales

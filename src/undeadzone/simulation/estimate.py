@@ -11,8 +11,8 @@ import numpy as np
 
 from undeadzone.errors import FileError, InputError
 from undeadzone.interfaces import Estimate, Observer
-from undeadzone.logs.grid import Grid, Regular
 from undeadzone.logs.names import parse_columns
+from undeadzone.logs.samples import Grid, Regular
 from undeadzone.logs.text import blocks_of
 from undeadzone.logs.whole import BINARY, samples_of, samples_of_arrays
 from undeadzone.results.estimation import Estimation

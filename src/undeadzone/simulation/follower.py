@@ -8,15 +8,13 @@ import numpy as np
 
 from undeadzone.errors import FileError
 from undeadzone.interfaces import Estimate, graph_of
-from undeadzone.logs.grid import Grid, Regular
 from undeadzone.logs.names import Layout
 from undeadzone.logs.range_ends import RunningEnds
-from undeadzone.logs.samples import MOST_UNREADABLE, LogReader
+from undeadzone.logs.samples import MOST_UNREADABLE, Grid, LogReader, Regular
 from undeadzone.plants.time_scales import state_units, time_scale
 from undeadzone.results.info import LogInfo
 from undeadzone.results.signals import final, of_estimate
-from undeadzone.scenario.arm_units import with_units
-from undeadzone.scenario.problem import known_actuator, known_sensor, modelled_plant
+from undeadzone.scenario.problem import known_actuator, known_sensor, modelled_plant, with_units
 from undeadzone.scenario.schema import Scenario, Units
 from undeadzone.simulation.consistency import Consistency, Own, verdict_of
 from undeadzone.simulation.online import Online, built_for

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.actuator import ActuatorModel, believed
 from undeadzone.catalogue import ObserverOptions
+from undeadzone.ends.actuator import ActuatorModel, believed
+from undeadzone.ends.sensor import Sensor, Zone, present, resolve
 from undeadzone.engine import interpret
 from undeadzone.engine.interpret import Stepper
 from undeadzone.errors import InputError, ShapeError
@@ -21,7 +22,6 @@ from undeadzone.plants.system import System, sampled
 from undeadzone.plants.time_scales import pace
 from undeadzone.scenario.problem import require_visible
 from undeadzone.scenario.time_step import require_bounded_error
-from undeadzone.sensor import Sensor, Zone, present, resolve
 from undeadzone.support import tree
 from undeadzone.support.arrays import Array, Floats, scalar
 

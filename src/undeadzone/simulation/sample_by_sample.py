@@ -10,13 +10,13 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from undeadzone.ends.limits import beyond
+from undeadzone.ends.sensor import Zone, side
 from undeadzone.engine.interpret import CHUNK, Stepper
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate, InPython, Reading
-from undeadzone.limits import beyond
 from undeadzone.scenario.problem import Problem
-from undeadzone.sensor import Zone, side
 from undeadzone.simulation.close import loop_of
 from undeadzone.simulation.loop import Outputs
 from undeadzone.support import tree

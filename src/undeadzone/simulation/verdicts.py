@@ -21,9 +21,8 @@ from undeadzone.analysis.identifiability.linear import (
     verdicts,
 )
 from undeadzone.analysis.identifiability.play_and_zone import Readings, Told, told_of_both
-from undeadzone.analysis.reading_levels import reading_levels
-from undeadzone.analysis.side_schedule import Schedule
-from undeadzone.gaps import gaps_of
+from undeadzone.analysis.side_schedule import Schedule, reading_levels
+from undeadzone.ends.gaps import gaps_of
 from undeadzone.interfaces import Traits
 from undeadzone.observers.parts.prior import width_ranges
 from undeadzone.plants.system import System

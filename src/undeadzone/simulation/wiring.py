@@ -6,14 +6,14 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from undeadzone.actuator import through_zone, within_limits, within_rate
+from undeadzone.ends.actuator import through_zone, within_limits, within_rate
+from undeadzone.ends.limits import at_limit
+from undeadzone.ends.play import contact, held
+from undeadzone.ends.sensor import branch, edges, quantised, side, zone
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Compensator, Controller, Observer, Reading
-from undeadzone.limits import at_limit
-from undeadzone.numerics.event_location import Levels
+from undeadzone.numerics.dense_output import Levels
 from undeadzone.plants.system import System
-from undeadzone.play import contact, held
-from undeadzone.sensor import branch, edges, quantised, side, zone
 from undeadzone.simulation.loop import Exogenous, Outputs, Params, State
 from undeadzone.support import tree
 

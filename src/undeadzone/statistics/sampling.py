@@ -10,13 +10,13 @@ from typing import Any, Final
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.statistics import sobol
 from undeadzone.support.arrays import Floats
 
 # Added to the seed, which is below 2^63: these numbers are none of those of the noise.
 STREAM: Final = 1 << 64
 NUMBERS, KEYS = 0, 1  # kinds of random words of a column
 ROUNDS: Final = 10  # of the cipher that permutes runs
+BITS: Final = 32  # of a Sobol point
 
 
 def points(sampling: str, seed: int, first: int, count: int, entries: int, runs: int) -> Floats:
@@ -105,17 +105,22 @@ def _sobol(seed: int, first: int, count: int, entries: int) -> Floats:
     """Scrambled Sobol points, each in the middle of its cell."""
     if entries == 0 or count == 0:
         return np.empty((count, entries))
-    if entries > sobol.DIMENSIONS:
+    from scipy.stats import qmc  # importing it takes longer than most runs
+
+    if entries > qmc.Sobol.MAXDIM:
         raise InputError(
-            f"ensemble.sampling: Sobol points have at most {sobol.DIMENSIONS} dimensions, "
+            f"ensemble.sampling: Sobol points have at most {qmc.Sobol.MAXDIM} dimensions, "
             f"found {entries}; use random"
         )
-    if first + count > 2 ** (sobol.BITS - 1):
+    if first + count > 2 ** (BITS - 1):
         raise InputError(
-            f"ensemble.runs: there are 2^{sobol.BITS - 1} Sobol points, found {first + count}; "
-            "use random"
+            f"ensemble.runs: there are 2^{BITS - 1} Sobol points, found {first + count}; use random"
         )
-    return sobol.points(seed, first, count, entries) + 0.5**sobol.BITS / 2
+    design = qmc.Sobol(entries, bits=BITS, rng=seed)
+    if first:
+        design.fast_forward(first)
+    power_of_two = 1 << (count - 1).bit_length()  # SciPy warns of other numbers of points
+    return design.random(power_of_two)[:count] + 0.5**BITS / 2
 
 
 def _saltelli(seed: int, first: int, count: int, entries: int, runs: int) -> Floats:

@@ -7,7 +7,6 @@ nothing that was torn is believed, and ends where the next one begins.
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -16,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from undeadzone.errors import FileError, InputError
-from undeadzone.support.files import LARGEST_TABLE, reason, require_plain
+from undeadzone.support.files import LARGEST_TABLE, open_kept, writing
 from undeadzone.support.stopped import keeping, lock
 from undeadzone.support.versions import versions
 
@@ -43,11 +42,7 @@ class Answers:
     ) -> None:
         self._path, self._unit = path, unit
         self._known: dict[str, Any] = {}
-        with _writing(path):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            if path.exists():
-                require_plain(path, LARGEST_TABLE)
-            self._file = io.FileIO(path, "a+")
+        self._file = open_kept(path, "a+", LARGEST_TABLE)
         try:
             lock(path, self._file)
             self._open({"answers": unit, **problem, **versions()}, resume)
@@ -84,12 +79,12 @@ class Answers:
 
     def _open(self, problem: Mapping[str, Any], resume: bool) -> None:
         """Read the answers that are there, or begin the file."""
-        with _writing(self._path):
+        with writing(self._path):
             self._file.seek(0)
             content = self._file.read()
         head = json.dumps(problem)
         if _line(head).startswith(content):  # empty, or torn in its first line
-            with _writing(self._path):
+            with writing(self._path):
                 self._file.truncate(0)
             try:
                 self._append(head)
@@ -103,7 +98,7 @@ class Answers:
             question, answer = json.loads(line)
             self._known[question] = answer
         if not content.endswith(b"\n"):  # a torn line must not swallow the next one
-            with _writing(self._path):
+            with writing(self._path):
                 self._file.write(b"\n")
 
     def _require(self, lines: list[str], problem: Mapping[str, Any], resume: bool) -> None:
@@ -132,7 +127,7 @@ class Answers:
         """Write a line. Raises FileError (disk full, file removed)."""
         if not os.fstat(self._file.fileno()).st_nlink:
             raise FileError(f"{self._path}: cannot write: it was removed")
-        with _writing(self._path):
+        with writing(self._path):
             view = memoryview(_line(text))
             while view:
                 view = view[self._file.write(view) :]
@@ -161,12 +156,3 @@ def _checked(line: bytes) -> str | None:
     """What a line says, if its checksum is right."""
     begin, _, rest = line.partition(b" ")
     return rest.decode() if begin == _sum(rest) else None
-
-
-@contextmanager
-def _writing(path: Path) -> Iterator[None]:
-    """Failures to write as FileError."""
-    try:
-        yield
-    except (OSError, ValueError) as error:
-        raise FileError(f"{path}: cannot write: {reason(error)}") from None

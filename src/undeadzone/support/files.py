@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import stat
 import tempfile
@@ -19,6 +20,17 @@ LARGEST_RUN: Final = 4_000_000_000  # [bytes] of the signals of one run
 
 
 @contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Failures to write at a path as FileError."""
+    try:
+        yield
+    except FileError:
+        raise
+    except (OSError, OverflowError, ValueError) as error:
+        raise FileError(f"{path}: cannot write: {reason(error)}") from None
+
+
+@contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """A temporary path beside `path` that takes its name once written.
 
@@ -27,14 +39,12 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises:
         FileError: the file cannot be written.
     """
-    try:
+    with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(
             dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix
         )
         os.close(handle)
-    except (OSError, ValueError) as error:
-        raise FileError(f"{path}: cannot write: {reason(error)}") from None
     try:
         yield Path(name)
         os.chmod(name, 0o666 & ~_umask())
@@ -84,6 +94,53 @@ def require_plain(path: str | os.PathLike[str], largest: int | None = None) -> N
     _require_plain(os.stat(path), largest)
 
 
+def open_kept(path: Path, mode: str, largest: int | None = None) -> io.FileIO:
+    """A file that a computation keeps its results in, made where there is none.
+
+    Nobody else may read it, and nothing is written through a link that someone put in its place.
+
+    Args:
+        path: of the file; its folder is made too.
+        mode: `r+` or `a+`.
+        largest: number of bytes that it may have; None: any.
+
+    Raises:
+        FileError: it cannot be written, is no plain file, or has another name besides.
+    """
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.is_symlink():
+            raise OSError(_other_name("it is a symbolic link"))
+        if path.exists():
+            require_plain(path, largest)
+        file = io.FileIO(path, mode, opener=_open_or_create)
+        try:
+            _require_one_name(os.fstat(file.fileno()), largest)
+        except OSError:
+            file.close()
+            raise
+    return file
+
+
+def _open_or_create(name: str, flags: int) -> int:
+    """Open a file, which is made where there is none; nothing is cut off, no link is followed."""
+    for flag in ("O_NOFOLLOW", "O_CLOEXEC", "O_NONBLOCK", "O_BINARY"):
+        flags |= getattr(os, flag, 0)
+    return os.open(name, flags | os.O_CREAT, 0o600)
+
+
+def _require_one_name(status: os.stat_result, largest: int | None) -> None:
+    """Raise OSError for an open file that is not plain, too large, or has other names."""
+    _require_plain(status, largest)
+    if status.st_nlink > 1:
+        raise OSError(_other_name(f"it is one of {status.st_nlink} names of a file"))
+
+
+def _other_name(found: str) -> str:
+    """Why a file that has other names is refused."""
+    return f"{found}, and what it leads to would be overwritten; delete it, or choose another name"
+
+
 def require_unpacked(path: str | os.PathLike[str], largest: int) -> None:
     """Raise ValueError for a zip file that would unpack to more than so many bytes."""
     with zipfile.ZipFile(path) as archive:
@@ -117,14 +174,13 @@ def require_folder(folder: Path) -> None:
     """
     made: list[Path] = []
     try:
-        for place in reversed([folder, *folder.parents]):
-            if not place.exists():
-                place.mkdir()
-                made.append(place)
-        with tempfile.NamedTemporaryFile(dir=folder, prefix=".undeadzone-"):
-            pass
-    except (OSError, ValueError) as error:
-        raise FileError(f"{folder}: cannot write: {reason(error)}") from None
+        with writing(folder):
+            for place in reversed([folder, *folder.parents]):
+                if not place.exists():
+                    place.mkdir()
+                    made.append(place)
+            with tempfile.NamedTemporaryFile(dir=folder, prefix=".undeadzone-"):
+                pass
     finally:
         for place in reversed(made):
             with suppress(OSError):  # another process uses it already

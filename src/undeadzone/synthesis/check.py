@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -22,12 +22,8 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.support import shown
 from undeadzone.support.arrays import Floats, finite, one_or_list
 from undeadzone.support.shown import Block
-from undeadzone.synthesis.assessment import Assessment, Gains, assess
-from undeadzone.synthesis.knowledge import determined
+from undeadzone.synthesis.assessment import Assessment, Gains, assess, determined
 from undeadzone.synthesis.words import in_words
-
-if TYPE_CHECKING:
-    pass
 
 
 class Bounds(NamedTuple):

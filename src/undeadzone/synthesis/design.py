@@ -19,16 +19,17 @@ from undeadzone.scenario.problem import Problem, constant_gains, resolve_scenari
 from undeadzone.scenario.schema import Scenario
 from undeadzone.support.arrays import Floats
 from undeadzone.support.progress import in_notebook
+from undeadzone.synthesis.assessment import determined, knowledge
 from undeadzone.synthesis.candidates import Candidate, candidate_of
 from undeadzone.synthesis.gain_search import (
     RATE,
+    ROUNDS,
     STARTS,
     Synthesis,
     Weights,
+    balanced,
     fastest,
 )
-from undeadzone.synthesis.knee import ROUNDS, balanced
-from undeadzone.synthesis.knowledge import determined, knowledge
 from undeadzone.synthesis.task import make_task
 
 Aim = Literal["knee", "rate"] | Weights

@@ -1,7 +1,7 @@
-"""Gains L, gamma by optimisation under the certificate: the fastest, or a weighted trade.
+"""Gains L, gamma by optimisation under the certificate: the fastest, a weighted trade, the knee.
 
-Every candidate is certified by construction (`criteria.certified`), so that the search is free; the
-result is proved anew.
+Every candidate is certified by construction (`candidates.certified`), so that the search is free;
+the result is proved anew. The knee is that of the Pareto front of rate, disturbance and noise.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 from undeadzone.analysis.certificate.passivity import Certificate, certify
 from undeadzone.linear.matrices import Matrices
-from undeadzone.numerics.optimise import evolve
+from undeadzone.numerics.optimise import evolve, pareto, scalar, undominated
 from undeadzone.support.arrays import Floats
 from undeadzone.synthesis.candidates import (
     Candidate,
@@ -22,9 +22,9 @@ from undeadzone.synthesis.candidates import (
     candidate_of,
     gains_at,
     point_of,
+    score,
     touched,
 )
-from undeadzone.synthesis.criteria import score
 from undeadzone.synthesis.task import Task, watched
 
 STARTS: Final = 10  # short searches for the fastest; the best of them is continued
@@ -36,6 +36,11 @@ WORSE: Final = 1e3  # cost of a candidate whose error does not die
 POLISHED: Final = 5  # times that the result is polished before its gains are shrunk instead
 SHRINK: Final = 0.99  # factor on L until the exact margin is met
 ROUNDING: Final = 1e-6  # relative, of a margin
+FLOOR: Final = 0.1  # of the best rate: slower candidates are not on the front
+ROUNDS: Final = 200  # of the search for the front
+BETTER: Final = np.log(1.05)  # by which the knee should beat present gains
+TRADED: Final = ("rate", "disturbance", "noise")  # on the front
+FIRST: Final = 2.0  # weight of the loss by an error of the model; that of the others is 1
 
 
 class Weights(NamedTuple):
@@ -200,3 +205,161 @@ def _polished(cost: Cost, point: Floats, low: Floats, high: Floats) -> Floats:
 def population(task: Task) -> int:
     """How many points a round of the search tries."""
     return 32 if box(task)[0].size < 8 else 64
+
+
+def balanced(
+    task: Task,
+    linear: Matrices,
+    present: Candidate | None = None,
+    seed: int = 0,
+    tick: Tick | None = None,
+) -> Synthesis:
+    """The front of rate, disturbance and noise, and its knee.
+
+    The knee is the point whose largest normalised loss is smallest; a loss is a logarithm between
+    the least (0) and greatest (1) on the front. The error that a wrong model leaves counts too, and
+    before all others: no model is exact, and gains that trust theirs look best in all else. Where
+    points of the front, or of a search of its own around the present gains, beat these in rate,
+    disturbance and noise, by 5 % if possible, the knee is chosen among them; where none does, a
+    remark says in what the knee is worse.
+
+    Args:
+        task: the design task.
+        linear: its model, not balanced.
+        present: gains to beat.
+        seed: of the search.
+        tick: tick(1) is called STARTS + ROUNDS times.
+    """
+    task, quickest = search(task, RATE, seed, tick)
+    L, gamma = gains_at(task, quickest[None])
+    best_rate = score(task, L, gamma, mismatch=False, gains=False).rate[0]
+    limit = float(best_rate) * FLOOR
+    points, costs = _explored(task, quickest, limit, seed, tick)
+    bars = [np.full(3, np.inf)]
+    if present is not None:
+        level = np.log([1 / max(present.rate, 1e-300), present.disturbance, present.noise])
+        bars = [level - BETTER, level, *bars]
+        near = _around(task, present, level, limit, seed)
+        points = np.vstack([points, near])
+        costs = np.vstack([costs, _costs(task, near[None], limit)])
+        admitted = np.isfinite(costs).all(axis=1)
+        points, costs = points[admitted], costs[admitted]
+    bar = next(bar for bar in bars if (costs < bar).all(axis=1).any())
+    every = np.hstack([_mismatch(task, points)[:, None], costs])
+    least, greatest = every.min(axis=0), every.max(axis=0)
+
+    def loss_in(task: Task) -> Cost:
+        return _Loss(task, limit, least, greatest, bar).of
+
+    start = points[np.argmin(loss_in(task)(points))]
+    best, certificate = proved(task, linear, start, loss_in)
+    remarks = at_the_limit(task, best)
+    if present is not None:
+        remarks += _remarks(best, present)
+    return Synthesis(best, certificate, _front(task, linear, points), remarks)
+
+
+class _Loss(NamedTuple):
+    """What the knee makes small: the largest loss between the ends of the front.
+
+    Attributes:
+        task: the design task.
+        limit: least rate [1/s].
+        least, greatest: logarithms on the front (4), that of the mismatch before the others.
+        bar: logarithms to be beaten (3).
+    """
+
+    task: Task
+    limit: float
+    least: Floats
+    greatest: Floats
+    bar: Floats
+
+    def of(self, points: Floats) -> Floats:
+        """The loss of points (b, d): b numbers."""
+        costs = _costs(self.task, points, self.limit)
+        every = np.hstack([_mismatch(self.task, points)[:, None], costs])
+        weights = np.array([[FIRST, 1.0, 1.0, 1.0]])
+        loss = scalar(every, self.least, self.greatest, weights)[0]
+        return np.asarray(loss + WORSE * (costs >= self.bar).any(axis=1))
+
+
+def _costs(task: Task, points: Floats, limit: float) -> Floats:
+    """Logarithms of 1 / rate, disturbance and noise at points (b, 3).
+
+    They are inf where the rate is not above the limit [1/s].
+    """
+    L, gamma = gains_at(task, points)
+    scores = score(task, L, gamma, mismatch=False)
+    admitted = scores.rate > limit
+    slowness = 1 / np.where(admitted, scores.rate, 1.0)
+    logs = np.log(np.stack([slowness, scores.disturbance, scores.noise], axis=1))
+    return np.where(admitted[:, None], logs, np.inf)
+
+
+def _mismatch(task: Task, points: Floats) -> Floats:
+    """Logarithms of the error per relative error of the model, at points (b, d): b numbers."""
+    L, gamma = gains_at(task, points)
+    return np.asarray(np.log(score(task, L, gamma, gains=False).mismatch))
+
+
+def _explored(
+    task: Task, quickest: Floats, limit: float, seed: int, tick: Tick | None
+) -> tuple[Floats, Floats]:
+    """Points (b, d) of the front and their costs (b, 3)."""
+
+    def advance() -> None:
+        if tick is not None:
+            tick(1)
+
+    return pareto(
+        lambda points: _costs(task, points, limit),
+        *box(task),
+        seed,
+        quickest[None],
+        rounds=ROUNDS,
+        tick=advance,
+    )
+
+
+def _around(task: Task, present: Candidate, level: Floats, limit: float, seed: int) -> Floats:
+    """The point near present gains that beats their costs, the level (3), by most."""
+
+    def worst(points: Floats) -> Floats:
+        return np.asarray((_costs(task, points, limit) - level).max(axis=1))
+
+    size, start = population(task), point_of(task, present)
+    return evolve(worst, *box(task), seed, size, LONG, start, NEAR)[0]
+
+
+def _remarks(best: Candidate, present: Candidate) -> tuple[str, ...]:
+    """In what gains are worse than the present ones."""
+    worse = [name for name in TRADED if not _beats(best, present, name)]
+    if not worse:
+        return ()
+    return (
+        "no certified gains were found that beat the present ones in rate, disturbance and noise "
+        f"at once: these lose in {' and '.join(worse)}",
+    )
+
+
+def _front(task: Task, linear: Matrices, points: Floats) -> list[Candidate]:
+    """The undominated of these points by falling rate.
+
+    Their margins are made exact at their own worst frequencies.
+    """
+    worst = []
+    for point in points:
+        candidate = candidate_at(task, point)
+        worst.append(certify(linear, candidate.L, candidate.gamma, task.Ts).frequency)
+    task = watched(task, np.array([w for w in worst if w is not None and np.isfinite(w)]))
+    candidates = [candidate_at(task, point) for point in points]
+    candidates.sort(key=lambda one: -one.rate)
+    keep = undominated(np.array([[-one.rate, one.disturbance, one.noise] for one in candidates]))
+    return [one for one, kept in zip(candidates, keep, strict=True) if kept]
+
+
+def _beats(one: Candidate, other: Candidate, name: str) -> bool:
+    """Whether one candidate is better than another in rate, disturbance or noise."""
+    sign = 1 if name == "rate" else -1
+    return bool(sign * getattr(one, name) > sign * getattr(other, name))

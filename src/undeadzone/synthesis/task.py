@@ -13,8 +13,7 @@ from undeadzone.analysis.side_schedule import Schedule, merged, planned
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import steady_state
 from undeadzone.linear.hold import sampled_noise, zoh
-from undeadzone.linear.matrices import Matrices
-from undeadzone.linear.scaling import sizes
+from undeadzone.linear.matrices import Matrices, sizes
 from undeadzone.scenario.problem import Problem
 from undeadzone.support.arrays import Floats
 

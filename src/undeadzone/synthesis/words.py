@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from undeadzone.analysis.certificate.design_words import in_words_of_margin, plain
-from undeadzone.analysis.identifiability.linear import DIRECTIONS
-from undeadzone.analysis.identifiability.words import yes_no
+from undeadzone.analysis.certificate.design_file import in_words_of_margin, plain
+from undeadzone.analysis.identifiability.linear import DIRECTIONS, yes_no
 from undeadzone.results.listening import in_words as share_in_words
 from undeadzone.scenario.schema import Scenario
 from undeadzone.support.shown import Block, Rows

@@ -1,26 +1,53 @@
-"""Candidates as lanes: options that differ in numbers alone share one kernel and the same runs."""
+"""What candidates are worth: a statistic of a metric over runs, and their certificates' margin.
+
+Candidates are lanes: options that differ in numbers alone share one kernel and the same runs. An
+observer that computes in Python is run one by one.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-import casadi as ca
 import msgspec
 import numpy as np
 
+from undeadzone.analysis.certificate.passivity import certify
+from undeadzone.ensemble import metrics
 from undeadzone.ensemble.batch import Batch, prepare
 from undeadzone.ensemble.binding import bind
-from undeadzone.errors import InputError
-from undeadzone.feedforward.targets import Target
-from undeadzone.interfaces import Reading, graph_of
+from undeadzone.ensemble.metrics import EDGES, true_width
+from undeadzone.errors import InputError, UndeadzoneError
+from undeadzone.interfaces import graph_of
+from undeadzone.results.run import last_samples
+from undeadzone.results.scales import LIMIT, plant_scales
+from undeadzone.scenario.address import with_numbers
 from undeadzone.scenario.ensemble_table import Vary
-from undeadzone.scenario.problem import Problem, resolve_scenario
+from undeadzone.scenario.problem import Problem, constant_gains, resolve_scenario
 from undeadzone.scenario.schema import Scenario
-from undeadzone.simulation.loop import Loop
+from undeadzone.scenario.tune_table import Tune
+from undeadzone.simulation.collect import tips
+from undeadzone.simulation.exogenous import exogenous, random_disturbance
+from undeadzone.simulation.loop import Outputs
+from undeadzone.simulation.packed import graph, moved, packed
+from undeadzone.simulation.sample_by_sample import run_sample_by_sample
 from undeadzone.simulation.simulate import closed
-from undeadzone.support import tree
+from undeadzone.statistics.intervals import QUANTILES
 from undeadzone.support.arrays import Floats, Integers
+
+Problems = tuple[Problem, ...]
+
+
+class Frame(NamedTuple):
+    """The scale of a scenario's scores: scenarios of different units or difficulty weigh alike.
+
+    Attributes:
+        zero: what counts as 0, in the unit of the metric
+        one: what counts as 1, more than `zero`
+    """
+
+    zero: float = 0.0
+    one: float = 1.0
 
 
 class TestRuns(NamedTuple):
@@ -50,13 +77,10 @@ class TestRuns(NamedTuple):
 
     def redrawn(self, runs: int, seed: int) -> TestRuns:
         """The same on other runs: the first `runs` of a seed; one if nothing differs among them."""
-        binding, own = self.batch.binding, self.batch.own
-        differ = binding.columns or own.entries
-        count = runs if differ else 1
-        batch = self.batch._replace(
-            binding=binding._replace(seed=seed), own=own._replace(seed=seed)
-        )
-        values = batch.binding.draw(0, count, runs)
+        binding, own = self.batch.binding._replace(seed=seed), self.batch.own._replace(seed=seed)
+        count = runs if binding.columns or own.entries else 1
+        values = binding.draw(0, count, runs)
+        batch = self.batch._replace(binding=binding, own=own)
         return self._replace(batch=batch, runs=np.arange(count), values=values)
 
     def rows(self, candidates: Sequence[Problem], threads: int | None = None) -> Floats:
@@ -64,24 +88,49 @@ class TestRuns(NamedTuple):
 
         Those that the kernel does not serve get one of their own. Raises InputError.
         """
-        kinds = [_kind(self, candidate) for candidate in candidates]
+        groups: dict[str | None, list[int]] = {}
+        for k, candidate in enumerate(candidates):
+            groups.setdefault(self._other_graph(candidate), []).append(k)
         columns = len(self.batch.layout.columns) - self.values.shape[1]
         rows = np.empty((len(candidates), self.runs.size, columns))
-        for kind in dict.fromkeys(kinds):
-            chosen = [k for k, each in enumerate(kinds) if each == kind]
-            group = [candidates[k] for k in chosen]
-            runs = self
-            if kind is not None:
+        for other, chosen in groups.items():
+            group, runs = [candidates[k] for k in chosen], self
+            if other is not None:
                 seed = self.batch.binding.seed
                 runs = prepare_test_runs(group[0].scenario, group, self.runs.size, seed)
-            rows[chosen] = _rows(runs, group, threads).reshape(len(chosen), *rows.shape[1:])
+            rows[chosen] = runs._rows(group, threads).reshape(len(chosen), *rows.shape[1:])
         return rows
+
+    def _other_graph(self, candidate: Problem) -> str | None:
+        """None for a candidate that the kernel serves, else its graph."""
+        form, binding = graph(candidate), self.batch.binding
+        if form == self.graph:
+            shared = np.delete(np.arange(binding.params.size), binding.indices)
+            _, params = packed(candidate, self.batch.loop)
+            if np.array_equal(params[shared], binding.params[shared]):
+                return None
+        return form
+
+    def _rows(self, candidates: list[Problem], threads: int | None) -> Floats:
+        """The metrics of candidates that the kernel serves: candidate by candidate, run by run."""
+        parts = []
+        for candidate in candidates:
+            state, params = packed(candidate, self.batch.loop)
+            binding = self.batch.binding._replace(state=state, params=params)
+            parts.append(binding.lanes(self.values))
+        lanes = parts[0]._replace(
+            states=np.concatenate([part.states for part in parts]),
+            params=np.concatenate([part.params for part in parts]),
+        )
+        return self.batch.measure(np.tile(self.runs, len(candidates)), lanes, threads)
 
 
 def prepare_test_runs(
     scenario: Scenario, probes: Sequence[Problem], runs: int, seed: int
 ) -> TestRuns:
     """Test runs for a scenario whose candidates move the numbers that the probes move.
+
+    Saltelli's design is not taken: its runs are not independent.
 
     Args:
         scenario: the first candidate
@@ -92,99 +141,288 @@ def prepare_test_runs(
     Raises:
         InputError or a subclass
     """
-    scenario = msgspec.structs.replace(scenario, ensemble=_table(scenario, runs, seed))
+    vary = scenario.ensemble or Vary()
+    sampling = "sobol" if vary.sampling == "saltelli" else vary.sampling
+    vary = msgspec.structs.replace(vary, runs=runs, seed=seed, sampling=sampling)
+    scenario = msgspec.structs.replace(scenario, ensemble=vary)
     problem = resolve_scenario(scenario)
     form, loop = graph(problem), closed(problem)
-    nominal = tree.pack(loop.params)
-    moved: set[int] = set()
-    for probe in probes:
-        if graph(probe) == form:
-            _, params = _numbers(loop, probe)
-            moved.update(np.flatnonzero(params != nominal).tolist())
+    alike = [packed(probe, loop)[1] for probe in probes if graph(probe) == form]
+    slots = set(moved(loop, alike).tolist())
     for column in bind(problem, loop).columns:
-        if moved & {slot for slot, _ in column.slots}:
+        if slots & {slot for slot, _ in column.slots}:
             raise InputError(
                 f"tune: [ensemble] varies {column.name}, which what is tuned decides; "
                 "keep one of them"
             )
-    batch = prepare(scenario, moved)
-    return TestRuns(batch, form, np.empty(0, int), np.empty((0, 0))).redrawn(runs, seed)
+    none_yet = TestRuns(prepare(scenario, slots), form, np.empty(0, int), np.empty((0, 0)))
+    return none_yet.redrawn(runs, seed)
 
 
-def _table(scenario: Scenario, runs: int, seed: int) -> Vary:
-    """The table [ensemble] for test runs; those of Saltelli's design are not independent."""
-    vary = scenario.ensemble or Vary()
-    sampling = "sobol" if vary.sampling == "saltelli" else vary.sampling
-    return msgspec.structs.replace(vary, runs=runs, seed=seed, sampling=sampling)
+class OneByOne(NamedTuple):
+    """Runs of an observer that computes in Python: they differ in noise and disturbance alone.
 
-
-def _kind(runs: TestRuns, candidate: Problem) -> str | None:
-    """None for a candidate that the kernel serves, else its graph."""
-    form = graph(candidate)
-    if form != runs.graph:
-        return form
-    binding = runs.batch.binding
-    shared = np.delete(np.arange(binding.params.size), binding.indices)
-    _, params = _numbers(runs.batch.loop, candidate)
-    return None if np.array_equal(params[shared], binding.params[shared]) else form
-
-
-def _rows(runs: TestRuns, candidates: list[Problem], threads: int | None) -> Floats:
-    """The metrics of candidates that the kernel serves: candidate by candidate, run by run."""
-    batch, parts = runs.batch, []
-    for candidate in candidates:
-        state, params = _numbers(batch.loop, candidate)
-        parts.append(batch.binding._replace(state=state, params=params).lanes(runs.values))
-    lanes = parts[0]._replace(
-        states=np.concatenate([part.states for part in parts]),
-        params=np.concatenate([part.params for part in parts]),
-    )
-    return batch.measure(np.tile(runs.runs, len(candidates)), lanes, threads)
-
-
-def graph(problem: Problem) -> str:
-    """Observer and controller without their numbers, but with those of a plan, as text.
-
-    It is equal for problems that one kernel serves. Raises InputError if there is no graph.
+    Attributes:
+        problem: of the first candidate
+        runs: how many: the first ones of the seed
+        seed: of noise and disturbance
+        varied: nothing, see `TestRuns.varied`
     """
-    observer, controller, model = graph_of(problem.observer), problem.controller, problem.model
-    p_column, p = tree.symbols((observer.params, controller.params), "p")
-    like = observer.init(observer.params), controller.init(controller.params)
-    s_column, s = tree.symbols(like, "s")
-    instant = Target(
-        np.zeros(len(problem.tracked)),
-        np.zeros(model.n),
-        np.zeros(model.m),
-        np.zeros(controller.planned),
+
+    problem: Problem
+    runs: int = 0
+    seed: int = 0
+    varied: Mapping[str, Floats] = {}
+
+    def redrawn(self, runs: int, seed: int) -> OneByOne:
+        """Other runs: the first `runs` of a seed; one if nothing differs between them."""
+        sensor = self.problem.sensor
+        noisy = sensor.noise.any() or sensor.noise_before.any()
+        differ = noisy or random_disturbance(self.problem)
+        return OneByOne(self.problem, runs if differ else 1, seed)
+
+    def rows(self, candidates: Sequence[Problem], threads: int | None = None) -> Floats:
+        """The metrics (candidates x runs x columns) of candidates; threads: not used."""
+        return np.stack([self._rows_of(candidate) for candidate in candidates])
+
+    def _rows_of(self, candidate: Problem) -> Floats:
+        """The metrics (runs x columns) of one candidate."""
+        rows = []
+        for run in range(self.runs):
+            inputs = exogenous(candidate, run=run, seed=self.seed)
+            rows.append(row(candidate, run_sample_by_sample(candidate, inputs)))
+        return np.concatenate(rows)
+
+
+def row(problem: Problem, out: Outputs) -> Floats:
+    """The metrics (1 x columns) of one run, as `metrics.measured` accumulates them in the loop."""
+    t = np.arange(len(out.z)) * problem.scenario.simulation.step
+    tail = last_samples(t)
+    r = problem.reference.value(t)
+    error = out.z[:, problem.tracked] - r
+    worst = np.abs(error).max(axis=1)
+    tolerance = (problem.scenario.ensemble or Vary()).tolerance * np.abs(r).max()
+    poses = tips(problem, out.x, out.estimate.x, t)
+
+    def one_number(value: Any) -> Floats:
+        return np.array([[value]])
+
+    tally = metrics.Tally(
+        tracking=one_number((error[tail] ** 2).sum()),
+        estimation=one_number(((out.z - out.estimate.z)[tail] ** 2).sum()),
+        peak=one_number(np.fmax.reduce(worst)),
+        settled=one_number(t[worst > tolerance].max(initial=0.0)),
+        silent=one_number((out.side == 0).sum()),
+        effort=one_number((out.u**2).sum()),
+        right=out.estimate.right[-1:],
+        left=out.estimate.left[-1:],
+        tip=np.empty((1, 0)),
+        behind=np.empty((1, 0)),  # no observer that computes in Python knows a play
     )
-    t_column, target = tree.symbols(instant, "t")
-    u, y = ca.SX.sym("u", model.m), ca.SX.sym("y", model.p)
-    side, x = ca.SX.sym("side", model.p), ca.SX.sym("x", model.n)
-    moved, estimate = observer.step(p[0], s[0], u, Reading(y, side, x))
-    results = (
-        moved,
-        estimate,
-        observer.project(p[0], s[0]),
-        observer.init(p[0]),
-        controller.step(p[1], s[1], estimate, target),
-        controller.init(p[1]),
-    )
-    inputs = [p_column, s_column, t_column, u, y, side, x]
-    function = ca.Function("graph", inputs, [tree.stack(result) for result in results])
-    plan = () if controller.plan is None else tree.pack(controller.plan.params).tolist()
-    return str(function.serialize()) + str((tree.names((observer.params, like)), plan))
+    if poses:
+        tally = tally._replace(tip=one_number(((poses["tip"] - poses["tip_r"])[tail] ** 2).sum()))
+    states = np.hstack([out.x, out.estimate.x, out.estimate.right, out.estimate.left])[-1:]
+    scales, length = plant_scales(problem), t.size - tail.start
+    return metrics.rows(tally, states, scales, t.size, length, len(problem.tracked))
 
 
-def _numbers(loop: Loop, candidate: Problem) -> tuple[Floats, Floats]:
-    """(initial state, params), packed, of a loop with a candidate's observer and controller.
+class Objective(NamedTuple):
+    """Scenarios to be done well at once.
 
-    The candidate has the graph of the loop.
+    Attributes:
+        what: the table [tune]
+        names: addresses of the numbers of a candidate
+        scenarios: as they are, without a candidate's numbers
+        test_runs: of each scenario
+        frames: of each scenario
     """
-    observer, controller = graph_of(candidate.observer), candidate.controller
-    params: Any = loop.params._replace(observer=observer.params, controller=controller.params)
-    state = loop.state._replace(
-        plant=candidate.x0,
-        observer=observer.init(observer.params),
-        controller=controller.init(controller.params),
+
+    what: Tune
+    names: tuple[str, ...]
+    scenarios: tuple[Scenario, ...]
+    test_runs: tuple[TestRuns | OneByOne, ...]
+    frames: tuple[Frame, ...]
+
+    def scenario(self, index: int, point: Floats) -> Scenario:
+        """A scenario with the numbers of a candidate."""
+        values = dict(zip(self.names, point.tolist(), strict=True))
+        return with_numbers(self.scenarios[index], values)
+
+    def problem(self, index: int, point: Floats) -> Problem | None:
+        """The problem of a candidate in a scenario; None where it is refused."""
+        try:
+            return resolve_scenario(self.scenario(index, point))
+        except (UndeadzoneError, np.linalg.LinAlgError):
+            return None
+
+    def problems(self, points: Floats) -> list[Problems | None]:
+        """The problems of each candidate, one per scenario; None where one is refused.
+
+        Args:
+            points: candidates x numbers
+        """
+        candidates: list[Problems | None] = []
+        for point in points:
+            each = [self.problem(k, point) for k in range(len(self.scenarios))]
+            possible = tuple(problem for problem in each if problem is not None)
+            candidates.append(possible if len(possible) == len(each) else None)
+        return candidates
+
+    def margins(self, candidates: Sequence[Problems | None]) -> Floats:
+        """The least margin of each candidate's certificates.
+
+        It is inf if no certificate is asked for, -inf for a candidate that is refused.
+        """
+        margins = np.full(len(candidates), np.inf)
+        for k, problems in enumerate(candidates):
+            if problems is None:
+                margins[k] = -np.inf
+            elif self.what.certified:
+                margins[k] = min(map(certified_margin, problems))
+        return margins
+
+    def costs(self, candidates: Sequence[Problems], threads: int | None = None) -> Floats:
+        """What candidates (one or more) cost."""
+        lost = []
+        for k in range(len(self.scenarios)):
+            problems = [each[k] for each in candidates]
+            lost.append(self.losses(k, problems, threads))
+        return self.scores(lost)
+
+    def losses(
+        self, index: int, candidates: Sequence[Problem], threads: int | None = None
+    ) -> Floats:
+        """What each candidate loses in each run of a scenario (candidates x runs)."""
+        runs = self.test_runs[index]
+        return losses(self.what.metric, runs, runs.rows(candidates, threads))
+
+    def scores(self, lost: Sequence[Floats]) -> Floats:
+        """The mean over the scenarios of framed statistics.
+
+        Args:
+            lost: losses in each scenario (candidates x runs)
+        """
+        framed = []
+        for each, frame in zip(lost, self.frames, strict=True):
+            value = statistic(self.what.statistic, each)
+            framed.append((value - frame.zero) / (frame.one - frame.zero))
+        return np.mean(framed, axis=0)
+
+    def redrawn(self, runs: int, seed: int) -> Objective:
+        """The same on other runs: the first `runs` of a seed."""
+        return self._replace(test_runs=tuple(each.redrawn(runs, seed) for each in self.test_runs))
+
+
+def objective(
+    what: Tune,
+    scenarios: Sequence[Scenario],
+    frames: Sequence[Frame],
+    names: Sequence[str],
+    probes: Floats,
+    runs: int,
+    seed: int,
+) -> Objective:
+    """The objective on the first runs of a seed.
+
+    Args:
+        what: the table [tune]
+        scenarios: to be done well at once
+        frames: of each scenario
+        names: addresses of the numbers of a candidate
+        probes: candidates (rows) that move whatever others will move; the first one is possible
+        runs: how many
+        seed: of the runs
+
+    Raises:
+        InputError or a subclass
+    """
+    on = Objective(what, tuple(names), tuple(scenarios), (), tuple(frames))
+    test_runs = tuple(_test_runs(on, k, probes, runs, seed) for k in range(len(scenarios)))
+    return on._replace(test_runs=test_runs)
+
+
+def _test_runs(
+    on: Objective, index: int, probes: Floats, runs: int, seed: int
+) -> TestRuns | OneByOne:
+    """The test runs of a scenario: on the lanes, unless its observer computes in Python."""
+    first = resolve_scenario(on.scenario(index, probes[0]))
+    _check_metric(on.what.metric, first)
+    if first.observer.python is None:
+        others = [on.problem(index, probe) for probe in probes[1:]]
+        near = [problem for problem in others if problem is not None]
+        return prepare_test_runs(first.scenario, near, runs, seed)
+    vary = first.scenario.ensemble
+    if vary is not None and vary.entries:
+        graph_of(first.observer)  # no more than noise and disturbance can vary without a graph
+    return OneByOne(first).redrawn(runs, seed)
+
+
+def _check_metric(metric: str, problem: Problem) -> None:
+    """Raise InputError for a metric that the runs of a problem do not have."""
+    columns = metrics.columns(problem.plant, problem.sensor.kind)
+    known = [name for name in columns if name != "diverged" and not name.startswith("d_")]
+    for i in range(problem.plant.p):
+        known += [f"d_{edge}_error[{i}]" for edge in EDGES]
+    if metric not in known:
+        raise InputError(f"tune.metric: {metric!r} is none of {', '.join(known)}")
+
+
+def statistic(name: str, lost: Floats) -> Floats:
+    """The mean, or the loss of one of the runs, along the last axis."""
+    if name == "mean":
+        return lost.mean(axis=-1)
+    share = 1.0 if name == "worst" else QUANTILES[name]
+    return np.sort(lost, axis=-1)[..., int(np.ceil(lost.shape[-1] * share)) - 1]
+
+
+def losses(metric: str, runs: TestRuns | OneByOne, rows: Floats) -> Floats:
+    """The size of a metric; above LIMIT, but finite, for runs that diverged: the faster, the more.
+
+    Args:
+        metric: a column of `metrics`, or the error of a width such as `d_right_error[0]`
+        runs: on which the rows were computed
+        rows: of metrics (... x columns)
+    """
+    problem = runs.problem
+    names = metrics.columns(problem.plant, problem.sensor.kind)
+    columns = {name: rows[..., i] for i, name in enumerate(names)}
+    if metric in columns:
+        size = columns[metric]
+    else:
+        size = np.abs(_width_error(metric, runs, columns))
+    rate = _rate_of_divergence(columns, problem.scenario.simulation.step)
+    return np.where(
+        columns["diverged"] != 0,
+        LIMIT * (1 + rate / (1 + rate)),
+        np.minimum(np.nan_to_num(size, nan=LIMIT), LIMIT),
     )
-    return tree.pack(state), tree.pack(params)
+
+
+def _width_error(metric: str, runs: TestRuns | OneByOne, columns: Mapping[str, Floats]) -> Floats:
+    """The final error of a width, d^ - d, in runs that vary it or not."""
+    edge, _, index = metric.removeprefix("d_").partition("_error")
+    nominal = float(getattr(runs.problem.sensor, edge)[int(index[1:-1])])
+    return columns[f"d_{edge}{index}"] - true_width(f"{edge}{index}", nominal, runs.varied)
+
+
+def _rate_of_divergence(columns: Mapping[str, Floats], step: float) -> Floats:
+    """How fast |z - r| has grown: the logarithm of its peak over the time that this took [1/s]."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        growth = np.log1p(np.nan_to_num(columns["peak_tracking"], nan=0.0))
+        return np.asarray(growth / np.maximum(columns["settling_time"], step))
+
+
+def certified_margin(problem: Problem) -> float:
+    """The margin of the certificate; below 0 where the gains have none. Raises InputError."""
+    gains = constant_gains(problem.observer, problem.model)
+    if gains is None:
+        raise InputError(
+            "tune.certified: this observer has no constant gains L and gamma to certify; "
+            "leave certified out, or use method = certified"
+        )
+    if problem.model.nonlinear:
+        raise InputError(
+            "tune.certified: a nonlinear model has no certificate; leave certified out"
+        )
+    proof = certify(problem.model.linear, *gains, problem.model.Ts)
+    return proof.margin if proof.certified else min(proof.margin, -1e-9)

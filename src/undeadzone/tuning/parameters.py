@@ -1,35 +1,32 @@
-"""The numbers in the options of observer and controller, by address, and how to replace them."""
+"""What is tuned: numbers of observer and controller by address, their ranges, where they start."""
 
 from __future__ import annotations
 
-import difflib
 import re
-import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
 
-from undeadzone.ensemble.addresses import index_of, matching, stem
-from undeadzone.errors import InputError
+from undeadzone.analysis.certificate.passivity import certify
+from undeadzone.errors import InputError, StructureError, UndeadzoneError
+from undeadzone.scenario.address import (
+    Number,
+    entries_there,
+    matching,
+    numbers,
+    similar,
+    stem,
+    with_numbers,
+)
+from undeadzone.scenario.problem import Problem, constant_gains, resolve_scenario
 from undeadzone.scenario.schema import Scenario
-from undeadzone.scenario.tune_table import TABLE, Range
-from undeadzone.support.arrays import LARGEST, Array, Floats
+from undeadzone.scenario.tune_table import TABLE, Range, Tune
+from undeadzone.support.arrays import LARGEST, Floats
+from undeadzone.tuning.candidates import certified_margin
 
-PARTS: Final = ("observer", "controller")
-
-
-class Number(NamedTuple):
-    """A number of the options.
-
-    Attributes:
-        value: in the scenario; None where it is left to the method
-        whole: whether it is a whole number
-    """
-
-    value: float | None
-    whole: bool
+GAINS: Final = "observer.L"  # the one array that an observer has by default
 
 
 class Parameter(NamedTuple):
@@ -56,30 +53,13 @@ class Parameter(NamedTuple):
             value = self.low * (self.high / self.low) ** u
         else:
             value = self.low + u * (self.high - self.low)
-        if self.whole:
-            value = np.round(value)
-        return np.clip(value, self.low, self.high)
+        return np.clip(np.round(value) if self.whole else value, self.low, self.high)
 
     def share(self, value: float) -> float:
         """The share of the range at which a number lies."""
         if self.log:
             return float(np.log(value / self.low) / np.log(self.high / self.low))
         return (value - self.low) / (self.high - self.low)
-
-
-def numbers(scenario: Scenario) -> dict[str, Number]:
-    """Every number of the options, by address."""
-    by_address: dict[str, Number] = {}
-    for part in PARTS:
-        by_address |= _numbers(part, getattr(scenario, part))
-    return by_address
-
-
-def with_numbers(scenario: Scenario, values: Mapping[str, float]) -> Scenario:
-    """The scenario with other numbers at addresses that `numbers` knows."""
-    for address, value in values.items():
-        scenario = _with(scenario, address.split("."), value)
-    return scenario
 
 
 def named(address: str, known: Mapping[str, Number]) -> list[str]:
@@ -99,23 +79,20 @@ def named(address: str, known: Mapping[str, Number]) -> list[str]:
     for form in (address, as_list, as_number):
         if names := matching(form, known):
             return names
-    raise InputError(f"{TABLE.entry_name(address)}: {_why_unknown(stem(address), known)}")
+    raise InputError(f"{TABLE.entry_name(address)}: {_why_unknown(address, known)}")
 
 
-def _why_unknown(key: str, known: Mapping[str, Number]) -> str:
-    """Why no number has an address, and what to do; key: the address without its index."""
-    there = [name for name in known if stem(name) == key]
-    if there and known[there[0]].value is None:
+def _why_unknown(address: str, known: Mapping[str, Number]) -> str:
+    """Why no number has an address, and what to do."""
+    key = stem(address)
+    extent = entries_there(address, known)
+    if not extent:
+        return f"no number of that name in the options; {similar(address, known, 'there are')}"
+    if key in known and known[key].value is None:
         return (
             f"the scenario gives no {key}; write it there, entry by entry, or name another number"
         )
-    if there:
-        extent = f"{there[0]} to {there[-1]}" if there[1:] else f"{there[0]} alone"
-        return f"no such entry; there is {extent}"
-    stems = sorted({stem(name) for name in known})
-    near = difflib.get_close_matches(key, stems, 1)
-    choice = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(stems)}"
-    return f"no number of that name in the options; {choice}"
+    return f"no such entry; there is {extent}"
 
 
 def parameters(entries: Mapping[str, Range], scenario: Scenario) -> tuple[Parameter, ...]:
@@ -134,72 +111,14 @@ def parameters(entries: Mapping[str, Range], scenario: Scenario) -> tuple[Parame
             f"{TABLE.example}"
         )
     known = numbers(scenario)
-    tuned: list[Parameter] = []
+    tuned: dict[str, Parameter] = {}
     for address, bounds in entries.items():
         for name in named(address, known):
-            tuned.append(_parameter(address, name, bounds, known[name]))
-    names = [parameter.name for parameter in tuned]
-    for name in names:
-        if names.count(name) > 1:
-            place = TABLE.entry_name(name)
-            raise InputError(f"{place}: tuned twice; keep one entry that names it")
-    return tuple(tuned)
-
-
-def _numbers(name: str, value: Any, kind: Any = None) -> dict[str, Number]:
-    """The numbers below a value of the options, by address.
-
-    Args:
-        name: address of the value
-        value: a number, a list of numbers, or a table
-        kind: its annotation, where it has one
-    """
-    below: dict[str, Number] = {}
-    if isinstance(value, msgspec.Struct):
-        for field in msgspec.structs.fields(value):
-            child = getattr(value, field.name)
-            below |= _numbers(f"{name}.{field.name}", child, field.type)
-    elif isinstance(value, dict):
-        for key, child in value.items():
-            below |= _numbers(f"{name}.{key}", child)
-    elif value is None or (isinstance(value, int | float) and not isinstance(value, bool)):
-        if kind is None or {int, float, Array} & {kind, *typing.get_args(kind)}:
-            below[name] = Number(value, kind is int)
-    elif isinstance(value, np.ndarray | list | tuple):
-        below.update(_numbers_of_array(name, np.asarray(value, float)))
-    return below
-
-
-def _numbers_of_array(name: str, array: Floats) -> Iterator[tuple[str, Number]]:
-    """(address, number) of each entry of an array."""
-    for index in np.ndindex(array.shape):
-        place = f"[{','.join(map(str, index))}]" if index else ""
-        yield name + place, Number(float(array[index]), False)
-
-
-def _with(node: Any, path: list[str], value: float) -> Any:
-    """A struct or dictionary with a number in place of the one at the end of a path."""
-    name = stem(path[0])
-    old = node[name] if isinstance(node, dict) else getattr(node, name)
-    if path[1:]:
-        new = _with(old, path[1:], value)
-    else:
-        new = _replaced(old, index_of(path[0]), value)
-    if isinstance(node, dict):
-        return node | {name: new}
-    return msgspec.structs.replace(node, **{name: new})
-
-
-def _replaced(old: Any, index: str, value: float) -> Any:
-    """An option with another number: in place of the entry `[i]` or `[i,j]`, or of all of it."""
-    if index:
-        array = np.array(old, float)
-        array[tuple(map(int, index[1:-1].split(",")))] = value
-        return array
-    whole = isinstance(old, int) and not isinstance(old, bool)
-    if whole and value == int(value):
-        return int(value)
-    return float(value)
+            if name in tuned:
+                place = TABLE.entry_name(name)
+                raise InputError(f"{place}: tuned twice; keep one entry that names it")
+            tuned[name] = _parameter(address, name, bounds, known[name])
+    return tuple(tuned.values())
 
 
 def _parameter(address: str, name: str, bounds: Range, number: Number) -> Parameter:
@@ -222,6 +141,66 @@ def _parameter(address: str, name: str, bounds: Range, number: Number) -> Parame
         start = float(np.sqrt(low * high) if bounds.log else (low + high) / 2)
     if not low <= start <= high:
         raise InputError(f"{place}: {whose} = {start:g} lies outside [{low:g}, {high:g}]; {advice}")
-    if number.whole:
-        start = float(np.round(start))
-    return Parameter(name, low, high, bounds.log, number.whole, float(start))
+    first = float(np.round(start) if number.whole else start)
+    return Parameter(name, low, high, bounds.log, number.whole, first)
+
+
+def values_at(tuned: Sequence[Parameter], u: Floats) -> Floats:
+    """The numbers of candidates at shares u of the ranges (candidates x numbers)."""
+    return np.stack([p.value(u[:, i]) for i, p in enumerate(tuned)], axis=1)
+
+
+def with_gains(scenario: Scenario, what: Tune) -> Scenario:
+    """The scenario with its observer's default L, where L is tuned but left to the method.
+
+    What is tuned of it is moved into its bounds.
+    """
+    of_gains = [address for address in what.entries if stem(address) == GAINS]
+    observer: Any = scenario.observer
+    if not of_gains or getattr(observer, "L", 0.0) is not None:
+        return scenario
+    problem = resolve_scenario(scenario)
+    gains = constant_gains(problem.observer, problem.model)
+    if gains is None or getattr(observer, "design", None) is not None:
+        return scenario
+    L = gains[0].ravel() if problem.model.p == 1 else gains[0]
+    observer = msgspec.structs.replace(observer, L=L)
+    scenario = msgspec.structs.replace(scenario, observer=observer)
+    known, moved = numbers(scenario), {}
+    for address in of_gains:
+        low, high = what.entries[address].between
+        for name in named(address, known):
+            moved[name] = min(max(known[name].value or 0.0, low), high)
+    return with_numbers(scenario, moved)
+
+
+def checked_parameters(what: Tune, scenarios: tuple[Scenario, ...]) -> tuple[Parameter, ...]:
+    """What is tuned, in every scenario, from a start that can be run.
+
+    Raises InputError or a subclass.
+    """
+    tuned = parameters(what.entries, scenarios[0])
+    start = {p.name: p.start for p in tuned}
+    for scenario in scenarios:
+        resolve_scenario(scenario)
+        missing = start.keys() - numbers(scenario).keys()
+        if missing:
+            place = TABLE.entry_name(min(missing))
+            raise InputError(f"{place}: scenario {scenario.title!r} has no such number")
+        try:
+            problem = resolve_scenario(with_numbers(scenario, start))
+        except UndeadzoneError as error:
+            words = ", ".join(f"{name} = {value:g}" for name, value in start.items())
+            raise InputError(f"tune: cannot start from {words}: {error}") from None
+        if what.certified:
+            _require_certificates(problem)
+    return tuned
+
+
+def _require_certificates(problem: Problem) -> None:
+    """Raise InputError or StructureError where no gains of a problem's observer are certified."""
+    certified_margin(problem)
+    model = problem.model
+    proof = certify(model.linear, np.zeros((model.n, model.p)), np.ones(model.p), model.Ts)
+    if proof.reason:
+        raise StructureError(f"tune.certified: no gains can be certified: {proof.reason}")

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import os
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 import undeadzone
 from undeadzone.results.scales import LIMIT
+from undeadzone.results.sheet import number
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import anchored
 from undeadzone.scenario.schema import Scenario
@@ -20,17 +22,27 @@ from undeadzone.statistics.intervals import LEVEL, QUANTILES, Interval
 from undeadzone.support import shown, toml
 from undeadzone.support.arrays import Floats, finite
 from undeadzone.support.files import write_text
-from undeadzone.support.shown import Block
-from undeadzone.tuning.objective import Objective, statistic
+from undeadzone.tuning.candidates import Objective, statistic
 from undeadzone.tuning.parameters import Parameter
-from undeadzone.tuning.search import SimulatedCandidate
-from undeadzone.tuning.words import in_words
-
-if TYPE_CHECKING:
-    pass
 
 RESAMPLES: Final = 2000  # of the held-out runs, for the interval of the change
 EDGE: Final = 0.01  # share of a range within which a number lies at its end
+
+
+class SimulatedCandidate(NamedTuple):
+    """A candidate that was simulated.
+
+    Attributes:
+        values: its numbers
+        cost: on the runs tuned on; inf where it was refused
+        margin: of its certificate; inf if none was asked for
+        stage: of the search that came upon it
+    """
+
+    values: tuple[float, ...]
+    cost: float
+    margin: float
+    stage: str
 
 
 class Worth(NamedTuple):
@@ -114,14 +126,11 @@ class Tuned:
     @property
     def at_edge(self) -> list[str]:
         """The tuned numbers that lie at an end of their range: a wider one may do better."""
-        names = []
-        for parameter, value in zip(self.parameters, self.values, strict=True):
-            if not EDGE < parameter.share(value) < 1 - EDGE:
-                names.append(parameter.name)
-        return names
+        pairs = zip(self.parameters, self.values, strict=True)
+        return [p.name for p, value in pairs if not EDGE < p.share(value) < 1 - EDGE]
 
-    def blocks(self) -> list[Block]:
-        """The table that `undeadzone tune` prints."""
+    def blocks(self) -> list[shown.Block]:
+        """The tables that `undeadzone tune` prints."""
         return [in_words(self.summary())]
 
     __repr__ = shown.in_text
@@ -146,8 +155,7 @@ class Tuned:
             FileError: where it cannot be written
         """
         path = Path(path)
-        held_out = self.held_out[index]
-        before, after = held_out.before.value.value, held_out.after.value.value
+        before, after = (worth.value.value for worth in self.held_out[index][:2])
         head = (
             f"# Tuned by undeadzone {undeadzone.__version__}: "
             f"{self.what.statistic} {self.what.metric} {before:.4g} -> {after:.4g} "
@@ -164,12 +172,16 @@ class Tuned:
             What was tuned and how, costs, held-out runs and every candidate; null where there is no
             bound.
         """
+        keys = ("name", "low", "high", "log", "start")
+        parameters = []
+        for parameter, value in zip(self.parameters, self.values, strict=True):
+            parameters.append({key: getattr(parameter, key) for key in keys} | {"value": value})
         summary = {
             "titles": [scenario.title for scenario in self.scenarios],
             "metric": self.what.metric,
             "statistic": self.what.statistic,
             "confidence": LEVEL,
-            "parameters": self._plain_parameters(),
+            "parameters": parameters,
             "at_edge": self.at_edge,
             "seed": self.seed,
             "runs": self.what.runs,
@@ -179,23 +191,71 @@ class Tuned:
             "tuning": {"before": self.cost[0], "after": self.cost[1]},
             "held_out": {
                 "seed": self.seed + 1,
-                "change": self.change._asdict(),
-                "scenarios": [_plain_held_out(each) for each in self.held_out],
+                "change": plain(self.change),
+                "scenarios": plain(self.held_out),
             },
             "improved": self.improved,
             "certified": None if self.margin is None else self.certified,
             "margin": self.margin,
-            "history": [_plain_candidate(candidate) for candidate in self.trials],
+            "history": plain(self.trials),
         }
         return dict(finite(summary))
 
-    def _plain_parameters(self) -> list[dict[str, Any]]:
-        """What was tuned, for JSON."""
-        plain = []
-        for p, value in zip(self.parameters, self.values, strict=True):
-            bounds = {"low": p.low, "high": p.high, "log": p.log, "start": p.start}
-            plain.append({"name": p.name, **bounds, "value": value})
-        return plain
+
+def plain(value: Any) -> Any:
+    """Named tuples, and those in tuples, as dictionaries, for JSON."""
+    if hasattr(value, "_asdict"):
+        return {name: plain(part) for name, part in value._asdict().items()}
+    return [plain(part) for part in value] if isinstance(value, tuple) else value
+
+
+def in_words(summary: Mapping[str, Any]) -> dict[str, Any]:
+    """What tuning found, by what it is about.
+
+    Args:
+        summary: of a `Tuned`
+    """
+    shown: dict[str, Any] = {
+        "scenario": summary["titles"][0],
+        "made small": (
+            f"{summary['statistic']} of {summary['metric']}, {summary['runs']} runs, "
+            f"{summary['evaluations']} candidates of {summary['budget']}"
+        ),
+    }
+    for parameter in summary["parameters"]:
+        name = parameter["name"]
+        shown[name] = f"{parameter['value']:.6g} (from {parameter['start']:.6g})"
+        if name in summary["at_edge"]:
+            shown[name] += ", at the end of its range: a wider one may do better"
+    shown |= _gained(summary)
+    if summary["margin"] is not None:
+        yes_no = "yes" if summary["certified"] else "NO"
+        shown["certified"] = f"{yes_no}, margin {summary['margin']:.4g}"
+    return shown
+
+
+def _gained(summary: Mapping[str, Any]) -> dict[str, str]:
+    """What tuning gained, on the runs tuned on and on those held out."""
+    held_out, tuning = summary["held_out"], summary["tuning"]
+    before, after, runs = (held_out["scenarios"][0][key] for key in ("before", "after", "runs"))
+    drawn = f"{runs} runs" if runs > 1 else "one run: nothing differs between them"
+    verdict = "better" if summary["improved"] else "NO improvement that chance could not explain"
+    costs = [number(tuning[name], none="?") for name in ("before", "after")]
+    shown = {
+        "runs tuned on": " -> ".join(costs),
+        "held-out runs": f"{_interval(before['value'])} -> {_interval(after['value'])}, {drawn}",
+        "change": f"{_interval(held_out['change'])}: {verdict}",
+    }
+    lost = before["diverged"]["value"], after["diverged"]["value"]
+    if any(lost):
+        shown["diverged"] = f"{100 * lost[0]:.3g} % -> {100 * lost[1]:.3g} % of the held-out runs"
+    return shown
+
+
+def _interval(interval: Mapping[str, float | None]) -> str:
+    """A value and its interval, an end of which may be unknown."""
+    value, low, high = (number(interval[name], none="?") for name in ("value", "low", "high"))
+    return f"{value} ({low} to {high})"
 
 
 def validate(
@@ -216,10 +276,9 @@ def validate(
         seed: of the runs tuned on
         threads: default one per processor
     """
-    scenarios = tuple(on.scenario(k, np.array(best.point)) for k in range(len(on.scenarios)))
-    pairs = []
-    for scenario, tuned_scenario in zip(on.scenarios, scenarios, strict=True):
-        pairs.append([resolve_scenario(scenario), resolve_scenario(tuned_scenario)])
+    scenarios = tuple(on.scenario(k, np.array(best.values)) for k in range(len(on.scenarios)))
+    before_and_after = zip(on.scenarios, scenarios, strict=True)
+    pairs = [list(map(resolve_scenario, pair)) for pair in before_and_after]
     lost_as_is = [on.losses(k, pair[:1], threads) for k, pair in enumerate(pairs)]
     others = on.redrawn(on.what.held_out, seed + 1)
     lost = [others.losses(k, pair, threads) for k, pair in enumerate(pairs)]
@@ -228,7 +287,7 @@ def validate(
         what=on.what,
         seed=seed,
         parameters=tuned,
-        values=best.point,
+        values=best.values,
         trials=tuple(candidates),
         runs=len(candidates) * sum(each.shape[1] for each in lost_as_is),
         cost=(float(on.scores(lost_as_is)[0]), best.cost),
@@ -242,30 +301,6 @@ def _held_out(name: str, lost: Floats) -> HeldOut:
     """A statistic of losses (2 x runs) before and after."""
     before, after = lost
     return HeldOut(worth(name, before), worth(name, after), before.size)
-
-
-def _plain_held_out(held_out: HeldOut) -> dict[str, Any]:
-    """Held-out runs of one scenario, for JSON."""
-    return {
-        "before": _plain(held_out.before),
-        "after": _plain(held_out.after),
-        "runs": held_out.runs,
-    }
-
-
-def _plain(worth: Worth) -> dict[str, dict[str, float]]:
-    """What numbers are worth, for JSON."""
-    return {name: interval._asdict() for name, interval in worth._asdict().items()}
-
-
-def _plain_candidate(candidate: SimulatedCandidate) -> dict[str, Any]:
-    """A candidate, for JSON."""
-    return {
-        "values": list(candidate.point),
-        "cost": candidate.cost,
-        "margin": candidate.margin,
-        "stage": candidate.stage,
-    }
 
 
 def worth(name: str, lost: Floats) -> Worth:

@@ -1,31 +1,45 @@
-"""Tuning: the numbers of observer and controller that make a metric small over many runs."""
+"""The numbers of observer and controller that make a metric small over many runs.
+
+The search takes the whole box first, then goes down the slope, then around the best.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import contextlib
+import functools
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final, Literal, NamedTuple
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 
-from undeadzone.analysis.certificate.passivity import certify
-from undeadzone.ensemble.addresses import stem
-from undeadzone.errors import InputError, StructureError, UndeadzoneError
-from undeadzone.scenario.problem import Problem, constant_gains, resolve_scenario
+from undeadzone.errors import InputError
+from undeadzone.numerics.optimise import evolve
+from undeadzone.scenario.address import numbers
 from undeadzone.scenario.reader import digests
 from undeadzone.scenario.schema import Scenario
-from undeadzone.scenario.tune_table import TABLE, Tune
+from undeadzone.scenario.tune_table import Tune
 from undeadzone.support import toml
 from undeadzone.support.answers import Answers
-from undeadzone.support.arrays import Floats, scalar
+from undeadzone.support.arrays import Floats, scalar, series
 from undeadzone.support.progress import in_notebook
-from undeadzone.tuning.objective import Frame, certified_margin, objective
-from undeadzone.tuning.parameters import Parameter, named, numbers, parameters, with_numbers
-from undeadzone.tuning.result import Tuned, validate
-from undeadzone.tuning.search import Search, values_at
+from undeadzone.tuning.candidates import Frame, Objective, Problems, objective
+from undeadzone.tuning.parameters import Parameter, checked_parameters, named, values_at, with_gains
+from undeadzone.tuning.result import SimulatedCandidate, Tuned, validate
 
-GAINS = "observer.L"  # the one array that an observer has by default
+PLACES: Final = (0.0, 0.3, 0.7, 1.0)  # shares of a range that are no accident
+# To either side, as a share of a range: wide enough that a reading which changes its side makes no
+# jump of the slope.
+REACH: Final = 1 / 256
+GLOBAL: Final = 0.5  # share of the budget for the search of the whole box
+PATIENCE: Final = 3  # candidates drawn for each that may be simulated: others lack the certificate
+WIDE: Final = 0.25  # first steps of the evolution through the box, as a share of a range
+NARROW: Final = 0.03  # likewise around the best
+FORBIDDEN: Final = 1e200  # cost of a candidate without certificate; one refused costs more
+
+Stage = Literal["start", "global", "gradient", "local"]
 
 
 def tune(
@@ -64,53 +78,49 @@ def tune(
     """
     scenarios = (scenarios,) if isinstance(scenarios, Scenario) else tuple(scenarios)
     what = _checked(scenarios, what)
-    scenarios = tuple([_with_gains(scenario, what) for scenario in scenarios])
+    scenarios = tuple([with_gains(scenario, what) for scenario in scenarios])
     frames = _checked_frames(scenarios, frames)
     seed = _seed(scenarios[0], what)
-    tuned = _parameters(what, scenarios)
+    tuned = checked_parameters(what, scenarios)
     start = np.array([p.share(p.start) for p in tuned])
-    names = [p.name for p in tuned]
-    probes = values_at(tuned, _probes(start))
-    on = objective(what, scenarios, frames, names, probes, what.runs, seed)
-    with in_notebook(progress, "tuning", what.budget, "candidates") as advance:
-        search = Search(on, tuned, [], threads, advance)
-        if keep is None:
-            search.run(start, seed)
-            return validate(on, tuned, search.candidates, search.best, seed, threads)
-        kept = Answers(keep, _problem(scenarios, what, frames, seed), "candidates", resume)
-        with kept.kept():
-            search._replace(kept=kept).run(start, seed)
-            return validate(on, tuned, search.candidates, search.best, seed, threads)
+    together = [np.full(start.size, share) for share in PLACES]
+    probes = [start, *_moved_alone(start, [PLACES] * start.size), *together]
+    points, names = values_at(tuned, np.stack(probes)), [p.name for p in tuned]
+    on = objective(what, scenarios, frames, names, points, what.runs, seed)
+    with (
+        in_notebook(progress, "tuning", what.budget, "candidates") as advance,
+        _answers(on, keep, resume, seed) as kept,
+    ):
+        search = Search(on, tuned, [], threads, advance, kept)
+        search.run(start, seed)
+        return validate(on, tuned, search.candidates, search.best, seed, threads)
 
 
-def _problem(
-    scenarios: Sequence[Scenario], what: Tune, frames: Sequence[Frame], seed: int
-) -> dict[str, Any]:
-    """Everything that the cost of a candidate depends on; the budget is none of it."""
-    return {
-        "scenarios": [toml.dumps(scenario) for scenario in scenarios],
-        "files": [digests(scenario) for scenario in scenarios],
-        "tune": msgspec.to_builtins(msgspec.structs.replace(what, budget=0, held_out=0)),
-        "frames": [list(frame) for frame in frames],
+@contextlib.contextmanager
+def _answers(on: Objective, keep: Path | None, resume: bool, seed: int) -> Iterator[Answers | None]:
+    """What candidates cost, kept in a file; None without one. Arguments as of `tune`."""
+    if keep is None:
+        yield None
+        return
+    problem = {  # everything that the cost of a candidate depends on; the budget is none of it
+        "scenarios": [toml.dumps(scenario) for scenario in on.scenarios],
+        "files": [digests(scenario) for scenario in on.scenarios],
+        "tune": msgspec.to_builtins(msgspec.structs.replace(on.what, budget=0, held_out=0)),
+        "frames": [list(frame) for frame in on.frames],
         "seed": seed,
     }
+    kept = Answers(keep, problem, "candidates", resume)
+    with kept.kept():
+        yield kept
 
 
-def _probes(start: Floats) -> Floats:
-    """Candidates (rows of shares) that move whatever any candidate moves, the start first.
-
-    They are each number alone, and all of them, at places that are no accident.
-    """
-    places = (0.0, 0.3, 0.7, 1.0)
-    probes = [start]
-    for i in range(start.size):
-        for u in places:
-            probe = start.copy()
-            probe[i] = u
-            probes.append(probe)
-    for u in places:
-        probes.append(np.full(start.size, u))
-    return np.vstack(probes)
+def _moved_alone(start: Floats, places: Sequence[Sequence[float] | Floats]) -> list[Floats]:
+    """Points that move each number of a start alone, to each of its places."""
+    points = []
+    for i, values in enumerate(places):
+        for value in values:
+            points.append(np.where(np.arange(start.size) == i, value, start))
+    return points
 
 
 def _checked(scenarios: tuple[Scenario, ...], what: Tune | None) -> Tune:
@@ -155,58 +165,287 @@ def _seed(scenario: Scenario, what: Tune) -> int:
     return seed
 
 
-def _with_gains(scenario: Scenario, what: Tune) -> Scenario:
-    """The scenario with its observer's default L, where L is tuned but left to the method.
+class Evaluation(NamedTuple):
+    """What candidates are worth, or the slopes of it.
 
-    What is tuned of it is moved into its bounds.
+    Attributes:
+        cost: of each, inf where one was not simulated
+        margin: of their certificates, inf where none is asked for
     """
-    named_gains = [address for address in what.entries if stem(address) == GAINS]
-    if not named_gains or getattr(scenario.observer, "L", 0.0) is not None:
-        return scenario
-    problem = resolve_scenario(scenario)
-    gains = constant_gains(problem.observer, problem.model)
-    if gains is None or getattr(scenario.observer, "design", None) is not None:
-        return scenario
-    L = gains[0].ravel() if problem.model.p == 1 else gains[0]
-    observer: Any = scenario.observer
-    scenario = msgspec.structs.replace(scenario, observer=msgspec.structs.replace(observer, L=L))
-    known, moved = numbers(scenario), {}
-    for address in named_gains:
-        low, high = what.entries[address].between
-        for name in named(address, known):
-            value = known[name].value
-            assert value is not None
-            moved[name] = min(max(value, low), high)
-    return with_numbers(scenario, moved)
+
+    cost: Floats
+    margin: Floats
 
 
-def _parameters(what: Tune, scenarios: tuple[Scenario, ...]) -> tuple[Parameter, ...]:
-    """What is tuned, in every scenario, from a start that can be run.
+Evaluate = Callable[[Floats], Evaluation]  # of shares of the ranges (candidates x numbers)
 
-    Raises InputError or a subclass.
+
+class BudgetSpentError(Exception):
+    """The budget is spent."""
+
+
+class Search(NamedTuple):
+    """A search under way.
+
+    Attributes:
+        objective: what is to be made small
+        parameters: what is tuned
+        candidates: those simulated so far, in order; the list grows
+        threads: default one per processor
+        progress: called with the number of candidates just simulated
+        kept: what candidates of an earlier run cost, on disk; None: nothing is kept
     """
-    tuned = parameters(what.entries, scenarios[0])
-    start = {p.name: p.start for p in tuned}
-    for scenario in scenarios:
-        resolve_scenario(scenario)
-        missing = start.keys() - numbers(scenario).keys()
-        if missing:
-            place = TABLE.entry_name(min(missing))
-            raise InputError(f"{place}: scenario {scenario.title!r} has no such number")
-        try:
-            problem = resolve_scenario(with_numbers(scenario, start))
-        except UndeadzoneError as error:
-            words = ", ".join(f"{name} = {value:g}" for name, value in start.items())
-            raise InputError(f"tune: cannot start from {words}: {error}") from None
-        if what.certified:
-            _require_certificates(problem)
-    return tuned
+
+    objective: Objective
+    parameters: tuple[Parameter, ...]
+    candidates: list[SimulatedCandidate]
+    threads: int | None
+    progress: Callable[[int], None] | None
+    kept: Answers | None = None
+
+    @property
+    def best(self) -> SimulatedCandidate:
+        """The cheapest candidate with the certificate, else that of the largest margin."""
+        least = self.objective.what.margin
+        certified = [each for each in self.candidates if each.margin >= least]
+        if certified:
+            return min(certified, key=lambda candidate: candidate.cost)
+        return max(self.candidates, key=lambda candidate: candidate.margin)
+
+    @property
+    def best_shares(self) -> Floats:
+        """Where the best candidate lies in the ranges."""
+        pairs = zip(self.parameters, self.best.values, strict=True)
+        return np.array([parameter.share(value) for parameter, value in pairs])
+
+    def evaluate(self, u: Floats, stage: Stage, until: float = 1.0) -> Evaluation:
+        """What candidates are worth; those that may be simulated are, and are kept.
+
+        Args:
+            u: shares of the ranges (candidates x numbers)
+            stage: of the search
+            until: share of the budget that this stage may spend up to
+
+        Raises:
+            BudgetSpentError: before anything is simulated
+        """
+        what, points = self.objective.what, values_at(self.parameters, u)
+        problems = self.objective.problems(points)
+        margin = self.objective.margins(problems)
+        cost = np.full(len(u), np.inf)
+        chosen, possible = [], []
+        for k, each in enumerate(problems):
+            enough = stage in ("start", "gradient") or margin[k] >= what.margin
+            if each is not None and enough:
+                chosen.append(k)
+                possible.append(each)
+        if len(self.candidates) + len(chosen) > max(until * what.budget, 1):
+            raise BudgetSpentError
+        if chosen:
+            cost[chosen] = self._costs(points[chosen], possible)
+        for k in chosen:
+            point = tuple(points[k].tolist())
+            self.candidates.append(
+                SimulatedCandidate(point, float(cost[k]), float(margin[k]), stage)
+            )
+        if self.progress is not None:
+            self.progress(len(chosen))
+        return Evaluation(cost, margin)
+
+    def _costs(self, points: Floats, problems: list[Problems]) -> Floats:
+        """What candidates cost, computed or kept."""
+        if self.kept is None:
+            return self.objective.costs(problems, self.threads)
+
+        def compute(missing: list[int]) -> Iterator[tuple[int, float]]:
+            wanted = [problems[k] for k in missing]
+            costs = self.objective.costs(wanted, self.threads)
+            yield from zip(missing, costs.tolist(), strict=True)
+
+        return np.array(self.kept.of(points.tolist(), compute))
+
+    def run(self, start: Floats, seed: int) -> None:
+        """Spend the budget from a start, given as shares of the ranges."""
+        what = self.objective.what
+        self.evaluate(start[None], "start")
+        with contextlib.suppress(BudgetSpentError):
+            explore = functools.partial(self.evaluate, stage="global", until=GLOBAL)
+            if start.size == 1:
+                explore(np.linspace(0.0, 1.0, _cells(what) + 1)[:, None])
+            else:
+                _evolve(explore, what, start, seed, WIDE)
+        with contextlib.suppress(BudgetSpentError):
+            if what.statistic == "mean" and not any(p.whole for p in self.parameters):
+                descend = functools.partial(self.evaluate, stage="gradient")
+                _descend(descend, what, self.best_shares, abs(self.best.cost) or 1.0)
+        with contextlib.suppress(BudgetSpentError):
+            polish = functools.partial(self.evaluate, stage="local")
+            _polish(polish, what, self.best_shares, seed)
 
 
-def _require_certificates(problem: Problem) -> None:
-    """Raise InputError or StructureError where no gains of a problem's observer are certified."""
-    certified_margin(problem)
-    model = problem.model
-    proof = certify(model.linear, np.zeros((model.n, model.p)), np.ones(model.p), model.Ts)
-    if proof.reason:
-        raise StructureError(f"tune.certified: no gains can be certified: {proof.reason}")
+def gradient(evaluate: Evaluate, u: Floats) -> tuple[Evaluation, Evaluation]:
+    """(what u is worth, its slopes) by differences over REACH to either side within the box [0, 1].
+
+    All candidates are evaluated in one call. Where a neighbour is refused, u itself stands in for
+    it.
+    """
+    shifts = REACH * np.vstack([np.zeros(u.size), np.eye(u.size), -np.eye(u.size)])
+    sides = np.clip(u + shifts, 0.0, 1.0)
+    worth = evaluate(sides)
+    refused = ~np.isfinite(worth.cost)
+    sides[refused] = u
+    ahead, behind = np.split(sides[1:], 2)
+    reach = np.diagonal(ahead - behind)
+    cost = _slopes(worth.cost, refused, reach)
+    margin = _slopes(worth.margin, refused, reach)
+    return Evaluation(worth.cost[:1], worth.margin[:1]), Evaluation(cost, margin)
+
+
+def _slopes(values: Floats, refused: Floats, reach: Floats) -> Floats:
+    """The slopes of values at u, ahead of it and behind it (1 + 2 d); 0 where `reach` (d) is 0."""
+    ahead, behind = np.split(np.where(refused, values[0], values)[1:], 2)
+    with np.errstate(invalid="ignore"):
+        slopes = (ahead - behind) / np.where(reach > 0, reach, np.inf)
+        return np.nan_to_num(slopes, posinf=0.0, neginf=0.0)
+
+
+def _descend(evaluate: Evaluate, what: Tune, start: Floats, size: float) -> None:
+    """Down the slope within the box and the certificate; size: of the cost, which it divides."""
+    from scipy.optimize import minimize
+
+    least = what.margin + 1e-6  # so that rounding does not cost the certificate
+
+    @functools.cache
+    def at(point: bytes) -> tuple[Evaluation, Evaluation]:
+        return gradient(evaluate, np.frombuffer(point))
+
+    def cost(u: Floats) -> tuple[float, Floats]:
+        worth, slopes = at(u.tobytes())
+        return min(float(worth.cost[0]) / size, FORBIDDEN), slopes.cost / size
+
+    certificate = {
+        "type": "ineq",
+        "fun": lambda u: np.maximum(at(u.tobytes())[0].margin - least, -1e3),
+        "jac": lambda u: at(u.tobytes())[1].margin[None],
+    }
+    method: dict[str, Any] = {"method": "L-BFGS-B"}
+    if what.certified:
+        method = {"method": "SLSQP", "constraints": [certificate]}
+    box = [(0.0, 1.0)] * start.size
+    minimize(cost, start, jac=True, bounds=box, options={"ftol": 1e-5}, **method)
+
+
+def _polish(evaluate: Evaluate, what: Tune, best: Floats, seed: int) -> None:
+    """Around the best, without slopes: between its neighbours on the grid, or by evolution.
+
+    The former is for one number, the latter takes narrow steps.
+    """
+    if best.size > 1:
+        _evolve(evaluate, what, best, seed + 1, NARROW)
+        return
+    cells = _cells(what)
+    for u in best + np.linspace(-1.0, 1.0, cells // 2) / cells:
+        evaluate(np.clip([[u]], 0.0, 1.0))
+
+
+def _cells(what: Tune) -> int:
+    """The cells of the grid over the range of a single number."""
+    return max(int(GLOBAL * what.budget) - 2, 1)
+
+
+def _evolve(evaluate: Evaluate, what: Tune, start: Floats, seed: int, spread: float) -> None:
+    """Evolution until the budget of this stage is spent; spread: of its first steps.
+
+    Candidates without the certificate are not simulated, which costs nothing of the budget.
+    """
+
+    def cost(u: Floats) -> Floats:
+        return _penalised(evaluate(u), what.margin)
+
+    size = 4 + int(3 * np.log(start.size))
+    evolve(
+        cost,
+        np.zeros(start.size),
+        np.ones(start.size),
+        seed % 2**32,
+        size,
+        PATIENCE * what.budget // size,
+        start,
+        spread,
+    )
+
+
+def _penalised(worth: Evaluation, least: float) -> Floats:
+    """The cost of candidates; beyond FORBIDDEN by the lack of margin, for those that lack it."""
+    lack = np.clip(least - worth.margin, 0.0, 1e6)
+    return np.where(worth.margin < least, FORBIDDEN * (1 + lack), worth.cost)
+
+
+class Sweep(NamedTuple):
+    """What a scenario costs over a grid.
+
+    Attributes:
+        axes: values by address
+        cost: the statistic of the metric (an axis for each number); inf where a point is refused
+        margin: of the certificate, in the same shape; inf if it was not asked for
+    """
+
+    axes: dict[str, Floats]
+    cost: Floats
+    margin: Floats
+
+
+def sweep(
+    scenario: Scenario,
+    grid: Mapping[str, npt.ArrayLike],
+    what: Tune | None = None,
+    *,
+    seed: int = 0,
+    threads: int | None = None,
+) -> Sweep:
+    """What a scenario costs at every point of a grid, on runs drawn as its [ensemble] says.
+
+    Args:
+        scenario: with or without the tables [tune] and [ensemble]
+        grid: values by address, such as {"observer.gamma": [1.0, 10.0]}; the first point must be
+            possible
+        what: metric, statistic, number of runs, whether certificates are asked for; default: the
+            [tune] of the scenario
+        seed: of the runs, unless `what` has one
+        threads: on which to compute; default: one per processor
+
+    Returns:
+        The axes, and cost and margin at every point.
+
+    Raises:
+        InputError: or a subclass, for what is wrong with the scenario.
+    """
+    what = what or scenario.tune or Tune()
+    axes = _axes(scenario, grid)
+    meshes = np.meshgrid(*axes.values(), indexing="ij")
+    points = np.stack([mesh.ravel() for mesh in meshes], axis=1)
+    if what.seed is not None:
+        seed = what.seed
+    places = [axis[[0, axis.size // 2, -1]] for axis in axes.values()]
+    probes = np.stack(_moved_alone(points[0], places))
+    on = objective(what, [scenario], [Frame()], list(axes), probes, what.runs, seed)
+    candidates = on.problems(points)
+    possible = {k: problems for k, problems in enumerate(candidates) if problems is not None}
+    cost = np.full(len(points), np.inf)
+    cost[[*possible]] = on.costs([*possible.values()], threads)
+    shape = meshes[0].shape
+    return Sweep(axes, cost.reshape(shape), on.margins(candidates).reshape(shape))
+
+
+def _axes(scenario: Scenario, grid: Mapping[str, npt.ArrayLike]) -> dict[str, Floats]:
+    """The values of each number that the addresses of a grid stand for. Raises InputError."""
+    known = numbers(scenario)
+    axes: dict[str, Floats] = {}
+    for address, values in grid.items():
+        axes |= dict.fromkeys(named(address, known), series(address, values))
+    if not axes:
+        raise InputError(
+            "sweep: nothing to sweep; give values by address, such as "
+            "{'observer.gamma': [1.0, 10.0]}"
+        )
+    return axes

@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from undeadzone.actuator import SIDES, Belief
+from undeadzone.ends.actuator import SIDES, Belief
 from undeadzone.errors import InputError
 from undeadzone.observers import FullState
 from undeadzone.observers.parts.actuated import ESTIMATORS

@@ -157,7 +157,7 @@ def _trace(axes: Axes, trace: Trace) -> None:
 
 def envelope(size: Floats, parts: int = 40) -> Floats:
     """The largest value within each of `parts` spans, at every sample."""
-    spans = np.array_split(np.nan_to_num(size, nan=np.inf), parts)
+    spans = np.array_split(np.nan_to_num(size, nan=np.inf), min(parts, size.size))
     return np.concatenate([np.full(span.size, max(span.max(), 1e-6)) for span in spans])
 
 

@@ -12,11 +12,11 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from undeadzone.actuator import Belief
+from undeadzone.ends.actuator import Belief
 from undeadzone.errors import InputError
-from undeadzone.linear.fast_gain import fast_gain
 from undeadzone.linear.hold import sampled_noise
 from undeadzone.linear.matrices import Matrices
+from undeadzone.linear.riccati import fast_gain
 from undeadzone.observers.parts.claims import Claims
 from undeadzone.observers.parts.prior import width_ranges as ranges
 from undeadzone.plants.system import System

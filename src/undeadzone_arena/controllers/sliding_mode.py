@@ -14,9 +14,8 @@ from undeadzone.catalogue import Options
 from undeadzone.errors import InputError, StepError, StructureError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
-from undeadzone.linear.matrices import Matrices
+from undeadzone.linear.matrices import Matrices, sizes
 from undeadzone.linear.poles import state_gain
-from undeadzone.linear.scaling import sizes
 from undeadzone.plants.system import System
 from undeadzone.plants.time_scales import fastest_pole
 from undeadzone.support.arrays import Array, Floats, nonnegative, scalar, vector

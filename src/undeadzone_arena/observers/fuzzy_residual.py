@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from undeadzone.ends.sensor import Zone
 from undeadzone.interfaces import Observer
 from undeadzone.plants.system import System
-from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, scalar
 from undeadzone_arena.approximators import gaussians
 from undeadzone_arena.observers.parts.learned_residual import LearnedOptions, residual

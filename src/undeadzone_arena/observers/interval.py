@@ -8,15 +8,14 @@ from __future__ import annotations
 import numpy as np
 
 from undeadzone.catalogue import Options
+from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
-from undeadzone.linear.matrices import Matrices
-from undeadzone.linear.scaling import sizes
+from undeadzone.linear.matrices import Matrices, sizes
 from undeadzone.observers.parts.gain import injection
 from undeadzone.observers.parts.prior import FLOOR, width_ranges
 from undeadzone.plants.system import System
 from undeadzone.plants.time_scales import fastest_pole
-from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, Floats, nonnegative, scalar
 from undeadzone_arena.observers.parts.boxes import FAR, Bounds, Boxes
 from undeadzone_arena.observers.parts.interval_step import Params, interval

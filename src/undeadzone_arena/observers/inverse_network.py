@@ -6,9 +6,9 @@ from typing import Any
 
 import casadi as ca
 
+from undeadzone.ends.sensor import Zone
 from undeadzone.interfaces import Observer
 from undeadzone.plants.system import System
-from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, positive
 from undeadzone_arena.approximators import jumps
 from undeadzone_arena.observers.parts.learned_residual import (

@@ -11,6 +11,7 @@ from typing import Any, Literal, NamedTuple
 import casadi as ca
 import numpy as np
 
+from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError
 from undeadzone.interfaces import (
     Estimate,
@@ -21,7 +22,7 @@ from undeadzone.interfaces import (
     in_python,
     numeric_estimate,
 )
-from undeadzone.numerics.doubtful import CLIP
+from undeadzone.numerics.gaussian import CLIP
 from undeadzone.observers.parts.augmented_state import (
     Defaults,
     JointClaims,
@@ -29,11 +30,10 @@ from undeadzone.observers.parts.augmented_state import (
     joint_prior,
     quarter_period,
 )
-from undeadzone.observers.parts.doubt import Doubt, doubt_numbers, glitch_chance, glitch_share
+from undeadzone.observers.parts.claims import Doubt, doubt_numbers, glitch_chance, glitch_share
 from undeadzone.observers.parts.prior import sample_time
 from undeadzone.observers.parts.recovery import LIMIT, TOO_MANY
 from undeadzone.plants.system import System
-from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, Floats, nonnegative, scalar
 from undeadzone_arena.observers.parts import window as horizon
 from undeadzone_arena.observers.parts.tangents import Tangents, model_tangents

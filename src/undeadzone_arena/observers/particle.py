@@ -9,6 +9,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError
 from undeadzone.interfaces import (
     Estimate,
@@ -26,11 +27,10 @@ from undeadzone.observers.parts.augmented_state import (
     joint_prior,
     read,
 )
-from undeadzone.observers.parts.doubt import glitch_reach, glitch_share
+from undeadzone.observers.parts.claims import glitch_reach, glitch_share
 from undeadzone.observers.parts.prior import Prior
 from undeadzone.observers.parts.recovery import LIMIT
 from undeadzone.plants.system import System
-from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Floats, Integers
 
 # A likelihood that few particles meet leaves copies of these few.

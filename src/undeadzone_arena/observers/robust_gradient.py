@@ -11,13 +11,13 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.catalogue import Options
+from undeadzone.ends.sensor import Zone, indicators
 from undeadzone.errors import InputError, StructureError
 from undeadzone.interfaces import Observer, Reading
 from undeadzone.observers.parts.gain import hiding, injection
 from undeadzone.observers.parts.output_error import State, adapted, output_error
 from undeadzone.plants.system import System
 from undeadzone.plants.time_scales import fastest_pole
-from undeadzone.sensor import Zone, indicators
 from undeadzone.support.arrays import Array, Floats, scalar
 
 

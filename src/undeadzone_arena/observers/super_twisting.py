@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.catalogue import Options
+from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError, StructureError
 from undeadzone.interfaces import Observer
 from undeadzone.linear.structure import output_chains
@@ -19,7 +20,6 @@ from undeadzone.observers.parts.gain import injection
 from undeadzone.observers.parts.output_error import adapted, output_error
 from undeadzone.plants.system import System
 from undeadzone.plants.time_scales import fastest_pole
-from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, Floats, vector
 
 # Gains of the recursive differentiator, from the last derivative up.

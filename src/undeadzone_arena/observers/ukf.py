@@ -9,14 +9,13 @@ from typing import Any
 
 import casadi as ca
 
+from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
-from undeadzone.numerics.doubtful import Weighed, settle
-from undeadzone.numerics.gaussian import Gaussian
+from undeadzone.numerics.gaussian import Gaussian, Weighed, settle
 from undeadzone.observers.parts.augmented_state import Defaults, JointClaims, joint_prior
 from undeadzone.observers.parts.gaussian_filter import Params
 from undeadzone.plants.system import System
-from undeadzone.sensor import Zone
 from undeadzone.support.arrays import scalar
 from undeadzone_arena import unscented
 from undeadzone_arena.observers.parts.joint_filter import Sight, joint_filter

@@ -8,16 +8,15 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.catalogue import Options
+from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError, StepError, StructureError
 from undeadzone.interfaces import Observer
-from undeadzone.linear.matrices import Matrices
+from undeadzone.linear.matrices import Matrices, sizes
 from undeadzone.linear.riccati import lyapunov, weight
-from undeadzone.linear.scaling import sizes
 from undeadzone.observers.parts.gain import injection
 from undeadzone.observers.parts.output_error import adapted, output_error
 from undeadzone.plants.system import System
 from undeadzone.plants.time_scales import fastest_pole
-from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, Floats, listed, nonnegative, vector
 
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.analysis.certificate.passivity import Certificate, certify_dynamics
-from undeadzone.analysis.certificate.positive_real import response, worst
+from undeadzone.analysis.certificate.weights import response, worst
 from undeadzone.analysis.dissipation import LEAST
 from undeadzone.analysis.error_dynamics import Dynamics, balance, dynamics
 from undeadzone.errors import StructureError

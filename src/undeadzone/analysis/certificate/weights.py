@@ -1,9 +1,9 @@
 """The weights of the outputs under which error dynamics have the largest margin.
 
-For one A the margin of a W is a least eigenvalue over frequencies, found without a solver. Every
-worst frequency and direction bounds it for all W, by a ratio of linear functions of W: cutting
-planes, in which no P occurs, however far apart the plant's time constants are. For several A one P
-must do, so that W and P are searched together.
+For one A the margin of a W is a least eigenvalue over frequencies, that of D + Herm C (jw - A)^-1
+L, found by level sets: no grid, no solver. Every worst frequency and direction bounds it for all W,
+by a ratio of linear functions of W: cutting planes, in which no P occurs, however far apart the
+plant's time constants are. For several A one P must do, so that W and P are searched together.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from undeadzone.analysis.certificate import positive_real
 from undeadzone.analysis.dissipation import LEAST, Inequality, optimise
 from undeadzone.analysis.error_dynamics import Dynamics
 from undeadzone.numerics.semidefinite import minimise
@@ -21,6 +20,7 @@ from undeadzone.support.arrays import Floats
 SEARCHES: Final = 20  # steps of Dinkelbach's iteration, at most
 CUTS: Final = 200  # rounds of cutting planes, at most
 ENOUGH: Final = 1e-6  # of the margin: how much better another W may be
+TOLERANCE = 1e-11  # of the response's size: how far the least value may lie below the answer
 
 
 class Weights(NamedTuple):
@@ -82,11 +82,11 @@ def _worst(errors: Dynamics, W: Floats) -> tuple[Weights, _Cuts]:
     found, over, under = [], [], []
     for step in errors.steps:
         D = np.eye(root.size) - step / 2
-        G = positive_real.response(A, C * root[:, None], L / root, D, Ts)
-        worst = positive_real.worst(G)
-        found.append(Weights(W, worst.value, G.frequency(worst.w)))
-        v = worst.direction / root
-        plain = positive_real.response(A, C, L, D, Ts).values(np.array([worst.w]))[0]
+        G = response(A, C * root[:, None], L / root, D, Ts)
+        least = worst(G)
+        found.append(Weights(W, least.value, G.frequency(least.w)))
+        v = least.direction / root
+        plain = response(A, C, L, D, Ts).values(np.array([least.w]))[0]
         terms = np.real(v.conj() * (plain @ v)) @ errors.groups, np.abs(v) ** 2 @ errors.groups
         size = max(float(np.abs(terms).max()), LEAST)
         over.append(terms[0] / size)
@@ -177,3 +177,121 @@ def _reached(errors: Dynamics, P: Floats, W: Floats) -> float:
         corner = M[np.ix_(e, e)] - cross.T @ np.linalg.solve(M[np.ix_(rest, rest)], cross)
         least = min(least, float(np.linalg.eigvalsh(-corner / np.sqrt(np.outer(W, W)) / 2)[0]))
     return least
+
+
+class Response(NamedTuple):
+    """G(s) = C (s - A)^-1 L + D with a stable A.
+
+    Attributes:
+        A, C, L, D: its matrices (n x n, p x n, n x p, p x p).
+        Ts: sample time [s] that it was mapped from by Tustin's rule; None in continuous time.
+    """
+
+    A: Floats
+    C: Floats
+    L: Floats
+    D: Floats
+    Ts: float | None = None
+
+    def at(self, w: Floats) -> np.ndarray:
+        """(G + G*)/2 (len(w) x p x p, complex) at frequencies w of the mapped axis.
+
+        Args:
+            w: frequencies [rad/s]; inf is allowed.
+        """
+        G = self.values(w)
+        return np.asarray(G + G.conj().transpose(0, 2, 1)) / 2
+
+    def values(self, w: Floats) -> np.ndarray:
+        """G (len(w) x p x p, complex) at frequencies w of the mapped axis.
+
+        Args:
+            w: frequencies [rad/s]; inf is allowed.
+        """
+        finite = np.isfinite(w)
+        G = np.zeros((w.size, *self.D.shape), complex)
+        s = 1j * w[finite]
+        pencils = s[:, None, None] * np.eye(self.A.shape[0]) - self.A
+        G[finite] = self.C @ np.linalg.solve(pencils, self.L[None].astype(complex))
+        return np.asarray(G + self.D)
+
+    def frequency(self, w: float) -> float:
+        """The true frequency [rad/s] of a frequency of the mapped axis."""
+        return w if self.Ts is None else float(2 * np.arctan(w * self.Ts / 2) / self.Ts)
+
+
+class Worst(NamedTuple):
+    """The least eigenvalue and where it occurs.
+
+    Attributes:
+        value: the eigenvalue.
+        direction: its eigenvector (p, complex).
+        w: frequency on the response's own axis [rad/s].
+    """
+
+    value: float
+    direction: np.ndarray
+    w: float
+
+
+def response(A: Floats, C: Floats, L: Floats, D: Floats, Ts: float | None) -> Response:
+    """D + C (s - A)^-1 L on the imaginary axis.
+
+    Sampled, for A = (Ad - I)/Ts and L = Ld/Ts, Tustin's rule gives the same values there.
+
+    Args:
+        A, C, L, D: its matrices (n x n, p x n, n x p, p x p).
+        Ts: sample time [s]; None in continuous time.
+    """
+    if Ts is None:
+        return Response(A, C, L, D)
+    M = np.linalg.inv(np.eye(A.shape[0]) + Ts / 2 * A)
+    return Response(A @ M, C, M @ M @ L, D - Ts / 2 * C @ M @ L, Ts)
+
+
+def worst(G: Response) -> Worst:
+    """Minimum over w in [0, inf] of the least eigenvalue of Herm G(jw); A must be stable.
+
+    At a level m every frequency where an eigenvalue of Herm G crosses m is the imaginary part of an
+    eigenvalue of the pencil below; the least value at those and halfway between (both means) is the
+    next level, until it falls no further (Boyd and Balakrishnan 1990, Bruinsma and Steinbuch 1990).
+    """
+    A, C, L, D, _ = G
+    n, p = A.shape[0], D.shape[0]
+    poles = np.linalg.eigvals(A)
+    around = np.outer(2.0 ** np.arange(-3, 4), np.abs(poles)).ravel()
+    best = _least(G, np.concatenate([[0.0, np.inf], around, np.abs(poles.imag)]))
+    size = max(float(np.linalg.norm(D)), 1.0)
+    zero = np.zeros((n, n))
+    while True:
+        level = best.value - TOLERANCE * size
+        R = D + D.T - 2 * level * np.eye(p)
+        pencil = np.block([[A, zero, L], [zero, -A.T, -C.T], [C, L.T, R]])
+        crossings = np.append(np.unique(np.abs(_finite_eigenvalues(pencil, 2 * n).imag)), np.inf)
+        a, b = crossings[:-2], crossings[1:-1]
+        lower = _least(G, np.concatenate([crossings, (a + b) / 2, np.sqrt(a * b)]))
+        if not lower.value < level:
+            return best
+        best = lower
+
+
+def _finite_eigenvalues(pencil: Floats, n: int) -> np.ndarray:
+    """Eigenvalues s of pencil - s diag(I_n, 0) that are finite."""
+    A, B = pencil[:n, :n], pencil[:n, n:]
+    C, D = pencil[n:, :n], pencil[n:, n:]
+    least = np.linalg.svd(D, compute_uv=False)[-1]
+    if np.linalg.norm(B) * np.linalg.norm(C) < 1e4 * np.linalg.norm(A) * least:
+        return np.linalg.eigvals(A - B @ np.linalg.solve(D, C))
+    from scipy.linalg import eigvals
+
+    mass = np.diag(np.r_[np.ones(n), np.zeros(D.shape[0])])
+    alpha, beta = eigvals(pencil, mass, homogeneous_eigvals=True)
+    finite = np.abs(beta) > 1e-12 * np.abs(alpha)
+    return np.asarray(alpha[finite] / beta[finite])
+
+
+def _least(G: Response, w: Floats) -> Worst:
+    """The least eigenvalue of Herm G at some frequencies."""
+    values, vectors = np.linalg.eigh(G.at(w))
+    k = int(np.argmin(values[:, 0]))
+    return Worst(float(values[k, 0]), vectors[k, :, 0], float(w[k]))

@@ -1,12 +1,12 @@
 """What readings tell of x, d_r, d_l along a schedule of sides, and what would tell more.
 
 Proofs are in docs/identifiability.md. The unknowns are [x(0); d; beta], d = [right, left] per
-output, beta a constant input bias.
+output, beta a constant input bias. What stays unknown is a subspace, kept as an orthonormal basis.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,10 +15,8 @@ from undeadzone.analysis.error_dynamics import delta, pattern
 from undeadzone.analysis.identifiability.edges import MARGIN as MARGIN
 from undeadzone.analysis.identifiability.edges import Cure as Cure
 from undeadzone.analysis.identifiability.edges import rarely_exact, reaching, unreached
-from undeadzone.analysis.identifiability.subspaces import kernel, unobservable
 from undeadzone.analysis.side_schedule import Schedule
-from undeadzone.linear.matrices import Matrices
-from undeadzone.linear.scaling import sizes
+from undeadzone.linear.matrices import Matrices, sizes
 from undeadzone.signals.exosystem import (
     Disturbance,
     Samples,
@@ -322,3 +320,39 @@ def _confounded(
         rest = "only the width d_r + d_l can be known"
     reason = f"{start}A is singular (an integrator), {rest}"
     return {reason: "let the plant pass a place where z is known"}
+
+
+def kernel(M: Floats, tolerance: float) -> Floats:
+    """Orthonormal basis (n x k) of the kernel of a matrix whose entries are of order 1.
+
+    Args:
+        M: the matrix (rows x n); all is kernel if it is empty.
+        tolerance: singular values up to this count as 0.
+    """
+    if not M.size:
+        return np.eye(M.shape[1])
+    _, singular, rotation = np.linalg.svd(M)
+    return np.asarray(rotation[int((singular > tolerance).sum()) :].T)
+
+
+def unobservable(A: Floats, C: Floats, tolerance: float) -> Floats:
+    """Orthonormal basis (n x k) of the largest A-invariant subspace in the kernel of C.
+
+    Args:
+        A: the system's matrix (n x n), of order 1.
+        C: its outputs (p x n), of order 1.
+        tolerance: singular values up to this count as 0.
+    """
+    U = kernel(C, tolerance)
+    while U.shape[1]:
+        stays = kernel(A @ U - U @ (U.T @ A @ U), tolerance)
+        if stays.shape[1] == U.shape[1]:
+            break
+        U = U @ stays
+    return U
+
+
+def yes_no(verdict: Mapping[str, bool]) -> str:
+    """What can be known of one output: right yes, left NO, ..."""
+    words = {True: "yes", False: "NO"}
+    return ", ".join(f"{name} {words[bool(verdict[name])]}" for name in DIRECTIONS)

@@ -1,11 +1,15 @@
 """Honest verdicts for nonlinear plants: which widths the readings along one run tell, and why not.
 
-docs/identifiability.md says how.
+The plant is linearised along the run. The information that the readings hold of the unknowns
+[x(0); d; beta; theta] is kept as a square root: no product of readings is formed. d = [right, left]
+per output, beta a constant input bias, theta uncertain parameters. docs/identifiability.md says how
+and why.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,21 +23,24 @@ from undeadzone.analysis.identifiability.edges import (
 from undeadzone.analysis.identifiability.information import EXACT
 from undeadzone.analysis.identifiability.linear import (
     DIRECTIONS,
+    PRESENT,
     Invisible,
     Verdict,
     verdicts,
 )
-from undeadzone.analysis.identifiability.linearised_run import symmetric
-from undeadzone.analysis.identifiability.observability import Observability, observability
-from undeadzone.analysis.reading_levels import reading, reading_levels
-from undeadzone.analysis.side_schedule import recorded
+from undeadzone.analysis.identifiability.linearised_run import LinearisedRun, linearised, symmetric
+from undeadzone.analysis.side_schedule import reading, reading_levels, recorded
+from undeadzone.ends.sensor import Zone
 from undeadzone.plants.system import System
-from undeadzone.sensor import Zone
-from undeadzone.support.arrays import Floats
+from undeadzone.support.arrays import Floats, Integers
 
 LIMIT = 1e9  # beyond this a state has diverged
 SHARE = 1e-3  # of the largest change: less is not named
 CURES = "a known start, an absolute reference pulse, a spring or gravity would tell"
+ROUNDING = 1e-12  # singular value, of columns of length 1, of a state that no reading feels
+BLOCK = 64  # steps whose readings are compressed at once, unless
+GROWTH = 5.0  # they may grow more than e^5-fold
+CAP = 1e6  # times what readings weigh in blocks: nothing need be known better, nor may it overflow
 
 
 def verdicts_along(
@@ -177,3 +184,200 @@ def _states(model: System) -> list[str]:
         return [f"x[{j}]" for j in range(model.n)]
     positions = [f"the position of joint {name}" for name in joints]
     return positions + [f"the speed of joint {name}" for name in joints]
+
+
+class Observability(NamedTuple):
+    """What a run tells of the constants c = [d; beta; theta] (2p + b + t), x(0) unknown.
+
+    Attributes:
+        root: root' root is the information matrix of [x(0); c] (N x N).
+        hidden: the changes of c that no reading shows, if x(0) changes by `follow` times that of c.
+        follow: (n x c).
+        singular: shares of the information that c would have with x(0) known, direction by
+            direction, square roots.
+        tolerance: shares up to this count as none.
+        covariance: the least that an unbiased estimator of c has (Cramer-Rao), on the complement of
+            `hidden`.
+    """
+
+    root: Floats
+    hidden: Invisible
+    follow: Floats
+    singular: Floats
+    tolerance: float
+    covariance: Floats
+
+    @property
+    def gap(self) -> tuple[float, float]:
+        """The largest share that counts as none, and the smallest that does not.
+
+        The further apart, the surer.
+        """
+        null = self.singular <= self.tolerance
+        none = float(self.singular[null].max(initial=0.0))
+        return none, float(self.singular[~null].min(initial=np.inf))
+
+    def std(self, i: int) -> dict[str, float]:
+        """Deviations of right, left, width, centre of output i; infinite where no reading tells."""
+        own = slice(2 * i, 2 * i + 2)
+        return self.hidden.deviations(i, self.covariance[own, own])
+
+
+def observability(
+    model: System,
+    x: Floats,
+    u: Floats,
+    side: Floats,
+    step: float,
+    variance: Floats,
+    bias: Floats | None = None,
+    uncertain: Sequence[str] = (),
+    told: Floats | None = None,
+) -> Observability:
+    """The observability Gramian over the noise along a run, as a root, and what it tells.
+
+    Args:
+        model: the plant (n states, m inputs, p outputs).
+        x: states (N x n).
+        u: inputs (N x m).
+        side: +1, 0, -1 of each output (N x p).
+        step: time between two samples [s].
+        variance: of the noise of z (p).
+        bias: directions (m x b) of unknown constant inputs.
+        uncertain: names of unknown parameters.
+        told: what is known of [x(0); d] beforehand (`beforehand`).
+    """
+    n, p = model.n, model.p
+    bias = np.zeros((model.m, 0)) if bias is None else bias
+    run = linearised(model, x, u, step, bias, uncertain)
+    R = root(run, side, variance, n)
+    if told is not None and told.size:
+        R = _told(R, told)
+    scale = _units(R, n, p)
+    states, constants = np.split(R * scale, [n], axis=1)
+    U, s, V = np.linalg.svd(states, full_matrices=False)
+    felt = s > ROUNDING
+    # What changes of x(0) explain of the constants' readings; the rest tells the constants.
+    U, explained = U[:, felt], U[:, felt].T @ constants
+    _, singular, W = np.linalg.svd(constants - U @ explained)
+    known = singular > run.tolerance
+    spread = scale[n:, None] * W[known].T / singular[known]
+    follow = -scale[:n, None] * (V[felt].T / s[felt]) @ explained / scale[n:]
+    hidden = Invisible(W[~known].T, scale[n:], 0, max(PRESENT, 10 * run.tolerance))
+    return Observability(R, hidden, follow, singular, run.tolerance, spread @ spread.T)
+
+
+def _told(R: Floats, told: Floats) -> Floats:
+    """The root with what is known beforehand."""
+    rows = np.pad(told, [(0, 0), (0, R.shape[1] - told.shape[1])])
+    return np.asarray(np.linalg.qr(np.vstack([R, rows]), mode="r"))
+
+
+def _units(R: Floats, n: int, p: int) -> Floats:
+    """Units in which the columns of R have length 1; the widths of an output share theirs."""
+    size = np.linalg.norm(R, axis=0)
+    widths = slice(n, n + 2 * p)
+    size[widths] = np.repeat(size[widths].reshape(p, 2).max(axis=1), 2)
+    return 1 / np.where(size > 0, size, 1.0)
+
+
+def root(run: LinearisedRun, side: Floats, variance: Floats, n: int) -> Floats:
+    """R (N x N), R'R the information on [x(0); d; beta; theta]: backward from block to block.
+
+    Where the plant's growth tells a direction CAP times better than all readings do within their
+    blocks, it is left at that, which hides nothing and changes what the others tell by 1 / CAP^2.
+
+    Args:
+        run: the plant, linearised along the run (K kept samples).
+        side: +1, 0, -1 at every sample (rows x p).
+        variance: of a reading's noise (p).
+        n: how many states there are.
+    """
+    K, p, s = run.outputs.shape
+    N = s + 2 * p
+    if not K:
+        return np.zeros((N, N))
+    growth = float(np.log(np.linalg.norm(run.steps, axis=(1, 2)).max() / np.sqrt(s)))
+    length = int(np.clip(GROWTH / max(growth, 1e-9), 1, BLOCK))
+    weight = _in_blocks(reading_weights(run.kept, side, variance), length)
+    rows, transitions = _block_rows(run, n, length)
+    weighted = rows * weight[..., None]
+    own = np.asarray(np.linalg.qr(weighted.reshape(len(rows), -1, N), mode="r"))
+    return _backward(own, transitions, _moving(n, p, s))
+
+
+def reading_weights(kept: Integers, side: Floats, variance: Floats) -> Floats:
+    """Weights (K x p x 2) of the readings on the [right, left] side nearest to each kept sample.
+
+    A weight is the root of (how many there are / variance).
+
+    Args:
+        kept: the samples (K).
+        side: +1, 0, -1 at every sample (rows x p).
+        variance: of a reading's noise (p).
+    """
+    K = len(kept)
+    if K > 1:
+        side = side[: kept[-1] + max(1, kept[-1] - kept[-2]) // 2 + 1]
+    else:
+        side = side[:1]
+    halfway = (kept[1:] + kept[:-1]) / 2
+    nearest = np.minimum(np.searchsorted(halfway, np.arange(len(side)), "right"), K - 1)
+    first = np.unique(nearest, return_index=True)[1]
+    counts = [np.add.reduceat(side == value, first, axis=0) for value in (1.0, -1.0)]
+    return np.asarray(np.sqrt(np.stack(counts, axis=2) / variance[:, None]))
+
+
+def _in_blocks(values: Floats, length: int) -> Floats:
+    """Values (K x ...) in blocks of that length, the last one filled up with 0."""
+    blocks = -(-len(values) // length)
+    missing = [(0, blocks * length - len(values)), (0, 0), (0, 0)]
+    return np.pad(values, missing).reshape(blocks, length, *values.shape[1:])
+
+
+def _block_rows(run: LinearisedRun, n: int, length: int) -> tuple[Floats, Floats]:
+    """(rows of the readings by the unknowns at their block's start, transition over each block).
+
+    The rows (blocks x length x p x 2 x N) come for the right and the left side.
+    """
+    K, p, s = run.outputs.shape
+    N = s + 2 * p
+    C = _in_blocks(run.outputs, length)
+    blocks = len(C)
+    still = np.broadcast_to(np.eye(s), (blocks * length - K, s, s))
+    F = np.concatenate([run.steps, still]).reshape(blocks, length, s, s)
+    rows = np.zeros((blocks, length, p, 2, N))
+    S = np.broadcast_to(np.eye(s), (blocks, s, s))  # transition from the block's start
+    for k in range(length):
+        rows[:, k, :, :, _moving(n, p, s)] = np.moveaxis((C[:, k] @ S)[:, :, None], 3, 0)
+        S = F[:, k] @ S
+    for i in range(p):
+        rows[:, :, i, 0, n + 2 * i] = -1.0
+        rows[:, :, i, 1, n + 2 * i + 1] = 1.0
+    return rows, S
+
+
+def _moving(n: int, p: int, s: int) -> Integers:
+    """Where [x; beta; theta] (s) stands among the unknowns: all but the widths."""
+    return np.r_[:n, n + 2 * p : s + 2 * p]
+
+
+def _backward(own: Floats, transitions: Floats, moving: Integers) -> Floats:
+    """The root (N x N) of all blocks' information, from the last block to the first.
+
+    Args:
+        own: root of each block's own information (blocks x rows x N).
+        transitions: over each block (blocks x s x s), of the unknowns `moving`.
+        moving: which unknowns these are (s of N).
+    """
+    N = own.shape[2]
+    size = np.linalg.norm(own, axis=(0, 1))
+    size = np.where(size > 0, np.maximum(size, 1e-9 * size.max()), 1.0)
+    total, T = np.zeros((0, N)), np.eye(N)
+    for block in range(len(own))[::-1]:
+        T[np.ix_(moving, moving)] = transitions[block]
+        later = total @ (T * size[:, None] / size)
+        both = np.vstack([later, own[block] / size])
+        _, singular, V = np.linalg.svd(both, full_matrices=False)
+        total = np.minimum(singular, CAP)[:, None] * V
+    return np.pad(total * size, [(0, N - len(total)), (0, 0)])

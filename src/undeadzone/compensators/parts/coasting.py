@@ -2,7 +2,7 @@
 
 A perfect inverse never lets the actuator fall silent, and then one combination of the four widths
 cannot be seen (docs/actuator.md). So coast where the output is well visible and the widths are not
-yet known.
+yet known. The inverse, and which widths it uses, stands here too.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.catalogue import Options
+from undeadzone.ends.actuator import Belief, Drive
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate, Reading
 from undeadzone.plants.system import System
@@ -125,3 +126,31 @@ def coasted(
     left = ca.if_else(begins, q.coast, s.left - 1)
     idle = ca.if_else(begins, q.every, s.idle - 1)
     return State(left, idle, s.count + 1, peak), ca.if_else(left > 0, 0.0, u)
+
+
+def known_drive(belief: Belief | None) -> Drive:
+    """The believed actuator. Raises InputError where there is none."""
+    if belief is None:
+        raise InputError(
+            "compensator: there is no actuator to compensate; add [actuator] or [model.actuator]"
+        )
+    return belief.drive
+
+
+def beyond(drive: Drive, estimate: Estimate) -> tuple[Any, Any]:
+    """(b_r^, b_l^) (m each): those of the observer, else those that are believed."""
+    if estimate.actuator_right_std.shape[0]:
+        return estimate.actuator_right, estimate.actuator_left
+    return drive.right, drive.left
+
+
+def inverted(drive: Drive, v: Any, right: Any, left: Any) -> Any:
+    """The command u (m) for which v (m) enters the plant: v / m_r + b_r, v / m_l - b_l, or 0.
+
+    Args:
+        drive: the believed actuator, for its slopes.
+        v: what shall enter (m).
+        right, left: b_r, b_l, or the part of them that is added (m) [u].
+    """
+    u = ca.if_else(v > 0, v / drive.slope_right + right, 0.0)
+    return u + ca.if_else(v < 0, v / drive.slope_left - left, 0.0)

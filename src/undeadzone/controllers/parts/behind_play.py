@@ -14,12 +14,12 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from undeadzone.ends.sensor import Zone, offset, side
 from undeadzone.errors import InputError, StructureError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
 from undeadzone.linear.poles import state_gain
 from undeadzone.plants.system import System
-from undeadzone.sensor import Zone, offset, side
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats, scalar
 

@@ -6,21 +6,30 @@ building the scenario with other values of the key, and checked at the scenario'
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from typing import Any
 
 import msgspec
 import numpy as np
 
-from undeadzone.exports.page.slider import Range, Slider, nice, slider_of
-from undeadzone.exports.page.variation import varied
-from undeadzone.scenario.problem import Problem
+from undeadzone.errors import UndeadzoneError
+from undeadzone.exports.page.slider import TICKS, Range, Slider, nice, slider_of
+from undeadzone.interfaces import graph_of
+from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.signals.exosystem import Sine, Sines, Step
 from undeadzone.simulation.loop import Loop
+from undeadzone.simulation.packed import graph, moved, packed
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 
 RESOLVED = 40  # steps of the run in a period, at least
+EXACT = 1e-9  # relative error of the polynomial at a further value
+HALVINGS = 4  # of a slider's range, where its end is refused
+
+Change = Callable[[float], Scenario]  # value of a key -> the scenario with that value
+Moves = list[tuple[int, float, float]]  # as of `Slider`
 
 
 def sliders(problem: Problem, loop: Loop, sizes: Floats) -> list[Slider]:
@@ -39,7 +48,8 @@ def sliders(problem: Problem, loop: Loop, sizes: Floats) -> list[Slider]:
         noise = float(problem.sensor.noise[0])
         most = nice(max(4 * noise, 0.05 * float(sizes.max())))
         wanted = Range("noise", "noise of the reading", _unit(scenario), noise, 0.0, most)
-        made += varied(problem, loop, wanted, _with_noise)
+        noisy = functools.partial(scenario.replace, "sensor.noise")
+        made += _varied(problem, loop, wanted, noisy)
     made += _mismatch(problem, loop)
     return _apart(made)
 
@@ -122,12 +132,12 @@ def _learning(problem: Problem, loop: Loop) -> list[Slider]:
     if np.ptp(base) == 0:
         own, unit = float(base.flat[0]), "1/s"
 
-    def change(scenario: Scenario, value: float) -> Scenario:
+    def change(value: float) -> Scenario:
         observer = msgspec.structs.replace(options, gamma=base * (value / own))
-        return msgspec.structs.replace(scenario, observer=observer)
+        return msgspec.structs.replace(problem.scenario, observer=observer)
 
     wanted = Range("gamma", "learning gain", unit, own, 0.0, nice(4 * own))
-    return varied(problem, loop, wanted, change)
+    return _varied(problem, loop, wanted, change)
 
 
 def _mismatch(problem: Problem, loop: Loop) -> list[Slider]:
@@ -142,10 +152,65 @@ def _mismatch(problem: Problem, loop: Loop) -> list[Slider]:
     return [slider_of(wanted, moves)] if moves else []
 
 
-def _with_noise(scenario: Scenario, value: float) -> Scenario:
-    """The scenario with another noise of the reading."""
-    sensor = msgspec.structs.replace(scenario.sensor, noise=value)
-    return msgspec.structs.replace(scenario, sensor=sensor)
+def _varied(problem: Problem, loop: Loop, wanted: Range, change: Change) -> list[Slider]:
+    """The slider of a key, its range cut to where the scenario is accepted; none if it fits none.
+
+    Args:
+        problem: the checked parts of the scenario.
+        loop: its closed loop.
+        wanted: what the slider may take.
+        change: gives the scenario with a value of the key.
+    """
+    for least in (wanted.least, wanted.most / TICKS):  # 0 may be another kind of scenario
+        accepted = _accepted(wanted._replace(least=least), change)
+        moves = _moves(problem, loop, accepted, change)
+        if moves is not None:
+            return [slider_of(accepted, moves)]
+    return []
+
+
+def _accepted(wanted: Range, change: Change) -> Range:
+    """The range with its upper end brought down to where the scenario is accepted."""
+    for _ in range(HALVINGS):
+        if _possible(change, wanted.most) is not None:
+            break
+        wanted = wanted._replace(most=(wanted.most + wanted.value) / 2)
+    return wanted
+
+
+def _possible(change: Change, value: float) -> Problem | None:
+    """The scenario with another value of a key; None where it is refused, or is no graph."""
+    try:
+        problem = resolve_scenario(change(value))
+        graph_of(problem.observer)
+    except UndeadzoneError:
+        return None
+    return problem
+
+
+def _moves(problem: Problem, loop: Loop, wanted: Range, change: Change) -> Moves | None:
+    """How the numbers of the loop change with a key within a range.
+
+    None where it does more than move them by polynomials of degree two.
+    """
+    between = 0.37 * wanted.least + 0.63 * wanted.most
+    points = np.array([wanted.least, wanted.most, between])
+    possible = [_possible(change, float(value)) for value in points]
+    others = [other for other in possible if other is not None]
+    same = all(graph(other) == graph(problem) for other in others)
+    if not same or len(others) < len(points) or wanted.most <= wanted.value:
+        return None
+    own, known = tree.pack(loop.params), np.stack([packed(other, loop)[1] for other in others])
+    moves = []
+    matrix = np.vander(points, 3, increasing=True)
+    for place in moved(loop, known).tolist():
+        a, b, c = np.linalg.solve(matrix, known[:, place])
+        size = float(np.abs(known[:, place]).max())
+        if abs(a + b * wanted.value + c * wanted.value**2 - own[place]) > EXACT * size:
+            return None
+        square = 0.0 if abs(c) * points.max() ** 2 < 1e-12 * size else float(c)
+        moves.append((place, float(b), square))
+    return moves
 
 
 def _place(loop: Loop, name: str) -> int:

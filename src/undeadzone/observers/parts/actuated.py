@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.actuator import Belief, through_zone, within_limits, within_rate
+from undeadzone.ends.actuator import Belief, through_zone, within_limits, within_rate
+from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate, Observer, Reading
 from undeadzone.plants.system import System
-from undeadzone.sensor import Zone
 from undeadzone.support import tree
 
 ESTIMATORS = ("auto", "censored", "kalman")  # of an actuator's widths, of a load's friction

@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from undeadzone.ends.sensor import Zone
 from undeadzone.interfaces import Estimate, Reading, estimate
 from undeadzone.numerics.gaussian import Gaussian, linearise
 from undeadzone.observers.parts.prior import Prior
 from undeadzone.plants.system import System, held
-from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Floats
 
 
@@ -40,7 +40,7 @@ class Augmentation(NamedTuple):
         parameters: places of the model's parameters that the last unknowns change, and that an
             estimate shows.
         constants: how many of the last unknowns are errors of the model, which never change.
-        zones: how many of the last unknowns are widths of actuators (`unknown_actuator`).
+        zones: how many of the last unknowns are widths of actuators (`further_constants`).
     """
 
     params: Any

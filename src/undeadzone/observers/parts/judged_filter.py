@@ -1,10 +1,13 @@
 """A filter that says whether the readings fit its claims, and shows wider intervals if not.
 
-The mathematics is in docs/filters.md.
+Sums of normalised innovations are too large where something lasts that nobody claimed. Beside its
+estimate such a filter says how well it foretold, as banks and watches take it. The mathematics is
+in docs/filters.md.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -13,13 +16,91 @@ import numpy as np
 
 from undeadzone.interfaces import Estimate, Observer, Reading, Traits
 from undeadzone.observers.parts.gaussian_filter import Params
-from undeadzone.observers.parts.innovation_sums import FAR, Sums, summed
-from undeadzone.observers.parts.member import Member, Step
 from undeadzone.plants.system import System
 
+FAR = 4.5  # standard deviations beyond which an innovation says nothing of a constant
 NO_TRAITS = Traits()
 REFUTED = 3.0  # of what is taken for chance: beyond it, a claim that knows no constant is false
 LOST = 0.5  # share of refused readings beyond which nothing is known any more
+
+
+class Sums(NamedTuple):
+    """What is kept of innovations.
+
+    Attributes:
+        total: fading sum of the normalised innovations.
+        count: what its variance is if the claims are true.
+        ratio: slow mean of total^2 / count, 1 if the claims are true.
+    """
+
+    total: Any
+    count: Any
+    ratio: Any
+
+
+def summed(before: Sums, nu: Any, counted: Any, fade: Any, keep: Any) -> Sums:
+    """The sums after one more sample.
+
+    Args:
+        before: the sums before it.
+        nu: normalised innovations, 0 where none counts.
+        counted: whether one counts.
+        fade: share of the sum that is left after a step.
+        keep: share of the mean of its squares that is left after a step.
+    """
+    total = fade * before.total + nu
+    count = fade**2 * before.count + counted
+    square = total**2 / ca.fmax(count, 1.0)
+    ratio = ca.if_else(count > 1, keep * before.ratio + (1 - keep) * square, before.ratio)
+    return Sums(total, count, ratio)
+
+
+class Step(NamedTuple):
+    """What a filter makes of one sample.
+
+    Attributes:
+        state: its state at the next sample.
+        estimate: what it shows.
+        log: log of the density with which it foretold the reading, up to a constant (1).
+        trust: probability that the reading was not wrong (p).
+        fits: 1 where the widths lie in their claimed ranges, or may do so, else 0 (1).
+        restarted: whether it lost its state and begins anew (1).
+        opened: whether it opened its belief, for most readings were refused (1).
+    """
+
+    state: Any
+    estimate: Estimate
+    log: Any
+    trust: Any
+    fits: Any
+    restarted: Any
+    opened: Any
+
+
+class Member(NamedTuple):
+    """A filter as pure functions on CasADi expressions, before its readings are judged.
+
+    Attributes:
+        params: its numbers, `Params`.
+        init: init(params) is the state at t = 0.
+        step: step(params, state, u, reading) is a `Step`.
+        smoothing: what a smoother of a whole log asks, `Smoothing`; None: nothing smooths it.
+    """
+
+    params: Any
+    init: Callable[[Any], Any]
+    step: Callable[[Any, Any, Any, Reading], Step]
+    smoothing: Any = None
+
+
+def log_density(e: Any, std: Any) -> Any:
+    """The log of the density of the readings that were used, up to a constant.
+
+    Args:
+        e: innovations (p); one of 0 was not used.
+        std: their standard deviations (p).
+    """
+    return ca.sum1(ca.if_else(e != 0, -((e / std) ** 2) / 2 - ca.log(std), 0.0))
 
 
 class Record(NamedTuple):

@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from undeadzone.ends.sensor import Zone, offset, present
 from undeadzone.interfaces import Estimate, Observer, Reading, Traits, estimate
 from undeadzone.observers.parts.motion import heard_by_motion
 from undeadzone.observers.parts.prior import silence_gate
 from undeadzone.observers.parts.width_laws import GRADIENT, Edge, Law
 from undeadzone.plants.system import System
-from undeadzone.sensor import Zone, offset, present
 from undeadzone.support.arrays import Floats
 
 

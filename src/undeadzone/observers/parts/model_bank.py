@@ -13,7 +13,7 @@ import numpy as np
 
 from undeadzone.interfaces import Estimate, Reading
 from undeadzone.numerics.gaussian import Gaussian
-from undeadzone.observers.parts.member import Member, Step
+from undeadzone.observers.parts.judged_filter import Member, Step
 from undeadzone.observers.parts.smoothing import Moments, Smoothing
 from undeadzone.support import tree
 

@@ -17,11 +17,11 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from undeadzone.ends.play import ticked
+from undeadzone.ends.sensor import Zone, present, side
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate, Observer, Reading, exact
 from undeadzone.plants.system import System
-from undeadzone.play import ticked
-from undeadzone.sensor import Zone, present, side
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 

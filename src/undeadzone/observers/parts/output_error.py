@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from undeadzone.ends.sensor import Zone, deadzone, jump, present
 from undeadzone.errors import InputError
 from undeadzone.interfaces import (
     Estimate,
@@ -21,9 +22,8 @@ from undeadzone.interfaces import (
     estimate,
     no_further,
 )
-from undeadzone.observers.parts.widths import bounded_widths
+from undeadzone.observers.parts.width_laws import bounded_widths
 from undeadzone.plants.system import System
-from undeadzone.sensor import Zone, deadzone, jump, present
 from undeadzone.support.arrays import Array, Floats, nonnegative
 
 

@@ -6,12 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from undeadzone.ends.gaps import largest_gap
+from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.gaps import largest_gap
 from undeadzone.interfaces import Traits
 from undeadzone.plants.system import System
 from undeadzone.plants.time_scales import state_units, time_scale
-from undeadzone.sensor import Zone
 from undeadzone.support.arrays import Array, Floats, array, nonnegative, scalar, vector
 
 FLOOR = 1e-3  # least noise that is assumed, in claimed ranges of the widths

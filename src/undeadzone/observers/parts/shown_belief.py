@@ -6,11 +6,11 @@ from typing import Any, Literal, NamedTuple
 
 import casadi as ca
 
+from undeadzone.ends.sensor import Zone
 from undeadzone.interfaces import Estimate
 from undeadzone.numerics.gaussian import Gaussian, from_upper, truncate_to
 from undeadzone.observers.parts.gaussian_filter import Augmentation, Params
 from undeadzone.plants.system import System
-from undeadzone.sensor import Zone
 
 FAR = 4.5  # standard deviations beyond its range from which a width refutes its claims
 

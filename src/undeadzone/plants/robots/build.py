@@ -1,12 +1,14 @@
 """From `plant.arm` to a plant.
 
 Its states are x = [q; v], its inputs the joints' torques, its outputs their positions or
-velocities.
+velocities. There are arms in the plane x-y with one and two links (Spong, Hutchinson, Vidyasagar:
+Robot Modeling and Control, 2006, section 7.4), elastic joints, where a motor moves a link through a
+spring (Spong 1987) and a sensor sees one of the two, and the arms of URDF files.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import casadi as ca
@@ -14,13 +16,13 @@ import numpy as np
 
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.plants.options import Plant
-from undeadzone.plants.robots import elastic, planar
-from undeadzone.plants.robots.arm import Arm, Chain, acceleration, arm, numbers, torque
+from undeadzone.plants.robots.arm import Arm, Chain, Numbers, acceleration, arm, numbers, torque
 from undeadzone.plants.robots.options import URDF, ArmOptions, ElasticJoint, OneLink, Rigid
 from undeadzone.plants.system import Flat, System, linearise
 from undeadzone.support.arrays import Floats, array, positive, scalar, vector
 
 POSTURES = 8  # random ones, in which the mass matrix is checked
+POSITIVE = "mlIJk"  # first letters of masses, lengths, inertias and a spring's stiffness
 
 
 def robot(plant: Plant, options: ArmOptions, key: str) -> System:
@@ -35,7 +37,7 @@ def robot(plant: Plant, options: ArmOptions, key: str) -> System:
         InputError: or a subclass, that names the key.
     """
     if isinstance(options, ElasticJoint):
-        return elastic.elastic(plant, options, key)
+        return elastic(plant, options, key)
     return _rigid(plant, options, key)
 
 
@@ -102,8 +104,8 @@ def _chain(options: Rigid, plant: Plant, key: str) -> Chain:
         from undeadzone.plants.robots import urdf
 
         return urdf.chain(options.path, options.joints, options.tip, options.gravity)
-    chain = planar.one_link() if isinstance(options, OneLink) else planar.two_link()
-    planar.check(planar.changed(chain.parameters, plant.parameters), key)
+    chain = one_link() if isinstance(options, OneLink) else two_link()
+    check(changed(chain.parameters, plant.parameters), key)
     return chain
 
 
@@ -164,3 +166,228 @@ def _require_mass(body: Arm, params: Floats, key: str) -> None:
                 f"{key}.parameters: the arm's mass matrix is singular or negative ({span}): "
                 "give every link mass and inertia"
             )
+
+
+def one_link() -> Chain:
+    """One link; q from the x axis, gravity along -y.
+
+    Parameters: m mass [kg], l length [m], c centre of mass from the joint [m], I inertia about that
+        centre
+    [kg m^2], g gravity [m/s^2] (0: a horizontal table). Their values are those of a uniform rod, c
+    = l / 2 and I = m l^2 / 12; changing one of them does not change the others.
+    """
+
+    def mass(p: Numbers, q: Any) -> Any:
+        return p["I"] + p["m"] * p["c"] ** 2
+
+    def bias(p: Numbers, q: Any, v: Any) -> Any:
+        return p["m"] * p["c"] * p["g"] * ca.cos(q)
+
+    return _planar_chain({"m": 1.2, "l": 0.5, "c": 0.25, "I": 0.025, "g": 9.81}, ("l",), mass, bias)
+
+
+def two_link() -> Chain:
+    """Two links; q1 from the x axis, q2 from the first link, gravity along -y.
+
+    Parameters, of link i = 1, 2: mi mass [kg], li length [m], ci centre of mass from joint i [m],
+    Ii inertia about that centre [kg m^2]; g gravity [m/s^2] (0: a horizontal table, on which q1 is
+    cyclic). Their values are those of uniform rods, ci = li / 2 and Ii = mi li^2 / 12; changing one
+    of them does not change the others.
+    """
+
+    def mass(p: Numbers, q: Any) -> Any:
+        cross = p["m2"] * p["l1"] * p["c2"] * ca.cos(q[1])
+        outer = p["I2"] + p["m2"] * p["c2"] ** 2
+        inner = p["I1"] + p["m1"] * p["c1"] ** 2 + p["m2"] * p["l1"] ** 2
+        return ca.blockcat([[inner + outer + 2 * cross, outer + cross], [outer + cross, outer]])
+
+    def bias(p: Numbers, q: Any, v: Any) -> Any:
+        swing = p["m2"] * p["l1"] * p["c2"] * ca.sin(q[1])
+        outer = p["m2"] * p["c2"] * p["g"] * ca.cos(q[0] + q[1])
+        inner = (p["m1"] * p["c1"] + p["m2"] * p["l1"]) * p["g"] * ca.cos(q[0])
+        first = inner + outer - swing * v[1] * (2 * v[0] + v[1])
+        return ca.vertcat(first, outer + swing * v[0] ** 2)
+
+    masses = {"m1": 3.0, "m2": 2.0}
+    lengths = {"l1": 0.4, "l2": 0.3, "c1": 0.2, "c2": 0.15}
+    inertias = {"I1": 0.04, "I2": 0.015}
+    numbers = masses | lengths | inertias | {"g": 9.81}
+    return _planar_chain(numbers, ("l1", "l2"), mass, bias)
+
+
+def changed(parameters: Mapping[str, float], changes: Mapping[str, float]) -> dict[str, float]:
+    """The parameters of a chain, with the changes to them; changes of other names are left out."""
+    return {name: changes.get(name, value) for name, value in parameters.items()}
+
+
+def check(parameters: Mapping[str, float], key: str = "plant") -> None:
+    """Raise InputError unless all numbers are finite and those of `POSITIVE` positive.
+
+    Those are masses, lengths, inertias and stiffness. Then the mass matrix is positive definite in
+    every position.
+
+    Args:
+        parameters: numbers by name.
+        key: name of the table of `parameters` in messages.
+    """
+    for name, value in parameters.items():
+        scalar(f"{key}.parameters.{name}", value, above=0.0 if name[0] in POSITIVE else None)
+
+
+def _planar_chain(
+    parameters: dict[str, float],
+    lengths: tuple[str, ...],
+    mass: Callable[[Numbers, Any], Any],
+    bias: Callable[[Numbers, Any, Any], Any],
+) -> Chain:
+    """A chain of links in the plane, without limits or friction; lengths: names of link lengths."""
+    N = len(lengths)
+
+    def points(p: Numbers, q: Any) -> Any:
+        angle = ca.cumsum(q)  # of each link from the x axis
+        length = ca.vertcat(*[p[name] for name in lengths])
+        links = ca.horzcat(length * ca.cos(angle), length * ca.sin(angle), ca.DM.zeros(N))
+        return ca.vertcat(ca.DM.zeros(1, 3), ca.cumsum(links, 0))
+
+    free = np.full(N, np.inf)
+    return Chain(
+        joints=tuple(f"q{i + 1}" for i in range(N)),
+        parameters=parameters,
+        mass=mass,
+        bias=bias,
+        points=points,
+        turn=_turn,
+        gravity=_gravity,
+        plane=(0, 1),
+        limits=np.outer(free, [-1, 1]),
+        torque=free,
+        speed=free,
+        friction=np.zeros((2, N)),
+    )
+
+
+def _turn(p: Numbers, q: Any) -> Any:
+    """Rotation matrix (3 x 3) of the last link, whose angle is the sum of the joints'."""
+    angle = ca.sum1(q)
+    return ca.blockcat(
+        [[ca.cos(angle), -ca.sin(angle), 0], [ca.sin(angle), ca.cos(angle), 0], [0, 0, 1]]
+    )
+
+
+def _gravity(p: Numbers) -> Any:
+    """Gravity along -y (3) [m/s^2]."""
+    return ca.vertcat(0, -p["g"], 0)
+
+
+def joint() -> Chain:
+    """Motor and link as a chain of two angles [motor; link], both from the x axis.
+
+    The motor's inertia J, a spring of stiffness k, and `one_link`. Parameters: those of the link, J
+    motor inertia [kg m^2] and k [N m/rad]. Friction of the motor (b1, f1) and of the link (b2, f2)
+    comes with `arm`. Points and turn are the link's; at [motor; motor] they are those of a motor's
+    hand of the same length.
+    """
+    link = one_link()
+
+    def mass(p: Numbers, q: Any) -> Any:
+        return ca.diagcat(p["J"], link.mass(p, q[1]))
+
+    def bias(p: Numbers, q: Any, v: Any) -> Any:
+        spring = p["k"] * (q[0] - q[1])
+        return ca.vertcat(spring, link.bias(p, q[1], v[1]) - spring)
+
+    return link._replace(
+        joints=("motor", "link"),
+        parameters=link.parameters | {"J": 0.05, "k": 50.0},
+        mass=mass,
+        bias=bias,
+        points=lambda p, q: link.points(p, q[1]),
+        turn=lambda p, q: link.turn(p, q[1]),
+        limits=np.repeat(link.limits, 2, axis=0),
+        torque=np.repeat(link.torque, 2),
+        speed=np.repeat(link.speed, 2),
+        friction=np.repeat(link.friction, 2, axis=1),
+    )
+
+
+def elastic(plant: Plant, options: ElasticJoint, key: str = "plant") -> System:
+    """The plant of an elastic joint.
+
+    x = [motor angle; link angle; their speeds], u = the motor's torque [N m], z = the angle of
+    `options.measured` less `reference` [rad]. Its path coordinate is the link's angle: with no
+    damper beside the spring, four derivatives of it give state and torque exactly. It is linearised
+    at x_eq, by default where the motor holds the link still at its angle in x0, with u_eq that
+    holds it.
+
+    Args:
+        plant: the plant in words.
+        options: the arm of the plant.
+        key: name of the plant in messages.
+
+    Raises:
+        InputError: or a subclass, that names the key.
+    """
+    body = arm(joint(), scalar(f"{key}.arm.rest", options.rest, above=0.0))
+    check(changed(body.chain.parameters, plant.parameters), key)
+    params = numbers(body.names, body.values, plant.parameters, key)
+    offset = scalar(f"{key}.arm.reference", options.reference)
+    limit = np.inf
+    if options.torque_max is not None:
+        limit = scalar(f"{key}.arm.torque_max", options.torque_max, above=0.0)
+
+    def move(p: Any, x: Any, u: Any) -> Any:
+        q, v = x[:2], x[2:]
+        return ca.vertcat(v, acceleration(body, p, q, v, ca.vertcat(u, 0)))
+
+    def output(p: Any, x: Any) -> Any:
+        return x[body.chain.joints.index(options.measured)] - offset
+
+    solve = _inverse(body)
+    x_eq, u_eq = _elastic_equilibrium(plant, params, solve, key)
+    linear = linearise(key, move, output, params, x_eq, u_eq)
+    return System(
+        params,
+        move,
+        output,
+        linear,
+        nonlinear=True,
+        arm=body,
+        flat=Flat(4, solve),
+        limit=np.array([limit]),
+        names=body.names,
+    )
+
+
+def _elastic_equilibrium(
+    plant: Plant, params: Floats, solve: ca.Function, key: str
+) -> tuple[Floats, Floats]:
+    """(x_eq, u_eq): as given, or where the motor holds the link still at its angle in x0."""
+    at = "x0" if plant.x_eq is None else "x_eq"
+    state = getattr(plant, at)
+    x: Floats = np.zeros(4)
+    if state is not None:
+        why = "the angles of motor and link, then their speeds"
+        x = vector(f"{key}.{at}", state, 4, why)
+    at_rest = x[1] * np.eye(1, 5)  # the link's angle, its derivatives 0
+    still, hold = (np.asarray(part).ravel() for part in solve(params, at_rest))
+    x_eq = x if at == "x_eq" else still
+    u_eq = hold if plant.u_eq is None else vector(f"{key}.u_eq", plant.u_eq, 1, "one per input")
+    return x_eq, u_eq
+
+
+def _inverse(body: Arm) -> ca.Function:
+    """(params, the link's angle and four derivatives of it (1 x 5)) -> (x, u).
+
+    The link's equation gives the motor's angle, the motor's the torque.
+    """
+    p, path = ca.SX.sym("p", len(body.names)), ca.SX.sym("path", 1, 5)
+
+    def rate(value: Any) -> Any:
+        return ca.jtimes(value, path[:, :-1], path[:, 1:])
+
+    q, v, a = path[0], path[1], path[2]
+    spring = torque(body, p, ca.vertcat(q, q), ca.vertcat(v, v), ca.vertcat(a, a))[1]
+    motor = q + spring / p[body.names.index("k")]
+    x = ca.vertcat(motor, q, rate(motor), v)
+    u = torque(body, p, x[:2], x[2:], ca.vertcat(rate(rate(motor)), a))[0]
+    return ca.Function("inverse", [p, path], [x, u], {"cse": True})

@@ -14,11 +14,9 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.errors import FileError, InputError
-from undeadzone.plants.robots.adam_model import algorithms
 from undeadzone.plants.robots.arm import Chain, Numbers
-from undeadzone.plants.robots.frames import Frames, straightened
-from undeadzone.plants.robots.urdf_elements import MOVABLE, Joint
-from undeadzone.plants.robots.urdf_file import Robot, read, suggest
+from undeadzone.plants.robots.frames import Frames, algorithms, straightened
+from undeadzone.plants.robots.urdf_elements import MOVABLE, Joint, Robot, read, suggest
 from undeadzone.support.arrays import Array, Floats, vector
 
 

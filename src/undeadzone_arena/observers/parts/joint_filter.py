@@ -8,12 +8,17 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
+from undeadzone.ends.sensor import Zone, present
 from undeadzone.interfaces import Observer, Reading, no_further
-from undeadzone.numerics.doubtful import Weighed, together
-from undeadzone.numerics.gaussian import Gaussian, symmetric
-from undeadzone.observers.parts.augmented_state import JointPrior, read
-from undeadzone.observers.parts.doubt import doubt_numbers, glitch_share
-from undeadzone.observers.parts.even_states import counted_prior, even_units, shown_states
+from undeadzone.numerics.gaussian import Gaussian, Weighed, symmetric, together
+from undeadzone.observers.parts.augmented_state import (
+    JointPrior,
+    counted_prior,
+    even_units,
+    read,
+    shown_states,
+)
+from undeadzone.observers.parts.claims import doubt_numbers, glitch_share
 from undeadzone.observers.parts.gaussian_filter import (
     Params,
     filter_numbers,
@@ -22,12 +27,10 @@ from undeadzone.observers.parts.gaussian_filter import (
     to_estimate,
     white,
 )
-from undeadzone.observers.parts.judged_filter import judged
-from undeadzone.observers.parts.member import Member, Step
+from undeadzone.observers.parts.judged_filter import Member, Step, judged
 from undeadzone.observers.parts.recovery import Patience, patient, reopened, sound
 from undeadzone.observers.parts.shown_belief import clipped
 from undeadzone.plants.system import System, in_units
-from undeadzone.sensor import Zone, present
 
 Sight = Callable[[Any], Any]
 """From [x; d_r; d_l] to the reading y_i / m_i without noise."""

@@ -1,1 +1,0 @@
-"""Blocks of runs: kept on disk, resumed, spread over processes."""

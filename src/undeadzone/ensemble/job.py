@@ -1,0 +1,144 @@
+"""Work for an ensemble: a row of numbers for each run, in blocks of runs.
+
+Blocks are shared out among processes in batches of about a second; few batches wait at a time.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager
+from queue import Empty, SimpleQueue
+from typing import Any, NamedTuple, Protocol
+
+from undeadzone.support.arrays import Floats
+
+LONGEST = 1.5  # [s] of a batch
+SHORTEST = 0.1  # [s] of a batch: below it, the few ms that sharing out takes are no longer few
+LARGEST = 2**24  # [bytes] of a batch's rows
+AHEAD = 2  # batches for each thread: one at work, one waiting
+PATIENCE = 20.0  # [s] without a result until it matters whether anybody is at work
+
+
+class Layout(NamedTuple):
+    """The shape of the rows of a job, and what determines their numbers.
+
+    Attributes:
+        runs: number of rows
+        columns: names of the columns
+        block: runs in a block; the last block may be shorter
+        problem: everything that the numbers depend on besides the number of runs and the versions
+            of packages, by name
+    """
+
+    runs: int
+    columns: tuple[str, ...]
+    block: int
+    problem: dict[str, str | int | float]
+
+    @property
+    def blocks(self) -> int:
+        """The number of blocks."""
+        return -(-self.runs // self.block)
+
+    def within(self, block: int) -> slice:
+        """The runs of a block."""
+        return slice(block * self.block, min((block + 1) * self.block, self.runs))
+
+
+class Job(Protocol):
+    """Work cut into blocks: the rows of a block (runs x columns) depend on its index alone."""
+
+    @property
+    def layout(self) -> Layout:
+        """What the blocks make up."""
+
+    def block(self, index: int, threads: int | None = None) -> Floats:
+        """The rows of one block; callable from several threads.
+
+        Args:
+            index: of the block
+            threads: on which to compute; default: one per processor
+        """
+
+
+class Pool(NamedTuple):
+    """Processes that compute batches.
+
+    Attributes:
+        threads: the number of batches that they compute at once.
+        submit: takes the blocks of a batch, returns a future of what `compute` returns.
+        failures: a context that raises their own failures as ClusterError.
+        require_work: raises ClusterError where nobody is at work.
+    """
+
+    threads: Callable[[], int]
+    submit: Callable[[Sequence[int]], Any]
+    failures: Callable[[], AbstractContextManager[None]]
+    require_work: Callable[[], None]
+
+
+def results(pool: Pool, blocks: Sequence[int]) -> Iterator[tuple[int, Floats]]:
+    """(block, its rows) as they are computed, in any order.
+
+    Args:
+        pool: who computes.
+        blocks: to be computed.
+
+    Raises:
+        ClusterError: where the pool fails
+
+    What a block raises there is raised here.
+    """
+    finished: SimpleQueue[Any] = SimpleQueue()
+    running: dict[Any, Sequence[int]] = {}  # the blocks of each batch, by its future
+    submitted = 0  # number of blocks
+    seconds, size = float("inf"), 1  # of a block: [s], [bytes]
+    while submitted < len(blocks) or running:
+        with pool.failures():
+            threads = max(1, pool.threads())
+            while submitted < len(blocks) and len(running) < AHEAD * threads:
+                count = batch_size(seconds, size, len(blocks) - submitted, threads)
+                batch = blocks[submitted : submitted + count]
+                submitted += len(batch)
+                future = pool.submit(batch)
+                running[future] = batch
+                future.add_done_callback(finished.put)
+            future = _next(pool, finished)
+            elapsed, rows = future.result()
+        batch = running.pop(future)
+        seconds = max(elapsed, 1e-6) / len(batch)
+        size = rows[0].nbytes
+        yield from zip(batch, rows, strict=True)
+
+
+def batch_size(seconds: float, size: int, left: int, threads: int) -> int:
+    """The number of blocks in the next batch.
+
+    It is about `LONGEST` of work, less towards the end so that all threads end together.
+
+    Args:
+        seconds: that a block takes [s]
+        size: of the rows of a block [bytes]
+        left: number of blocks that are in no batch yet
+        threads: on which batches are computed
+    """
+    share = left // (AHEAD * threads)
+    enough = max(share, int(SHORTEST / seconds))
+    return max(1, min(int(LONGEST / seconds), LARGEST // size, enough))
+
+
+def compute(job: Job, blocks: Sequence[int]) -> tuple[float, list[Floats]]:
+    """The seconds that blocks took, and their rows."""
+    began = time.perf_counter()
+    rows = [job.block(block, threads=1) for block in blocks]
+    return time.perf_counter() - began, rows
+
+
+def _next(pool: Pool, finished: SimpleQueue[Any]) -> Any:
+    """The next batch that is done. Raises ClusterError where none comes and nobody is at work."""
+    while True:
+        try:
+            return finished.get(timeout=PATIENCE)
+        except Empty:
+            pool.require_work()

@@ -1,0 +1,254 @@
+"""Rows on disk, block by block: a job stopped at any moment (Ctrl-C, kill -9, power) can go on.
+
+One file holds a header that says of what, then the columns one after the other, then a checksum for
+each block, written after its rows. A block counts as done if its checksum is that of its rows; so
+nothing that was torn or lost is trusted.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import os
+from itertools import zip_longest
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from undeadzone.ensemble.job import Layout
+from undeadzone.errors import FileError, InputError, ShapeError
+from undeadzone.support.arrays import Floats
+from undeadzone.support.files import open_kept, writing
+from undeadzone.support.stopped import lock
+from undeadzone.support.versions import versions
+
+PAGE = 4096  # [bytes] the columns begin at a multiple of it
+NUMBER = 8  # [bytes] of a float64 and of a checksum
+OTHER_HEADER = 2**20  # [bytes] that the header of another problem may be longer
+
+
+class Store(NamedTuple):
+    """An open store, locked against other processes.
+
+    Attributes:
+        path: of its file
+        layout: of the rows
+        file: open for reading and writing
+        start: where the columns begin [bytes]
+        done: which blocks it holds
+    """
+
+    path: Path
+    layout: Layout
+    file: io.FileIO
+    start: int
+    done: npt.NDArray[np.bool_]
+
+    @property
+    def missing(self) -> list[int]:
+        """The blocks that it does not hold."""
+        return [int(block) for block in np.flatnonzero(~self.done)]
+
+    @property
+    def runs_done(self) -> int:
+        """The number of runs that it holds."""
+        last = self.layout.within(self.layout.blocks - 1)
+        runs = int(self.done.sum()) * self.layout.block
+        if self.done[-1]:
+            runs -= self.layout.block - (last.stop - last.start)
+        return runs
+
+    def put(self, block: int, rows: Floats) -> None:
+        """Keep the rows of a block (its runs x columns).
+
+        Raises ShapeError, and FileError (disk full, file removed).
+        """
+        runs = self.layout.within(block)
+        count, width = runs.stop - runs.start, len(self.layout.columns)
+        if rows.shape != (count, width):
+            shape = " x ".join(map(str, rows.shape))
+            raise ShapeError(f"block {block}: expected {count} x {width}, found {shape}")
+        columns = np.ascontiguousarray(rows.T, "<f8")
+        if not os.fstat(self.file.fileno()).st_nlink:
+            raise FileError(f"{self.path}: cannot write: it was removed")
+        checksums = _start_of_checksums(self.start, self.layout)
+        with writing(self.path):
+            for index, column in enumerate(columns):
+                offset = _start_of_rows(self.start, self.layout, index, block)
+                _write(self.file, offset, column.tobytes())
+            _write(self.file, checksums + block * NUMBER, _checksum(block, columns.tobytes()))
+        self.done[block] = True
+
+    def columns(self) -> dict[str, Floats]:
+        """The columns by name (runs each), read from the file as they are used.
+
+        Raises InputError while blocks are missing.
+        """
+        layout = self.layout
+        if not self.done.all():
+            left = f"{layout.runs - self.runs_done} of {layout.runs} runs"
+            raise InputError(f"{self.path}: {left} are missing; resume it first")
+        shape = (len(layout.columns), layout.runs)
+        numbers = np.memmap(self.file, "<f8", "r", self.start, shape)
+        return dict(zip(layout.columns, numbers, strict=True))
+
+    def close(self) -> None:
+        """Close and unlock; the file stays."""
+        self.file.close()
+
+    def remove(self) -> None:
+        """Delete the file, its results being kept elsewhere."""
+        with writing(self.path):
+            self.path.unlink(missing_ok=True)
+        self.close()
+
+
+def start(path: Path, layout: Layout, resume: bool = False) -> Store:
+    """Open a store, or make one where there is none.
+
+    Args:
+        path: of its file
+        layout: of the rows
+        resume: take up what an earlier run left there
+
+    Raises:
+        FileError: where it cannot be written, another process uses it, the file is something else,
+            or it is there and `resume` is not set
+        InputError: where it holds another problem
+    """
+    header = _header(layout)
+    file = open_kept(path, "r+")
+    try:
+        lock(path, file)
+        there = _read(file, 0, len(header) + OTHER_HEADER)
+        fresh = not there.strip(b"\0")
+        if not fresh:
+            _check(path, there, header, resume)
+        size = _start_of_checksums(len(header), layout) + layout.blocks * NUMBER
+        with writing(path):
+            _allocate(path, file, size, fresh)
+            if fresh:
+                _write(file, 0, header)
+            return Store(path, layout, file, len(header), _done(file, len(header), layout))
+    except BaseException:
+        file.close()
+        raise
+
+
+def _header(layout: Layout) -> bytes:
+    """What determines the numbers, as a line of JSON in whole pages."""
+    words = {
+        "ensemble": 1,
+        "runs": layout.runs,
+        "columns": layout.columns,
+        "block": layout.block,
+        **layout.problem,
+        **versions(),
+    }
+    line = json.dumps(words).encode() + b"\n"
+    pages = -(-len(line) // PAGE)
+    return line.ljust(pages * PAGE, b"\0")
+
+
+def _check(path: Path, beginning: bytes, header: bytes, resume: bool) -> None:
+    """Raise FileError or InputError for a file that cannot be continued.
+
+    Args:
+        path: of the file
+        beginning: of its bytes
+        header: as a file of this job begins
+        resume: whether it is to be continued
+    """
+    try:
+        there = json.loads(beginning.partition(b"\n")[0])
+        here = json.loads(header.partition(b"\n")[0])
+        there["ensemble"]
+        differing = [key for key in here | there if there.get(key) != here.get(key)]
+        differences = [_difference(key, there.get(key), here.get(key)) for key in differing]
+    except (ValueError, TypeError, AttributeError, KeyError):
+        raise FileError(
+            f"{path}: is not an unfinished ensemble; choose another name or delete it"
+        ) from None
+    if not resume:
+        raise FileError(
+            f"{path}: an unfinished ensemble is there; continue it with --resume, "
+            "or delete it to start anew"
+        )
+    if differences:
+        raise InputError(
+            f"{path}: holds another problem ({'; '.join(differences)}); "
+            "delete it to start anew, or choose another name"
+        )
+
+
+def _difference(key: str, there: object, here: object) -> str:
+    """The first lines in which two values differ."""
+    was, now = there, here
+    lines = zip_longest(str(there).splitlines(), str(here).splitlines(), fillvalue="nothing")
+    for line_there, line_here in lines:
+        if line_there != line_here:
+            was, now = line_there, line_here
+            break
+    return f"{key}: {was!s:.60} there, {now!s:.60} here"
+
+
+def _done(file: io.FileIO, start: int, layout: Layout) -> npt.NDArray[np.bool_]:
+    """Which blocks of a file have the checksum of their rows."""
+    checksums = _read(file, _start_of_checksums(start, layout), layout.blocks * NUMBER)
+    done = np.zeros(layout.blocks, bool)
+    for block in np.flatnonzero(np.frombuffer(checksums, "<u8")).tolist():
+        runs = layout.within(block)
+        size = (runs.stop - runs.start) * NUMBER
+        columns = range(len(layout.columns))
+        offsets = [_start_of_rows(start, layout, column, block) for column in columns]
+        rows = b"".join(_read(file, offset, size) for offset in offsets)
+        kept = checksums[block * NUMBER : (block + 1) * NUMBER]
+        done[block] = _checksum(block, rows) == kept
+    return done
+
+
+def _start_of_rows(start: int, layout: Layout, column: int, block: int) -> int:
+    """Where the numbers of a block begin in a column [bytes]."""
+    return start + (column * layout.runs + layout.within(block).start) * NUMBER
+
+
+def _start_of_checksums(start: int, layout: Layout) -> int:
+    """Where the checksums begin [bytes]."""
+    return start + len(layout.columns) * layout.runs * NUMBER
+
+
+def _checksum(block: int, data: bytes) -> bytes:
+    """The checksum of the rows of a block, which also tells blocks apart."""
+    return hashlib.blake2b(data, digest_size=NUMBER, salt=block.to_bytes(16, "little")).digest()
+
+
+def _allocate(path: Path, file: io.FileIO, size: int, fresh: bool) -> None:
+    """Take the disk space now, so that a disk too small is noticed before hours of work."""
+    try:
+        if fresh:
+            file.truncate(0)
+        if hasattr(os, "posix_fallocate"):
+            os.posix_fallocate(file.fileno(), 0, size)
+        else:
+            file.truncate(size)
+    except BaseException:
+        if fresh:
+            path.unlink(missing_ok=True)
+        raise
+
+
+def _write(file: io.FileIO, offset: int, data: bytes) -> None:
+    """Write all of some bytes, in as many calls as the system asks for."""
+    file.seek(offset)
+    view = memoryview(data)
+    while view:
+        view = view[file.write(view) :]
+
+
+def _read(file: io.FileIO, offset: int, size: int) -> bytes:
+    """Some bytes, or as many as there are."""
+    file.seek(offset)
+    return file.read(size)

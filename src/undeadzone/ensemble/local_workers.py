@@ -1,0 +1,237 @@
+"""Blocks computed by processes of this computer, which are spoken to through pipes.
+
+No port is opened, so nobody else can give them work. A batch of a worker that dies is computed
+again by another one. A worker is this module's `main`: it computes the batches that come through
+its standard input, sends answers through what was its standard output, and ends when its input
+does, so that it does not outlive the process that started it.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, nullcontext, suppress
+from queue import SimpleQueue
+from typing import Any, BinaryIO, Final, NamedTuple
+
+from undeadzone.ensemble.job import Job, Pool, compute
+from undeadzone.errors import ClusterError
+from undeadzone.support.arrays import Floats
+
+STOPPED: Final = "local workers: stopped"
+DEATHS: Final = 4  # workers that may die at the same blocks before these are given up
+# What a worker is started with. -P: it does not import from the folder that it is started in,
+# but from where this process imports.
+BEGIN: Final = (
+    "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); "
+    "from undeadzone.ensemble.local_workers import main; main()"
+)
+
+
+class _Crew(NamedTuple):
+    """The workers.
+
+    Attributes:
+        payload: the pickled function that prepares the job.
+        idle: those without work; None once all are stopped.
+        every: all that were started and have not died.
+        lock: held while one is started.
+        closed: set once no more may be started.
+    """
+
+    payload: bytes
+    idle: SimpleQueue[subprocess.Popen[bytes] | None]
+    every: list[subprocess.Popen[bytes]]
+    lock: threading.Lock
+    closed: threading.Event
+
+
+@contextmanager
+def pool(prepare: Callable[[], Job], workers: int) -> Iterator[Pool]:
+    """Local workers; in the end all are stopped, whatever they do.
+
+    Args:
+        prepare: gives the job; picklable, such as a `functools.partial` of a function of an
+            importable module
+        workers: number of processes
+
+    Raises:
+        ClusterError: where workers die at the same blocks again and again
+    """
+    crew = _Crew(pickle.dumps(prepare), SimpleQueue(), [], threading.Lock(), threading.Event())
+    waiting = ThreadPoolExecutor(workers)  # a thread for each worker that is at work
+    try:
+        for _ in range(workers):
+            _hire(crew)
+        yield Pool(
+            threads=lambda: workers,
+            submit=lambda batch: waiting.submit(_computed, crew, workers, batch),
+            failures=nullcontext,
+            require_work=lambda: None,  # a death ends the batch's future
+        )
+    finally:
+        _dismiss(crew, workers)
+        waiting.shutdown(cancel_futures=True)
+        for worker in crew.every:
+            _end(worker)
+
+
+def _computed(crew: _Crew, workers: int, blocks: Sequence[int]) -> tuple[float, list[Floats]]:
+    """What `job.compute` returns on a worker. Raises what it raises there, or ClusterError."""
+    for _ in range(DEATHS):
+        worker = crew.idle.get()
+        if worker is None:
+            raise ClusterError(STOPPED)
+        try:
+            answer = _asked(worker, blocks)
+        except (OSError, EOFError, pickle.UnpicklingError):
+            _bury(crew, worker)
+            _hire(crew)
+            continue
+        crew.idle.put(worker)
+        if isinstance(answer, BaseException):
+            raise answer
+        return answer
+    raise ClusterError(
+        f"{workers} local workers: {DEATHS} workers died one after the other at the same blocks; "
+        "out of memory?"
+    )
+
+
+def _asked(worker: subprocess.Popen[bytes], blocks: Sequence[int]) -> Any:
+    """A worker's answer. Raises OSError, EOFError or UnpicklingError where it died."""
+    assert worker.stdin is not None
+    assert worker.stdout is not None
+    pickle.dump(list(blocks), worker.stdin)
+    worker.stdin.flush()
+    return pickle.load(worker.stdout)
+
+
+def _hire(crew: _Crew) -> None:
+    """Start a worker. Raises ClusterError where that cannot be, or is over."""
+    with crew.lock:
+        if crew.closed.is_set():
+            raise ClusterError(STOPPED)
+        worker = _started()
+        crew.every.append(worker)
+    with suppress(OSError):  # one that died already is noticed when it is asked
+        _instruct(worker, crew.payload)
+    crew.idle.put(worker)
+
+
+def _instruct(worker: subprocess.Popen[bytes], payload: bytes) -> None:
+    """Tell a worker where to import from, and its job."""
+    assert worker.stdin is not None
+    pickle.dump(sys.path, worker.stdin)
+    pickle.dump(payload, worker.stdin)
+    worker.stdin.flush()
+
+
+def _started() -> subprocess.Popen[bytes]:
+    """A new process, deaf to Ctrl-C: that is for this process, which then stops its workers."""
+    command = [sys.executable, "-P", "-c", BEGIN]
+    try:
+        if sys.platform == "win32":
+            return subprocess.Popen(
+                command,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                creationflags=subprocess.CREATE_NEW_PROCESS_GROUP,
+            )
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # children inherit it
+        try:
+            return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    except OSError as error:
+        raise ClusterError(f"local workers: cannot be started: {error.strerror}") from None
+
+
+def _bury(crew: _Crew, worker: subprocess.Popen[bytes]) -> None:
+    """Forget a worker that died, or that talks nonsense."""
+    with crew.lock:
+        if worker in crew.every:
+            crew.every.remove(worker)
+    _end(worker)
+
+
+def _dismiss(crew: _Crew, threads: int) -> None:
+    """Stop all workers, and start no more; threads: how many wait for a worker at most."""
+    with crew.lock:
+        crew.closed.set()
+        for worker in crew.every:
+            worker.kill()
+    for _ in range(threads):
+        crew.idle.put(None)
+
+
+def _end(worker: subprocess.Popen[bytes]) -> None:
+    """Kill a worker, wait for its end, close its pipes; nobody else may be using them."""
+    worker.kill()
+    worker.wait()
+    for pipe in (worker.stdin, worker.stdout):
+        if pipe is not None:
+            with suppress(OSError):  # what could not be sent any more
+                pipe.close()
+
+
+def main() -> None:
+    """Answer every batch with what `job.compute` returns, or with what it raises."""
+    answers = _own_stdout()
+    payload = pickle.load(sys.stdin.buffer)
+    asked: SimpleQueue[Any] = SimpleQueue()
+    threading.Thread(target=_listen, args=(sys.stdin.buffer, asked), daemon=True).start()
+    answer = _first(payload)
+    while True:
+        answers.write(answer(asked.get()))
+        answers.flush()
+
+
+def _own_stdout() -> BinaryIO:
+    """What was standard output, for answers alone; what others print goes to standard error."""
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    return answers
+
+
+def _listen(requests: BinaryIO, asked: SimpleQueue[Any]) -> None:
+    """Pass on the batches that come; end the process, even at work, when there is no more."""
+    try:
+        while True:
+            asked.put(pickle.load(requests))
+    except BaseException:  # the process at the other end has gone
+        os._exit(0)
+
+
+def _first(payload: bytes) -> Callable[[list[int]], bytes]:
+    """A function of a batch that gives the pickled answer."""
+    try:
+        job: Job = pickle.loads(payload)()
+    except BaseException as error:
+        refusal = _pickled(error)
+        return lambda blocks: refusal
+    return lambda blocks: _answer(job, blocks)
+
+
+def _answer(job: Job, blocks: list[int]) -> bytes:
+    """The pickled answer to a batch."""
+    try:
+        return pickle.dumps(compute(job, blocks))
+    except BaseException as error:
+        return _pickled(error)
+
+
+def _pickled(error: BaseException) -> bytes:
+    """An exception as bytes; in other words where it cannot be read back."""
+    try:
+        content = pickle.dumps(error)
+        pickle.loads(content)
+    except Exception:
+        content = pickle.dumps(ClusterError(f"a local worker: {type(error).__name__}: {error}"))
+    return content

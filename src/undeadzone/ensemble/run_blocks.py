@@ -1,0 +1,111 @@
+"""Compute what is missing of an ensemble, here or on a cluster, and keep each block as it comes."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Generator, Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+from undeadzone.ensemble import journal
+from undeadzone.ensemble.job import Job, results
+from undeadzone.errors import InputError
+from undeadzone.support import stopped
+from undeadzone.support.arrays import Floats
+from undeadzone.support.progress import silent
+
+
+def run(
+    prepare: Callable[[], Job],
+    path: Path,
+    *,
+    resume: bool = False,
+    workers: int | None = None,
+    cluster: str | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> journal.Store:
+    """Compute a job and keep its rows in a store on disk.
+
+    Whatever stops it (Ctrl-C, SIGTERM, an error) says what is kept. The bits are the same wherever
+    they are computed.
+
+    Args:
+        prepare: gives the job; picklable where workers or a cluster compute
+        path: of the store
+        resume: keep the blocks that an earlier run left there
+        workers: number of local processes that compute; default: this one
+        cluster: address of a Dask cluster that computes instead
+        progress: called with the number of runs just done
+
+    Returns:
+        The complete store: read its `columns` inside `keeping`, then `remove` it once they are
+        elsewhere, or `close` it.
+
+    Raises:
+        InputError or a subclass: FileError, ClusterError
+    """
+    _require_one(workers, cluster)
+    job = prepare()
+    store = journal.start(path, job.layout, resume)
+    report = progress or silent
+    with keeping(store):
+        if store.runs_done:
+            report(store.runs_done)
+        with closing(_results(prepare, job, store.missing, workers, cluster)) as blocks:
+            for block, rows in blocks:
+                store.put(block, rows)
+                report(len(rows))
+    return store
+
+
+@contextmanager
+def keeping(store: journal.Store) -> Iterator[None]:
+    """Close the store if something stops what is done inside.
+
+    What stops it then says what is kept; a store without runs is removed.
+    """
+    with stopped.keeping(functools.partial(_leave, store)):
+        yield
+
+
+def _require_one(workers: int | None, cluster: str | None) -> None:
+    """Raise InputError for both workers and a cluster, or for no number of workers."""
+    both = workers is not None and cluster is not None
+    if both or (workers is not None and workers < 1):
+        raise InputError(
+            "workers, cluster: expected a number of local processes, 1 or more, or an address; "
+            f"found {workers} and {cluster}"
+        )
+
+
+def _results(
+    prepare: Callable[[], Job],
+    job: Job,
+    blocks: list[int],
+    workers: int | None,
+    cluster: str | None,
+) -> Generator[tuple[int, Floats], None, None]:
+    """(block, its rows) as they are computed."""
+    if workers is not None:
+        from undeadzone.ensemble import local_workers
+
+        with local_workers.pool(prepare, min(workers, max(1, len(blocks)))) as pool:
+            yield from results(pool, blocks)
+    elif cluster is not None:
+        from undeadzone.ensemble import dask_cluster
+
+        with dask_cluster.pool(prepare, cluster) as pool:
+            yield from results(pool, blocks)
+    else:
+        for block in blocks:
+            yield block, job.block(block)
+
+
+def _leave(store: journal.Store) -> str:
+    """Close a store, or remove one without runs, and say what it holds."""
+    if not store.runs_done:
+        store.remove()
+        return ""
+    store.close()
+    runs = f"{store.runs_done} of {store.layout.runs} runs"
+    return f"{runs} are kept in {store.path}; continue with --resume"

@@ -1,0 +1,343 @@
+"""From the addresses of [ensemble] to the packed numbers of the loop that they set in each run.
+
+Where the loop holds a number of the sensor is found by building it again with other numbers.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Final, NamedTuple
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+
+from undeadzone.ends.sensor import resolve
+from undeadzone.errors import InputError
+from undeadzone.observers.parts.actuated import built
+from undeadzone.plants.robots.arm import signless
+from undeadzone.plants.time_scales import pace
+from undeadzone.scenario.address import entries_there, index_of, matching, similar, stem
+from undeadzone.scenario.ensemble_table import (
+    POSITIVE,
+    CheckedDistribution,
+    Distribution,
+    entry_name,
+    spread,
+)
+from undeadzone.scenario.problem import Problem, known_sensor
+from undeadzone.signals.exosystem import Random, Signal, Sine, Step, Trapezoid
+from undeadzone.simulation.loop import Loop
+from undeadzone.simulation.packed import packed
+from undeadzone.support import tree
+from undeadzone.support.arrays import Floats
+
+FIXED: Final = (
+    *("h", "controller.tau", "controller.rate"),  # set by the clock, never varied
+    *("sensor.limits.low", "sensor.limits.high"),  # sensor.range, where they exist
+)
+PARAMETRIC: Final = ("plant", "observer.model", "controller.model")  # hold NAME of parameters
+PER_SECOND: Final = ("observer.L", "observer.gamma")  # held per step by the loop of a sampled model
+NOT_NEGATIVE: Final = (
+    *("sensor.right", "sensor.left", "sensor.play", "sensor.threshold"),
+    *("sensor.noise", "sensor.noise_before", "disturbance.rms", "observer.gamma"),
+)
+ABOVE_ZERO: Final = ("sensor.slope", "sensor.range")  # the lower limit, below 0, by a factor alone
+SCALES: Final = {
+    "scale.reference": "reference.scale",
+    "scale.disturbance": "disturbance.scale",
+    "scale.before": "sensor.noise_before",
+    "scale.after": "sensor.noise",
+}
+TINY: Final = 1e-200  # in place of a number that is 0
+
+
+class Quantity(NamedTuple):
+    """A number that may vary.
+
+    Attributes:
+        nominal: its value in the scenario, in the scenario's unit
+        slots: where it stands among the packed numbers [params, state] of the loop
+        gain: the packed numbers are gain times the value
+        least: the least value that it may have
+    """
+
+    nominal: float
+    slots: tuple[int, ...]
+    gain: float = 1.0
+    least: float = -np.inf
+
+
+class UncertainNumber(NamedTuple):
+    """One number that is drawn for each run.
+
+    Attributes:
+        name: its column, such as `sensor.right[0]` or `plant.A[1,0] (relative)`
+        spread: its distribution
+        slots: pairs (slot of the packed [params, state], factor); it sets each slot to the factor
+            times its value
+    """
+
+    name: str
+    spread: CheckedDistribution
+    slots: tuple[tuple[int, float], ...]
+
+
+def quantities(problem: Problem, loop: Loop, nominal: Floats) -> dict[str, Quantity]:
+    """Every quantity of a problem, by address, in the order of the loop's packed numbers.
+
+    Args:
+        problem: the scenario, checked and built
+        loop: its loop
+        nominal: the packed params, with plants that are held sampled in continuous time
+    """
+    of_sensor = _places_of_sensor(problem, loop)
+    renamed = {slots[0]: address for address, slots in of_sensor.items()}
+    fixed = [*FIXED, *_meaningless(problem)]
+    by_address: dict[str, Quantity] = {}
+    for slot, (name, value) in enumerate(zip(tree.names(loop.params), nominal, strict=True)):
+        if stem(name) in fixed and slot not in renamed:
+            continue
+        address = renamed.get(slot) or _address(problem, name)
+        slots, gain = of_sensor.get(address, (slot,)), 1.0
+        if stem(name) in PER_SECOND and problem.model.Ts is not None:
+            gain = problem.model.Ts
+        by_address[address] = Quantity(value / gain, slots, gain, _least(problem, address))
+    for i, x in enumerate(problem.x0):
+        by_address[f"plant.x0[{i}]"] = Quantity(x, (nominal.size + i,))
+    return by_address | _amplitudes(problem, by_address)
+
+
+def _places_of_sensor(problem: Problem, loop: Loop) -> dict[str, tuple[int, ...]]:
+    """Where the packed params hold each width, gap, threshold and limit of the sensor, by address.
+
+    The sensor's own place comes first, then those where its observer holds the same number: widths
+    if it knows them, gaps unless [model] tells them. They are where the number stands in a loop
+    that is built with other numbers, all of them different.
+    """
+    others = _other_numbers(problem)
+    scenario, p, model = problem.scenario, problem.plant.p, problem.model
+    sensor = msgspec.structs.replace(scenario.sensor, **others)
+    told = known_sensor(msgspec.structs.replace(scenario, sensor=sensor))
+    step, rate = scenario.simulation.step, pace(problem.flow.linear)
+    observer = built(scenario.observer, model, resolve(told, p, step, rate), problem.belief)
+    changed = problem._replace(sensor=resolve(sensor, p, step, rate), observer=observer)
+    _, params = packed(changed, loop)
+    places = {}
+    for key, numbers in others.items():
+        for index, number in np.ndenumerate(numbers):
+            shown = index[1:] if numbers.shape == (1, 2) else index
+            slots = tuple(np.flatnonzero(params == number).tolist())
+            if slots and np.isfinite(number):
+                places[f"sensor.{key}[{','.join(map(str, shown))}]"] = slots
+    return places
+
+
+def _other_numbers(problem: Problem) -> dict[str, Floats]:
+    """Numbers of the sensor by key, hardly smaller than its own and all of them different."""
+    sensor = problem.sensor
+    own = {"right": sensor.right, "left": sensor.left, "threshold": sensor.threshold}
+    if sensor.limits is not None:
+        own["range"] = np.stack([sensor.low, sensor.high], axis=1)
+    if sensor.play is not None:
+        own["play"] = np.stack([sensor.play.right, sensor.play.left], axis=1)
+    rng = np.random.default_rng(0)
+    others = {}
+    for key, numbers in own.items():
+        shares = rng.uniform(0.0, 1e-3, numbers.shape)
+        others[key] = np.where(numbers == 0, TINY * shares, numbers * (1 - shares))
+    return others
+
+
+def _meaningless(problem: Problem) -> list[str]:
+    """The scales that mean nothing for a problem.
+
+    The targets of a nonlinear model are not proportional to the reference.
+    """
+    meaningless = []
+    if problem.model.nonlinear:
+        meaningless.append("scale.reference")
+    if problem.scenario.disturbance is None:
+        meaningless.append("scale.disturbance")
+    return meaningless
+
+
+def _address(problem: Problem, name: str) -> str:
+    """The address in the scenario of a packed number of the loop."""
+    key, index = stem(name), index_of(name)
+    if key in PARAMETRIC:
+        return f"{key}.parameters.{problem.plant.names[int(index[1:-1])]}"
+    return SCALES.get(key, key) + index
+
+
+def _least(problem: Problem, address: str) -> float:
+    """The least value that the number at an address may have."""
+    _, _, parameter = address.partition(".parameters.")
+    if parameter and problem.plant.arm is not None and signless(parameter):
+        return 0.0
+    if stem(address) in ABOVE_ZERO:
+        return POSITIVE
+    return 0.0 if stem(address) in NOT_NEGATIVE else -np.inf
+
+
+def _amplitudes(problem: Problem, by_address: dict[str, Quantity]) -> dict[str, Quantity]:
+    """The amplitudes of reference and disturbance that have one size, which is not 0."""
+    amplitudes: dict[str, Quantity] = {}
+    reference = sizes(problem.scenario.reference, len(problem.tracked))
+    one_size = reference.size and reference.all() and np.ptp(reference) == 0
+    if "reference.scale" in by_address and one_size:
+        slots = by_address["reference.scale"].slots
+        amplitudes["reference.amplitude"] = Quantity(reference[0], slots, 1 / reference[0])
+    signal = problem.scenario.disturbance
+    name = "disturbance.rms" if isinstance(signal, Random) else "disturbance.amplitude"
+    for i, size in enumerate(sizes(signal, problem.plant.m)):
+        if size:
+            slots = by_address[f"disturbance.scale[{i}]"].slots
+            amplitudes[f"{name}[{i}]"] = Quantity(size, slots, 1 / size, _least(problem, name))
+    return amplitudes
+
+
+def sizes(signal: Signal | Random | None, channels: int) -> Floats:
+    """The amplitude (or rms) of each channel that a signal is proportional to; none without one."""
+    rest: npt.ArrayLike = 0.0  # what the signal has besides the part proportional to its size
+    match signal:
+        case Sine(amplitude=size, offset=rest) | Step(amplitude=size, before=rest):
+            pass
+        case Trapezoid(amplitude=size) | Random(rms=size):
+            pass
+        case _:
+            return np.empty(0)
+    if np.any(rest):
+        return np.empty(0)
+    return np.broadcast_to(np.asarray(size, float).ravel(), channels)
+
+
+def uncertain_numbers(
+    entries: dict[str, Distribution], known: dict[str, Quantity], problem: Problem
+) -> tuple[UncertainNumber, ...]:
+    """What the entries of [ensemble] draw.
+
+    Args:
+        entries: distributions by address
+        known: what may vary, by address
+        problem: the scenario, checked and built
+
+    Raises:
+        InputError
+    """
+    numbers: list[UncertainNumber] = []
+    for address, distribution in entries.items():
+        numbers += _numbers_of_entry(address, distribution, known, problem)
+    owners: dict[int, str] = {}
+    for number in numbers:
+        for slot, _ in number.slots:
+            if slot in owners:
+                raise InputError(
+                    f"{entry_name(number.name)}: varies what {owners[slot]} varies already; "
+                    "keep one of them"
+                )
+            owners[slot] = number.name
+    return tuple(numbers)
+
+
+def _numbers_of_entry(
+    address: str, distribution: Distribution, known: dict[str, Quantity], problem: Problem
+) -> list[UncertainNumber]:
+    """What one entry draws: one number if its draw is shared, else one for each quantity."""
+    parts = re.sub(r"\s+", "", address).split("+")
+    names: list[str] = []
+    for part in parts:
+        names += _named(address, part, known, problem)
+    suffix = ""
+    if distribution.relative:
+        names, suffix = _with_factors(address, parts, names, known), " (relative)"
+    else:
+        _require_values(address, names, known)
+    groups = [(name, [name]) for name in names]
+    if distribution.shared:
+        groups = [(" + ".join(parts), names)]
+    numbers = []
+    for title, members in groups:
+        least, slots = [], []
+        for quantity in [known[name] for name in members]:
+            size = quantity.nominal if distribution.relative else 1.0
+            least.append(quantity.least / abs(size))
+            slots += [(slot, quantity.gain * size) for slot in quantity.slots]
+        law = spread(address, distribution, max(least))
+        numbers.append(UncertainNumber(title + suffix, law, tuple(slots)))
+    return numbers
+
+
+def _require_values(address: str, names: list[str], known: dict[str, Quantity]) -> None:
+    """Raise InputError for a quantity to which no values can be given."""
+    for name in names:
+        if known[name].nominal < 0 < known[name].least:
+            raise InputError(
+                f"{entry_name(address)}: {name} is negative and varies by a factor alone; set "
+                "relative = true and give factors"
+            )
+
+
+def _with_factors(
+    address: str, parts: list[str], names: list[str], known: dict[str, Quantity]
+) -> list[str]:
+    """The names whose quantities a factor changes: not those that are 0 or infinite.
+
+    Raises InputError if none is left, or for a quantity that the address names by itself.
+    """
+    changed = [n for n in names if known[n].nominal and math.isfinite(known[n].nominal)]
+    fixed = [name for name in names if name not in changed]
+    if fixed and (not changed or set(fixed) & set(parts)):
+        raise InputError(
+            f"{entry_name(address)}: {fixed[0]} is {known[fixed[0]].nominal:g}, which no factor "
+            "changes; leave out relative and give values"
+        )
+    return changed
+
+
+def _named(address: str, part: str, known: dict[str, Quantity], problem: Problem) -> list[str]:
+    """The quantities that one part of an address stands for. Raises InputError."""
+    if names := matching(part, known):
+        return names
+    why = _advice(part, problem)
+    if extent := entries_there(part, known):
+        why = f"no entry {part}; there is {extent}"
+    why = why or f"nothing of that name can vary; {similar(part, known, 'what can:')}"
+    raise InputError(f"{entry_name(address)}: {why}")
+
+
+def _advice(part: str, problem: Problem) -> str | None:
+    """What to do instead, for addresses that this scenario lacks."""
+    match stem(part).split("."):
+        case ["reference", *_] if problem.model.nonlinear:
+            return (
+                "the feedforward of a nonlinear plant is not proportional to its reference, "
+                "which therefore cannot vary"
+            )
+        case ["reference", "amplitude"]:
+            return (
+                "the reference has no single amplitude about 0; vary reference.scale, "
+                "a factor on the whole of it"
+            )
+        case ["disturbance", *_] if problem.scenario.disturbance is None:
+            return (
+                "there is no disturbance to scale; add [disturbance], for a bias with "
+                'kind = "step" and an amplitude of any size but 0'
+            )
+        case ["disturbance", "amplitude" | "rms" | "bias" | "offset"]:
+            return (
+                "the disturbance is proportional to no such number, or that is 0; give it an "
+                "amplitude or rms of any size but 0 and nothing else (a bias: a step), "
+                "or vary disturbance.scale, a factor on the whole of it"
+            )
+        case ["model", *_]:
+            return (
+                "the design stays as it is for the nominal [model]; vary plant.A, the truth, "
+                "or observer.model.A, what the observer believes"
+            )
+        case ["plant", "second_order" | "companion" | "transfer_function" | "integrators", *_]:
+            return (
+                "vary the entries of the matrices that this form gives: plant.A, plant.B, plant.C"
+            )
+    return None

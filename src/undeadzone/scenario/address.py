@@ -1,0 +1,312 @@
+"""Addresses: the key of a value in a scenario and, of an array, its entry, as `plant.A[1,0]`.
+
+They are read here, and the values that they stand for are looked up and replaced: numbers of the
+options one by one, anything else with the checks that a file's words meet.
+"""
+
+from __future__ import annotations
+
+import difflib
+import functools
+import math
+import re
+import typing
+from collections.abc import Iterable, Mapping
+from typing import Any, Final, NamedTuple, TypeVar
+
+import msgspec
+import numpy as np
+
+from undeadzone.catalogue import decode
+from undeadzone.errors import InputError
+from undeadzone.scenario import ensemble_table as vary
+from undeadzone.scenario import tune_table as tuning
+from undeadzone.scenario.messages import CHOOSERS, explain
+from undeadzone.support.arrays import Array, Floats
+from undeadzone.support.toml import tables
+
+TUNABLE: Final = ("observer", "controller")  # the tables whose numbers have addresses
+S = TypeVar("S", bound=msgspec.Struct)
+LAST = "compare"  # changed after [observer], whose keys it may take
+ENDLESS = "sensor.range"  # the key whose numbers may be infinite; nan is refused later
+
+
+class Number(NamedTuple):
+    """A number of the options.
+
+    Attributes:
+        value: in the scenario; None where it is left to the method.
+        whole: whether it is a whole number.
+    """
+
+    value: float | None
+    whole: bool
+
+
+def stem(address: str) -> str:
+    """An address without its index."""
+    return address.partition("[")[0]
+
+
+def index_of(address: str) -> str:
+    """The index of an address with its brackets; empty if it has none."""
+    return address[len(stem(address)) :]
+
+
+def matching(address: str, names: Iterable[str]) -> list[str]:
+    """The names that an address stands for.
+
+    Without an index it stands for all entries, with `:` for all values of that index.
+    """
+    pattern = re.escape(stem(address)) + r"(\[.*\])?"
+    if index := index_of(address):
+        pattern = re.escape(stem(address) + index).replace(":", r"\d+")
+    return [name for name in names if re.fullmatch(pattern, name)]
+
+
+def entries_there(address: str, names: Iterable[str]) -> str:
+    """The entries under the key of an address, first and last, in words; empty: there are none."""
+    there = matching(stem(address), names)
+    if there[1:]:
+        return f"{there[0]} to {there[-1]}"
+    return f"{there[0]} alone" if there else ""
+
+
+def similar(address: str, names: Iterable[str], otherwise: str) -> str:
+    """A question for the key that was meant, if one is similar; else what there is.
+
+    Args:
+        address: that no name has.
+        names: those that there are.
+        otherwise: words ahead of all their keys.
+    """
+    keys = sorted({stem(name) for name in names})
+    near = difflib.get_close_matches(stem(address), keys, 1)
+    return f"did you mean {near[0]!r}?" if near else f"{otherwise} {', '.join(keys)}"
+
+
+def child(parent: Any, name: str) -> Any:
+    """What stands under a name of a table or a struct; None where nothing does."""
+    return parent.get(name) if isinstance(parent, Mapping) else getattr(parent, name, None)
+
+
+def with_entry(key: str, present: Any, index: str, value: Any) -> Floats:
+    """An array with another entry.
+
+    Args:
+        key: of the array, for messages.
+        present: the array, or a list of numbers; None: there is none.
+        index: of the entry, such as `1,0`.
+        value: a number.
+
+    Raises:
+        InputError: no such entry, or no number.
+    """
+    place = tuple(map(int, index.split(",")))
+    listed = ",".join(map(str, place))
+    array = np.array(0.0 if present is None else present, float)
+    if present is None or array.ndim != len(place):
+        raise InputError(f"{key}: has no entry [{listed}]")
+    try:
+        array[place] = value
+    except (IndexError, ValueError, TypeError):
+        raise InputError(f"{key}[{listed}]: no such entry, or {value!r:.40} is no number") from None
+    return array
+
+
+def numbers(scenario: Any) -> dict[str, Number]:
+    """Every number in the options of a scenario's observer and controller, by address."""
+    found: dict[str, Number] = {}
+
+    def walk(name: str, value: Any, kind: Any = None) -> None:
+        """Take down what is below a value; kind: its annotation, where it has one."""
+        if isinstance(value, msgspec.Struct):
+            for field in msgspec.structs.fields(value):
+                walk(f"{name}.{field.name}", getattr(value, field.name), field.type)
+        elif isinstance(value, dict):
+            for key, each in value.items():
+                walk(f"{name}.{key}", each)
+        elif isinstance(value, np.ndarray | list | tuple):
+            for index, entry in np.ndenumerate(np.asarray(value, float)):
+                place = f"[{','.join(map(str, index))}]" if index else ""
+                found[name + place] = Number(float(entry), False)
+        elif _may_be_number(value, kind):
+            found[name] = Number(value, kind is int)
+
+    for table in TUNABLE:
+        walk(table, getattr(scenario, table))
+    return found
+
+
+def _may_be_number(value: Any, kind: Any) -> bool:
+    """Whether a value is a number, or None where its annotation allows a number."""
+    if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
+        return False
+    return kind is None or bool({int, float, Array} & {kind, *typing.get_args(kind)})
+
+
+def with_numbers(scenario: Any, values: Mapping[str, float]) -> Any:
+    """The scenario with other numbers at addresses that `numbers` knows."""
+    for address, value in values.items():
+        scenario = _with_number(scenario, address, value)
+    return scenario
+
+
+def _with_number(parent: Any, address: str, value: float) -> Any:
+    """A struct or dictionary with another number at an address in it."""
+    head, _, rest = address.partition(".")
+    name, index = stem(head), index_of(head)
+    old = child(parent, name)
+    new: Any = float(value)
+    if rest:
+        new = _with_number(old, rest, value)
+    elif index:
+        new = with_entry(name, old, index[1:-1], value)
+    elif isinstance(old, int) and value == int(value):
+        new = int(value)
+    if isinstance(parent, dict):
+        return parent | {name: new}
+    return msgspec.structs.replace(parent, **{name: new})
+
+
+def with_value(scenario: S, address: str, value: Any) -> S:
+    """A scenario with another value at an address.
+
+    Args:
+        scenario: the scenario.
+        address: dotted key, with an index for one entry: `sensor.right`, `plant.A[1,0]`.
+        value: number, list, text, table, or a struct such as `Kalman()`.
+
+    Raises:
+        InputError: no such key, or a value that it cannot take.
+    """
+    match = re.fullmatch(r"([\w.]+)(?:\[(\s*\d+\s*(?:,\s*\d+\s*)*)\])?", address.strip())
+    if match is None:
+        raise InputError(f"{address!r}: expected a key such as sensor.right or plant.A[1,0]")
+    key, index = match.groups()
+    if index is not None:
+        present = functools.reduce(child, key.split("."), scenario)
+        value = with_entry(key, present, index, value).tolist()
+    *tables_above, last = key.split(".")
+    change: Any = {last: value}
+    for name in reversed(tables_above):
+        change = {name: change}
+    return with_tables(scenario, change)
+
+
+def with_tables(scenario: S, changes: Mapping[str, Any]) -> S:
+    """A scenario with other tables.
+
+    A table keeps the keys that are not changed, unless its `kind` or `method` is another one.
+
+    Args:
+        scenario: the scenario.
+        changes: values by top-level key: a struct such as `Kalman()` or a table of keys.
+
+    Raises:
+        InputError: no such key, or a value that it cannot take.
+    """
+    hints = typing.get_type_hints(type(scenario))
+    fields: dict[str, Any] = {}
+    for name, change in sorted(changes.items(), key=lambda item: item[0] == LAST):
+        if name not in hints:
+            near = difflib.get_close_matches(name, hints, 1) or sorted(hints)
+            raise InputError(f"{name}: unknown key; did you mean {', '.join(near)}?")
+        if isinstance(change, msgspec.Struct) or change is None:
+            fields[name] = change
+        elif name == LAST and isinstance(change, Mapping) and "like" in change:
+            observer: Any = fields.get("observer", child(scenario, "observer"))
+            whole = alike(change, tables(observer))
+            fields[name] = _converted(None, name, whole, hints[name], type(scenario))
+        else:
+            before = child(scenario, name)
+            fields[name] = _converted(before, name, change, hints[name], type(scenario))
+    return msgspec.structs.replace(scenario, **fields)
+
+
+def alike(compare: Any, observer: Any) -> Any:
+    """The table [compare], in place of `like = "observer"` all keys of [observer] that it lacks.
+
+    Args:
+        compare: the table as TOML gives it.
+        observer: [observer], likewise; None: left out.
+
+    Raises:
+        InputError: `like` is something else, there is no [observer], or it has another method.
+    """
+    if not isinstance(compare, Mapping) or "like" not in compare:
+        return compare
+    if compare["like"] != "observer":
+        raise InputError(f'compare.like: expected "observer", found {compare["like"]!r:.40}')
+    if not isinstance(observer, Mapping):
+        raise InputError("compare.like: this scenario has no [observer] whose keys could be taken")
+    own = {key: value for key, value in compare.items() if key != "like"}
+    if _is_another(observer, own):
+        raise InputError(
+            f"compare.like: takes the keys of [observer], method {observer.get('method')!r}, which "
+            f"{own.get('method')!r} need not have; leave out like, or compare.method"
+        )
+    return {**observer, **own}
+
+
+def require_finite(value: Any, key: str) -> None:
+    """Raise InputError where a number at or below a key is not finite, or too large."""
+    if key == ENDLESS:
+        return
+    if isinstance(value, dict):
+        for name, child in value.items():
+            require_finite(child, f"{key}.{name}" if key else name)
+    elif isinstance(value, list):
+        for index, child in enumerate(value):
+            require_finite(child, f"{key}[{index}]")
+    elif isinstance(value, float) and not math.isfinite(value):
+        raise InputError(f"{key}: must be a finite number, found {value}")
+    elif isinstance(value, int) and abs(value) >= 2**63:
+        raise InputError(f"{key}: the whole number is too large")
+
+
+def _converted(before: Any, name: str, change: Any, annotation: Any, kind: type) -> Any:
+    """A top-level table merged with a change and checked.
+
+    Args:
+        before: the table so far.
+        name: of the table.
+        change: tables and values in its place.
+        annotation: its type.
+        kind: of the whole scenario, for messages.
+
+    Raises:
+        InputError: a key or a value that it cannot have.
+    """
+    after = _merged(before, change)
+    require_finite(after, name)
+    try:
+        for table in (vary.TABLE, tuning.TABLE):
+            if table.name == name:
+                after = table.decoded(after)
+        return msgspec.convert(after, annotation, dec_hook=decode)
+    except msgspec.ValidationError as error:
+        message = f"{error} - at `$.{name}`"
+        raise InputError(explain(message, {name: after}, kind)) from None
+
+
+def _merged(before: Any, change: Any) -> Any:
+    """A value as TOML would give it: tables merged key by key, anything else replaced."""
+    if isinstance(change, msgspec.Struct):
+        return tables(change)
+    if isinstance(change, np.ndarray | np.number):
+        return change.tolist()
+    if not isinstance(change, Mapping):
+        return change
+    present = tables(before) if isinstance(before, msgspec.Struct) else before
+    if not isinstance(present, Mapping) or _is_another(present, change):
+        present = {}
+    merged = dict(present)
+    for name, value in change.items():
+        merged[name] = _merged(merged.get(name), value)
+    return merged
+
+
+def _is_another(present: Mapping[str, Any], change: Mapping[str, Any]) -> bool:
+    """Whether a change chooses another variant of a table."""
+    return any(key in change and change[key] != present.get(key) for key in CHOOSERS)

@@ -1,0 +1,79 @@
+"""Which packed numbers of a loop a change moves: found by building it again and comparing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.feedforward.targets import Target
+from undeadzone.interfaces import Reading, graph_of
+from undeadzone.scenario.problem import Problem
+from undeadzone.simulation.close import numbers
+from undeadzone.simulation.loop import Loop
+from undeadzone.support import tree
+from undeadzone.support.arrays import Floats, Integers
+
+
+def packed(problem: Problem, loop: Loop) -> tuple[Floats, Floats]:
+    """(initial state, params), packed, that a problem gives a loop of its graph.
+
+    Args:
+        problem: the numbers' own.
+        loop: of a problem with the same `graph`.
+
+    Raises:
+        InputError: the observer is no graph.
+    """
+    observer, controller = graph_of(problem.observer), problem.controller
+    step = problem.scenario.simulation.step
+    parts = problem.plant, problem.sensor, observer, controller, step
+    state = loop.state._replace(
+        plant=problem.x0,
+        observer=observer.init(observer.params),
+        controller=controller.init(controller.params),
+    )
+    params = numbers(*parts, problem.compensator, problem.actuator)
+    return tree.pack(state), tree.pack(params)
+
+
+def moved(loop: Loop, others: Iterable[Floats]) -> Integers:
+    """Where packed params of the loop differ from its own in any of the others."""
+    differ: Any = np.any([other != tree.pack(loop.params) for other in others], axis=0)
+    return np.flatnonzero(differ)
+
+
+def graph(problem: Problem) -> str:
+    """Observer and controller without their numbers, but with those of a plan, as text.
+
+    It is equal for problems that one kernel serves.
+
+    Args:
+        problem: the checked parts of a scenario.
+
+    Raises:
+        InputError: there is no graph.
+    """
+    observer, controller, model = graph_of(problem.observer), problem.controller, problem.model
+    p_column, p = tree.symbols((observer.params, controller.params), "p")
+    like = observer.init(observer.params), controller.init(controller.params)
+    s_column, s = tree.symbols(like, "s")
+    sizes = len(problem.tracked), model.n, model.m, controller.planned
+    t_column, target = tree.symbols(Target(*map(np.zeros, sizes)), "t")
+    u, y = ca.SX.sym("u", model.m), ca.SX.sym("y", model.p)
+    side, x = ca.SX.sym("side", model.p), ca.SX.sym("x", model.n)
+    following, estimate = observer.step(p[0], s[0], u, Reading(y, side, x))
+    results = (
+        following,
+        estimate,
+        observer.project(p[0], s[0]),
+        observer.init(p[0]),
+        controller.step(p[1], s[1], estimate, target),
+        controller.init(p[1]),
+    )
+    inputs = [p_column, s_column, t_column, u, y, side, x]
+    function = ca.Function("graph", inputs, [tree.stack(result) for result in results])
+    plan = () if controller.plan is None else tree.pack(controller.plan.params).tolist()
+    return str(function.serialize()) + str((tree.names((observer.params, like)), plan))
