@@ -25,10 +25,9 @@ from undeadzone.ends.sensor import Sensor, Zone, deadzone, quantised, resolve
 from undeadzone.engine import interpret, lanes
 from undeadzone.ensemble.run_ensemble import deviation, replay_run, run_ensemble
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.identification.grid import to_grid
-from undeadzone.identification.log import Log
-from undeadzone.identification.options import Options
-from undeadzone.identification.prepare import prepare
+from undeadzone.identification.logs.grid import to_grid
+from undeadzone.identification.logs.log import Log, Options
+from undeadzone.identification.logs.prepare import prepare
 from undeadzone.interfaces import Estimate, Reading, graph_of, received
 from undeadzone.logs.range_ends import RunningEnds, range_ends
 from undeadzone.observers.parts import measured_side

@@ -19,7 +19,7 @@ from undeadzone.ensemble import journal, saved
 from undeadzone.ensemble.job import Layout
 from undeadzone.errors import FileError, InputError
 from undeadzone.exports.source import _plain as commented
-from undeadzone.identification.readers import read_log
+from undeadzone.identification.logs.log import read_log
 from undeadzone.plants.robots import urdf_elements
 from undeadzone.report.html import page, table
 from undeadzone.report.style import plain

@@ -38,9 +38,9 @@ from .errors import TrackingError as TrackingError
 from .errors import UndeadzoneError as UndeadzoneError
 from .exports.export import Exported as Exported
 from .exports.export import export as export
+from .identification.answer.result import Identified as Identified
+from .identification.answer.result import IdentifiedOutputs as IdentifiedOutputs
 from .identification.identify import identify as identify
-from .identification.outputs import IdentifiedOutputs as IdentifiedOutputs
-from .identification.result import Identified as Identified
 from .interfaces import Estimate as Estimate
 from .linear.matrices import Matrices as Matrices
 from .observers import Auto as Auto

@@ -17,8 +17,7 @@ if TYPE_CHECKING:
 
     from undeadzone.analysis.certificate.design_file import Design
     from undeadzone.ensemble.result import Ensemble
-    from undeadzone.identification.outputs import IdentifiedOutputs
-    from undeadzone.identification.result import Identified
+    from undeadzone.identification.answer.result import Identified, IdentifiedOutputs
     from undeadzone.results.estimation import Estimation
     from undeadzone.results.run import Run
     from undeadzone.synthesis.check import Check
@@ -46,8 +45,12 @@ DRAWN: Final = {
         "panel_of_design",
     ),
     "undeadzone.tuning.result.Tuned": ("tune_page", "history", "candidates"),
-    "undeadzone.identification.result.Identified": ("identify_figures", "overview", "signals"),
-    "undeadzone.identification.outputs.IdentifiedOutputs": (
+    "undeadzone.identification.answer.result.Identified": (
+        "identify_figures",
+        "overview",
+        "signals",
+    ),
+    "undeadzone.identification.answer.result.IdentifiedOutputs": (
         "identify_figures",
         "of_outputs",
         "first_output",
