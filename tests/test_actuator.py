@@ -32,12 +32,12 @@ from undeadzone.exports import vectors
 from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.observers.parts.further_constants import Zones, entering
 from undeadzone.plants.system import sampled
-from undeadzone.report.figures import overview
+from undeadzone.report.run_figures import overview
 from undeadzone.report.run_page import run_page
+from undeadzone.results.run import Run
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.loop import Outputs
-from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import prepare, run_loop, simulate
 from undeadzone.support.arrays import Floats
 

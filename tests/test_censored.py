@@ -43,8 +43,8 @@ from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled
 from undeadzone.plants.time_scales import time_scale
+from undeadzone.results.run import Run
 from undeadzone.scenario.problem import resolve_scenario
-from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import prepare, simulate
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from undeadzone.cli import group
-from undeadzone.simulation.run import Run
+from undeadzone.results.run import Run
 from undeadzone.support import progress
 
 EXAMPLES = Path(__file__).parents[1] / "examples"

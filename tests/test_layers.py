@@ -31,6 +31,7 @@ FLOORS = (
     ("catalogue",),
     ("compensators", "controllers", "observers"),
     ("scenario",),
+    ("results",),
     ("simulation",),
     ("ensemble", "exports", "identification", "synthesis"),
     ("tuning",),
@@ -108,7 +109,7 @@ def test_imports_point_down() -> None:
     [
         "from undeadzone.cli.run import run",
         "def late():\n    from undeadzone.report.style import write\n",
-        "def late():\n    import undeadzone.simulation.run\n",
+        "def late():\n    import undeadzone.results.run\n",
         "from undeadzone import cli\n",
         "if TYPE_CHECKING:\n    from undeadzone.controllers.pd import PD\n",
     ],

@@ -26,9 +26,9 @@ from undeadzone.errors import InputError, UndeadzoneError
 from undeadzone.linear.matrices import Matrices
 from undeadzone.observers.parts import further_constants
 from undeadzone.report.run_page import run_page
+from undeadzone.results.run import Run
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
-from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.arrays import Floats
 from undeadzone_arena.contest.prior_knowledge import situation

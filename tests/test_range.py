@@ -35,8 +35,8 @@ from undeadzone.observers.parts.measured_reading import Ends, surely_exact
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled
+from undeadzone.results.run import Run
 from undeadzone.scenario.problem import resolve_scenario
-from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.arrays import Floats
 from undeadzone_arena import MovingHorizon, ParticleFilter

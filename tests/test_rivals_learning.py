@@ -29,8 +29,8 @@ from undeadzone.linear.riccati import fast_gain
 from undeadzone.observers.parts.gain import injection
 from undeadzone.plants.system import System, sampled
 from undeadzone.plants.time_scales import fastest_pole
+from undeadzone.results.run import Run
 from undeadzone.scenario.problem import resolve_scenario
-from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import prepare, simulate
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats

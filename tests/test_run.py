@@ -16,8 +16,8 @@ import pytest
 
 from scenes import scene
 from undeadzone.errors import FileError, InputError
-from undeadzone.simulation.run import Run
-from undeadzone.simulation.run_columns import arrays_of
+from undeadzone.results.run import Run
+from undeadzone.results.signals import RUN
 from undeadzone.simulation.simulate import simulate
 
 
@@ -44,7 +44,7 @@ def run() -> Run:
 def same(one: Run, other: Run) -> bool:
     arrays = all(
         (a is None and b is None) or (a.dtype == b.dtype and np.array_equal(a, b, equal_nan=True))
-        for a, b in ((getattr(one, n), getattr(other, n)) for n in arrays_of(Run)[0])
+        for a, b in ((getattr(one, n), getattr(other, n)) for n in RUN.names)
     )
     return arrays and one.info == other.info
 

@@ -20,8 +20,7 @@ from undeadzone.errors import FileError, Terminated
 
 if TYPE_CHECKING:
     from undeadzone.interfaces import Estimate
-    from undeadzone.simulation.follow_text import TextLog
-    from undeadzone.simulation.follower import Follower
+    from undeadzone.simulation.follower import Follower, TextLog
     from undeadzone.support.arrays import Floats
 
 BLOCK = 1 << 20  # bytes that are read at once, if as many have come
@@ -54,10 +53,9 @@ def watch(
     readings are what the observer claims. Exit code 1: they are not.
     """
     from undeadzone.logs.names import parse_columns
+    from undeadzone.results.estimation import in_words
     from undeadzone.scenario.reader import read_for_logs
-    from undeadzone.simulation.follow_text import TextLog
-    from undeadzone.simulation.follower import Follower
-    from undeadzone.simulation.log_words import in_words
+    from undeadzone.simulation.follower import Follower, TextLog
 
     watched = read_for_logs(scenario, confine)
     follower = Follower(watched, live=True)

@@ -8,10 +8,19 @@ from typing import TYPE_CHECKING
 from undeadzone.identification.answer.result import Identified
 from undeadzone.identification.answer.words import HEADS, rivals_in_words
 from undeadzone.identification.verdict.orders import OrderFit, at_limit
-from undeadzone.report.html import Html, Origin, page, paragraph, section, table, tag
+from undeadzone.report.html import (
+    Html,
+    Origin,
+    page,
+    paragraph,
+    pick,
+    pictures,
+    section,
+    table,
+    tag,
+    write_page,
+)
 from undeadzone.report.identify_figures import figures
-from undeadzone.report.pictures import images_of, pick, pictures, write_figures
-from undeadzone.support.files import write_text
 from undeadzone.support.text import label, with_deviation
 
 if TYPE_CHECKING:
@@ -54,9 +63,11 @@ def write_identified(
     Raises:
         FileError: a file cannot be written.
     """
-    written = write_figures(figures(found_log), folder)
-    text = identified_page(found_log, images_of(written), source, origin)
-    return [*written.values(), write_text(text, folder / "report.html")]
+
+    def text(images: dict[str, bytes]) -> str:
+        return identified_page(found_log, images, source, origin)
+
+    return write_page(figures(found_log), folder, text)
 
 
 def identified_page(

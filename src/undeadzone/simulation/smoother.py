@@ -23,7 +23,7 @@ from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.observers.parts.model_bank import LEAST
 from undeadzone.observers.parts.smoothing import Moments
 from undeadzone.plants.system import System
-from undeadzone.simulation.observer_graph import Out, observer_graph, symbols
+from undeadzone.simulation.online import Out, observer_graph, symbols
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 

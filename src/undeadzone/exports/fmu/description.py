@@ -9,7 +9,7 @@ from xml.etree.ElementTree import Element, SubElement
 
 from undeadzone.exports.fields import Field
 from undeadzone.exports.parts import Step
-from undeadzone.interfaces import COLUMNS, Estimate
+from undeadzone.interfaces import COLUMNS, QUANTITIES, Estimate
 from undeadzone.scenario.schema import Units
 from undeadzone.support.text import one_line
 
@@ -39,10 +39,10 @@ RENAMED: Final = {
     name: getattr(COLUMNS, name) for name in Estimate._fields if name in ("x", "z", "w", "theta")
 }
 IN_OUTPUT_UNITS: Final = (
-    "y", "r", "z", "right", "left", "z_inverse", "innovation",
-    "right_std", "left_std", "width_std", "innovation_std",
-    "gap_right", "gap_left", "gap_right_std", "gap_left_std", "gap_std",
-)  # fmt: skip
+    "y",
+    "r",
+    *(name for name, quantity in QUANTITIES.items() if quantity.unit == "output"),
+)
 
 
 class Variable(NamedTuple):

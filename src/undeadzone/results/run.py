@@ -4,39 +4,47 @@ from __future__ import annotations
 
 import dataclasses
 import os
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 
-from undeadzone.simulation.gap_words import gap_numbers
-from undeadzone.simulation.run_columns import (
-    actuator_widths,
-    arrays_of,
-    judgement,
+from undeadzone.analysis.identifiability.linear import DIRECTIONS, yes_no
+from undeadzone.results import files, sheet
+from undeadzone.results.info import Info
+from undeadzone.results.listening import in_words as listening_in_words
+from undeadzone.results.scales import LIMIT, Scales, shares
+from undeadzone.results.sheet import Row, in_json
+from undeadzone.results.signals import (
+    RUN,
+    Signals,
+    attribute,
+    attributes,
+    ending,
+    final,
     output_names,
-    signals_of,
-    to_columns,
-    to_pandas,
-    unit_of,
 )
-from undeadzone.simulation.run_file import read, table_size, write
-from undeadzone.simulation.run_info import Info as Info
-from undeadzone.simulation.run_words import Errors, in_words
-from undeadzone.simulation.scales import LIMIT, Scales, shares
 from undeadzone.support.arrays import Floats, finite, one_or_list
-from undeadzone.support.shown import Block, in_notebook, in_text, plot
+from undeadzone.support.shown import Block, Rows, in_notebook, in_text, plot
+from undeadzone.support.text import label
 
 LAST: Final = 2.0  # [s] over which errors are measured
 FRAMES: Final = 25  # per second, of an arm's poses
 INEXACT: Final = 0.01  # of the largest |z|: an integration error above this is a failure
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, init=False)
 class Run:
     """Signals of one run, one row per sample.
 
-    A signal is None where the method does not estimate it or the plant does not have it.
+    Each signal is an attribute, None where the method does not estimate it or the plant does not
+    have it: those of a simulation, and all that observers give (`results.signals.ESTIMATED`).
+
+    Args:
+        info: what is known besides the signals.
+        signals: by name; None: those that are given alone.
+        given: signals in their place, or besides them.
 
     Attributes:
         t: time (N) [s].
@@ -53,6 +61,7 @@ class Run:
         r: reference of the tracked outputs (N x tracked).
         V: storage function (N), where a certificate exists.
         info: what is known besides the signals.
+        signals: all of them by name.
         x_std: standard deviation of x_hat (N x n).
         d_std: standard deviation of d_hat (N x 2p) [z].
         width_std: standard deviation of d_r^ + d_l^ (N x p) [z].
@@ -75,40 +84,20 @@ class Run:
             (F x K x 3) [m]; in `.npz` files only.
     """
 
-    t: Floats
-    x: Floats
-    z: Floats
-    y: Floats
-    side: Floats
-    x_hat: Floats
-    z_hat: Floats
-    d_hat: Floats
-    z_inverse: Floats
-    innovation: Floats
-    u: Floats
-    r: Floats
-    V: Floats | None
+    signals: Signals
     info: Info
-    x_std: Floats | None = None
-    d_std: Floats | None = None
-    width_std: Floats | None = None
-    innovation_std: Floats | None = None
-    w_hat: Floats | None = None
-    theta_hat: Floats | None = None
-    theta_std: Floats | None = None
-    consistent: Floats | None = None
-    refused: Floats | None = None
-    restarts: Floats | None = None
-    b_hat: Floats | None = None
-    b_std: Floats | None = None
-    c_hat: Floats | None = None
-    c_std: Floats | None = None
-    gap_std: Floats | None = None
-    level: Floats | None = None
-    tip: Floats | None = None
-    tip_hat: Floats | None = None
-    tip_r: Floats | None = None
-    poses: Floats | None = None
+
+    def __init__(self, info: Info, signals: Signals | None = None, **given: Floats | None) -> None:
+        before = {} if signals is None else signals.arrays
+        object.__setattr__(self, "info", info)
+        object.__setattr__(self, "signals", Signals(RUN, {**before, **given}))
+
+    layout: ClassVar = RUN
+    __dir__ = attributes
+
+    def __getattr__(self, name: str) -> Any:
+        """A signal by name, None where there is none. Raises AttributeError."""
+        return attribute(self, name)
 
     @property
     def last(self) -> slice:
@@ -238,27 +227,19 @@ class Run:
 
     def summary(self) -> dict[str, Any]:
         """The numbers of the run, ready for JSON; lists where there are several outputs."""
-        right, left = (one_or_list(column) for column in self.widths.T)
-        d_std, width_std = self.d_std, self.width_std
-        verdicts, listens = self.info.identifiable, self.info.listens
+        verdicts, listens, ends = self.info.identifiable, self.info.listens, self.signals.arrays
         numbers: dict[str, Any] = {
             "title": self.info.title,
             "method": self.info.method,
             "time": self.info.time,
             "step": self.info.step,
-            "rms_tracking": self.rms_tracking,
-            "rms_estimation": self.rms_estimation,
-            **({} if self.level is None else {"rms_behind_play": self.rms_behind_play}),
-            **({} if self.tip is None else {"rms_tip": self.rms_tip}),
-            "d_right": right,
-            "d_left": left,
-            "d_right_std": None if d_std is None else one_or_list(d_std[-1, 0::2]),
-            "d_left_std": None if d_std is None else one_or_list(d_std[-1, 1::2]),
+            **in_json(errors(self)),
+            **final(ends, "d_hat"),
+            **({"d_right_std": None, "d_left_std": None} | final(ends, "d_std")),
             **({} if self.theta_hat is None else {"parameters": self.parameters}),
-            **actuator_widths(self.b_hat, self.b_std),
-            **gap_numbers(self.c_hat, self.c_std, self.gap_std),
-            "width_std": None if width_std is None else one_or_list(width_std[-1]),
-            **judgement(self.consistent, self.refused, self.restarts),
+            **final(ends, *ending(float, but=("d_hat", "d_std", "width_std"))),
+            **({"width_std": None} | final(ends, "width_std")),
+            **final(ends, *ending(bool), *ending(int)),
             "listens": one_or_list(np.array(listens, float)) if listens else None,
             "silent_fraction": self.silent_fraction,
             "certified": self.info.certified,
@@ -273,17 +254,17 @@ class Run:
 
     def blocks(self) -> list[Block]:
         """The tables that `undeadzone run` prints."""
-        return in_words(self.info, self.summary(), self._errors(), self.lasting)
+        return in_words(self, self._errors())
 
-    def _errors(self) -> dict[str, Errors]:
-        """The errors of each output over the last 2 s, by its name."""
+    def _errors(self) -> dict[str, tuple[float | None, float]]:
+        """The rms of z - r, where it is tracked, and of z - z^ of each output by its name."""
         tracked = self.info.tracked
-        errors = {}
+        errors: dict[str, tuple[float | None, float]] = {}
         for i, name in enumerate(self.outputs):
             tracking = None
             if i in tracked:
                 tracking = _rms((self.z[:, i] - self.r[:, tracked.index(i)])[self.last])
-            errors[name] = Errors(tracking, _rms((self.z - self.z_hat)[self.last, i]))
+            errors[name] = tracking, _rms((self.z - self.z_hat)[self.last, i])
         return errors
 
     __repr__ = in_text
@@ -292,38 +273,11 @@ class Run:
     plot = plot
     """Draw it."""
 
-    def columns(self) -> dict[str, Floats]:
-        """Every scalar signal by column name: t, x[0], ..., d_right[0], d_left[0], ..., V."""
-        return to_columns(signals_of(self))
-
-    def unit(self, name: str) -> str:
-        """The unit of a signal or of one of its columns.
-
-        Args:
-            name: of the signal, `x`, or of the column, `x[0]`.
-        """
-        return unit_of(name, self.info.units)
-
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the run to a file.
-
-        Args:
-            path: ending in `.npz`, or in `.csv` (17 digits, units in the header, the info as a
-                first line after #).
-
-        Returns:
-            The path.
-
-        Raises:
-            FileError: it cannot be written.
-            InputError: the name ends otherwise.
-        """
-        return write(Path(path), self.info, signals_of(self))
-
-    @property
-    def table_size(self) -> float:
-        """About how many bytes its `.csv` has."""
-        return table_size(signals_of(self))
+    columns = files.columns
+    unit = files.unit
+    to_pandas = files.to_pandas
+    save = files.save
+    table_size = property(files.table_size)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Run:
@@ -335,11 +289,7 @@ class Run:
         Raises:
             FileError: it cannot be read, or is no run.
         """
-        return cls(**read(Path(path), *arrays_of(cls)))
-
-    def to_pandas(self) -> Any:
-        """A pandas DataFrame indexed by t, one column per scalar signal; needs pandas."""
-        return to_pandas(self)
+        return cls(*files.read(Path(path), RUN, Info))
 
 
 def last_samples(t: Floats) -> slice:
@@ -351,3 +301,162 @@ def _rms(values: Floats) -> float:
     """Root mean square of all entries."""
     with np.errstate(over="ignore", invalid="ignore"):
         return float(np.sqrt(np.mean(values**2)))
+
+
+def errors(run: Run) -> list[Row]:
+    """The errors of a run over its end."""
+    last, unit = f"last {run.lasting:g} s", run.info.units.output
+    said = [
+        ("rms_tracking", "rms z - r", "rms of z − r", unit, ""),
+        ("rms_estimation", "rms z - z^", "rms of z − z^", unit, ""),
+        ("rms_behind_play", "rms y/m - r", "rms of y / m − r", unit, ""),
+        ("rms_tip", "rms tip", "rms distance of the tip from its path", "m", " from its path"),
+    ]
+    rows = []
+    for key, name, title, of, note in said:
+        value, behind = getattr(run, key), f"{note} ({last})"
+        if value is not None:
+            row = Row(name, f"{title}, {last}", value, of, key=key, form=".4g", note=behind)
+            rows.append(row)
+    return rows
+
+
+def parameters(run: Run) -> list[Row]:
+    """The parameters that the observer estimates."""
+    rows = []
+    for name, found in run.parameters.items():
+        note = f" (true {found['true']:g})"
+        std = found["std"]
+        rows.append(Row(name, f"{name}, estimated", found["estimate"], std=std, note=note))
+    return rows
+
+
+def widths(run: Run, i: int) -> list[Row]:
+    """The widths of output i."""
+    unit = run.info.units.output
+    return sheet.edges("d", "d", *_last(run.d_hat, run.d_std, i), unit, _pair(run.info.widths, i))
+
+
+def actuators(run: Run) -> list[list[Row]]:
+    """The widths of each actuator; nothing where none are estimated."""
+    info = run.info
+    if run.b_hat is None or run.b_std is None:
+        return []
+    rows = []
+    for j in range(len(info.actuator) // 2):
+        found = _last(run.b_hat, run.b_std, j)
+        rows.append(sheet.edges("b", "b", *found, info.units.input, _pair(info.actuator, j)))
+    return rows
+
+
+def gaps(signals: Any, unit: str, true: Sequence[float] | None = None) -> list[list[Row]]:
+    """The gaps of the play ahead of each dead zone; nothing where none are estimated.
+
+    Args:
+        signals: a result that has them.
+        unit: of z.
+        true: of each output in turn; None: nobody knows them.
+    """
+    c, std, both = signals.c_hat, signals.c_std, signals.gap_std
+    if c is None or std is None or both is None:
+        return []
+    rows = []
+    for i in range(both.shape[1]):
+        truth = None if true is None else _pair(true, i)
+        rows.append(sheet.gaps(*_last(c, std, i), both[-1, i], unit, truth))
+    return rows
+
+
+def _last(values: Floats, stds: Floats | None, i: int) -> tuple[Any, Any]:
+    """The last right and left values of output i, and their deviations where known."""
+    pair = slice(2 * i, 2 * i + 2)
+    return values[-1, pair].tolist(), None if stds is None else stds[-1, pair].tolist()
+
+
+def _pair(values: Sequence[float], i: int) -> Sequence[float]:
+    """Right and left of output i."""
+    return values[2 * i : 2 * i + 2]
+
+
+def in_words(run: Run, of_outputs: Mapping[str, Sequence[float | None]]) -> list[Block]:
+    """What a run came to: pairs, and of several outputs a table with their rows.
+
+    Args:
+        run: what is shown.
+        of_outputs: rms of z - r, None where it is not tracked, and of z - z^ of each output by its
+            name.
+    """
+    info, single = run.info, len(of_outputs) == 1
+    shown: dict[str, Any] = {
+        "scenario": info.title,
+        "observer": f"{info.method}, {info.time} time, step {info.step:g} s",
+        **sheet.in_text(errors(run)),
+    }
+    driven = actuators(run)
+    if single:
+        shown |= sheet.in_text(widths(run, 0))
+    if len(driven) == 1:
+        shown |= sheet.in_text(driven[0])
+    if single:
+        for rows in gaps(run, info.units.output, info.gaps):
+            shown |= sheet.in_text(rows)
+    shown |= sheet.in_text(parameters(run))
+    quiet = "holding" if info.sensor == "play" else "silent"
+    shown[quiet] = f"{100 * run.silent_fraction:.1f} % of the time"
+    if info.listens:
+        shown["listens"] = listening_in_words(info.listens)
+    shown |= _proof(run) | _identifiable(info, list(of_outputs))
+    if run.diverged_at is not None:
+        shown["DIVERGED"] = f"at {run.diverged_at:g} s"
+    elif run.inexact:
+        share = info.integration_share
+        assert share is not None
+        shown["NOT EXACT"] = (
+            f"half the step changes the run by {100 * share:.3g} % of the largest |z|: these are "
+            "no results; use a smaller simulation.step"
+        )
+    return [shown] if single else [shown, _rows(run, of_outputs)]
+
+
+def _rows(run: Run, of_outputs: Mapping[str, Sequence[float | None]]) -> Rows:
+    """A row for each output: its errors, widths, and what its readings tell."""
+    info, unit = run.info, run.info.units.output
+    heads = [label(name, unit) for name in ("rms z - r", "rms z - z^", "d_right", "d_left")]
+    what = "joint" if info.joints and list(info.joints) == list(of_outputs) else "output"
+    rows: list[Sequence[str]] = [(what, *heads[:3], "true", heads[3], "true", "identifiable")]
+    for i, (name, (tracking, estimation)) in enumerate(of_outputs.items()):
+        cells = ["" if tracking is None else f"{tracking:.4g}", f"{estimation:.4g}"]
+        for row in widths(run, i):
+            cells += [row.found, f"{row.true:.6g}"]
+        verdict = info.identifiable[i]
+        told = "yes" if all(verdict[each] for each in DIRECTIONS) else yes_no(verdict)
+        rows.append((name, *cells, told))
+    return rows
+
+
+def _proof(run: Run) -> dict[str, Any]:
+    """What is proved of a run, and how exactly it was integrated."""
+    shown: dict[str, Any] = {}
+    certified, rise = run.info.certified, run.largest_rise_of_V
+    if certified is False:
+        shown["certificate"] = "none found for these gains; undeadzone check says why"
+    elif certified:
+        words = "holds for an exact model without noise or disturbance"
+        if rise is not None:
+            words += f"; along this run V rose by at most {rise:.1g} of its peak"
+        shown["certificate"] = words
+    error = run.info.integration_error
+    if error is not None:
+        shown["integration"] = f"error {error:.2g} (against half the step)"
+    return shown
+
+
+def _identifiable(info: Info, outputs: Sequence[str]) -> dict[str, Any]:
+    """What the readings tell of the widths of one output; of several, why not all of them."""
+    if len(outputs) == 1:
+        verdict = info.identifiable[0]
+        return {"identifiable": "; ".join([yes_no(verdict), *verdict["reasons"]])}
+    why = []
+    for name, verdict in zip(outputs, info.identifiable, strict=True):
+        why += [f"{name}: {reason}" for reason in verdict["reasons"]]
+    return {"why": why} if why else {}

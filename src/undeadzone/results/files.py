@@ -1,12 +1,16 @@
-"""The files of a run: signals with their info, as `.npz` or `.csv`, exactly as they were."""
+"""A result as a table, and its files: signals with their info, exactly as they were.
+
+What takes a result here is a method of it: of a run, and of what an observer makes of a log.
+"""
 
 from __future__ import annotations
 
 import csv
 import hashlib
+import os
 import zipfile
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,8 +18,7 @@ import msgspec
 import numpy as np
 
 from undeadzone.errors import FileError, InputError
-from undeadzone.simulation.run_columns import from_columns, to_columns, unit_of
-from undeadzone.simulation.run_info import Info
+from undeadzone.results.signals import Layout, Signals, from_columns, unit_of
 from undeadzone.support.arrays import Floats
 from undeadzone.support.files import LARGEST_RUN, reason, replacing, require_plain, require_unpacked
 from undeadzone.support.text import json_line, printable
@@ -37,46 +40,79 @@ NOT_A_RUN: Final = (
 )
 
 
-def write(path: Path, info: Any, signals: Mapping[str, Floats]) -> Path:
-    """Write signals by name. Raises FileError; InputError for a name of another ending."""
+def columns(result: Any) -> dict[str, Floats]:
+    """Every scalar signal by column name: t, y[0], ..., d_right[0], d_left[0], ..., V."""
+    found: dict[str, Floats] = result.signals.columns()
+    return found
+
+
+def unit(result: Any, name: str) -> str:
+    """The unit of a signal or of one of its columns.
+
+    Args:
+        result: whose signal it is.
+        name: of the signal, `x_hat`, or of the column, `x_hat[0]`.
+    """
+    return unit_of(name, result.info.units)
+
+
+def to_pandas(result: Any) -> Any:
+    """A pandas DataFrame indexed by t, one column per scalar signal; needs pandas."""
+    import pandas as pd
+
+    table = columns(result)
+    t = pd.Index(table.pop("t"), name="t")
+    return pd.DataFrame(table, index=t)
+
+
+def table_size(result: Any) -> float:
+    """About how many bytes its `.csv` has."""
+    return DIGITS * sum(float(column.size) for column in columns(result).values())
+
+
+def save(result: Any, path: str | os.PathLike[str]) -> Path:
+    """Write the signals to a file.
+
+    Args:
+        result: whose signals they are.
+        path: ending in `.npz`, or in `.csv` (17 digits, units in the header, the info as a
+            first line after #).
+
+    Returns:
+        The path.
+
+    Raises:
+        FileError: it cannot be written.
+        InputError: the name ends otherwise.
+    """
+    path = Path(path)
     if path.suffix == ".npz":
-        _write_npz(path, info, signals)
+        _write_npz(path, result.info, result.signals.arrays)
     elif path.suffix == ".csv":
-        _write_csv(path, info, to_columns(signals))
+        _write_csv(path, result.info, columns(result))
     else:
         raise InputError(f"{path}: the name must end in .npz or .csv")
     return path
 
 
-def table_size(signals: Mapping[str, Floats]) -> float:
-    """About how many bytes the `.csv` of signals has."""
-    return DIGITS * sum(float(column.size) for column in to_columns(signals).values())
-
-
-def read(
-    path: Path, signals: Iterable[str], required: Iterable[str], kind: type[msgspec.Struct] = Info
-) -> dict[str, Any]:
-    """The info and the signals of a run. Raises FileError.
+def read(path: Path, layout: Layout, kind: type[msgspec.Struct]) -> tuple[Any, Signals]:
+    """The info and the signals of a result. Raises FileError.
 
     Args:
-        path: of a file that `write` wrote.
-        signals: names of all signals that there may be.
-        required: of those without which there is no run.
+        path: of a file that `save` wrote.
+        layout: of the signals.
         kind: of the info.
     """
     try:
         require_plain(path, LARGEST_RUN)
         if path.suffix == ".csv":
-            info, columns = _read_csv(path, kind)
-            return {"info": info, **from_columns(columns, signals, required)}
+            info, table = _read_csv(path, kind)
+            return info, Signals(layout, from_columns(table, layout))
         require_unpacked(path, LARGEST_RUN)
         with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in signals if name in file}
+            arrays = {name: file[name] for name in layout.names if name in file}
             info = msgspec.json.decode(file["info"].tobytes(), type=kind)
-        missing = set(required) - {"V"} - arrays.keys()
-        if missing:
-            raise ValueError(f"{min(missing)} is missing")
-        return {"info": info, "V": None, **arrays}
+        return info, Signals(layout, arrays)
     except OSError as error:
         raise FileError(f"{path}: cannot read: {reason(error)}") from None
     except NOT_A_RUN as error:
@@ -93,14 +129,14 @@ def _write_npz(path: Path, info: Any, signals: Mapping[str, Floats]) -> None:
         np.savez_compressed(file, **arrays)
 
 
-def _write_csv(path: Path, info: Any, columns: Mapping[str, Floats]) -> None:
+def _write_csv(path: Path, info: Any, table: Mapping[str, Floats]) -> None:
     """Write columns with 17 digits: the info after #, names with units, numbers.
 
     The info ends with a checksum of the whole file, in which zeros stand in its own place.
     """
-    units = [" ".join(unit_of(name, info.units).split()) for name in columns]
-    heads = [f"{name} [{printable(unit)}]" for name, unit in zip(columns, units, strict=True)]
-    numbers = np.stack(list(columns.values()), axis=1)
+    units = [" ".join(unit_of(name, info.units).split()) for name in table]
+    heads = [f"{name} [{printable(unit)}]" for name, unit in zip(table, units, strict=True)]
+    numbers = np.stack(list(table.values()), axis=1)
     entries = json_line(msgspec.json.encode(info).decode()).removesuffix("}")
     first = f'# {entries},{CHECKSUM}{NO_SUM}"}}\n'
     with replacing(path) as temporary:
