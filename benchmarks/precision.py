@@ -12,7 +12,7 @@ from benchmarks import ours, rivals
 from benchmarks.markdown import head, row
 from benchmarks.speed import Entry, race
 from benchmarks.workload import Result, Work, draw, final_error
-from undeadzone.report import style
+from undeadzone.report import ink, style
 
 FIGURE = Path(__file__).with_name("precision.png")
 DURATION = 10.0  # [s]
@@ -48,8 +48,8 @@ def curves() -> list[Curve]:
     """Every program, ours first."""
     many, one = _stepped(RUNS), _stepped(1)
     same_many, same_64, same_one = _same(RUNS), _same(64), _same(1)
-    blue, pink, grey, red = style.ESTIMATE, style.OTHER, style.ZONE, style.PRINTED
-    green, orange = style.REFERENCE, style.READING
+    blue, pink, grey, red = ink.ESTIMATE, ink.OTHER, ink.ZONE, ink.PRINTED
+    green, orange = ink.REFERENCE, ink.READING
     heyoka, batches = _rival("heyoka_events", "tol"), _rival("heyoka_events", "tol", batch=True)
     diffrax, scipy = _rival("diffrax_tsit5", "rtol"), _rival("scipy_ivp", "rtol")
     dop853 = _rival("scipy_ivp", "rtol", method="DOP853", events=True)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import common, folder_for, origin, print_json
+from undeadzone.cli.common import Output, common, origin, print_json
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ COLOURS = {"holds": "green", "holds after repair": "yellow"}  # of verdicts; of 
 
 @click.command(epilog="Example: undeadzone paper --out results, then look at results/report.html")
 @common
-def paper(out: Path | None, as_json: bool, no_figures: bool) -> int:
+def paper(output: Output) -> int:
     """Run the paper's example as printed and repaired, and check every claim.
 
     Prints the table of claims with what was measured for each. Writes paper.json, figures 3-8 and
@@ -28,14 +28,14 @@ def paper(out: Path | None, as_json: bool, no_figures: bool) -> int:
     """
     from undeadzone_paper import audit, write
 
-    folder = folder_for(out, no_figures, "paper-results")
+    folder = output.folder("paper-results")
     written: list[Path] = []
     with progress("auditing the paper", None) as advance:
         result = audit(progress=advance)
         if folder is not None:
-            written = write(result, folder, not no_figures, progress=advance, origin=origin(None))
+            written = write(result, folder, output.figures, progress=advance, origin=origin(None))
     summary = result.summary()
-    if as_json:
+    if output.as_json:
         print_json(summary, written)
     else:
         _print(summary, written)

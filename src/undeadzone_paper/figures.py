@@ -8,18 +8,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from undeadzone.report.style import (
-    ESTIMATE,
-    OTHER,
-    PRINTED,
-    READING,
-    REFERENCE,
-    TRUTH,
-    finish,
-    plot_magnitude,
-    shade_zone,
-    sheet,
-)
+from undeadzone.report import ink
+from undeadzone.report.style import finish, plot_magnitude, shade_zone, sheet
 from undeadzone.results.run import Run
 from undeadzone.support.arrays import Floats
 from undeadzone_paper.equations import FIGURES
@@ -32,7 +22,12 @@ if TYPE_CHECKING:
 
 EARLY: Final = 6.0  # [s] shown where two oscillating signals lie on each other
 DASHED: Final = (0, (4, 2))
-_COLOURS: Final = (PRINTED, ESTIMATE, REFERENCE, READING)  # of the readings of the plant
+_COLOURS: Final = (
+    ink.PRINTED,
+    ink.ESTIMATE,
+    ink.REFERENCE,
+    ink.READING,
+)  # of the readings of the plant
 
 
 class Trio(NamedTuple):
@@ -59,19 +54,19 @@ class Line(NamedTuple):
 
 _LINES: Final = {
     3: (
-        Line("$y$", TRUTH, lambda run: run.y[:, 0]),
-        Line(r"$\hat y$", ESTIMATE, predicted_reading),
+        Line("$y$", ink.TRUTH, lambda run: run.y[:, 0]),
+        Line(r"$\hat y$", ink.ESTIMATE, predicted_reading),
     ),
-    4: (Line(r"$\hat y - y$", ESTIMATE, lambda run: predicted_reading(run) - run.y[:, 0]),),
+    4: (Line(r"$\hat y - y$", ink.ESTIMATE, lambda run: predicted_reading(run) - run.y[:, 0]),),
     5: (
-        Line("$x_1$", TRUTH, lambda run: run.x[:, 0]),
-        Line(r"$\hat x_1$", ESTIMATE, lambda run: run.x_hat[:, 0]),
+        Line("$x_1$", ink.TRUTH, lambda run: run.x[:, 0]),
+        Line(r"$\hat x_1$", ink.ESTIMATE, lambda run: run.x_hat[:, 0]),
     ),
-    6: (Line(r"$\hat x_1 - x_1$", ESTIMATE, lambda run: run.x_hat[:, 0] - run.x[:, 0]),),
-    7: (Line(r"$\hat x_2 - x_2$", ESTIMATE, lambda run: run.x_hat[:, 1] - run.x[:, 1]),),
+    6: (Line(r"$\hat x_1 - x_1$", ink.ESTIMATE, lambda run: run.x_hat[:, 0] - run.x[:, 0]),),
+    7: (Line(r"$\hat x_2 - x_2$", ink.ESTIMATE, lambda run: run.x_hat[:, 1] - run.x[:, 1]),),
     8: (
-        Line(r"$\hat d_r$", ESTIMATE, lambda run: run.d_hat[:, 0]),
-        Line(r"$\hat d_l$", OTHER, lambda run: run.d_hat[:, 1]),
+        Line(r"$\hat d_r$", ink.ESTIMATE, lambda run: run.d_hat[:, 0]),
+        Line(r"$\hat d_l$", ink.OTHER, lambda run: run.d_hat[:, 1]),
     ),
 }
 
@@ -97,10 +92,10 @@ def figure(number: int, runs: Trio, reference: str) -> Figure:
     _signals(panels["repaired"], lines, runs.repaired)
     finish(panels["repaired"], "Repaired")
     axes = panels["V printed"]
-    axes.plot(runs.begun.t, _V(runs.begun), color=TRUTH, label="started outside the zone")
+    axes.plot(runs.begun.t, _V(runs.begun), color=ink.TRUTH, label="started outside the zone")
     _from_rest(axes, runs.resting, _V)
     finish(axes, "V of (30), as printed", "V")
-    plot_magnitude(panels["V repaired"], runs.repaired.t, _V(runs.repaired), TRUTH, "V")
+    plot_magnitude(panels["V repaired"], runs.repaired.t, _V(runs.repaired), ink.TRUTH, "V")
     finish(panels["V repaired"], "V of the certificate, repaired", "V", legend=0)
     return sketch
 
@@ -122,7 +117,7 @@ def _signals(axes: Axes, lines: tuple[Line, ...], run: Run) -> None:
     paired = len(lines) == 2 and not widths
     shown = run.t <= (EARLY if paired else run.t[-1])
     if widths:
-        axes.axhline(D, color=TRUTH, linewidth=3.0, alpha=0.25, label="truth")
+        axes.axhline(D, color=ink.TRUTH, linewidth=3.0, alpha=0.25, label="truth")
     for line in lines:
         t, value = run.t[shown], line.value(run)[shown]
         dashes = DASHED if paired and line is lines[1] else "-"
@@ -132,7 +127,7 @@ def _signals(axes: Axes, lines: tuple[Line, ...], run: Run) -> None:
 def _from_rest(axes: Axes, run: Run, value: Callable[[Run], Floats]) -> None:
     """A thin line of what the same does from rest, as far as the panel goes."""
     shown = run.t <= axes.dataLim.x1
-    axes.plot(run.t[shown], value(run)[shown], color=PRINTED, linewidth=1.0, label="from rest")
+    axes.plot(run.t[shown], value(run)[shown], color=ink.PRINTED, linewidth=1.0, label="from rest")
 
 
 def silence(t: Floats, outputs: Mapping[str, Floats]) -> Figure:

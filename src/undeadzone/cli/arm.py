@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import common, folder_for, print_blocks, print_json
+from undeadzone.cli.common import PATH, Output, common, writable
 
 if TYPE_CHECKING:
     from undeadzone.plants.robots.survey import Survey
@@ -17,19 +17,15 @@ HEAD = ("joint", "moves", "from", "to", "speed", "torque", "to hold", "b", "f", 
 
 
 @click.command(epilog="Example: undeadzone arm panda.urdf --tip panda_hand --out panda")
-@click.argument("robot", type=click.Path(path_type=Path), metavar="ROBOT.urdf")
-@click.option("--tip", default=None, metavar="LINK", help="Link in which the arm ends.")
+@click.argument("robot", type=PATH, metavar="ROBOT.urdf")
+@click.option("--tip", metavar="LINK", help="Link in which the arm ends.")
 @click.option(
     "--joints",
-    default=None,
     metavar="NAME,...",
     help="Joints that move, from base to tip (default: all; the others are fixed at 0).",
 )
 @click.option(
-    "--at",
-    default=None,
-    metavar="Q1,...",
-    help="Posture [rad or m] (default: 0, or the middle between limits).",
+    "--at", metavar="Q1,...", help="Posture [rad or m] (default: 0, or the middle between limits)."
 )
 @common
 def arm(
@@ -37,9 +33,7 @@ def arm(
     tip: str | None,
     joints: str | None,
     at: str | None,
-    out: Path | None,
-    as_json: bool,
-    no_figures: bool,
+    output: Output,
 ) -> int:
     """Show the arm in a URDF file: joints, limits, masses, tip, reach, torques that hold it.
 
@@ -48,16 +42,21 @@ def arm(
     """
     from undeadzone.plants.robots.survey import survey
 
-    folder = folder_for(out, True, "")
+    folder = None if output.out is None else writable(output.out)
     names = None if joints is None else [name.strip() for name in joints.split(",")]
     found = survey(robot, names, tip, None if at is None else _numbers(at))
     written = [] if folder is None else [_started(found, robot, folder)]
     weak = _weak(found)
-    if as_json:
-        print_json(_in_numbers(found), written)
-    else:
-        advice = _advice(found, weak, written, robot)
-        print_blocks([_in_words(found, robot), [HEAD, *_rows(found)], advice])
+    output.show(
+        lambda: _in_numbers(found),
+        lambda: [
+            _in_words(found, robot),
+            [HEAD, *_rows(found)],
+            _advice(found, weak, written, robot),
+        ],
+        written,
+        last={},
+    )
     return 1 if weak else 0
 
 

@@ -6,17 +6,7 @@ from pathlib import Path
 
 import click
 
-from undeadzone.cli.common import (
-    common,
-    confined,
-    folder_for,
-    json_text,
-    named_files,
-    origin,
-    print_blocks,
-    print_json,
-    with_schema,
-)
+from undeadzone.cli.common import PATH, Output, common, confined, json_text, origin, with_schema
 from undeadzone.support.progress import on_terminal as progress
 
 
@@ -24,12 +14,10 @@ from undeadzone.support.progress import on_terminal as progress
     epilog="Example: undeadzone check examples/paper_5sin.toml --out verdict, then look at "
     "verdict/report.html"
 )
-@click.argument("scenario", type=click.Path(path_type=Path), metavar="SCENARIO.toml")
+@click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
 @confined
 @common
-def check(
-    scenario: Path, out: Path | None, as_json: bool, no_figures: bool, confine: Path | None
-) -> int:
+def check(scenario: Path, output: Output, confine: Path | None) -> int:
     """Assess the scenario's gains, and how strongly its readings move z^.
 
     Prints whether one V proves x^ -> x for every sequence of sides (else at which frequency 1 + G
@@ -46,14 +34,14 @@ def check(
     from undeadzone.synthesis.assessment import assess, attack
     from undeadzone.synthesis.check import checked
 
-    folder = folder_for(out, no_figures, f"{scenario.stem}-check")
+    folder = output.folder(f"{scenario.stem}-check")
     written = []
     with progress("judging", None) as advance:
         result = checked(assess(resolve_scenario(read(scenario, confine)), listen=True))
         if folder is not None:
             text = json_text(with_schema(result.summary()))
             written.append(write_text(text + "\n", folder / "check.json"))
-        if folder is not None and not no_figures:
+        if folder is not None and output.figures:
             from undeadzone.report.gains_page import write_gains
 
             attempts = attack(result.assessment)
@@ -62,8 +50,5 @@ def check(
             written += write_gains(
                 result.assessment, attempts, folder, origin=origin(scenario, seed)
             )
-    if as_json:
-        print_json(result.summary(), written)
-    else:
-        print_blocks(result.blocks(), named_files(written))
+    output.show(result.summary, result.blocks, written)
     return 0 if result.affirmed else 1

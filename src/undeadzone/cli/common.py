@@ -10,8 +10,9 @@ import shutil
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from functools import reduce, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from undeadzone.report.html import Origin
     from undeadzone.results.info import LogInfo
 
-Command = TypeVar("Command", bound=Callable[..., Any])
 LARGE = 1e7  # [bytes] of a table of signals that is written unasked
 SCHEMA = 1  # of JSON: raised when a key goes or changes its meaning; keys may be added
 COLOURS = {"yes": "green", "ON TRUST": "yellow"}  # of verdicts; of others red
@@ -35,29 +35,107 @@ VERDICT = re.compile(
 )
 
 
-def common(command: Command) -> Command:
-    """Add --out, --json and --no-figures."""
-    no_figures = click.option("--no-figures", is_flag=True, help="Compute only; draw nothing.")
-    as_json = click.option(
+PATH = click.Path(path_type=Path)
+
+# Options that several commands have
+csv_option = click.option(
+    "--csv",
+    "as_csv",
+    is_flag=True,
+    help=f"Write the table of signals too where it is larger than {LARGE / 1e6:g} MB.",
+)
+confined = click.option(
+    "--confine",
+    type=PATH,
+    metavar="DIR",
+    help="Refuse files that the scenario names outside of DIR, as a service should.",
+)
+strict_option = click.option(
+    "--strict", is_flag=True, help="Stop at the first line that cannot be read."
+)
+columns_option = click.option(
+    "--columns",
+    metavar="y=NAME,u=NAME",
+    help="Columns by name or number: t=1,y=angle,u=voltage; several: y[0]=a,y[1]=b.",
+)
+OUTPUTS = (
+    click.option("--no-figures", is_flag=True, help="Compute only; draw nothing."),
+    click.option(
         "--json",
         "as_json",
         is_flag=True,
         help="Print one JSON object on stdout and nothing else there.",
-    )
-    out = click.option(
+    ),
+    click.option(
         "--out",
-        type=click.Path(path_type=Path),
-        default=None,
+        type=PATH,
         metavar="DIR",
         help="Folder for the files written (made if missing).",
-    )
-    return out(as_json(no_figures(command)))
+    ),
+)
 
 
-def csv_option(command: Command) -> Command:
-    """Add --csv."""
-    words = f"Write the table of signals too where it is larger than {LARGE / 1e6:g} MB."
-    return click.option("--csv", "as_csv", is_flag=True, help=words)(command)
+class Output(NamedTuple):
+    """What a command does with its result.
+
+    Attributes:
+        out: folder that --out names; None: the command's own.
+        as_json: whether one JSON object is printed.
+        figures: whether figures and a page are drawn.
+    """
+
+    out: Path | None
+    as_json: bool
+    figures: bool
+
+    def folder(self, default: str) -> Path | None:
+        """The folder for the files written; None: nothing is written.
+
+        Called before the computation, so that a folder in which nothing can be written is noticed
+        then.
+
+        Args:
+            default: name of the folder without --out.
+
+        Raises:
+            FileError: nothing can be written there.
+        """
+        if self.out is None and not self.figures:
+            return None
+        folder = writable(self.out or Path(default))
+        if self.figures:
+            prepare_figures()
+        return folder
+
+    def show(
+        self,
+        numbers: Callable[[], Mapping[str, Any]],
+        blocks: Callable[[], Sequence[Block]],
+        written: Sequence[Path],
+        last: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Print a result as one JSON object, or in words.
+
+        Args:
+            numbers: gives the object.
+            blocks: gives the words.
+            written: the files.
+            last: lines at the end of the words; None: those that name the files.
+        """
+        if self.as_json:
+            print_json(numbers(), written)
+        else:
+            print_blocks(blocks(), named_files(written) if last is None else last)
+
+
+def common(command: Callable[..., int]) -> Callable[..., int]:
+    """Add --out, --json and --no-figures, which the command gets as one `Output`."""
+
+    @wraps(command)
+    def given(out: Path | None, as_json: bool, no_figures: bool, **options: Any) -> int:
+        return command(output=Output(out, as_json, not no_figures), **options)
+
+    return reduce(lambda made, option: option(made), OUTPUTS, given)
 
 
 def wanted_table(as_csv: bool, size: float, name: str) -> tuple[bool, dict[str, str]]:
@@ -71,18 +149,6 @@ def wanted_table(as_csv: bool, size: float, name: str) -> tuple[bool, dict[str, 
     if as_csv or size <= LARGE:
         return True, {}
     return False, {"left out": f"{name}, about {size / 1e6:.0f} MB: --csv writes it"}
-
-
-def confined(command: Command) -> Command:
-    """Add --confine."""
-    option = click.option(
-        "--confine",
-        type=click.Path(path_type=Path),
-        default=None,
-        metavar="DIR",
-        help="Refuse files that the scenario names outside of DIR, as a service should.",
-    )
-    return option(command)
 
 
 def origin(path: Path | None, seed: int | None = None) -> Origin:
@@ -102,27 +168,6 @@ def origin(path: Path | None, seed: int | None = None) -> Origin:
     return Origin(shlex.join(["undeadzone", *sys.argv[1:]]), text, seed)
 
 
-def folder_for(out: Path | None, no_figures: bool, default: str) -> Path | None:
-    """The folder for the files written; None: nothing is written.
-
-    Called before the computation, so that a folder in which nothing can be written is noticed then.
-
-    Args:
-        out: what --out says.
-        no_figures: whether --no-figures is given.
-        default: name of the folder without --out.
-
-    Raises:
-        FileError: nothing can be written there.
-    """
-    if out is None and no_figures:
-        return None
-    folder = writable(Path(default) if out is None else out)
-    if not no_figures:
-        prepare_figures()
-    return folder
-
-
 def prepare_figures() -> None:
     """Let figures look the same in every folder; called before the first is drawn."""
     from undeadzone.report.style import own_settings
@@ -136,6 +181,24 @@ def writable(folder: Path) -> Path:
 
     require_folder(folder)
     return folder
+
+
+def partial_file(folder: Path | None, name: str, resume: bool) -> Path | None:
+    """Where a search is kept until it is done; None: nowhere.
+
+    Args:
+        folder: of what it writes; None: it writes nothing.
+        name: of the file that it writes at its end.
+        resume: whether --resume is given.
+
+    Raises:
+        click.UsageError: there is nothing to resume.
+    """
+    if folder is not None:
+        return folder / f"{name}.partial"
+    if resume:
+        raise click.UsageError("--resume needs the folder that was written to; name it with --out")
+    return None
 
 
 def named_files(written: Sequence[Path]) -> dict[str, Any]:
@@ -209,23 +272,6 @@ def _paint(found: re.Match[str]) -> str:
 def _coloured() -> bool:
     """Whether colours are wanted (no-color.org)."""
     return not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
-
-
-def strict_option(command: Command) -> Command:
-    """Add --strict."""
-    return click.option(
-        "--strict", is_flag=True, help="Stop at the first line that cannot be read."
-    )(command)
-
-
-def columns_option(command: Command) -> Command:
-    """Add --columns."""
-    return click.option(
-        "--columns",
-        default=None,
-        metavar="y=NAME,u=NAME",
-        help="Columns by name or number: t=1,y=angle,u=voltage; several: y[0]=a,y[1]=b.",
-    )(command)
 
 
 def exit_code(info: LogInfo) -> int:

@@ -7,15 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import (
-    common,
-    confined,
-    folder_for,
-    named_files,
-    origin,
-    print_blocks,
-    print_json,
-)
+from undeadzone.cli.common import PATH, Output, common, confined, named_files, origin
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
@@ -50,18 +42,16 @@ def powers(
     epilog="Example: undeadzone design examples/paper_5sin.toml --out mine, then look at "
     "mine/report.html"
 )
-@click.argument("scenario", type=click.Path(path_type=Path), metavar="SCENARIO.toml")
+@click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
 @click.option(
     "--maximise",
     type=click.Choice(["knee", "rate"]),
-    default=None,
     help="The knee of the front of rate, disturbance and noise (default), or the rate alone.",
 )
 @click.option(
     "--weights",
     callback=powers,
     metavar="D,M,N",
-    default=None,
     help="Instead: maximise rate / (disturbance^D mismatch^M noise^N).",
 )
 @click.option(
@@ -86,9 +76,7 @@ def design(
     weights: tuple[float, ...] | None,
     margin: float,
     seed: int,
-    out: Path | None,
-    as_json: bool,
-    no_figures: bool,
+    output: Output,
     confine: Path | None,
 ) -> int:
     """Find gains L, gamma for a scenario's plant, sensor and reference, with a proof.
@@ -117,28 +105,30 @@ def design(
             "give --maximise or --weights, not both", click.get_current_context()
         )
     planned = read(scenario, confine)
-    folder = folder_for(out, no_figures, f"{scenario.stem}-design")
+    folder = output.folder(f"{scenario.stem}-design")
     _, flow, _ = systems(planned)
     reason = impossible(flow)
     if reason:
-        _print_impossible(planned, scenario, reason, as_json)
+        output.show(
+            lambda: {"title": planned.title, "certified": False, "reasons": [reason]},
+            lambda: [_impossible(planned, scenario, reason)],
+            written=[],
+        )
         return 1
     aim: Any = (maximise or "knee") if weights is None else Weights(*weights)
     with progress("designing", rounds(aim)) as advance:
         result = search(planned, aim, margin=margin, seed=seed, progress=advance)
     designed = with_gains(planned, result)
     judged = assess_gains(designed)
-    written = (
-        []
-        if folder is None
-        else _written(result, designed, folder, not no_figures, origin(scenario, seed))
+    written: list[Path] = []
+    if folder is not None:
+        written = _written(result, designed, folder, output.figures, origin(scenario, seed))
+    output.show(
+        lambda: _numbers(result, judged),
+        lambda: _words(result, judged),
+        written,
+        named_files(written) | _next(folder),
     )
-    if as_json:
-        known = judged.summary()
-        del known["nearest"]  # those found are certified
-        print_json(_numbers(result) | known, written)
-    else:
-        print_blocks(_words(result, judged), named_files(written) | _next(folder))
     return 0
 
 
@@ -152,18 +142,14 @@ def _next(folder: Path | None) -> dict[str, str]:
     }
 
 
-def _print_impossible(scenario: Scenario, path: Path, reason: str, as_json: bool) -> None:
-    """Print why no gains can be certified."""
-    if as_json:
-        print_json({"title": scenario.title, "certified": False, "reasons": [reason]}, [])
-        return
-    words = {
+def _impossible(scenario: Scenario, path: Path, reason: str) -> dict[str, str]:
+    """Why no gains can be certified."""
+    return {
         "scenario": scenario.title,
         "certified": "NO gains can be",
         "why": reason,
         "next": f"undeadzone check {path} says what can be known",
     }
-    print_blocks([words])
 
 
 def _written(
@@ -190,12 +176,13 @@ def _written(
     return written
 
 
-def _numbers(design: Design) -> dict[str, Any]:
-    """A design for JSON, its gains first."""
+def _numbers(design: Design, judged: Check) -> dict[str, Any]:
+    """A design for JSON, its gains first, and what `check` says of it."""
     import msgspec
 
-    numbers = msgspec.to_builtins(design)
-    return numbers.pop("best") | numbers
+    numbers, known = msgspec.to_builtins(design), judged.summary()
+    del known["nearest"]  # those found are certified
+    return numbers.pop("best") | numbers | known
 
 
 def _words(design: Design, judged: Check) -> list[Block]:

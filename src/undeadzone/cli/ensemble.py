@@ -8,31 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import (
-    common,
-    confined,
-    origin,
-    prepare_figures,
-    print_blocks,
-    print_json,
-    writable,
-)
+from undeadzone.cli.common import PATH, Output, common, confined, origin, prepare_figures, writable
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
-    from undeadzone.ensemble.result import Ensemble
     from undeadzone.scenario.schema import Scenario
 
 
 @click.command(epilog="Example: undeadzone ensemble examples/ensemble.toml --out study")
-@click.argument("scenario", type=click.Path(path_type=Path), metavar="SCENARIO.toml")
-@click.option(
-    "--runs",
-    type=int,
-    default=None,
-    metavar="N",
-    help="How many (default: [ensemble] runs, 10000).",
-)
+@click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
+@click.option("--runs", type=int, metavar="N", help="How many (default: [ensemble] runs, 10000).")
 @click.option(
     "--resume",
     is_flag=True,
@@ -41,13 +26,11 @@ if TYPE_CHECKING:
 @click.option(
     "--workers",
     type=int,
-    default=None,
     metavar="N",
     help="Compute on N processes of this computer; the bits are the same.",
 )
 @click.option(
     "--cluster",
-    default=None,
     metavar="ADDRESS",
     help="Compute on the Dask cluster whose scheduler is there, such as tcp://10.0.0.1:8786 "
     "(needs the extra dask; docs/security.md says what is trusted).",
@@ -66,9 +49,7 @@ def ensemble(
     workers: int | None,
     cluster: str | None,
     parquet: bool,
-    out: Path | None,
-    as_json: bool,
-    no_figures: bool,
+    output: Output,
     confine: Path | None,
 ) -> int:
     """Run a scenario many times: how often does it settle, how large are the errors, what decides?
@@ -93,7 +74,7 @@ def ensemble(
 
     varied = _sized(read(scenario, confine), runs)
     total = varied.ensemble.runs if varied.ensemble else None
-    folder = writable(out if out is not None else Path(f"{scenario.stem}-ensemble"))
+    folder = writable(output.out or Path(f"{scenario.stem}-ensemble"))
     path = folder / ("runs.parquet" if parquet else "runs.npz")
     with progress("running", total, "runs") as advance:
         result = run_ensemble(
@@ -101,15 +82,13 @@ def ensemble(
         )
     summary = result.summary()
     written = [path]
-    if not no_figures:
+    if output.figures:
         prepare_figures()
         from undeadzone.report.ensemble_page import write_ensemble
 
         written += write_ensemble(result, summary, folder, origin(scenario, result.info.seed))
-    if as_json:
-        print_json(summary, written)
-    else:
-        _print(result, summary, folder, written)
+    last = _last(summary, folder, written)
+    output.show(lambda: summary, lambda: result.blocks(summary), written, last)
     return 1 if summary["diverged"]["value"] else 0
 
 
@@ -127,14 +106,13 @@ def _sized(scenario: Scenario, runs: int | None) -> Scenario:
     return msgspec.structs.replace(scenario, ensemble=ensemble)
 
 
-def _print(result: Ensemble, summary: dict[str, Any], folder: Path, written: list[Path]) -> None:
-    """Print what an ensemble came to."""
+def _last(summary: dict[str, Any], folder: Path, written: list[Path]) -> dict[str, str]:
+    """Which runs are worst, how one is seen, and the files."""
     from undeadzone.ensemble.words import SHOWN
 
     worst = [row["run"] for row in summary["worst"]][:SHOWN]
-    last = {
+    return {
         "worst runs": ", ".join(map(str, worst)),
         "see one": f"undeadzone run {shlex.quote(str(written[0]))} --replay {worst[0]}",
         "written": f"{folder}: {', '.join(path.name for path in written)}",
     }
-    print_blocks(result.blocks(summary), last)

@@ -7,16 +7,15 @@ from pathlib import Path
 import click
 
 from undeadzone.cli.common import (
+    PATH,
+    Output,
     columns_option,
     common,
     confined,
     csv_option,
     exit_code,
-    folder_for,
     named_files,
     origin,
-    print_blocks,
-    print_json,
     strict_option,
     wanted_table,
 )
@@ -24,8 +23,8 @@ from undeadzone.support.progress import on_terminal as progress
 
 
 @click.command(epilog="Example: undeadzone estimate mine.toml log.csv --columns y=angle,u=voltage")
-@click.argument("scenario", type=click.Path(path_type=Path), metavar="SCENARIO.toml")
-@click.argument("log", type=click.Path(path_type=Path), metavar="LOG")
+@click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
+@click.argument("log", type=PATH, metavar="LOG")
 @columns_option
 @strict_option
 @click.option("--causal", is_flag=True, help="The filter alone: no smoothing with the whole log.")
@@ -40,9 +39,7 @@ def estimate(
     causal: bool,
     as_csv: bool,
     confine: Path | None,
-    out: Path | None,
-    as_json: bool,
-    no_figures: bool,
+    output: Output,
 ) -> int:
     """Let the observer of a scenario follow a log, and say what it makes of it.
 
@@ -58,24 +55,16 @@ def estimate(
     from undeadzone.scenario.reader import read_for_logs
     from undeadzone.simulation.estimate import estimate as estimated
 
-    folder = folder_for(out, no_figures, f"{log.stem}-estimate")
+    folder = output.folder(f"{log.stem}-estimate")
     watched = read_for_logs(scenario, confine)
     with progress("estimating", None) as advance:
         result = estimated(
-            watched,
-            log,
-            columns=columns,
-            strict=strict,
-            smoothing=not causal,
-            progress=advance,
+            watched, log, columns=columns, strict=strict, smoothing=not causal, progress=advance
         )
     written: list[Path] = []
     tables, left_out = wanted_table(as_csv, result.table_size, "estimate.csv")
     if folder is not None:
-        written = write_estimation(result, folder, not no_figures, tables, origin(scenario))
-    if as_json:
-        print_json(result.summary(), written)
-    else:
-        left_out = left_out if written else {}
-        print_blocks(result.blocks(), named_files(written) | left_out)
+        written = write_estimation(result, folder, output.figures, tables, origin(scenario))
+    last = named_files(written) | left_out if written else {}
+    output.show(result.summary, result.blocks, written, last)
     return exit_code(result.info)

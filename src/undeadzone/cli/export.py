@@ -8,39 +8,31 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import confined, print_blocks, print_json
+from undeadzone.cli.common import PATH, confined, print_blocks, print_json
 
 if TYPE_CHECKING:
     from undeadzone.support.shown import Block
 
 
 @click.command(epilog="Example: undeadzone export mine.toml --to c --out firmware --check")
-@click.argument("scenario", type=click.Path(path_type=Path), metavar="SCENARIO.toml")
+@click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
 @click.option(
-    "--to",
-    default="c",
-    metavar="WHAT",
-    help="c (default), arduino, fmu2, fmu3, python or page.",
+    "--to", default="c", metavar="WHAT", help="c (default), arduino, fmu2, fmu3, python or page."
 )
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
-    default=None,
+    type=PATH,
     metavar="DIR",
     help="Folder for the files (default: firmware; with --check alone, none); of a page, the file "
     "(default: live.html).",
 )
 @click.option(
     "--precision",
-    default=None,
     metavar="P",
     help="single (default of c and arduino) or double (default of the others).",
 )
 @click.option(
-    "--part",
-    default="observer",
-    metavar="PART",
-    help="observer (default) or observer+controller.",
+    "--part", default="observer", metavar="PART", help="observer (default) or observer+controller."
 )
 @click.option(
     "--tunable",
@@ -48,7 +40,7 @@ if TYPE_CHECKING:
     metavar="NAME",
     help="A number that stays a parameter, such as observer.gamma; may be repeated.",
 )
-@click.option("--name", default=None, metavar="NAME", help="What every symbol begins with.")
+@click.option("--name", metavar="NAME", help="What every symbol begins with.")
 @click.option(
     "--check",
     is_flag=True,

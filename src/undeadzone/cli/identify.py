@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from undeadzone.cli.common import (
+    Output,
     columns_option,
     common,
-    folder_for,
     named_files,
     origin,
-    print_blocks,
-    print_json,
+    partial_file,
     strict_option,
     writable,
 )
@@ -31,8 +30,8 @@ if TYPE_CHECKING:
     "logs", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="LOG [LOG ...]"
 )
 @click.option("--order", default="1-4", help="Poles of the plant: 2, or a range to choose from.")
-@click.option("--right", default=None, help="d_r: known (0.5), within bounds (0.2,1) or inf.")
-@click.option("--left", default=None, help="d_l: known (0.5), within bounds (0.2,1) or inf.")
+@click.option("--right", help="d_r: known (0.5), within bounds (0.2,1) or inf.")
+@click.option("--left", help="d_l: known (0.5), within bounds (0.2,1) or inf.")
 @click.option("--offset", default="0", help="rms of a constant output offset, or free.")
 @click.option("--held-out", default=0.3, help="Share of the log, at its end, that checks.")
 @click.option("--noise", type=click.Choice(["auto", "before", "after"]), default="auto")
@@ -41,8 +40,8 @@ if TYPE_CHECKING:
 @click.option("--delay", default="auto", help="Samples by which the recording delays the input.")
 @click.option("--zero", default=0.0, help="What the sensor reads inside its zone.")
 @click.option("--integrators", default=0, help="Poles of the plant at 0: 1 for a motor's position.")
-@click.option("--threshold", type=float, default=None, help="|y| up to which y is silent.")
-@click.option("--resample", type=float, default=None, metavar="STEP", help="Step [s] to put on.")
+@click.option("--threshold", type=float, help="|y| up to which y is silent.")
+@click.option("--resample", type=float, metavar="STEP", help="Step [s] to put on.")
 @columns_option
 @strict_option
 @click.option(
@@ -51,9 +50,7 @@ if TYPE_CHECKING:
 @common
 def identify(
     logs: tuple[Path, ...],
-    out: Path | None,
-    as_json: bool,
-    no_figures: bool,
+    output: Output,
     resume: bool,
     **options: Any,
 ) -> int:
@@ -72,11 +69,9 @@ def identify(
     from undeadzone.identification.identify import identify as identified
 
     first = logs[0]
-    folder = folder_for(out, no_figures, f"{first.stem}-identify")
-    writable(out or Path())
-    keep = None if folder is None else folder / "identify.json.partial"
-    if resume and keep is None:
-        raise click.UsageError("--resume needs the folder that was written to; name it with --out")
+    folder = output.folder(f"{first.stem}-identify")
+    beside = writable(output.out or Path())  # where the scenario goes
+    keep = partial_file(folder, "identify.json", resume)
     with progress("identifying", None) as advance:
         names = [str(path) for path in logs]
         answer = identified(names, progress=advance, keep=keep, resume=resume, **options)
@@ -84,18 +79,15 @@ def identify(
         written: list[Path] = [] if folder is None else [answer.save(folder / "identify.json")]
         reason = None
         if is_found or answer.verdict in WRITTEN:
-            path = Path(f"{first.stem}.toml") if out is None else out / f"{first.stem}.toml"
+            path = beside / f"{first.stem}.toml"
             scenario, reason = _scenario(answer, path)
             written = scenario + written
-        if folder is not None and not no_figures:
+        if folder is not None and output.figures:
             written += _pages(answer, folder, first.name)
     if keep is not None:
         keep.unlink(missing_ok=True)
-    if as_json:
-        print_json(answer.numbers(), written)
-    else:
-        why = {} if reason is None else {"no scenario": reason.removeprefix("scenario: ")}
-        print_blocks(answer.blocks(), why | named_files(written))
+    why = {} if reason is None else {"no scenario": reason.removeprefix("scenario: ")}
+    output.show(answer.numbers, answer.blocks, written, why | named_files(written))
     return 0 if is_found else 1
 
 

@@ -14,7 +14,7 @@ from typing import Any, Final
 import click
 
 import undeadzone
-from undeadzone.cli.common import common, print_blocks, print_json, say
+from undeadzone.cli.common import PATH, Output, common, print_blocks, print_json, say
 from undeadzone.errors import FileError, InputError
 from undeadzone.support.files import read_text
 
@@ -25,10 +25,9 @@ OTHERS: Final = {
 
 
 @click.command(epilog="Example: undeadzone init mine.toml && undeadzone run mine.toml")
-@click.argument("file", type=click.Path(path_type=Path), default=None, metavar="[FILE]")
+@click.argument("file", type=PATH, default=None, metavar="[FILE]")
 @click.option(
     "--example",
-    default=None,
     metavar="NAME",
     help="Write an example, with the files that it names, in place of the template.",
 )
@@ -40,17 +39,15 @@ def init(
     example: str | None,
     as_list: bool,
     force: bool,
-    out: Path | None,
-    as_json: bool,
-    no_figures: bool,
+    output: Output,
 ) -> int:
     """Write a commented scenario to FILE (default: scenario.toml), ready to run and to change.
 
     With --example two_link write that example (default FILE: two_link.toml); --list shows all.
     """
     if as_list:
-        return _listed(as_json)
-    texts = _texts(file, example, out or Path())
+        return _listed(output.as_json)
+    texts = _texts(file, example, output.out or Path())
     for path in texts:
         if path.exists() and not force:
             raise FileError(f"{path}: exists already; choose another name or add --force")
@@ -58,7 +55,7 @@ def init(
 
     for path, text in texts.items():
         write_text(text, path)
-    if as_json:
+    if output.as_json:
         print_json({}, list(texts))
     else:
         first = next(iter(texts))

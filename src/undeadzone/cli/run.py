@@ -8,15 +8,14 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from undeadzone.cli.common import (
+    PATH,
+    Output,
     common,
     confined,
     csv_option,
-    folder_for,
     named_files,
     origin,
     prepare_figures,
-    print_blocks,
-    print_json,
     wanted_table,
     writable,
 )
@@ -33,18 +32,16 @@ OF_ENSEMBLE = (".npz", ".parquet")  # files that hold runs, no scenario
 @click.command(
     epilog="Example: undeadzone init mine.toml && undeadzone run mine.toml --out results"
 )
-@click.argument("scenario", type=click.Path(path_type=Path), metavar="SCENARIO.toml")
+@click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
 @click.option(
     "--replay",
     type=int,
-    default=None,
     metavar="NUMBER",
     help="Show a run of an ensemble, whose file stands for SCENARIO.toml.",
 )
 @click.option(
     "--animation",
-    type=click.Path(path_type=Path),
-    default=None,
+    type=PATH,
     metavar="FILE",
     help="Write an arm's motion as .gif (or .mp4, with ffmpeg) too.",
 )
@@ -56,9 +53,7 @@ def run(
     replay: int | None,
     animation: Path | None,
     as_csv: bool,
-    out: Path | None,
-    as_json: bool,
-    no_figures: bool,
+    output: Output,
     confine: Path | None,
 ) -> int:
     """Simulate a scenario: a plant behind its dead zone, an observer, a controller.
@@ -81,7 +76,7 @@ def run(
     rival: Run | None = None
     deviation: float | None = None
     name = scenario.stem if replay is None else f"run-{replay}"
-    folder = folder_for(out, no_figures, f"{name}-results")
+    folder = output.folder(f"{name}-results")
     if replay is None:
         result, rival = _simulated(scenario, animation is not None, confine)
     else:
@@ -89,17 +84,14 @@ def run(
     given = origin(scenario if replay is None else None, result.info.seed)
     again = given if given.scenario else given._replace(scenario=result.info.scenario)
     tables, left_out = wanted_table(as_csv, result.table_size, "run.csv")
-    written = _written(result, rival, folder, animation, not no_figures, tables, again)
-    if as_json:
-        summary = result.summary()
-        if rival is not None:
-            summary["compare"] = rival.summary()
-        if replay is not None:
-            summary["replayed"] = {"run": replay, "deviation": deviation}
-        print_json(summary, written)
-    else:
-        left_out = left_out if folder is not None else {}
-        _print(result, deviation, rival, named_files(written) | left_out)
+    written = _written(result, rival, folder, animation, output.figures, tables, again)
+    files = named_files(written) | (left_out if folder is not None else {})
+    output.show(
+        lambda: _numbers(result, rival, replay, deviation),
+        result.blocks,
+        written,
+        _compared(rival) | _replay_in_words(deviation) | files,
+    )
     known = result.fully_identifiable or not result.adapts
     sound = result.diverged_at is None and not result.inexact
     return 0 if sound and known else 1
@@ -186,24 +178,35 @@ def _written(
     return written
 
 
-def _print(result: Run, deviation: float | None, rival: Run | None, files: dict[str, Any]) -> None:
-    """Print what a run came to; files: the lines on what was written."""
-    last = {}
+def _numbers(
+    result: Run, rival: Run | None, replay: int | None, deviation: float | None
+) -> dict[str, Any]:
+    """What a run came to, for JSON."""
+    summary = result.summary()
     if rival is not None:
-        last["compared"] = _compared(rival)
+        summary["compare"] = rival.summary()
+    if replay is not None:
+        summary["replayed"] = {"run": replay, "deviation": deviation}
+    return summary
+
+
+def _replay_in_words(deviation: float | None) -> dict[str, str]:
+    """How far a run lies from what it was in its ensemble."""
+    if deviation is None:
+        return {}
     if deviation == 0:
-        last["replayed"] = "as in the ensemble, to the last bit"
-    elif deviation is not None:
-        last["replayed"] = f"off by {deviation:.1g} of the ensemble: another processor or version"
-    print_blocks(result.blocks(), last | files)
+        return {"replayed": "as in the ensemble, to the last bit"}
+    return {"replayed": f"off by {deviation:.1g} of the ensemble: another processor or version"}
 
 
-def _compared(rival: Run) -> str:
+def _compared(rival: Run | None) -> dict[str, str]:
     """What a rival's run came to."""
     from undeadzone.support.text import with_unit
 
+    if rival is None:
+        return {}
     if rival.diverged_at is not None:
-        return f"{rival.name} diverges at {rival.diverged_at:g} s"
+        return {"compared": f"{rival.name} diverges at {rival.diverged_at:g} s"}
     tip = "" if rival.rms_tip is None else f", tip {rival.rms_tip:.4g} m"
     rms = with_unit(f"{rival.rms_tracking:.4g}", rival.info.units.output)
-    return f"{rival.name}: rms z - r {rms}{tip}"
+    return {"compared": f"{rival.name}: rms z - r {rms}{tip}"}

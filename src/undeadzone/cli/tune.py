@@ -7,15 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import (
-    common,
-    confined,
-    folder_for,
-    named_files,
-    origin,
-    print_blocks,
-    print_json,
-)
+from undeadzone.cli.common import PATH, Output, common, confined, origin, partial_file
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
@@ -27,7 +19,7 @@ if TYPE_CHECKING:
     epilog="Example: undeadzone tune examples/tune.toml --out tuned "
     "&& undeadzone run tuned/tuned.toml"
 )
-@click.argument("scenario", type=click.Path(path_type=Path), metavar="SCENARIO.toml")
+@click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
 @click.option(
     "--over",
     multiple=True,
@@ -35,40 +27,24 @@ if TYPE_CHECKING:
     help="Tune this number too, or within these bounds; may be given several times.",
 )
 @click.option(
-    "--metric",
-    default=None,
-    metavar="NAME",
-    help="What is made small (default: [tune] metric, rms_tracking).",
+    "--metric", metavar="NAME", help="What is made small (default: [tune] metric, rms_tracking)."
 )
 @click.option(
     "--statistic",
     type=click.Choice(["mean", "median", "p95", "worst"]),
-    default=None,
     help="Of the runs (default: [tune] statistic, mean).",
 )
 @click.option(
     "--certified", is_flag=True, default=None, help="Keep the observer's gains certified."
 )
 @click.option(
-    "--runs",
-    type=int,
-    default=None,
-    metavar="N",
-    help="Runs of each candidate (default: [tune] runs, 64).",
+    "--runs", type=int, metavar="N", help="Runs of each candidate (default: [tune] runs, 64)."
 )
 @click.option(
-    "--budget",
-    type=int,
-    default=None,
-    metavar="N",
-    help="Candidates tried in all (default: [tune] budget, 200).",
+    "--budget", type=int, metavar="N", help="Candidates tried in all (default: [tune] budget, 200)."
 )
 @click.option(
-    "--seed",
-    type=int,
-    default=None,
-    metavar="N",
-    help="Of the runs and the search (default: [tune] seed).",
+    "--seed", type=int, metavar="N", help="Of the runs and the search (default: [tune] seed)."
 )
 @click.option(
     "--resume",
@@ -81,9 +57,7 @@ def tune(
     scenario: Path,
     over: tuple[str, ...],
     resume: bool,
-    out: Path | None,
-    as_json: bool,
-    no_figures: bool,
+    output: Output,
     confine: Path | None,
     **changes: Any,
 ) -> int:
@@ -111,24 +85,19 @@ def tune(
     from undeadzone.tuning.tune import tune as search
 
     tuned = read(scenario, confine)
-    folder = folder_for(out, no_figures, f"{scenario.stem}-tune")
+    folder = output.folder(f"{scenario.stem}-tune")
     wanted = _wanted(tuned, over, changes)
-    keep = None if folder is None else folder / "tuned.toml.partial"
-    if resume and keep is None:
-        raise click.UsageError("--resume needs the folder that was written to; name it with --out")
+    keep = partial_file(folder, "tuned.toml", resume)
     with progress("tuning", wanted.budget, "candidates") as advance:
         result = search(tuned, wanted, progress=advance, keep=keep, resume=resume)
     written = [] if folder is None else [result.save(folder / "tuned.toml")]
     if keep is not None:
         keep.unlink(missing_ok=True)
-    if folder is not None and not no_figures:
+    if folder is not None and output.figures:
         from undeadzone.report.tune_page import write_tuned
 
         written += write_tuned(result, folder, origin(scenario, result.seed))
-    if as_json:
-        print_json(result.summary(), written)
-    else:
-        print_blocks([in_words(result.summary())], named_files(written))
+    output.show(result.summary, lambda: [in_words(result.summary())], written)
     return 0 if result.improved and result.certified else 1
 
 

@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from undeadzone.errors import FileError, InputError
+from undeadzone.report import ink
 from undeadzone.report.html import Html, html
-from undeadzone.report.style import ESTIMATE, PRINTED, REFERENCE, plain
+from undeadzone.report.style import plain
 from undeadzone.results.run import FRAMES, Run
 from undeadzone.support.arrays import Floats
 from undeadzone.support.files import replacing
@@ -91,7 +92,7 @@ def _script_data(run: Run, arms: list[Arm], grid: float) -> str:
         "rate": FRAMES,
         "arms": [{"colour": arm.colour, "frames": _rounded(arm.poses)} for arm in arms],
         "path": _rounded(_path(run)),
-        "pathColour": REFERENCE,
+        "pathColour": ink.REFERENCE,
         "spatial": spatial,
         "turn": _turn(run),
         "tilt": TILT if spatial else np.pi / 2,
@@ -103,7 +104,7 @@ def _script_data(run: Run, arms: list[Arm], grid: float) -> str:
 def _legend(arms: list[Arm], grid: float, spatial: bool) -> str:
     """The names of arms and path in their colours, and the distance of the grid's lines [m]."""
     names = [(arm.name, arm.colour) for arm in reversed(arms)]
-    names.append(("path of the tip", REFERENCE))
+    names.append(("path of the tip", ink.REFERENCE))
     keys = []
     for name, colour in names:
         keys.append(f'<span style="color:{colour}">&#9632;</span> {html(name)}')
@@ -242,7 +243,7 @@ def _stage(run: Run, arms: list[Arm]) -> Stage:
     axes: Any = figure.add_subplot(projection="3d" if spatial else None)
     dimensions = 3 if spatial else 2
     path = _path(run)[:, :dimensions]
-    axes.plot(*path.T, color=REFERENCE, linewidth=4, alpha=0.4, label="path of the tip")
+    axes.plot(*path.T, color=ink.REFERENCE, linewidth=4, alpha=0.4, label="path of the tip")
     empty: list[list[float]] = [[]] * dimensions
     lines, trails = [], []
     for arm in arms:
@@ -297,8 +298,8 @@ def frames(run: Run) -> int:
 
 def _arms(run: Run, rival: Run | None) -> list[Arm]:
     """The arms shown, each up to where it diverged; the run's own last, above the other."""
-    own = _arm(run, ESTIMATE)
-    return [own] if rival is None else [_arm(rival, PRINTED), own]
+    own = _arm(run, ink.ESTIMATE)
+    return [own] if rival is None else [_arm(rival, ink.PRINTED), own]
 
 
 def _arm(run: Run, colour: str) -> Arm:

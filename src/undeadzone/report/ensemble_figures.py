@@ -9,16 +9,8 @@ import numpy as np
 from undeadzone.ensemble.result import MAIN, WIDTHS, Ensemble
 from undeadzone.ensemble.words import METRICS
 from undeadzone.errors import InputError
-from undeadzone.report.style import (
-    ESTIMATE,
-    PRINTED,
-    READING,
-    TRUTH,
-    axis_label,
-    finish,
-    floor_of,
-    sheet,
-)
+from undeadzone.report import ink
+from undeadzone.report.style import axis_label, finish, floor_of, sheet
 from undeadzone.results.run import LAST
 from undeadzone.statistics.intervals import LEVEL
 from undeadzone.support.arrays import Floats
@@ -27,7 +19,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MARKS: Final = {"median": (0.5, TRUTH), "95 %": (0.95, READING), "99 %": (0.99, PRINTED)}
+MARKS: Final = {
+    "median": (0.5, ink.TRUTH),
+    "95 %": (0.95, ink.READING),
+    "99 %": (0.99, ink.PRINTED),
+}
 SPREAD: Final = 20  # beyond this ratio of the 99.5 % to the 0.5 % quantile an axis is logarithmic
 
 
@@ -125,7 +121,7 @@ def _histogram(axes: Axes, ordered: Floats) -> None:
     if logarithmic:
         axes.set_xscale("log")
     share = 100 * np.histogram(bounded, edges)[0] / ordered.size
-    axes.stairs(share, edges, fill=True, color=ESTIMATE, alpha=0.35, linewidth=0)
+    axes.stairs(share, edges, fill=True, color=ink.ESTIMATE, alpha=0.35, linewidth=0)
     for name, (q, colour) in MARKS.items():
         _mark_quantile(axes, ordered, name, q, colour, float(share.max()))
     axes.set_xlim(edges[0], edges[-1])
@@ -172,8 +168,8 @@ def _beyond(axes: Axes, ordered: Floats) -> None:
     low = betaincinv(above, n - above + 1, (1 - LEVEL) / 2)
     high = betaincinv(above + 1, np.maximum(n - above, 1), (1 + LEVEL) / 2)
     axes.set_yscale("log")
-    axes.fill_between(x, low, high, color=ESTIMATE, alpha=0.25, linewidth=0)
-    axes.plot(x, above / n, color=ESTIMATE)
+    axes.fill_between(x, low, high, color=ink.ESTIMATE, alpha=0.25, linewidth=0)
+    axes.plot(x, above / n, color=ink.ESTIMATE)
     axes.set_ylim(0.5 / n, 1.5)
 
 
@@ -214,7 +210,7 @@ def _tracking_band(axes: Axes, t: Floats, quantiles: Floats, of: str, unit: str)
 def _width_band(axes: Axes, t: Floats, quantiles: Floats, edge: str, of: str, unit: str) -> None:
     """Quantiles of the error of a width over time; edge: right or left."""
     _band(axes, t, _bounded(quantiles))
-    axes.axhline(0.0, color=TRUTH, linewidth=0.7)
+    axes.axhline(0.0, color=ink.TRUTH, linewidth=0.7)
     error = rf"$\hat d_{edge[0]} - d_{edge[0]}$"
     finish(axes, f"Error of the {edge} width{of}", axis_label(error, unit))
 
@@ -227,6 +223,10 @@ def _bounded(q: Floats) -> Floats:
 
 def _band(axes: Axes, t: Floats, q: Floats) -> None:
     """The median in the bands between quantiles (N x 5): 1, 5, 50, 95 and 99 %."""
-    axes.fill_between(t, q[:, 0], q[:, 4], color=ESTIMATE, alpha=0.18, linewidth=0, label="1–99 %")
-    axes.fill_between(t, q[:, 1], q[:, 3], color=ESTIMATE, alpha=0.35, linewidth=0, label="5–95 %")
-    axes.plot(t, q[:, 2], color=TRUTH, linewidth=1.1, label="median")
+    axes.fill_between(
+        t, q[:, 0], q[:, 4], color=ink.ESTIMATE, alpha=0.18, linewidth=0, label="1–99 %"
+    )
+    axes.fill_between(
+        t, q[:, 1], q[:, 3], color=ink.ESTIMATE, alpha=0.35, linewidth=0, label="5–95 %"
+    )
+    axes.plot(t, q[:, 2], color=ink.TRUTH, linewidth=1.1, label="median")

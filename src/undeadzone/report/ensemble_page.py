@@ -12,20 +12,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from undeadzone.ensemble.result import MAIN, Ensemble
+from undeadzone.report import html
 from undeadzone.report.ensemble_figures import distributions, over_time, words
-from undeadzone.report.html import (
-    Html,
-    Origin,
-    page,
-    paragraph,
-    pick,
-    pictures,
-    section,
-    table,
-    tag,
-    verdict_line,
-    write_page,
-)
 from undeadzone.report.sensitivity_figures import influence, tornado
 from undeadzone.results.run import LAST
 from undeadzone.results.sheet import number
@@ -62,7 +50,7 @@ def figures(result: Ensemble, summary: Mapping[str, Any]) -> dict[str, Figure]:
 
 
 def write_ensemble(
-    result: Ensemble, summary: Mapping[str, Any], folder: Path, origin: Origin | None = None
+    result: Ensemble, summary: Mapping[str, Any], folder: Path, origin: html.Origin | None = None
 ) -> list[Path]:
     """Write the figures as SVG and report.html to a folder. Raises FileError.
 
@@ -79,32 +67,32 @@ def write_ensemble(
     def text(images: dict[str, bytes]) -> str:
         return ensemble_page(result, summary, images, origin)
 
-    return write_page(figures(result, summary), folder, text)
+    return html.write_page(figures(result, summary), folder, text)
 
 
 def ensemble_page(
     result: Ensemble,
     summary: Mapping[str, Any],
     images: Mapping[str, bytes],
-    origin: Origin | None = None,
+    origin: html.Origin | None = None,
 ) -> str:
     """The page; images: SVGs by the names of `figures`; else see `write_ensemble`."""
-    shown = pictures(images, CAPTIONS)
-    distributed = [*_distributions(result, summary), *pick(shown, "distributions")]
-    parts = [section("Distributions", *distributed)]
+    shown = html.pictures(images, CAPTIONS)
+    distributed = [*_distributions(result, summary), *html.pick(shown, "distributions")]
+    parts = [html.section("Distributions", *distributed)]
     if "over_time" in images:
-        parts.append(section("Over time", shown["over_time"]))
+        parts.append(html.section("Over time", shown["over_time"]))
     if result.varied:
-        decisive = [*_sensitivities(summary), *pick(shown, "tornado", "influence")]
-        parts.append(section("What decides", *decisive))
-    parts.append(section("The worst runs", *_worst(result, summary)))
-    parts.append(section("What was asked", *_asked(result)))
-    own = Origin(scenario=result.info.scenario, seed=result.info.seed)
+        decisive = [*_sensitivities(summary), *html.pick(shown, "tornado", "influence")]
+        parts.append(html.section("What decides", *decisive))
+    parts.append(html.section("The worst runs", *_worst(result, summary)))
+    parts.append(html.section("What was asked", *_asked(result)))
+    own = html.Origin(scenario=result.info.scenario, seed=result.info.seed)
     title = f"Ensemble: {result.info.title}"
-    return page(title, _verdict(result, summary), *parts, origin=origin or own)
+    return html.page(title, _verdict(result, summary), *parts, origin=origin or own)
 
 
-def _verdict(result: Ensemble, summary: Mapping[str, Any]) -> Html:
+def _verdict(result: Ensemble, summary: Mapping[str, Any]) -> html.Html:
     """How many runs settle and diverge, and what 99 % of the errors keep to."""
     settled, diverged = summary["settled"], summary["diverged"]
     parts = [
@@ -121,7 +109,7 @@ def _verdict(result: Ensemble, summary: Mapping[str, Any]) -> Html:
         limit = f"{words(MAIN, result.info.duration)} at most {worst['value']:.4g}"
         limit = with_unit(limit, result.unit(MAIN))
         parts.append((f"{limit} in 99 % of the runs that did not diverge", ""))
-    return verdict_line(*parts)
+    return html.verdict_line(*parts)
 
 
 def _settled_style(share: float) -> str:
@@ -136,10 +124,10 @@ def _percent(share: Mapping[str, float]) -> str:
     return f"{100 * share['value']:.4g} % ({100 * share['low']:.4g} to {100 * share['high']:.4g})"
 
 
-def _distributions(result: Ensemble, summary: Mapping[str, Any]) -> list[Html]:
+def _distributions(result: Ensemble, summary: Mapping[str, Any]) -> list[html.Html]:
     """The table of metrics and errors of the widths, with a note."""
     if not summary["metrics"]:
-        return [paragraph("Every run diverged.", "no")]
+        return [html.paragraph("Every run diverged.", "no")]
     rows = []
     for name, values in summary["metrics"].items():
         if not name.startswith(("d_right[", "d_left[")):
@@ -150,7 +138,7 @@ def _distributions(result: Ensemble, summary: Mapping[str, Any]) -> list[Html]:
         f"At most {beyond:.2g} % of all runs lie beyond the largest value found, "
         "with 95 % confidence. Runs that diverged are counted above and averaged nowhere."
     )
-    return [table(("", *COLUMNS.values(), "largest"), rows), paragraph(note, "note")]
+    return [html.table(("", *COLUMNS.values(), "largest"), rows), html.paragraph(note, "note")]
 
 
 def _distribution(
@@ -169,19 +157,19 @@ def _bounded(name: str, value: Mapping[str, float | None], cell: Any) -> Any:
     return cell
 
 
-def _interval(value: Mapping[str, float | None]) -> Html:
+def _interval(value: Mapping[str, float | None]) -> html.Html:
     """A value with its interval, which stands on a line of its own, unbroken."""
     middle, low, high = (number(value[key], none="–") for key in ("value", "low", "high"))
     if middle == low == high:
-        return Html(middle)
-    return Html(f'{middle}<br><span class="note">({low}&nbsp;to&nbsp;{high})</span>')
+        return html.Html(middle)
+    return html.Html(f'{middle}<br><span class="note">({low}&nbsp;to&nbsp;{high})</span>')
 
 
-def _sensitivities(summary: Mapping[str, Any]) -> list[Html]:
+def _sensitivities(summary: Mapping[str, Any]) -> list[html.Html]:
     """The table of what each entry contributes, with a note."""
     sensitivities = summary["sensitivities"]
     if not sensitivities:
-        return [paragraph("These runs do not tell: they are too few, or all alike.")]
+        return [html.paragraph("These runs do not tell: they are too few, or all alike.")]
     columns = {
         "spearman": "rank correlation",
         "partial": "the same, others held",
@@ -196,32 +184,32 @@ def _sensitivities(summary: Mapping[str, Any]) -> list[Html]:
     rows = []
     for name, each in sensitivities.items():
         rows.append((name, *(_interval(each[key]) for key in columns)))
-    return [table(("varied", *columns.values()), rows), paragraph(note, "note")]
+    return [html.table(("varied", *columns.values()), rows), html.paragraph(note, "note")]
 
 
-def _worst(result: Ensemble, summary: Mapping[str, Any]) -> list[Html]:
+def _worst(result: Ensemble, summary: Mapping[str, Any]) -> list[html.Html]:
     """The worst runs, the one at the median, and the command that shows one of them."""
     units = [label(name, result.unit(name)) for name in result.varied]
     head = ("run", label(words(MAIN, result.info.duration), result.unit(MAIN)), *units)
-    parts = [table(head, map(_run_row, summary["worst"]))]
+    parts = [html.table(head, map(_run_row, summary["worst"]))]
     typical = summary["typical"]
     if typical is not None:
-        parts.append(paragraph("For comparison the run at the median:"))
-        parts.append(table(head, [_run_row(result.row(typical))]))
+        parts.append(html.paragraph("For comparison the run at the median:"))
+        parts.append(html.table(head, [_run_row(result.row(typical))]))
     command = f"undeadzone run runs.npz --replay {summary['worst'][0]['run']}"
     note = f"Each can be seen in full, bit for bit what it was, by its number: {command}"
-    return [*parts, paragraph(note, "note")]
+    return [*parts, html.paragraph(note, "note")]
 
 
 def _run_row(run: Mapping[str, Any]) -> tuple[Any, ...]:
     """The row of a run: its number, its error or that it diverged, its entries."""
     outcome = run["metrics"][MAIN]
     if run["diverged"]:
-        outcome = tag("span", "diverged", "no")
+        outcome = html.tag("span", "diverged", "no")
     return (run["run"], outcome, *run["varied"].values())
 
 
-def _asked(result: Ensemble) -> list[Html]:
+def _asked(result: Ensemble) -> list[html.Html]:
     """What was run, over which values, and the scenario."""
     info = result.info
     lasts = f"for the last {LAST:g} s" if info.duration > LAST else "at the end"
@@ -235,11 +223,11 @@ def _asked(result: Ensemble) -> list[Html]:
             f"|z − r| stays within {100 * info.tolerance:g} % of the largest |r| {lasts}",
         ),
     ]
-    parts = [table(("what", "value"), lines)]
+    parts = [html.table(("what", "value"), lines)]
     if result.varied:
         ranges = []
         for name, column in result.varied.items():
             ends = float(np.min(column)), float(np.max(column))
             ranges.append((label(name, result.unit(name)), *ends))
-        parts.append(table(("varied", "least", "largest"), ranges))
+        parts.append(html.table(("varied", "least", "largest"), ranges))
     return parts

@@ -14,17 +14,8 @@ from undeadzone.analysis.convergence.falsify import Mode, generator
 from undeadzone.analysis.convergence.floquet import rates
 from undeadzone.analysis.error_dynamics import Dynamics, delta, growth, pattern
 from undeadzone.analysis.identifiability.linear import DIRECTIONS
-from undeadzone.report.style import (
-    ESTIMATE,
-    FORBIDDEN,
-    PRINTED,
-    READING,
-    TRUTH,
-    ZONE,
-    axis_label,
-    finish,
-    sheet,
-)
+from undeadzone.report import ink
+from undeadzone.report.style import axis_label, finish, sheet
 from undeadzone.support.arrays import Floats
 from undeadzone.synthesis.assessment import Assessment, Gains
 
@@ -90,12 +81,18 @@ def _locus(axes: Axes, poles: np.ndarray, silent: np.ndarray, name: str) -> Any:
     dots.set_rasterized(True)  # thousands
     without, chosen = poles[0], poles[CHOSEN]
     axes.plot(
-        silent.real, silent.imag, "s", color=TRUTH, fillstyle="none", markersize=8, label="silent"
+        silent.real,
+        silent.imag,
+        "s",
+        color=ink.TRUTH,
+        fillstyle="none",
+        markersize=8,
+        label="silent",
     )
     axes.plot(
-        without.real, without.imag, "x", color=TRUTH, markersize=6, label=f"{NAMES[name]} = 0"
+        without.real, without.imag, "x", color=ink.TRUTH, markersize=6, label=f"{NAMES[name]} = 0"
     )
-    axes.plot(chosen.real, chosen.imag, "o", color=PRINTED, markersize=6, label="chosen")
+    axes.plot(chosen.real, chosen.imag, "o", color=ink.PRINTED, markersize=6, label="chosen")
     return dots
 
 
@@ -111,7 +108,7 @@ def _enlarge_slow(
     _forbid_unstable(inset, np.append(near, -2 * size), Ts)
     inset.set_xlim(-2 * size, 0.3 * size)
     inset.tick_params(labelsize=6.5, pad=1)
-    axes.indicate_inset_zoom(inset, edgecolor=ZONE)
+    axes.indicate_inset_zoom(inset, edgecolor=ink.ZONE)
 
 
 def _scaled(dynamics: Dynamics, name: str, factor: float) -> Dynamics:
@@ -140,15 +137,15 @@ def _forbid_unstable(axes: Axes, poles: np.ndarray, Ts: float | None) -> None:
     top = np.abs(poles.imag).max() + 0.15 * size
     x, y = np.meshgrid(np.linspace(left, right, 400), np.linspace(-2 * top, 2 * top, 400))
     growth = x if Ts is None else (np.abs(1 + Ts * (x + 1j * y)) - 1) / Ts
-    axes.contourf(x, y, growth, levels=[0.0, np.inf], colors=[FORBIDDEN], zorder=0)
-    axes.contour(x, y, growth, levels=[0.0], colors=[PRINTED], linewidths=1.0, zorder=1)
+    axes.contourf(x, y, growth, levels=[0.0, np.inf], colors=[ink.FORBIDDEN], zorder=0)
+    axes.contour(x, y, growth, levels=[0.0], colors=[ink.PRINTED], linewidths=1.0, zorder=1)
     axes.set_xlim(left, right)
     axes.set_ylim(-top, top)
 
 
 def _rates(axes: Axes, of: Assessment, gains: Gains, scaled: list[str]) -> None:
     """The rate over the factor of each gain: a line where V proves it, dots elsewhere."""
-    for name, colour in zip(scaled, (ESTIMATE, READING), strict=False):
+    for name, colour in zip(scaled, (ink.ESTIMATE, ink.READING), strict=False):
         first = EVERY if name == "gamma" else 0  # with gamma = 0 the error holds no widths
         factors = FACTORS[first::EVERY]
         rate = np.array([_rate(of, gains, name, factor) for factor in factors])
@@ -156,8 +153,8 @@ def _rates(axes: Axes, of: Assessment, gains: Gains, scaled: list[str]) -> None:
         certified = np.where(proved, rate, np.nan)
         axes.plot(factors, rate, ":", color=colour, linewidth=1.4)
         axes.plot(factors, certified, color=colour, linewidth=2.0, label=f"{NAMES[name]} alone")
-    axes.plot([1.0], [gains.rates.rate], "o", color=PRINTED, markersize=6)
-    axes.axhline(0.0, color=TRUTH, linewidth=0.8)
+    axes.plot([1.0], [gains.rates.rate], "o", color=ink.PRINTED, markersize=6)
+    axes.axhline(0.0, color=ink.TRUTH, linewidth=0.8)
     y_label = "rate along the reference [1/s]"
     finish(axes, "Rate (dotted: not certified)", y_label, "times the gain", legend=2)
 
@@ -193,10 +190,10 @@ def front(design: Design) -> Figure:
         x, rate = _scores(design, price), _scores(design, "rate")
         colour = np.log10(_scores(design, other))
         dots = axes.scatter(x, rate, c=colour, s=26, cmap="viridis_r", linewidths=0)
-        _mark(axes, design.front[0], price, "^", TRUTH, "fastest")
+        _mark(axes, design.front[0], price, "^", ink.TRUTH, "fastest")
         if design.present is not None:
-            _mark(axes, design.present, price, "X", PRINTED, "yours")
-        _mark(axes, design.best, price, "*", PRINTED, "chosen", 16)
+            _mark(axes, design.present, price, "X", ink.PRINTED, "yours")
+        _mark(axes, design.best, price, "*", ink.PRINTED, "chosen", 16)
         _log_ticks(axes)
         axes.margins(0.06)
         y_label = "rate along the reference [1/s]"
@@ -263,11 +260,11 @@ def deviations(axes: Axes, of: Assessment, i: int) -> None:
         words, off = "Both can be known", " − truth"
         if not (sensor.noise[i] or sensor.noise_before[i]):
             words += " (no noise: readings are taken as all but exact)"
-        axes.plot(0.0, 0.0, "+", color=TRUTH, markersize=10, label="truth")
+        axes.plot(0.0, 0.0, "+", color=ink.TRUTH, markersize=10, label="truth")
     else:
         _strip(axes, known, truth, _floor(of, i, truth))
         words, off = "; ".join(known.reasons), ""
-        axes.plot(*truth, "+", color=TRUTH, markersize=10, label="truth")
+        axes.plot(*truth, "+", color=ink.TRUTH, markersize=10, label="truth")
     axes.set_aspect("equal")
     title = words[:1].upper() + words[1:]
     if len(of.known) > 1:
@@ -290,8 +287,8 @@ def _floor(of: Assessment, i: int, truth: Floats) -> Floats:
 def _ellipse(axes: Axes, known: Knowledge) -> None:
     """The ellipse of 95 % about the truth, limits included."""
     x, y = ellipse(known.std)
-    axes.fill(x, y, color=ESTIMATE, alpha=0.25, linewidth=0)
-    axes.plot(x, y, color=ESTIMATE, label="95 %")
+    axes.fill(x, y, color=ink.ESTIMATE, alpha=0.25, linewidth=0)
+    axes.plot(x, y, color=ink.ESTIMATE, label="95 %")
     axes.ticklabel_format(scilimits=(-2, 3))
     size = 1.15 * max(np.abs(x).max(), np.abs(y).max())
     axes.set_xlim(-size, size)
@@ -336,8 +333,8 @@ def _strip(axes: Axes, known: Knowledge, truth: Floats, floor: Floats) -> None:
         words = f"only d_r > {floor[0]:.3g}, d_l > {floor[1]:.3g}"
     else:
         words = "nothing is known"
-    axes.contourf(x, y, region, levels=[-np.inf, 0.0], colors=[ESTIMATE], alpha=0.25)
-    axes.contour(x, y, region, levels=[0.0], colors=[ESTIMATE], linewidths=1.0)
-    axes.plot([], [], color=ESTIMATE, label=words)
+    axes.contourf(x, y, region, levels=[-np.inf, 0.0], colors=[ink.ESTIMATE], alpha=0.25)
+    axes.contour(x, y, region, levels=[0.0], colors=[ink.ESTIMATE], linewidths=1.0)
+    axes.plot([], [], color=ink.ESTIMATE, label=words)
     axes.set_xlim(0.0, size)
     axes.set_ylim(0.0, size)

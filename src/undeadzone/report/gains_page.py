@@ -14,25 +14,8 @@ import numpy as np
 from undeadzone.analysis.certificate.design_file import Design, Knowledge
 from undeadzone.analysis.certificate.passivity import Certificate
 from undeadzone.analysis.identifiability.linear import DIRECTIONS
+from undeadzone.report import html
 from undeadzone.report.gain_figures import ellipses, front, root_locus
-from undeadzone.report.html import (
-    Html,
-    Origin,
-    folded,
-    join,
-    page,
-    paragraph,
-    pick,
-    pictures,
-    section,
-    table,
-    tag,
-    trust,
-    verdict_line,
-    widths_known,
-    write_page,
-    yes_no,
-)
 from undeadzone.report.proof_figures import courses, nyquist
 from undeadzone.support.arrays import listed
 from undeadzone.support.text import counted, label
@@ -93,7 +76,7 @@ def write_gains(
     tried: Attacks | None,
     folder: Path,
     design: Design | None = None,
-    origin: Origin | None = None,
+    origin: html.Origin | None = None,
 ) -> list[Path]:
     """Write the figures as SVG and report.html to a folder. Raises FileError.
 
@@ -109,7 +92,7 @@ def write_gains(
     def text(images: dict[str, bytes]) -> str:
         return gains_page(of, tried, images, design, origin)
 
-    return write_page(figures(of, tried, design), folder, text)
+    return html.write_page(figures(of, tried, design), folder, text)
 
 
 def gains_page(
@@ -117,7 +100,7 @@ def gains_page(
     tried: Attacks | None,
     images: Mapping[str, bytes],
     design: Design | None = None,
-    origin: Origin | None = None,
+    origin: html.Origin | None = None,
 ) -> str:
     """The page of an assessment.
 
@@ -125,24 +108,24 @@ def gains_page(
         of, tried, design, origin: see `write_gains`
         images: SVGs by the names of `figures`
     """
-    shown = pictures(images, CAPTIONS)
-    sections = [section("What was asked", _asked(of, design))]
+    shown = html.pictures(images, CAPTIONS)
+    sections = [html.section("What was asked", _asked(of, design))]
     if of.gains is None:
-        sections.append(section("No rate", paragraph(_why_no_rate(of))))
+        sections.append(html.section("No rate", html.paragraph(_why_no_rate(of))))
     else:
-        guarantee = [*guarantee_section(of.gains, tried), *pick(shown, "nyquist", "lyapunov")]
-        speed = [*speed_section(of.gains), *pick(shown, "root_locus")]
-        sections.append(section("The gains", *gains_section(of.gains, design)))
-        sections.append(section("What is guaranteed", *guarantee))
-        sections.append(section("How fast", *speed))
-    knowledge = [*knowledge_section(of), *pick(shown, "ellipse")]
-    sections.append(section("What can be known", *knowledge))
+        guarantee = [*guarantee_section(of.gains, tried), *html.pick(shown, "nyquist", "lyapunov")]
+        speed = [*speed_section(of.gains), *html.pick(shown, "root_locus")]
+        sections.append(html.section("The gains", *gains_section(of.gains, design)))
+        sections.append(html.section("What is guaranteed", *guarantee))
+        sections.append(html.section("How fast", *speed))
+    knowledge = [*knowledge_section(of), *html.pick(shown, "ellipse")]
+    sections.append(html.section("What can be known", *knowledge))
     if design is not None:
-        trade = [*trade_section(design), *pick(shown, "front")]
-        sections.append(section("The trade", *trade))
+        trade = [*trade_section(design), *html.pick(shown, "front")]
+        sections.append(html.section("The trade", *trade))
     kind = "Check" if design is None else "Design"
     title = f"{kind}: {of.problem.scenario.title}"
-    return page(title, verdict(of), *sections, origin=origin)
+    return html.page(title, verdict(of), *sections, origin=origin)
 
 
 def _why_no_rate(of: Assessment) -> str:
@@ -155,7 +138,7 @@ def _why_no_rate(of: Assessment) -> str:
     return "The observer has no constant gains L, gamma."
 
 
-def _asked(of: Assessment, design: Design | None) -> Html:
+def _asked(of: Assessment, design: Design | None) -> html.Html:
     """The plant, the sensor, the reference and what was wanted."""
     scenario, model = of.problem.scenario, of.problem.model
     unit = scenario.units.output
@@ -174,7 +157,7 @@ def _asked(of: Assessment, design: Design | None) -> Html:
     ]
     if design is not None:
         rows.append(("wanted", f"{design.chosen}; seed {design.seed}"))
-    return table(("what", "value"), rows)
+    return html.table(("what", "value"), rows)
 
 
 def _sensor_rows(of: Assessment, unit: str) -> list[tuple[str, str]]:
@@ -204,43 +187,45 @@ def _schedule(of: Assessment) -> str:
     return f"{counted(len(schedule.spans), 'span')} in {schedule.duration:.4g} s{again}"
 
 
-def verdict(of: Assessment) -> Html:
+def verdict(of: Assessment) -> html.Html:
     """One line: certified or not, the rate, and whether every width can be known."""
     parts = []
     if of.gains is not None:
         proof = of.gains.certificate
         certified = f"certified, margin {proof.margin:.4g}"
-        parts.append(yes_no(proof.certified, certified, "not certified"))
+        parts.append(html.yes_no(proof.certified, certified, "not certified"))
         parts.append((f"rate {of.gains.rates.rate:.4g} 1/s", ""))
-    return verdict_line(*parts, widths_known(all(one.right and one.left for one in of.known)))
+    return html.verdict_line(
+        *parts, html.widths_known(all(one.right and one.left for one in of.known))
+    )
 
 
-def gains_section(gains: Gains, design: Design | None) -> list[Html]:
+def gains_section(gains: Gains, design: Design | None) -> list[html.Html]:
     """The gains, the nearest certified ones if these are not, and how to use a design."""
     parts = [_gain_table(gains)]
     near = gains.nearest
     if near is not None:
         margin, rate = near.certificate.margin, near.rates.rate
         words = f"The nearest certified gains, with margin {margin:.4g} and rate {rate:.4g} 1/s:"
-        parts.append(paragraph(words))
+        parts.append(html.paragraph(words))
         parts.append(_gain_table(near))
     if design is not None:
         use = (
             'In a scenario: [observer] method = "certified", design = "design.toml". '
             "The proof is checked again when it is read."
         )
-        parts.append(paragraph(use, "note"))
+        parts.append(html.paragraph(use, "note"))
     return parts
 
 
-def _gain_table(gains: Gains) -> Html:
+def _gain_table(gains: Gains) -> html.Html:
     """L and gamma, a column for each output."""
     head = ("[1/s]", *(f"output {j}" for j in range(gains.gamma.size)))
     rows = [(f"L, x[{i}]", *map(float, row)) for i, row in enumerate(gains.L)]
-    return table(head, [*rows, ("γ", *map(float, gains.gamma))])
+    return html.table(head, [*rows, ("γ", *map(float, gains.gamma))])
 
 
-def guarantee_section(gains: Gains, tried: Attacks | None) -> list[Html]:
+def guarantee_section(gains: Gains, tried: Attacks | None) -> list[html.Html]:
     """What the certificate guarantees and how it was checked, or what is not guaranteed."""
     proof = gains.certificate
     if not proof.certified:
@@ -261,23 +246,23 @@ def guarantee_section(gains: Gains, tried: Attacks | None) -> list[Html]:
     rows = [(f"x[{i}]", *map(float, row)) for i, row in enumerate(proof.P)]
     checked = "Checked by eigenvalues alone, without the solver that found P:"
     return [
-        paragraph(guarantee + attempts),
-        table(head, rows),
-        paragraph(f"W = {numbers(proof.W)}. {checked}"),
-        table(("what", "value"), _checked(proof)),
+        html.paragraph(guarantee + attempts),
+        html.table(head, rows),
+        html.paragraph(f"W = {numbers(proof.W)}. {checked}"),
+        html.table(("what", "value"), _checked(proof)),
     ]
 
 
-def _no_guarantee(proof: Certificate, tried: Attacks | None) -> list[Html]:
+def _no_guarantee(proof: Certificate, tried: Attacks | None) -> list[html.Html]:
     """Why nothing is guaranteed, and the cycle along which the error grows if one was found."""
     words = f"Nothing is guaranteed for every way in which the sides may change: {proof.reason}."
-    parts = [paragraph(f"{words} That alone does not make the observer unstable.")]
+    parts = [html.paragraph(f"{words} That alone does not make the observer unstable.")]
     if tried is None or tried.cycle is None:
         return parts
     if "cycle" in {course.kind for course in tried.courses}:
         growth = f"{tried.cycle.factor:.4g} every {tried.cycle.seconds:.4g} s"
         parts.append(
-            paragraph(
+            html.paragraph(
                 "A periodic sequence of sides was found along which the error grows by "
                 f"{growth}: these gains can diverge."
             )
@@ -302,7 +287,7 @@ def _checked(proof: Certificate) -> list[tuple[str, Any]]:
     ]
 
 
-def speed_section(gains: Gains) -> list[Html]:
+def speed_section(gains: Gains) -> list[html.Html]:
     """How fast the error dies along the reference."""
     speed = gains.rates
     constant = speed.time_constant if np.isfinite(speed.time_constant) else None
@@ -317,17 +302,17 @@ def speed_section(gains: Gains) -> list[Html]:
         "Where several errors die equally slowly, as where a rate is largest, it takes long before "
         "this rate is seen; the time to 1 % tells."
     )
-    parts = [table(("what", "value"), rows), paragraph(note, "note")]
+    parts = [html.table(("what", "value"), rows), html.paragraph(note, "note")]
     if speed.rate <= 0:
-        parts.append(paragraph("The error does not die along this reference.", "no"))
+        parts.append(html.paragraph("The error does not die along this reference.", "no"))
     if speed.never:
         errors = ", ".join(speed.never)
         stays = "These errors stay along this reference, whatever the gains"
-        parts.append(paragraph(f"{stays}: {errors}."))
+        parts.append(html.paragraph(f"{stays}: {errors}."))
     return parts
 
 
-def knowledge_section(of: Assessment) -> list[Html]:
+def knowledge_section(of: Assessment) -> list[html.Html]:
     """Which widths an optimal estimator can know, how well, why not, and what would help."""
     unit, duration = of.problem.scenario.units.output, of.problem.scenario.simulation.duration
     rows = []
@@ -338,23 +323,25 @@ def knowledge_section(of: Assessment) -> list[Html]:
         f"{label('standard deviation', unit)} after {duration:g} s at the scenario's noise:"
     )
     head = ("output", "d_r", "d_l", "width d_r + d_l", "centre d_r − d_l")
-    parts = [paragraph(question), table(head, rows)]
+    parts = [html.paragraph(question), html.table(head, rows)]
     if of.listens:
-        parts.append(paragraph(join(["How strongly readings move z^:", trust(of.listens)])))
+        parts.append(
+            html.paragraph(html.join(["How strongly readings move z^:", html.trust(of.listens)]))
+        )
     for i, known in enumerate(of.known):
         where = f"Output {i}: " if len(of.known) > 1 else ""
-        parts += [paragraph(f"{where}{reason}.") for reason in known.reasons]
-        parts += [paragraph(f"{where}What would help: {cure}.") for cure in known.cures]
+        parts += [html.paragraph(f"{where}{reason}.") for reason in known.reasons]
+        parts += [html.paragraph(f"{where}What would help: {cure}.") for cure in known.cures]
     return parts
 
 
-def _known(known: Knowledge, name: str) -> Html:
+def _known(known: Knowledge, name: str) -> html.Html:
     """Whether a direction can be known, with its deviation if that is."""
     yes = f"± {known.std[name]:.2g}" if name in known.std else "yes"
-    return tag("span", *yes_no(getattr(known, name), yes))
+    return html.tag("span", *html.yes_no(getattr(known, name), yes))
 
 
-def trade_section(design: Design) -> list[Html]:
+def trade_section(design: Design) -> list[html.Html]:
     """The gains chosen beside the scenario's own and the fastest; all gains of the front."""
     points = {"chosen": design.best}
     if design.present is not None:
@@ -364,21 +351,21 @@ def trade_section(design: Design) -> list[Html]:
     rows = []
     for name, words in SCORES.items():
         rows.append((words, *(getattr(point, name) for point in points.values())))
-    parts = [table(("", *points), rows)]
-    parts += [paragraph(f"{remark[:1].upper()}{remark[1:]}.") for remark in design.remarks]
+    parts = [html.table(("", *points), rows)]
+    parts += [html.paragraph(f"{remark[:1].upper()}{remark[1:]}.") for remark in design.remarks]
     if len(design.front) > 1:
         parts.append(_front_table(design))
     return parts
 
 
-def _front_table(design: Design) -> Html:
+def _front_table(design: Design) -> html.Html:
     """Every gain of the front and what it is worth."""
     rows = []
     for point in design.front:
         scores = [getattr(point, name) for name in SCORES]
         rows.append((numbers(np.ravel(point.L)), numbers(point.gamma), *scores))
     title = f"The {len(design.front)} gains of the front"
-    return folded(title, table(("L", "γ", *SCORES), rows))
+    return html.folded(title, html.table(("L", "γ", *SCORES), rows))
 
 
 def numbers(values: Any) -> str:

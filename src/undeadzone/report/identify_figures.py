@@ -13,18 +13,8 @@ from undeadzone.identification.models.plant import MANY
 from undeadzone.identification.models.zone_fit import expected_reading
 from undeadzone.identification.verdict.orders import correlation, innovations, trained_part
 from undeadzone.identification.verdict.widths import profile
-from undeadzone.report.style import (
-    ESTIMATE,
-    OTHER,
-    PRINTED,
-    READING,
-    TRUTH,
-    ZONE,
-    finish,
-    label,
-    plain,
-    sheet,
-)
+from undeadzone.report import ink
+from undeadzone.report.style import finish, label, plain, sheet
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -94,7 +84,7 @@ def overview(found_log: Identified) -> Figure:
     if fit.objective.kind == "behind":  # where readings inside the zone are noise
         side, whose = 1 * (fit.z > fit.right) - 1 * (fit.z < -fit.left), r"Side of $\hat z$"
     side = np.where(data.ok, side, np.nan)[part]
-    panels["sides"].plot(t, side, color=TRUTH, linewidth=0.8, drawstyle="steps-post")
+    panels["sides"].plot(t, side, color=ink.TRUTH, linewidth=0.8, drawstyle="steps-post")
     panels["sides"].set_yticks([-1, 0, 1], ["left", "silent", "right"])
     panels["sides"].set_ylim(-1.3, 1.3)
     finish(panels["sides"], whose, "", _time(found_log), legend=0)
@@ -109,8 +99,8 @@ def signals(axes: Axes, found_log: Identified, of: str = "") -> None:
     if answer.element is None:
         _zone_bands(axes, found_log)
     y = np.where(grid.ok, grid.y, np.nan)[part]
-    axes.plot(t, (answer.z * answer.scale)[part], color=ESTIMATE, label=r"plant's $\hat z$")
-    axes.plot(t, y, color=READING, linewidth=1.0, label="reading y")
+    axes.plot(t, (answer.z * answer.scale)[part], color=ink.ESTIMATE, label=r"plant's $\hat z$")
+    axes.plot(t, y, color=ink.READING, linewidth=1.0, label="reading y")
     _shade_held_out(axes, found_log)
     title = f"Output{of} and reading; shaded: held out"
     finish(axes, title, label("z, y", _unit(found_log)), "")
@@ -134,7 +124,7 @@ def _shade_held_out(axes: Axes, found_log: Identified) -> None:
     answer, part = found_log.answer, _shown(found_log)
     held_out = ~trained_part(answer.fit.objective.data, answer.options.held_out)
     axes.fill_between(
-        answer.case.grid.t[part], 0, 1, where=held_out[part], color=ZONE, alpha=0.12,
+        answer.case.grid.t[part], 0, 1, where=held_out[part], color=ink.ZONE, alpha=0.12,
         linewidth=0, transform=axes.get_xaxis_transform(),
     )  # fmt: skip
 
@@ -145,9 +135,9 @@ def _zone_bands(axes: Axes, found_log: Identified) -> None:
     for interval, sign in ((found_log.right, 1), (found_log.left, -1)):
         if interval is None or not math.isfinite(interval.high):
             continue
-        axes.axhline(sign * interval.value, color=PRINTED, linewidth=1.0, label=None)
+        axes.axhline(sign * interval.value, color=ink.PRINTED, linewidth=1.0, label=None)
         axes.axhspan(
-            sign * interval.low, sign * interval.high, color=PRINTED, alpha=0.25, linewidth=0,
+            sign * interval.low, sign * interval.high, color=ink.PRINTED, alpha=0.25, linewidth=0,
             label=words,
         )  # fmt: skip
         words = None
@@ -163,10 +153,10 @@ def _hidden(found_log: Identified) -> Figure:
     axes = panels["z"]
     t, z, band = states.t[part], states.z[part], 1.96 * states.z_std[part]
     _zone_bands(axes, found_log)
-    axes.fill_between(t, z - band, z + band, color=ESTIMATE, alpha=0.25, linewidth=0)
-    axes.plot(t, z, color=ESTIMATE, label=r"$\hat z$ with 95 % band")
+    axes.fill_between(t, z - band, z + band, color=ink.ESTIMATE, alpha=0.25, linewidth=0)
+    axes.plot(t, z, color=ink.ESTIMATE, label=r"$\hat z$ with 95 % band")
     y = np.where(grid.ok, grid.y, np.nan)[part]
-    axes.plot(t, y, color=READING, linewidth=1.0, label="reading y")
+    axes.plot(t, y, color=ink.READING, linewidth=1.0, label="reading y")
     finish(axes, "Inside the zone the sensor is silent", label("z, y", _unit(found_log)),
            _time(found_log))  # fmt: skip
     return figure
@@ -181,21 +171,21 @@ def _residual_map(found_log: Identified) -> Figure:
     axes = panels["map"]
     ok = fit.objective.readings.ok
     left = (fit.objective.readings.y - expected_reading(fit)) * scale
-    axes.plot((fit.z * scale)[ok], left[ok], ".", color=ZONE, markersize=1.5, alpha=0.5,
+    axes.plot((fit.z * scale)[ok], left[ok], ".", color=ink.ZONE, markersize=1.5, alpha=0.5,
               rasterized=True)  # fmt: skip
     x, curve = residuals.centres * scale, residuals.curve * scale
     band = 1.96 * residuals.std * scale
-    axes.fill_between(x, curve - band, curve + band, color=PRINTED, alpha=0.25, linewidth=0)
-    axes.plot(x, curve, color=PRINTED, label="mean residual, 95 %")
+    axes.fill_between(x, curve - band, curve + band, color=ink.PRINTED, alpha=0.25, linewidth=0)
+    axes.plot(x, curve, color=ink.PRINTED, label="mean residual, 95 %")
     unit = _unit(found_log)
     finish(
         axes, r"Residual by $\hat z$", label(r"$y - E[y | \hat z]$", unit), label(r"$\hat z$", unit)
     )
     axes = panels["static"]
-    axes.plot((fit.z * scale)[ok], answer.case.grid.y[ok], ".", color=READING,
+    axes.plot((fit.z * scale)[ok], answer.case.grid.y[ok], ".", color=ink.READING,
               markersize=1.5, alpha=0.5, label="readings", rasterized=True)  # fmt: skip
     z, expected = _sensor_map(found_log)
-    axes.plot(z, expected, color=ESTIMATE, label=MAPS.get(found_log.verdict, "dead zone"))
+    axes.plot(z, expected, color=ink.ESTIMATE, label=MAPS.get(found_log.verdict, "dead zone"))
     finish(axes, r"Reading by $\hat z$", label("y", unit), label(r"$\hat z$", unit))
     return figure
 
@@ -236,9 +226,9 @@ def _residual(found_log: Identified) -> Figure:
 
 def _stems(axes: Axes, lags: object, values: object, band: float) -> None:
     """Correlations as stems over the band of white noise."""
-    axes.axhspan(-band, band, color=ZONE, alpha=0.25, linewidth=0)
-    axes.vlines(lags, 0, values, color=ESTIMATE)  # type: ignore[arg-type]
-    axes.plot(lags, values, "o", color=ESTIMATE, markersize=3)  # type: ignore[arg-type]
+    axes.axhspan(-band, band, color=ink.ZONE, alpha=0.25, linewidth=0)
+    axes.vlines(lags, 0, values, color=ink.ESTIMATE)  # type: ignore[arg-type]
+    axes.plot(lags, values, "o", color=ink.ESTIMATE, markersize=3)  # type: ignore[arg-type]
     axes.set_xlim(0, LAGS + 1)
 
 
@@ -246,7 +236,7 @@ def _profiles(found_log: Identified) -> Figure:
     """Profile likelihoods of both widths."""
     answer = found_log.answer
     figure, panels = sheet([["right", "left"]], "Profile likelihoods", height=2.8)
-    for name, colour in (("right", PRINTED), ("left", OTHER)):
+    for name, colour in (("right", ink.PRINTED), ("left", ink.OTHER)):
         interval = getattr(found_log, name)
         axes = panels[name]
         if interval is not None and interval.half > 0:
@@ -254,8 +244,8 @@ def _profiles(found_log: Identified) -> Figure:
             reach = 1.5 * interval.half / answer.scale
             values = own + np.linspace(-reach, reach, POINTS)
             fall = profile(answer.fit, name, values)
-            axes.axvspan(interval.low, interval.high, color=ZONE, alpha=0.2, linewidth=0)
-            axes.axvline(interval.value, color=TRUTH, linewidth=0.8)
+            axes.axvspan(interval.low, interval.high, color=ink.ZONE, alpha=0.2, linewidth=0)
+            axes.axvline(interval.value, color=ink.TRUTH, linewidth=0.8)
             good = np.isfinite(fall)
             axes.plot((values * answer.scale)[good], fall[good], "o-", color=colour, markersize=3)
         finish(axes, f"d_{name[0]}; shaded: printed interval", "log likelihood less its top",
@@ -283,15 +273,15 @@ def _over_time(found_log: Identified, element: Element) -> Figure:
     figure, panels = sheet([["signals"], ["signals"], ["sides"]], "The log and its fit", height=1.9)
     axes = panels["signals"]
     t = grid.t[part]
-    axes.plot(t, (element.z * scale)[part], color=ESTIMATE, label=r"plant's $\hat z$")
+    axes.plot(t, (element.z * scale)[part], color=ink.ESTIMATE, label=r"plant's $\hat z$")
     y = np.where(grid.ok, grid.y, np.nan)[part]
-    axes.plot(t, y, color=READING, linewidth=1.0, label="reading y")
+    axes.plot(t, y, color=ink.READING, linewidth=1.0, label="reading y")
     if element.kind != "input_zone":
         expected = (element.readings * scale)[part]
-        axes.plot(t, expected, color=OTHER, linewidth=1.0, label=f"{NAMES[element.kind]} of it")
+        axes.plot(t, expected, color=ink.OTHER, linewidth=1.0, label=f"{NAMES[element.kind]} of it")
     finish(axes, "The end of the log", label("z, y", unit), "")
     axes = panels["sides"]
-    axes.plot(t, element.side[part], color=TRUTH, linewidth=0.8, drawstyle="steps-post")
+    axes.plot(t, element.side[part], color=ink.TRUTH, linewidth=0.8, drawstyle="steps-post")
     middle = "silent" if element.kind == "input_zone" else "holds"
     axes.set_yticks([-1, 0, 1], ["left", middle, "right"])
     axes.set_ylim(-1.3, 1.3)
@@ -311,7 +301,7 @@ def _by_output(found_log: Identified, element: Element) -> Figure:
         finish(axes, "Reading by z^", label("y", unit), label(r"$\hat z$", unit))
     else:
         part = slice(max(0, z.size - MOST_OF_ELEMENT), z.size)
-        axes.plot(z[part], (element.readings * scale)[part], color=ESTIMATE, linewidth=1.0,
+        axes.plot(z[part], (element.readings * scale)[part], color=ink.ESTIMATE, linewidth=1.0,
                   label=f"path of {NAMES[element.kind]}")  # fmt: skip
         finish(axes, "Reading by z^, and its path", label("y", unit), label(r"$\hat z$", unit))
     axes = panels["left"]
@@ -330,5 +320,5 @@ def _by_output(found_log: Identified, element: Element) -> Figure:
 def _dots(axes: Axes, x: Floats, y: Floats) -> None:
     """Single readings."""
     axes.plot(
-        x, y, ".", color=READING, markersize=1.5, alpha=0.5, label="readings", rasterized=True
+        x, y, ".", color=ink.READING, markersize=1.5, alpha=0.5, label="readings", rasterized=True
     )

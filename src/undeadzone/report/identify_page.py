@@ -8,18 +8,7 @@ from typing import TYPE_CHECKING
 from undeadzone.identification.answer.result import Identified
 from undeadzone.identification.answer.words import HEADS, rivals_in_words
 from undeadzone.identification.verdict.orders import OrderFit, at_limit
-from undeadzone.report.html import (
-    Html,
-    Origin,
-    page,
-    paragraph,
-    pick,
-    pictures,
-    section,
-    table,
-    tag,
-    write_page,
-)
+from undeadzone.report import html
 from undeadzone.report.identify_figures import figures
 from undeadzone.support.text import label, with_deviation
 
@@ -47,7 +36,7 @@ OF_ELEMENT = {  # in place of these
 
 
 def write_identified(
-    found_log: Identified, folder: Path, source: str, origin: Origin | None = None
+    found_log: Identified, folder: Path, source: str, origin: html.Origin | None = None
 ) -> list[Path]:
     """Write figures as SVG and report.html to a folder.
 
@@ -67,14 +56,14 @@ def write_identified(
     def text(images: dict[str, bytes]) -> str:
         return identified_page(found_log, images, source, origin)
 
-    return write_page(figures(found_log), folder, text)
+    return html.write_page(figures(found_log), folder, text)
 
 
 def identified_page(
     found_log: Identified,
     images: Mapping[str, bytes],
     source: str,
-    origin: Origin | None = None,
+    origin: html.Origin | None = None,
 ) -> str:
     """The page of an answer.
 
@@ -89,38 +78,50 @@ def identified_page(
     """
     answer = found_log.answer
     good = "yes" if found_log.verdict == "dead_zone" else "no"
-    head = paragraph(tag("span", f"Dead zone of the sensor: {HEADS[found_log.verdict]}", good))
+    head = html.paragraph(
+        html.tag("span", f"Dead zone of the sensor: {HEADS[found_log.verdict]}", good)
+    )
     rows = []
     for name, value in found_log.summary().items():
         for text in value if isinstance(value, list) else [value]:
             rows.append((name, text))
     captions = CAPTIONS if answer.element is None else CAPTIONS | OF_ELEMENT
-    shown = pictures(images, captions)
-    return page(
+    shown = html.pictures(images, captions)
+    return html.page(
         f"Identified: {source}",
         head,
-        *map(paragraph, answer.reasons),
-        section("The answer", table(("what", "value"), rows), *pick(shown, "overview")),
-        *([section("Hidden output", *pick(shown, "hidden"))] if "hidden" in shown else []),
-        *([] if answer.element is None else [section("What it is", *pick(shown, "element"))]),
-        section("Is it a dead zone?", *_rivals(found_log), *pick(shown, "residual_map")),
+        *map(html.paragraph, answer.reasons),
+        html.section(
+            "The answer", html.table(("what", "value"), rows), *html.pick(shown, "overview")
+        ),
+        *(
+            [html.section("Hidden output", *html.pick(shown, "hidden"))]
+            if "hidden" in shown
+            else []
+        ),
+        *(
+            []
+            if answer.element is None
+            else [html.section("What it is", *html.pick(shown, "element"))]
+        ),
+        html.section("Is it a dead zone?", *_rivals(found_log), *html.pick(shown, "residual_map")),
         *_place(found_log),
         *_fits(found_log, shown),
         origin=origin,
     )
 
 
-def _fits(found_log: Identified, shown: dict[str, Html]) -> list[Html]:
+def _fits(found_log: Identified, shown: dict[str, html.Html]) -> list[html.Html]:
     """Stages and orders of the fit with a zone of the sensor; none beside another element."""
     if found_log.answer.element is not None:
         return []
     return [
-        section("How sure are the widths?", _stages(found_log), *pick(shown, "profiles")),
-        section("Order and residual", _orders(found_log), *pick(shown, "residual")),
+        html.section("How sure are the widths?", _stages(found_log), *html.pick(shown, "profiles")),
+        html.section("Order and residual", _orders(found_log), *html.pick(shown, "residual")),
     ]
 
 
-def _rivals(found_log: Identified) -> list[Html]:
+def _rivals(found_log: Identified) -> list[html.Html]:
     """Static rivals and the residual map in numbers."""
     answer = found_log.answer
     residuals = answer.case.residuals
@@ -132,10 +133,13 @@ def _rivals(found_log: Identified) -> list[Html]:
         f" p = {answer.case.no_zone.chance:.2g}."
     )
     rivals = rivals_in_words(answer)
-    return [table(("what the sensor may be", "behind, nats a sample"), rivals), paragraph(words)]
+    return [
+        html.table(("what the sensor may be", "behind, nats a sample"), rivals),
+        html.paragraph(words),
+    ]
 
 
-def _place(found_log: Identified) -> list[Html]:
+def _place(found_log: Identified) -> list[html.Html]:
     """Where the zone is."""
     place = found_log.answer.found.place
     if place is None:
@@ -147,19 +151,19 @@ def _place(found_log: Identified) -> list[Html]:
     )
     rows = sorted(place.behind.items(), key=lambda row: row[1])
     return [
-        section(
+        html.section(
             "Where is the zone?",
-            paragraph(words),
-            table(("place", "behind, nats a sample"), rows),
+            html.paragraph(words),
+            html.table(("place", "behind, nats a sample"), rows),
         )
     ]
 
 
-def _stages(found_log: Identified) -> Html:
+def _stages(found_log: Identified) -> html.Html:
     """Widths by stage of the fit."""
     answer = found_log.answer
     if answer.case.jumps is not None:
-        return paragraph(
+        return html.paragraph(
             "The edges of a jump sensor come from the least readings of their passages; plant and"
             " likelihoods take them as known."
         )
@@ -177,10 +181,10 @@ def _stages(found_log: Identified) -> Html:
         rows.append((names[name], *cells))
     unit = answer.case.grid.output_unit
     heads = [label(f"{edge} ± half of 95 %", unit) for edge in ("d_r", "d_l")]
-    return table(("likelihood of", *heads), rows)
+    return html.table(("likelihood of", *heads), rows)
 
 
-def _orders(found_log: Identified) -> Html:
+def _orders(found_log: Identified) -> html.Html:
     """Orders tried."""
     answer = found_log.answer
     least = min(one.pairs.bic for one in answer.case.fitted.fits)
@@ -196,7 +200,7 @@ def _orders(found_log: Identified) -> Html:
                 _standing(found_log, one),
             )
         )
-    return table(("order", "BIC above the least", "held-out error", "d_r", "d_l", ""), rows)
+    return html.table(("order", "BIC above the least", "held-out error", "d_r", "d_l", ""), rows)
 
 
 def _standing(found_log: Identified, one: OrderFit) -> str:

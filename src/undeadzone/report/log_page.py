@@ -9,33 +9,9 @@ import numpy as np
 
 from undeadzone.observers.parts.claims import CHANCE
 from undeadzone.observers.parts.judged_filter import FAR
-from undeadzone.report.html import (
-    Html,
-    Origin,
-    estimates,
-    page,
-    paragraph,
-    picture,
-    section,
-    table,
-    tag,
-)
+from undeadzone.report import html, ink
 from undeadzone.report.run_page import gap_tables
-from undeadzone.report.style import (
-    ESTIMATE,
-    FORBIDDEN,
-    OTHER,
-    PRINTED,
-    READING,
-    REFERENCE,
-    TRUTH,
-    finish,
-    label,
-    shade_gap,
-    shade_zone,
-    sheet,
-    width_lines,
-)
+from undeadzone.report.style import finish, label, shade_gap, shade_zone, sheet, width_lines
 from undeadzone.report.style import write as write_figure
 from undeadzone.results.estimation import Estimation, gaps, widths
 from undeadzone.support.arrays import Floats
@@ -68,7 +44,7 @@ def write_estimation(
     folder: Path,
     figures: bool,
     tables: bool = True,
-    origin: Origin | None = None,
+    origin: html.Origin | None = None,
 ) -> list[Path]:
     """Write the files of a log that was followed.
 
@@ -95,7 +71,7 @@ def write_estimation(
     return written
 
 
-def estimation_page(result: Estimation, image: bytes, origin: Origin | None = None) -> str:
+def estimation_page(result: Estimation, image: bytes, origin: html.Origin | None = None) -> str:
     """The page of a log that was followed: figure, numbers, verdict.
 
     Args:
@@ -105,26 +81,30 @@ def estimation_page(result: Estimation, image: bytes, origin: Origin | None = No
     """
     info = result.info
     words, style = VERDICTS[info.consistent]
-    head = paragraph(tag("span", f"Is the record what the observer claims? {words}", style))
-    reasons = [paragraph(f"{reason[:1].upper()}{reason[1:]}.") for reason in info.reasons]
-    return page(
+    head = html.paragraph(
+        html.tag("span", f"Is the record what the observer claims? {words}", style)
+    )
+    reasons = [html.paragraph(f"{reason[:1].upper()}{reason[1:]}.") for reason in info.reasons]
+    return html.page(
         info.title,
         head,
         *reasons,
-        section("Along the log", picture(image, _OVERVIEW), paragraph(_TEST, "note")),
-        section("Widths", _widths(result), *gap_tables(result.outputs, gaps(info))),
-        section("The log", table(("what", "value"), list(_numbers(result).items()))),
+        html.section(
+            "Along the log", html.picture(image, _OVERVIEW), html.paragraph(_TEST, "note")
+        ),
+        html.section("Widths", _widths(result), *gap_tables(result.outputs, gaps(info))),
+        html.section("The log", html.table(("what", "value"), list(_numbers(result).items()))),
         origin=origin,
     )
 
 
-def _widths(result: Estimation) -> Html:
+def _widths(result: Estimation) -> html.Html:
     """The final widths of each output, and how many readings lie on each side."""
     info = result.info
     sheets = [widths(info, i) for i in range(len(result.outputs))]
     counts = list(zip(info.right, info.left, info.silent, strict=True))
     heads = ("readings right", "left", "silent")
-    return estimates("output", result.outputs, sheets, heads, counts)
+    return html.estimates("output", result.outputs, sheets, heads, counts)
 
 
 def _numbers(result: Estimation) -> dict[str, Any]:
@@ -181,11 +161,11 @@ def output(
         shade_gap(axes, t, result.y[shown, i], right, left)
     elif right > -left:
         shade_zone(axes, right, left)
-    axes.plot(t, result.y[shown, i], color=READING, label="reading y")
-    axes.plot(t, result.z_hat[shown, i], color=ESTIMATE, label=r"estimate $\hat z$")
+    axes.plot(t, result.y[shown, i], color=ink.READING, label="reading y")
+    axes.plot(t, result.z_hat[shown, i], color=ink.ESTIMATE, label=r"estimate $\hat z$")
     if result.z_smooth is not None:
         smooth = result.z_smooth[shown, i]
-        axes.plot(t, smooth, color=TRUTH, linestyle=(0, (4, 2)), label="with the whole log")
+        axes.plot(t, smooth, color=ink.TRUTH, linestyle=(0, (4, 2)), label="with the whole log")
     _mark_missing(axes, result, i)
     title = f"Output{of}: what was read, and what the observer makes of it"
     finish(axes, title, label("z, y", result.unit("z_hat")), legend=4)
@@ -199,7 +179,7 @@ def _mark_missing(axes: Axes, result: Estimation, i: int) -> None:
         return  # too many to be told apart
     for start, end in edges.reshape(-1, 2):
         last = min(end, result.t.size - 1)
-        axes.axvspan(result.t[start], result.t[last], color=FORBIDDEN, linewidth=0)
+        axes.axvspan(result.t[start], result.t[last], color=ink.FORBIDDEN, linewidth=0)
 
 
 def _draw_widths(axes: Axes, result: Estimation, i: int, of: str, shown: slice) -> None:
@@ -210,7 +190,7 @@ def _draw_widths(axes: Axes, result: Estimation, i: int, of: str, shown: slice) 
     std = None if result.d_std is None else result.d_std[shown, columns]
     width_lines(axes, t, widths, std, "d")
     if result.d_smooth is not None:
-        for column, colour in ((2 * i, PRINTED), (2 * i + 1, OTHER)):
+        for column, colour in ((2 * i, ink.PRINTED), (2 * i + 1, ink.OTHER)):
             axes.plot(t, result.d_smooth[shown, column], color=colour, linestyle=(0, (4, 2)))
     settled = widths[len(widths) // 10 :]  # the start would stretch the axis
     low, high = float(np.nanmin(settled)), float(np.nanmax(settled))
@@ -227,20 +207,22 @@ def _innovations(axes: Axes, result: Estimation, i: int, of: str, shown: slice) 
     innovation = result.innovation[shown, i]
     used = innovation != 0
     if result.innovation_std is None or result.B is None:
-        axes.plot(t[used], innovation[used], ".", color=ESTIMATE, markersize=2, rasterized=True)
+        axes.plot(t[used], innovation[used], ".", color=ink.ESTIMATE, markersize=2, rasterized=True)
         finish(axes, f"Innovations{of}: no test exists", label("e", result.unit("y")), legend=0)
         return
     normalised = innovation[used] / result.innovation_std[shown, i][used]
     limited = np.clip(normalised, -2 * FAR, 2 * FAR)
     name = "innovation / its std"
-    axes.plot(t[used], limited, ".", color=ESTIMATE, markersize=2, label=name, rasterized=True)
+    axes.plot(t[used], limited, ".", color=ink.ESTIMATE, markersize=2, label=name, rasterized=True)
     for bound in (-FAR, FAR):
-        axes.axhline(bound, color=REFERENCE, linewidth=0.8)
+        axes.axhline(bound, color=ink.REFERENCE, linewidth=0.8)
     _statistic(axes, t, result.B[shown, i])
     finish(axes, f"Innovations{of} and their test", "standard deviations", legend=3)
 
 
 def _statistic(axes: Any, t: Floats, B: Floats) -> None:
     """The statistic B and its limit, in the panel of the innovations."""
-    axes.plot(t, np.minimum(B, 2 * FAR), color=PRINTED, label="B")
-    axes.axhline(CHANCE, color=PRINTED, linewidth=0.8, linestyle=(0, (4, 2)), label="usual limit")
+    axes.plot(t, np.minimum(B, 2 * FAR), color=ink.PRINTED, label="B")
+    axes.axhline(
+        CHANCE, color=ink.PRINTED, linewidth=0.8, linestyle=(0, (4, 2)), label="usual limit"
+    )

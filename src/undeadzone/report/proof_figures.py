@@ -11,16 +11,8 @@ from undeadzone.analysis.certificate.passivity import Certificate, recheck
 from undeadzone.analysis.convergence.falsify import Mode
 from undeadzone.analysis.convergence.trajectories import Trajectory
 from undeadzone.analysis.error_dynamics import Dynamics, Storage, dynamics
-from undeadzone.report.style import (
-    ESTIMATE,
-    FLOOR,
-    FORBIDDEN,
-    PRINTED,
-    READING,
-    TRUTH,
-    finish,
-    sheet,
-)
+from undeadzone.report import ink
+from undeadzone.report.style import FLOOR, finish, sheet
 from undeadzone.support.arrays import Floats
 from undeadzone.synthesis.assessment import Attacks, Gains
 
@@ -31,9 +23,9 @@ if TYPE_CHECKING:
 POINTS: Final = 2000  # frequencies of a curve
 STYLES: Final[dict[str, dict[str, Any]]] = {
     "random": {"color": "#b9bec6", "linewidth": 0.8},
-    "adversary": {"color": PRINTED, "linewidth": 1.8},
-    "fair adversary": {"color": READING, "linewidth": 1.8},
-    "reference": {"color": ESTIMATE, "linewidth": 1.8},
+    "adversary": {"color": ink.PRINTED, "linewidth": 1.8},
+    "fair adversary": {"color": ink.READING, "linewidth": 1.8},
+    "reference": {"color": ink.ESTIMATE, "linewidth": 1.8},
 }
 
 
@@ -149,11 +141,11 @@ def _curve(axes: Axes, curve: np.ndarray, worst: complex) -> None:
     """A curve and its mirror image in the complex plane, whose left half is shaded."""
     size = max(np.ptp(curve.real), np.abs(curve).max(), 1e-9)
     left = min(0.0, curve.real.min()) - 0.15 * size
-    axes.axvspan(left, 0.0, color=FORBIDDEN, linewidth=0)
-    axes.axvline(0.0, color=PRINTED, linewidth=1.0)
-    axes.plot(curve.real, -curve.imag, color=ESTIMATE, alpha=0.3)
-    axes.plot(curve.real, curve.imag, color=ESTIMATE)
-    axes.plot([worst.real], [worst.imag], "o", color=PRINTED, zorder=5)
+    axes.axvspan(left, 0.0, color=ink.FORBIDDEN, linewidth=0)
+    axes.axvline(0.0, color=ink.PRINTED, linewidth=1.0)
+    axes.plot(curve.real, -curve.imag, color=ink.ESTIMATE, alpha=0.3)
+    axes.plot(curve.real, curve.imag, color=ink.ESTIMATE)
+    axes.plot([worst.real], [worst.imag], "o", color=ink.PRINTED, zorder=5)
     axes.set_xlim(left, curve.real.max() + 0.12 * size)
     top = max(1.1 * float(np.abs(curve.imag).max()), 0.3 * size)
     axes.set_ylim(-top, top)
@@ -177,13 +169,13 @@ def _eigenvalues(axes: Axes, w: Floats, H: np.ndarray, least: float, worst_at: f
     bottom = min(0.0, least)
     low = bottom - 0.12 * (top - bottom)
     axes.set_xscale("log")
-    axes.axhspan(low, 0.0, color=FORBIDDEN, linewidth=0)
-    axes.plot(w, values[:, 1:], color=ESTIMATE, alpha=0.35)
-    axes.plot(w, values[:, 0], color=ESTIMATE)
+    axes.axhspan(low, 0.0, color=ink.FORBIDDEN, linewidth=0)
+    axes.plot(w, values[:, 1:], color=ink.ESTIMATE, alpha=0.35)
+    axes.plot(w, values[:, 0], color=ink.ESTIMATE)
     if w[0] <= worst_at <= w[-1]:
-        axes.plot([worst_at], [least], "o", color=PRINTED, clip_on=False, zorder=5)
+        axes.plot([worst_at], [least], "o", color=ink.PRINTED, clip_on=False, zorder=5)
     else:
-        axes.axhline(least, color=PRINTED, linestyle=":")
+        axes.axhline(least, color=ink.PRINTED, linestyle=":")
     axes.set_ylim(low, top)
 
 
@@ -222,7 +214,7 @@ def _from_one_error(axes: Axes, gains: Gains, tried: Attacks) -> None:
         named.add(course.kind)
     t = tried.courses[0].t
     decay = np.exp(-2 * gains.rates.rate * t)
-    axes.plot(t, decay, color=TRUTH, linewidth=1.0, linestyle="--", label=r"$e^{-2\,rate\,t}$")
+    axes.plot(t, decay, color=ink.TRUTH, linewidth=1.0, linestyle="--", label=r"$e^{-2\,rate\,t}$")
     axes.set_xlim(0.0, t[-1])
     finish(axes, "V / V(0) from one random error", "", legend=5)
 
@@ -233,8 +225,8 @@ def _rise(axes: Axes, course: Trajectory, title: str) -> None:
         level, value, scale, y_label = 1.0, course.V, "log", "V / V(0)"
     else:
         level, value, scale, y_label = 0.0, 100 * (course.V - 1), "linear", "rise of V [%]"
-    axes.axhline(level, color=TRUTH, linewidth=0.8)
-    axes.plot(course.t, value, color=PRINTED, linewidth=1.8)
+    axes.axhline(level, color=ink.TRUTH, linewidth=0.8)
+    axes.plot(course.t, value, color=ink.PRINTED, linewidth=1.8)
     axes.set_yscale(scale)
     finish(axes, title, y_label, legend=0)
 

@@ -7,14 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from undeadzone.report import ink
 from undeadzone.report.style import (
-    ESTIMATE,
-    OTHER,
-    PRINTED,
-    READING,
-    REFERENCE,
-    TRUTH,
-    ZONE,
     axis_label,
     finish,
     plain,
@@ -32,7 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 STACKED = 2  # outputs, whose errors and widths stand below them; those of more stand beside them
-COLOURS = (TRUTH, ESTIMATE, READING, REFERENCE, PRINTED, OTHER)  # of joints
+COLOURS = (ink.TRUTH, ink.ESTIMATE, ink.READING, ink.REFERENCE, ink.PRINTED, ink.OTHER)  # of joints
 COLUMNS = 3  # joints in a row
 LEGEND: Any = {"frameon": False, "fontsize": 8.5}
 BEYOND = 0.25  # share of the truth's range by which a phase plane shows more
@@ -74,7 +68,7 @@ def overview(run: Run) -> Figure:
         _loop(panels[f"loop {i}"], run, i, of)
         _edges(panels[f"gaps {i}"], run, i, "c", info.gaps, f"Gaps of the play{of}")
     if run.V is not None:
-        plot_magnitude(panels["V"], run.t[run.shown], run.V[run.shown], TRUTH, "V")
+        plot_magnitude(panels["V"], run.t[run.shown], run.V[run.shown], ink.TRUTH, "V")
         finish(panels["V"], "Lyapunov function", axis_label("V", run.unit("V")), legend=0)
     return figure
 
@@ -123,11 +117,11 @@ def output(axes: Axes, run: Run, i: int = 0, of: str = "") -> None:
         shade_zone(axes, right, left)
     if i in run.info.tracked:
         r = run.r[shown, run.info.tracked.index(i)]
-        axes.plot(t, r, color=REFERENCE, linewidth=2.6, alpha=0.45, label="reference r")
-    axes.plot(t, run.y[shown, i], color=READING, label="reading y")
-    axes.plot(t, run.z[shown, i], color=TRUTH, label="output z")
+        axes.plot(t, r, color=ink.REFERENCE, linewidth=2.6, alpha=0.45, label="reference r")
+    axes.plot(t, run.y[shown, i], color=ink.READING, label="reading y")
+    axes.plot(t, run.z[shown, i], color=ink.TRUTH, label="output z")
     estimate = run.z_hat[shown, i]
-    axes.plot(t, estimate, color=ESTIMATE, linestyle=(0, (4, 2)), label=r"estimate $\hat z$")
+    axes.plot(t, estimate, color=ink.ESTIMATE, linestyle=(0, (4, 2)), label=r"estimate $\hat z$")
     title = f"Output{of} and what is known of it"
     if run.diverged_at is not None:
         title += f", diverged at {run.diverged_at:.4g} s"
@@ -140,24 +134,24 @@ def _errors(axes: Axes, run: Run, i: int, of: str) -> None:
     t = run.t[shown]
     if i in run.info.tracked:
         tracking = (run.z[:, i] - run.r[:, run.info.tracked.index(i)])[shown]
-        plot_magnitude(axes, t, tracking, REFERENCE, "$|z - r|$")
-    plot_magnitude(axes, t, (run.z - run.z_hat)[shown, i], ESTIMATE, r"$|z - \hat z|$")
+        plot_magnitude(axes, t, tracking, ink.REFERENCE, "$|z - r|$")
+    plot_magnitude(axes, t, (run.z - run.z_hat)[shown, i], ink.ESTIMATE, r"$|z - \hat z|$")
     finish(axes, f"Errors{of}", axis_label("error", run.unit("z")))
 
 
 def _command(axes: Axes, run: Run, j: int, of: str) -> None:
     """Input j over the dead zone of its actuator."""
     shade_zone(axes, *run.info.actuator[2 * j : 2 * j + 2])
-    axes.plot(run.t[run.shown], run.u[run.shown, j], color=TRUTH)
+    axes.plot(run.t[run.shown], run.u[run.shown, j], color=ink.TRUTH)
     finish(axes, f"Command{of} over the actuator's zone", axis_label("u", run.unit("u")), legend=0)
 
 
 def _loop(axes: Axes, run: Run, i: int, of: str) -> None:
     """Readings of output i over the true output and its estimate, of the end of the run."""
     last = slice(2 * run.t.size // 3, None)
-    axes.plot(run.z[last, i], run.y[last, i], color=TRUTH, label="z")
+    axes.plot(run.z[last, i], run.y[last, i], color=ink.TRUTH, label="z")
     z_hat = run.z_hat[last, i]
-    axes.plot(z_hat, run.y[last, i], color=ESTIMATE, linestyle=(0, (4, 2)), label=r"$\hat z$")
+    axes.plot(z_hat, run.y[last, i], color=ink.ESTIMATE, linestyle=(0, (4, 2)), label=r"$\hat z$")
     title, unit = f"Reading{of} over the output, last third", run.unit("z")
     finish(axes, title, axis_label("y", run.unit("y")), axis_label("z", unit))
 
@@ -174,7 +168,7 @@ def _edges(axes: Axes, run: Run, i: int, letter: str, true: Sequence[float], wha
         what: it is.
     """
     columns, name = slice(2 * i, 2 * i + 2), f"{letter}_hat"
-    for value, colour in zip(true[columns], (PRINTED, OTHER), strict=True):
+    for value, colour in zip(true[columns], (ink.PRINTED, ink.OTHER), strict=True):
         axes.axhline(value, color=colour, linewidth=3.0, alpha=0.3)
     found, std = getattr(run, name), getattr(run, f"{letter}_std")
     band = None if std is None else std[run.shown, columns]
@@ -249,9 +243,14 @@ def _phase_plane(axes: Axes, run: Run, i: int, name: str) -> None:
     q, q_rate = run.x[run.shown, i], run.x[run.shown, velocity]
     q_hat, q_hat_rate = run.x_hat[run.shown, i], run.x_hat[run.shown, velocity]
     _zone(axes, run, i)
-    axes.plot(q, q_rate, color=TRUTH, linewidth=1.3, linestyle="-", label="truth")
+    axes.plot(q, q_rate, color=ink.TRUTH, linewidth=1.3, linestyle="-", label="truth")
     axes.plot(
-        q_hat, q_hat_rate, color=ESTIMATE, linewidth=0.9, linestyle=(0, (4, 2)), label="estimate"
+        q_hat,
+        q_hat_rate,
+        color=ink.ESTIMATE,
+        linewidth=0.9,
+        linestyle=(0, (4, 2)),
+        label="estimate",
     )
     axes.set_xlim(*_range(q))
     axes.set_ylim(*_range(q_rate))
@@ -262,15 +261,15 @@ def _phase_plane(axes: Axes, run: Run, i: int, name: str) -> None:
 def _both(run: Run, rival: Run | None) -> list[tuple[Run, str]]:
     """Each run with its colour."""
     if rival is None:
-        return [(run, ESTIMATE)]
-    return [(run, ESTIMATE), (rival, PRINTED)]
+        return [(run, ink.ESTIMATE)]
+    return [(run, ink.ESTIMATE), (rival, ink.PRINTED)]
 
 
 def _plane(axes: Axes, run: Run, rival: Run | None, plane: tuple[int, int], where: str) -> None:
     """The tip seen along one direction, equally scaled."""
     assert run.tip_r is not None
     axes.margins(0.05)
-    axes.plot(*run.tip_r[:, plane].T, color=REFERENCE, linewidth=4.0, alpha=0.4, label="path")
+    axes.plot(*run.tip_r[:, plane].T, color=ink.REFERENCE, linewidth=4.0, alpha=0.4, label="path")
     for one, colour in reversed(_both(run, rival)):
         assert one.tip is not None
         first = one.t.size // 2 if one.diverged_at is None else 0
@@ -297,7 +296,7 @@ def _zone(axes: Axes, run: Run, i: int) -> None:
         return
     right, left = run.info.widths[2 * i : 2 * i + 2]
     ends = silent_at - left, silent_at + right
-    axes.axvspan(*ends, color=ZONE, alpha=0.18, linewidth=0, label="dead zone")
+    axes.axvspan(*ends, color=ink.ZONE, alpha=0.18, linewidth=0, label="dead zone")
 
 
 def offset(q: Floats, z: Floats) -> float | None:

@@ -7,21 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from undeadzone.analysis.identifiability.linear import DIRECTIONS
-from undeadzone.report.html import (
-    Html,
-    Origin,
-    estimates,
-    page,
-    paragraph,
-    picture,
-    section,
-    table,
-    tag,
-    trust,
-    verdict_line,
-    widths_known,
-    yes_no,
-)
+from undeadzone.report import html
 from undeadzone.report.run_figures import overview, phase, tip
 from undeadzone.report.style import write as write_figure
 from undeadzone.results.run import Run, actuators, errors, gaps, parameters, widths
@@ -48,7 +34,7 @@ def run_page(
     figures: Sequence[bytes],
     rival: Run | None = None,
     first: Sequence[Any] = (),
-    origin: Origin | None = None,
+    origin: html.Origin | None = None,
 ) -> str:
     """The page of one run.
 
@@ -63,44 +49,48 @@ def run_page(
     for name, verdict in zip(run.outputs, run.info.identifiable, strict=True):
         where = f"Output {name}: " if len(run.outputs) > 1 else ""
         reasons += [f"{where}{reason}." for reason in verdict["reasons"]]
-    return page(
+    return html.page(
         run.info.title,
         _verdict(run),
-        section("What happens", *first, *(picture(figure, _OVERVIEW) for figure in figures)),
-        section("Numbers", _numbers_table(run, rival)),
-        section(
+        html.section(
+            "What happens", *first, *(html.picture(figure, _OVERVIEW) for figure in figures)
+        ),
+        html.section("Numbers", _numbers_table(run, rival)),
+        html.section(
             "Widths",
             _widths_table(run),
             *_actuators(run),
             *gap_tables(run.outputs, gaps(run, run.info.units.output, run.info.gaps)),
-            *map(paragraph, reasons),
+            *map(html.paragraph, reasons),
         ),
-        section("Gains", *_gains(run)),
-        origin=origin or Origin(scenario=run.info.scenario, seed=run.info.seed),
+        html.section("Gains", *_gains(run)),
+        origin=origin or html.Origin(scenario=run.info.scenario, seed=run.info.seed),
     )
 
 
-def _verdict(run: Run) -> Html:
+def _verdict(run: Run) -> html.Html:
     """One line: diverged or not, the error, whether every width can be known."""
     if run.diverged_at is not None:
-        return tag("p", tag("span", f"Diverged at {run.diverged_at:.4g} s.", "no"))
+        return html.tag("p", html.tag("span", f"Diverged at {run.diverged_at:.4g} s.", "no"))
     rms = with_unit(f"rms of z − r {run.rms_tracking:.4g}", run.info.units.output)
     parts = [
         (f"{rms} over the last {run.lasting:g} s", ""),
-        widths_known(run.fully_identifiable),
+        html.widths_known(run.fully_identifiable),
     ]
     if run.inexact:
         parts.append(("the step is too large: these are no results", "no"))
-    return verdict_line(*parts)
+    return html.verdict_line(*parts)
 
 
-def _numbers_table(run: Run, rival: Run | None) -> Html:
+def _numbers_table(run: Run, rival: Run | None) -> html.Html:
     """The numbers of a run, beside those of a rival if there is one."""
     columns = [_numbers(run)]
     if rival is not None:
         columns.append(_numbers(rival))
     head = ("what", "value", "compared with")[: 1 + len(columns)]
-    return table(head, [(name, *(column.get(name) for column in columns)) for name in columns[0]])
+    return html.table(
+        head, [(name, *(column.get(name) for column in columns)) for name in columns[0]]
+    )
 
 
 def _numbers(run: Run) -> dict[str, Any]:
@@ -116,7 +106,7 @@ def _numbers(run: Run) -> dict[str, Any]:
     rise = "largest rise of V above an earlier value, relative to its largest"
     return numbers | {
         "share of silent samples": run.silent_fraction,
-        "how strongly readings move z^": trust(run.info.listens),
+        "how strongly readings move z^": html.trust(run.info.listens),
         "certificate found for these gains": run.info.certified,
         rise: None if run.largest_rise_of_V is None else f"{run.largest_rise_of_V:.1g}",
         "integration error (against half the step)": _of_integration(run),
@@ -129,41 +119,43 @@ def _of_integration(run: Run) -> str | None:
     return None if error is None else f"{error:.1g}"
 
 
-def _widths_table(run: Run) -> Html:
+def _widths_table(run: Run) -> html.Html:
     """The estimated and the true widths of each output, and which of them readings can tell."""
     known = []
     for verdict in run.info.identifiable:
-        known.append([tag("span", *yes_no(verdict[each])) for each in DIRECTIONS])
+        known.append([html.tag("span", *html.yes_no(verdict[each])) for each in DIRECTIONS])
     sheets = [widths(run, i) for i in range(len(run.outputs))]
     heads = ("d_r can be known", "d_l", "d_r + d_l", "d_r − d_l")
-    return estimates("output", run.outputs, sheets, heads, known)
+    return html.estimates("output", run.outputs, sheets, heads, known)
 
 
-def _actuators(run: Run) -> list[Html]:
+def _actuators(run: Run) -> list[html.Html]:
     """The estimated and the true widths of each actuator; nothing where none are estimated."""
     found = actuators(run)
-    return [estimates("actuator", (f"u[{j}]" for j in range(len(found))), found)] if found else []
+    return (
+        [html.estimates("actuator", (f"u[{j}]" for j in range(len(found))), found)] if found else []
+    )
 
 
-def gap_tables(outputs: Sequence[str], found: Sequence[Sequence[Row]]) -> list[Html]:
+def gap_tables(outputs: Sequence[str], found: Sequence[Sequence[Row]]) -> list[html.Html]:
     """The table of the gaps ahead of dead zones; nothing where none are estimated."""
-    return [estimates("play ahead of the zone", outputs, found)] if found else []
+    return [html.estimates("play ahead of the zone", outputs, found)] if found else []
 
 
-def _gains(run: Run) -> list[Html]:
+def _gains(run: Run) -> list[html.Html]:
     """The constant gains of observer and controller."""
     gains = run.info.gains
     sampled = run.info.time == "sampled"
-    parts = [] if "L" in gains else [paragraph(_VARIABLE)]
+    parts = [] if "L" in gains else [html.paragraph(_VARIABLE)]
     if "L" in gains:
         head = ("L, of one step" if sampled else "L [1/s]", *map(_output, run.outputs))
-        parts.append(table(head, _rows("x", gains["L"])))
+        parts.append(html.table(head, _rows("x", gains["L"])))
     if "gamma" in gains:
         head = ("γ, of one step" if sampled else "γ [1/s]", *map(_output, run.outputs))
-        parts.append(table(head, [("", *gains["gamma"])]))
+        parts.append(html.table(head, [("", *gains["gamma"])]))
     if "K" in gains:
         states = [f"x[{i}]" for i in range(len(gains["K"][0]))]
-        parts.append(table(("K", *states), _rows("u", gains["K"])))
+        parts.append(html.table(("K", *states), _rows("u", gains["K"])))
     return parts
 
 
@@ -183,7 +175,7 @@ def write_run(
     figures: bool,
     rival: Run | None = None,
     tables: bool = True,
-    origin: Origin | None = None,
+    origin: html.Origin | None = None,
 ) -> list[Path]:
     """Write the files of a run.
 
@@ -212,8 +204,8 @@ def write_run(
     if result.poses is not None:
         files, first = _arm(result, folder, rival)
         written += files
-    page = run_page(result, [drawn.read_bytes()], rival, first, origin)
-    written.append(write_text(page, folder / "report.html"))
+    text = run_page(result, [drawn.read_bytes()], rival, first, origin)
+    written.append(write_text(text, folder / "report.html"))
     return written
 
 
@@ -226,6 +218,7 @@ def _arm(result: Run, folder: Path, rival: Run | None) -> tuple[list[Path], list
         write_figure(phase(result), folder / "phase.svg"),
     ]
     pictures = [
-        picture(path.read_bytes(), words) for path, words in zip(written, (TIP, PHASE), strict=True)
+        html.picture(path.read_bytes(), words)
+        for path, words in zip(written, (TIP, PHASE), strict=True)
     ]
     return written, [animated(result, rival), *pictures]

@@ -10,20 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from undeadzone.ensemble.result import JUDGED, MAIN, Ensemble
+from undeadzone.report import ink
 from undeadzone.report.ensemble_figures import SPREAD, words
-from undeadzone.report.style import (
-    ESTIMATE,
-    OTHER,
-    PRINTED,
-    READING,
-    REFERENCE,
-    TRUTH,
-    ZONE,
-    axis_label,
-    finish,
-    plain,
-    sheet,
-)
+from undeadzone.report.style import axis_label, finish, plain, sheet
 from undeadzone.statistics.intervals import LEVEL
 from undeadzone.support.arrays import Floats
 
@@ -84,15 +73,15 @@ def _name_rows(axes: Axes, names: list[str]) -> None:
 def _ranks(axes: Axes, partial: list[dict[str, float]]) -> None:
     """Bars of partial rank correlations."""
     _bars(axes, 0.0, 0.62, partial, color=[_rank_colour(index) for index in partial])
-    axes.axvline(0.0, color=TRUTH, linewidth=0.8)
+    axes.axvline(0.0, color=ink.TRUTH, linewidth=0.8)
     axes.set_xlim(-1.05, 1.05)
 
 
 def _rank_colour(index: Index) -> str:
     """Grey where it may be chance, else by sign."""
     if index["p"] > 1 - LEVEL:
-        return ZONE
-    return PRINTED if index["value"] > 0 else ESTIMATE
+        return ink.ZONE
+    return ink.PRINTED if index["value"] > 0 else ink.ESTIMATE
 
 
 def _shares(axes: Axes, sensitivities: list[dict[str, Any]]) -> None:
@@ -100,12 +89,12 @@ def _shares(axes: Axes, sensitivities: list[dict[str, Any]]) -> None:
     first = [each["first_order"] for each in sensitivities]
     total = [each["total_order"] for each in sensitivities]
     if total[0] is None:
-        _bars(axes, 0.0, 0.62, first, color=REFERENCE, label="alone")
+        _bars(axes, 0.0, 0.62, first, color=ink.REFERENCE, label="alone")
         floor = sensitivities[0]["floor"]
-        axes.axvline(floor, color=ZONE, linestyle=(0, (3, 2)), label="chance")
+        axes.axvline(floor, color=ink.ZONE, linestyle=(0, (3, 2)), label="chance")
     else:
-        _bars(axes, -0.16, 0.31, first, color=REFERENCE, label="alone")
-        _bars(axes, 0.16, 0.31, total, color=OTHER, label="with interactions")
+        _bars(axes, -0.16, 0.31, first, color=ink.REFERENCE, label="alone")
+        _bars(axes, 0.16, 0.31, total, color=ink.OTHER, label="with interactions")
     largest = max(index["high"] for index in first + total if index is not None)
     axes.set_xlim(0.0, min(1.02, 0.02 + 1.08 * largest))
 
@@ -122,7 +111,7 @@ def _bars(
         values,
         thick,
         xerr=[below, above],
-        error_kw={"elinewidth": 1.0, "ecolor": TRUTH, "capsize": 2.0},
+        error_kw={"elinewidth": 1.0, "ecolor": ink.TRUTH, "capsize": 2.0},
         alpha=0.75,
         **style,
     )
@@ -186,7 +175,7 @@ def _over_one(axes: Axes, x: Floats, y: Floats, runs: Marked, scale: Scale) -> N
     alpha = min(0.6, 20 / np.sqrt(shown.size))
     axes.set_yscale(scale)
     axes.plot(
-        x[shown], y[shown], ".", color=ESTIMATE, markersize=3, markeredgewidth=0, alpha=alpha,
+        x[shown], y[shown], ".", color=ink.ESTIMATE, markersize=3, markeredgewidth=0, alpha=alpha,
         rasterized=True,
     )  # fmt: skip
     _trend(axes, x[shown], y[shown])
@@ -196,7 +185,7 @@ def _over_one(axes: Axes, x: Floats, y: Floats, runs: Marked, scale: Scale) -> N
             x[diverged],
             np.full(diverged.size, 0.02),
             "|",
-            color=PRINTED,
+            color=ink.PRINTED,
             transform=axes.get_xaxis_transform(),
             label="diverged",
         )
@@ -216,7 +205,7 @@ def _over_both(axes: Axes, x: Floats, y: Floats, values: Floats, runs: Marked, s
         edgecolors="none",
     )
     if runs.diverged.size:
-        axes.plot(x[runs.diverged], y[runs.diverged], ".", color=PRINTED, label="diverged")
+        axes.plot(x[runs.diverged], y[runs.diverged], ".", color=ink.PRINTED, label="diverged")
     _mark(axes, x, y, runs)
     axes.margins(0.03)
     return hexagons
@@ -224,9 +213,9 @@ def _over_both(axes: Axes, x: Floats, y: Floats, values: Floats, runs: Marked, s
 
 def _mark(axes: Axes, x: Floats, y: Floats, runs: Marked) -> None:
     """Mark the worst runs and the median one."""
-    axes.plot(x[runs.worst], y[runs.worst], "x", color=PRINTED, label="worst", zorder=5)
+    axes.plot(x[runs.worst], y[runs.worst], "x", color=ink.PRINTED, label="worst", zorder=5)
     typical = x[runs.typical], y[runs.typical]
-    axes.plot(*typical, "*", color=OTHER, markersize=11, label="median run", zorder=5)
+    axes.plot(*typical, "*", color=ink.OTHER, markersize=11, label="median run", zorder=5)
 
 
 def _trend(axes: Axes, x: Floats, y: Floats) -> None:
@@ -235,6 +224,6 @@ def _trend(axes: Axes, x: Floats, y: Floats) -> None:
     split = np.array_split(np.argsort(x, kind="stable"), groups)
     neighbours = [group for group in split if group.size]
     centre = [np.median(x[group]) for group in neighbours]
-    for share, colour, name in ((0.5, TRUTH, "median"), (0.95, READING, "95 %")):
+    for share, colour, name in ((0.5, ink.TRUTH, "median"), (0.95, ink.READING, "95 %")):
         values = [np.quantile(y[group], share) for group in neighbours]
         axes.plot(centre, values, color=colour, label=name)

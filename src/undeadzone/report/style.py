@@ -1,7 +1,4 @@
-"""One look for every figure: colours, axes, sheets of panels, files and bytes.
-
-The colours are those of Okabe and Ito, which colour-blind readers can tell apart.
-"""
+"""One look for every figure: axes, sheets of panels, files and bytes."""
 
 from __future__ import annotations
 
@@ -16,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from undeadzone.errors import FileError
+from undeadzone.report import ink
 from undeadzone.support.arrays import Floats
 from undeadzone.support.files import replacing
 from undeadzone.support.text import label as label
@@ -24,15 +22,6 @@ from undeadzone.support.text import printable
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-TRUTH: Final = "#1a1a1a"
-ESTIMATE: Final = "#0072b2"
-READING: Final = "#e69f00"
-REFERENCE: Final = "#009e73"
-PRINTED: Final = "#d55e00"
-OTHER: Final = "#cc79a7"
-ZONE: Final = "#8a8f98"
-FORBIDDEN: Final = "#f3d9cc"  # where a pole is unstable, or 1 + G not positive real
 
 SUFFIXES: Final = (".png", ".pdf", ".svg")
 DPI: Final = 110
@@ -149,7 +138,7 @@ def plain(text: str) -> str:
 
 def shade_zone(axes: Axes, right: float, left: float) -> None:
     """The dead zone [-d_l, d_r] as a grey band."""
-    axes.axhspan(-left, right, color=ZONE, alpha=0.18, linewidth=0, label="dead zone")
+    axes.axhspan(-left, right, color=ink.ZONE, alpha=0.18, linewidth=0, label="dead zone")
 
 
 def shade_gap(axes: Axes, t: Floats, y: Floats, right: float, left: float) -> None:
@@ -161,7 +150,7 @@ def shade_gap(axes: Axes, t: Floats, y: Floats, right: float, left: float) -> No
         y: readings in units of z, one for each instant
         right, left: gaps c_r, c_l [z]
     """
-    band = axes.fill_between(t, y - left, y + right, color=ZONE, alpha=0.18, linewidth=0)
+    band = axes.fill_between(t, y - left, y + right, color=ink.ZONE, alpha=0.18, linewidth=0)
     band.set_label("gap of the play")
 
 
@@ -236,7 +225,7 @@ def width_lines(axes: Axes, t: Floats, widths: Floats, std: Floats | None, lette
         std: their standard deviations (N x 2); None: there are none.
         letter: of the widths, d or b.
     """
-    sides = (("r", PRINTED), ("l", OTHER))
+    sides = (("r", ink.PRINTED), ("l", ink.OTHER))
     for k, (side, colour) in enumerate(sides):
         axes.plot(t, widths[:, k], color=colour, label=rf"$\hat {letter}_{side}$")
     if std is None:

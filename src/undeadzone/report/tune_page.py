@@ -8,34 +8,9 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 import numpy as np
 
+from undeadzone.report import html, ink
 from undeadzone.report.ensemble_figures import words
-from undeadzone.report.html import (
-    Html,
-    Origin,
-    folded,
-    page,
-    paragraph,
-    pick,
-    pictures,
-    section,
-    source,
-    table,
-    verdict_line,
-    write_page,
-    yes_no,
-)
-from undeadzone.report.style import (
-    ESTIMATE,
-    OTHER,
-    PRINTED,
-    READING,
-    REFERENCE,
-    TRUTH,
-    ZONE,
-    finish,
-    plain,
-    sheet,
-)
+from undeadzone.report.style import finish, plain, sheet
 from undeadzone.statistics.intervals import Interval
 from undeadzone.support import toml
 from undeadzone.support.arrays import Floats
@@ -54,13 +29,18 @@ CAPTIONS: Final = {
     "around": "The metric on held-out runs as one number moves and the others stay. A flat curve "
     "is a number that hardly matters.",
 }
-COLOURS: Final = {"start": TRUTH, "global": READING, "gradient": REFERENCE, "local": OTHER}
+COLOURS: Final = {
+    "start": ink.TRUTH,
+    "global": ink.READING,
+    "gradient": ink.REFERENCE,
+    "local": ink.OTHER,
+}
 POINTS: Final = 25  # of a curve around the tuned numbers
 COLUMNS: Final = 3
 STEEP: Final = 20  # times the least cost, beyond which a curve is cut off
 
 
-def write_tuned(result: Tuned, folder: Path, origin: Origin | None = None) -> list[Path]:
+def write_tuned(result: Tuned, folder: Path, origin: html.Origin | None = None) -> list[Path]:
     """Write history.svg, around.svg and report.html to a folder. Raises FileError.
 
     Args:
@@ -72,47 +52,50 @@ def write_tuned(result: Tuned, folder: Path, origin: Origin | None = None) -> li
         The paths of the files.
     """
     drawn = {"history": history(result), "around": around(result, slices(result))}
-    return write_page(drawn, folder, lambda images: tuned_page(result, images, origin))
+    return html.write_page(drawn, folder, lambda images: tuned_page(result, images, origin))
 
 
-def tuned_page(result: Tuned, images: dict[str, bytes], origin: Origin | None = None) -> str:
+def tuned_page(result: Tuned, images: dict[str, bytes], origin: html.Origin | None = None) -> str:
     """The page; images: SVGs by name; else see `write_tuned`."""
-    shown = pictures(images, CAPTIONS)
+    shown = html.pictures(images, CAPTIONS)
     what = result.what
     asked = (
         f"Made small: {what.statistic} of {what.metric} over {what.runs} runs, with "
         f"{len(result.trials)} candidates of {what.budget}. Held-out runs are others than those "
         "tuned on: they tell what the numbers are worth. In parentheses: 95 % intervals."
     )
-    return page(
+    return html.page(
         f"Tuned: {result.scenario.title}",
         _verdict(result),
-        section("Numbers", _numbers(result), *map(paragraph, _at_edge(result))),
-        section("What they are worth", paragraph(asked), _worth(result)),
-        section("The search", *pick(shown, "history")),
-        section("Around what was found", *pick(shown, "around")),
-        section("The tuned scenario", folded("tuned.toml", source(toml.dumps(result.scenario)))),
+        html.section("Numbers", _numbers(result), *map(html.paragraph, _at_edge(result))),
+        html.section("What they are worth", html.paragraph(asked), _worth(result)),
+        html.section("The search", *html.pick(shown, "history")),
+        html.section("Around what was found", *html.pick(shown, "around")),
+        html.section(
+            "The tuned scenario",
+            html.folded("tuned.toml", html.source(toml.dumps(result.scenario))),
+        ),
         origin=origin,
     )
 
 
-def _verdict(result: Tuned) -> Html:
+def _verdict(result: Tuned) -> html.Html:
     """One line: better or not, certified or not."""
     no_better = "no improvement that chance could not explain"
-    parts = [yes_no(result.improved, "better on held-out runs", no_better)]
+    parts = [html.yes_no(result.improved, "better on held-out runs", no_better)]
     if result.margin is not None:
         certified = f"certified, margin {result.margin:.4g}"
-        parts.append(yes_no(result.certified, certified, "not certified"))
-    return verdict_line(*parts)
+        parts.append(html.yes_no(result.certified, certified, "not certified"))
+    return html.verdict_line(*parts)
 
 
-def _numbers(result: Tuned) -> Html:
+def _numbers(result: Tuned) -> html.Html:
     """The numbers, from where they started and their ranges."""
     rows = []
     for parameter, value in zip(result.parameters, result.values, strict=True):
         bounds = f"{parameter.low:g} to {parameter.high:g}{', log' if parameter.log else ''}"
         rows.append((parameter.name, parameter.start, value, bounds))
-    return table(("number", "before", "tuned", "range"), rows)
+    return html.table(("number", "before", "tuned", "range"), rows)
 
 
 def _at_edge(result: Tuned) -> list[str]:
@@ -121,13 +104,13 @@ def _at_edge(result: Tuned) -> list[str]:
     return [f"{name} {words}" for name in result.at_edge]
 
 
-def _worth(result: Tuned) -> Html:
+def _worth(result: Tuned) -> html.Html:
     """Before and after, on the runs tuned on and on held-out ones of each scenario."""
     rows: list[tuple[Any, ...]] = [("runs tuned on", *map(float, result.cost), None, None)]
     for scenario, held_out in zip(result.scenarios, result.held_out, strict=True):
         rows.append(_held_out(scenario.title, held_out))
     rows.append(("change on held-out runs", None, _interval(result.change), None, None))
-    return table(("", "before", "after", "diverged before", "after"), rows)
+    return html.table(("", "before", "after", "diverged before", "after"), rows)
 
 
 def _held_out(title: str, held_out: HeldOut) -> tuple[Any, ...]:
@@ -186,9 +169,15 @@ def _costs(axes: Axes, result: Tuned) -> None:
     if not kept.all():
         lost = np.flatnonzero(~kept)
         axes.plot(
-            lost, shown[lost], "x", color=PRINTED, markersize=3.5, alpha=0.6, label="not certified"
+            lost,
+            shown[lost],
+            "x",
+            color=ink.PRINTED,
+            markersize=3.5,
+            alpha=0.6,
+            label="not certified",
         )
-    axes.plot(best, color=ESTIMATE, drawstyle="steps-post", label="best so far")
+    axes.plot(best, color=ink.ESTIMATE, drawstyle="steps-post", label="best so far")
     _scaled(axes, known)
 
 
@@ -213,13 +202,13 @@ def _curve(axes: Axes, parameter: Parameter, value: float, curve: Sweep, margin:
     cost = curve.cost
     axes.set_xscale("log" if parameter.log else "linear")
     shown = np.isfinite(cost) & (cost < STEEP * cost.min())
-    axes.plot(x[shown], cost[shown], ".-", color=ESTIMATE)
+    axes.plot(x[shown], cost[shown], ".-", color=ink.ESTIMATE)
     lost = shown & (curve.margin < margin)
     if lost.any():
-        axes.plot(x[lost], cost[lost], "x", color=PRINTED, label="not certified")
+        axes.plot(x[lost], cost[lost], "x", color=ink.PRINTED, label="not certified")
     start = parameter.start
-    axes.axvline(value, color=REFERENCE, label=f"tuned {value:.4g}")
-    axes.axvline(start, color=ZONE, linestyle=(0, (4, 2)), label=f"start {start:.4g}")
+    axes.axvline(value, color=ink.REFERENCE, label=f"tuned {value:.4g}")
+    axes.axvline(start, color=ink.ZONE, linestyle=(0, (4, 2)), label=f"start {start:.4g}")
     axes.set_xlim(parameter.low, parameter.high)
     _scaled(axes, cost[shown])
 
@@ -237,7 +226,9 @@ def _places(parameter: Parameter, value: float) -> Floats:
 def _compare(axes: Axes, result: Tuned) -> None:
     """The first scenario on held-out runs as it was and tuned, with intervals."""
     first = result.held_out[0]
-    for place, (worth, colour) in enumerate(((first.before, TRUTH), (first.after, ESTIMATE))):
+    for place, (worth, colour) in enumerate(
+        ((first.before, ink.TRUTH), (first.after, ink.ESTIMATE))
+    ):
         value, low, high = worth.value
         reach = [[_reach(low, value)], [_reach(high, value)]]
         axes.errorbar([place], [value], yerr=reach, fmt="o", capsize=5, color=colour)

@@ -7,19 +7,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from undeadzone.report.style import (
-    ESTIMATE,
-    OTHER,
-    PRINTED,
-    READING,
-    REFERENCE,
-    TRUTH,
-    ZONE,
-    finish,
-    plain,
-    shade_zone,
-    sheet,
-)
+from undeadzone.report import ink
+from undeadzone.report.style import finish, plain, shade_zone, sheet
 from undeadzone.support.arrays import Floats
 from undeadzone_arena.contest.leaderboard import CAP, Row
 from undeadzone_arena.contest.traces import Trace
@@ -30,7 +19,7 @@ if TYPE_CHECKING:
 
 LEAST: Final = 3e-3  # regret, of logarithmic axes: below it methods are all but perfect
 SHOWN: Final = 4.0  # [s] at the end of a run
-COLOURS: Final = (ESTIMATE, READING, PRINTED, OTHER)
+COLOURS: Final = (ink.ESTIMATE, ink.READING, ink.PRINTED, ink.OTHER)
 
 
 def places(rows: Sequence[Row], title: str) -> Figure:
@@ -45,17 +34,17 @@ def leaderboard(axes: Axes, rows: Sequence[Row]) -> None:
     at = np.arange(len(rows))[::-1]  # heights of the methods
     medians = [row.median_regret for row in rows]
     worst = [row.worst_regret for row in rows]
-    _place(axes, at, medians, [row.median_interval for row in rows], "median", ESTIMATE, "o")
-    _place(axes, at, worst, [row.worst_interval for row in rows], "worst", PRINTED, "s")
+    _place(axes, at, medians, [row.median_interval for row in rows], "median", ink.ESTIMATE, "o")
+    _place(axes, at, worst, [row.worst_interval for row in rows], "worst", ink.PRINTED, "s")
     for x, words in ((1.0, "half a zone"), (CAP, "diverged")):
-        axes.axvline(x, color=ZONE, linewidth=0.9, linestyle=(0, (4, 2)))
-        axes.text(x, len(rows) - 0.4, words, color=ZONE, fontsize=8, ha="center", va="bottom")
+        axes.axvline(x, color=ink.ZONE, linewidth=0.9, linestyle=(0, (4, 2)))
+        axes.text(x, len(rows) - 0.4, words, color=ink.ZONE, fontsize=8, ha="center", va="bottom")
     axes.set_xscale("log")
     axes.set_xlim(0.85 * LEAST, 1.3 * CAP)
     axes.set_ylim(-0.7, len(rows) + 0.4)
     axes.set_yticks(at, [row.method for row in rows])
     for tick, row in zip(axes.get_yticklabels(), rows, strict=True):
-        tick.set_color(ZONE if row.reference else TRUTH)
+        tick.set_color(ink.ZONE if row.reference else ink.TRUTH)
     left_edge = f"{LEAST:g} and below at the left edge"
     regret = f"regret of the rms of z − r, with 95 % intervals; {left_edge}"
     finish(axes, "", "", regret, legend=0)
@@ -97,7 +86,7 @@ def heat(rows: Sequence[Row], regrets: Mapping[str, Floats], scenarios: Sequence
     axes.imshow(shown, norm=LogNorm(0.01, CAP), cmap="RdYlBu_r", aspect="auto")
     for (i, j), value in np.ndenumerate(table):
         dark = shown[i, j] < 0.03 or shown[i, j] > 3
-        colour = "white" if dark else TRUTH
+        colour = "white" if dark else ink.TRUTH
         axes.text(j, i, cell(value), ha="center", va="center", fontsize=6.5, color=colour)
     axes.set_xticks(
         range(len(scenarios)),
@@ -146,9 +135,9 @@ def _trace(axes: Axes, trace: Trace) -> None:
     tail = trace.t > trace.t[-1] - SHOWN
     t, r, z, z_hat = trace.t[tail], trace.r[tail], trace.z[tail], trace.z_hat[tail]
     shade_zone(axes, *trace.widths)
-    axes.plot(t, r, color=REFERENCE, linewidth=2.6, alpha=0.45, label="reference r")
-    axes.plot(t, z, color=TRUTH, label="output z")
-    axes.plot(t, z_hat, color=ESTIMATE, linestyle=(0, (4, 2)), label=r"estimate $\hat z$")
+    axes.plot(t, r, color=ink.REFERENCE, linewidth=2.6, alpha=0.45, label="reference r")
+    axes.plot(t, z, color=ink.TRUTH, label="output z")
+    axes.plot(t, z_hat, color=ink.ESTIMATE, linestyle=(0, (4, 2)), label=r"estimate $\hat z$")
     largest = 2.5 * np.abs(trace.r).max()
     low, high = axes.get_ylim()
     axes.set_ylim(max(low, -largest), min(high, largest))
@@ -170,11 +159,11 @@ def costs(rows: Sequence[Row]) -> Figure:
         if row.cost is None:
             continue
         x, y = row.cost, float(np.clip(row.median_regret, LEAST, CAP))
-        colour, ink = (ZONE, ZONE) if row.reference else (ESTIMATE, TRUTH)
+        colour, number = (ink.ZONE, ink.ZONE) if row.reference else (ink.ESTIMATE, ink.TRUTH)
         axes.plot(x, y, "o", color=colour, markersize=11, alpha=0.25, markeredgewidth=0)
-        axes.text(x, y, str(place), color=TRUTH, fontsize=6.5, ha="center", va="center")
+        axes.text(x, y, str(place), color=ink.TRUTH, fontsize=6.5, ha="center", va="center")
         words, down = f"{place:>2}  {row.method}", 1 - place / (len(rows) + 1)
-        names.text(0.0, down, words, color=ink, fontsize=8, va="center")
+        names.text(0.0, down, words, color=number, fontsize=8, va="center")
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.margins(0.06)
