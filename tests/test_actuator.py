@@ -389,7 +389,7 @@ def test_figure_and_page_show_an_actuator_whose_widths_are_estimated() -> None:
     assert run.b_std is not None
     widest = float((run.b_hat + 2 * run.b_std).max())
     assert figure.axes[-1].get_ylim()[1] < widest  # the first band does not stretch the axis
-    page = run_page(run, [])
+    page = run_page(run, {})
     assert "u[0]" in page
     known = simulate(loop(model=None, compensator=INVERSE, simulation={"duration": 1.0}))
     assert len(overview(known).axes) == len(titles) - 2

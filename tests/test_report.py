@@ -107,21 +107,21 @@ def check_page(text: str) -> Auditor:
 
 
 def test_a_run_s_page_is_self_contained_escaped_and_complete(run: Run) -> None:
-    found = check_page(run_page(run, [image(overview(run), "svg")]))
+    found = check_page(run_page(run, {"figure": image(overview(run), "svg")}))
     assert found.tags.count("img") == 1
     assert NASTY in found.text
     assert "diverged" in found.text
 
 
 def test_a_page_without_figures(two_outputs: Run) -> None:
-    found = check_page(run_page(two_outputs, []))
+    found = check_page(run_page(two_outputs, {}))
     assert "img" not in found.tags
     assert found.tags.count("table") == 7  # numbers, widths, L, gamma, K, the same again, symbols
 
 
 def test_a_page_leads_to_its_sections_and_tells_how_to_repeat_it(run: Run) -> None:
     origin = Origin("undeadzone run 'a <b>.toml'", "# as given\n[plant]\n", 7)
-    text = run_page(run, [image(overview(run), "svg")], origin=origin)
+    text = run_page(run, {"figure": image(overview(run), "svg")}, origin=origin)
     found = check_page(text)
     anchors = [address[1:] for address in found.addresses if address.startswith("#")]
     assert anchors == re.findall(r'<h2 id="([^"]+)">', text)
@@ -158,7 +158,7 @@ def test_symbols_are_those_of_the_figures(text: str, shown: str) -> None:
 
 
 def test_figures_on_a_page_stay_legible_on_a_phone(run: Run) -> None:
-    page_of_run = run_page(run, [image(overview(run), "svg")])
+    page_of_run = run_page(run, {"figure": image(overview(run), "svg")})
     least = re.search(r"min-width:(\d+)px", page_of_run)
     assert least is not None
     assert int(least[1]) == 720  # of 10 inches: three quarters of them

@@ -22,12 +22,8 @@ if TYPE_CHECKING:
 
 EARLY: Final = 6.0  # [s] shown where two oscillating signals lie on each other
 DASHED: Final = (0, (4, 2))
-_COLOURS: Final = (
-    ink.PRINTED,
-    ink.ESTIMATE,
-    ink.REFERENCE,
-    ink.READING,
-)  # of the readings of the plant
+# Of the readings of the plant.
+_COLOURS: Final = (ink.PRINTED, ink.ESTIMATE, ink.REFERENCE, ink.READING)
 
 
 class Trio(NamedTuple):

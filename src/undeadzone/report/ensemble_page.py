@@ -6,6 +6,7 @@ The worst runs are listed with the numbers by which each can be run again.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -64,9 +65,7 @@ def write_ensemble(
         The paths of the files.
     """
 
-    def text(images: dict[str, bytes]) -> str:
-        return ensemble_page(result, summary, images, origin)
-
+    text = partial(ensemble_page, result, summary, origin=origin)
     return html.write_page(figures(result, summary), folder, text)
 
 

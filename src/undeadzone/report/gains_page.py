@@ -6,6 +6,7 @@ It says what was asked, what is guaranteed, how fast, what can be known, and wha
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -89,9 +90,7 @@ def write_gains(
         The paths of the files.
     """
 
-    def text(images: dict[str, bytes]) -> str:
-        return gains_page(of, tried, images, design, origin)
-
+    text = partial(gains_page, of, tried, design=design, origin=origin)
     return html.write_page(figures(of, tried, design), folder, text)
 
 

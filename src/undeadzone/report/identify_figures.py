@@ -22,15 +22,16 @@ if TYPE_CHECKING:
 
     from undeadzone.identification.answer.result import IdentifiedOutputs
     from undeadzone.identification.verdict.which import Element
-    from undeadzone.support.arrays import Floats
+    from undeadzone.support.arrays import Floats, Integers
 
 MAPS = {"jump": "jump sensor"}  # by verdict, what the fitted sensor is called
 LAGS = 25
 POINTS = 9  # of a profile
 MOST = 4000  # samples of a figure over time; of a longer log the last ones are drawn
-MOST_OF_ELEMENT = 600  # samples of a figure over time: the last ones
+MOST_AT_END = 600  # the same of a figure of the end of a log
 NAMES = {"play": "the play", "both": "play and dead zone", "input_zone": "the plant"}
 SIDES = {"input_zone": "Side of the input"}
+MIDDLES = {"input_zone": "silent"}
 
 
 def figures(found_log: Identified) -> dict[str, Figure]:
@@ -43,8 +44,12 @@ def figures(found_log: Identified) -> dict[str, Figure]:
         Figures by name: overview, residual_map, residual, and where there is a zone hidden and, of
         a log that is not long, profiles; of a play, or of an input zone, overview and element.
     """
-    if found_log.answer.element is not None:
-        return _of_element(found_log, found_log.answer.element)
+    element = found_log.answer.element
+    if element is not None:
+        return {
+            "overview": _over_time(found_log, element),
+            "element": _by_output(found_log, element),
+        }
     drawn = {
         "overview": overview(found_log),
         "residual_map": _residual_map(found_log),
@@ -58,10 +63,10 @@ def figures(found_log: Identified) -> dict[str, Figure]:
     return drawn
 
 
-def _shown(found_log: Identified) -> slice:
+def _shown(found_log: Identified, most: int = MOST) -> slice:
     """The samples of a figure over time."""
     size = found_log.answer.case.grid.t.size
-    return slice(max(0, size - MOST), size)
+    return slice(max(0, size - most), size)
 
 
 def _unit(found_log: Identified) -> str:
@@ -84,26 +89,41 @@ def overview(found_log: Identified) -> Figure:
     if fit.objective.kind == "behind":  # where readings inside the zone are noise
         side, whose = 1 * (fit.z > fit.right) - 1 * (fit.z < -fit.left), r"Side of $\hat z$"
     side = np.where(data.ok, side, np.nan)[part]
-    panels["sides"].plot(t, side, color=ink.TRUTH, linewidth=0.8, drawstyle="steps-post")
-    panels["sides"].set_yticks([-1, 0, 1], ["left", "silent", "right"])
-    panels["sides"].set_ylim(-1.3, 1.3)
+    _sides(panels["sides"], t, side, "silent")
     finish(panels["sides"], whose, "", _time(found_log), legend=0)
     return figure
 
 
+def _sides(axes: Axes, t: Floats, side: Floats | Integers, middle: str) -> None:
+    """A side over time, -1, 0 or 1; middle: what 0 is called."""
+    axes.plot(t, side, color=ink.TRUTH, linewidth=0.8, drawstyle="steps-post")
+    axes.set_yticks([-1, 0, 1], ["left", middle, "right"])
+    axes.set_ylim(-1.3, 1.3)
+
+
 def signals(axes: Axes, found_log: Identified, of: str = "") -> None:
     """z^, y and zone over time, the held-out part shaded; of: name of the output."""
-    answer, part = found_log.answer, _shown(found_log)
-    grid = answer.case.grid
-    t = grid.t[part]
-    if answer.element is None:
+    if found_log.answer.element is None:
         _zone_bands(axes, found_log)
-    y = np.where(grid.ok, grid.y, np.nan)[part]
-    axes.plot(t, (answer.z * answer.scale)[part], color=ink.ESTIMATE, label=r"plant's $\hat z$")
-    axes.plot(t, y, color=ink.READING, linewidth=1.0, label="reading y")
+    _output(axes, found_log, _shown(found_log))
+    _reading(axes, found_log, _shown(found_log))
     _shade_held_out(axes, found_log)
     title = f"Output{of} and reading; shaded: held out"
     finish(axes, title, label("z, y", _unit(found_log)), "")
+
+
+def _output(axes: Axes, found_log: Identified, part: slice) -> None:
+    """The output of the fitted plant over time."""
+    answer = found_log.answer
+    z = (answer.z * answer.scale)[part]
+    axes.plot(answer.case.grid.t[part], z, color=ink.ESTIMATE, label=r"plant's $\hat z$")
+
+
+def _reading(axes: Axes, found_log: Identified, part: slice) -> None:
+    """The readings over time, with gaps where they are missing."""
+    grid = found_log.answer.case.grid
+    y = np.where(grid.ok, grid.y, np.nan)[part]
+    axes.plot(grid.t[part], y, color=ink.READING, linewidth=1.0, label="reading y")
 
 
 def of_outputs(result: IdentifiedOutputs) -> Figure:
@@ -114,7 +134,7 @@ def of_outputs(result: IdentifiedOutputs) -> Figure:
     return figure
 
 
-def first_output(axes: Axes, result: IdentifiedOutputs) -> None:
+def first(axes: Axes, result: IdentifiedOutputs) -> None:
     """The log and the fit of the first output."""
     signals(axes, result.outputs[0])
 
@@ -146,17 +166,14 @@ def _zone_bands(axes: Axes, found_log: Identified) -> None:
 def _hidden(found_log: Identified) -> Figure:
     """The hidden output with its band against the reading, of the last part of the log."""
     states = found_log.states()
-    grid = found_log.answer.case.grid
-    size = grid.t.size
-    part = slice(max(0, size - 600), size)
+    part = _shown(found_log, MOST_AT_END)
     figure, panels = sheet([["z"]], "The hidden output", height=3.2)
     axes = panels["z"]
     t, z, band = states.t[part], states.z[part], 1.96 * states.z_std[part]
     _zone_bands(axes, found_log)
     axes.fill_between(t, z - band, z + band, color=ink.ESTIMATE, alpha=0.25, linewidth=0)
     axes.plot(t, z, color=ink.ESTIMATE, label=r"$\hat z$ with 95 % band")
-    y = np.where(grid.ok, grid.y, np.nan)[part]
-    axes.plot(t, y, color=ink.READING, linewidth=1.0, label="reading y")
+    _reading(axes, found_log, part)
     finish(axes, "Inside the zone the sensor is silent", label("z, y", _unit(found_log)),
            _time(found_log))  # fmt: skip
     return figure
@@ -171,8 +188,7 @@ def _residual_map(found_log: Identified) -> Figure:
     axes = panels["map"]
     ok = fit.objective.readings.ok
     left = (fit.objective.readings.y - expected_reading(fit)) * scale
-    axes.plot((fit.z * scale)[ok], left[ok], ".", color=ink.ZONE, markersize=1.5, alpha=0.5,
-              rasterized=True)  # fmt: skip
+    _dots(axes, (fit.z * scale)[ok], left[ok], ink.ZONE)
     x, curve = residuals.centres * scale, residuals.curve * scale
     band = 1.96 * residuals.std * scale
     axes.fill_between(x, curve - band, curve + band, color=ink.PRINTED, alpha=0.25, linewidth=0)
@@ -182,8 +198,7 @@ def _residual_map(found_log: Identified) -> Figure:
         axes, r"Residual by $\hat z$", label(r"$y - E[y | \hat z]$", unit), label(r"$\hat z$", unit)
     )
     axes = panels["static"]
-    axes.plot((fit.z * scale)[ok], answer.case.grid.y[ok], ".", color=ink.READING,
-              markersize=1.5, alpha=0.5, label="readings", rasterized=True)  # fmt: skip
+    _dots(axes, (fit.z * scale)[ok], answer.case.grid.y[ok], ink.READING, "readings")
     z, expected = _sensor_map(found_log)
     axes.plot(z, expected, color=ink.ESTIMATE, label=MAPS.get(found_log.verdict, "dead zone"))
     finish(axes, r"Reading by $\hat z$", label("y", unit), label(r"$\hat z$", unit))
@@ -253,72 +268,45 @@ def _profiles(found_log: Identified) -> Figure:
     return figure
 
 
-def _of_element(found_log: Identified, element: Element) -> dict[str, Figure]:
-    """The _of_element of an element: over time, and reading by output.
-
-    Args:
-        found_log: the answer.
-        element: what was found in it.
-    """
-    return {"overview": _over_time(found_log, element), "element": _by_output(found_log, element)}
-
-
 def _over_time(found_log: Identified, element: Element) -> Figure:
     """z^, what is read of it, and the readings; contacts or sides below."""
-    answer = found_log.answer
-    grid, scale = answer.case.grid, answer.scale
-    part = slice(max(0, grid.t.size - MOST_OF_ELEMENT), grid.t.size)
-    unit = grid.output_unit
-    time = "t [samples]" if grid.counted else "t [s]"
+    grid, part = found_log.answer.case.grid, _shown(found_log, MOST_AT_END)
     figure, panels = sheet([["signals"], ["signals"], ["sides"]], "The log and its fit", height=1.9)
-    axes = panels["signals"]
-    t = grid.t[part]
-    axes.plot(t, (element.z * scale)[part], color=ink.ESTIMATE, label=r"plant's $\hat z$")
-    y = np.where(grid.ok, grid.y, np.nan)[part]
-    axes.plot(t, y, color=ink.READING, linewidth=1.0, label="reading y")
+    axes, t = panels["signals"], grid.t[part]
+    _output(axes, found_log, part)
+    _reading(axes, found_log, part)
     if element.kind != "input_zone":
-        expected = (element.readings * scale)[part]
+        expected = (element.readings * found_log.answer.scale)[part]
         axes.plot(t, expected, color=ink.OTHER, linewidth=1.0, label=f"{NAMES[element.kind]} of it")
-    finish(axes, "The end of the log", label("z, y", unit), "")
-    axes = panels["sides"]
-    axes.plot(t, element.side[part], color=ink.TRUTH, linewidth=0.8, drawstyle="steps-post")
-    middle = "silent" if element.kind == "input_zone" else "holds"
-    axes.set_yticks([-1, 0, 1], ["left", middle, "right"])
-    axes.set_ylim(-1.3, 1.3)
-    finish(axes, SIDES.get(element.kind, "Contact"), "", time, legend=0)
+    finish(axes, "The end of the log", label("z, y", grid.output_unit), "")
+    _sides(panels["sides"], t, element.side[part], MIDDLES.get(element.kind, "holds"))
+    title = SIDES.get(element.kind, "Contact")
+    finish(panels["sides"], title, "", _time(found_log), legend=0)
     return figure
 
 
 def _by_output(found_log: Identified, element: Element) -> Figure:
     """Readings by z^ with the path of what is expected; by u where the input has the zone."""
     answer = found_log.answer
-    grid, scale = answer.case.grid, answer.scale
+    grid, scale, unit = answer.case.grid, answer.scale, _unit(found_log)
     figure, panels = sheet([["map", "left"]], "What was found", height=3.4)
-    axes, unit = panels["map"], grid.output_unit
-    z = element.z * scale
-    _dots(axes, z[grid.ok], grid.y[grid.ok])
-    if element.kind == "input_zone":
-        finish(axes, "Reading by z^", label("y", unit), label(r"$\hat z$", unit))
-    else:
-        part = slice(max(0, z.size - MOST_OF_ELEMENT), z.size)
-        axes.plot(z[part], (element.readings * scale)[part], color=ink.ESTIMATE, linewidth=1.0,
-                  label=f"path of {NAMES[element.kind]}")  # fmt: skip
-        finish(axes, "Reading by z^, and its path", label("y", unit), label(r"$\hat z$", unit))
-    axes = panels["left"]
+    axes, z, title = panels["map"], element.z * scale, "Reading by z^"
+    x, x_label, of_input = z, label(r"$\hat z$", unit), element.kind == "input_zone"
+    _dots(axes, z[grid.ok], grid.y[grid.ok], ink.READING, "readings")
+    if not of_input:
+        part, title = _shown(found_log, MOST_AT_END), f"{title}, and its path"
+        path, name = (element.readings * scale)[part], f"path of {NAMES[element.kind]}"
+        axes.plot(z[part], path, color=ink.ESTIMATE, linewidth=1.0, label=name)
+    finish(axes, title, label("y", unit), x_label)
+    axes, title = panels["left"], "What is left"
+    if of_input:
+        x, x_label, title = grid.u[:, 0], label("u", grid.input_unit), f"{title}, by the input"
     residual = (answer.fit.objective.data.y - element.readings) * scale
-    if element.kind == "input_zone":
-        u = grid.u[:, 0]
-        _dots(axes, u[grid.ok], residual[grid.ok])
-        finish(axes, "What is left, by the input", label("y - E[y]", unit),
-               label("u", grid.input_unit))  # fmt: skip
-    else:
-        _dots(axes, z[grid.ok], residual[grid.ok])
-        finish(axes, "What is left", label("y - E[y]", unit), label(r"$\hat z$", unit))
+    _dots(axes, x[grid.ok], residual[grid.ok], ink.READING, "readings")
+    finish(axes, title, label("y - E[y]", unit), x_label)
     return figure
 
 
-def _dots(axes: Axes, x: Floats, y: Floats) -> None:
-    """Single readings."""
-    axes.plot(
-        x, y, ".", color=ink.READING, markersize=1.5, alpha=0.5, label="readings", rasterized=True
-    )
+def _dots(axes: Axes, x: Floats, y: Floats, colour: str, name: str | None = None) -> None:
+    """Single readings, or what is left of them."""
+    axes.plot(x, y, ".", color=colour, markersize=1.5, alpha=0.5, label=name, rasterized=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -53,9 +54,7 @@ def write_identified(
         FileError: a file cannot be written.
     """
 
-    def text(images: dict[str, bytes]) -> str:
-        return identified_page(found_log, images, source, origin)
-
+    text = partial(identified_page, found_log, source=source, origin=origin)
     return html.write_page(figures(found_log), folder, text)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -12,10 +14,8 @@ from undeadzone.observers.parts.judged_filter import FAR
 from undeadzone.report import html, ink
 from undeadzone.report.run_page import gap_tables
 from undeadzone.report.style import finish, label, shade_gap, shade_zone, sheet, width_lines
-from undeadzone.report.style import write as write_figure
 from undeadzone.results.estimation import Estimation, gaps, widths
 from undeadzone.support.arrays import Floats
-from undeadzone.support.files import write_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -65,22 +65,25 @@ def write_estimation(
     if tables:
         written.append(result.save(folder / "estimate.csv"))
     if figures:
-        drawn = write_figure(log_overview(result), folder / "figure.svg")
-        page_text = estimation_page(result, drawn.read_bytes(), origin)
-        written += [drawn, write_text(page_text, folder / "report.html")]
+        drawn = {"figure": log_overview(result)}
+        text = partial(estimation_page, result, origin=origin)
+        written += html.write_page(drawn, folder, text)
     return written
 
 
-def estimation_page(result: Estimation, image: bytes, origin: html.Origin | None = None) -> str:
+def estimation_page(
+    result: Estimation, images: Mapping[str, bytes], origin: html.Origin | None = None
+) -> str:
     """The page of a log that was followed: figure, numbers, verdict.
 
     Args:
         result: what the observer makes of the log.
-        image: `log_overview` as SVG.
+        images: `log_overview` as SVG, under the name "figure".
         origin: what it takes to get the same again; None: nobody can.
     """
     info = result.info
     words, style = VERDICTS[info.consistent]
+    shown = html.pictures(images, {"figure": _OVERVIEW}).values()
     head = html.paragraph(
         html.tag("span", f"Is the record what the observer claims? {words}", style)
     )
@@ -89,9 +92,7 @@ def estimation_page(result: Estimation, image: bytes, origin: html.Origin | None
         info.title,
         head,
         *reasons,
-        html.section(
-            "Along the log", html.picture(image, _OVERVIEW), html.paragraph(_TEST, "note")
-        ),
+        html.section("Along the log", *shown, html.paragraph(_TEST, "note")),
         html.section("Widths", _widths(result), *gap_tables(result.outputs, gaps(info))),
         html.section("The log", html.table(("what", "value"), list(_numbers(result).items()))),
         origin=origin,

@@ -32,29 +32,13 @@ KINDS = (
 
 # By class: the file that draws it, its first figure, the panel that says most.
 DRAWN: Final = {
-    "undeadzone.results.run.Run": ("run_figures", "overview", "output"),
-    "undeadzone.results.estimation.Estimation": ("log_page", "log_overview", "output"),
-    "undeadzone.ensemble.result.Ensemble": (
-        "ensemble_figures",
-        "first_of_ensemble",
-        "distribution",
-    ),
-    "undeadzone.analysis.certificate.design_file.Design": (
-        "proof_figures",
-        "of_design",
-        "panel_of_design",
-    ),
-    "undeadzone.tuning.result.Tuned": ("tune_page", "history", "candidates"),
-    "undeadzone.identification.answer.result.Identified": (
-        "identify_figures",
-        "overview",
-        "signals",
-    ),
-    "undeadzone.identification.answer.result.IdentifiedOutputs": (
-        "identify_figures",
-        "of_outputs",
-        "first_output",
-    ),
+    "results.run.Run": ("run_figures", "overview", "output"),
+    "results.estimation.Estimation": ("log_page", "log_overview", "output"),
+    "ensemble.result.Ensemble": ("ensemble_figures", "first_of_ensemble", "distribution"),
+    "analysis.certificate.design_file.Design": ("proof_figures", "of_design", "panel_of_design"),
+    "tuning.result.Tuned": ("tune_page", "history", "candidates"),
+    "identification.answer.result.Identified": ("identify_figures", "overview", "signals"),
+    "identification.answer.result.IdentifiedOutputs": ("identify_figures", "of_outputs", "first"),
 }
 
 
@@ -130,8 +114,8 @@ def _drawing(result: Any) -> Drawing:
     """
     if isinstance(result, Drawn):
         return result.drawing()
-    kind = f"{type(result).__module__}.{type(result).__qualname__}"
-    if kind == "undeadzone.synthesis.check.Check":
+    kind = f"{type(result).__module__}.{type(result).__qualname__}".removeprefix("undeadzone.")
+    if kind == "synthesis.check.Check":
         return _of_check(result)
     if kind not in DRAWN:
         raise InputError(f"plot: expected {KINDS}, found {type(result).__name__}")

@@ -2,59 +2,51 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from undeadzone.analysis.identifiability.linear import DIRECTIONS
 from undeadzone.report import html
 from undeadzone.report.run_figures import overview, phase, tip
-from undeadzone.report.style import write as write_figure
 from undeadzone.results.run import Run, actuators, errors, gaps, parameters, widths
 from undeadzone.results.sheet import Row, on_page
-from undeadzone.support.files import write_text
 from undeadzone.support.text import with_unit
 
-if TYPE_CHECKING:
-    from undeadzone.results.run import Run
-
-_OVERVIEW: Final = (
-    "Output, reading and estimate; errors; widths, in bands of two standard deviations, against "
-    "the truth; command and widths of actuators that are estimated; reading over output, and gaps, "
-    "of plays that are estimated; "
-    "the Lyapunov function where there is one."
-)
 _VARIABLE: Final = "The observer has no constant gains; its options stand in the scenario."
-TIP = "The tip against its path, its distance from it, and the torques."
-PHASE = "Position and velocity of each joint, truth and estimate, over its dead zone."
+CAPTIONS: Final = {
+    "tip": "The tip against its path, its distance from it, and the torques.",
+    "phase": "Position and velocity of each joint, truth and estimate, over its dead zone.",
+    "figure": "Output, reading and estimate; errors; widths, in bands of two standard deviations, "
+    "against the truth; command and widths of actuators that are estimated; reading over output, "
+    "and gaps, of plays that are estimated; the Lyapunov function where there is one.",
+}
 
 
 def run_page(
     run: Run,
-    figures: Sequence[bytes],
+    images: Mapping[str, bytes],
     rival: Run | None = None,
-    first: Sequence[Any] = (),
     origin: html.Origin | None = None,
 ) -> str:
     """The page of one run.
 
     Args:
         run: what is shown.
-        figures: of the run, as SVG; see `run_figures.overview`.
+        images: its figures as SVG, by name; see `CAPTIONS`.
         rival: a run beside whose numbers those of the run stand.
-        first: pieces of HTML above the figures.
         origin: what it takes to get the same run; None: what the run itself knows of it.
     """
     reasons: list[str] = []
     for name, verdict in zip(run.outputs, run.info.identifiable, strict=True):
         where = f"Output {name}: " if len(run.outputs) > 1 else ""
         reasons += [f"{where}{reason}." for reason in verdict["reasons"]]
+    shown = html.pick(html.pictures(images, CAPTIONS), *CAPTIONS)
     return html.page(
         run.info.title,
         _verdict(run),
-        html.section(
-            "What happens", *first, *(html.picture(figure, _OVERVIEW) for figure in figures)
-        ),
+        html.section("What happens", *_animation(run, rival, images), *shown),
         html.section("Numbers", _numbers_table(run, rival)),
         html.section(
             "Widths",
@@ -66,6 +58,15 @@ def run_page(
         html.section("Gains", *_gains(run)),
         origin=origin or html.Origin(scenario=run.info.scenario, seed=run.info.seed),
     )
+
+
+def _animation(run: Run, rival: Run | None, images: Mapping[str, bytes]) -> list[html.Html]:
+    """An arm in motion, above its own figures."""
+    if "tip" not in images:
+        return []
+    from undeadzone.report.animation import animated
+
+    return [animated(run, rival)]
 
 
 def _verdict(run: Run) -> html.Html:
@@ -198,27 +199,8 @@ def write_run(
         written.append(result.save(folder / "run.csv"))
     if not figures:
         return written
-    drawn = write_figure(overview(result), folder / "figure.svg")
-    written.append(drawn)
-    first: list[Any] = []
+    drawn = {"figure": overview(result)}
     if result.poses is not None:
-        files, first = _arm(result, folder, rival)
-        written += files
-    text = run_page(result, [drawn.read_bytes()], rival, first, origin)
-    written.append(write_text(text, folder / "report.html"))
-    return written
-
-
-def _arm(result: Run, folder: Path, rival: Run | None) -> tuple[list[Path], list[Any]]:
-    """The files of an arm's own figures, and what the page begins with."""
-    from undeadzone.report.animation import animated
-
-    written = [
-        write_figure(tip(result, rival), folder / "tip.svg"),
-        write_figure(phase(result), folder / "phase.svg"),
-    ]
-    pictures = [
-        html.picture(path.read_bytes(), words)
-        for path, words in zip(written, (TIP, PHASE), strict=True)
-    ]
-    return written, [animated(result, rival), *pictures]
+        drawn |= {"tip": tip(result, rival), "phase": phase(result)}
+    text = partial(run_page, result, rival=rival, origin=origin)
+    return written + html.write_page(drawn, folder, text)
