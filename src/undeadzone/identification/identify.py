@@ -27,13 +27,8 @@ from undeadzone.identification.models.kalman_fit import fit_kalman
 from undeadzone.identification.models.least_squares import Density
 from undeadzone.identification.models.likelihood import taken_off
 from undeadzone.identification.models.zone_fit import Fit, longest_record, polished, reduced
+from undeadzone.identification.verdict import orders
 from undeadzone.identification.verdict.delays import fitted_with_delay, without_unreached
-from undeadzone.identification.verdict.orders import (
-    OrderFit,
-    best_order,
-    judge_no_zone,
-    residual_map,
-)
 from undeadzone.identification.verdict.place import find_place, rescued, with_place
 from undeadzone.identification.verdict.verdict import Case, by_maps, unmodelled
 from undeadzone.identification.verdict.which import Found, of_input_zone, with_play
@@ -245,11 +240,11 @@ def _fitted(
     prepared = prepared._replace(data=prepared.data._replace(climbs=climbs))
     prepared, unreached = without_unreached(prepared)
     fitted = fitted_with_delay(prepared, options, advance)
-    chosen = _polished(best_order(fitted.fits))
-    no_zone = judge_no_zone(chosen.pairs)
+    chosen = _polished(orders.best_order(fitted.fits))
+    no_zone = orders.judge_no_zone(chosen.pairs)
     if no_zone.fit is not chosen.pairs:
         chosen = chosen._replace(singles=no_zone.fit, pairs=no_zone.fit)
-    residuals = residual_map(chosen.singles)
+    residuals = orders.residual_map(chosen.singles)
     rivals = _rivals(fitted.prepared, chosen, fitted.fits)
     advance(1)
     return Case(
@@ -266,14 +261,16 @@ def _fitted(
     )
 
 
-def _polished(chosen: OrderFit) -> OrderFit:
+def _polished(chosen: orders.OrderFit) -> orders.OrderFit:
     """The chosen order at the very top of both likelihoods."""
     pairs = polished(chosen.pairs)
     singles = pairs if chosen.pairs is chosen.singles else polished(chosen.singles)
     return chosen._replace(singles=singles, pairs=pairs)
 
 
-def _rivals(prepared: Prepared, chosen: OrderFit, fits: list[OrderFit]) -> dict[str, Density]:
+def _rivals(
+    prepared: Prepared, chosen: orders.OrderFit, fits: list[orders.OrderFit]
+) -> dict[str, Density]:
     """Static rivals, on the readings as they are."""
     rivals = static_rivals(_of_readings(prepared, reduced(chosen.singles)))
     if fits[-1].n > chosen.n:  # another map may need more poles than the zone was given

@@ -28,15 +28,12 @@ def packed(problem: Problem, loop: Loop) -> tuple[Floats, Floats]:
         InputError: the observer is no graph.
     """
     observer, controller = graph_of(problem.observer), problem.controller
-    step = problem.scenario.simulation.step
-    parts = problem.plant, problem.sensor, observer, controller, step
     state = loop.state._replace(
         plant=problem.x0,
         observer=observer.init(observer.params),
         controller=controller.init(controller.params),
     )
-    params = numbers(*parts, problem.compensator, problem.actuator)
-    return tree.pack(state), tree.pack(params)
+    return tree.pack(state), tree.pack(numbers(problem._replace(observer=observer)))
 
 
 def moved(loop: Loop, others: Iterable[Floats]) -> Integers:

@@ -17,7 +17,7 @@ from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate, InPython, Reading
 from undeadzone.scenario.problem import Problem
-from undeadzone.simulation.close import loop_of
+from undeadzone.simulation.close import close
 from undeadzone.simulation.loop import Outputs
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats, vector
@@ -44,7 +44,7 @@ def run_sample_by_sample(
         InputError: the law gives no finite input of m entries.
     """
     numeric = problem.observer.python
-    loop = loop_of(problem)
+    loop = close(problem)
     initial = tree.pack(loop.state._replace(plant=problem.x0))
     stepper = Stepper(loop.step, initial, tree.pack(loop.params))
     where: Outputs = tree.slices(loop.outputs)

@@ -23,7 +23,7 @@ from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation import exogenous as inputs
 from undeadzone.simulation import sample_by_sample as live
-from undeadzone.simulation.close import loop_of
+from undeadzone.simulation.close import close
 from undeadzone.simulation.collect import collect
 from undeadzone.simulation.loop import Loop, Outputs
 from undeadzone.support import tree
@@ -151,21 +151,15 @@ def _signals(
     """The signals of a run, and the error of its integration where that is measured."""
     if start is None:
         return live.run_sample_by_sample(problem, inputs.exogenous(problem), progress), None
-    loop, state, exogenous = start
     twin = check_step and problem.plant.Ts is None
-    run = engine_for(loop, engine, len(exogenous) * (3 if twin else 1))
+    run = engine_for(start.loop, engine, len(start.exogenous) * (3 if twin else 1))
     if twin:
-        return _with_error(problem, loop, state, exogenous, progress, run)
-    return named(loop, run(state, exogenous, tree.pack(loop.params), progress)), None
+        return _with_error(problem, start, progress, run)
+    return _outputs(start, run, progress), None
 
 
 def _with_error(
-    problem: Problem,
-    loop: Loop,
-    state: Floats,
-    exogenous: Floats,
-    progress: Progress | None,
-    run: LoopEngine,
+    problem: Problem, start: Start, progress: Progress | None, run: LoopEngine
 ) -> tuple[Outputs, IntegrationError]:
     """The signals of a run, and by how much its twin of half the step differs, run beside it."""
     interrupted = threading.Event()
@@ -177,22 +171,28 @@ def _with_error(
             progress(done)
 
     with ThreadPoolExecutor(1) as beside:
-        twin = beside.submit(_at_half_the_step, problem, loop, state, tick, run)
+        twin = beside.submit(_at_half_the_step, problem, start, tick, run)
         try:
-            signal = named(loop, run(state, exogenous, tree.pack(loop.params), progress))
+            signal = _outputs(start, run, progress)
             return signal, _difference(signal, twin.result())
         except BaseException:
             interrupted.set()
             raise
 
 
+def _outputs(start: Start, run: LoopEngine, progress: Progress | None) -> Outputs:
+    """The outputs of a run, by name."""
+    packed = run(start.state, start.exogenous, tree.pack(start.loop.params), progress)
+    return named(start.loop, packed)
+
+
 def _at_half_the_step(
-    problem: Problem, loop: Loop, state: Floats, progress: Progress, run: LoopEngine
+    problem: Problem, start: Start, progress: Progress, run: LoopEngine
 ) -> Outputs:
     """The signals of a run with half the step, at the instants of the whole ones."""
-    halved = loop._replace(params=loop.params._replace(h=loop.params.h / 2))
-    params = tree.pack(halved.params)
-    fine = named(loop, run(state, inputs.exogenous(problem, 2), params, progress))
+    params = start.loop.params
+    halved = start.loop._replace(params=params._replace(h=params.h / 2))
+    fine = _outputs(Start(halved, start.state, inputs.exogenous(problem, 2)), run, progress)
     every_other = (part[::2] for _, part in tree.leaves(fine))
     outputs: Outputs = tree.rebuild(fine, every_other)
     return outputs
@@ -221,7 +221,7 @@ def prepare(problem: Problem) -> Start:
 
 def closed(problem: Problem) -> Loop:
     """The closed loop of a problem. Raises InputError for an observer that is no graph."""
-    return loop_of(problem._replace(observer=graph_of(problem.observer)))
+    return close(problem._replace(observer=graph_of(problem.observer)))
 
 
 def run_loop(
@@ -244,7 +244,7 @@ def run_loop(
         InputError: the engine is unknown.
     """
     run = engine_for(loop, engine, len(exogenous))
-    return named(loop, run(state, exogenous, tree.pack(loop.params), progress))
+    return _outputs(Start(loop, state, exogenous), run, progress)
 
 
 def engine_for(loop: Loop, engine: Engine, steps: int) -> LoopEngine:

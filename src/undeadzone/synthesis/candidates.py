@@ -10,15 +10,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from undeadzone.analysis.convergence.floquet import (
-    NEUTRAL,
-    TINY,
-    error_matrices,
-    forced_mean_square,
-    mean_squares,
-    product,
-    transitions,
-)
+from undeadzone.analysis.convergence import floquet
 from undeadzone.support.arrays import Floats
 from undeadzone.synthesis.task import Task
 
@@ -59,8 +51,11 @@ def score(
     """
     n, p = task.n, task.p
     Gamma = np.repeat(gamma, 2, axis=1)[:, :, None] * np.eye(2 * p)
-    F, G = error_matrices(task.A, task.linear.C, L, Gamma, task.schedule.sides)
-    rate = -_slowest(task, *product(transitions(F, task.schedule))) / task.schedule.duration
+    F, G = floquet.error_matrices(task.A, task.linear.C, L, Gamma, task.schedule.sides)
+    rate = (
+        -_slowest(task, *floquet.product(floquet.transitions(F, task.schedule)))
+        / task.schedule.duration
+    )
     disturbance = noise = model = np.full(rate.shape, np.nan)
     Z = np.zeros((3 * p, F.shape[-1]))  # the errors that count: C x~, then d~
     Z[:p, :n] = task.linear.C
@@ -71,10 +66,12 @@ def score(
             np.broadcast_to(task.source, F.shape),
             G @ np.swapaxes(G, -1, -2) * per_sample,
         )
-        disturbance, noise = map(np.sqrt, mean_squares(F, Z, sources, task.schedule))
+        disturbance, noise = map(np.sqrt, floquet.mean_squares(F, Z, sources, task.schedule))
     if mismatch:
-        F, _ = error_matrices(task.A, task.linear.C, L, Gamma, task.whole.sides)
-        squares = forced_mean_square(F, Z, task.model_errors, task.S, task.starts, task.whole)
+        F, _ = floquet.error_matrices(task.A, task.linear.C, L, Gamma, task.whole.sides)
+        squares = floquet.forced_mean_square(
+            F, Z, task.model_errors, task.S, task.starts, task.whole
+        )
         model = np.sqrt(squares)
     return Scores(rate, disturbance, model, noise)
 
@@ -100,7 +97,7 @@ def certified(task: Task, L: Floats, gamma: Floats, W: Floats) -> Floats:
     else:
         eigenvalues = np.linalg.eigvalsh(hermitian)[..., 0]
     least = eigenvalues.min(axis=1)
-    return np.asarray(L * np.minimum(1.0, 1.0 / np.maximum(-least, TINY))[:, None, None])
+    return np.asarray(L * np.minimum(1.0, 1.0 / np.maximum(-least, floquet.TINY))[:, None, None])
 
 
 def _slowest(task: Task, M: Floats, size: Floats) -> Floats:
@@ -117,12 +114,12 @@ def _slowest(task: Task, M: Floats, size: Floats) -> Floats:
     if not task.hidden.shape[1]:
         return own
     kept = _logarithms(task.hidden.T @ M @ task.hidden) + size[:, None]
-    return np.maximum(own, np.where(np.abs(kept) < NEUTRAL, -np.inf, kept).max(axis=-1))
+    return np.maximum(own, np.where(np.abs(kept) < floquet.NEUTRAL, -np.inf, kept).max(axis=-1))
 
 
 def _logarithms(M: Floats) -> Floats:
     """ln |eigenvalue| of matrices (b, N, N)."""
-    return np.log(np.maximum(np.abs(np.linalg.eigvals(M)), TINY))
+    return np.log(np.maximum(np.abs(np.linalg.eigvals(M)), floquet.TINY))
 
 
 class Candidate(NamedTuple):

@@ -19,20 +19,12 @@ from undeadzone.scenario.problem import Problem, constant_gains, resolve_scenari
 from undeadzone.scenario.schema import Scenario
 from undeadzone.support.arrays import Floats
 from undeadzone.support.progress import in_notebook
+from undeadzone.synthesis import gain_search
 from undeadzone.synthesis.assessment import determined, knowledge
 from undeadzone.synthesis.candidates import Candidate, candidate_of
-from undeadzone.synthesis.gain_search import (
-    RATE,
-    ROUNDS,
-    STARTS,
-    Synthesis,
-    Weights,
-    balanced,
-    fastest,
-)
 from undeadzone.synthesis.task import make_task
 
-Aim = Literal["knee", "rate"] | Weights
+Aim = Literal["knee", "rate"] | gain_search.Weights
 
 
 def design(
@@ -74,10 +66,10 @@ def design(
     linear = problem.model.linear
     with in_notebook(progress, "designing", rounds(maximise)) as advance:
         if maximise == "knee":
-            result = balanced(task, linear, before, seed, advance)
+            result = gain_search.balanced(task, linear, before, seed, advance)
         else:
-            weights = maximise if isinstance(maximise, Weights) else RATE
-            result = fastest(task, linear, weights, seed, advance)
+            weights = maximise if isinstance(maximise, gain_search.Weights) else gain_search.RATE
+            result = gain_search.fastest(task, linear, weights, seed, advance)
     never = rates(linear, result.best.L, result.best.gamma, task.whole).never
     return Design(
         title=scenario.title,
@@ -97,7 +89,7 @@ def design(
 
 def rounds(maximise: Aim) -> int:
     """How many rounds `design` reports to its progress callback."""
-    return STARTS + (ROUNDS if maximise == "knee" else 0)
+    return gain_search.STARTS + (gain_search.ROUNDS if maximise == "knee" else 0)
 
 
 def impossible(flow: System) -> str:
@@ -140,7 +132,7 @@ def _present(scenario: Scenario, problem: Problem) -> tuple[Floats, Floats] | No
     return gains
 
 
-def _proof(problem: Problem, result: Synthesis) -> dict[str, Any]:
+def _proof(problem: Problem, result: gain_search.Synthesis) -> dict[str, Any]:
     """The model of a design and the proof of its gains, as its file holds them."""
     A, B, C = problem.model.linear
     certificate = result.certificate

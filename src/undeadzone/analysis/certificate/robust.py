@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from undeadzone.analysis import error_dynamics
 from undeadzone.analysis.certificate.driven import (
     Channel,
     channels,
@@ -23,15 +24,6 @@ from undeadzone.analysis.certificate.driven import (
     prove,
 )
 from undeadzone.analysis.dissipation import LEAST, NOTHING, Check, Inequality, check
-from undeadzone.analysis.error_dynamics import (
-    Dynamics,
-    Storage,
-    adaptation,
-    balance,
-    delta,
-    growth,
-    identity_storage,
-)
 from undeadzone.errors import InputError
 from undeadzone.linear.matrices import Matrices
 from undeadzone.support.arrays import Floats, matrix, vector
@@ -49,7 +41,7 @@ class Gain(NamedTuple):
 
     disturbance: float
     noise: float
-    V: Storage
+    V: error_dynamics.Storage
     check: Check
 
 
@@ -63,12 +55,12 @@ class Sector(NamedTuple):
     """
 
     certified: bool
-    V: Storage
+    V: error_dynamics.Storage
     check: Check
 
 
 def l2_gain(
-    errors: Dynamics,
+    errors: error_dynamics.Dynamics,
     E: Floats | None = None,
     noise: Floats | None = None,
     output: Floats | None = None,
@@ -83,9 +75,9 @@ def l2_gain(
         noise: the reading of an active output i is off by noise_i v_i (p).
         output: rows of z = output x~ (rows x n); C by default.
     """
-    if max(growth(A, errors.Ts) for A in errors.A) >= 0:
-        return Gain(np.inf, np.inf, identity_storage(errors), NOTHING)
-    scaling = balance(errors)
+    if max(error_dynamics.growth(A, errors.Ts) for A in errors.A) >= 0:
+        return Gain(np.inf, np.inf, error_dynamics.identity_storage(errors), NOTHING)
+    scaling = error_dynamics.balance(errors)
     scaled = scaling.dynamics(errors)
     signals = channels(errors, scaling, E, noise)
     z = output_rows(errors, scaling, output)
@@ -104,7 +96,7 @@ def l2_gain(
     cost = np.r_[np.zeros(groups), np.square(sizes / sizes.max(initial=1e-300))]
     solution = prove(family, cost)
     if solution is None:
-        return Gain(np.inf, np.inf, identity_storage(errors), NOTHING)
+        return Gain(np.inf, np.inf, error_dynamics.identity_storage(errors), NOTHING)
     V = original_storage(errors, scaling, solution)
     V = V._replace(P=size**2 * V.P, W=size**2 * V.W)
     gains = [float(gain) for gain in np.sqrt(solution.q[groups:]) * sizes * size]
@@ -113,7 +105,7 @@ def l2_gain(
     return Gain(disturbance, noisy, V, check(family(solution.q), solution.P))
 
 
-def certified_radius(errors: Dynamics, E: Floats, F: Floats) -> float:
+def certified_radius(errors: error_dynamics.Dynamics, E: Floats, F: Floats) -> float:
     """The largest r such that V falls for x~' = (A + E Delta F) x~ - L e with |Delta(t)| < r.
 
     By the same token the largest Lipschitz constant of phi in a known plant
@@ -133,7 +125,9 @@ def certified_radius(errors: Dynamics, E: Floats, F: Floats) -> float:
     return 1 / gain.disturbance if gain.disturbance > 0 else np.inf
 
 
-def sector(errors: Dynamics, G: Floats, H: Floats, low: Floats, high: Floats) -> Sector:
+def sector(
+    errors: error_dynamics.Dynamics, G: Floats, H: Floats, low: Floats, high: Floats
+) -> Sector:
     """Whether one V falls for x' = A x + B u + G phi(H x), phi known, its slopes in a sector.
 
     phi(H x) - phi(H x^) = (centre + w) H x~ componentwise with |w| <= radius; a multiplier for each
@@ -155,7 +149,7 @@ def sector(errors: Dynamics, G: Floats, H: Floats, low: Floats, high: Floats) ->
     if (low > high).any():
         raise InputError(f"low: must not exceed high, found {low.tolist()} and {high.tolist()}")
     errors = errors._replace(A=tuple(A + G * (low + high) / 2 @ H for A in errors.A))
-    scaling = balance(errors)
+    scaling = error_dynamics.balance(errors)
     scaled = scaling.dynamics(errors)
     # E w with |w_i| <= |h_i x~| is what remains of phi; both get the same size.
     E = scaling.time * G / scaling.state[:, None]
@@ -175,7 +169,7 @@ def sector(errors: Dynamics, G: Floats, H: Floats, low: Floats, high: Floats) ->
 
     solution = deepest(family, np.ones(groups + k), normalised)
     if solution is None:
-        return Sector(False, identity_storage(errors), NOTHING)
+        return Sector(False, error_dynamics.identity_storage(errors), NOTHING)
     proof = check(family(solution.q), solution.P)
     return Sector(proof.proved, original_storage(errors, scaling, solution), proof)
 
@@ -187,7 +181,7 @@ def closed_loop(
     K: Floats,
     gamma: Floats,
     Ts: float | None = None,
-) -> Dynamics:
+) -> error_dynamics.Dynamics:
     """Error dynamics of (x - x_ref, x~) under u = u_ff - K (x^ - x_ref), one vertex per plant.
 
     x~ is x - x^ of the model. `passivity.certify_dynamics` of it proves convergence for every plant
@@ -206,17 +200,19 @@ def closed_loop(
     Raises:
         InputError, ShapeError: for gains of the wrong kind.
     """
-    A, B, C = delta(model, Ts), _input_rate(model, Ts), model.C
+    A, B, C = error_dynamics.delta(model, Ts), _input_rate(model, Ts), model.C
     n, p = A.shape[0], C.shape[0]
     vertices = []
     for plant in plants:
-        A_k, B_k = delta(plant, Ts), _input_rate(plant, Ts)
+        A_k, B_k = error_dynamics.delta(plant, Ts), _input_rate(plant, Ts)
         dA, dB = A_k - A, B_k - B
         vertices.append(np.block([[A_k - B_k @ K, B_k @ K], [dA - dB @ K, A + dB @ K]]))
     L = matrix("L", L, n, p, "states x outputs")
     of_outputs = np.hstack([np.zeros((p, n)), C])
     to_errors = np.vstack([np.zeros((n, p)), L])
-    return Dynamics(tuple(vertices), of_outputs, to_errors, adaptation(gamma, p), Ts)
+    return error_dynamics.Dynamics(
+        tuple(vertices), of_outputs, to_errors, error_dynamics.adaptation(gamma, p), Ts
+    )
 
 
 def _input_rate(linear: Matrices, Ts: float | None) -> Floats:
@@ -224,7 +220,7 @@ def _input_rate(linear: Matrices, Ts: float | None) -> Floats:
     return linear.B if Ts is None else linear.B / Ts
 
 
-def project(d_hat: Floats, V: Storage, limit: Floats) -> Floats:
+def project(d_hat: Floats, V: error_dynamics.Storage, limit: Floats) -> Floats:
     """The widths nearest to d^ in the metric R of V; this projection never raises V.
 
     Args:

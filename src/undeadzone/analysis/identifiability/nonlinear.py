@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from undeadzone.analysis.identifiability import linear
 from undeadzone.analysis.identifiability.beforehand import beforehand
 from undeadzone.analysis.identifiability.edges import (
     largest_deviations,
@@ -21,13 +22,6 @@ from undeadzone.analysis.identifiability.edges import (
     vague,
 )
 from undeadzone.analysis.identifiability.information import EXACT
-from undeadzone.analysis.identifiability.linear import (
-    DIRECTIONS,
-    PRESENT,
-    Invisible,
-    Verdict,
-    verdicts,
-)
 from undeadzone.analysis.identifiability.linearised_run import LinearisedRun, linearised, symmetric
 from undeadzone.analysis.side_schedule import reading, reading_levels, recorded
 from undeadzone.ends.sensor import Zone
@@ -55,7 +49,7 @@ def verdicts_along(
     prior: Floats | None = None,
     arrived: np.ndarray | None = None,
     centre: Floats | None = None,
-) -> list[Verdict]:
+) -> list[linear.Verdict]:
     """What the readings along a run tell of each output's widths.
 
     A width is not known either where the expected deviation exceeds it. Only the part of a run
@@ -82,7 +76,7 @@ def verdicts_along(
     x, u, z, arrived = x[whole], u[whole], z[whole], arrived[whole]
     schedule = recorded(z, sensor, step, model.Ts, arrived)
     if sensor.kind == "jump":
-        return verdicts(model.linear, schedule, jump=True)
+        return linear.verdicts(model.linear, schedule, jump=True)
     side = np.where(arrived, reading(z, sensor).side, 0.0)
     told = beforehand(model.n, model.p, prior, centre, float(np.sqrt(variance(sensor).min())))
     known = observability(model, x, u, side, step, variance(sensor), bias, uncertain, told)
@@ -97,8 +91,8 @@ def verdicts_along(
             *vague(std, most, right, left),
             *rarely_exact(schedule, i),
         )
-        enough = {name: std[name] <= most[name] for name in DIRECTIONS}
-        judged.append(Verdict(**enough, reasons=reasons, std=std))
+        enough = {name: std[name] <= most[name] for name in linear.DIRECTIONS}
+        judged.append(linear.Verdict(**enough, reasons=reasons, std=std))
     return judged
 
 
@@ -139,7 +133,7 @@ def _confounded(
     return [start + _state_shift(model, known, i, lost[0], what, rest)]
 
 
-def _caused_by(part: np.ndarray, hidden: Invisible, i: int, edges: list[str]) -> bool:
+def _caused_by(part: np.ndarray, hidden: linear.Invisible, i: int, edges: list[str]) -> bool:
     """Whether edges of output i would be known if these unknowns were (part: bool, one each)."""
     return bool(part.any()) and all(hidden.within(~part).width(i, name) for name in edges)
 
@@ -201,7 +195,7 @@ class Observability(NamedTuple):
     """
 
     root: Floats
-    hidden: Invisible
+    hidden: linear.Invisible
     follow: Floats
     singular: Floats
     tolerance: float
@@ -263,7 +257,7 @@ def observability(
     known = singular > run.tolerance
     spread = scale[n:, None] * W[known].T / singular[known]
     follow = -scale[:n, None] * (V[felt].T / s[felt]) @ explained / scale[n:]
-    hidden = Invisible(W[~known].T, scale[n:], 0, max(PRESENT, 10 * run.tolerance))
+    hidden = linear.Invisible(W[~known].T, scale[n:], 0, max(linear.PRESENT, 10 * run.tolerance))
     return Observability(R, hidden, follow, singular, run.tolerance, spread @ spread.T)
 
 

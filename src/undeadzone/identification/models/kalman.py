@@ -13,15 +13,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.compile import lanes
-from undeadzone.identification.models.estimates import (
-    Latest,
-    Spread,
-    above,
-    around,
-    differences,
-    sandwich,
-    weighing,
-)
+from undeadzone.identification.models import estimates
 from undeadzone.identification.models.likelihood import LOG_ROOT
 from undeadzone.identification.models.plant import Data, Layout, input_gain, roots
 from undeadzone.identification.models.zone import Limits
@@ -237,8 +229,8 @@ class KalmanObjective:
         self.free: Integers = np.flatnonzero(free)
         by_noise = np.isin(self.free, (self.log_q, self.log_q + 1))
         self.longest = np.where(by_noise, 1.0, np.inf)
-        self._scores: Latest[tuple[Floats, Floats]] = Latest()
-        self._spread: Latest[Spread] = Latest()
+        self._scores: estimates.Latest[tuple[Floats, Floats]] = estimates.Latest()
+        self._spread: estimates.Latest[estimates.Spread] = estimates.Latest()
 
     def admissible(self, p: Floats) -> bool:
         """Whether the filter can be run with these numbers."""
@@ -292,8 +284,8 @@ class KalmanObjective:
     def _differences(self, p: Floats) -> tuple[Floats, Floats]:
         """`scores`, computed."""
         steps = self._steps(p)
-        value, *moved = self.densities(around(p, self.free, steps))
-        return value, differences(np.array(moved), steps).T
+        value, *moved = self.densities(estimates.around(p, self.free, steps))
+        return value, estimates.differences(np.array(moved), steps).T
 
     def _steps(self, p: Floats) -> Floats:
         """By how much each free number is moved."""
@@ -355,25 +347,25 @@ class KalmanObjective:
     def direction(self, right: float, left: float) -> Floats:
         """The row that weighs d_r and d_l over the free numbers."""
         first, tied = self.log_q + 2, self.limits.tied
-        return weighing(self.free, self.size, first, (right, left), tied)
+        return estimates.weighing(self.free, self.size, first, (right, left), tied)
 
-    def spread(self, p: Floats) -> Spread:
+    def spread(self, p: Floats) -> estimates.Spread:
         """(I1) of the free numbers, with a numerical Hessian; the last one is kept."""
         return self._spread.of(p, self._sandwich)
 
-    def _sandwich(self, p: Floats) -> Spread:
+    def _sandwich(self, p: Floats) -> estimates.Spread:
         """`spread`, computed."""
         _, scores = self.scores(p)
         outer = scores.T @ scores
         scale = 1 / np.sqrt(np.diag(outer) + 1e-12)
         steps = np.minimum(3e-2 * scale, 0.05)
-        moved = around(p, self.free, steps)[1:]
+        moved = estimates.around(p, self.free, steps)[1:]
         small = [self._steps(point) for point in moved]
         pairs = zip(moved, small, strict=True)
-        points = [around(point, self.free, steps)[1:] for point, steps in pairs]
+        points = [estimates.around(point, self.free, steps)[1:] for point, steps in pairs]
         totals = self.densities(np.concatenate(points)).sum(axis=1).reshape(len(moved), -1)
-        scores_there = [differences(*one) for one in zip(totals, small, strict=True)]
-        hessian = -differences(np.array(scores_there), steps)
+        scores_there = [estimates.differences(*one) for one in zip(totals, small, strict=True)]
+        hessian = -estimates.differences(np.array(scores_there), steps)
         if not np.isfinite(hessian).all():
             hessian = outer
-        return sandwich(scores, above(hessian, outer))
+        return estimates.sandwich(scores, estimates.above(hessian, outer))

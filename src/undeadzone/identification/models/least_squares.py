@@ -12,12 +12,7 @@ from typing import Generic, NamedTuple, Protocol, TypeVar
 import numpy as np
 from scipy.stats import f as fisher
 
-from undeadzone.identification.models.estimates import (
-    Spread,
-    best_top,
-    long_run_covariance,
-    sandwich,
-)
+from undeadzone.identification.models import estimates
 from undeadzone.identification.models.plant import Simulator
 from undeadzone.identification.models.zone import FAR
 from undeadzone.support.arrays import Floats, Integers
@@ -144,15 +139,15 @@ class LeastSquares(Generic[M]):
         """Numbers brought back to where they make sense."""
         return self.model.project(theta)
 
-    def spread(self, theta: Floats) -> Spread:
+    def spread(self, theta: Floats) -> estimates.Spread:
         """(I1) of the free numbers."""
         e, rows = self.rows(theta)
         variance, hessian = self._gauss_newton(e, rows)
-        return sandwich(rows * e[:, None] / variance, hessian)
+        return estimates.sandwich(rows * e[:, None] / variance, hessian)
 
     def best(self, starts: Sequence[Floats]) -> Fitted[M] | None:
         """The best fit from several starts; None where no start makes sense."""
-        top = best_top(self, starts, self.model.first, self.model.last)
+        top = estimates.best_top(self, starts, self.model.first, self.model.last)
         return None if top is None else Fitted(self, top.theta, self.density(top.theta))
 
     def density(self, theta: Floats) -> Density:
@@ -187,7 +182,7 @@ def compare_statistic(first: Density, second: Density) -> float:
     """Vuong's statistic of one model against another, penalised by BIC; above 2: the first wins."""
     gap = first.value - second.value
     penalty = 0.5 * (first.numbers - second.numbers) * math.log(gap.size)
-    covariance, _ = long_run_covariance(gap[:, None])
+    covariance, _ = estimates.long_run_covariance(gap[:, None])
     return (float(gap.sum()) - penalty) / math.sqrt(max(float(covariance[0, 0]), 1e-9))
 
 
@@ -235,8 +230,8 @@ def explained(columns: Floats, residual: Floats) -> tuple[Floats, Floats, float,
     left = residual - columns @ coefficients
     share = 1 - float(left @ left) / max(float(residual @ residual), 1e-300)
     normal = columns.T @ columns + 1e-9 * np.eye(columns.shape[1])
-    spread = sandwich(columns * left[:, None], normal, COSINES)
-    null = sandwich(columns * residual[:, None], normal, COSINES)
+    spread = estimates.sandwich(columns * left[:, None], normal, COSINES)
+    null = estimates.sandwich(columns * residual[:, None], normal, COSINES)
     count = columns.shape[1]
     wald = float(coefficients @ np.linalg.pinv(null.V) @ coefficients)
     degrees = max(COSINES - count + 1, 1)

@@ -23,20 +23,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from undeadzone.identification.models import motion
 from undeadzone.identification.models.elements import PlayFit, PlayModel
 from undeadzone.identification.models.estimates import DIRECTIONS, Interval, climb, quantile
 from undeadzone.identification.models.kalman import AT_INPUT, AT_OUTPUT, QUIETEST, KalmanObjective
 from undeadzone.identification.models.kalman_fit import MODELS, KalmanFit
 from undeadzone.identification.models.least_squares import Fitted, LeastSquares
-from undeadzone.identification.models.motion import (
-    Moving,
-    Sensing,
-    four_offsets,
-    moving,
-    moving_with_disturbance,
-    sensing,
-    white_noise,
-)
 from undeadzone.identification.models.plant import (
     SETTLED,
     Ahead,
@@ -102,7 +94,7 @@ def find_gap(fit: PlayFit, others: list[PlayFit], quantum: float) -> Gap:
         Corrected numbers; of an integrating plant, whose disturbances add up, those of the fit.
     """
     data = fit.squares.data
-    how = sensing(data.y, data.ok, data.start, quantum)
+    how = motion.sensing(data.y, data.ok, data.start, quantum)
     if fit.model.simulator.layout.integrators:
         return _as_fitted(fit, _noise(data, how, quantum))
     if how.window == 1 and not fit.model.zone:
@@ -112,11 +104,11 @@ def find_gap(fit: PlayFit, others: list[PlayFit], quantum: float) -> Gap:
     return _corrected(fit, _noise(data, how, quantum), quantum)
 
 
-def _noise(data: Data, how: Sensing, quantum: float) -> float:
+def _noise(data: Data, how: motion.Sensing, quantum: float) -> float:
     """rms of the white noise of the readings besides rounding, scaled."""
     if not how.noise:
         return 0.0
-    rms = white_noise(data.y, data.ok, data.start)
+    rms = motion.white_noise(data.y, data.ok, data.start)
     return math.sqrt(max(rms**2 - quantum**2 / 12, 0.0))
 
 
@@ -246,7 +238,7 @@ class TickFit(NamedTuple):
         return theta
 
 
-def fit_ticks(plays: list[PlayFit], how: Sensing) -> TickFit | None:
+def fit_ticks(plays: list[PlayFit], how: motion.Sensing) -> TickFit | None:
     """The play of least BIC by (L4) over orders and disturbances; None where none can be run.
 
     Args:
@@ -261,11 +253,11 @@ def fit_ticks(plays: list[PlayFit], how: Sensing) -> TickFit | None:
     return min(fits, key=lambda one: one.kalman.bic, default=None)
 
 
-def _of_order(play: PlayFit, how: Sensing) -> list[TickFit]:
+def _of_order(play: PlayFit, how: motion.Sensing) -> list[TickFit]:
     """(L4) of one order, for the three models of the disturbance."""
     model, theta, data = play.model, play.theta, play.squares.data
     ahead = ahead_of(play)
-    heard = ticked(data, moving(model.simulator, theta, ahead.rms, QUIETEST), how)
+    heard = ticked(data, motion.moving(model.simulator, theta, ahead.rms, QUIETEST), how)
     first = []
     for kind in MODELS:
         objective = objective_of(heard, play, kind, how)
@@ -276,7 +268,7 @@ def _of_order(play: PlayFit, how: Sensing) -> list[TickFit]:
     if not first:
         return []
     best = min(first, key=lambda one: one.bic)
-    heard = ticked(data, moving_with_disturbance(best), how)
+    heard = ticked(data, motion.moving_with_disturbance(best), how)
     fits = []
     for one in first:
         objective = objective_of(heard, play, one.model, how)
@@ -284,15 +276,15 @@ def _of_order(play: PlayFit, how: Sensing) -> list[TickFit]:
     return fits
 
 
-def objective_of(heard: Data, play: PlayFit, kind: int, how: Sensing) -> KalmanObjective:
+def objective_of(heard: Data, play: PlayFit, kind: int, how: motion.Sensing) -> KalmanObjective:
     """(L4) of readings that were heard, for a model of the disturbance."""
     layout = play.model.simulator.layout
     return KalmanObjective(heard, layout, kind, Limits(), how.quantum / 2)
 
 
-def ticked(data: Data, plant: Moving, how: Sensing) -> Data:
+def ticked(data: Data, plant: motion.Moving, how: motion.Sensing) -> Data:
     """The readings with their contacts, ticks where z was when they came."""
-    offsets = four_offsets(plant, data.u, data.y, data.ok, data.start, how)
+    offsets = motion.four_offsets(plant, data.u, data.y, data.ok, data.start, how)
     return data._replace(y=np.where(offsets.side != 0, offsets.heard, data.y), side=offsets.side)
 
 
@@ -308,7 +300,7 @@ def disturbance_of(fit: KalmanFit) -> Ahead:
     return Ahead(own * every, phi, own * every / first)
 
 
-def _of_ticks(fit: TickFit, how: Sensing) -> Gap:
+def _of_ticks(fit: TickFit, how: motion.Sensing) -> Gap:
     """The numbers by (L4), corrected by what it makes of simulated logs."""
     model, kalman = fit.play.model, fit.kalman
     found = simulated(fit, how, RUNS)
@@ -329,7 +321,7 @@ def _of_ticks(fit: TickFit, how: Sensing) -> Gap:
     return Gap(fit.play, moved, intervals, V, ahead, 0.0, sure)
 
 
-def simulated(fit: TickFit, how: Sensing, runs: int) -> Floats:
+def simulated(fit: TickFit, how: motion.Sensing, runs: int) -> Floats:
     """c_r and c_l that (L4) finds in logs simulated with the fit (runs x 2)."""
     model, theta, kalman = fit.play.model, fit.theta, fit.kalman
     layout, size = model.simulator.layout, model.data.y.size
@@ -338,7 +330,7 @@ def simulated(fit: TickFit, how: Sensing, runs: int) -> Floats:
     at_output = kalman.model == AT_OUTPUT
     w = colour[:, SETTLED:] if at_output else shaped(layout, theta, colour)
     w = w * (ahead.rms / max(float(w.std()), 1e-300))
-    plant, z = moving_with_disturbance(kalman), model.output(theta)
+    plant, z = motion.moving_with_disturbance(kalman), model.output(theta)
     found = []
     for one in w:
         y = _rounded(model.readings(z + one, theta), how.quantum)

@@ -7,24 +7,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from undeadzone.identification.models.estimates import (
-    Latest,
-    Spread,
-    positive,
-    sandwich,
-    weighing,
-)
-from undeadzone.identification.models.likelihood import (
-    Z_BEFORE,
-    Noise,
-    Terms,
-    Z,
-    behind,
-    dead_zone,
-    pairs,
-    residual,
-    singles,
-)
+from undeadzone.identification.models import estimates, likelihood
 from undeadzone.identification.models.plant import Data, Simulator
 from undeadzone.support.arrays import Flags, Floats, Integers
 
@@ -84,8 +67,8 @@ class Objective:
         rms = float(np.sqrt(np.mean(self.data.y[self.data.ok] ** 2)))
         self.x0_weight = 1 / (3 * rms + 1e-12) ** 2
         self.free: Integers = np.flatnonzero(~self._fixed())
-        self._seen: Latest[tuple[Floats, Terms]] = Latest()
-        self._spread: Latest[Spread] = Latest()
+        self._seen: estimates.Latest[tuple[Floats, likelihood.Terms]] = estimates.Latest()
+        self._spread: estimates.Latest[estimates.Spread] = estimates.Latest()
 
     def along(self, data: Data) -> Objective:
         """The same likelihood of other records."""
@@ -101,11 +84,11 @@ class Objective:
         fixed[right + 3] = self.kind != "pairs"
         return fixed
 
-    def noise(self, theta: Floats) -> Noise:
+    def noise(self, theta: Floats) -> likelihood.Noise:
         """Widths, rms and correlation in theta."""
         right, left, log_s, atanh_rho = theta[self.layout.right :]
         rho = math.tanh(atanh_rho) if self.kind == "pairs" else 0.0
-        return Noise(float(right), float(left), math.exp(min(log_s, 50.0)), rho)
+        return likelihood.Noise(float(right), float(left), math.exp(min(log_s, 50.0)), rho)
 
     def admissible(self, theta: Floats) -> bool:
         """Whether theta has a likelihood worth computing."""
@@ -116,20 +99,20 @@ class Objective:
             return False
         return self.simulator.admissible(theta)
 
-    def terms(self, theta: Floats, z: Floats) -> Terms:
+    def terms(self, theta: Floats, z: Floats) -> likelihood.Terms:
         """Log densities of the samples and their derivatives."""
         noise = self.noise(theta)
         if self.kind == "behind":
-            return behind(self.readings, z, noise, self.limits.zone)
+            return likelihood.behind(self.readings, z, noise, self.limits.zone)
         if self.kind == "singles":
-            return singles(self.readings, z, noise)
-        return pairs(self.readings, z, noise)
+            return likelihood.singles(self.readings, z, noise)
+        return likelihood.pairs(self.readings, z, noise)
 
-    def at(self, theta: Floats) -> tuple[Floats, Terms]:
+    def at(self, theta: Floats) -> tuple[Floats, likelihood.Terms]:
         """z (N) and the terms of theta; those that were asked for last are kept."""
         return self._seen.of(theta, self._at)
 
-    def _at(self, theta: Floats) -> tuple[Floats, Terms]:
+    def _at(self, theta: Floats) -> tuple[Floats, likelihood.Terms]:
         z = self.simulator.z(theta)
         return z, self.terms(theta, z)
 
@@ -156,10 +139,10 @@ class Objective:
         """(log densities (N), scores (N x P), dz/dtheta (N x P)); fixed columns are 0."""
         z, terms = self.at(theta)
         slope = self.simulator.gradient(theta, z)
-        scores = terms.slopes[:, Z : Z + 1] * slope
-        scores[1:] += terms.slopes[1:, Z_BEFORE : Z_BEFORE + 1] * slope[:-1]
+        scores = terms.slopes[:, likelihood.Z : likelihood.Z + 1] * slope
+        scores[1:] += terms.slopes[1:, likelihood.Z_BEFORE : likelihood.Z_BEFORE + 1] * slope[:-1]
         right = self.layout.right
-        scores[:, right:] += terms.slopes[:, Z_BEFORE + 1 :]
+        scores[:, right:] += terms.slopes[:, likelihood.Z_BEFORE + 1 :]
         scores[0, self.layout.x0] -= self.x0_weight * theta[self.layout.x0]
         if self.limits.tied:
             scores[:, right] += scores[:, right + 1]
@@ -224,13 +207,13 @@ class Objective:
             return np.ones(z.size, int)
         return 1 * (z > noise.right) - 1 * (z < -noise.left)
 
-    def spread(self, theta: Floats) -> Spread:
+    def spread(self, theta: Floats) -> estimates.Spread:
         """(I1): robust covariance of the free numbers of theta; the last one is kept."""
         return self._spread.of(theta, self._sandwich)
 
-    def _sandwich(self, theta: Floats) -> Spread:
+    def _sandwich(self, theta: Floats) -> estimates.Spread:
         _, scores, _ = self.scores(theta)
-        return sandwich(scores[:, self.free], self.hessian(theta))
+        return estimates.sandwich(scores[:, self.free], self.hessian(theta))
 
     def hessian(self, theta: Floats) -> Floats:
         """Minus the second derivative by the free numbers; Gauss-Newton for noise behind."""
@@ -248,7 +231,7 @@ class Objective:
             if self.admissible(ahead) and self.admissible(back):
                 difference = self.score(ahead) - self.score(back)
                 rows[place] = -difference[self.free] / (2 * step)
-        return positive(rows)
+        return estimates.positive(rows)
 
     def _moved(self, theta: Floats, index: int, step: float) -> Floats:
         """theta with one number changed, and what is tied to it."""
@@ -261,12 +244,12 @@ class Objective:
     def direction(self, right: float, left: float) -> Floats:
         """The row that weighs d_r and d_l over the free numbers: (1, 1) is that of the width."""
         size, first = self.layout.size, self.layout.right
-        return weighing(self.free, size, first, (right, left), self.limits.tied)
+        return estimates.weighing(self.free, size, first, (right, left), self.limits.tied)
 
     def residuals(self, theta: Floats) -> Floats:
         """What is left of the readings (N): e where a sample speaks, y - Dz(z) for noise behind."""
         z, noise = self.simulator.z(theta), self.noise(theta)
         if self.kind != "behind":
-            return residual(self.readings, z, noise.right, noise.left)
-        expected = dead_zone(z, noise.right, noise.left) if self.limits.zone else z
+            return likelihood.residual(self.readings, z, noise.right, noise.left)
+        expected = likelihood.dead_zone(z, noise.right, noise.left) if self.limits.zone else z
         return self.readings.y - expected

@@ -12,18 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
+from undeadzone.identification.models import zone_fit
 from undeadzone.identification.models.estimates import climb
 from undeadzone.identification.models.least_squares import CHANCE, HATS, explained, hats
 from undeadzone.identification.models.plant import Data, Simulator
 from undeadzone.identification.models.zone import Limits, Objective
-from undeadzone.identification.models.zone_fit import (
-    Fit,
-    expected_reading,
-    fit_linear,
-    fit_zone,
-    moved,
-    refit,
-)
 from undeadzone.support.arrays import Flags, Floats, Integers
 
 CREDIBLE = 1.02  # times the least held-out error: orders that may be right as well
@@ -45,8 +38,8 @@ class OrderFit(NamedTuple):
     """
 
     n: int
-    singles: Fit
-    pairs: Fit
+    singles: zone_fit.Fit
+    pairs: zone_fit.Fit
     error: float
     share: float
     white: bool
@@ -96,18 +89,20 @@ def fit_orders(
     return fits
 
 
-def _stages(simulator: Simulator, limits: Limits, begun: OrderFit | None) -> tuple[Fit, Fit]:
+def _stages(
+    simulator: Simulator, limits: Limits, begun: OrderFit | None
+) -> tuple[zone_fit.Fit, zone_fit.Fit]:
     """The fits of singles and of pairs; one and the same with noise behind the zone."""
     data = simulator.data
     if begun is not None:
-        singles = moved(begun.singles, data)
-        return singles, moved(begun.pairs, data) if data.silent_zeros else singles
-    singles = fit_zone(simulator, "singles" if data.silent_zeros else "behind", limits)
+        singles = zone_fit.moved(begun.singles, data)
+        return singles, zone_fit.moved(begun.pairs, data) if data.silent_zeros else singles
+    singles = zone_fit.fit_zone(simulator, "singles" if data.silent_zeros else "behind", limits)
     paired = data.silent_zeros and math.isfinite(singles.value)
-    return singles, refit(singles, "pairs") if paired else singles
+    return singles, zone_fit.refit(singles, "pairs") if paired else singles
 
 
-def _says_something(fit: Fit) -> bool:
+def _says_something(fit: zone_fit.Fit) -> bool:
     """Whether a fit has a likelihood whose derivatives do not overflow."""
     if not math.isfinite(fit.value):
         return False
@@ -140,7 +135,7 @@ def credible(fits: list[OrderFit]) -> list[OrderFit]:
     return [one for one in inside if one.error <= CREDIBLE * least]
 
 
-def validate(fit: Fit, train: Flags) -> HeldOut:
+def validate(fit: zone_fit.Fit, train: Flags) -> HeldOut:
     """A fit of the training part, checked on the rest.
 
     Args:
@@ -150,12 +145,14 @@ def validate(fit: Fit, train: Flags) -> HeldOut:
     Returns:
         Error, share and whiteness on the other samples.
     """
-    trained = refit(fit, fit.objective.kind, train, 25)
+    trained = zone_fit.refit(fit, fit.objective.kind, train, 25)
     if not math.isfinite(trained.value):
         trained = fit
     data = fit.objective.data
     test = data.ok & ~train
-    return judged(data.y - expected_reading(trained), data, test, innovations(trained, test))
+    return judged(
+        data.y - zone_fit.expected_reading(trained), data, test, innovations(trained, test)
+    )
 
 
 def judged(error: Floats, data: Data, test: Flags, one_step: tuple[Floats, Flags]) -> HeldOut:
@@ -172,7 +169,7 @@ def judged(error: Floats, data: Data, test: Flags, one_step: tuple[Floats, Flags
     return HeldOut(rms, 1 - rms / max(usual, 1e-12), is_white(*one_step))
 
 
-def innovations(fit: Fit, among: Flags) -> tuple[Floats, Flags]:
+def innovations(fit: zone_fit.Fit, among: Flags) -> tuple[Floats, Flags]:
     """One-step residuals e_t - rho e_(t-1) and where they are known: speaking in a row (N, N)."""
     readings = fit.objective.readings
     e = fit.objective.residuals(fit.theta)
@@ -215,7 +212,7 @@ def is_white(value: Floats, use: Flags, lags: int = LAGS) -> bool:
     return bool(chi2.sf(total, lags) > 0.01)
 
 
-def hears_input(fit: Fit) -> bool:
+def hears_input(fit: zone_fit.Fit) -> bool:
     """Whether past inputs explain one-step residuals: a delay, or too few poles."""
     value, use = innovations(fit, fit.objective.data.ok)
     lagged = []
@@ -274,7 +271,7 @@ class ResidualMap(NamedTuple):
         return self.moving_share > SHARE and self.moving_chance < CHANCE
 
 
-def residual_map(fit: Fit) -> ResidualMap:
+def residual_map(fit: zone_fit.Fit) -> ResidualMap:
     """What the fit leaves, by z^ and by its direction.
 
     Args:
@@ -285,7 +282,7 @@ def residual_map(fit: Fit) -> ResidualMap:
     """
     z = fit.z
     ok = fit.objective.readings.ok
-    residual = fit.objective.readings.y - expected_reading(fit)
+    residual = fit.objective.readings.y - zone_fit.expected_reading(fit)
     centres = np.unique(np.quantile(z[ok], np.linspace(0.01, 0.99, HATS)))
     curves = hats(z, centres)
     speed = np.diff(z, prepend=z[0])
@@ -307,10 +304,10 @@ class NoZone(NamedTuple):
     """
 
     chance: float
-    fit: Fit
+    fit: zone_fit.Fit
 
 
-def judge_no_zone(fit: Fit) -> NoZone:
+def judge_no_zone(fit: zone_fit.Fit) -> NoZone:
     """Whether the readings need a zone at all.
 
     Args:
@@ -322,7 +319,7 @@ def judge_no_zone(fit: Fit) -> NoZone:
     objective = fit.objective
     if objective.kind != "behind":
         return NoZone(0.0, fit)
-    linear = fit_linear(objective.simulator, objective.readings.ok)
+    linear = zone_fit.fit_linear(objective.simulator, objective.readings.ok)
     best = _from_linear(objective, linear, fit)
     spread = best.objective.spread(best.theta)
     row = best.objective.direction(1.0, 1.0)
@@ -334,10 +331,10 @@ def judge_no_zone(fit: Fit) -> NoZone:
     return NoZone(chance, best)
 
 
-def _from_linear(objective: Objective, linear: Fit, fit: Fit) -> Fit:
+def _from_linear(objective: Objective, linear: zone_fit.Fit, fit: zone_fit.Fit) -> zone_fit.Fit:
     """The fit, or a better one that starts at a small zone."""
     theta = linear.theta.copy()
     theta[objective.layout.right : objective.layout.right + 2] = 0.05
     top = climb(objective, theta, 60)
     better = math.isfinite(top.value) and top.value > fit.value
-    return Fit(objective, *top) if better else fit
+    return zone_fit.Fit(objective, *top) if better else fit

@@ -12,25 +12,12 @@ from scipy.signal import lfilter
 from undeadzone.identification.logs.grid import Grid
 from undeadzone.identification.logs.log import Options
 from undeadzone.identification.logs.prepare import JumpEdge
+from undeadzone.identification.models import least_squares
 from undeadzone.identification.models.estimates import long_run_covariance, quantile
-from undeadzone.identification.models.least_squares import (
-    CHANCE,
-    CLEARLY,
-    Density,
-    compare_statistic,
-    explained,
-    is_strange,
-)
 from undeadzone.identification.models.plant import Data
 from undeadzone.identification.models.zone_fit import Fit
+from undeadzone.identification.verdict import orders
 from undeadzone.identification.verdict.delays import FittedOrders
-from undeadzone.identification.verdict.orders import (
-    NoZone,
-    OrderFit,
-    ResidualMap,
-    at_limit,
-    innovations,
-)
 from undeadzone.support.arrays import Floats
 
 LEAST = 0.5  # share of the held-out readings that a fit must explain
@@ -73,10 +60,10 @@ class Case(NamedTuple):
     recorded: Data
     unreached: tuple[str, ...]
     fitted: FittedOrders
-    chosen: OrderFit
-    no_zone: NoZone
-    residuals: ResidualMap
-    rivals: dict[str, Density]
+    chosen: orders.OrderFit
+    no_zone: orders.NoZone
+    residuals: orders.ResidualMap
+    rivals: dict[str, least_squares.Density]
     advance: Callable[[int], None]
 
     @property
@@ -164,10 +151,13 @@ def _by_maps(case: Case) -> Verdict:
     return _by_residual(case)
 
 
-def winning_rival(rivals: dict[str, Density]) -> str | None:
+def winning_rival(rivals: dict[str, least_squares.Density]) -> str | None:
     """The static rival that beats the dead zone and every other; None if none does."""
     best = min(rivals.values(), key=lambda one: one.bic)
-    beats = best.name != "dead_zone" and compare_statistic(best, rivals["dead_zone"]) > CLEARLY
+    beats = (
+        best.name != "dead_zone"
+        and least_squares.compare_statistic(best, rivals["dead_zone"]) > least_squares.CLEARLY
+    )
     return best.name if beats else None
 
 
@@ -182,13 +172,13 @@ def _by_jump(case: Case) -> Verdict:
         return unclear
     jump = case.rivals["jump"]
     for name, rival in case.rivals.items():
-        if name != "jump" and compare_statistic(rival, jump) > CLEARLY:
+        if name != "jump" and least_squares.compare_statistic(rival, jump) > least_squares.CLEARLY:
             return because("other", f"{MODELS[name]} explains the log better than a jump sensor")
     verdict = _by_residual(case)
     return verdict._replace(word="jump") if verdict.word == "dead_zone" else verdict
 
 
-def _unclear(chosen: OrderFit) -> Verdict | None:
+def _unclear(chosen: orders.OrderFit) -> Verdict | None:
     """That nothing can be said, and why; None where something can."""
     if chosen.share < LEAST:
         share = f"{100 * max(chosen.share, 0.0):.0f} %"
@@ -197,7 +187,7 @@ def _unclear(chosen: OrderFit) -> Verdict | None:
             " right columns? try more inputs, a higher --order, or a log with less disturbance"
         )
         return because("unclear", reason)
-    if at_limit(chosen):
+    if orders.at_limit(chosen):
         reason = (
             "the plant seems to integrate, or to ring longer than the record: its state at the"
             " start and an offset or a sine cannot be told apart; say --integrators 1 if it is the"
@@ -211,7 +201,7 @@ def _by_residual(case: Case) -> Verdict:
     """dead_zone, unless a curve over z^ explains what it leaves."""
     residuals = case.residuals
     curve = f"a curve over z^ explains {100 * residuals.share:.0f} % of what"
-    if is_strange(residuals.share, residuals.chance):
+    if least_squares.is_strange(residuals.share, residuals.chance):
         return because("other", f"{curve} a dead zone leaves: another nonlinearity")
     verdict = because("dead_zone")
     if residuals.strange:
@@ -249,7 +239,7 @@ def unmodelled(verdict: Verdict, fit: Fit) -> Verdict:
     if verdict.word == "other":
         return verdict
     share, chance, slope = cubic_share(fit)
-    if share < SPRING or chance > CHANCE:
+    if share < SPRING or chance > least_squares.CHANCE:
         return verdict
     how = "stiffer" if slope < 0 else "softer"
     words = (
@@ -293,7 +283,7 @@ def cubic_share(fit: Fit) -> tuple[float, float, float]:
         The share, p, and the coefficient of G z^3: negative for a spring that gets stiffer.
     """
     objective = fit.objective
-    value, use = innovations(fit, objective.data.ok)
+    value, use = orders.innovations(fit, objective.data.ok)
     slope = objective.simulator.gradient(fit.theta, fit.z)[:, objective.free]
     side = objective.data.side
     columns = np.column_stack([slope, 1.0 * (side > 0), -1.0 * (side < 0), _cube(fit)])
@@ -304,7 +294,7 @@ def cubic_share(fit: Fit) -> tuple[float, float, float]:
         return 0.0, 1.0, 0.0
     others, cube = rows[:, :-1], rows[:, -1]
     cube = cube - others @ np.linalg.lstsq(others, cube, rcond=1e-10)[0]
-    coefficients, _, share, chance = explained(cube[:, None], value[use])
+    coefficients, _, share, chance = least_squares.explained(cube[:, None], value[use])
     return share, chance, float(coefficients[0])
 
 

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from undeadzone.identification.models import plant
 from undeadzone.identification.models.elements import PlayFit, PlayModel, fit_both, fit_play
 from undeadzone.identification.models.estimates import DIRECTIONS, Interval, best_top, weighing
 from undeadzone.identification.models.kalman_fit import KalmanFit
@@ -25,13 +26,6 @@ from undeadzone.identification.models.least_squares import (
 from undeadzone.identification.models.likelihood import dead_zone
 from undeadzone.identification.models.motion import Offsets, along, white_noise
 from undeadzone.identification.models.place import PARTS, PlaceFit, PlaceStarts, Shape, fit_place
-from undeadzone.identification.models.plant import (
-    Ahead,
-    Data,
-    Simulator,
-    disturbance_ahead,
-    part_of,
-)
 from undeadzone.identification.models.play_gap import RUNS, Gap, find_gap
 from undeadzone.identification.models.zone_fit import Fit, longest_record, reduced
 from undeadzone.identification.verdict.delays import GLITCH, RARE
@@ -76,14 +70,14 @@ class Element(NamedTuple):
 
     kind: str
     fit: PlayFit | PlaceFit
-    simulator: Simulator
+    simulator: plant.Simulator
     theta: Floats
     V: Floats
     z: Floats
     readings: Floats
     side: Integers
     widths: dict[str, Interval | None]
-    ahead: Ahead | None
+    ahead: plant.Ahead | None
     noise: float
     degrees: float
     rms: float
@@ -137,7 +131,7 @@ def with_play(case: Case, found: Found) -> Found:
         logs = [case.recorded, case.data]
     plays = []
     for data in logs:
-        fits = fit_play(part_of(data), orders, case.options.integrators)
+        fits = fit_play(plant.part_of(data), orders, case.options.integrators)
         if fits and fits[0].density.value.size == case.rivals["none"].value.size:
             plays.append((_without_glitches(fits[0]), fits[1:], data))
     if not plays:
@@ -213,7 +207,7 @@ def is_there(interval: Interval) -> bool:
     return interval.low > 0 and interval.value > LEAST_GAP
 
 
-def _with_gap(case: Case, found: Found, gap: Gap, offsets: Offsets, whole: Data) -> Found:
+def _with_gap(case: Case, found: Found, gap: Gap, offsets: Offsets, whole: plant.Data) -> Found:
     """What is found with a play, and perhaps a dead zone, that beats every static map."""
     if not gap.fit.model.zone and not is_there(gap.intervals["width"]) and gap.sure:
         return found._replace(verdict=_no_gap(found.verdict, gap))
@@ -252,7 +246,7 @@ def _named(element: Element, offsets: Offsets) -> Verdict:
 # --- A play, and perhaps a dead zone after it
 
 
-def of_play(gap: Gap, whole: Data, offset: float | None) -> Element:
+def of_play(gap: Gap, whole: plant.Data, offset: float | None) -> Element:
     """The element of a play, and of the dead zone after it.
 
     Args:
@@ -294,7 +288,7 @@ def of_play(gap: Gap, whole: Data, offset: float | None) -> Element:
     return element
 
 
-def _of_all(gap: Gap, whole: Data) -> tuple[PlayModel, Floats]:
+def _of_all(gap: Gap, whole: plant.Data) -> tuple[PlayModel, Floats]:
     """The model of all records, and its numbers; at rest at first where a part was fitted."""
     old = gap.fit.model
     if old.data.y.size == whole.y.size:
@@ -363,12 +357,12 @@ def of_input_zone(fits: Sequence[Fit]) -> Element | None:
     return _of_input(min(tops, key=lambda one: one.density.bic), fits[0].objective.data)
 
 
-def _of_input(fit: PlaceFit, whole: Data) -> Element:
+def _of_input(fit: PlaceFit, whole: plant.Data) -> Element:
     """The element of a zone of the input; of the longest record, along all of them."""
     model, data, numbers = fit.model, fit.squares.data, fit.theta
     layout = model.simulator.layout
     passed = dead_zone(whole.u, *model.part(numbers, "input"))
-    simulator = Simulator(whole._replace(u=passed), model.n)
+    simulator = plant.Simulator(whole._replace(u=passed), model.n)
     theta = np.zeros(simulator.layout.size)
     theta[: layout.b.stop] = numbers[: layout.b.stop]
     z = simulator.z(theta)
@@ -393,7 +387,7 @@ def _of_input(fit: PlaceFit, whole: Data) -> Element:
         readings=z,
         side=np.sign(passed[:, 0]).astype(int),
         widths=widths,
-        ahead=disturbance_ahead(layout, numbers, fit.squares.residual(numbers), data.ok),
+        ahead=plant.disturbance_ahead(layout, numbers, fit.squares.residual(numbers), data.ok),
         noise=min(white_noise(data.y, data.ok, data.start), fit.density.rms),
         degrees=degrees,
         rms=fit.density.rms,
