@@ -14,8 +14,9 @@ from pathlib import Path
 
 import pytest
 
-from undeadzone.cli.common import LARGE, painted, wanted_table
+from undeadzone.cli.common import painted
 from undeadzone.cli.identify import identify
+from undeadzone.cli.output import LARGE, wanted_table
 from undeadzone.cli.watch import watch
 from undeadzone.support import shown
 

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import Output, common, origin, print_json
+from undeadzone.cli.common import origin, print_json
+from undeadzone.cli.output import Output, common
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:

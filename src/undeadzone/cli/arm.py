@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import PATH, Output, common, writable
+from undeadzone.cli.common import PATH, option, writable
+from undeadzone.cli.output import Output, common
 
 if TYPE_CHECKING:
     from undeadzone.plants.robots.survey import Survey
@@ -18,15 +19,13 @@ HEAD = ("joint", "moves", "from", "to", "speed", "torque", "to hold", "b", "f", 
 
 @click.command(epilog="Example: undeadzone arm panda.urdf --tip panda_hand --out panda")
 @click.argument("robot", type=PATH, metavar="ROBOT.urdf")
-@click.option("--tip", metavar="LINK", help="Link in which the arm ends.")
-@click.option(
+@option("--tip", "LINK", "Link in which the arm ends.")
+@option(
     "--joints",
-    metavar="NAME,...",
-    help="Joints that move, from base to tip (default: all; the others are fixed at 0).",
+    "NAME,...",
+    "Joints that move, from base to tip (default: all; the others are fixed at 0).",
 )
-@click.option(
-    "--at", metavar="Q1,...", help="Posture [rad or m] (default: 0, or the middle between limits)."
-)
+@option("--at", "Q1,...", "Posture [rad or m] (default: 0, or the middle between limits).")
 @common
 def arm(
     robot: Path,

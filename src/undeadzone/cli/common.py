@@ -1,4 +1,4 @@
-"""What the commands share: options, the progress bar, printing of numbers, tables of logs."""
+"""What the commands share: options, folders, printing of numbers and words."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ import shutil
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from functools import reduce, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -24,7 +23,6 @@ if TYPE_CHECKING:
     from undeadzone.report.html import Origin
     from undeadzone.results.info import LogInfo
 
-LARGE = 1e7  # [bytes] of a table of signals that is written unasked
 SCHEMA = 1  # of JSON: raised when a key goes or changes its meaning; keys may be added
 COLOURS = {"yes": "green", "ON TRUST": "yellow"}  # of verdicts; of others red
 # Where a cell begins, or after what is judged: right yes, left NO.
@@ -37,118 +35,30 @@ VERDICT = re.compile(
 
 PATH = click.Path(path_type=Path)
 
+
+def option(name: str, metavar: str, words: str, **more: Any) -> Callable[..., Any]:
+    """An option that takes a value; more: what click knows of it besides."""
+    return click.option(name, metavar=metavar, help=words, **more)
+
+
+def flag(name: str, words: str) -> Callable[..., Any]:
+    """An option that is given or not."""
+    return click.option(name, is_flag=True, help=words)
+
+
 # Options that several commands have
-csv_option = click.option(
-    "--csv",
-    "as_csv",
-    is_flag=True,
-    help=f"Write the table of signals too where it is larger than {LARGE / 1e6:g} MB.",
-)
-confined = click.option(
+confined = option(
     "--confine",
+    "DIR",
+    "Refuse files that the scenario names outside of DIR, as a service should.",
     type=PATH,
-    metavar="DIR",
-    help="Refuse files that the scenario names outside of DIR, as a service should.",
 )
-strict_option = click.option(
-    "--strict", is_flag=True, help="Stop at the first line that cannot be read."
-)
-columns_option = click.option(
+strict_option = flag("--strict", "Stop at the first line that cannot be read.")
+columns_option = option(
     "--columns",
-    metavar="y=NAME,u=NAME",
-    help="Columns by name or number: t=1,y=angle,u=voltage; several: y[0]=a,y[1]=b.",
+    "y=NAME,u=NAME",
+    "Columns by name or number: t=1,y=angle,u=voltage; several: y[0]=a,y[1]=b.",
 )
-OUTPUTS = (
-    click.option("--no-figures", is_flag=True, help="Compute only; draw nothing."),
-    click.option(
-        "--json",
-        "as_json",
-        is_flag=True,
-        help="Print one JSON object on stdout and nothing else there.",
-    ),
-    click.option(
-        "--out",
-        type=PATH,
-        metavar="DIR",
-        help="Folder for the files written (made if missing).",
-    ),
-)
-
-
-class Output(NamedTuple):
-    """What a command does with its result.
-
-    Attributes:
-        out: folder that --out names; None: the command's own.
-        as_json: whether one JSON object is printed.
-        figures: whether figures and a page are drawn.
-    """
-
-    out: Path | None
-    as_json: bool
-    figures: bool
-
-    def folder(self, default: str) -> Path | None:
-        """The folder for the files written; None: nothing is written.
-
-        Called before the computation, so that a folder in which nothing can be written is noticed
-        then.
-
-        Args:
-            default: name of the folder without --out.
-
-        Raises:
-            FileError: nothing can be written there.
-        """
-        if self.out is None and not self.figures:
-            return None
-        folder = writable(self.out or Path(default))
-        if self.figures:
-            prepare_figures()
-        return folder
-
-    def show(
-        self,
-        numbers: Callable[[], Mapping[str, Any]],
-        blocks: Callable[[], Sequence[Block]],
-        written: Sequence[Path],
-        last: Mapping[str, Any] | None = None,
-    ) -> None:
-        """Print a result as one JSON object, or in words.
-
-        Args:
-            numbers: gives the object.
-            blocks: gives the words.
-            written: the files.
-            last: lines at the end of the words; None: those that name the files.
-        """
-        if self.as_json:
-            print_json(numbers(), written)
-        else:
-            print_blocks(blocks(), named_files(written) if last is None else last)
-
-
-def common(command: Callable[..., int]) -> Callable[..., int]:
-    """Add --out, --json and --no-figures, which the command gets as one `Output`."""
-
-    @wraps(command)
-    def given(out: Path | None, as_json: bool, no_figures: bool, **options: Any) -> int:
-        return command(output=Output(out, as_json, not no_figures), **options)
-
-    return reduce(lambda made, option: option(made), OUTPUTS, given)
-
-
-def wanted_table(as_csv: bool, size: float, name: str) -> tuple[bool, dict[str, str]]:
-    """Whether a table of signals is written, and else the line that says so.
-
-    Args:
-        as_csv: whether --csv is given.
-        size: of the table [bytes].
-        name: of its file.
-    """
-    if as_csv or size <= LARGE:
-        return True, {}
-    return False, {"left out": f"{name}, about {size / 1e6:.0f} MB: --csv writes it"}
 
 
 def origin(path: Path | None, seed: int | None = None) -> Origin:
@@ -168,42 +78,12 @@ def origin(path: Path | None, seed: int | None = None) -> Origin:
     return Origin(shlex.join(["undeadzone", *sys.argv[1:]]), text, seed)
 
 
-def prepare_figures() -> None:
-    """Let figures look the same in every folder; called before the first is drawn."""
-    from undeadzone.report.style import own_settings
-
-    own_settings()
-
-
 def writable(folder: Path) -> Path:
     """The folder. Raises FileError where nothing can be written."""
     from undeadzone.support.files import require_folder
 
     require_folder(folder)
     return folder
-
-
-def partial_file(folder: Path | None, name: str, resume: bool) -> Path | None:
-    """Where a search is kept until it is done; None: nowhere.
-
-    Args:
-        folder: of what it writes; None: it writes nothing.
-        name: of the file that it writes at its end.
-        resume: whether --resume is given.
-
-    Raises:
-        click.UsageError: there is nothing to resume.
-    """
-    if folder is not None:
-        return folder / f"{name}.partial"
-    if resume:
-        raise click.UsageError("--resume needs the folder that was written to; name it with --out")
-    return None
-
-
-def named_files(written: Sequence[Path]) -> dict[str, Any]:
-    """The line that names the files written, for `print_blocks`; nothing where there are none."""
-    return {"written": ", ".join(map(str, written))} if written else {}
 
 
 def print_json(value: Mapping[str, Any], written: Sequence[Path] | None = None) -> None:

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import PATH, Output, common, confined, named_files, origin
+from undeadzone.cli.common import PATH, confined, option, origin
+from undeadzone.cli.output import Output, common, named_files
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
@@ -48,11 +49,11 @@ def powers(
     type=click.Choice(["knee", "rate"]),
     help="The knee of the front of rate, disturbance and noise (default), or the rate alone.",
 )
-@click.option(
+@option(
     "--weights",
+    "D,M,N",
+    "Instead: maximise rate / (disturbance^D mismatch^M noise^N).",
     callback=powers,
-    metavar="D,M,N",
-    help="Instead: maximise rate / (disturbance^D mismatch^M noise^N).",
 )
 @click.option(
     "--margin",

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import PATH, Output, common, confined, origin, prepare_figures, writable
+from undeadzone.cli.common import PATH, confined, flag, option, origin, writable
+from undeadzone.cli.output import Output, common, prepare_figures
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
@@ -17,29 +18,18 @@ if TYPE_CHECKING:
 
 @click.command(epilog="Example: undeadzone ensemble examples/ensemble.toml --out study")
 @click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
-@click.option("--runs", type=int, metavar="N", help="How many (default: [ensemble] runs, 10000).")
-@click.option(
-    "--resume",
-    is_flag=True,
-    help="Compute what an interrupted command left to do in DIR; the bits are the same.",
+@option("--runs", "N", "How many (default: [ensemble] runs, 10000).", type=int)
+@flag("--resume", "Compute what an interrupted command left to do in DIR; the bits are the same.")
+@option(
+    "--workers", "N", "Compute on N processes of this computer; the bits are the same.", type=int
 )
-@click.option(
-    "--workers",
-    type=int,
-    metavar="N",
-    help="Compute on N processes of this computer; the bits are the same.",
-)
-@click.option(
+@option(
     "--cluster",
-    metavar="ADDRESS",
-    help="Compute on the Dask cluster whose scheduler is there, such as tcp://10.0.0.1:8786 "
+    "ADDRESS",
+    "Compute on the Dask cluster whose scheduler is there, such as tcp://10.0.0.1:8786 "
     "(needs the extra dask; docs/security.md says what is trusted).",
 )
-@click.option(
-    "--parquet",
-    is_flag=True,
-    help="Write runs.parquet instead of runs.npz (needs the extra parquet).",
-)
+@flag("--parquet", "Write runs.parquet instead of runs.npz (needs the extra parquet).")
 @confined
 @common
 def ensemble(

@@ -6,19 +6,8 @@ from pathlib import Path
 
 import click
 
-from undeadzone.cli.common import (
-    PATH,
-    Output,
-    columns_option,
-    common,
-    confined,
-    csv_option,
-    exit_code,
-    named_files,
-    origin,
-    strict_option,
-    wanted_table,
-)
+from undeadzone.cli.common import PATH, columns_option, confined, exit_code, origin, strict_option
+from undeadzone.cli.output import Output, common, csv_option, named_files, wanted_table
 from undeadzone.support.progress import on_terminal as progress
 
 

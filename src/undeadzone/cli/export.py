@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import PATH, confined, print_blocks, print_json
+from undeadzone.cli.common import PATH, confined, flag, option, print_blocks, print_json
 
 if TYPE_CHECKING:
     from undeadzone.support.shown import Block
@@ -16,35 +16,26 @@ if TYPE_CHECKING:
 
 @click.command(epilog="Example: undeadzone export mine.toml --to c --out firmware --check")
 @click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
-@click.option(
-    "--to", default="c", metavar="WHAT", help="c (default), arduino, fmu2, fmu3, python or page."
-)
-@click.option(
+@option("--to", "WHAT", "c (default), arduino, fmu2, fmu3, python or page.", default="c")
+@option(
     "--out",
-    type=PATH,
-    metavar="DIR",
-    help="Folder for the files (default: firmware; with --check alone, none); of a page, the file "
+    "DIR",
+    "Folder for the files (default: firmware; with --check alone, none); of a page, the file "
     "(default: live.html).",
+    type=PATH,
 )
-@click.option(
-    "--precision",
-    metavar="P",
-    help="single (default of c and arduino) or double (default of the others).",
-)
-@click.option(
-    "--part", default="observer", metavar="PART", help="observer (default) or observer+controller."
-)
-@click.option(
+@option("--precision", "P", "single (default of c and arduino) or double (default of the others).")
+@option("--part", "PART", "observer (default) or observer+controller.", default="observer")
+@option(
     "--tunable",
+    "NAME",
+    "A number that stays a parameter, such as observer.gamma; may be repeated.",
     multiple=True,
-    metavar="NAME",
-    help="A number that stays a parameter, such as observer.gamma; may be repeated.",
 )
-@click.option("--name", metavar="NAME", help="What every symbol begins with.")
-@click.option(
+@option("--name", "NAME", "What every symbol begins with.")
+@flag(
     "--check",
-    is_flag=True,
-    help="Build the self-test with this computer's compiler, run it, print the accuracy table.",
+    "Build the self-test with this computer's compiler, run it, print the accuracy table.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the report as one JSON object.")
 @confined

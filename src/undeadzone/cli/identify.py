@@ -7,16 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import (
-    Output,
-    columns_option,
-    common,
-    named_files,
-    origin,
-    partial_file,
-    strict_option,
-    writable,
-)
+from undeadzone.cli.common import columns_option, flag, option, origin, strict_option, writable
+from undeadzone.cli.output import Output, common, named_files, partial_file
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
@@ -41,12 +33,10 @@ if TYPE_CHECKING:
 @click.option("--zero", default=0.0, help="What the sensor reads inside its zone.")
 @click.option("--integrators", default=0, help="Poles of the plant at 0: 1 for a motor's position.")
 @click.option("--threshold", type=float, help="|y| up to which y is silent.")
-@click.option("--resample", type=float, metavar="STEP", help="Step [s] to put on.")
+@option("--resample", "STEP", "Step [s] to put on.", type=float)
 @columns_option
 @strict_option
-@click.option(
-    "--resume", is_flag=True, help="Continue where it was stopped, from DIR/identify.json.partial."
-)
+@flag("--resume", "Continue where it was stopped, from DIR/identify.json.partial.")
 @common
 def identify(
     logs: tuple[Path, ...],

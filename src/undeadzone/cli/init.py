@@ -14,7 +14,8 @@ from typing import Any, Final
 import click
 
 import undeadzone
-from undeadzone.cli.common import PATH, Output, common, print_blocks, print_json, say
+from undeadzone.cli.common import PATH, flag, option, print_blocks, print_json, say
+from undeadzone.cli.output import Output, common
 from undeadzone.errors import FileError, InputError
 from undeadzone.support.files import read_text
 
@@ -26,13 +27,11 @@ OTHERS: Final = {
 
 @click.command(epilog="Example: undeadzone init mine.toml && undeadzone run mine.toml")
 @click.argument("file", type=PATH, default=None, metavar="[FILE]")
-@click.option(
-    "--example",
-    metavar="NAME",
-    help="Write an example, with the files that it names, in place of the template.",
+@option(
+    "--example", "NAME", "Write an example, with the files that it names, in place of the template."
 )
 @click.option("--list", "as_list", is_flag=True, help="List the examples and write nothing.")
-@click.option("--force", is_flag=True, help="Replace files that exist.")
+@flag("--force", "Replace files that exist.")
 @common
 def init(
     file: Path | None,

@@ -7,17 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import (
-    PATH,
+from undeadzone.cli.common import PATH, confined, option, origin, writable
+from undeadzone.cli.output import (
     Output,
     common,
-    confined,
     csv_option,
     named_files,
-    origin,
     prepare_figures,
     wanted_table,
-    writable,
 )
 from undeadzone.support.progress import on_terminal as progress
 
@@ -33,17 +30,14 @@ OF_ENSEMBLE = (".npz", ".parquet")  # files that hold runs, no scenario
     epilog="Example: undeadzone init mine.toml && undeadzone run mine.toml --out results"
 )
 @click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
-@click.option(
+@option(
     "--replay",
+    "NUMBER",
+    "Show a run of an ensemble, whose file stands for SCENARIO.toml.",
     type=int,
-    metavar="NUMBER",
-    help="Show a run of an ensemble, whose file stands for SCENARIO.toml.",
 )
-@click.option(
-    "--animation",
-    type=PATH,
-    metavar="FILE",
-    help="Write an arm's motion as .gif (or .mp4, with ffmpeg) too.",
+@option(
+    "--animation", "FILE", "Write an arm's motion as .gif (or .mp4, with ffmpeg) too.", type=PATH
 )
 @csv_option
 @confined

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import PATH, Output, common, confined, origin, partial_file
+from undeadzone.cli.common import PATH, confined, flag, option, origin
+from undeadzone.cli.output import Output, common, partial_file
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
@@ -20,15 +21,13 @@ if TYPE_CHECKING:
     "&& undeadzone run tuned/tuned.toml"
 )
 @click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
-@click.option(
+@option(
     "--over",
+    "ADDRESS=LOW:HIGH[:log]",
+    "Tune this number too, or within these bounds; may be given several times.",
     multiple=True,
-    metavar="ADDRESS=LOW:HIGH[:log]",
-    help="Tune this number too, or within these bounds; may be given several times.",
 )
-@click.option(
-    "--metric", metavar="NAME", help="What is made small (default: [tune] metric, rms_tracking)."
-)
+@option("--metric", "NAME", "What is made small (default: [tune] metric, rms_tracking).")
 @click.option(
     "--statistic",
     type=click.Choice(["mean", "median", "p95", "worst"]),
@@ -37,20 +36,10 @@ if TYPE_CHECKING:
 @click.option(
     "--certified", is_flag=True, default=None, help="Keep the observer's gains certified."
 )
-@click.option(
-    "--runs", type=int, metavar="N", help="Runs of each candidate (default: [tune] runs, 64)."
-)
-@click.option(
-    "--budget", type=int, metavar="N", help="Candidates tried in all (default: [tune] budget, 200)."
-)
-@click.option(
-    "--seed", type=int, metavar="N", help="Of the runs and the search (default: [tune] seed)."
-)
-@click.option(
-    "--resume",
-    is_flag=True,
-    help="Continue a search that was stopped, from DIR/tuned.toml.partial.",
-)
+@option("--runs", "N", "Runs of each candidate (default: [tune] runs, 64).", type=int)
+@option("--budget", "N", "Candidates tried in all (default: [tune] budget, 200).", type=int)
+@option("--seed", "N", "Of the runs and the search (default: [tune] seed).", type=int)
+@flag("--resume", "Continue a search that was stopped, from DIR/tuned.toml.partial.")
 @confined
 @common
 def tune(

@@ -1,0 +1,138 @@
+"""What a command does with its result: it writes files, and prints one JSON object or words."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import reduce, wraps
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import click
+
+from undeadzone.cli.common import PATH, flag, option, print_blocks, print_json, writable
+from undeadzone.support.shown import Block
+
+LARGE = 1e7  # [bytes] of a table of signals that is written unasked
+
+csv_option = click.option(
+    "--csv",
+    "as_csv",
+    is_flag=True,
+    help=f"Write the table of signals too where it is larger than {LARGE / 1e6:g} MB.",
+)
+OUTPUTS = (
+    flag("--no-figures", "Compute only; draw nothing."),
+    click.option(
+        "--json",
+        "as_json",
+        is_flag=True,
+        help="Print one JSON object on stdout and nothing else there.",
+    ),
+    option("--out", "DIR", "Folder for the files written (made if missing).", type=PATH),
+)
+
+
+class Output(NamedTuple):
+    """What a command does with its result.
+
+    Attributes:
+        out: folder that --out names; None: the command's own.
+        as_json: whether one JSON object is printed.
+        figures: whether figures and a page are drawn.
+    """
+
+    out: Path | None
+    as_json: bool
+    figures: bool
+
+    def folder(self, default: str) -> Path | None:
+        """The folder for the files written; None: nothing is written.
+
+        Called before the computation, so that a folder in which nothing can be written is noticed
+        then.
+
+        Args:
+            default: name of the folder without --out.
+
+        Raises:
+            FileError: nothing can be written there.
+        """
+        if self.out is None and not self.figures:
+            return None
+        folder = writable(self.out or Path(default))
+        if self.figures:
+            prepare_figures()
+        return folder
+
+    def show(
+        self,
+        numbers: Callable[[], Mapping[str, Any]],
+        blocks: Callable[[], Sequence[Block]],
+        written: Sequence[Path],
+        last: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Print a result as one JSON object, or in words.
+
+        Args:
+            numbers: gives the object.
+            blocks: gives the words.
+            written: the files.
+            last: lines at the end of the words; None: those that name the files.
+        """
+        if self.as_json:
+            print_json(numbers(), written)
+        else:
+            print_blocks(blocks(), named_files(written) if last is None else last)
+
+
+def common(command: Callable[..., int]) -> Callable[..., int]:
+    """Add --out, --json and --no-figures, which the command gets as one `Output`."""
+
+    @wraps(command)
+    def given(out: Path | None, as_json: bool, no_figures: bool, **options: Any) -> int:
+        return command(output=Output(out, as_json, not no_figures), **options)
+
+    return reduce(lambda made, option: option(made), OUTPUTS, given)
+
+
+def wanted_table(as_csv: bool, size: float, name: str) -> tuple[bool, dict[str, str]]:
+    """Whether a table of signals is written, and else the line that says so.
+
+    Args:
+        as_csv: whether --csv is given.
+        size: of the table [bytes].
+        name: of its file.
+    """
+    if as_csv or size <= LARGE:
+        return True, {}
+    return False, {"left out": f"{name}, about {size / 1e6:.0f} MB: --csv writes it"}
+
+
+def partial_file(folder: Path | None, name: str, resume: bool) -> Path | None:
+    """Where a search is kept until it is done; None: nowhere.
+
+    Args:
+        folder: of what it writes; None: it writes nothing.
+        name: of the file that it writes at its end.
+        resume: whether --resume is given.
+
+    Raises:
+        click.UsageError: there is nothing to resume.
+    """
+    if folder is not None:
+        return folder / f"{name}.partial"
+    if resume:
+        raise click.UsageError("--resume needs the folder that was written to; name it with --out")
+    return None
+
+
+def prepare_figures() -> None:
+    """Let figures look the same in every folder; called before the first is drawn."""
+    from undeadzone.report.style import own_settings
+
+    own_settings()
+
+
+def named_files(written: Sequence[Path]) -> dict[str, Any]:
+    """The line that names the files written, for `print_blocks`; nothing where there are none."""
+    return {"written": ", ".join(map(str, written))} if written else {}
