@@ -14,7 +14,12 @@ from scipy.linalg import expm
 
 from scenes import PAPER_PLANT, random_plant, scene, table
 from undeadzone.analysis.error_dynamics import pattern
-from undeadzone.analysis.identifiability.information import Colour, deviations, information
+from undeadzone.analysis.identifiability.information import (
+    Colour,
+    Readings,
+    deviations,
+    information,
+)
 from undeadzone.analysis.identifiability.linear import (
     DIRECTIONS,
     Verdict,
@@ -243,7 +248,9 @@ def test_deviations_are_those_of_the_brute_force_gramian(bias: bool) -> None:
         sensor={"left": 0.7}, simulation={"time": "sampled", "step": 2e-2, "duration": 3.0}
     )
     linear, schedule = plan(scenario)
-    found = deviations(linear, schedule, np.array([0.05]), 2e-2, 3.0, linear.B if bias else None)
+    found = deviations(
+        linear, schedule, Readings(np.array([0.05]), 2e-2, 3.0, bias=linear.B if bias else None)
+    )
     run = simulate(
         scene(
             sensor={"left": 0.7},
@@ -298,7 +305,7 @@ def test_deviations_with_process_noise_are_those_of_a_kalman_filter() -> None:
     linear, schedule = plan(scenario)
     Q = np.zeros((4, 4))
     Q[:2, :2] = 0.3 * linear.B @ linear.B.T
-    found = deviations(linear, schedule, np.array([0.05]), 2e-2, 6.0, process=Q[:2, :2])
+    found = deviations(linear, schedule, Readings(np.array([0.05]), 2e-2, 6.0, process=Q[:2, :2]))
     F, P = np.eye(4), 1e6 * np.eye(4)
     F[:2, :2] = linear.A
     for side in np.tile(np.repeat(schedule.sides[:, 0], schedule.spans.astype(int)), 6):
@@ -317,17 +324,16 @@ def test_deviations_with_process_noise_are_those_of_a_kalman_filter() -> None:
 def test_continuous_and_sampled_deviations_agree_for_short_samples() -> None:
     for process in (None, 0.2 * PAPER_PLANT.linear.B @ PAPER_PLANT.linear.B.T):
         linear, schedule = plan(scene(sensor={"left": 0.7}))
-        one = deviations(linear, schedule, np.array([0.05]), 1e-3, 10.0, process=process)
+        one = deviations(linear, schedule, Readings(np.array([0.05]), 1e-3, 10.0, process=process))
         linear, schedule = plan(
             scene(sensor={"left": 0.7}, simulation={"time": "sampled", "step": 1e-3})
         )
         other = deviations(
             linear,
             schedule,
-            np.array([0.05]),
-            1e-3,
-            10.0,
-            process=None if process is None else process * 1e-3,
+            Readings(
+                np.array([0.05]), 1e-3, 10.0, process=None if process is None else process * 1e-3
+            ),
         )
         assert [one.widths[0][name] for name in DIRECTIONS] == pytest.approx(
             [other.widths[0][name] for name in DIRECTIONS], rel=0.02
@@ -338,7 +344,7 @@ def test_fast_and_slow_poles_over_a_long_run_do_not_overflow() -> None:
     linear, schedule = plan(
         scene(plant={"A": [[-0.05, 0.0], [0.0, -400.0]], "B": [[1.0], [400.0]], "C": [[1.0, 1.0]]})
     )
-    found = deviations(linear, schedule, np.array([0.05]), 1e-3, 1e4)
+    found = deviations(linear, schedule, Readings(np.array([0.05]), 1e-3, 1e4))
     assert 0 < found.widths[0]["centre"] < 1.0
 
 
@@ -350,7 +356,9 @@ def test_a_disturbance_beside_exact_readings_is_that_of_a_square_root_filter(noi
     """
     linear, schedule = plan(scene())
     process = linear.B @ linear.B.T
-    (found,) = deviations(linear, schedule, np.array([noise]), 1e-3, 10.0, process=process).widths
+    (found,) = deviations(
+        linear, schedule, Readings(np.array([noise]), 1e-3, 10.0, process=process)
+    ).widths
     h, F = 5e-3, np.zeros((4, 4))
     F[:2, :2] = linear.A
     Phi, root, spread = expm(F * h), 10.0 * np.eye(4), np.zeros((4, 1))
@@ -373,9 +381,13 @@ def test_a_disturbance_beside_exact_readings_is_that_of_a_square_root_filter(noi
 
 def test_noise_widens_in_proportion_and_time_narrows_as_its_root() -> None:
     linear, schedule = plan(scene())
-    one = deviations(linear, schedule, np.array([0.05]), 1e-3, 100.0).widths[0]["width"]
-    noisier = deviations(linear, schedule, np.array([0.1]), 1e-3, 100.0).widths[0]["width"]
-    longer = deviations(linear, schedule, np.array([0.05]), 1e-3, 400.0).widths[0]["width"]
+    one = deviations(linear, schedule, Readings(np.array([0.05]), 1e-3, 100.0)).widths[0]["width"]
+    noisier = deviations(linear, schedule, Readings(np.array([0.1]), 1e-3, 100.0)).widths[0][
+        "width"
+    ]
+    longer = deviations(linear, schedule, Readings(np.array([0.05]), 1e-3, 400.0)).widths[0][
+        "width"
+    ]
     assert noisier == pytest.approx(2 * one, rel=1e-9)
     assert longer == pytest.approx(one / 2, rel=0.02)
 
@@ -576,9 +588,9 @@ def test_a_slow_random_disturbance_is_no_worse_than_an_offset_of_its_rms() -> No
     noise, random = np.array([0.01]), 0.1
     for correlation_time in (1.0, 1e2, 1e4):
         colour = Colour(model.B, np.array([random]), correlation_time)
-        coloured = deviations(model, schedule, noise, 1e-2, 20.0, colour=colour).widths[0]
+        coloured = deviations(model, schedule, Readings(noise, 1e-2, 20.0, colour=colour)).widths[0]
         white = 2 * random**2 * correlation_time * model.B @ model.B.T
-        stand_in = deviations(model, schedule, noise, 1e-2, 20.0, None, white).widths[0]
+        stand_in = deviations(model, schedule, Readings(noise, 1e-2, 20.0, process=white)).widths[0]
         assert coloured["centre"] <= 2 * random * 1.001
         assert coloured["centre"] <= stand_in["centre"] * 1.001
     assert coloured["centre"] == pytest.approx(2 * random, rel=1e-2)
@@ -590,8 +602,8 @@ def test_a_fast_random_disturbance_is_white() -> None:
     noise, random, correlation_time = np.array([0.01]), 1.0, 1e-3
     colour = Colour(model.B, np.array([random]), correlation_time)
     white = 2 * random**2 * correlation_time * model.B @ model.B.T
-    coloured = deviations(model, schedule, noise, 1e-2, 20.0, colour=colour).widths[0]
-    stand_in = deviations(model, schedule, noise, 1e-2, 20.0, None, white).widths[0]
+    coloured = deviations(model, schedule, Readings(noise, 1e-2, 20.0, colour=colour)).widths[0]
+    stand_in = deviations(model, schedule, Readings(noise, 1e-2, 20.0, process=white)).widths[0]
     for name in ("right", "centre"):
         assert coloured[name] == pytest.approx(stand_in[name], rel=0.01)
 
@@ -604,6 +616,8 @@ def test_a_sampled_random_disturbance_is_the_continuous_one() -> None:
         B = model.B
         colour = Colour(B, np.array([0.3]), 0.2)
         noise = np.array([0.01])
-        found.append(deviations(model, schedule, noise, 0.01, 20.0, colour=colour).widths[0])
+        found.append(
+            deviations(model, schedule, Readings(noise, 0.01, 20.0, colour=colour)).widths[0]
+        )
     for name in ("right", "width", "centre"):
         assert found[1][name] == pytest.approx(found[0][name], rel=0.03)

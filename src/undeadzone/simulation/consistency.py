@@ -36,8 +36,9 @@ class Verdict(NamedTuple):
             usual.
         square: mean square of the normalised innovations that were not refused; 1 is usual.
         used: how many readings corrected the estimate.
-        refused: how many readings were taken for wrong, or lie beyond 4.5 standard deviations.
-        outside: how many readings are silent although z^ lies far outside the estimated zone.
+        glitches: how many readings were taken for wrong, or lie beyond 4.5 standard deviations.
+        silent_outside: how many readings are silent although z^ lies far outside the estimated
+            zone.
         reasons: why not, or why there is no answer, in words; empty if it is consistent.
     """
 
@@ -45,8 +46,8 @@ class Verdict(NamedTuple):
     B: float | None
     square: float | None
     used: int
-    refused: int
-    outside: int
+    glitches: int
+    silent_outside: int
     reasons: list[str]
 
 

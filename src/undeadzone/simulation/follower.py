@@ -187,13 +187,6 @@ class Follower:
             d_right_std=None if stds is None else stds[:p].tolist(),
             d_left_std=None if stds is None else stds[p:].tolist(),
             adapts=self.observer.traits.adapts,
-            consistent=verdict.consistent,
-            B=verdict.B,
-            square=verdict.square,
-            used=verdict.used,
-            glitches=verdict.refused,
-            silent_outside=verdict.outside,
-            reasons=verdict.reasons,
             threshold=self.zone.threshold.tolist(),
             uncertain=list(self.observer.traits.uncertain),
             joints=[] if self.model.arm is None else list(self.model.arm.chain.joints),
@@ -202,6 +195,7 @@ class Follower:
             sensor=self.zone.kind,
             play=final(of_estimate(last_row), "c_hat", "c_std", "gap_std"),
             remarks=self._remarks(),
+            **verdict._asdict(),
         )
 
     def _remarks(self) -> list[str]:

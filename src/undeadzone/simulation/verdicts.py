@@ -13,14 +13,15 @@ import numpy as np
 from undeadzone.analysis.identifiability.beforehand import beforehand
 from undeadzone.analysis.identifiability.both_ends import both_ends, modes_visited
 from undeadzone.analysis.identifiability.edges import MARGIN, largest_deviations, vague
-from undeadzone.analysis.identifiability.information import EXACT, SMALLEST, Colour, deviations
-from undeadzone.analysis.identifiability.linear import (
-    DIRECTIONS,
-    Verdict,
-    unknown_bias,
-    verdicts,
+from undeadzone.analysis.identifiability.information import (
+    EXACT,
+    SMALLEST,
+    Colour,
+    Readings,
+    deviations,
 )
-from undeadzone.analysis.identifiability.play_and_zone import Readings, Told, told_of_both
+from undeadzone.analysis.identifiability.linear import DIRECTIONS, Verdict, unknown_bias, verdicts
+from undeadzone.analysis.identifiability.play_and_zone import Told, told_of_both
 from undeadzone.analysis.side_schedule import Schedule, reading_levels
 from undeadzone.ends.gaps import gaps_of
 from undeadzone.interfaces import Traits
@@ -51,37 +52,18 @@ def linear_verdicts(problem: Problem, schedule: Schedule, arrive: Floats) -> lis
         return verdicts(linear, schedule, bias, jump=True)
     if sensor.play is not None:
         return [one.zone for one in verdicts_of_both(problem, schedule, arrive)]
-    alone = _with_deviations(problem, schedule, arrive, bias, None)
-    traits = problem.observer.traits
-    least = EXACT * float(schedule.levels.max(initial=0.0)) or SMALLEST
-    n, p = problem.model.n, problem.model.p
-    told = beforehand(n, p, traits.start_std, traits.centre_std, least)
-    if not len(told):
+    readings = readings_of(problem, schedule, arrive)
+    alone = _with_deviations(problem, schedule, readings._replace(told=None))
+    if readings.told is None:
         return alone
-    claimed = _with_deviations(problem, schedule, arrive, bias, told)
-    return [by_claims(traits, *pair) for pair in zip(alone, claimed, strict=True)]
+    claimed = _with_deviations(problem, schedule, readings)
+    return [by_claims(problem.observer.traits, *pair) for pair in zip(alone, claimed, strict=True)]
 
 
-def _with_deviations(
-    problem: Problem,
-    schedule: Schedule,
-    arrive: Floats,
-    bias: Floats | None,
-    told: Floats | None,
-) -> list[Verdict]:
-    """Verdicts on a linear plant, `told` what is known beforehand."""
-    linear, sensor, simulation = problem.model.linear, problem.sensor, problem.scenario.simulation
-    expected = deviations(
-        linear,
-        schedule,
-        sensor.rms,
-        simulation.step,
-        simulation.duration,
-        bias,
-        arrive=arrive,
-        colour=_colour(problem.model, problem.scenario.disturbance),
-        told=told,
-    ).widths
+def _with_deviations(problem: Problem, schedule: Schedule, readings: Readings) -> list[Verdict]:
+    """Verdicts with the deviations of the widths, from the readings and what is told."""
+    linear, bias, told = problem.model.linear, readings.bias, readings.told
+    expected = deviations(linear, schedule, readings).widths
     judged = []
     for i, verdict in enumerate(verdicts(linear, schedule, bias, told=told)):
         judged.append(as_far_as_known(problem, schedule, verdict, i, expected[i]))
@@ -92,7 +74,7 @@ def verdicts_of_both(problem: Problem, schedule: Schedule, arrive: Floats) -> li
     """What the readings behind a play and a dead zone tell; arguments as of `linear_verdicts`."""
     judged, play = [], problem.sensor.play
     assert play is not None
-    readings = readings_of_both(problem, schedule, arrive)
+    readings = readings_of(problem, schedule, arrive)
     for i, told in enumerate(told_of_both(problem.model.linear, schedule, readings)):
         assert told.zone.std is not None
         zone = as_far_as_known(problem, schedule, told.zone, i, told.zone.std)
@@ -106,10 +88,11 @@ def verdicts_of_both(problem: Problem, schedule: Schedule, arrive: Floats) -> li
     return judged
 
 
-def readings_of_both(problem: Problem, schedule: Schedule, arrive: Floats) -> Readings:
-    """What tells of a play and a dead zone; arguments as of `linear_verdicts`."""
+def readings_of(problem: Problem, schedule: Schedule, arrive: Floats) -> Readings:
+    """What tells of the widths; arguments as of `linear_verdicts`."""
     simulation, traits, model = problem.scenario.simulation, problem.observer.traits, problem.model
     least = EXACT * float(schedule.levels.max(initial=0.0)) or SMALLEST
+    told = beforehand(model.n, model.p, traits.start_std, traits.centre_std, least)
     return Readings(
         noise=problem.sensor.rms,
         step=simulation.step,
@@ -117,7 +100,7 @@ def readings_of_both(problem: Problem, schedule: Schedule, arrive: Floats) -> Re
         arrive=arrive,
         bias=constant_inputs(problem, model.linear.B),
         colour=_colour(model, problem.scenario.disturbance),
-        told=beforehand(model.n, model.p, traits.start_std, traits.centre_std, least),
+        told=told if len(told) else None,
         gaps_known=gaps_known(problem),
     )
 

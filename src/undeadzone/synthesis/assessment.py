@@ -24,11 +24,7 @@ from undeadzone.analysis.convergence.trajectories import (
 )
 from undeadzone.analysis.error_dynamics import Dynamics, Storage
 from undeadzone.analysis.identifiability.edges import Cure, reaching
-from undeadzone.analysis.identifiability.linear import (
-    DIRECTIONS,
-    cures,
-    invisible,
-)
+from undeadzone.analysis.identifiability.linear import DIRECTIONS, cures, invisible
 from undeadzone.analysis.identifiability.play_and_zone import states_told
 from undeadzone.analysis.side_schedule import Schedule, arriving, planned, recorded
 from undeadzone.controllers.state_feedback import StateFeedback
@@ -41,7 +37,7 @@ from undeadzone.simulation.verdicts import (
     constant_inputs,
     gaps_known,
     linear_verdicts,
-    readings_of_both,
+    readings_of,
     with_false_claims,
 )
 from undeadzone.support.arrays import Floats
@@ -286,7 +282,7 @@ def determined(problem: Problem, schedule: Schedule) -> list[bool]:
     if model.nonlinear:
         return []
     if problem.sensor.play is not None:
-        readings = readings_of_both(problem, schedule, np.ones(model.p))
+        readings = readings_of(problem, schedule, np.ones(model.p))
         return states_told(model.linear, schedule, readings)
     bias = constant_inputs(problem, model.linear.B)
     hidden = invisible(model.linear, schedule.visited(model.n), schedule.Ts, bias, jump)

@@ -15,12 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.analysis.certificate.weights import Weights, best_weights, margin
-from undeadzone.analysis.dissipation import (
-    NOTHING,
-    Check,
-    check,
-    storage,
-)
+from undeadzone.analysis.dissipation import NOTHING, Check, check, storage
 from undeadzone.analysis.error_dynamics import (
     Dynamics,
     Storage,

@@ -64,33 +64,43 @@ class Deviations(NamedTuple):
     information: Floats
 
 
-def deviations(
-    linear: Matrices,
-    schedule: Schedule,
-    noise: Floats,
-    step: float,
-    duration: float,
-    bias: Floats | None = None,
-    process: Floats | None = None,
-    arrive: Floats | None = None,
-    colour: Colour | None = None,
-    told: Floats | None = None,
-) -> Deviations:
+class Readings(NamedTuple):
+    """What tells of the widths.
+
+    Attributes:
+        noise: rms of the noise of z (p).
+        step: time between two readings [s].
+        duration: for how long there are readings [s].
+        arrive: share of each output's readings that arrive (p); None: all of them.
+        bias: directions (n x b) of unknown constant inputs; None: there is none.
+        colour: a random input with its own states, which come after x and start at its own rms;
+            None: there is none.
+        told: what is known beforehand of [x(0); d] (k x n + 2p, `beforehand`); None: nothing.
+        gaps_known: whether the gaps of a play ahead of the zone are.
+        process: covariance (n x n) of white process noise, per second, or per step if the schedule
+            is sampled; None: there is none.
+    """
+
+    noise: Floats
+    step: float
+    duration: float
+    arrive: Floats | None = None
+    bias: Floats | None = None
+    colour: Colour | None = None
+    told: Floats | None = None
+    gaps_known: bool = False
+    process: Floats | None = None
+
+
+def deviations(linear: Matrices, schedule: Schedule, readings: Readings) -> Deviations:
     """What noisy readings tell, whole passes of the schedule at a time; no other prior than `told`.
 
     Args:
         linear: A, B, C of the plant, of one step if sampled.
         schedule: of the sides.
-        noise: rms of the noise of z (p).
-        step: time between two readings [s].
-        duration: for how long there are readings [s].
-        bias: directions (n x b) of unknown constant inputs.
-        process: covariance (n x n) of white process noise, per second, or per step if the schedule
-            is sampled.
-        arrive: share of each output's readings that arrive (p); all of them if not given.
-        colour: a random input with its own states, which come after x and start at its own rms.
-        told: what is known beforehand (`beforehand`).
+        readings: what tells.
     """
+    noise, step, duration, arrive, bias, colour, told, _, process = readings
     states_of_plant = linear.A.shape[0]
     visited = schedule.visited(states_of_plant)
     prior: Floats = np.zeros(linear.A.shape[0])

@@ -11,35 +11,11 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.analysis.identifiability.edges import unreached
-from undeadzone.analysis.identifiability.information import EXACT, SMALLEST, Colour, deviations
+from undeadzone.analysis.identifiability.information import EXACT, SMALLEST, Readings, deviations
 from undeadzone.analysis.identifiability.linear import DIRECTIONS, Verdict, invisible
 from undeadzone.analysis.side_schedule import Schedule
 from undeadzone.linear.matrices import Matrices
 from undeadzone.support.arrays import Floats
-
-
-class Readings(NamedTuple):
-    """What tells of the widths.
-
-    Attributes:
-        noise: rms of the noise of z (p).
-        step: time between two readings [s].
-        duration: for how long there are readings [s].
-        arrive: share of each output's readings that arrive (p).
-        bias: directions (n x b) of unknown constant inputs; None: there is none.
-        colour: a random input; None: there is none.
-        told: what is known beforehand of [x(0); d] (k x n + 2p).
-        gaps_known: whether the gaps are.
-    """
-
-    noise: Floats
-    step: float
-    duration: float
-    arrive: Floats
-    bias: Floats | None
-    colour: Colour | None
-    told: Floats
-    gaps_known: bool
 
 
 class Told(NamedTuple):
@@ -110,9 +86,22 @@ def beforehand_of_gaps(linear: Matrices, readings: Readings, least: float) -> Fl
     places = [*range(n)]
     for i in range(p):
         places += [first + 4 * i, first + 4 * i + 1]
-    claimed = np.zeros((len(readings.told), n + 6 * p))
-    claimed[:, places] = readings.told
+    told = np.zeros((0, n + 2 * p)) if readings.told is None else readings.told
+    claimed = np.zeros((len(told), n + 6 * p))
+    claimed[:, places] = told
     return np.vstack([np.array(rows) / least, claimed])
+
+
+def _twofold(linear: Matrices, readings: Readings) -> Readings:
+    """What tells of gaps and widths, every output twice, but for what is known beforehand."""
+    p, bias, colour = linear.C.shape[0], readings.bias, readings.colour
+    arrive = np.ones(p) if readings.arrive is None else readings.arrive
+    return readings._replace(
+        noise=np.repeat(readings.noise, 2),
+        arrive=np.repeat(arrive, 2),
+        bias=None if bias is None else _padded(bias, p),
+        colour=None if colour is None else colour._replace(B=_padded(colour.B, p)),
+    )
 
 
 def told_of_both(linear: Matrices, schedule: Schedule, readings: Readings) -> list[Told]:
@@ -127,24 +116,10 @@ def told_of_both(linear: Matrices, schedule: Schedule, readings: Readings) -> li
     whole, twice = with_gaps(linear, schedule.Ts), by_contact(schedule)
     swing = float((schedule.high - schedule.low).max())
     least = EXACT * max(float(schedule.levels.max()), EXACT * swing) or SMALLEST
-    told = beforehand_of_gaps(linear, readings, least)
-    bias = None if readings.bias is None else _padded(readings.bias, p)
-    colour = readings.colour
-    if colour is not None:
-        colour = colour._replace(B=_padded(colour.B, p))
+    twofold, told = _twofold(linear, readings), beforehand_of_gaps(linear, readings, least)
     visited = twice.visited(n + 2 * p)
-    hidden = invisible(whole, visited, schedule.Ts, bias).told(told)
-    expected = deviations(
-        whole,
-        twice,
-        np.repeat(readings.noise, 2),
-        readings.step,
-        readings.duration,
-        bias,
-        arrive=np.repeat(readings.arrive, 2),
-        colour=colour,
-        told=told,
-    )
+    hidden = invisible(whole, visited, schedule.Ts, twofold.bias).told(told)
+    expected = deviations(whole, twice, twofold._replace(told=told))
     each = []
     for i in range(p):
         gap = {name: hidden.sees(_direction(n, p, i, pair)) for name, pair in DIRECTIONS.items()}
@@ -165,9 +140,9 @@ def told_of_both(linear: Matrices, schedule: Schedule, readings: Readings) -> li
 def states_told(linear: Matrices, schedule: Schedule, readings: Readings) -> list[bool]:
     """Which states the readings along a schedule determine (n). Arguments as of `told_of_both`."""
     n, p = linear.A.shape[0], linear.C.shape[0]
-    bias = None if readings.bias is None else _padded(readings.bias, p)
+    twofold = _twofold(linear, readings)
     visited = by_contact(schedule).visited(n + 2 * p)
-    hidden = invisible(with_gaps(linear, schedule.Ts), visited, schedule.Ts, bias)
+    hidden = invisible(with_gaps(linear, schedule.Ts), visited, schedule.Ts, twofold.bias)
     hidden = hidden.told(beforehand_of_gaps(linear, readings, 1.0))
     return [hidden.state(i) for i in range(n)]
 

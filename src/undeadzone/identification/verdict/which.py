@@ -31,13 +31,7 @@ from undeadzone.identification.models.zone_fit import Fit, longest_record, reduc
 from undeadzone.identification.verdict.delays import GLITCH, RARE
 from undeadzone.identification.verdict.orders import HeldOut, judged, one_step, trained_part
 from undeadzone.identification.verdict.place import Place
-from undeadzone.identification.verdict.verdict import (
-    LEAST,
-    Case,
-    Verdict,
-    because,
-    explains_better,
-)
+from undeadzone.identification.verdict.verdict import LEAST, Case, Verdict, because, explains_better
 from undeadzone.support.arrays import Floats, Integers
 
 LEAST_GAP = 0.02  # rms of y, below which a gap is no matter
