@@ -19,7 +19,6 @@ from undeadzone.cli.output import (
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
-    from undeadzone.report.html import Origin
     from undeadzone.results.run import Run
     from undeadzone.scenario.schema import Scenario
 
@@ -78,7 +77,13 @@ def run(
     given = origin(scenario if replay is None else None, result.info.seed)
     again = given if given.scenario else given._replace(scenario=result.info.scenario)
     tables, left_out = wanted_table(as_csv, result.table_size, "run.csv")
-    written = _written(result, rival, folder, animation, output.figures, tables, again)
+    written: list[Path] = []
+    if folder is not None:
+        from undeadzone.report.run_page import write_run
+
+        written += write_run(result, folder, output.figures, rival, tables, again)
+    if animation is not None:
+        written.append(_film(result, rival, animation))
     files = named_files(written) | (left_out if folder is not None else {})
     output.show(
         lambda: _numbers(result, rival, replay, deviation),
@@ -149,27 +154,12 @@ def _replayed(path: Path, number: int, confine: Path | None) -> tuple[Run, float
     return replay_run(ensemble, number), deviation(ensemble, number)
 
 
-def _written(
-    result: Run,
-    rival: Run | None,
-    folder: Path | None,
-    animation: Path | None,
-    figures: bool,
-    tables: bool,
-    again: Origin,
-) -> list[Path]:
-    """The files of a run, once they are written."""
-    written = []
-    if folder is not None:
-        from undeadzone.report.run_page import write_run
+def _film(result: Run, rival: Run | None, path: Path) -> Path:
+    """The film of an arm's run, once it is written."""
+    from undeadzone.report.animation import frames, movie
 
-        written += write_run(result, folder, figures, rival, tables, again)
-    if animation is not None:
-        from undeadzone.report.animation import frames, movie
-
-        with progress("drawing", frames(result), "frames") as advance:
-            written.append(movie(result, rival, animation, advance))
-    return written
+    with progress("drawing", frames(result), "frames") as advance:
+        return movie(result, rival, path, advance)
 
 
 def _numbers(
