@@ -70,10 +70,25 @@ def code_lines(text: str) -> int:
     return len(held)
 
 
+TEXT = """'''A file.'''
+
+# a remark
+x = 1  # [m]
+
+
+def f():
+    '''Words.
+
+    More.
+    '''
+    return (
+        x
+    )
+"""
+
+
 def test_lines_of_code_are_counted_without_words() -> None:
-    text = '"""A file."""\n\n# a remark\nx = 1  # [m]\n\n\ndef f():\n    """Words.\n\n    More.\n    """\n'
-    text += "    return (\n        x\n    )\n"
-    assert code_lines(text) == 5
+    assert code_lines(TEXT) == 5
 
 
 def test_every_room_keeps_to_its_budget() -> None:
