@@ -10,9 +10,9 @@ import io
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TextIO
 
 from undeadzone.cli import group
 from undeadzone.cli.ending import ended
@@ -39,18 +39,18 @@ def undeadzone(
     """
     words = [str(argument) for argument in arguments]
     given = stdin.encode() if isinstance(stdin, str) else stdin
-    streams = [io.TextIOWrapper(io.BytesIO(content), "utf-8") for content in (given, b"", b"")]
+    read, out, err = io.BytesIO(given), io.BytesIO(), io.BytesIO()
+    streams = [io.TextIOWrapper(stream, "utf-8") for stream in (read, out, err)]
     with _as_a_shell(words, streams, cwd or Path.cwd(), environment):
         code = ended(lambda: group.main(words, standalone_mode=False))
         streams[1].flush()
         streams[2].flush()
-    out, err = (stream.buffer.getvalue().decode() for stream in streams[1:])  # type: ignore[attr-defined]
-    return Done(code, out, err)
+    return Done(code, out.getvalue().decode(), err.getvalue().decode())
 
 
 @contextlib.contextmanager
 def _as_a_shell(
-    words: list[str], streams: list[io.TextIOWrapper], folder: Path, environment: dict[str, str]
+    words: list[str], streams: Sequence[TextIO], folder: Path, environment: dict[str, str]
 ) -> Iterator[None]:
     """Streams, words, folder and variables of a command; all is as before at the end."""
     before = sys.argv, sys.stdin, sys.stdout, sys.stderr, dict(os.environ)
