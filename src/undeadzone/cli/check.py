@@ -8,6 +8,7 @@ import click
 
 from undeadzone.cli.common import PATH, confined, json_text, origin, with_schema
 from undeadzone.cli.output import Output, common
+from undeadzone.cli.untrusted import untrusted
 from undeadzone.support.progress import on_terminal as progress
 
 
@@ -16,6 +17,7 @@ from undeadzone.support.progress import on_terminal as progress
     "verdict/report.html"
 )
 @click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
+@untrusted
 @confined
 @common
 def check(scenario: Path, output: Output, confine: Path | None) -> int:

@@ -11,7 +11,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from undeadzone.report.html import Origin
     from undeadzone.results.info import LogInfo
 
+Command = TypeVar("Command", bound=Callable[..., Any])
 SCHEMA = 1  # of JSON: raised when a key goes or changes its meaning; keys may be added
 COLOURS = {"yes": "green", "ON TRUST": "yellow"}  # of verdicts; of others red
 # Where a cell begins, or after what is judged: right yes, left NO.
@@ -31,8 +32,6 @@ VERDICT = re.compile(
     r"(?:yes|NO|ON TRUST|LEFT|never settles|at the end of its range)\b"
     r"|^(?:DIVERGED|NOT EXACT|REFUSED|NO)\b"
 )
-
-
 PATH = click.Path(path_type=Path)
 
 

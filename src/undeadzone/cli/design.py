@@ -9,6 +9,7 @@ import click
 
 from undeadzone.cli.common import PATH, confined, option, origin
 from undeadzone.cli.output import Output, common, named_files
+from undeadzone.cli.untrusted import untrusted
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
@@ -69,6 +70,7 @@ def powers(
     show_default=True,
     help="Of the search: the same seed gives the same gains.",
 )
+@untrusted
 @confined
 @common
 def design(

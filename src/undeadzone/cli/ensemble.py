@@ -10,6 +10,7 @@ import click
 
 from undeadzone.cli.common import PATH, confined, flag, option, origin, writable
 from undeadzone.cli.output import Output, common, prepare_figures
+from undeadzone.cli.untrusted import untrusted
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     "(needs the extra dask; docs/security.md says what is trusted).",
 )
 @flag("--parquet", "Write runs.parquet instead of runs.npz (needs the extra parquet).")
+@untrusted
 @confined
 @common
 def ensemble(

@@ -8,6 +8,7 @@ import click
 
 from undeadzone.cli.common import PATH, columns_option, confined, exit_code, origin, strict_option
 from undeadzone.cli.output import Output, common, csv_option, named_files, wanted_table
+from undeadzone.cli.untrusted import untrusted
 from undeadzone.support.progress import on_terminal as progress
 
 
@@ -18,6 +19,7 @@ from undeadzone.support.progress import on_terminal as progress
 @strict_option
 @click.option("--causal", is_flag=True, help="The filter alone: no smoothing with the whole log.")
 @csv_option
+@untrusted
 @confined
 @common
 def estimate(

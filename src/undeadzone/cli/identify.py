@@ -9,6 +9,7 @@ import click
 
 from undeadzone.cli.common import columns_option, flag, option, origin, strict_option, writable
 from undeadzone.cli.output import Output, common, named_files, partial_file
+from undeadzone.cli.untrusted import untrusted
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
 @columns_option
 @strict_option
 @flag("--resume", "Continue where it was stopped, from DIR/identify.json.partial.")
+@untrusted
 @common
 def identify(
     logs: tuple[Path, ...],

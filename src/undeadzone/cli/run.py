@@ -16,6 +16,7 @@ from undeadzone.cli.output import (
     prepare_figures,
     wanted_table,
 )
+from undeadzone.cli.untrusted import untrusted
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ OF_ENSEMBLE = (".npz", ".parquet")  # files that hold runs, no scenario
     "--animation", "FILE", "Write an arm's motion as .gif (or .mp4, with ffmpeg) too.", type=PATH
 )
 @csv_option
+@untrusted
 @confined
 @common
 def run(

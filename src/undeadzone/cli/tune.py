@@ -9,6 +9,7 @@ import click
 
 from undeadzone.cli.common import PATH, confined, flag, option, origin
 from undeadzone.cli.output import Output, common, partial_file
+from undeadzone.cli.untrusted import untrusted
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
 @option("--budget", "N", "Candidates tried in all (default: [tune] budget, 200).", type=int)
 @option("--seed", "N", "Of the runs and the search (default: [tune] seed).", type=int)
 @flag("--resume", "Continue a search that was stopped, from DIR/tuned.toml.partial.")
+@untrusted
 @confined
 @common
 def tune(
