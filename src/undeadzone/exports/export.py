@@ -14,7 +14,7 @@ from undeadzone.compile.graph import needed
 from undeadzone.errors import InputError
 from undeadzone.exports import accuracy, compiler, folder, parts, targets
 from undeadzone.exports.code import Code, code, operations
-from undeadzone.exports.fields import identifier
+from undeadzone.exports.fields import identifier, total
 from undeadzone.exports.page.build import write_page
 from undeadzone.exports.selftest import selftest
 from undeadzone.exports.source import Labels, Source, source
@@ -156,10 +156,8 @@ def _report(
     """What is known of an export before anything runs."""
     step = printed.step
     bytes_each = 4 if printed.single else 8
-    carried = 0 if printed.phases is None else printed.phases.carried
-    sizes = {"state": bytes_each * (step.start.size + carried)}
-    for word, fields in (("in", step.inputs), ("out", step.outputs), ("params", step.params)):
-        sizes[word] = bytes_each * sum(field.size for field in fields)
+    structs = {"params": []} | printed.structs
+    sizes = {name: bytes_each * total(structs[name]) for name in ("state", "in", "out", "params")}
     return {
         "name": prefix,
         "title": scenario.title,

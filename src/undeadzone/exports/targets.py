@@ -10,6 +10,7 @@ from undeadzone.exports.fmu import package
 from undeadzone.exports.folder import Files
 from undeadzone.exports.python_module import module
 from undeadzone.exports.source import Source
+from undeadzone.exports.template import filled
 from undeadzone.scenario.schema import Units
 
 # The targets, and the precision that each has by default.
@@ -74,21 +75,16 @@ def files(to: str, material: Material) -> Files:
         around = folder.build_files(report, bool(material.text.math))
     elif to == "python":
         content[f"{name}.py"] = module(material.printed, report)
-        around = {"README.md": folder.readme(report, _PYTHON.format(name=name))}
+        around = {"README.md": _installed("python", {"name": name}, report)}
     else:
         version = VERSIONS[to]
         unit = package.package(material.printed, code, report, material.units, version)
         content = {f"{name}.fmu": unit}
-        around = {"README.md": folder.readme(report, _FMU.format(name=name, version=version))}
+        around = {"README.md": _installed("fmu", {"name": name, "version": version}, report)}
     report["files"] = sorted({*content, *around, folder.MANIFEST})
     return content | around | {folder.MANIFEST: folder.manifest(report)}
 
 
-_FMU = """`{name}.fmu` is for co-simulation by FMI {version}.0 and needs nothing but an importer.
-A step runs every sample that is due from its beginning to just before its end, by the inputs as
-they are: what it shows at its end is known from the reading at its beginning. The input
-`missing[k]` says that reading `y[k]` is missing. Before the first sample the outputs are what is
-known without a reading. Other platforms: compile `sources/*.c` inside of it, as follows."""
-_PYTHON = """`import {name}` needs Python 3.8 or later, a C compiler and no package. At the first
-use the C is compiled beside the module, for this computer. `{name}.Instance().update(...)` takes
-one sample; the module says what else there is."""
+def _installed(kind: str, words: dict[str, Any], report: dict[str, Any]) -> str:
+    """The README of what takes more than the C."""
+    return folder.readme(report, filled(f"templates/{kind}.md", words).rstrip("\n"))

@@ -21,6 +21,7 @@ from undeadzone.support.arrays import Floats
 
 DIVERGED = 1e6  # size of a signal beyond which a run has nothing to say
 SAMPLES = 96  # of a run, in the self-test
+NAN = {"float32": 0x7FC00000, "float64": 0x7FF8000000000000}  # the bits of every NaN
 OFFSET, PRIME = 2166136261, 16777619  # of the checksum by Fowler, Noll and Vo, 32 bits
 
 
@@ -137,7 +138,7 @@ def words(values: Any, kind: str) -> Any:
     """The bits of numbers; every NaN has the same."""
     table = np.ascontiguousarray(values, kind)
     bits = table.view(f"uint{8 * table.itemsize}").copy()
-    bits[np.isnan(table)] = 0x7FC00000 if kind == "float32" else 0x7FF8000000000000
+    bits[np.isnan(table)] = NAN[kind]
     return bits
 
 
