@@ -13,8 +13,9 @@ import numpy as np
 from undeadzone.compile import interpret
 from undeadzone.exports.code import Code
 from undeadzone.exports.compiler import shared_library, stack_bytes
-from undeadzone.exports.fields import Field
+from undeadzone.exports.fields import Field, places_of, total
 from undeadzone.exports.source import Labels, source
+from undeadzone.exports.template import called, filled
 from undeadzone.support.arrays import Floats
 
 CHUNK = 500  # steps between two looks at the memory
@@ -23,23 +24,6 @@ EXACT, CLOSE = 1e-13, 1e-9  # bars of that: without elementary functions, and wi
 SHARE_OF_STD = 0.1  # largest error of a width, relative to its standard deviation
 SHARE_OF_WIDTH = 1e-3  # the same relative to the width, where no deviation is estimated
 SMALLEST = 1e-6  # eigenvalue of a correlation matrix below which float is not enough
-
-_RUNNER = """#include "{prefix}.h"
-#include <string.h>
-void run(long steps, const {prefix}_in *in, {prefix}_out *out, {prefix}_state *state);
-void start({prefix}_state *state);
-void start({prefix}_state *state)
-{{
-    {prefix}_init(state);
-}}
-void run(long steps, const {prefix}_in *in, {prefix}_out *out, {prefix}_state *state)
-{{
-{params}    for (long k = 0; k < steps; k++) {{
-        {prefix}_step(state, {argument}&in[k], &out[k]);
-    }}
-}}
-"""
-
 
 class Row(NamedTuple):
     """A line of the accuracy table.
@@ -92,26 +76,18 @@ class Compiled:
 
     def __init__(self, code: Code, folder: Path) -> None:
         prefix = f"run_{code.kind}"
-        text = source(code, Labels(prefix, "accuracy", "replica"))
-        params = f"    {prefix}_params params;\n    {prefix}_params_default(&params);\n"
-        runner = _RUNNER.format(
-            prefix=prefix,
-            params=params if code.step.params else "",
-            argument="&params, " if code.step.params else "",
-        )
-        (folder / f"{prefix}.h").write_text(text.header)
-        (folder / f"{prefix}.c").write_text(text.code)
-        (folder / f"{prefix}_math.h").write_text(text.math)
-        (folder / f"{prefix}_run.c").write_text(runner)
-        files = [folder / f"{prefix}.c", folder / f"{prefix}_run.c"]
-        library = ctypes.CDLL(str(shared_library(files, folder / f"{prefix}.so")))
+        words = called(prefix, bool(code.step.params))
+        files = source(code, Labels(prefix, "accuracy", "replica")).files(prefix)
+        files[f"{prefix}_run.c"] = filled("templates/runner.c", words)
+        for name, text in files.items():
+            (folder / name).write_text(text, encoding="utf-8")
+        sources = [folder / f"{prefix}.c", folder / f"{prefix}_run.c"]
+        library = ctypes.CDLL(str(shared_library(sources, folder / f"{prefix}.so")))
         self._run = library.run
         self.stack = stack_bytes(folder, prefix)
         self.real = code.kind
-        carried = 0 if code.phases is None else code.phases.carried
-        self.memory = code.step.start.size
-        self.state = np.zeros(self.memory + carried, self.real)
-        self.outputs = sum(field.size for field in code.step.outputs)
+        self.state = np.zeros(total(code.structs["state"]), self.real)
+        self.outputs = total(code.step.outputs)
         library.start(_address(self.state))
 
     def __call__(self, rows: Floats) -> Floats:
@@ -227,16 +203,6 @@ def _gap(exact: Floats, rounded: Floats) -> Floats:
     return np.where(np.isnan(gap), np.inf, gap)
 
 
-def places_of(fields: list[Field]) -> dict[str, slice]:
-    """Where each field stands among the numbers of a struct."""
-    places: dict[str, slice] = {}
-    start = 0
-    for field in fields:
-        places[field.name] = slice(start, start + field.size)
-        start += field.size
-    return places
-
-
 class _Judge:
     """Collects the errors of the widths along a run."""
 
@@ -283,13 +249,11 @@ def smallest_eigenvalue(fields: list[Field], state: Any) -> float | None:
         fields: the fields of the memory.
         state: its numbers.
     """
-    sizes = {field.name: field.size for field in fields}
-    start, values = 0, []
-    for field in fields:
-        part = np.asarray(state[start : start + field.size], float)
-        start += field.size
-        if field.name.endswith("cov"):
-            matrix = _symmetric(part, sizes.get(field.name[:-3] + "mean", 0))
+    places, values = places_of(fields), []
+    for name, place in places.items():
+        if name.endswith("cov"):
+            mean = places[name.removesuffix("cov") + "mean"]
+            matrix = _symmetric(np.asarray(state[place], float), mean.stop - mean.start)
             std = np.sqrt(np.abs(np.diagonal(matrix)))
             std[std == 0] = 1.0
             values.append(float(np.linalg.eigvalsh(matrix / np.outer(std, std))[0]))

@@ -14,7 +14,7 @@ from undeadzone.compile.graph import needed
 from undeadzone.errors import InputError
 from undeadzone.exports import accuracy, compiler, folder, parts, targets
 from undeadzone.exports.code import Code, code, operations
-from undeadzone.exports.fields import identifier, total
+from undeadzone.exports.fields import Field, identifier, total
 from undeadzone.exports.page.build import write_page
 from undeadzone.exports.selftest import selftest
 from undeadzone.exports.source import Labels, Source, source
@@ -156,7 +156,7 @@ def _report(
     """What is known of an export before anything runs."""
     step = printed.step
     bytes_each = 4 if printed.single else 8
-    structs = {"params": []} | printed.structs
+    structs: dict[str, list[Field]] = {"params": []} | printed.structs
     sizes = {name: bytes_each * total(structs[name]) for name in ("state", "in", "out", "params")}
     return {
         "name": prefix,
