@@ -198,7 +198,7 @@ def _machine() -> str:
 def _engine() -> str:
     """What a recipe's text depends on besides its key: this engine as it is."""
     digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.glob("*.py")):
+    for path in sorted(Path(__file__).parent.glob("*.*")):
         digest.update(path.read_bytes())
     return digest.hexdigest()
 

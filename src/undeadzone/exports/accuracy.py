@@ -25,6 +25,7 @@ SHARE_OF_STD = 0.1  # largest error of a width, relative to its standard deviati
 SHARE_OF_WIDTH = 1e-3  # the same relative to the width, where no deviation is estimated
 SMALLEST = 1e-6  # eigenvalue of a correlation matrix below which float is not enough
 
+
 class Row(NamedTuple):
     """A line of the accuracy table.
 
