@@ -111,7 +111,7 @@ def _parts(text: Text, group: int) -> Iterator[str]:
     for name, lanes, begin, end in (("many", group, "0", "%whole"), ("few", 1, "%whole", "%lanes")):
         text.lanes = lanes
         with text.loop(name, begin, end, lanes) as loop:
-            yield loop.count
+            yield loop.at
     text.lanes = 1
 
 
@@ -126,13 +126,13 @@ def fill_text(group: int) -> str:
     row = text.add("mul i64 %channels, %lanes")
     begin, rounded = text.add("udiv i64 %first, 4"), text.add(f"add i64 {last}, 3")
     with text.loop("four", begin, text.add(f"udiv i64 {rounded}, 4")) as four:
-        rows = [_row(text, four.count, i, last, row) for i in range(len(results))]
+        rows = [_row(text, four.at, i, last, row) for i in range(len(results))]
         with text.loop("channel", "0", "%channels") as channel:
-            address = text.add(f"getelementptr i32, ptr %words, i64 {channel.count}")
+            address = text.add(f"getelementptr i32, ptr %words, i64 {channel.at}")
             word = text.add(f"zext i32 {text.load(address, 'i32')} to i64")
-            start = text.add(f"mul i64 {channel.count}, %lanes")
+            start = text.add(f"mul i64 {channel.at}, %lanes")
             have: dict[Node, str] = {}
-            given = {"key": "%key", "counter": four.count, "word": word}
+            given = {"key": "%key", "counter": four.at, "word": word}
             once(text, below, have, lambda node: given[node.text])
             for count in _parts(text, group):
                 (names,) = in_lanes(text, order, [_source(text, have, count)], False)
@@ -185,8 +185,8 @@ def colour_text(group: int) -> str:
     text.line(f"%whole = and i64 %lanes, -{group}")
     row = text.add("mul i64 %channels, %lanes")
     with text.loop("channel", "0", "%coloured") as channel:
-        state = text.add(f"mul i64 {channel.count}, %lanes")
-        number = text.add(f"add i64 {channel.count}, %start")
+        state = text.add(f"mul i64 {channel.at}, %lanes")
+        number = text.add(f"add i64 {channel.at}, %start")
         at = text.add(f"mul i64 {number}, %lanes")
         for count in _parts(text, group):
             _coloured(text, text.add(f"add i64 {state}, {count}"), at, count, row)
@@ -200,13 +200,13 @@ def _coloured(text: Text, state: str, at: str, count: str, row: str) -> None:
     address = text.at("%state", state)
     before = text.load(address, vector=True)
     with text.loop(f"step{text.lanes}", "0", "%steps") as step:
-        place = text.add(f"add i64 {text.add(f'mul i64 {step.count}, {row}')}, {at}")
+        place = text.add(f"add i64 {text.add(f'mul i64 {step.at}, {row}')}, {at}")
         to = text.at("%numbers", text.add(f"add i64 {place}, {count}"))
         white = text.load(to, vector=True)
         kept = text.add(f"fmul {vector} {memory}, {last}")
         driven = text.add(f"fmul {vector} {drive}, {white}")
         both = text.add(f"fadd {vector} {kept}, {driven}")
-        later = text.add(f"icmp sgt i64 {text.add(f'add i64 %first, {step.count}')}, 0")
+        later = text.add(f"icmp sgt i64 {text.add(f'add i64 %first, {step.at}')}, 0")
         new = text.add(f"select i1 {later}, {vector} {both}, {vector} {white}")
         text.store(new, to, vector=True)
         step.carried.append((last, vector, before, new))

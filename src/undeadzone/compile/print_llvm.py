@@ -42,12 +42,12 @@ class Loop(NamedTuple):
     """A loop that is being printed.
 
     Attributes:
-        count: the name of its count.
+        at: the name of its count.
         carried: name, type, first and following value of each number that goes from turn to turn;
             the body adds them.
     """
 
-    count: str
+    at: str
     carried: list[tuple[str, str, str, str]]
 
 
@@ -212,13 +212,13 @@ class Text:
         self.line(f"br label %{name}")
         self.label(name)
         head = len(self.lines)
-        self.line(f"%{name}.more = icmp ult i64 {counted.count}, {end}")
+        self.line(f"%{name}.more = icmp ult i64 {counted.at}, {end}")
         self._entered(f"%{name}.more", name)
         yield counted
-        self.line(f"%{name}.next = add i64 {counted.count}, {stride}")
+        self.line(f"%{name}.next = add i64 {counted.at}, {stride}")
         self.line(f"br label %{name}")
         counts = f"i64 [{begin}, %{came}], [%{name}.next, %{self.block}]"
-        phis = [f"  {counted.count} = phi {counts}"]
+        phis = [f"  {counted.at} = phi {counts}"]
         for value, kind, first, following in counted.carried:
             phis.append(f"  {value} = phi {kind} [{first}, %{came}], [{following}, %{self.block}]")
         self.lines[head:head] = phis

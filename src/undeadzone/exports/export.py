@@ -16,10 +16,9 @@ from undeadzone.exports import accuracy, compiler, folder, parts, targets
 from undeadzone.exports.code import Code, code, operations
 from undeadzone.exports.fields import Field, identifier, total
 from undeadzone.exports.page.build import write_page
-from undeadzone.exports.selftest import selftest
 from undeadzone.exports.source import Labels, Source, source
 from undeadzone.exports.targets import Material
-from undeadzone.exports.vectors import chosen, continued, recorded, reference
+from undeadzone.exports.vectors import chosen, continued, recorded, reference, selftest
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.support.arrays import Floats
@@ -194,14 +193,6 @@ def _measured(double: Code, printed: Code, text: Source, rows: Floats) -> dict[s
         return {"accuracy": None, "stack": None, "refusals": refusals}
     single = printed if printed.single else None
     result = accuracy.measure(double, single, rows, bool(text.functions))
-    table = {row.name: {"error": row.error, "size": row.size} for row in result.rows}
-    measured = {
-        "machine": result.machine,
-        "machine_bar": result.machine_bar,
-        "steps": result.steps,
-        "float_against_double": table,
-        "sides_differ": result.sides,
-        "smallest_correlation_eigenvalue": result.eigenvalue,
-        "smallest_correlation_eigenvalue_in_float": result.eigenvalue_in_float,
-    }
-    return {"accuracy": measured, "stack": result.stack, "refusals": result.refusals}
+    found = result._asdict()
+    stack, refusals = found.pop("stack"), found.pop("refusals")
+    return {"accuracy": found, "stack": stack, "refusals": refusals}

@@ -6,12 +6,13 @@ from typing import Any, Final, NamedTuple
 
 from undeadzone.exports import folder
 from undeadzone.exports.code import Code
+from undeadzone.exports.fields import Field
 from undeadzone.exports.fmu import package
 from undeadzone.exports.folder import Files
-from undeadzone.exports.python_module import module
 from undeadzone.exports.source import Source
-from undeadzone.exports.template import filled
+from undeadzone.exports.template import called, filled
 from undeadzone.scenario.schema import Units
+from undeadzone.support.text import one_line, printable
 
 # The targets, and the precision that each has by default.
 PRECISION: Final = {
@@ -69,12 +70,12 @@ def files(to: str, material: Material) -> Files:
     content: Files = dict(code)
     if to == "arduino":
         content = {f"src/{path}": text for path, text in code.items()}
-        around = folder.arduino_files(report)
+        around = _arduino_files(report)
     elif to == "c":
         content[f"{name}_test.c"] = material.test
-        around = folder.build_files(report, bool(material.text.math))
+        around = _build_files(report, bool(material.text.math))
     elif to == "python":
-        content[f"{name}.py"] = module(material.printed, report)
+        content[f"{name}.py"] = _module(material.printed, report)
         around = {"README.md": _installed("python", {"name": name}, report)}
     else:
         version = VERSIONS[to]
@@ -85,6 +86,92 @@ def files(to: str, material: Material) -> Files:
     return content | around | {folder.MANIFEST: folder.manifest(report)}
 
 
+def _readme(report: dict[str, Any], build: str = "") -> str:
+    """The README; of what is built, how: by default by make, with the self-test."""
+    by_make = f"Run `make && ./{report['name']}_test`: exit code 0 means that every bit agrees."
+    words = _words(report) | {
+        "shown_title": printable(report["title"]),
+        "build": build or by_make,
+        "by_make": not build,
+        "seconds": f"{report['step']:g}",
+        "counts": ", ".join(f"{count} {word}" for word, count in report["operations"].items()),
+    }
+    for struct, size in report["sizes"].items():
+        words[f"{struct}_bytes"] = size
+    return filled("templates/README.md", words)
+
+
+def _words(report: dict[str, Any]) -> dict[str, Any]:
+    """What stands for the words of the texts."""
+    return report | called(report["name"], bool(report["tunable"]))
+
+
+def _build_files(report: dict[str, Any], math: bool) -> dict[str, str]:
+    """The texts of Makefile, CMakeLists.txt and README.md, by name."""
+    words = _words(report)
+    words["math"] = f"{report['name']}_math.h " if math else ""
+    return {
+        "Makefile": filled("templates/Makefile", words),
+        "CMakeLists.txt": filled("templates/CMakeLists.txt", words),
+        "README.md": _readme(report),
+    }
+
+
+def _arduino_files(report: dict[str, Any]) -> dict[str, str]:
+    """The texts around the C of an Arduino library, by name."""
+    name = report["name"]
+    words = _words(report) | {"upper": name.upper(), "title": one_line(str(report["title"]))}
+    build = "Copy this folder into the libraries folder of the Arduino IDE."
+    return {
+        "library.properties": filled("templates/library.properties", words),
+        f"examples/{name}_example/{name}_example.ino": filled("templates/example.ino", words),
+        "README.md": _readme(report, build),
+    }
+
+
 def _installed(kind: str, words: dict[str, Any], report: dict[str, Any]) -> str:
     """The README of what takes more than the C."""
-    return folder.readme(report, filled(f"templates/{kind}.md", words).rstrip("\n"))
+    return _readme(report, filled(f"templates/{kind}.md", words).rstrip("\n"))
+
+
+# --- `--to python`: a module that compiles the exported C and calls it, without undeadzone
+
+
+def _module(printed: Code, report: dict[str, Any]) -> str:
+    """The text of the module.
+
+    Args:
+        printed: what is printed as C.
+        report: what the manifest holds.
+    """
+    structs = printed.structs
+    words = {key: report[key] for key in ("name", "version", "part")} | {
+        "title": _plain(report["title"]),
+        "hash": repr(report["hash"]),
+        "step": repr(report["step"]),
+        "seconds": f"{report['step']:g}",
+        "arguments": ", ".join(field.name for field in structs["in"]),
+        "inputs": _listed(structs["in"]),
+        "outputs": _listed(structs["out"]),
+        "real": f"c_{printed.real}",
+    }
+    for name in ("state", "in", "out", "params"):
+        words[f"fields_of_{name}"] = _sizes(structs.get(name, []))
+    return filled("templates/python_module.txt", words)
+
+
+def _sizes(fields: list[Field]) -> list[tuple[str, int]]:
+    """Names and sizes of the arrays of a struct."""
+    return [(field.name, field.size) for field in fields]
+
+
+def _listed(fields: list[Field]) -> str:
+    """Fields in words, a line each."""
+    return "".join(
+        f"\n    {field.name} ({field.size}): {_plain(field.meaning)}" for field in fields
+    )
+
+
+def _plain(text: str) -> str:
+    """A text that ends no docstring."""
+    return one_line(text).replace("\\", "/").replace('"', "'")

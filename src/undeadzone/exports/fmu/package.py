@@ -82,7 +82,7 @@ def package(
     contents: dict[str, str | bytes] = {
         "modelDescription.xml": description(report, listed, compiled, version)
     }
-    contents[binary_path(prefix, version)] = _binary(sources, compiled)
+    contents[binary_path(prefix, version)] = _binary(sources)
     if version == 3:
         contents["sources/buildDescription.xml"] = build_description(prefix, compiled)
     contents |= {f"sources/{name}": text for name, text in sorted(sources.items())}
@@ -105,15 +105,12 @@ def _model(printed: Code, report: dict[str, Any], version: int) -> str:
     return filled("templates/fmu_model.h", words)
 
 
-def _binary(sources: dict[str, str], compiled: list[str]) -> bytes:
+def _binary(sources: dict[str, str]) -> bytes:
     """The shared library."""
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        for path, text in sources.items():
-            (folder / path).write_text(text, encoding="utf-8")
-        files = [folder / path for path in compiled]
+        files = compiler.written(sources, Path(name))
         options = ("-O2", "-fvisibility=hidden")
-        return compiler.shared_library(files, folder / "model.so", options).read_bytes()
+        return compiler.shared_library(sorted(files), Path(name, "model.so"), options).read_bytes()
 
 
 def _zipped(contents: dict[str, str | bytes]) -> bytes:

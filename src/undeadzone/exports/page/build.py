@@ -196,12 +196,9 @@ def _data(problem: Problem, loop: Loop, memory: dict[str, int]) -> dict[str, Any
     A, B, C = model.linear
     if model.Ts is not None:  # as `feedforward.targets.steady_state` has it: per second
         A, B = (A - np.eye(model.n)) / model.Ts, B / model.Ts
-    outputs = tree.slices(loop.outputs)
-    recorded = {}
+    outputs, recorded = dict(tree.leaves(tree.slices(loop.outputs))), {}
     for name, address in RECORDED.items():
-        place = outputs
-        for part in address.split("."):
-            place = getattr(place, part)
+        place = outputs[address]
         if place.stop > place.start:
             recorded[name] = place.start
     instant = tree.slices(loop.instant)
