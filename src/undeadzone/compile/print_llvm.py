@@ -180,25 +180,25 @@ class Text:
         lanes = f"v{self.lanes}" if vector and self.lanes > 1 else ""
         name = f"llvm.{node.text}.{lanes}{_SHORT[of_one]}"
         self.declared[name] = f"declare {value} @{name}({', '.join([value] * len(args))})"
-        given = ", ".join([f"{value} {arg}" for arg in args])
-        return self.add(f"call {value} @{name}({given})")
+        return self._called(name, value, args)
 
     def _call(self, function: str, args: list[str], vector: bool) -> str:
         """Calls of a C function, lane by lane."""
         numbers = ", ".join(["double"] * len(args))
         self.declared[function] = f"declare double @{function}({numbers})"
         if not vector or self.lanes == 1:
-            return self._called(function, args)
+            return self._called(function, "double", args)
         value, whole = self.type("double"), "poison"
         for lane in range(self.lanes):
             parts = [self.add(f"extractelement {value} {arg}, i64 {lane}") for arg in args]
-            one = self._called(function, parts)
+            one = self._called(function, "double", parts)
             whole = self.add(f"insertelement {value} {whole}, double {one}, i64 {lane}")
         return whole
 
-    def _called(self, function: str, args: list[str]) -> str:
-        """A call of a C function."""
-        return self.add(f"call double @{function}({', '.join([f'double {x}' for x in args])})")
+    def _called(self, function: str, kind: str, args: list[str]) -> str:
+        """A call of a function of numbers of a kind."""
+        given = ", ".join([f"{kind} {arg}" for arg in args])
+        return self.add(f"call {kind} @{function}({given})")
 
     @contextmanager
     def loop(self, name: str, begin: str, end: str, stride: int = 1) -> Iterator[Loop]:

@@ -1,10 +1,11 @@
-"""Nodes as Python in NumPy's float32 or float64: the bits that exported code must give."""
+"""Nodes computed in NumPy's float32 or float64: the bits that exported code must give."""
 
 from __future__ import annotations
 
 import functools
 import itertools
 import math
+import operator
 from collections.abc import Callable
 from typing import Any, Final
 
@@ -13,13 +14,6 @@ import numpy as np
 from undeadzone.compile.elementary import FUNCTIONS, formula
 from undeadzone.compile.graph import Node, Results, needed
 
-_FORMS: Final = {
-    **{"add": "{} + {}", "sub": "{} - {}", "mul": "{} * {}", "div": "{} / {}", "neg": "-{}"},
-    **{"lt": "{} < {}", "le": "{} <= {}", "eq": "{} == {}", "ne": "{} != {}"},
-    **{"and": "{} & {}", "or": "{} | {}", "xor": "{} ^ {}", "shl": "{} << {}", "shr": "{} >> {}"},
-    **{"not": "negated({})", "select": "select({}, {}, {})"},
-}
-
 Evaluate = Callable[[dict[str, Any]], list[list[Any]]]
 
 
@@ -27,16 +21,16 @@ def replica(results: Results) -> Evaluate:
     """Results as a function of inputs by their names, numbers or arrays of a type.
 
     Args:
-        results: the nodes from which code is printed; there is at least one.
+        results: the nodes; there is at least one.
     """
     (kind,) = {node.kind for node in itertools.chain(*results)}
-    return _made(results, elementary(kind))
+    return _evaluator(results, elementary(kind))
 
 
 @functools.cache
 def elementary(kind: str) -> dict[str, Callable[..., Any]]:
     """The elementary functions in float32 or float64, of numbers or arrays, by name."""
-    functions: dict[str, Callable[..., Any]] = {}
+    functions: dict[str, Callable[..., Any]] = dict(_LIBRARY)
     for name in FUNCTIONS:
         functions[name] = _elementary(name, kind, functions)
     return functions
@@ -47,7 +41,7 @@ def _elementary(
 ) -> Callable[..., Any]:
     """One function; those that it calls are made before."""
     shape = formula(name, kind)
-    evaluate = _made([[shape.result]], functions)
+    evaluate = _evaluator([[shape.result]], functions)
 
     def function(*arguments: Any) -> Any:
         return evaluate(dict(zip(shape.inputs, arguments, strict=True)))[0][0]
@@ -55,38 +49,32 @@ def _elementary(
     return function
 
 
-def _made(results: Results, functions: dict[str, Callable[..., Any]]) -> Evaluate:
+def _evaluator(results: Results, functions: dict[str, Callable[..., Any]]) -> Evaluate:
     """Results as a function, where these functions are called."""
-    lines = ["def evaluate(entries):"]
-    scope: dict[str, Any] = {**_LIBRARY, **functions}
-    for node in needed(itertools.chain(*results)):
-        if node.op == "const":
-            scope[f"v{node.number}"] = _constant(node)
-        else:
-            lines.append(f"    v{node.number} = {_expression(node)}")
-    entries = [", ".join([f"v{node.number}" for node in result]) for result in results]
-    lines.append(f"    return [{', '.join([f'[{each}]' for each in entries])}]")
-    exec("\n".join(lines), scope)
-    evaluate: Evaluate = scope["evaluate"]
+    order = needed(itertools.chain(*results))
+
+    def evaluate(entries: dict[str, Any]) -> list[list[Any]]:
+        values: dict[Node, Any] = {}
+        for node in order:
+            args = [values[arg] for arg in node.args]
+            values[node] = _value(node, args, functions, entries)
+        return [[values[node] for node in result] for result in results]
+
     return evaluate
 
 
-def _constant(node: Node) -> Any:
-    """What is written down."""
-    of_type = np.dtype(node.kind).type
-    return of_type(float(node.text) if node.is_real else int(node.text))
-
-
-def _expression(node: Node) -> str:
-    """The Python of an instruction."""
+def _value(
+    node: Node, args: list[Any], functions: dict[str, Callable[..., Any]], entries: dict[str, Any]
+) -> Any:
+    """The value of an instruction, given those of its operands."""
     if node.op == "input":
-        return f"entries[{node.text!r}]"
-    values = [f"v{arg.number}" for arg in node.args]
+        return entries[node.text]
+    if node.op == "const":
+        return np.dtype(node.kind).type(float(node.text) if node.is_real else int(node.text))
     if node.op == "view":
-        return f"{values[0]}.view({node.kind!r})"
-    if node.op == "call":
-        return f"{node.text}({', '.join(values)})"
-    return _FORMS[node.op].format(*values)
+        return args[0].view(node.kind)
+    operation = functions[node.text] if node.op == "call" else _OPERATIONS[node.op]
+    return operation(*args)
 
 
 def _select(truth: Any, yes: Any, no: Any) -> Any:
@@ -103,9 +91,13 @@ def _remainder(x: Any, y: Any) -> Any:
     return x.dtype.type(math.remainder(float(x), float(y)))
 
 
-_LIBRARY: Final = {
-    "select": _select,
-    "negated": np.logical_not,
+_OPERATIONS: Final[dict[str, Callable[..., Any]]] = {
+    **{"add": operator.add, "sub": operator.sub, "mul": operator.mul, "div": operator.truediv},
+    **{"lt": operator.lt, "le": operator.le, "eq": operator.eq, "ne": operator.ne},
+    **{"and": operator.and_, "or": operator.or_, "xor": operator.xor, "neg": operator.neg},
+    **{"shl": operator.lshift, "shr": operator.rshift, "not": np.logical_not, "select": _select},
+}
+_LIBRARY: Final[dict[str, Callable[..., Any]]] = {
     "fabs": np.abs,
     "sqrt": np.sqrt,
     "fmod": np.fmod,
