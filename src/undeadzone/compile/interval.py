@@ -169,14 +169,9 @@ asin = partial(rising, np.arcsin, least=-1.0, greatest=1.0)
 """arcsin a, for |a| <= 1."""
 
 
-def _minus_arccos(a: Floats) -> Floats:
-    """-arccos a, which rises."""
-    return -np.arccos(a)
-
-
 def acos(a: Interval) -> Interval:
     """arccos a, which falls, for |a| <= 1."""
-    return negative(rising(_minus_arccos, a, -1.0, 1.0))
+    return negative(rising(lambda x: -np.arccos(x), a, -1.0, 1.0))
 
 
 def cosh(a: Interval) -> Interval:

@@ -92,9 +92,10 @@ def export(
     step = parts.build(problem, part, tuple(tunable))
     double = code(step, single=False)
     printed = code(step, single=True) if precision == "single" else double
-    text = source(printed, Labels(prefix, scenario.title, part))
+    labels = Labels(prefix, scenario.title, part)
+    text = source(printed, labels)
     rows = recorded(continued(scenario, STEPS), step)
-    report = _report(printed, text, scenario, prefix, part, tuple(tunable))
+    report = _report(printed, text, labels, tunable)
     report["replaced_constants"] = replaced_constants(double) if printed.single else []
     report |= _measured(double, printed, text, rows)
     vectors = reference(printed, chosen(rows[: problem.steps + 1], step.readings))
@@ -145,12 +146,7 @@ def _prefix(name: str | None, title: str) -> str:
 
 
 def _report(
-    printed: Code,
-    text: Source,
-    scenario: Scenario,
-    prefix: str,
-    part: str,
-    tunable: tuple[str, ...],
+    printed: Code, text: Source, labels: Labels, tunable: tuple[str, ...]
 ) -> dict[str, Any]:
     """What is known of an export before anything runs."""
     step = printed.step
@@ -158,11 +154,11 @@ def _report(
     structs: dict[str, list[Field]] = {"params": []} | printed.structs
     sizes = {name: bytes_each * total(structs[name]) for name in ("state", "in", "out", "params")}
     return {
-        "name": prefix,
-        "title": scenario.title,
+        "name": labels.prefix,
+        "title": labels.title,
         "version": undeadzone.__version__,
         "hash": printed.hash,
-        "part": part,
+        "part": labels.part,
         "precision": "single" if printed.single else "double",
         "step": step.Ts,
         "tunable": list(tunable),
