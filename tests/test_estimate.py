@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import json
-import subprocess
 import sys
 from pathlib import Path
 
@@ -13,6 +12,7 @@ import numpy as np
 import pytest
 
 import undeadzone as uz
+from commands import undeadzone as command
 from undeadzone.interfaces import graph_of
 from undeadzone.scenario.reader import read_for_logs
 from undeadzone.simulation.consistency import Consistency
@@ -76,12 +76,6 @@ def log(run: uz.Run, header: str = "t,y,u", **columns: np.ndarray) -> str:
     parts = {"t": run.t, "y": run.y[:, 0], "u": run.u[:, 0]} | columns
     rows = zip(*(part.tolist() for part in parts.values()), strict=True)
     return "\n".join([header, *(",".join(map(repr, row)) for row in rows)]) + "\n"
-
-
-def command(*arguments: str | Path, stdin: str = "") -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*COMMAND, *map(str, arguments)], input=stdin, capture_output=True, text=True, timeout=120
-    )
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import re
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from commands import undeadzone as command
 from scenes import scene
 from test_engines import compiled, distance, generated, parts
 from test_ensemble import table
@@ -506,17 +506,6 @@ def test_a_gif_is_written_and_other_names_are_refused(
 
 
 # --- The command
-
-
-def command(*arguments: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*COMMAND, *map(str, arguments)],
-        cwd=cwd,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
 
 
 @pytest.fixture

@@ -18,6 +18,7 @@ from undeadzone.cli.common import (
     say,
     writable,
 )
+from undeadzone.cli.untrusted import untrusted
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
@@ -102,6 +103,7 @@ FOLDER = Path("arena-results")
     is_flag=True,
     help="Continue what was stopped, from DIR/results.json.partial or tuned.toml.partial.",
 )
+@untrusted
 @confined
 def arena(
     scenarios: tuple[Path, ...],
@@ -253,7 +255,7 @@ def _written(contest: Contest, folder: Path, own: bool) -> list[Path]:
     from undeadzone_arena.contest.page import write_arena
     from undeadzone_arena.contest.traces import traced
 
-    written = [contest.save(folder / "results.json")]
+    written = contest.save(folder / "results.json")
     written += write_arena(contest, traced(contest), folder, origin(None))
     if own and contest.contestants:
         best = contest.contestants[0].method

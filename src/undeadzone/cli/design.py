@@ -16,6 +16,7 @@ from undeadzone.cli.common import (
     print_blocks,
     print_json,
 )
+from undeadzone.cli.untrusted import untrusted
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
@@ -78,6 +79,7 @@ def powers(
     show_default=True,
     help="Of the search: the same seed gives the same gains.",
 )
+@untrusted
 @confined
 @common
 def design(

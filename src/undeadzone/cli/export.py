@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from undeadzone.cli.common import confined, print_blocks, print_json
+from undeadzone.cli.untrusted import untrusted
 
 if TYPE_CHECKING:
     from undeadzone.support.shown import Block
@@ -55,6 +56,7 @@ if TYPE_CHECKING:
     help="Build the self-test with this computer's compiler, run it, print the accuracy table.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the report as one JSON object.")
+@untrusted
 @confined
 def export(
     scenario: Path,

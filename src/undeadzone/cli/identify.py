@@ -18,6 +18,7 @@ from undeadzone.cli.common import (
     strict_option,
     writable,
 )
+from undeadzone.cli.untrusted import untrusted
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
@@ -48,6 +49,7 @@ if TYPE_CHECKING:
 @click.option(
     "--resume", is_flag=True, help="Continue where it was stopped, from DIR/identify.json.partial."
 )
+@untrusted
 @common
 def identify(
     logs: tuple[Path, ...],

@@ -16,6 +16,7 @@ from undeadzone.cli.common import (
     print_blocks,
     print_json,
 )
+from undeadzone.cli.untrusted import untrusted
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
@@ -75,6 +76,7 @@ if TYPE_CHECKING:
     is_flag=True,
     help="Continue a search that was stopped, from DIR/tuned.toml.partial.",
 )
+@untrusted
 @confined
 @common
 def tune(

@@ -16,6 +16,7 @@ from undeadzone.cli.common import (
     print_blocks,
     strict_option,
 )
+from undeadzone.cli.untrusted import untrusted
 from undeadzone.errors import FileError, Terminated
 
 if TYPE_CHECKING:
@@ -36,6 +37,7 @@ BLOCK = 1 << 20  # bytes that are read at once, if as many have come
 )
 @columns_option
 @strict_option
+@untrusted
 @confined
 def watch(
     scenario: Path, as_json: bool, columns: str | None, strict: bool, confine: Path | None

@@ -85,14 +85,19 @@ def save(result: Any, path: str | os.PathLike[str]) -> Path:
         FileError: it cannot be written.
         InputError: the name ends otherwise.
     """
-    path = Path(path)
+    path, info = Path(path), untimed(result.info)
     if path.suffix == ".npz":
-        _write_npz(path, result.info, result.signals.arrays)
+        _write_npz(path, info, result.signals.arrays)
     elif path.suffix == ".csv":
-        _write_csv(path, result.info, columns(result))
+        _write_csv(path, info, columns(result))
     else:
         raise InputError(f"{path}: the name must end in .npz or .csv")
     return path
+
+
+def untimed(info: Any) -> Any:
+    """An info without the time that it took, so that equal runs have equal files."""
+    return msgspec.structs.replace(info, seconds=0.0) if hasattr(info, "seconds") else info
 
 
 def read(path: Path, layout: Layout, kind: type[msgspec.Struct]) -> tuple[Any, Signals]:

@@ -40,7 +40,7 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
         scales: sizes of the plant's own: of its states (n), then of its outputs and its inputs,
             1e12 times which a signal has diverged; empty: 1 of each.
         identifiable: what the readings tell of each output's widths, and why not all.
-        seconds: that the run took [s].
+        seconds: that the run took [s]; 0 in files, which are the same whenever they are made.
         units: names of units.
         joints: names of an arm's joints; empty without an arm.
         uncertain: the parameters that the observer estimates, and their true values.

@@ -403,12 +403,13 @@ def in_words(run: Run, of_outputs: Mapping[str, Sequence[float | None]]) -> list
     shown |= sheet.in_text(parameters(run))
     quiet = "holding" if info.sensor == "play" else "silent"
     shown[quiet] = f"{100 * run.silent_fraction:.1f} % of the time"
+    if run.diverged_at is not None:  # what readings would tell is no use of these
+        shown["DIVERGED"] = f"at {run.diverged_at:g} s"
+        return [shown] if single else [shown, _rows(run, of_outputs)]
     if info.listens:
         shown["listens"] = listening_in_words(info.listens)
     shown |= _proof(run) | _identifiable(info, list(of_outputs))
-    if run.diverged_at is not None:
-        shown["DIVERGED"] = f"at {run.diverged_at:g} s"
-    elif run.inexact:
+    if run.inexact:
         share = info.integration_share
         assert share is not None
         shown["NOT EXACT"] = (
