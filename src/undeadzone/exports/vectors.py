@@ -9,7 +9,7 @@ import numpy as np
 
 import undeadzone
 from undeadzone.compile import interpret
-from undeadzone.compile.print_numpy import replica
+from undeadzone.compile.replica import replica
 from undeadzone.errors import InputError
 from undeadzone.exports.code import Code
 from undeadzone.exports.fields import members
