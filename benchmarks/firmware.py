@@ -17,9 +17,8 @@ from benchmarks.markdown import head, row
 from undeadzone.exports import accuracy, compiler, parts
 from undeadzone.exports.code import Code, code
 from undeadzone.exports.parts import Step
-from undeadzone.exports.selftest import selftest
 from undeadzone.exports.source import Labels, source
-from undeadzone.exports.vectors import chosen, continued, recorded, reference
+from undeadzone.exports.vectors import chosen, continued, recorded, reference, selftest
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 

@@ -10,7 +10,7 @@ import pytest
 
 from undeadzone.compile.elementary import FUNCTIONS, formula, needed
 from undeadzone.compile.print_c import Style, functions
-from undeadzone.compile.print_numpy import elementary
+from undeadzone.compile.replica import elementary
 
 POINTS = 100_000
 LONG: Any = np.longdouble

@@ -18,7 +18,7 @@ from test_engines import BINARY, ELEMENTARY, SPECIAL, UNARY
 from undeadzone.compile.graph import needed
 from undeadzone.compile.lower import portable
 from undeadzone.compile.print_c import literal
-from undeadzone.compile.print_numpy import replica
+from undeadzone.compile.replica import replica
 from undeadzone.compile.simplify import held
 from undeadzone.errors import InputError
 from undeadzone.exports.accuracy import Compiled

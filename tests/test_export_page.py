@@ -21,7 +21,7 @@ from test_engines import PENDULUM
 from tools import require
 from undeadzone.compile import print_wasm
 from undeadzone.compile.lower import portable
-from undeadzone.compile.print_numpy import elementary
+from undeadzone.compile.replica import elementary
 from undeadzone.errors import FileError, InputError
 from undeadzone.exports.page.build import build
 from undeadzone.scenario.schema import Scenario

@@ -160,28 +160,22 @@ class Block:
         text.line(f"%far = add i64 %first, {steps}")
         text.line("%short = icmp slt i64 %steps, %far")
         text.line("%last = select i1 %short, i64 %steps, i64 %far")
-        if not self.shared.entries:
-            text.line("br label %groups")
-            text.label("groups")
-            text.line("br label %group")
-            return text.lines
-        text.line("br label %ahead")
-        text.label("ahead")
-        text.line("%ka = phi i64 [%first, %chunk], [%kb, %ahead]")
-        text.line("%kb = add i64 %ka, 1")
-        text.line(f"%wa = mul i64 %ka, {self.shape.sizes[1]}")
-        text.line("%pa = getelementptr double, ptr %exogenous, i64 %wa")
-        text.line("%ra = sub i64 %ka, %first")
-        text.line(f"%ta = mul i64 %ra, {len(self.shared.entries)}")
-        text.line("%qa = getelementptr double, ptr %table, i64 %ta")
-        have = dict(self.have)
-        once(text, self.shared.entries, have, entries_of(text, "pa"))
-        self.shared.fill(text, "%qa", have)
-        text.line("%done_a = icmp eq i64 %kb, %last")
-        text.line("br i1 %done_a, label %groups, label %ahead")
+        if self.shared.entries:
+            with text.loop("ahead", "%first", "%last") as ahead:
+                self._ahead(text, ahead.at)
+        text.line("br label %groups")
         text.label("groups")
         text.line("br label %group")
         return text.lines
+
+    def _ahead(self, text: Text, step: str) -> None:
+        """A row of the table of what is shared."""
+        at = text.add(f"mul i64 {step}, {self.shape.sizes[1]}")
+        text.line(f"%pa = getelementptr double, ptr %exogenous, i64 {at}")
+        row = text.add(f"sub i64 {step}, %first")
+        have, place = dict(self.have), text.add(f"mul i64 {row}, {len(self.shared.entries)}")
+        once(text, self.shared.entries, have, entries_of(text, "pa"))
+        self.shared.fill(text, text.at("%table", place), have)
 
     def _group(self) -> list[str]:
         """The loop over groups up to that over time."""

@@ -7,6 +7,7 @@ import hashlib
 import json
 import threading
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -33,24 +34,17 @@ class Made(NamedTuple):
     note: str = ""
 
 
+@dataclass(frozen=True)
 class Recipe:
     """A text that is made where no machine code of it is kept; recipes are their keys.
 
-    Args:
+    Attributes:
         key: all that the text depends on.
         make: makes it.
     """
 
-    def __init__(self, key: str, make: Callable[[], Made]) -> None:
-        self.key, self.make = key, make
-
-    def __eq__(self, other: object) -> bool:
-        """Whether another recipe makes the same."""
-        return isinstance(other, Recipe) and other.key == self.key
-
-    def __hash__(self) -> int:
-        """Of its key."""
-        return hash(self.key)
+    key: str
+    make: Callable[[], Made] = field(compare=False)
 
 
 class Block:
@@ -198,7 +192,7 @@ def _machine() -> str:
 def _engine() -> str:
     """What a recipe's text depends on besides its key: this engine as it is."""
     digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.glob("*.py")):
+    for path in sorted(Path(__file__).parent.glob("*.*")):
         digest.update(path.read_bytes())
     return digest.hexdigest()
 

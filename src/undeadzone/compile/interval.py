@@ -159,34 +159,19 @@ def rising(
     return _bounded_where(inside, padded)
 
 
-def exp(a: Interval) -> Interval:
-    """e^a."""
-    return rising(np.exp, a)
-
-
-def log(a: Interval) -> Interval:
-    """log a, for a > 0."""
-    return rising(np.log, a, least=np.nextafter(0, 1))
-
-
-def sqrt(a: Interval) -> Interval:
-    """The square root of a, for a >= 0."""
-    return rising(np.sqrt, a, least=0.0)
-
-
-def asin(a: Interval) -> Interval:
-    """arcsin a, for |a| <= 1."""
-    return rising(np.arcsin, a, -1.0, 1.0)
-
-
-def _minus_arccos(a: Floats) -> Floats:
-    """-arccos a, which rises."""
-    return -np.arccos(a)
+exp = partial(rising, np.exp)
+"""e^a."""
+log = partial(rising, np.log, least=np.nextafter(0, 1))
+"""log a, for a > 0."""
+sqrt = partial(rising, np.sqrt, least=0.0)
+"""The square root of a, for a >= 0."""
+asin = partial(rising, np.arcsin, least=-1.0, greatest=1.0)
+"""arcsin a, for |a| <= 1."""
 
 
 def acos(a: Interval) -> Interval:
     """arccos a, which falls, for |a| <= 1."""
-    return negative(rising(_minus_arccos, a, -1.0, 1.0))
+    return negative(rising(lambda x: -np.arccos(x), a, -1.0, 1.0))
 
 
 def cosh(a: Interval) -> Interval:

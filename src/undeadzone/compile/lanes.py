@@ -111,8 +111,10 @@ def build(
     Raises:
         InputError: an entry that is not there, or an instruction that cannot be compiled.
     """
-    wanted = _Wanted(tuple(exogenous), tuple(params), record, known_exogenous, known_params)
-    recipe, shape, width = _recipe(step, rare, wanted, width, Arithmetic(fused, portable), form)
+    known = known_exogenous, known_params
+    own = tuple(exogenous), tuple(params)
+    wanted = _Wanted(rare, width, *own, record, *known, Arithmetic(fused, portable), form)
+    recipe, shape, width = _recipe(step, wanted)
     return _kernel(cache.made(recipe, KINDS, hurry), shape, width)
 
 
@@ -120,30 +122,26 @@ def kept(
     step: ca.Function, rare: Sequence[ca.Function] = (), *, width: int | None = None
 ) -> Kernel | None:
     """The kernel that `build` would give with no other options, if it is on disk."""
-    wanted = _Wanted((), (), None, {}, {})
-    recipe, shape, width = _recipe(step, rare, wanted, width, Arithmetic(), None)
+    recipe, shape, width = _recipe(step, _Wanted(rare, width))
     block = cache.kept(recipe, KINDS)
     return None if block is None else _kernel(block, shape, width)
 
 
 class _Wanted(NamedTuple):
-    """Options of `build` that concern entries."""
+    """Options of `build` that decide on the text."""
 
-    exogenous: tuple[int, ...]
-    params: tuple[int, ...]
-    record: Sequence[int] | None
-    known_exogenous: Mapping[int, float]
-    known_params: Mapping[int, float]
+    rare: Sequence[ca.Function]
+    width: int | None
+    exogenous: tuple[int, ...] = ()
+    params: tuple[int, ...] = ()
+    record: Sequence[int] | None = None
+    known_exogenous: Mapping[int, float] = MappingProxyType({})
+    known_params: Mapping[int, float] = MappingProxyType({})
+    arithmetic: Arithmetic = Arithmetic()
+    form: Form | None = None
 
 
-def _recipe(
-    step: ca.Function,
-    rare: Sequence[ca.Function],
-    wanted: _Wanted,
-    width: int | None,
-    arithmetic: Arithmetic,
-    form: Form | None,
-) -> tuple[cache.Recipe, Shape, int]:
+def _recipe(step: ca.Function, wanted: _Wanted) -> tuple[cache.Recipe, Shape, int]:
     """How to make a kernel, what it is compiled for, and the lanes of a block."""
     sizes = (step.size1_in(0), step.size1_in(1), step.size1_in(2))
     outputs = step.size1_out(1)
@@ -152,13 +150,14 @@ def _recipe(
     _require_entries("params", [*wanted.params, *wanted.known_params], sizes[2])
     _require_entries("record", recorded, outputs)
     shape = Shape(sizes, wanted.exogenous, wanted.params, tuple(recorded))
-    chosen = width or (WIDTH if shape.exogenous or shape.record else WIDE)
-    functions = graphs(step, rare, shape, wanted.known_exogenous, wanted.known_params)
+    chosen = wanted.width or (WIDTH if shape.exogenous or shape.record else WIDE)
+    functions = graphs(step, wanted.rare, shape, wanted.known_exogenous, wanted.known_params)
     texts = [part.serialize() for part in (functions.usual, *functions.rare)]
-    key = "\n".join([*texts, repr((shape, arithmetic, chosen, form))])
+    of = wanted.arithmetic, chosen, wanted.form
+    key = "\n".join([*texts, repr((shape, *of))])
 
     def make() -> cache.Made:
-        made = source(functions, shape, here(), arithmetic, chosen, form)
+        made = source(functions, shape, here(), *of)
         return cache.Made(made.text, json.dumps([made.form, made.promises]))
 
     return cache.Recipe(key, make), shape, chosen

@@ -74,10 +74,9 @@ def lowered(
 def _own(nodes: Nodes, arithmetic: Arithmetic) -> dict[str, Callable[..., Node]]:
     """The functions that take the C library's place."""
     if arithmetic.fused:
-        return elementary.inlined(nodes, FUSED, elementary.LANES_OWN)
-    if arithmetic.portable:
-        return elementary.inlined(nodes, DOUBLE, elementary.FUNCTIONS)
-    return {}
+        return elementary.inlined(nodes, FUSED, (*elementary.LANES_OWN, "sign"))
+    names = elementary.FUNCTIONS if arithmetic.portable else ("sign",)
+    return elementary.inlined(nodes, DOUBLE, names)
 
 
 def portable(function: ca.Function, kind: str) -> Results:
@@ -194,18 +193,9 @@ class _Lowering(NamedTuple):
             return self._sum(node)
         if node.text in ("fmin", "fmax"):
             return self._extreme(node.text, *args)
-        if node.text == "sign":
-            return self._sign(args[0])
         if node.text in self.ours:
             return self.ours[node.text](*args)
         return self.nodes.made(node.op, *args, text=node.text, kind=node.kind)
-
-    def _sign(self, x: Node) -> Node:
-        """-1, 0 or 1; NaN and zero stay."""
-        made, constant = self.nodes.made, self.nodes.constant
-        positive = made("lt", constant(0.0), x, kind="bool")
-        negative = made("lt", x, constant(0.0), kind="bool")
-        return made("select", negative, constant(-1.0), made("select", positive, constant(1.0), x))
 
     def _extreme(self, word: str, a: Node, b: Node) -> Node:
         """The lesser or greater of two numbers, the first of equals; the other of NaN and one."""

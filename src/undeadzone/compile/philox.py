@@ -29,29 +29,16 @@ DOUBLING = np.float32(-1.3862943611198906 * 2.0**-23)  # -2 log 2, of an exponen
 SIGN, SWAP = np.uint32(0x80000000), np.uint32(0x40000000)  # bits of a word that choose an axis
 
 # Polynomials of least relative error (Remez): -2 log(1 + f) / f for f in [-1/4, 1/2], 1.7e-7.
-LOG = (
-    np.float32(-2.000000294),
-    np.float32(1.000004305),
-    np.float32(-0.6665952924),
-    np.float32(0.4995358186),
-    np.float32(-0.4021606699),
-    np.float32(0.3474444435),
-    np.float32(-0.2826373141),
-    np.float32(0.1329212015),
+LOG = np.array(
+    [
+        *(-2.000000294, 1.000004305, -0.6665952924, 0.4995358186),
+        *(-0.4021606699, 0.3474444435, -0.2826373141, 0.1329212015),
+    ],
+    np.float32,
 )
 # sin(pi t / 2) / t and cos(pi t / 2) by powers of t^2, |t| <= 1/2, 3e-8.
-SIN = (
-    np.float32(1.570796322),
-    np.float32(-0.6459634602),
-    np.float32(0.07968003277),
-    np.float32(-0.004601657887),
-)
-COS = (
-    np.float32(1.0),
-    np.float32(-1.233696662),
-    np.float32(0.2535949467),
-    np.float32(-0.02039858178),
-)
+SIN = np.array([1.570796322, -0.6459634602, 0.07968003277, -0.004601657887], np.float32)
+COS = np.array([1.0, -1.233696662, 0.2535949467, -0.02039858178], np.float32)
 
 
 def philox(a: Any, b: Any, c: Any, d: Any, key: Any, m: Any = np) -> Any:

@@ -287,17 +287,15 @@ def functions(names: Iterable[str], used: set[str], style: Style) -> list[str]:
         head = f"static {style.real} {style.prefix}_{name}({arguments})"
         texts.append("\n".join([_commented(name), head, "{", *lines, "}"]))
         called |= expressions.functions
-    word = "uint32_t" if style.kind == "float32" else "uint64_t"
-    views = {
-        "bits": ("The bits of a number.", word, style.real),
-        "number": ("The number that has these bits.", style.real, word),
-    }
+    word = TYPES["uint32" if style.kind == "float32" else "uint64"]
     heads = []
-    for name, (meaning, to, of) in views.items():
+    for name, meaning, to, of in (
+        ("bits", "The bits of a number.", word, style.real),
+        ("number", "The number that has these bits.", style.real, word),
+    ):
         if name in called:
-            heads.append(
-                _VIEW.format(meaning=meaning, to=to, of=of, name=name, prefix=style.prefix)
-            )
+            view = _VIEW.format(meaning=meaning, to=to, of=of, name=name, prefix=style.prefix)
+            heads.append(view)
     return heads + texts
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterable, Sequence
-from typing import Final
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -35,6 +36,19 @@ _OF_WORDS: Final = {
 _OF_TRUTHS: Final = {"and": "and", "or": "or", "ne": "xor"}
 
 Names = Callable[[Node], str]
+
+
+class Loop(NamedTuple):
+    """A loop that is being printed.
+
+    Attributes:
+        at: the name of its count.
+        carried: name, type, first and following value of each number that goes from turn to turn;
+            the body adds them.
+    """
+
+    at: str
+    carried: list[tuple[str, str, str, str]]
 
 
 class Text:
@@ -166,25 +180,67 @@ class Text:
         lanes = f"v{self.lanes}" if vector and self.lanes > 1 else ""
         name = f"llvm.{node.text}.{lanes}{_SHORT[of_one]}"
         self.declared[name] = f"declare {value} @{name}({', '.join([value] * len(args))})"
-        given = ", ".join([f"{value} {arg}" for arg in args])
-        return self.add(f"call {value} @{name}({given})")
+        return self._called(name, value, args)
 
     def _call(self, function: str, args: list[str], vector: bool) -> str:
         """Calls of a C function, lane by lane."""
         numbers = ", ".join(["double"] * len(args))
         self.declared[function] = f"declare double @{function}({numbers})"
         if not vector or self.lanes == 1:
-            return self._called(function, args)
+            return self._called(function, "double", args)
         value, whole = self.type("double"), "poison"
         for lane in range(self.lanes):
             parts = [self.add(f"extractelement {value} {arg}, i64 {lane}") for arg in args]
-            one = self._called(function, parts)
+            one = self._called(function, "double", parts)
             whole = self.add(f"insertelement {value} {whole}, double {one}, i64 {lane}")
         return whole
 
-    def _called(self, function: str, args: list[str]) -> str:
-        """A call of a C function."""
-        return self.add(f"call double @{function}({', '.join([f'double {x}' for x in args])})")
+    def _called(self, function: str, kind: str, args: list[str]) -> str:
+        """A call of a function of numbers of a kind."""
+        given = ", ".join([f"{kind} {arg}" for arg in args])
+        return self.add(f"call {kind} @{function}({given})")
+
+    @contextmanager
+    def loop(self, name: str, begin: str, end: str, stride: int = 1) -> Iterator[Loop]:
+        """Print a loop whose count goes from `begin` by strides while it is below `end`.
+
+        Args:
+            name: of its blocks.
+            begin, end, stride: of the count; both ends are at least 0.
+        """
+        came, counted = self.block, Loop(f"%{name}.count", [])
+        self.line(f"br label %{name}")
+        self.label(name)
+        head = len(self.lines)
+        self.line(f"%{name}.more = icmp ult i64 {counted.at}, {end}")
+        self._entered(f"%{name}.more", name)
+        yield counted
+        self.line(f"%{name}.next = add i64 {counted.at}, {stride}")
+        self.line(f"br label %{name}")
+        counts = f"i64 [{begin}, %{came}], [%{name}.next, %{self.block}]"
+        phis = [f"  {counted.at} = phi {counts}"]
+        for value, kind, first, following in counted.carried:
+            phis.append(f"  {value} = phi {kind} [{first}, %{came}], [{following}, %{self.block}]")
+        self.lines[head:head] = phis
+        self.label(f"{name}.past")
+
+    @contextmanager
+    def where(self, truth: str, name: str) -> Iterator[None]:
+        """Print what is done where a truth holds.
+
+        Args:
+            truth: the name of the truth.
+            name: of its blocks.
+        """
+        self._entered(truth, name)
+        yield
+        self.line(f"br label %{name}.past")
+        self.label(f"{name}.past")
+
+    def _entered(self, truth: str, name: str) -> None:
+        """Begin what is done where a truth holds; without it the way goes past."""
+        self.line(f"br i1 {truth}, label %{name}.do, label %{name}.past")
+        self.label(f"{name}.do")
 
     def any(self, condition: str) -> str:
         """Whether a condition holds in any lane."""

@@ -151,10 +151,8 @@ class _Writer:
 
     def declared(self) -> bytes:
         """The declaration of the locals."""
-        groups = []
-        for kind, nodes in self._kept.items():
-            if nodes:
-                groups.append(_unsigned(len(nodes)) + bytes([_TYPES[kind]]))
+        held = {_TYPES[kind]: len(nodes) for kind, nodes in self._kept.items() if nodes}
+        groups = [_unsigned(count) + bytes([kind]) for kind, count in held.items()]
         return _unsigned(len(groups)) + b"".join(groups)
 
     def filled(self) -> bytes:

@@ -127,12 +127,9 @@ class RareParts:
             flag = text.add(f"select {choice} {text.zero()}")  # of a lane that asked for this part
             text.store(flag, "%flag", vector=True)
             again = text.any(text.add(f"fcmp une {vector} {flag}, {text.zero()}"))
-            text.line(f"br i1 {again}, label %again, label %enough")
-            text.label("again")
             given = ", ".join(f"ptr %{name}" for name in _POINTERS)
-            text.line(f"call void @rare{part + 1}(i64 %lanes, {given})")
-            text.line("br label %enough")
-            text.label("enough")
+            with text.where(again, "again"):
+                text.line(f"call void @rare{part + 1}(i64 %lanes, {given})")
         text.line("ret void")
         pointers = ", ".join(f"ptr noalias %{name}" for name in _POINTERS)
         head = f"define internal void @rare{part}(i64 %lanes, {pointers}) noinline #0 {{"

@@ -21,24 +21,14 @@ def lifted(nodes: Nodes, x: Any, kind: str) -> Node:
     return nodes.constant(x, x.dtype.name if isinstance(x, np.generic) else kind)
 
 
-def _operator(op: str) -> Callable[[Value, Any], Value]:
-    """An operator with a value on the left."""
-    return lambda a, other: Value(a.nodes, a.nodes.made(op, a.node, a.lifted(other)))
+def _operator(op: str, kind: str = "") -> Callable[[Value, Any], Value]:
+    """An operator with a value on the left, whose result is of a kind."""
+    return lambda a, other: Value(a.nodes, a.nodes.made(op, a.node, a.lifted(other), kind=kind))
 
 
-def _swapped(op: str) -> Callable[[Value, Any], Value]:
-    """An operator with a value on the right."""
-    return lambda b, other: Value(b.nodes, b.nodes.made(op, b.lifted(other), b.node))
-
-
-def _comparison(op: str, swapped: bool = False) -> Callable[[Value, Any], Value]:
-    """A comparison with a value on the left; swapped, of the other number with it."""
-
-    def compared(a: Value, other: Any) -> Value:
-        operands = (a.lifted(other), a.node) if swapped else (a.node, a.lifted(other))
-        return Value(a.nodes, a.nodes.made(op, *operands, kind="bool"))
-
-    return compared
+def _swapped(op: str, kind: str = "") -> Callable[[Value, Any], Value]:
+    """An operator with a value on the right, whose result is of a kind."""
+    return lambda b, other: Value(b.nodes, b.nodes.made(op, b.lifted(other), b.node, kind=kind))
 
 
 class Value:
@@ -85,12 +75,12 @@ class Value:
     __xor__ = _operator("xor")
     __lshift__ = _operator("shl")
     __rshift__ = _operator("shr")
-    __lt__ = _comparison("lt")
-    __le__ = _comparison("le")
-    __gt__ = _comparison("lt", swapped=True)
-    __ge__ = _comparison("le", swapped=True)
-    __eq__ = _comparison("eq")  # type: ignore[assignment]
-    __ne__ = _comparison("ne")  # type: ignore[assignment]
+    __lt__ = _operator("lt", "bool")
+    __le__ = _operator("le", "bool")
+    __gt__ = _swapped("lt", "bool")
+    __ge__ = _swapped("le", "bool")
+    __eq__ = _operator("eq", "bool")  # type: ignore[assignment]
+    __ne__ = _operator("ne", "bool")  # type: ignore[assignment]
 
     def view(self, kind: Kind) -> Value:
         """The same bits as another kind of number."""

@@ -12,10 +12,11 @@ import numpy as np
 
 from undeadzone.compile import interpret
 from undeadzone.exports.code import Code
-from undeadzone.exports.compiler import shared_library, stack_bytes
-from undeadzone.exports.fields import Field
+from undeadzone.exports.compiler import shared_library, stack_bytes, written
+from undeadzone.exports.fields import Field, places_of, total
 from undeadzone.exports.source import Labels, source
-from undeadzone.support.arrays import Floats
+from undeadzone.exports.template import called, filled
+from undeadzone.support.arrays import Floats, finite
 
 CHUNK = 500  # steps between two looks at the memory
 MACHINE_STEPS = 2000  # of the comparison with CasADi's virtual machine
@@ -23,36 +24,6 @@ EXACT, CLOSE = 1e-13, 1e-9  # bars of that: without elementary functions, and wi
 SHARE_OF_STD = 0.1  # largest error of a width, relative to its standard deviation
 SHARE_OF_WIDTH = 1e-3  # the same relative to the width, where no deviation is estimated
 SMALLEST = 1e-6  # eigenvalue of a correlation matrix below which float is not enough
-
-_RUNNER = """#include "{prefix}.h"
-#include <string.h>
-void run(long steps, const {prefix}_in *in, {prefix}_out *out, {prefix}_state *state);
-void start({prefix}_state *state);
-void start({prefix}_state *state)
-{{
-    {prefix}_init(state);
-}}
-void run(long steps, const {prefix}_in *in, {prefix}_out *out, {prefix}_state *state)
-{{
-{params}    for (long k = 0; k < steps; k++) {{
-        {prefix}_step(state, {argument}&in[k], &out[k]);
-    }}
-}}
-"""
-
-
-class Row(NamedTuple):
-    """A line of the accuracy table.
-
-    Attributes:
-        name: field of the output.
-        error: largest difference of float and double.
-        size: largest value.
-    """
-
-    name: str
-    error: float
-    size: float
 
 
 class Accuracy(NamedTuple):
@@ -63,10 +34,10 @@ class Accuracy(NamedTuple):
             the size of each field.
         machine_bar: what it must stay below.
         steps: how many steps float ran beside double; 0 in double precision.
-        rows: the largest errors of float, by field.
-        sides: at how many steps the measured side differs.
-        eigenvalue: smallest eigenvalue of a correlation matrix in double; None: no covariance.
-        eigenvalue_in_float: the same in float.
+        float_against_double: the largest error of float and the largest value, by field.
+        sides_differ: at how many steps the measured side differs.
+        smallest_correlation_eigenvalue: of a correlation matrix in double; None: no covariance.
+        smallest_correlation_eigenvalue_in_float: the same in float.
         refusals: what is not good enough, with its number.
         stack: of a step on this computer [bytes]; None: the compiler does not tell.
     """
@@ -74,12 +45,12 @@ class Accuracy(NamedTuple):
     machine: float
     machine_bar: float
     steps: int
-    rows: list[Row]
-    sides: int
-    eigenvalue: float | None
+    float_against_double: dict[str, dict[str, float]]
+    sides_differ: int
+    smallest_correlation_eigenvalue: float | None
+    smallest_correlation_eigenvalue_in_float: float | None
     refusals: list[str]
-    stack: int | None = None
-    eigenvalue_in_float: float | None = None
+    stack: int | None
 
 
 class Compiled:
@@ -92,27 +63,17 @@ class Compiled:
 
     def __init__(self, code: Code, folder: Path) -> None:
         prefix = f"run_{code.kind}"
-        text = source(code, Labels(prefix, "accuracy", "replica"))
-        params = f"    {prefix}_params params;\n    {prefix}_params_default(&params);\n"
-        runner = _RUNNER.format(
-            prefix=prefix,
-            params=params if code.step.params else "",
-            argument="&params, " if code.step.params else "",
-        )
-        (folder / f"{prefix}.h").write_text(text.header)
-        (folder / f"{prefix}.c").write_text(text.code)
-        (folder / f"{prefix}_math.h").write_text(text.math)
-        (folder / f"{prefix}_run.c").write_text(runner)
-        files = [folder / f"{prefix}.c", folder / f"{prefix}_run.c"]
-        library = ctypes.CDLL(str(shared_library(files, folder / f"{prefix}.so")))
-        self._run = library.run
+        words = called(prefix, bool(code.step.params))
+        files = source(code, Labels(prefix, "accuracy", "replica")).files(prefix)
+        files[f"{prefix}_run.c"] = filled("templates/runner.c", words)
+        library = shared_library(written(files, folder), folder / f"{prefix}.so")
+        functions = ctypes.CDLL(str(library))
+        self._run = functions.run
         self.stack = stack_bytes(folder, prefix)
         self.real = code.kind
-        carried = 0 if code.phases is None else code.phases.carried
-        self.memory = code.step.start.size
-        self.state = np.zeros(self.memory + carried, self.real)
-        self.outputs = sum(field.size for field in code.step.outputs)
-        library.start(_address(self.state))
+        self.state = np.zeros(total(code.structs["state"]), self.real)
+        self.outputs = total(code.step.outputs)
+        functions.start(_address(self.state))
 
     def __call__(self, rows: Floats) -> Floats:
         """The outputs along inputs (N x inputs), as float64 (N x outputs)."""
@@ -149,7 +110,7 @@ def measure(double: Code, single: Code | None, rows: Floats, functions: bool) ->
             refusals.append(
                 f"the code in double differs from the graph by {error:.2g}, above {bar:g}"
             )
-        plain = Accuracy(error, bar, 0, [], 0, None, refusals, replica.stack)
+        plain = Accuracy(error, bar, 0, {}, 0, None, None, refusals, replica.stack)
         if single is None:
             return plain
         rounded = Compiled(single, folder)
@@ -166,7 +127,7 @@ def _against_machine(code: Code, replica: Compiled, rows: Floats) -> float:
     if not np.array_equal(np.isnan(values), np.isnan(expected)):
         return float("inf")
     gap = np.nan_to_num(np.abs(values - expected), posinf=np.inf)
-    size = np.nan_to_num(np.abs(expected))
+    size = _size(expected)
     shares = []
     for place in places_of(step.outputs).values():
         shares.append(gap[:, place].max() / (size[:, place].max() + 1e-300))
@@ -185,38 +146,33 @@ def _beside(
 ) -> Accuracy:
     """Float beside double, on inputs that float holds exactly."""
     rows = rows.astype(np.float32).astype(float)
-    errors = np.zeros(double.outputs)
-    sizes = np.zeros(double.outputs)
-    judge = _Judge(code.step.outputs)
-    eigenvalues: list[Floats] = []
+    runs, pairs = [], []
     for start in range(0, len(rows), CHUNK):
         piece = rows[start : start + CHUNK]
-        exact, rounded = double(piece), single(piece)
-        judge.look(exact, rounded)
-        errors = np.maximum(errors, _gap(exact, rounded).max(axis=0))
-        sizes = np.maximum(sizes, np.nan_to_num(np.abs(exact)).max(axis=0))
-        pair = [smallest_eigenvalue(code.step.state, one.state) for one in (double, single)]
-        eigenvalues.append(np.array(pair, float))
-    table = []
-    for field, places in judge.places.items():
-        table.append(Row(field, float(errors[places].max()), float(sizes[places].max())))
-    least = np.min(eigenvalues, axis=0)  # in double and in float; NaN where there is no covariance
-    refusals = plain.refusals + judge.refusals()
+        runs.append([double(piece), single(piece)])
+        pairs.append([smallest_eigenvalue(code.step.state, one.state) for one in (double, single)])
+    exact, rounded = np.concatenate(runs, axis=1)
+    places, gap, size = places_of(code.step.outputs), _gap(exact, rounded), _size(exact)
+    table = {}
+    for field, place in places.items():
+        error, most = float(gap[:, place].max()), float(size[:, place].max())
+        table[field] = {"error": error, "size": most}
+    least = np.min(np.array(pairs, float), axis=0)  # NaN where there is no covariance
+    refusals = plain.refusals + _refused_widths(places, gap, size)
     for eigenvalue, real, bar in zip(least, ("double", "float"), (SMALLEST, 0.0), strict=True):
         if eigenvalue < bar:
             refusals.append(
                 f"float is not enough: a correlation matrix has an eigenvalue of {eigenvalue:.2g} "
                 f"in {real}, below {bar:g}; use --precision double"
             )
-    has_covariance = bool(np.isfinite(least).all())
-    in_double, in_float = map(float, least) if has_covariance else (None, None)
+    in_double, in_float = finite(least.tolist())
     return plain._replace(
         steps=len(rows),
-        rows=table,
-        sides=judge.sides,
-        eigenvalue=in_double,
+        float_against_double=table,
+        sides_differ=int((gap[:, places["side"]] != 0).any(axis=1).sum()),
+        smallest_correlation_eigenvalue=in_double,
+        smallest_correlation_eigenvalue_in_float=in_float,
         refusals=refusals,
-        eigenvalue_in_float=in_float,
     )
 
 
@@ -227,53 +183,35 @@ def _gap(exact: Floats, rounded: Floats) -> Floats:
     return np.where(np.isnan(gap), np.inf, gap)
 
 
-def places_of(fields: list[Field]) -> dict[str, slice]:
-    """Where each field stands among the numbers of a struct."""
-    places: dict[str, slice] = {}
-    start = 0
-    for field in fields:
-        places[field.name] = slice(start, start + field.size)
-        start += field.size
-    return places
+def _size(values: Floats) -> Floats:
+    """How large values are; 0 where there is none."""
+    return np.nan_to_num(np.abs(values))
 
 
-class _Judge:
-    """Collects the errors of the widths along a run."""
+def _refused_widths(places: dict[str, slice], gap: Floats, size: Floats) -> list[str]:
+    """The widths whose errors are too large, in words.
 
-    def __init__(self, outputs: list[Field]) -> None:
-        self.places = places_of(outputs)
-        self.sides = 0
-        self.worst: dict[str, float] = {}
-        self.width = 0.0
-
-    def look(self, exact: Floats, rounded: Floats) -> None:
-        """Take in the outputs of some steps."""
-        side = self.places["side"]
-        self.sides += int((exact[:, side] != rounded[:, side]).any(axis=1).sum())
-        for name in ("right", "left"):
-            if name not in self.places:
-                continue
-            place = self.places[name]
-            error = _gap(exact[:, place], rounded[:, place])
-            self.width = max(self.width, float(np.abs(exact[:, place]).max()))
-            std = self.places.get(f"{name}_std")
-            if std is not None:
-                error = error / np.maximum(np.abs(exact[:, std]), 1e-30)
-            self.worst[name] = max(self.worst.get(name, 0.0), float(error.max()))
-
-    def refusals(self) -> list[str]:
-        """The widths whose errors are too large, in words."""
-        texts = []
-        for name, worst in self.worst.items():
-            claimed = f"{name}_std" in self.places
-            bar = SHARE_OF_STD if claimed else SHARE_OF_WIDTH * max(self.width, 1e-30)
-            if not worst <= bar:
-                of = " of its standard deviation" if claimed else ""
-                texts.append(
-                    f"float is not enough: {name} is wrong by {worst:.2g}{of}, above {bar:.2g}; "
-                    "use --precision double"
-                )
-        return texts
+    Args:
+        places: where each field stands among the outputs.
+        gap: errors of float (steps x outputs).
+        size: sizes of the outputs in double (steps x outputs).
+    """
+    widths = [name for name in ("right", "left") if name in places]
+    widest = max([float(size[:, places[name]].max()) for name in widths], default=0.0)
+    texts = []
+    for name in widths:
+        error, std = gap[:, places[name]], places.get(f"{name}_std")
+        bar, of = SHARE_OF_WIDTH * max(widest, 1e-30), ""
+        if std is not None:
+            error = error / np.maximum(size[:, std], 1e-30)
+            bar, of = SHARE_OF_STD, " of its standard deviation"
+        worst = float(error.max())
+        if not worst <= bar:
+            texts.append(
+                f"float is not enough: {name} is wrong by {worst:.2g}{of}, above {bar:.2g}; "
+                "use --precision double"
+            )
+    return texts
 
 
 def smallest_eigenvalue(fields: list[Field], state: Any) -> float | None:
@@ -283,13 +221,11 @@ def smallest_eigenvalue(fields: list[Field], state: Any) -> float | None:
         fields: the fields of the memory.
         state: its numbers.
     """
-    sizes = {field.name: field.size for field in fields}
-    start, values = 0, []
-    for field in fields:
-        part = np.asarray(state[start : start + field.size], float)
-        start += field.size
-        if field.name.endswith("cov"):
-            matrix = _symmetric(part, sizes.get(field.name[:-3] + "mean", 0))
+    places, values = places_of(fields), []
+    for name, place in places.items():
+        if name.endswith("cov"):
+            mean = places[name.removesuffix("cov") + "mean"]
+            matrix = _symmetric(np.asarray(state[place], float), mean.stop - mean.start)
             std = np.sqrt(np.abs(np.diagonal(matrix)))
             std[std == 0] = 1.0
             values.append(float(np.linalg.eigvalsh(matrix / np.outer(std, std))[0]))

@@ -10,6 +10,8 @@ from typing import Final, NamedTuple
 
 from undeadzone.compile.graph import LANES, Node, Nodes, Results, condition, needed
 from undeadzone.compile.lower import portable
+from undeadzone.compile.print_c import TYPES
+from undeadzone.exports.fields import Field
 from undeadzone.exports.parts import Step
 
 _COUNTED: Final = {
@@ -52,6 +54,24 @@ class Code(NamedTuple):
     def kind(self) -> str:
         """NumPy's name of the type of numbers."""
         return "float32" if self.single else "float64"
+
+    @property
+    def real(self) -> str:
+        """The type of numbers in C."""
+        return TYPES[self.kind]
+
+    @property
+    def carried(self) -> int:
+        """How many numbers pass from one phase to the other."""
+        return 0 if self.phases is None else self.phases.carried
+
+    @property
+    def structs(self) -> dict[str, list[Field]]:
+        """The fields of each struct, by the end of its name."""
+        step, meaning = self.step, "from estimate to advance; not part of the memory"
+        carry = [Field("carry", self.carried, meaning)] if self.carried else []
+        fields = {"state": [*step.state, *carry], "in": step.inputs, "out": step.outputs}
+        return fields | ({"params": step.params} if step.params else {})
 
     @property
     def hash(self) -> str:

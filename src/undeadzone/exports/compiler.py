@@ -30,6 +30,18 @@ def require_compiler() -> str:
     return command
 
 
+def written(files: dict[str, str], folder: Path) -> list[Path]:
+    """The paths of the C files among some that are written into a folder.
+
+    Args:
+        files: texts by name.
+        folder: where they go.
+    """
+    for name, text in files.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    return [folder / name for name in files if name.endswith(".c")]
+
+
 def shared_library(sources: list[Path], out: Path, options: tuple[str, ...] = ("-O1",)) -> Path:
     """Compile C into a shared library.
 
@@ -86,10 +98,8 @@ def self_tested(files: dict[str, str]) -> tuple[bool, str]:
     command = compiler()
     if command is None:
         return False, "no C compiler: expected cc, gcc or clang in PATH, or the variable CC"
-    sources = [name for name in files if name.endswith(".c")]
     with tempfile.TemporaryDirectory() as name:
-        for path, text in files.items():
-            Path(name, path).write_text(text, encoding="utf-8")
+        sources = [path.name for path in written(files, Path(name))]
         make = [command, *FLAGS, "-O2", "-o", "tested", *sources, "-lm"]
         built = subprocess.run(make, capture_output=True, text=True, cwd=name)
         if built.returncode:

@@ -14,12 +14,11 @@ from undeadzone.compile.graph import needed
 from undeadzone.errors import InputError
 from undeadzone.exports import accuracy, compiler, folder, parts, targets
 from undeadzone.exports.code import Code, code, operations
-from undeadzone.exports.fields import identifier
+from undeadzone.exports.fields import Field, identifier, total
 from undeadzone.exports.page.build import write_page
-from undeadzone.exports.selftest import selftest
 from undeadzone.exports.source import Labels, Source, source
 from undeadzone.exports.targets import Material
-from undeadzone.exports.vectors import chosen, continued, recorded, reference
+from undeadzone.exports.vectors import chosen, continued, recorded, reference, selftest
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.support.arrays import Floats
@@ -93,9 +92,10 @@ def export(
     step = parts.build(problem, part, tuple(tunable))
     double = code(step, single=False)
     printed = code(step, single=True) if precision == "single" else double
-    text = source(printed, Labels(prefix, scenario.title, part))
+    labels = Labels(prefix, scenario.title, part)
+    text = source(printed, labels)
     rows = recorded(continued(scenario, STEPS), step)
-    report = _report(printed, text, scenario, prefix, part, tuple(tunable))
+    report = _report(printed, text, labels, tunable)
     report["replaced_constants"] = replaced_constants(double) if printed.single else []
     report |= _measured(double, printed, text, rows)
     vectors = reference(printed, chosen(rows[: problem.steps + 1], step.readings))
@@ -146,26 +146,19 @@ def _prefix(name: str | None, title: str) -> str:
 
 
 def _report(
-    printed: Code,
-    text: Source,
-    scenario: Scenario,
-    prefix: str,
-    part: str,
-    tunable: tuple[str, ...],
+    printed: Code, text: Source, labels: Labels, tunable: tuple[str, ...]
 ) -> dict[str, Any]:
     """What is known of an export before anything runs."""
     step = printed.step
     bytes_each = 4 if printed.single else 8
-    carried = 0 if printed.phases is None else printed.phases.carried
-    sizes = {"state": bytes_each * (step.start.size + carried)}
-    for word, fields in (("in", step.inputs), ("out", step.outputs), ("params", step.params)):
-        sizes[word] = bytes_each * sum(field.size for field in fields)
+    structs: dict[str, list[Field]] = {"params": []} | printed.structs
+    sizes = {name: bytes_each * total(structs[name]) for name in ("state", "in", "out", "params")}
     return {
-        "name": prefix,
-        "title": scenario.title,
+        "name": labels.prefix,
+        "title": labels.title,
         "version": undeadzone.__version__,
         "hash": printed.hash,
-        "part": part,
+        "part": labels.part,
         "precision": "single" if printed.single else "double",
         "step": step.Ts,
         "tunable": list(tunable),
@@ -196,14 +189,6 @@ def _measured(double: Code, printed: Code, text: Source, rows: Floats) -> dict[s
         return {"accuracy": None, "stack": None, "refusals": refusals}
     single = printed if printed.single else None
     result = accuracy.measure(double, single, rows, bool(text.functions))
-    table = {row.name: {"error": row.error, "size": row.size} for row in result.rows}
-    measured = {
-        "machine": result.machine,
-        "machine_bar": result.machine_bar,
-        "steps": result.steps,
-        "float_against_double": table,
-        "sides_differ": result.sides,
-        "smallest_correlation_eigenvalue": result.eigenvalue,
-        "smallest_correlation_eigenvalue_in_float": result.eigenvalue_in_float,
-    }
-    return {"accuracy": measured, "stack": result.stack, "refusals": result.refusals}
+    found = result._asdict()
+    stack, refusals = found.pop("stack"), found.pop("refusals")
+    return {"accuracy": found, "stack": stack, "refusals": refusals}

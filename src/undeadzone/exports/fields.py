@@ -130,6 +130,21 @@ def estimate_fields(sizes: Estimate, units: Units) -> list[Field]:
     return fields
 
 
+def total(fields: list[Field]) -> int:
+    """How many numbers fields hold together."""
+    return sum(field.size for field in fields)
+
+
+def places_of(fields: list[Field]) -> dict[str, slice]:
+    """Where each field stands among the numbers of a struct."""
+    places: dict[str, slice] = {}
+    start = 0
+    for field in fields:
+        places[field.name] = slice(start, start + field.size)
+        start += field.size
+    return places
+
+
 def members(fields: list[Field]) -> list[tuple[str, int]]:
     """(name of the field, entry) of every number, in order."""
     places: list[tuple[str, int]] = []

@@ -1,178 +1,19 @@
-"""The files around the C, and the folder that takes them all or none."""
+"""The folder of an export, which takes all files or none."""
 
 from __future__ import annotations
 
 import json
 import os
-import shutil
 import tempfile
 from pathlib import Path
 from typing import Any
 
 from undeadzone.errors import FileError
 from undeadzone.support.files import reason, require_folder
-from undeadzone.support.text import one_line, printable
 
 Files = dict[str, str | bytes]
 GENERATOR = "undeadzone export"
 MANIFEST = "manifest.json"
-
-MAKEFILE = """# `make` builds {name}_test, which compares every bit with the reference: exit code 0.
-CFLAGS = -O2 -std=c99 -ffp-contract=off -fno-math-errno -ffunction-sections -Wall
-{name}_test: {name}.c {name}.h {math}{name}_test.c
-\t$(CC) $(CFLAGS) -o $@ {name}.c {name}_test.c -lm
-
-# `make size` prints the bytes of flash (text) and RAM (data, bss) on a Cortex-M4F.
-CROSS = arm-none-eabi-
-CORE = -mcpu=cortex-m4 -mthumb -mfloat-abi=hard -mfpu=fpv4-sp-d16
-size:
-\t$(CROSS)gcc $(CFLAGS) $(CORE) -c -o {name}_target.o {name}.c
-\t$(CROSS)size {name}_target.o
-.PHONY: size
-"""
-
-FLASH = """
-`make size` compiles for a Cortex-M4F with arm-none-eabi-gcc (`CROSS` and `CORE` for others) and
-prints the bytes of flash: all three calls, of which `--gc-sections` keeps those that you make. For
-the time read the chip's counter before and after a step, on a Cortex-M `DWT->CYCCNT`.
-"""
-
-CMAKE = """cmake_minimum_required(VERSION 3.10)
-project({name} C)
-add_library({name} STATIC {name}.c)
-target_include_directories({name} PUBLIC ${{CMAKE_CURRENT_SOURCE_DIR}})
-target_compile_options({name} PRIVATE
-  -std=c99 -ffp-contract=off -fno-math-errno -ffunction-sections)
-"""
-
-PROPERTIES = """name={name}
-version=1.0.0
-author=undeadzone export
-maintainer=undeadzone export
-sentence={title}
-paragraph=An observer that sees through a sensor's dead zone, as C99 without a runtime.
-category=Signal Input/Output
-url=https://www.arduino.cc
-architectures=*
-includes={name}.h
-"""
-
-SKETCH = """// Reads a sensor on A0 at the sample time and prints what lies behind its dead zone.
-#include <{name}.h>
-
-static {name}_state state;
-static {name}_in in;
-static {name}_out out;
-static unsigned long next_sample;
-{params_declared}
-void setup() {{
-  Serial.begin(115200);
-{params_default}  {name}_init(&state);
-  next_sample = micros();
-}}
-
-void loop() {{
-  if ((long)(micros() - next_sample) < 0) {{
-    return;
-  }}
-  next_sample += (unsigned long)({upper}_STEP * 1e6f + 0.5f);
-  in.y[0] = analogRead(A0);  // scale it to the unit in the header; fill all of `in`
-  {name}_step(&state, {params}&in, &out);
-  Serial.println(out.z[0]);
-}}
-"""
-
-
-def readme(report: dict[str, Any], build: str = "") -> str:
-    """The README of an export.
-
-    Args:
-        report: what the manifest holds.
-        build: how it is built or installed; default: by make, with the self-test.
-    """
-    name, sizes = report["name"], report["sizes"]
-    counts = ", ".join(f"{count} {word}" for word, count in report["operations"].items())
-    flash = "" if build else FLASH
-    build = build or f"Run `make && ./{name}_test`: exit code 0 means that every bit agrees."
-    phases = ""
-    if report["two_phase"]:
-        phases = f"""
-Where u is computed from the estimate, call the halves instead; they give the same bits:
-
-    {name}_estimate(&state, {_params(report)}&in, &out);   /* reads in.y */
-    {name}_advance(&state, {_params(report)}&in);          /* reads in.u */
-"""
-    return f"""# {name}: {printable(report["title"])}
-
-{report["part"]} in {report["precision"]} precision, written by undeadzone {report["version"]}.
-Hash {report["hash"]}. The header names the unit of every field.
-
-## Build
-
-{build}
-Compile with `-std=c99 -ffp-contract=off` and never with `-ffast-math`. There is no heap, no
-recursion, no loop, no static that changes; any number of instances may run, in interrupts too.
-The step and its halves stand beside each other: `-ffunction-sections` and the linker's
-`--gc-sections` keep what is called.
-
-## Call
-
-    {name}_init(&state);                     /* once */
-    {name}_step(&state, {_params(report)}&in, &out);       /* every {report["step"]:g} s */
-
-A reading in `in.y` that is not finite counts as missing.
-{phases}
-## Cost
-
-Bytes: state {sizes["state"]}, in {sizes["in"]}, out {sizes["out"]}.
-One step takes at most these operations, whatever the data: {counts}.
-{flash}
-## What may not be changed
-
-The files are one whole: the self-test and the hash belong to exactly this code. Change the scenario
-and export again.
-"""
-
-
-def _params(report: dict[str, Any]) -> str:
-    return "&params, " if report["tunable"] else ""
-
-
-def build_files(report: dict[str, Any], math: bool) -> dict[str, str]:
-    """The texts of Makefile, CMakeLists.txt, README.md and manifest.json, by name."""
-    name = report["name"]
-    header = f"{name}_math.h " if math else ""
-    return {
-        "Makefile": MAKEFILE.format(name=name, math=header),
-        "CMakeLists.txt": CMAKE.format(name=name),
-        "README.md": readme(report),
-        MANIFEST: manifest(report),
-    }
-
-
-def arduino_files(report: dict[str, Any]) -> dict[str, str]:
-    """The texts around the C of an Arduino library, by name."""
-    name = report["name"]
-    declared, default = "", ""
-    if report["tunable"]:
-        declared = f"static {name}_params params;\n"
-        default = f"  {name}_params_default(&params);\n"
-    sketch = SKETCH.format(
-        name=name,
-        upper=name.upper(),
-        params=_params(report),
-        params_declared=declared,
-        params_default=default,
-    )
-    title = one_line(str(report["title"]))
-    return {
-        "library.properties": PROPERTIES.format(name=name, title=title),
-        f"examples/{name}_example/{name}_example.ino": sketch,
-        "README.md": readme(
-            report, "Copy this folder into the libraries folder of the Arduino IDE."
-        ),
-        MANIFEST: manifest(report),
-    }
 
 
 def manifest(report: dict[str, Any]) -> str:
@@ -229,8 +70,3 @@ def write_folder(files: Files, out: Path) -> list[Path]:
     except (OSError, ValueError) as error:
         raise FileError(f"{out}: cannot write: {reason(error)}") from None
     return [out / path for path in files]
-
-
-def remove(out: Path) -> None:
-    """Remove a folder."""
-    shutil.rmtree(out, ignore_errors=True)

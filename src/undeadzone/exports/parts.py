@@ -13,7 +13,7 @@ from undeadzone.ends.sensor import present
 from undeadzone.errors import InputError
 from undeadzone.exports.fields import Field, estimate_fields, state_fields
 from undeadzone.feedforward.targets import Target
-from undeadzone.interfaces import Compensator, Estimate, Observer, graph_of, received
+from undeadzone.interfaces import Estimate, Observer, graph_of, received
 from undeadzone.scenario.problem import Problem
 from undeadzone.scenario.schema import Units
 from undeadzone.support import tree
@@ -105,95 +105,78 @@ def build(problem: Problem, part: str = "observer", tunable: tuple[str, ...] = (
         observer.params,
         _Sensor(problem.sensor.threshold, problem.sensor.limits),
         problem.controller.params if closed else None,
-        _params(problem.compensator) if closed else None,
+        problem.compensator.params if closed and problem.compensator else None,
     )
     column, params, defaults = folded(numbers, tunable)
     traced = _loop if closed else _observer
-    step = traced(problem, observer, numbers, column)
-    function = ca.Function(
-        "step",
-        [step.state, step.inputs, params.symbols],
-        [step.following, step.out],
-        ["s", "w", "p"],
-        ["next", "out"],
-        {"cse": True},
-    )
-    require_used(ca.vertcat(step.following, step.out), params, tunable)
+    step = traced(problem, observer, tree.unpack(numbers, column))
+    following, out = tree.stack(step.following), tree.stack(step.out)
+    columns = [step.state, ca.vertcat(*step.inputs), params.symbols]
+    names = ["s", "w", "p"], ["next", "out"]
+    function = ca.Function("step", columns, [following, out], *names, {"cse": True})
+    require_used(ca.vertcat(following, out), params, tunable)
+    p, m = problem.model.p, problem.model.m
     return Step(
-        function,
-        step.start,
-        step.state_fields,
-        step.input_fields,
-        step.output_fields,
-        params.fields,
-        defaults,
-        problem.model.p,
-        step.acting,
-        problem.model.Ts,
+        function=function,
+        start=tree.pack(step.memory),
+        state=state_fields(step.memory, "" if closed else "observer"),
+        inputs=[_y_field(p), *step.input_fields],
+        outputs=step.output_fields,
+        params=params.fields,
+        defaults=defaults,
+        readings=p,
+        acting=[] if closed else list(range(p, p + m)),
+        Ts=problem.model.Ts,
     )
 
 
 class _Traced(NamedTuple):
-    """A step as expressions: columns, and the fields that they consist of."""
+    """A step as expressions, and the fields that stand for them.
 
+    Attributes:
+        memory: the state at t = 0, a tree.
+        state: the state as a column.
+        inputs: columns.
+        following, out: trees.
+        input_fields: those of all inputs but the readings.
+        output_fields: those of `out`.
+    """
+
+    memory: Any
     state: ca.SX
-    inputs: ca.SX
-    following: ca.SX
-    out: ca.SX
-    start: Floats
-    state_fields: list[Field]
+    inputs: list[ca.SX]
+    following: Any
+    out: Any
     input_fields: list[Field]
     output_fields: list[Field]
-    acting: list[int]
 
 
-def _params(compensator: Compensator | None) -> Any:
-    """The numbers of a compensator; None where there is none."""
-    return None if compensator is None else compensator.params
-
-
-def _observer(problem: Problem, observer: Observer, numbers: _Numbers, column: ca.SX) -> _Traced:
+def _observer(problem: Problem, observer: Observer, params: _Numbers) -> _Traced:
     """The observer alone; an input that is not finite is the last one."""
-    model, units = problem.model, problem.scenario.units
-    params: _Numbers = tree.unpack(numbers, column)
+    model = problem.model
     memory = _ObserverMemory(observer.init(observer.params), np.zeros(model.m))
-    s_column, s = tree.symbols(memory, "s")
+    column, s = tree.symbols(memory, "s")
     y, u = ca.SX.sym("y", model.p), ca.SX.sym("u", model.m)
     used = ca.if_else(present(u), u, s.held)
     reading = received(y, *params.sensor)
     after, estimate = observer.step(params.observer, s.observer, used, reading)
-    fields = [*_estimated(estimate, units), _side_field(problem)]
-    return _Traced(
-        s_column,
-        ca.vertcat(y, u),
-        tree.stack(_ObserverMemory(after, used)),
-        tree.stack((estimate, reading.side)),
-        tree.pack(memory),
-        state_fields(memory, "observer"),
-        [_y_field(model.p), Field("u", model.m, f"input until the next sample [{units.input}]")],
-        fields,
-        list(range(model.p, model.p + model.m)),
-    )
+    following, out = _ObserverMemory(after, used), (estimate, reading.side)
+    shown = _estimated(problem, estimate)
+    return _Traced(memory, column, [y, u], following, out, [_u_field(problem)], shown)
 
 
-def _loop(problem: Problem, observer: Observer, numbers: _Numbers, column: ca.SX) -> _Traced:
+def _loop(problem: Problem, observer: Observer, params: _Numbers) -> _Traced:
     """Observer, controller and compensator; u is limited as the plant's drives are."""
-    model, units = problem.model, problem.scenario.units
-    controller, compensator = problem.controller, problem.compensator
-    params: _Numbers = tree.unpack(numbers, column)
+    model, controller, compensator = problem.model, problem.controller, problem.compensator
     memory = _LoopMemory(
         observer.init(observer.params),
         controller.init(controller.params),
         None if compensator is None else compensator.init(compensator.params),
     )
-    s_column, s = tree.symbols(memory, "s")
+    column, s = tree.symbols(memory, "s")
     y = ca.SX.sym("y", model.p)
-    like = Target(
-        np.zeros(len(problem.tracked)),
-        np.zeros(model.n),
-        np.zeros(model.m),
-        np.zeros(controller.planned),
-    )
+    sizes = (len(problem.tracked), model.n, model.m, controller.planned)
+    like = Target(*map(np.zeros, sizes))
     t_column, target = tree.symbols(like, "target")
     reading = received(y, *params.sensor)
     unused = ca.SX.sym("unused", model.m)
@@ -205,27 +188,15 @@ def _loop(problem: Problem, observer: Observer, numbers: _Numbers, column: ca.SX
         undone, u = compensator.step(*parts)
     u = _limited(u, problem.plant.limit)
     after, _ = observer.step(params.observer, s.observer, u, reading)
-    fields = [
-        Field("u", model.m, f"input until the next sample [{units.input}]"),
-        *_estimated(estimate, units),
-        _side_field(problem),
-    ]
-    return _Traced(
-        s_column,
-        ca.vertcat(y, t_column),
-        tree.stack(_LoopMemory(after, moved, undone)),
-        tree.stack((u, estimate, reading.side)),
-        tree.pack(memory),
-        state_fields(memory),
-        [_y_field(model.p), *_target_fields(like, units)],
-        fields,
-        [],
-    )
+    following, out = _LoopMemory(after, moved, undone), (u, estimate, reading.side)
+    shown = [_u_field(problem), *_estimated(problem, estimate)]
+    fields = _target_fields(like, problem.scenario.units)
+    return _Traced(memory, column, [y, t_column], following, out, fields, shown)
 
 
-def _side_field(problem: Problem) -> Field:
-    limits = "" if problem.sensor.limits is None else "; +2, -2 at a limit of the range"
-    return Field("side", problem.model.p, f"measured side: +1, -1, 0{limits}")
+def _u_field(problem: Problem) -> Field:
+    unit = problem.scenario.units.input
+    return Field("u", problem.model.m, f"input until the next sample [{unit}]")
 
 
 def _y_field(size: int) -> Field:
@@ -247,10 +218,12 @@ def _target_fields(like: Target, units: Units) -> list[Field]:
     return fields
 
 
-def _estimated(estimate: Estimate, units: Units) -> list[Field]:
-    """The fields of an estimate."""
+def _estimated(problem: Problem, estimate: Estimate) -> list[Field]:
+    """The fields of an estimate and of the measured side."""
     sizes = Estimate(*(np.zeros(ca.SX(part).numel()) for part in estimate))
-    return estimate_fields(sizes, units)
+    limits = "" if problem.sensor.limits is None else "; +2, -2 at a limit of the range"
+    side = Field("side", problem.model.p, f"measured side: +1, -1, 0{limits}")
+    return [*estimate_fields(sizes, problem.scenario.units), side]
 
 
 def _limited(u: ca.SX, limit: Floats | None) -> ca.SX:
@@ -276,7 +249,7 @@ class Params(NamedTuple):
 
 def folded(numbers: Any, tunable: tuple[str, ...]) -> tuple[ca.SX, Params, Floats]:
     """(all numbers as one column of constants and symbols, the tunable ones, their values)."""
-    places = dict(zip([name for name, _ in tree.leaves(numbers)], _slices(numbers), strict=True))
+    places = dict(tree.leaves(tree.slices(numbers)))
     values = tree.pack(numbers)
     column = ca.SX(ca.DM(values))
     symbols = [ca.SX(0, 1)]
@@ -294,11 +267,6 @@ def folded(numbers: Any, tunable: tuple[str, ...]) -> tuple[ca.SX, Params, Float
         meaning = f"{name}, as one sample uses it (gains per sample, not per second)"
         fields.append(Field(name.replace(".", "_"), size, meaning))
     return column, Params(ca.vertcat(*symbols), fields), np.concatenate(defaults)
-
-
-def _slices(numbers: Any) -> list[slice]:
-    """Where each leaf stands in the column."""
-    return [part for _, part in tree.leaves(tree.slices(numbers))]
 
 
 def _place(name: str, places: dict[str, slice]) -> slice:

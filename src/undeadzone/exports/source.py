@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import undeadzone
 from undeadzone.compile import elementary, print_c
@@ -13,6 +13,7 @@ from undeadzone.compile.simplify import held
 from undeadzone.exports.code import Code
 from undeadzone.exports.fields import Field, members
 from undeadzone.exports.parts import Step
+from undeadzone.exports.template import filled
 from undeadzone.support.text import one_line
 
 
@@ -63,11 +64,21 @@ def source(code: Code, labels: Labels) -> Source:
     for part in bodies.values():
         used |= part.functions
     functions = elementary.needed(used, code.kind)
-    math = _math_header(functions, used, style) if used else ""
+    step, name = code.step, labels.prefix
+    words = labels._asdict() | {
+        "name": name,
+        "upper": name.upper(),
+        "title": _plain(labels.title),
+        "version": undeadzone.__version__,
+        "real": code.real,
+        "step": literal(step.Ts, code.kind),
+        "hash": code.hash,
+        "with_math": bool(used),
+    }
     return Source(
-        _header(code, labels, style),
-        _code(code, labels, style, bodies, bool(math)),
-        math,
+        filled("templates/header.h", words | _declared(code, name, style)),
+        filled("templates/code.c", words | _defined(code, name, style, bodies)),
+        filled("templates/math.h", words | _elementary(functions, used, style)) if used else "",
         functions,
     )
 
@@ -83,8 +94,8 @@ def _bodies(code: Code, style: Style) -> dict[str, Body]:
     names = Names(inputs, [stored, out], [following, shown], meanings(code.results, step, 1))
     bodies = {"step": body(code.results, style, names)}
     if code.phases is not None:
-        carry = [f"state->carry[{k}]" for k in range(code.phases.carried)]
-        local = [f"carry_{k}" for k in range(code.phases.carried)]
+        carry = [f"state->carry[{k}]" for k in range(code.carried)]
+        local = [f"carry_{k}" for k in range(code.carried)]
         first, second = code.phases.estimate, code.phases.advance
         names = Names(inputs, [out, carry], [shown, local], meanings(first, step, 0))
         bodies["estimate"] = body(first, style, names)
@@ -103,9 +114,8 @@ def _inputs(code: Code) -> dict[str, str]:
         inputs[f"w{entry}"] = f"in->{name}[{k}]"
     for entry, (name, k) in enumerate(members(step.params)):
         inputs[f"p{entry}"] = f"params->{name}[{k}]"
-    if code.phases is not None:
-        for entry in range(code.phases.carried):
-            inputs[f"c{entry}"] = f"state->carry[{entry}]"
+    for entry in range(code.carried):
+        inputs[f"c{entry}"] = f"state->carry[{entry}]"
     return inputs
 
 
@@ -113,16 +123,15 @@ def _with_states(part: Body, code: Code, name: str) -> Body:
     """A body that first reads the states that it uses, as results overwrite them."""
     results = code.results if name == "step" else getattr(code.phases, name)
     used = print_c.inputs_of(results)
-    real = print_c.TYPES[code.kind]
     reads: list[str] = []
     for entry, (field, k) in enumerate(members(code.step.state)):
         if f"s{entry}" in used:
-            reads.append(f"{INDENT}const {real} {field}_was_{k} = state->{field}[{k}];")
+            reads.append(f"{INDENT}const {code.real} {field}_was_{k} = state->{field}[{k}];")
     return Body([*reads, "", *part.lines] if reads else part.lines, part.functions)
 
 
-def _math_header(names: list[str], used: set[str], style: Style) -> str:
-    """The text of the header with the elementary functions.
+def _elementary(names: list[str], used: set[str], style: Style) -> dict[str, Any]:
+    """The words of the header with the elementary functions.
 
     Args:
         names: of the functions, each after those that it calls.
@@ -130,69 +139,26 @@ def _math_header(names: list[str], used: set[str], style: Style) -> str:
         style: how numbers and functions are written.
     """
     texts = "\n\n".join(print_c.functions(names, used, style))
-    includes = ["#include <float.h>", "#include <math.h>", "#include <stdbool.h>"]
-    if "memcpy" in texts:
-        includes += ["#include <stdint.h>", "#include <string.h>"]
-    guard = f"{style.prefix.upper()}_MATH_H"
-    top = [
-        f"/* Elementary functions of {style.prefix}, the same bits on every processor.",
-        f"   Written by undeadzone {undeadzone.__version__}; do not edit. */",
-        f"#ifndef {guard}",
-        f"#define {guard}",
-        "",
-        *includes,
-        "",
-    ]
-    return "\n".join([*top, texts, "", "#endif", ""])
+    return {"functions": texts, "with_bits": "memcpy" in texts}
 
 
-def _header(code: Code, labels: Labels, style: Style) -> str:
-    """The text of the header."""
-    step, prefix = code.step, labels.prefix
-    upper = prefix.upper()
-    carry = []
-    if code.phases is not None and code.phases.carried:
-        meaning = "from estimate to advance; not part of the memory"
-        carry = [Field("carry", code.phases.carried, meaning)]
-    structs = [
-        _struct(
-            f"{prefix}_state",
-            "What is remembered from sample to sample.",
-            step.state + carry,
-            style,
-        ),
-        _struct(f"{prefix}_in", "One sample.", step.inputs, style),
-        _struct(f"{prefix}_out", "What is known at this sample.", step.outputs, style),
-    ]
-    if step.params:
-        warning = "Tunable numbers. Whoever changes them leaves what was proved of the design."
-        structs.append(_struct(f"{prefix}_params", warning, step.params, style))
-    lines = [
-        "/**",
-        f" * @file {prefix}.h",
-        f" * {_plain(labels.title)}: {labels.part}, {style.real}.",
-        f" * Written by undeadzone {undeadzone.__version__}; do not edit.",
-        " */",
-        f"#ifndef {upper}_H",
-        f"#define {upper}_H",
-        "",
-        "#ifdef __cplusplus",
-        'extern "C" {',
-        "#endif",
-        "",
-        f"#define {upper}_STEP {literal(step.Ts, code.kind)} /**< sample time [s] */",
-        f'#define {upper}_HASH "{code.hash}" /**< of the graph, its numbers and the precision */',
-        "",
-        *structs,
-        *_prototypes(code, labels),
-        "#ifdef __cplusplus",
-        "}",
-        "#endif",
-        "",
-        "#endif",
-        "",
-    ]
-    return "\n".join(lines)
+def _declared(code: Code, name: str, style: Style) -> dict[str, Any]:
+    """The words of the header: structs and prototypes, each with its meaning."""
+    structs = []
+    for struct, fields in code.structs.items():
+        structs.append(_struct(f"{name}_{struct}", _STRUCTS[struct], fields, style))
+    prototypes = []
+    for function, text in signatures(code, name).items():
+        prototypes.append(f"/** {_MEANINGS[function]} */\n{text};\n")
+    return {"structs": "\n".join(structs), "prototypes": "\n".join(prototypes)}
+
+
+_STRUCTS = {
+    "state": "What is remembered from sample to sample.",
+    "in": "One sample.",
+    "out": "What is known at this sample.",
+    "params": "Tunable numbers. Whoever changes them leaves what was proved of the design.",
+}
 
 
 def _plain(text: str) -> str:
@@ -228,6 +194,7 @@ def signatures(code: Code, prefix: str) -> dict[str, str]:
     return texts
 
 
+_LIBRARY = ("NAN", "fabs", "sqrt", "fmod", "remainder", "copysign")
 _MEANINGS = {
     "params_default": "The numbers of the design.",
     "init": "Start anew.",
@@ -237,71 +204,27 @@ _MEANINGS = {
 }
 
 
-def _prototypes(code: Code, labels: Labels) -> list[str]:
-    """The declarations, each with its meaning and a blank line after it."""
-    lines: list[str] = []
-    for name, text in signatures(code, labels.prefix).items():
-        lines += [f"/** {_MEANINGS[name]} */", f"{text};", ""]
-    return lines
+def _defined(code: Code, name: str, style: Style, bodies: dict[str, Body]) -> dict[str, Any]:
+    """The words of the code: what it includes, and its functions."""
+    step, values = code.step, [*code.step.start.tolist(), *[0.0] * code.carried]
+    start = _assignments("state", code.structs["state"], values, style)
+    defaults = _assignments("params", step.params, step.defaults.tolist(), style)
+    parts = {"params_default": defaults, "init": start}
+    for part, made in bodies.items():
+        parts[part] = [*_unread(made, bool(step.params)), *made.lines]
+    functions = []
+    for part, signature in signatures(code, name).items():
+        functions.append("\n".join([signature, "{", *parts[part], "}"]))
+    text = "\n".join([*start, *itertools.chain(*[part.lines for part in bodies.values()])])
+    return {
+        "functions": "\n\n".join(functions),
+        "with_limits": "FLT_M" in text or "DBL_M" in text,
+        "with_functions": any(word in text for word in _LIBRARY),
+        "with_truths": any(word in text for word in ("bool ", "true", "false")),
+    }
 
 
-def _code(
-    code: Code, labels: Labels, style: Style, bodies: dict[str, Body], with_math: bool
-) -> str:
-    """The text of the code."""
-    prefix, step = labels.prefix, code.step
-    start = _assignments("state", step.state, [float(v) for v in step.start], style)
-    if code.phases is not None:
-        for k in range(code.phases.carried):
-            start.append(f"{INDENT}state->carry[{k}] = {literal(0.0, code.kind)};")
-    lines = [
-        f"/* {_plain(labels.title)}: {labels.part}, {style.real}.",
-        f"   Written by undeadzone {undeadzone.__version__}; do not edit. */",
-        *GUARDS,
-        f'#include "{prefix}.h"',
-    ]
-    if with_math:
-        lines.append(f'#include "{prefix}_math.h"')
-    lines_of_bodies = list(start)
-    for part in bodies.values():
-        lines_of_bodies += part.lines
-    text = "\n".join(lines_of_bodies)
-    if "FLT_M" in text or "DBL_M" in text:
-        lines.append("#include <float.h>")
-    if any(word in text for word in ("NAN", "fabs", "sqrt", "fmod", "remainder", "copysign")):
-        lines.append("#include <math.h>")
-    if "bool " in text or "true" in text or "false" in text:
-        lines.append("#include <stdbool.h>")
-    lines.append("")
-    texts = signatures(code, prefix)
-    if step.params:
-        values = [float(value) for value in step.defaults]
-        defaults = _assignments("params", step.params, values, style)
-        lines += [texts["params_default"], "{", *defaults, "}", ""]
-    lines += [texts["init"], "{", *start, "}"]
-    for name, part in bodies.items():
-        lines += ["", texts[name], "{", *_unread(part, name, step.params != []), *part.lines, "}"]
-    return "\n".join([*lines, ""])
-
-
-GUARDS = [
-    "",
-    "#if defined(__FAST_MATH__)",
-    '#error "compile without -ffast-math: it changes what this code computes"',
-    "#endif",
-    "#if defined(__FLT_EVAL_METHOD__) && (__FLT_EVAL_METHOD__ == 2)",
-    '#error "this compiler computes in long double (x87); use -msse2 -mfpmath=sse"',
-    "#endif",
-    "#if defined(__clang__)",
-    "#pragma STDC FP_CONTRACT OFF",
-    "#elif defined(__GNUC__)",
-    '#pragma GCC optimize("fp-contract=off")',
-    "#endif",
-    "",
-]
-
-
-def _unread(part: Body, name: str, params: bool) -> list[str]:
+def _unread(part: Body, params: bool) -> list[str]:
     """Statements for arguments that a body happens not to read."""
     text = "\n".join(part.lines)
     arguments = ["in->", "params->"] if params else ["in->"]

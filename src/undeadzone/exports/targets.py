@@ -6,11 +6,13 @@ from typing import Any, Final, NamedTuple
 
 from undeadzone.exports import folder
 from undeadzone.exports.code import Code
+from undeadzone.exports.fields import Field
 from undeadzone.exports.fmu import package
 from undeadzone.exports.folder import Files
-from undeadzone.exports.python_module import module
 from undeadzone.exports.source import Source
+from undeadzone.exports.template import called, filled
 from undeadzone.scenario.schema import Units
+from undeadzone.support.text import one_line, printable
 
 # The targets, and the precision that each has by default.
 PRECISION: Final = {
@@ -68,27 +70,108 @@ def files(to: str, material: Material) -> Files:
     content: Files = dict(code)
     if to == "arduino":
         content = {f"src/{path}": text for path, text in code.items()}
-        around = folder.arduino_files(report)
+        around = _arduino_files(report)
     elif to == "c":
         content[f"{name}_test.c"] = material.test
-        around = folder.build_files(report, bool(material.text.math))
+        around = _build_files(report, bool(material.text.math))
     elif to == "python":
-        content[f"{name}.py"] = module(material.printed, report)
-        around = {"README.md": folder.readme(report, _PYTHON.format(name=name))}
+        content[f"{name}.py"] = _module(material.printed, report)
+        around = {"README.md": _installed("python", {"name": name}, report)}
     else:
         version = VERSIONS[to]
         unit = package.package(material.printed, code, report, material.units, version)
         content = {f"{name}.fmu": unit}
-        around = {"README.md": folder.readme(report, _FMU.format(name=name, version=version))}
+        around = {"README.md": _installed("fmu", {"name": name, "version": version}, report)}
     report["files"] = sorted({*content, *around, folder.MANIFEST})
     return content | around | {folder.MANIFEST: folder.manifest(report)}
 
 
-_FMU = """`{name}.fmu` is for co-simulation by FMI {version}.0 and needs nothing but an importer.
-A step runs every sample that is due from its beginning to just before its end, by the inputs as
-they are: what it shows at its end is known from the reading at its beginning. The input
-`missing[k]` says that reading `y[k]` is missing. Before the first sample the outputs are what is
-known without a reading. Other platforms: compile `sources/*.c` inside of it, as follows."""
-_PYTHON = """`import {name}` needs Python 3.8 or later, a C compiler and no package. At the first
-use the C is compiled beside the module, for this computer. `{name}.Instance().update(...)` takes
-one sample; the module says what else there is."""
+def _readme(report: dict[str, Any], build: str = "") -> str:
+    """The README; of what is built, how: by default by make, with the self-test."""
+    by_make = f"Run `make && ./{report['name']}_test`: exit code 0 means that every bit agrees."
+    words = _words(report) | {
+        "shown_title": printable(report["title"]),
+        "build": build or by_make,
+        "by_make": not build,
+        "seconds": f"{report['step']:g}",
+        "counts": ", ".join(f"{count} {word}" for word, count in report["operations"].items()),
+    }
+    for struct, size in report["sizes"].items():
+        words[f"{struct}_bytes"] = size
+    return filled("templates/README.md", words)
+
+
+def _words(report: dict[str, Any]) -> dict[str, Any]:
+    """What stands for the words of the texts."""
+    return report | called(report["name"], bool(report["tunable"]))
+
+
+def _build_files(report: dict[str, Any], math: bool) -> dict[str, str]:
+    """The texts of Makefile, CMakeLists.txt and README.md, by name."""
+    words = _words(report)
+    words["math"] = f"{report['name']}_math.h " if math else ""
+    return {
+        "Makefile": filled("templates/Makefile", words),
+        "CMakeLists.txt": filled("templates/CMakeLists.txt", words),
+        "README.md": _readme(report),
+    }
+
+
+def _arduino_files(report: dict[str, Any]) -> dict[str, str]:
+    """The texts around the C of an Arduino library, by name."""
+    name = report["name"]
+    words = _words(report) | {"upper": name.upper(), "title": one_line(str(report["title"]))}
+    build = "Copy this folder into the libraries folder of the Arduino IDE."
+    return {
+        "library.properties": filled("templates/library.properties", words),
+        f"examples/{name}_example/{name}_example.ino": filled("templates/example.ino", words),
+        "README.md": _readme(report, build),
+    }
+
+
+def _installed(kind: str, words: dict[str, Any], report: dict[str, Any]) -> str:
+    """The README of what takes more than the C."""
+    return _readme(report, filled(f"templates/{kind}.md", words).rstrip("\n"))
+
+
+# --- `--to python`: a module that compiles the exported C and calls it, without undeadzone
+
+
+def _module(printed: Code, report: dict[str, Any]) -> str:
+    """The text of the module.
+
+    Args:
+        printed: what is printed as C.
+        report: what the manifest holds.
+    """
+    structs = printed.structs
+    words = {key: report[key] for key in ("name", "version", "part")} | {
+        "title": _plain(report["title"]),
+        "hash": repr(report["hash"]),
+        "step": repr(report["step"]),
+        "seconds": f"{report['step']:g}",
+        "arguments": ", ".join(field.name for field in structs["in"]),
+        "inputs": _listed(structs["in"]),
+        "outputs": _listed(structs["out"]),
+        "real": f"c_{printed.real}",
+    }
+    for name in ("state", "in", "out", "params"):
+        words[f"fields_of_{name}"] = _sizes(structs.get(name, []))
+    return filled("templates/python_module.txt", words)
+
+
+def _sizes(fields: list[Field]) -> list[tuple[str, int]]:
+    """Names and sizes of the arrays of a struct."""
+    return [(field.name, field.size) for field in fields]
+
+
+def _listed(fields: list[Field]) -> str:
+    """Fields in words, a line each."""
+    return "".join(
+        f"\n    {field.name} ({field.size}): {_plain(field.meaning)}" for field in fields
+    )
+
+
+def _plain(text: str) -> str:
+    """A text that ends no docstring."""
+    return one_line(text).replace("\\", "/").replace('"', "'")

@@ -1,4 +1,4 @@
-"""Inputs from the scenario's own run, and the bits that must come of some of them."""
+"""The self-test: inputs of the scenario's own run, the bits that must come, and C to compare."""
 
 from __future__ import annotations
 
@@ -7,12 +7,14 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
+import undeadzone
 from undeadzone.compile import interpret
-from undeadzone.compile.print_numpy import replica
+from undeadzone.compile.replica import replica
 from undeadzone.errors import InputError
 from undeadzone.exports.code import Code
 from undeadzone.exports.fields import members
 from undeadzone.exports.parts import Step
+from undeadzone.exports.template import called, filled
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.simulate import named, prepare
@@ -21,6 +23,7 @@ from undeadzone.support.arrays import Floats
 
 DIVERGED = 1e6  # size of a signal beyond which a run has nothing to say
 SAMPLES = 96  # of a run, in the self-test
+NAN = {"float32": 0x7FC00000, "float64": 0x7FF8000000000000}  # the bits of every NaN
 OFFSET, PRIME = 2166136261, 16777619  # of the checksum by Fowler, Noll and Vo, 32 bits
 
 
@@ -137,7 +140,7 @@ def words(values: Any, kind: str) -> Any:
     """The bits of numbers; every NaN has the same."""
     table = np.ascontiguousarray(values, kind)
     bits = table.view(f"uint{8 * table.itemsize}").copy()
-    bits[np.isnan(table)] = 0x7FC00000 if kind == "float32" else 0x7FF8000000000000
+    bits[np.isnan(table)] = NAN[kind]
     return bits
 
 
@@ -149,3 +152,49 @@ def checksum(values: Any, kind: str) -> int:
         for part in parts:
             total = ((total ^ part) * PRIME) & 0xFFFFFFFF
     return total
+
+
+def selftest(code: Code, prefix: str, vectors: Vectors) -> str:
+    """The text of the self-test.
+
+    Args:
+        code: what is printed.
+        prefix: what every symbol begins with.
+        vectors: the reference vectors.
+    """
+    digits, ending = (8, "u") if code.single else (16, "ull")
+    words = called(prefix, bool(code.step.params)) | {
+        "version": undeadzone.__version__,
+        "samples": len(vectors.states),
+        "inputs": vectors.inputs.shape[1],
+        "outputs": vectors.outputs.shape[1],
+        "memory": code.step.start.size,
+        "real": code.real,
+        "word": f"uint{4 * digits}_t",
+        "is_double": not code.single,
+        "magnitude": "0x7fffffffu" if code.single else "0x7fffffffffffffffull",
+        "infinity": "0x7f800000u" if code.single else "0x7ff0000000000000ull",
+        "nan": f"0x{NAN[code.kind]:x}{ending}",
+        "offset": OFFSET,
+        "prime": PRIME,
+        "phased": code.phases is not None,
+        "input_words": _rows(vectors.inputs.tolist(), digits, ending),
+        "output_words": _rows(vectors.outputs.tolist(), digits, ending),
+        "state_words": _listed(vectors.states, 8, "u"),
+    }
+    return filled("templates/selftest.c", words)
+
+
+def _rows(rows: list[list[int]], digits: int, ending: str) -> str:
+    """Rows of words in braces."""
+    return ",\n".join("{\n" + _listed(row, digits, ending) + "\n}" for row in rows)
+
+
+def _listed(numbers: list[int], digits: int, ending: str) -> str:
+    """Words in lines of up to eight."""
+    texts = [f"0x{number:0{digits}x}{ending}" for number in numbers]
+    count = 64 // digits
+    lines = []
+    for start in range(0, len(texts), count):
+        lines.append("    " + ", ".join(texts[start : start + count]))
+    return ",\n".join(lines)

@@ -17,17 +17,8 @@ _NO_XML: Final = str.maketrans("\ufffe\uffff", "??")  # characters that no XML m
 
 # Capabilities: names differ between the versions in one letter.
 _CAN: Final = {
-    2: {
-        "canHandleVariableCommunicationStepSize": "true",
-        "canNotUseMemoryManagementFunctions": "true",
-        "canGetAndSetFMUstate": "true",
-        "canSerializeFMUstate": "true",
-    },
-    3: {
-        "canHandleVariableCommunicationStepSize": "true",
-        "canGetAndSetFMUState": "true",
-        "canSerializeFMUState": "true",
-    },
+    2: ("canNotUseMemoryManagementFunctions", "canGetAndSetFMUstate", "canSerializeFMUstate"),
+    3: ("canGetAndSetFMUState", "canSerializeFMUState"),
 }
 
 
@@ -144,7 +135,9 @@ def description(
     root.set("description", _plain(str(report["title"])))
     root.set("generationTool", f"undeadzone {report['version']}")
     root.set("variableNamingConvention", "flat")
-    kind = SubElement(root, "CoSimulation", {"modelIdentifier": name, **_CAN[version]})
+    kind = SubElement(root, "CoSimulation", {"modelIdentifier": name})
+    for word in ("canHandleVariableCommunicationStepSize", *_CAN[version]):
+        kind.set(word, "true")
     if version == 2:
         files = SubElement(kind, "SourceFiles")
         for source in sources:
@@ -205,15 +198,13 @@ def _structure(root: Element, listed: list[Variable], version: int) -> None:
     """The outputs, which depend on no input of the present moment: they are of the last sample."""
     parent = SubElement(root, "ModelStructure")
     shown = [k for k, variable in enumerate(listed) if variable.causality == "output"]
-    if version == 3:
-        for word, known in (("Output", _HELD), ("InitialUnknown", {})):
-            for k in shown:
-                SubElement(parent, word, {"valueReference": str(k), **known})
-        return
-    for word, known in (("Outputs", _HELD), ("InitialUnknowns", {})):
-        group = SubElement(parent, word)
+    for word, known in (("Output", _HELD), ("InitialUnknown", {})):
+        group = SubElement(parent, f"{word}s") if version == 2 else parent
         for k in shown:
-            SubElement(group, "Unknown", {"index": str(k + 1), **known})
+            if version == 2:
+                SubElement(group, "Unknown", {"index": str(k + 1), **known})
+            else:
+                SubElement(group, word, {"valueReference": str(k), **known})
 
 
 def _plain(text: str) -> str:

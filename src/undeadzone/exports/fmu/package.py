@@ -7,47 +7,16 @@ import platform
 import sys
 import tempfile
 import zipfile
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from undeadzone.errors import InputError
 from undeadzone.exports import compiler
 from undeadzone.exports.code import Code
+from undeadzone.exports.fields import total
 from undeadzone.exports.fmu.description import build_description, description, token, variables
+from undeadzone.exports.template import filled, text_of
 from undeadzone.scenario.schema import Units
-
-MODEL = """/* What fmu.h needs to know of {prefix}; written by undeadzone {version}, do not edit. */
-#ifndef FMU_MODEL_H
-#define FMU_MODEL_H
-
-#include "{prefix}.h"
-
-#define FMU_TOKEN "{token}"
-#define FMU_STEP {step!r} /* [s] */
-#define FMU_INPUTS {inputs}u
-#define FMU_READINGS {readings}u
-#define FMU_OUTPUTS {outputs}u
-#define FMU_PARAMS {params}u
-
-typedef {real} fmu_real;
-typedef {prefix}_state fmu_state;
-typedef {prefix}_in fmu_in;
-typedef {prefix}_out fmu_out;
-{tunable}
-#define FMU_START(state) {prefix}_init(state)
-
-#endif
-"""
-TUNABLE = """typedef {prefix}_params fmu_params;
-#define FMU_DEFAULT(params) {prefix}_params_default(params)
-#define FMU_SAMPLE(state, params, in, out) {prefix}_step(state, params, in, out)"""
-FIXED = """typedef struct
-{{
-    {real} none;
-}} fmu_params;
-#define FMU_DEFAULT(params) ((params)->none = 0)
-#define FMU_SAMPLE(state, params, in, out) {prefix}_step(state, in, out)"""
 
 PLATFORMS = {  # names of folders in FMI 2.0; those of 3.0 begin with the architecture
     "linux": ("linux", ".so"),
@@ -108,12 +77,12 @@ def package(
     listed = variables(printed.step, units)
     sources = files | {"fmu_model.h": _model(printed, report, version)}
     for name in ("fmu.h", f"fmi{version}.h", f"fmi{version}.c"):
-        sources[name] = resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
+        sources[name] = text_of(f"fmu/{name}")
     compiled = sorted(name for name in sources if name.endswith(".c"))
     contents: dict[str, str | bytes] = {
         "modelDescription.xml": description(report, listed, compiled, version)
     }
-    contents[binary_path(prefix, version)] = _binary(sources, compiled)
+    contents[binary_path(prefix, version)] = _binary(sources)
     if version == 3:
         contents["sources/buildDescription.xml"] = build_description(prefix, compiled)
     contents |= {f"sources/{name}": text for name, text in sorted(sources.items())}
@@ -122,32 +91,26 @@ def package(
 
 def _model(printed: Code, report: dict[str, Any], version: int) -> str:
     """The text of fmu_model.h."""
-    step, prefix = printed.step, report["name"]
-    real = "float" if printed.single else "double"
-    tunable = (TUNABLE if step.params else FIXED).format(prefix=prefix, real=real)
-    return MODEL.format(
-        prefix=prefix,
-        version=report["version"],
-        token=token(report, version),
-        step=step.Ts,
-        inputs=sum(field.size for field in step.inputs),
-        readings=step.readings,
-        outputs=sum(field.size for field in step.outputs),
-        params=sum(field.size for field in step.params),
-        real=real,
-        tunable=tunable,
-    )
+    step = printed.step
+    words = report | {
+        "token": token(report, version),
+        "tunable": bool(step.params),
+        "fixed": not step.params,
+        "inputs": total(step.inputs),
+        "readings": step.readings,
+        "outputs": total(step.outputs),
+        "params": total(step.params),
+        "real": printed.real,
+    }
+    return filled("templates/fmu_model.h", words)
 
 
-def _binary(sources: dict[str, str], compiled: list[str]) -> bytes:
+def _binary(sources: dict[str, str]) -> bytes:
     """The shared library."""
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        for path, text in sources.items():
-            (folder / path).write_text(text, encoding="utf-8")
-        files = [folder / path for path in compiled]
+        files = compiler.written(sources, Path(name))
         options = ("-O2", "-fvisibility=hidden")
-        return compiler.shared_library(files, folder / "model.so", options).read_bytes()
+        return compiler.shared_library(sorted(files), Path(name, "model.so"), options).read_bytes()
 
 
 def _zipped(contents: dict[str, str | bytes]) -> bytes:

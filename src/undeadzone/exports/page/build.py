@@ -6,9 +6,7 @@ import base64
 import hashlib
 import itertools
 import json
-import re
 from html import escape
-from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,6 +19,7 @@ from undeadzone.compile.lower import portable
 from undeadzone.errors import FileError, InputError
 from undeadzone.exports.code import operations
 from undeadzone.exports.page import signals, sliders
+from undeadzone.exports.template import filled, text_of
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation import exogenous
@@ -197,12 +196,9 @@ def _data(problem: Problem, loop: Loop, memory: dict[str, int]) -> dict[str, Any
     A, B, C = model.linear
     if model.Ts is not None:  # as `feedforward.targets.steady_state` has it: per second
         A, B = (A - np.eye(model.n)) / model.Ts, B / model.Ts
-    outputs = tree.slices(loop.outputs)
-    recorded = {}
+    outputs, recorded = dict(tree.leaves(tree.slices(loop.outputs))), {}
     for name, address in RECORDED.items():
-        place = outputs
-        for part in address.split("."):
-            place = getattr(place, part)
+        place = outputs[address]
         if place.stop > place.start:
             recorded[name] = place.start
     instant = tree.slices(loop.instant)
@@ -297,23 +293,20 @@ def framed(title: str, data: dict[str, Any]) -> str:
         title: its title.
         data: what its script reads.
     """
-    folder = files("undeadzone.exports.page")
-    text, style, script = (
-        (folder / f"page.{kind}").read_text(encoding="utf-8") for kind in ("html", "css", "js")
-    )
+    style, script = text_of("page/page.css"), text_of("page/page.js")
     policy = (
         f"default-src 'none'; script-src {_digest(script)} 'wasm-unsafe-eval'; "
         f"style-src {_digest(style)}; img-src data:; base-uri 'none'; form-action 'none'"
     )
     content = json.dumps(data, separators=(",", ":"), allow_nan=False)
-    parts = {
-        "__POLICY__": policy,
-        "__TITLE__": escape(printable(title)),
-        "__STYLE__": style,
-        "__SCRIPT__": script,
-        "__DATA__": content.replace("<", "\\u003c"),
+    words = {
+        "policy": policy,
+        "title": escape(printable(title)),
+        "style": style,
+        "script": script,
+        "data": content.replace("<", "\\u003c"),
     }
-    return re.sub("__[A-Z]+__", lambda mark: parts[mark[0]], text)
+    return filled("page/page.html", words)
 
 
 def _digest(text: str) -> str:

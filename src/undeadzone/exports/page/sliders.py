@@ -45,31 +45,15 @@ class Slider(NamedTuple):
     value: float
     least: float
     most: float
-    grid: float
-    moves: list[tuple[int, float, float]]
+    grid: float = 0.0
+    moves: list[tuple[int, float, float]] = []
 
 
-class Range(NamedTuple):
-    """What a slider may take.
-
-    Attributes:
-        key, label, unit, value, least, most: as of `Slider`.
-    """
-
-    key: str
-    label: str
-    unit: str
-    value: float
-    least: float
-    most: float
-
-
-def slider_of(wanted: Range, moves: list[tuple[int, float, float]]) -> Slider:
-    """A slider of a range, with steps of a round size."""
+def slider_of(wanted: Slider, moves: list[tuple[int, float, float]]) -> Slider:
+    """A slider of a range that moves numbers, with steps of a round size."""
     grid = nice((wanted.most - wanted.least) / TICKS, (1.0, 2.0, 5.0))
-    most = max(wanted.most, wanted.value)
-    least = min(wanted.least, wanted.value)
-    return Slider(wanted.key, wanted.label, wanted.unit, wanted.value, least, most, grid, moves)
+    most, least = max(wanted.most, wanted.value), min(wanted.least, wanted.value)
+    return wanted._replace(least=least, most=most, grid=grid, moves=moves)
 
 
 def nice(value: float, factors: tuple[float, ...] = ROUND) -> float:
@@ -104,7 +88,7 @@ def sliders(problem: Problem, loop: Loop, sizes: Floats) -> list[Slider]:
     if np.ptp(problem.sensor.noise) == 0:
         noise = float(problem.sensor.noise[0])
         most = nice(max(4 * noise, 0.05 * float(sizes.max())))
-        wanted = Range("noise", "noise of the reading", _unit(scenario), noise, 0.0, most)
+        wanted = Slider("noise", "noise of the reading", _unit(scenario), noise, 0.0, most)
         noisy = functools.partial(scenario.replace, "sensor.noise")
         made += _varied(problem, loop, wanted, noisy)
     made += _mismatch(problem, loop)
@@ -131,7 +115,7 @@ def _edges(problem: Problem, loop: Loop, sizes: Floats) -> list[Slider]:
             if limit is not None:
                 most = min(most, float(limit[output]))
             place = _place(loop, f"sensor.{side}[{output}]")
-            wanted = Range(
+            wanted = Slider(
                 side + number, f"{side} edge{of}", _unit(problem.scenario), width, 0.0, most
             )
             made.append(slider_of(wanted, [(place, 1.0, 0.0)]))
@@ -150,14 +134,14 @@ def _motion(problem: Problem, loop: Loop) -> list[Slider]:
         if np.size(signal.amplitude) == 1 and not np.any(signal.offset):
             size, size_unit = abs(float(np.ravel(signal.amplitude)[0])), unit
     place = _place(loop, "scale.reference")
-    wanted = Range("size", "size of the motion", size_unit, size, 0.0, nice(2 * size))
+    wanted = Slider("size", "size of the motion", size_unit, size, 0.0, nice(2 * size))
     made = [slider_of(wanted, [(place, 1.0 / size, 0.0)])] if size > 0 else []
     if isinstance(signal, Step) or problem.model.m != len(problem.tracked):
         return made
     fastest = speed * _fastest(problem)
     least, most = speed / 4, min(nice(2.5 * speed), fastest)
     if most > speed:
-        wanted = Range("speed", "speed of the motion", speed_unit, speed, least, most)
+        wanted = Slider("speed", "speed of the motion", speed_unit, speed, least, most)
         made.append(slider_of(wanted, []))
     return made
 
@@ -193,7 +177,7 @@ def _learning(problem: Problem, loop: Loop) -> list[Slider]:
         observer = msgspec.structs.replace(options, gamma=base * (value / own))
         return msgspec.structs.replace(problem.scenario, observer=observer)
 
-    wanted = Range("gamma", "learning gain", unit, own, 0.0, nice(4 * own))
+    wanted = Slider("gamma", "learning gain", unit, own, 0.0, nice(4 * own))
     return _varied(problem, loop, wanted, change)
 
 
@@ -205,11 +189,11 @@ def _mismatch(problem: Problem, loop: Loop) -> list[Slider]:
     for place, name in enumerate(names):
         if name.startswith("plant.B[") and values[place]:
             moves.append((place, float(values[place]) / 100, 0.0))
-    wanted = Range("drive", "drive stronger than modelled", "%", 0.0, -30.0, 30.0)
+    wanted = Slider("drive", "drive stronger than modelled", "%", 0.0, -30.0, 30.0)
     return [slider_of(wanted, moves)] if moves else []
 
 
-def _varied(problem: Problem, loop: Loop, wanted: Range, change: Change) -> list[Slider]:
+def _varied(problem: Problem, loop: Loop, wanted: Slider, change: Change) -> list[Slider]:
     """The slider of a key, its range cut to where the scenario is accepted; none if it fits none.
 
     Args:
@@ -226,7 +210,7 @@ def _varied(problem: Problem, loop: Loop, wanted: Range, change: Change) -> list
     return []
 
 
-def _accepted(wanted: Range, change: Change) -> Range:
+def _accepted(wanted: Slider, change: Change) -> Slider:
     """The range with its upper end brought down to where the scenario is accepted."""
     for _ in range(HALVINGS):
         if _possible(change, wanted.most) is not None:
@@ -245,7 +229,7 @@ def _possible(change: Change, value: float) -> Problem | None:
     return problem
 
 
-def _moves(problem: Problem, loop: Loop, wanted: Range, change: Change) -> Moves | None:
+def _moves(problem: Problem, loop: Loop, wanted: Slider, change: Change) -> Moves | None:
     """How the numbers of the loop change with a key within a range.
 
     None where it does more than move them by polynomials of degree two.

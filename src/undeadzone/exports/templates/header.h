@@ -1,0 +1,22 @@
+/**
+ * @file @name@.h
+ * @title@: @part@, @real@.
+ * Written by undeadzone @version@; do not edit.
+ */
+#ifndef @upper@_H
+#define @upper@_H
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define @upper@_STEP @step@ /**< sample time [s] */
+#define @upper@_HASH "@hash@" /**< of the graph, its numbers and the precision */
+
+@structs@
+@prototypes@
+#ifdef __cplusplus
+}
+#endif
+
+#endif
