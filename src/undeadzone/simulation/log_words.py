@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Final
 
 from undeadzone.logs.samples import counted_lines
 from undeadzone.simulation.gap_words import in_words as gaps_in_words
@@ -11,6 +11,16 @@ from undeadzone.simulation.log_info import LogInfo
 from undeadzone.simulation.run_columns import output_names
 from undeadzone.support.shown import Block, Rows
 from undeadzone.support.text import label, with_deviation, with_unit
+
+FAULTS: Final = {  # by kind, after a number
+    "zero_bytes": "with bytes of 0",
+    "too_long": "too long",
+    "values": "with too few or many values",
+    "number": "with what is no number",
+    "no_time": "without a time",
+    "time": "whose time fits no neighbour",
+    "jump": "at which time jumped and the observer began anew",
+}
 
 
 def in_words(info: LogInfo) -> list[Block]:
@@ -26,6 +36,8 @@ def in_words(info: LogInfo) -> list[Block]:
     if info.unreadable:
         lines = counted_lines(info.unreadable)
         shown["unreadable"] = f"{lines}, counted as missing; {info.why_unreadable}"
+    if info.faults:
+        shown["faults"] = ", ".join(f"{n} {FAULTS[kind]}" for kind, n in info.faults.items())
     if single:
         estimated = "" if info.adapts else " (not estimated)"
         unit = info.units.output
