@@ -40,7 +40,9 @@ def save(path: Path, parts: Mapping[str, Any], digest: str) -> None:
     Raises:
         FileError: it cannot be written.
     """
-    arrays = {f"{name}.{key}": value for name, part in parts.items() for key, value in _of(part)}
+    arrays: dict[str, Any] = {}
+    for name, part in parts.items():
+        arrays |= {f"{name}.{key}": value for key, value in _of(part)}
     with replacing(path) as temporary, open(temporary, "wb") as file:
         np.savez(file, allow_pickle=False, **{DIGEST: np.array(_whole(digest))}, **arrays)
         file.flush()
