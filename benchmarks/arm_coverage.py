@@ -14,9 +14,9 @@ import numpy as np
 
 from benchmarks.coverage import Verdict, covariance, verdict
 from benchmarks.markdown import row
+from undeadzone.compile import lanes
 from undeadzone.ends import sensor
 from undeadzone.ends.sensor import Sensor, Zone, resolve
-from undeadzone.engine import lanes
 from undeadzone.interfaces import Estimate, Reading
 from undeadzone.observers import Extended
 from undeadzone.plants.build import system

@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import casadi as ca
 import numpy as np
 
-from undeadzone.engine import interpret, lanes
+from undeadzone.compile import interpret, lanes
 from undeadzone.ensemble.batch import known_params
 from undeadzone.numerics.runge_kutta import rk4
 from undeadzone.plants.robots import urdf

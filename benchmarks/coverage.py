@@ -23,8 +23,8 @@ from benchmarks.random_problems import (
     problems,
 )
 from benchmarks.random_problems import World as World
+from undeadzone.compile import lanes
 from undeadzone.ends.sensor import Sensor, resolve, side
-from undeadzone.engine import lanes
 from undeadzone.interfaces import Observer, Reading
 from undeadzone.linear.hold import zoh
 from undeadzone.observers import Censored, Kalman

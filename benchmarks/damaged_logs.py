@@ -10,8 +10,8 @@ import numpy as np
 
 from benchmarks.markdown import head, row
 from undeadzone.errors import UndeadzoneError
-from undeadzone.identification.grid import to_grid
-from undeadzone.identification.readers import read_log
+from undeadzone.identification.logs.grid import to_grid
+from undeadzone.identification.logs.log import read_log
 from undeadzone.logs.samples import LogReader
 
 FILES = 10_000

@@ -9,7 +9,7 @@ import undeadzone as uz
 from benchmarks.accuracy import scenario
 from benchmarks.markdown import head, row
 from benchmarks.timing import medians
-from undeadzone.engine import interpret, lanes
+from undeadzone.compile import interpret, lanes
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.simulation.simulate import prepare
 from undeadzone.support import tree

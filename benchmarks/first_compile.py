@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from benchmarks.markdown import head, row
-from undeadzone.engine import cache, lanes
+from undeadzone.compile import cache, lanes
 from undeadzone.ensemble import metrics
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import read

@@ -16,8 +16,8 @@ import numpy as np
 from benchmarks import coverage
 from benchmarks.markdown import row
 from benchmarks.random_problems import DURATION, STEP, Problems, World, problems
+from undeadzone.compile import lanes
 from undeadzone.ends.sensor import Sensor, resolve, side
-from undeadzone.engine import lanes
 from undeadzone.interfaces import Observer, Reading
 from undeadzone.observers import Auto
 from undeadzone.plants.build import system

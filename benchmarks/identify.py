@@ -21,8 +21,8 @@ import numpy as np
 
 import undeadzone as uz
 from benchmarks.identify_logs import FAMILIES, MAPS, OPTIONS, SAMPLES, Made, make, mapped
-from undeadzone.identification.fit import refit
-from undeadzone.identification.intervals import Interval
+from undeadzone.identification.models.estimates import Interval
+from undeadzone.identification.models.zone_fit import refit
 from undeadzone.statistics.intervals import proportion
 
 KEPT = Path("build/identify.jsonl")
@@ -73,7 +73,7 @@ def outcome_of(family: str, seed: int) -> Outcome:
     assert isinstance(answer, uz.Identified)
     spent = time.process_time() - began
     whole = answer.answer
-    place = whole.evidence.place
+    place = whole.found.place
     return {
         "family": family,
         "seed": seed,
@@ -83,7 +83,7 @@ def outcome_of(family: str, seed: int) -> Outcome:
         "true_order": made.n,
         "order": answer.order,
         "true": [made.right, made.left],
-        "delay": whole.evidence.delay,
+        "delay": whole.found.delay,
         "right": None if family == "motor" else triple(answer.right),
         "left": None if family == "motor" else triple(answer.left),
         "width": triple(answer.width),

@@ -13,14 +13,12 @@ from scipy.signal import lfilter
 
 from benchmarks.identify_logs import excitation, make, plant
 from benchmarks.markdown import head, row
-from undeadzone.identification.delay import delayed
-from undeadzone.identification.fit import Fit, fit_zone, polished, refit
-from undeadzone.identification.grid import to_grid
-from undeadzone.identification.long_run import Spread, quantile, sandwich
-from undeadzone.identification.options import Options
-from undeadzone.identification.plant_fit import Simulator
-from undeadzone.identification.prepare import prepare
-from undeadzone.identification.readers import log_of_arrays
+from undeadzone.identification.logs.grid import to_grid
+from undeadzone.identification.logs.log import Options, log_of_arrays
+from undeadzone.identification.logs.prepare import prepare
+from undeadzone.identification.models.estimates import Spread, quantile, sandwich
+from undeadzone.identification.models.plant import Simulator, delayed
+from undeadzone.identification.models.zone_fit import Fit, fit_zone, polished, refit
 from undeadzone.statistics.intervals import proportion
 from undeadzone.support.arrays import Floats
 

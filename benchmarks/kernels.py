@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks import ours, rivals
 from benchmarks.markdown import head, row
 from benchmarks.workload import Work, draw
-from undeadzone.engine import lanes
+from undeadzone.compile import lanes
 
 RUNS, STEPS = 1024, 1000
 NOTE = f"""ns per step and run of {RUNS} runs of {STEPS} steps on one thread, least CPU time of

@@ -7,7 +7,7 @@ from scipy import stats
 
 from benchmarks.markdown import head, row
 from benchmarks.timing import medians
-from undeadzone.engine import lanes, normal
+from undeadzone.compile import lanes, normal
 from undeadzone.signals import noise
 
 STEPS, CHANNELS = 512, 2

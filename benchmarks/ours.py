@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from benchmarks.workload import Result, Work, draw
-from undeadzone.engine import lanes
+from undeadzone.compile import lanes
 from undeadzone.ensemble.batch import known_inputs, known_params
 from undeadzone.simulation.loop import Loop
 from undeadzone.simulation.simulate import closed

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from undeadzone.compile import lanes
 from undeadzone.ends.play import levels
-from undeadzone.engine import lanes
 from undeadzone.interfaces import Estimate
 from undeadzone.plants.options import Plant
 from undeadzone.scenario.problem import Problem

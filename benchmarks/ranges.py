@@ -17,10 +17,10 @@ from benchmarks.markdown import row
 from benchmarks.random_loops import Loops, random_plant, run_loops
 from benchmarks.random_problems import RANGE, STEP, WORLDS, Problems, problems
 from undeadzone.catalogue import ObserverOptions
+from undeadzone.compile import lanes
 from undeadzone.controllers import StateFeedback
 from undeadzone.ends.limits import Limits
 from undeadzone.ends.sensor import Sensor, deadzone, resolve
-from undeadzone.engine import lanes
 from undeadzone.interfaces import Observer, received
 from undeadzone.observers import Censored, Certified, Kalman
 from undeadzone.plants.build import system

@@ -13,8 +13,7 @@ import numpy as np
 import undeadzone as uz
 from benchmarks.markdown import head, row
 from benchmarks.which_logs import FAMILIES, KINDS, NOISE, WHERE, closed_loop, open_log
-from undeadzone.identification.four_offsets import Offsets, four_offsets
-from undeadzone.identification.motion import Sensing
+from undeadzone.identification.models.motion import Offsets, Sensing, four_offsets
 from undeadzone.statistics.intervals import proportion
 
 TWO_SIDED = 1.96

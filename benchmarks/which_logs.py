@@ -10,7 +10,7 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 
 from benchmarks.identify_logs import excitation, plant
-from undeadzone.identification.four_offsets import Moving
+from undeadzone.identification.models.motion import Moving
 from undeadzone.support.arrays import Floats
 
 KINDS = ("neither", "dead_zone", "play", "both")

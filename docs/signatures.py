@@ -15,7 +15,7 @@ import numpy as np
 
 from undeadzone.ends.actuator import Actuator, resolve_actuator, through_zone
 from undeadzone.ends.play import held
-from undeadzone.identification.friction_step import simulate
+from undeadzone.identification.models.place import simulate
 from undeadzone.support.arrays import Floats
 
 FOLDER = Path(__file__).parent / "figures" / "which"

@@ -18,7 +18,7 @@ from tests.test_engines import distance, identical
 
 from fuzz.case import Case
 from fuzz.valid import Table, scenario
-from undeadzone.engine import interpret, lanes
+from undeadzone.compile import interpret, lanes
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
 from undeadzone.simulation.simulate import prepare

@@ -16,13 +16,14 @@ from mutants.changes import Place, files, mutant, places
 ROOT: Final = Path(__file__).parents[1]
 PACKAGE: Final = ROOT / "src" / "undeadzone"
 FOLDER: Final = ROOT / ".pytest_cache" / "mutants"
-LOOP: Final = ("close", "scales", "steps", "wiring")  # what a step of the closed loop is made of
+# What a step of the closed loop is made of.
+LOOP: Final = ("simulation/close.py", "simulation/wiring.py", "results/scales.py")
 ROOMS: Final = (
     "numerics",
     "linear",
     "analysis",
     "observers/parts",
-    *(f"simulation/{name}.py" for name in LOOP),
+    *LOOP,
 )
 CHEAP: Final = 3.0  # [s] of tests that are run first, and usually suffice
 ALL: Final = 30.0  # [s] of tests that are run of what these do not notice

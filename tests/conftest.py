@@ -27,9 +27,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Keep compiled kernels from one run of the tests to the next, while the engine is the same."""
+    """Keep compiled kernels between runs of the tests, while the compiler is the same."""
     digest = hashlib.sha256()
-    for path in sorted((Path(undeadzone.__file__).parent / "engine").glob("*.py")):
+    for path in sorted((Path(undeadzone.__file__).parent / "compile").glob("*.py")):
         digest.update(path.read_bytes())
     folder = config.rootpath / ".pytest_cache" / "kernels"
     own = folder / digest.hexdigest()[:16]

@@ -16,6 +16,7 @@ from scenes import PAPER_PLANT, scene
 from test_engines import distance, parts, small
 from undeadzone.analysis.identifiability.both_ends import both_ends
 from undeadzone.analysis.identifiability.linear import invisible
+from undeadzone.compile import interpret, lanes
 from undeadzone.ends.actuator import (
     Actuator,
     ActuatorModel,
@@ -24,7 +25,6 @@ from undeadzone.ends.actuator import (
     through_zone,
     within_rate,
 )
-from undeadzone.engine import interpret, lanes
 from undeadzone.ensemble.run_ensemble import deviation, run_ensemble
 from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.exports import parts as export_parts
@@ -32,12 +32,12 @@ from undeadzone.exports import vectors
 from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.observers.parts.further_constants import Zones, entering
 from undeadzone.plants.system import sampled
-from undeadzone.report.figures import overview
+from undeadzone.report.run_figures import overview
 from undeadzone.report.run_page import run_page
+from undeadzone.results.run import Run
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.loop import Outputs
-from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import prepare, run_loop, simulate
 from undeadzone.support.arrays import Floats
 

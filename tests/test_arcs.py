@@ -19,7 +19,7 @@ from undeadzone.numerics.dense_output import (
     runge_kutta,
     taylor,
 )
-from undeadzone.simulation.run import Run
+from undeadzone.results.run import Run
 from undeadzone.simulation.simulate import simulate
 
 TWO = {

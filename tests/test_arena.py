@@ -655,6 +655,7 @@ def test_a_user_picks_a_method_for_a_plant(mine: Path, tmp_path: Path) -> None:
     names = {path.name for path in (tmp_path / "out").iterdir()}
     assert names == {
         "results.json",
+        "costs.json",
         "report.html",
         "leaderboard.svg",
         "scenarios.svg",

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import undeadzone as uz
+from commands import undeadzone
 from undeadzone.errors import InputError
 from undeadzone.plants.robots.survey import survey
 from undeadzone.scenario.problem import resolve_scenario
@@ -55,16 +54,6 @@ def two(folder: Path, **limit: float) -> Path:
         joint("shoulder", "base", "upper", 0.0, **limit),
         joint("elbow", "upper", "lower"),
         joint("hand", "lower", "tip", -0.3, "fixed"),
-    )
-
-
-def undeadzone(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "undeadzone", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        timeout=300,
-        cwd=cwd,
     )
 
 

@@ -11,13 +11,13 @@ import pytest
 import undeadzone as uz
 from scenes import scene
 from test_engines import distance, parts
-from undeadzone.engine import interpret, lanes
+from undeadzone.compile import interpret, lanes
 from undeadzone.ensemble.run_ensemble import deviation, run_ensemble
 from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.interfaces import Estimate
+from undeadzone.results.run import Run
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
-from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.arrays import Floats
 

@@ -18,10 +18,10 @@ from scipy.linalg import expm
 from scipy.stats import norm, truncnorm
 
 from scenes import PAPER_PLANT, linear, on_numbers, random_plant, scene
+from undeadzone.compile import interpret
 from undeadzone.controllers.state_feedback import rest
 from undeadzone.ends import sensor
 from undeadzone.ends.sensor import Sensor, Zone, resolve
-from undeadzone.engine import interpret
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Estimate
 from undeadzone.linear.hold import zoh
@@ -43,8 +43,8 @@ from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled
 from undeadzone.plants.time_scales import time_scale
+from undeadzone.results.run import Run
 from undeadzone.scenario.problem import resolve_scenario
-from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import prepare, simulate
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats

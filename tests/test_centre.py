@@ -14,7 +14,7 @@ from undeadzone.observers.parts.prior import build_prior
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import sampled
-from undeadzone.simulation.run import Run
+from undeadzone.results.run import Run
 from undeadzone.simulation.simulate import simulate
 from undeadzone.synthesis.check import check
 

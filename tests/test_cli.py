@@ -14,25 +14,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from commands import undeadzone
 from undeadzone.cli import group
-from undeadzone.simulation.run import Run
+from undeadzone.results.run import Run
 from undeadzone.support import progress
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 COMMAND = [sys.executable, "-c", "from undeadzone.cli import main; main()"]
-
-
-def undeadzone(
-    *arguments: str | Path, cwd: Path | None = None, stdin: str = ""
-) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*COMMAND, *map(str, arguments)],
-        cwd=cwd,
-        input=stdin,
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
 
 
 @pytest.fixture

@@ -16,10 +16,10 @@ from undeadzone.observers.parts.gain import default_adaptation, default_gain
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled
+from undeadzone.results.listening import in_words, on_trust
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert, read_for_logs
 from undeadzone.simulation.listening import listening
-from undeadzone.simulation.listening_words import in_words, on_trust
 from undeadzone.simulation.simulate import simulate
 
 BARE: dict[str, Any] = {

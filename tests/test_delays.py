@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from undeadzone.identification.delay import _late, alike, better_delay, delayed, refined_delay
-from undeadzone.identification.intervals import DIRECTIONS, find_widths
-from undeadzone.identification.objective import Limits
-from undeadzone.identification.orders import OrderFit, fit_orders
-from undeadzone.identification.plant_fit import Data
+from undeadzone.identification.models.estimates import DIRECTIONS
+from undeadzone.identification.models.plant import Data, delayed
+from undeadzone.identification.models.zone import Limits
+from undeadzone.identification.verdict.delays import _late, alike, better_delay, refined_delay
+from undeadzone.identification.verdict.orders import OrderFit, fit_orders
+from undeadzone.identification.verdict.widths import find_widths
 
 LATE = 6
 POLES = np.array([0.86 + 0.19j, 0.86 - 0.19j, 0.71])

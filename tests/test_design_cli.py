@@ -26,12 +26,11 @@ from undeadzone.analysis.convergence.trajectories import Trajectory, settling, t
 from undeadzone.analysis.error_dynamics import pattern
 from undeadzone.cli import group
 from undeadzone.errors import UndeadzoneError
+from undeadzone.report.gain_figures import ellipses, root_locus
 from undeadzone.report.gains_page import figures, gains_page
-from undeadzone.report.locus_figures import root_locus
 from undeadzone.report.proof_figures import courses as courses_figure
 from undeadzone.report.proof_figures import nyquist
 from undeadzone.report.style import image, sheet
-from undeadzone.report.trade_figures import ellipses
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.synthesis.assessment import Assessment, assess, attack
 from undeadzone.synthesis.words import plain

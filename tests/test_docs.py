@@ -5,13 +5,12 @@ from __future__ import annotations
 import functools
 import re
 import shlex
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
 import pytest
 
+from commands import Done, undeadzone
 from tools import script_of_docs
 from undeadzone.catalogue import CONTROLLERS, OBSERVERS
 
@@ -78,22 +77,16 @@ def same(shown: list[str], expected: list[str], why: str = "") -> None:
 
 
 @functools.cache
-def ran_once(command: str) -> subprocess.CompletedProcess[str]:
+def ran_once(command: str) -> Done:
     """A command that writes nothing, which several pages may show."""
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "examples").symlink_to(ROOT / "examples")
         return ran(command, Path(folder))
 
 
-def ran(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
+def ran(command: str, folder: Path) -> Done:
     """A command run in a folder."""
-    return subprocess.run(
-        [sys.executable, "-c", "from undeadzone.cli import main; main()", *shlex.split(command)],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
+    return undeadzone(*shlex.split(command), cwd=folder)
 
 
 def numbers(lines: list[str]) -> list[float]:

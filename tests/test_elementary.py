@@ -17,11 +17,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from test_engines import SPECIAL, identical, stateless
-from undeadzone.engine import lanes
-from undeadzone.engine.elementary import FAR, FUNCTIONS
+from undeadzone.compile import lanes
+from undeadzone.compile.coefficients import FUSED
+from undeadzone.compile.elementary import LANES_OWN as FUNCTIONS
 from undeadzone.support.arrays import Array, Floats
 
 ULPS = {"sin": 1.0, "cos": 1.0, "exp": 1.0, "log": 1.0, "erf": 1.5, "tanh": 3.0}
+FAR = FUSED.far
 PI = Decimal(
     "3.14159265358979323846264338327950288419716939937510582097494459230781640628620899862803"
 )

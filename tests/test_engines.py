@@ -21,8 +21,9 @@ from hypothesis import strategies as st
 from tests.scenes import scene
 
 from undeadzone import catalogue
-from undeadzone.engine import cache, interpret, kernel, lanes
-from undeadzone.engine.machine import here
+from undeadzone.compile import cache, interpret, kernel, lanes
+from undeadzone.compile.lower import Arithmetic
+from undeadzone.compile.machine import here
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
@@ -440,14 +441,14 @@ def printed(step: ca.Function, **options: Any) -> str:
     """The text of a kernel; one that is taken from disk has none."""
     sizes = (step.size1_in(0), step.size1_in(1), step.size1_in(2))
     shape = kernel.Shape(sizes, (), (), tuple(range(step.size1_out(1))))
-    options = {"fused": False, "width": 16} | options
+    options = {"arithmetic": Arithmetic(), "width": 16} | options
     return kernel.source(kernel.graphs(step, (), shape, {}, {}), shape, here(), **options).text
 
 
 @pytest.mark.parametrize("time", BOTH)
 def test_fused_lanes_agree_to_rounding(time: str) -> None:
     step, state, exogenous, params, _ = parts(small(time))
-    assert "llvm.fma" in printed(step, fused=True)
+    assert "llvm.fma" in printed(step, arithmetic=Arithmetic(fused=True))
     outputs, finals = lanes.run(lanes.build(step, width=8, fused=True), state, exogenous, params)
     expected = interpret.run(step, state, exogenous, params)
     assert distance(outputs[0], expected[0]) < 1e-13

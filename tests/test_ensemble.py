@@ -22,7 +22,7 @@ import pytest
 
 from test_engines import OBSERVERS, PENDULUM, TWO_OUTPUTS, distance, identical, small
 from undeadzone.cli import main
-from undeadzone.engine import interpret, lanes
+from undeadzone.compile import interpret, lanes
 from undeadzone.ensemble.batch import Batch, prepare
 from undeadzone.ensemble.result import Ensemble
 from undeadzone.ensemble.run_ensemble import (
@@ -33,10 +33,10 @@ from undeadzone.ensemble.run_ensemble import (
     run_ensemble,
 )
 from undeadzone.errors import InputError
+from undeadzone.results.run import LAST, Run
 from undeadzone.scenario.ensemble_table import Vary
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.exogenous import exogenous
-from undeadzone.simulation.run import LAST, Run
 from undeadzone.support.arrays import Floats
 from undeadzone.support.toml import dumps
 

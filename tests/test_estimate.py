@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import json
-import subprocess
 import sys
 from pathlib import Path
 
@@ -13,6 +12,7 @@ import numpy as np
 import pytest
 
 import undeadzone as uz
+from commands import undeadzone as command
 from undeadzone.interfaces import graph_of
 from undeadzone.scenario.reader import read_for_logs
 from undeadzone.simulation.consistency import Consistency
@@ -78,12 +78,6 @@ def log(run: uz.Run, header: str = "t,y,u", **columns: np.ndarray) -> str:
     return "\n".join([header, *(",".join(map(repr, row)) for row in rows)]) + "\n"
 
 
-def command(*arguments: str | Path, stdin: str = "") -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*COMMAND, *map(str, arguments)], input=stdin, capture_output=True, text=True, timeout=120
-    )
-
-
 @pytest.mark.parametrize(
     "observer",
     [
@@ -146,7 +140,7 @@ def test_blocks_are_what_single_samples_are(run: uz.Run) -> None:
 
 def test_the_compiled_step_changes_no_bit(run: uz.Run, monkeypatch: pytest.MonkeyPatch) -> None:
     interpreted = uz.Online(KALMAN, PLANT, SENSOR, 0.01).update_many(run.y, run.u)[0]
-    monkeypatch.setattr("undeadzone.simulation.observer_graph.PATIENCE", 500)
+    monkeypatch.setattr("undeadzone.simulation.online.PATIENCE", 500)
     online = uz.Online(KALMAN, PLANT, SENSOR, 0.01)
     parts = [online.update_many(run.y[:400], run.u[:400])[0]]
     parts.append(online.update_many(run.y[400:], run.u[400:])[0])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import re
@@ -17,10 +18,11 @@ import undeadzone as uz
 from scenes import scene
 from test_engines import CONTROLLERS, OBSERVERS, PENDULUM, TWO_OUTPUTS, small
 from tools import require
+from undeadzone.compile import elementary, lanes, live
+from undeadzone.compile.graph import needed
 from undeadzone.errors import FileError, InputError
 from undeadzone.exports import accuracy, compiler, export, parts, vectors
 from undeadzone.exports.code import code
-from undeadzone.exports.instructions import uses_of
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 
@@ -34,6 +36,7 @@ EXPORTED = [
 ]
 DRIVEN = [name for name, (times, _) in CONTROLLERS.items() if "sampled" in times]
 BIG = {"censored"}
+OWN = elementary.FUNCTIONS.keys() - {"fmin", "fmax", "sign", "floor", "ceil"}  # rounded otherwise
 
 
 @pytest.fixture(autouse=True)
@@ -280,15 +283,14 @@ def test_nothing_is_undefined(tmp_path: Path) -> None:
 
 def test_no_constant_overflows_or_vanishes(tmp_path: Path) -> None:
     scenario = small("sampled", observer={"method": "censored"} | OBSERVERS["censored"][1])
-    printed = code(parts.build(resolve_scenario(scenario)), True)
-    assert export.replaced_constants(printed) == [
+    step = parts.build(resolve_scenario(scenario))
+    assert export.replaced_constants(code(step, False)) == [
         "-1e+300: FLT_MAX",
         "1e+100: FLT_MAX",
         "1e+300: FLT_MAX",
         "1e-300: FLT_MIN",
     ]
-    uses = uses_of(printed.graph)
-    texts = {node.text for place, node in enumerate(printed.graph.nodes) if uses[place]}
+    texts = {node.text for node in needed(itertools.chain(*code(step, True).results))}
     assert "nan" not in texts
 
 
@@ -434,3 +436,25 @@ def test_cppcheck_finds_nothing_in_certified(controller: bool, tmp_path: Path) -
     command = ["cppcheck", "-q", *options, *hushed, "--error-exitcode=1", source]
     result = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
     assert result.returncode == 0, result.stdout + result.stderr
+
+
+@pytest.mark.parametrize("observer", [name for name in EXPORTED if name != "auto"])
+def test_exported_C_has_the_bits_of_lanes_and_of_a_live_step(observer: str, tmp_path: Path) -> None:
+    """Where no elementary function is used, those of the simulation itself."""
+    problem = resolve_scenario(
+        small("sampled", observer={"method": observer} | OBSERVERS[observer][1])
+    )
+    step = parts.build(problem)
+    printed = code(step, False)
+    rows = vectors.recorded(problem, step)
+    rows[50:60, 0] = np.nan
+    in_c = accuracy.Compiled(printed, tmp_path)(rows)
+    function = accuracy._three_inputs(step.function)
+    kernel = lanes.build(function, portable=True, width=8)
+    states = np.tile(step.start, (8, 1))
+    in_lanes, _ = lanes.run(kernel, states, rows, step.defaults)
+    for lane in in_lanes:
+        np.testing.assert_array_equal(lane, in_c)
+    if not elementary.called(printed.results) & OWN:
+        stepper = live.CompiledStepper(function, step.start, step.defaults)
+        np.testing.assert_array_equal(stepper.run(rows), in_c)

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from undeadzone.exports.elementary import bitwise, needed, python
-from undeadzone.exports.formulas import FUNCTIONS
+from undeadzone.compile.elementary import FUNCTIONS, formula, needed
+from undeadzone.compile.print_c import Style, functions
+from undeadzone.compile.print_numpy import elementary
 
 POINTS = 100_000
 LONG: Any = np.longdouble
@@ -56,7 +57,7 @@ def test_errors_in_units_of_the_last_place(name: str, single: bool) -> None:
     (low, high), *bars = BARS[name]
     x = points(low, high, single)
     with np.errstate(all="ignore"):
-        values = python(single)[name](x)
+        values = elementary(real(single).__name__)[name](x)
         expected = getattr(np, NUMPY.get(name, name))(x.astype(LONG))
         unit = np.spacing(np.abs(expected.astype(real(single))))
         error = np.abs(values.astype(LONG) - expected) / np.maximum(unit, np.finfo(x.dtype).tiny)
@@ -72,17 +73,17 @@ def test_erf_and_atan2_and_pow() -> None:
             kind = real(single)
             a, b = x.astype(kind), y.astype(kind)
             expected = np.array([math.erf(value) for value in a.astype(float)])
-            assert np.abs(python(single)["erf"](a) - expected).max() < bar
+            assert np.abs(elementary(kind.__name__)["erf"](a) - expected).max() < bar
             expected = np.arctan2(a.astype(float), b.astype(float))
-            assert np.abs(python(single)["atan2"](a, b) - expected).max() < 2 * bar
+            assert np.abs(elementary(kind.__name__)["atan2"](a, b) - expected).max() < 2 * bar
             expected = np.abs(a.astype(float)) ** b.astype(float)
-            error = np.abs(python(single)["pow"](np.abs(a), b) / expected - 1)
+            error = np.abs(elementary(kind.__name__)["pow"](np.abs(a), b) / expected - 1)
             assert error.max() < 16 * np.finfo(kind).eps * 8
 
 
 @pytest.mark.parametrize("single", [True, False], ids=["single", "double"])
 def test_edges(single: bool) -> None:
-    f, kind = python(single), real(single)
+    f, kind = elementary(real(single).__name__), real(single)
     inf, nan = kind(np.inf), kind(np.nan)
     with np.errstate(all="ignore"):
         assert f["exp"](inf) == inf
@@ -109,9 +110,12 @@ def test_edges(single: bool) -> None:
 
 
 def test_a_function_brings_along_what_it_calls_and_nothing_else() -> None:
-    assert needed({"erf"}) == ["exp", "erf"]
-    assert needed({"truncated"}) == []
-    assert bitwise(["exp"], True) == {"truncated", "power"}
-    for name, function in FUNCTIONS.items():
-        order = list(FUNCTIONS)
-        assert all(order.index(other) < order.index(name) for other in function.needs)
+    assert needed({"log1p"}) == ["log", "log1p"]
+    assert needed({"bits"}) == []
+    texts = functions(["exp"], {"exp"}, Style("float32", "o"))
+    assert [text.split("(")[0].split()[-1] for text in texts] == ["o_bits", "o_number", "o_exp"]
+    assert len(functions(["hypot"], {"hypot"}, Style("float32", "o"))) == 1
+    order = list(FUNCTIONS)
+    for name in FUNCTIONS:
+        calls = formula(name, "float64").calls
+        assert all(order.index(other) < order.index(name) for other in calls)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,17 +15,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from test_engines import BINARY, ELEMENTARY, SPECIAL, UNARY
-from undeadzone.engine.graph import listed
+from undeadzone.compile.graph import needed
+from undeadzone.compile.lower import portable
+from undeadzone.compile.print_c import literal
+from undeadzone.compile.print_numpy import replica
+from undeadzone.compile.simplify import held
 from undeadzone.errors import InputError
-from undeadzone.exports import elementary
 from undeadzone.exports.accuracy import Compiled
-from undeadzone.exports.code import code, split
-from undeadzone.exports.expressions import held, literal
+from undeadzone.exports.code import code, operations, split
 from undeadzone.exports.fields import Field
-from undeadzone.exports.instructions import operations, uses_of
 from undeadzone.exports.parts import Step
-from undeadzone.exports.replica import replica
-from undeadzone.exports.rewrite import rewritten
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import sampled
@@ -56,7 +56,7 @@ def stateless(inputs: list[ca.SX], outputs: list[ca.SX]) -> Step:
 def by_replica(step: Step, rows: Floats, single: bool) -> Floats:
     """The outputs by NumPy, a row for each row of inputs."""
     real = np.float32 if single else np.float64
-    evaluate = replica(code(step, single).graph, single, elementary.python(single))
+    evaluate = replica(code(step, single).results)
     values = []
     for row in rows.astype(real):
         entries = {f"w{k}": value for k, value in enumerate(row)}
@@ -161,11 +161,9 @@ def test_no_NaN_is_computed_with() -> None:
     there = ca.logic_and(y < 1e300, y > -1e300)
     seen = ca.if_else(there, y, np.nan)
     inside = ca.if_else(ca.logic_and(seen < 1e300, seen > -1e300), seen - z, 0.0)
-    graph = rewritten(listed(stateless([y, z], [inside]).function))
-    uses = uses_of(graph)
-    used = [node.text for place, node in enumerate(graph.nodes) if uses[place]]
-    assert "nan" not in used
-    assert operations(graph)["select"] <= 2
+    results = portable(stateless([y, z], [inside]).function, "float64")
+    assert "nan" not in [node.text for node in needed(itertools.chain(*results))]
+    assert operations(results)["select"] <= 2
 
 
 def test_a_split_step_computes_the_same() -> None:
@@ -179,15 +177,14 @@ def test_a_split_step_computes_the_same() -> None:
         ["s", "w", "p"],
         ["next", "out"],
     )
-    graph = rewritten(listed(function))
-    phases = split(graph, {"w1"})
-    functions = elementary.python(False)
+    results = portable(function, "float64")
+    phases = split(results, {"w1"})
     entries = {"s0": 0.3, "s1": 2.0, "w0": 1.7, "w1": -0.4}
     entries = {key: np.float64(value) for key, value in entries.items()}
-    following, out = replica(graph, False, functions)(entries)
-    first, carry = replica(phases.estimate, False, functions)(entries)
+    following, out = replica(results)(entries)
+    first, carry = replica(phases.estimate)(entries)
     entries |= {f"c{k}": value for k, value in enumerate(carry)}
-    (later,) = replica(phases.advance, False, functions)(entries)
+    (later,) = replica(phases.advance)(entries)
     assert phases.carried == 1
     assert (first, later) == (out, following)
 
@@ -216,8 +213,8 @@ def test_increments_hold_a_slow_drift_that_float_would_lose(tmp_path: Path) -> N
 
 @given(st.floats(allow_nan=False))
 def test_a_literal_means_its_number(value: float) -> None:
-    for single, real in ((True, np.float32), (False, np.float64)):
-        text = literal(value, single)
+    for kind, real in (("float32", np.float32), ("float64", np.float64)):
+        text = literal(value, kind)
         limits = {
             "FLT_MAX": np.finfo(np.float32).max,
             "FLT_MIN": np.finfo(np.float32).tiny,
@@ -226,7 +223,7 @@ def test_a_literal_means_its_number(value: float) -> None:
         size = text.lstrip("-")
         number = limits[size] if size in limits else real(size.removesuffix("f"))
         sign = -1 if text.startswith("-") else 1
-        kept = held(value, single)
+        kept = held(value, kind)
         assert real(number) * sign == kept
         assert np.isfinite(kept)
         assert (kept == 0) == (value == 0)

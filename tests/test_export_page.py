@@ -19,11 +19,11 @@ from browser import Browser, browser
 from scenes import scene
 from test_engines import PENDULUM
 from tools import require
-from undeadzone.engine.graph import listed
+from undeadzone.compile import print_wasm
+from undeadzone.compile.lower import portable
+from undeadzone.compile.print_numpy import elementary
 from undeadzone.errors import FileError, InputError
-from undeadzone.exports import elementary, wasm
 from undeadzone.exports.page.build import build
-from undeadzone.exports.rewrite import rewritten
 from undeadzone.scenario.schema import Scenario
 from undeadzone.support.arrays import Floats
 
@@ -137,7 +137,7 @@ def test_its_signals_are_those_of_a_run(name: str, page: Browser, tmp_path: Path
 def test_a_wrong_sign_in_the_code_shows(
     page: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(wasm._NUMBERS, ca.OP_SUB, wasm._NUMBERS[ca.OP_ADD])
+    monkeypatch.setitem(print_wasm._OF_REALS, "sub", print_wasm._OF_REALS["add"])
     scenario = scene(simulation=SAMPLED)
     shown(page, scenario, tmp_path)
     assert not largest_gap(page, uz.simulate(scenario)) <= 0.1  # it may diverge
@@ -263,17 +263,16 @@ def test_elementary_functions_have_the_bits_of_the_replica(page: Browser) -> Non
     names = [*f"{one} fabs floor ceil sign".split(), "atan2", "pow", "hypot", "fmin", "fmax"]
     s, w, p = ca.SX.sym("s", 0), ca.SX.sym("w", 2), ca.SX.sym("p", 0)
     values = [_applied(name, w) for name in names]
-    graph = rewritten(
-        listed(ca.Function("f", [s, w, p], [ca.vertcat(*values)], ["s", "w", "p"], ["o"]))
-    )
+    function = ca.Function("f", [s, w, p], [ca.vertcat(*values)], ["s", "w", "p"], ["o"])
+    nodes = portable(function, "float64")
     places = [[16 + 8 * k for k in range(len(names))]]
-    code = wasm.module([wasm.Function("f", graph, {"w0": 0, "w1": 8}, places)], 4096)
+    code = print_wasm.module([print_wasm.Function("f", nodes, {"w0": 0, "w1": 8}, places)], 4096)
     rng = np.random.default_rng(0)
     points = np.vstack([rng.normal(size=(150, 2)) * size for size in (1e-3, 0.3, 2.0, 50.0, 700.0)])
     edges = [0.0, -0.0, 1.0, -1.0, 2.0, 1e300, 1e-310, np.inf, -np.inf, np.nan]
     points = np.vstack([points, [[a, b] for a in edges for b in edges]])
     found = _computed(page, code, points, len(names))
-    functions = elementary.python(single=False)
+    functions = elementary("float64") | {"fabs": np.abs}
     with np.errstate(all="ignore"):
         for k, name in enumerate(names):
             arguments = points.T if k >= len(names) - 5 else points.T[:1]
@@ -313,8 +312,8 @@ def test_a_large_expression_stays_shallow(page: Browser) -> None:
     total = w[0]
     for k in range(800):
         total = ca.if_else(total > k, total * 1.0001, total + w[1] * k)
-    graph = rewritten(listed(ca.Function("f", [w], [total], ["w"], ["o"])))
-    code = wasm.module([wasm.Function("f", graph, {"w0": 0, "w1": 8}, [[16]])], 64)
+    nodes = portable(ca.Function("f", [w], [total], ["w"], ["o"]), "float64")
+    code = print_wasm.module([print_wasm.Function("f", nodes, {"w0": 0, "w1": 8}, [[16]])], 64)
     expected = float(ca.Function("f", [w], [total])([1.0, 1e-3]))
     assert _computed(page, code, np.array([[1.0, 1e-3]]), 1)[0, 0] == expected
 
@@ -419,9 +418,9 @@ def test_the_command_writes_one_file_and_replaces_its_own_only(tmp_path: Path) -
 
 def test_a_remainder_has_no_instruction() -> None:
     w = ca.SX.sym("w", 2)
-    graph = rewritten(listed(ca.Function("f", [w], [ca.fmod(w[0], w[1])], ["w"], ["o"])))
+    nodes = portable(ca.Function("f", [w], [ca.fmod(w[0], w[1])], ["w"], ["o"]), "float64")
     with pytest.raises(InputError, match="remainder"):
-        wasm.module([wasm.Function("f", graph, {"w0": 0, "w1": 8}, [[16]])], 24)
+        print_wasm.module([print_wasm.Function("f", nodes, {"w0": 0, "w1": 8}, [[16]])], 24)
 
 
 def test_sliders_without_meaning_are_left_out() -> None:

@@ -15,9 +15,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scenes import on_numbers, random_plant, scene
+from undeadzone.compile import interpret
 from undeadzone.ends import sensor
 from undeadzone.ends.sensor import Sensor, Zone, resolve
-from undeadzone.engine import interpret
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Estimate
 from undeadzone.observers import Censored, Extended, Kalman

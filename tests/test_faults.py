@@ -17,7 +17,7 @@ from tests.test_strangers import COMMAND, SCENARIO, scenario
 
 from undeadzone.ensemble import run_blocks
 from undeadzone.ensemble.result import Ensemble
-from undeadzone.simulation.run import Run
+from undeadzone.results.run import Run
 
 ROOT = Path(__file__).parents[1]
 VARIED = f'{SCENARIO}\n[ensemble]\nruns = 50\n"sensor.right" = {{ uniform = [0.3, 0.5] }}\n'

@@ -24,10 +24,9 @@ from test_engines import (
     small,
     stateless,
 )
-from undeadzone.engine import cache, kernel, lanes
-from undeadzone.engine.forms import Form, Shape
-from undeadzone.engine.machine import Machine, here, stack
-from undeadzone.engine.machine_code import compiled
+from undeadzone.compile import cache, kernel, lanes
+from undeadzone.compile.lower import Arithmetic
+from undeadzone.compile.machine import Form, Machine, Shape, compiled, here, stack
 from undeadzone.errors import InputError
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.simulation.simulate import prepare
@@ -257,7 +256,9 @@ def source_of(step: ca.Function, rare: Any, machine: Machine, **options: Any) ->
     sizes = (step.size1_in(0), step.size1_in(1), step.size1_in(2))
     shape = Shape(sizes, (3, 5), (0, 1), (0,))
     functions = kernel.graphs(step, rare, shape, {}, {})
-    return kernel.source(functions, shape, machine, **({"fused": True, "width": 64} | options))
+    return kernel.source(
+        functions, shape, machine, **({"arithmetic": Arithmetic(fused=True), "width": 64} | options)
+    )
 
 
 @pytest.mark.parametrize(("machine", "width", "register"), MACHINES.values(), ids=MACHINES.keys())
@@ -307,7 +308,7 @@ def test_compiled_code_calls_nothing_but_the_c_library() -> None:
     sizes = (2, 0, 0)
     shape = Shape(sizes, (), (), tuple(range(step.size1_out(1))))
     functions = kernel.graphs(step, (), shape, {}, {})
-    made = kernel.source(functions, shape, here(), False, 8)
+    made = kernel.source(functions, shape, here(), Arithmetic(), 8)
     assert "sin" in compiled(made.text).calls
-    fused = kernel.source(functions, shape, here(), True, 8)
+    fused = kernel.source(functions, shape, here(), Arithmetic(fused=True), 8)
     assert not {"sin", "cos", "exp", "log", "erf", "tanh"} & set(compiled(fused.text).calls)

@@ -13,23 +13,28 @@ from scipy.special import log_ndtr, ndtr
 
 import undeadzone as uz
 from undeadzone.errors import InputError
-from undeadzone.identification.fit import Fit, fit_zone, polished, refit
-from undeadzone.identification.friction_step import simulate
-from undeadzone.identification.intervals import profile
-from undeadzone.identification.kalman_fit import KalmanFit
-from undeadzone.identification.kalman_likelihood import KalmanObjective
-from undeadzone.identification.kalman_smoother import innovations, smooth
-from undeadzone.identification.kalman_step import matrices
-from undeadzone.identification.likelihood import Noise, Readings, behind, pairs, singles
-from undeadzone.identification.long_run import (
+from undeadzone.identification.models.estimates import (
     Spread,
     long_run_covariance,
     quantile,
     sandwich,
 )
-from undeadzone.identification.normal_mass import log_difference, log_rectangle
-from undeadzone.identification.objective import Limits, Objective
-from undeadzone.identification.plant_fit import Data, Layout, Simulator
+from undeadzone.identification.models.kalman import KalmanObjective, matrices
+from undeadzone.identification.models.kalman_fit import KalmanFit, innovations, smooth
+from undeadzone.identification.models.likelihood import (
+    Noise,
+    Readings,
+    behind,
+    log_difference,
+    log_rectangle,
+    pairs,
+    singles,
+)
+from undeadzone.identification.models.place import simulate
+from undeadzone.identification.models.plant import Data, Layout, Simulator
+from undeadzone.identification.models.zone import Limits, Objective
+from undeadzone.identification.models.zone_fit import Fit, fit_zone, polished, refit
+from undeadzone.identification.verdict.widths import profile
 from undeadzone.support.arrays import Floats
 
 A, B = np.array([-1.6, 0.68]), np.array([0.05, 0.03])
@@ -302,12 +307,12 @@ def test_filter_without_disturbance_is_singles() -> None:
 
 def plain_filter(objective: KalmanObjective, p: Floats) -> tuple[Floats, Floats]:
     """Predicted covariances and g (N), one sample after the other."""
-    data, numbers = objective.data, objective.numbers
+    data, layout, model = objective.data, objective.layout, objective.model
     lane = objective.lane(p)
-    F, B, G, H = matrices(numbers.n, numbers.m, numbers.model, lane)
-    q2, r2, right, left, _, first, first_w, slack = lane[numbers.lane_q :]
+    F, B, G, H = matrices(layout.n, layout.m, model, lane)
+    q2, r2, right, left, _, first, first_w, slack = lane[objective.lane_q :]
     x = np.zeros(len(F))
-    P = np.diag([first] * numbers.n + [first_w] * (numbers.model > 0))
+    P = np.diag([first] * layout.n + [first_w] * (model > 0))
     covariances, gs = [], []
     for u, y, side in zip(data.u, objective.data.y, data.side, strict=True):
         covariances.append(P)
@@ -337,7 +342,7 @@ def test_compiled_filter_agrees_with_the_plain_one(model: int, slack: float) -> 
         held = 0.3 * np.sin(np.arange(300) / 20)
         data = data._replace(y=np.where(data.side == 0, held, data.y))
     objective = KalmanObjective(data, Layout(2, 1, 1), model, Limits(), slack)
-    p = np.array([*A, 0.4, 0.3, -2.0, -2.5, 0.8, 0.5, 1.0][: objective.numbers.size])
+    p = np.array([*A, 0.4, 0.3, -2.0, -2.5, 0.8, 0.5, 1.0][: objective.size])
     covariances, g = plain_filter(objective, p)
     fit = KalmanFit(objective, p, 0.0)
     assert innovations(fit) == pytest.approx(g, rel=1e-7, abs=1e-7)
@@ -355,7 +360,7 @@ def test_smoother_is_least_squares_where_all_speaks(model: int) -> None:
     p = np.array([*A, 0.4, 0.3, -2.0, -2.5, 0.0, 0.0, 1.0])
     lane = objective.lane(p)
     F, B, G, H = matrices(2, 1, model, lane)
-    q2, r2, *_, first, first_w, _ = lane[objective.numbers.lane_q :]
+    q2, r2, *_, first, first_w, _ = lane[objective.lane_q :]
     mean, power = np.zeros((40, 3)), np.zeros((40, 3, 40, 3))
     power[0, :, 0] = np.diag([first, first, first_w])
     for t in range(39):
@@ -492,7 +497,7 @@ def test_missing_readings_glitches_and_two_records() -> None:
     both = uz.identify(frames, order=2)
     assert both.answer.fit.objective.layout.records == 2
     assert both.right.low <= 0.5 <= both.right.high
-    assert both.answer.evidence.grid.output_unit == "mm"
+    assert both.answer.case.grid.output_unit == "mm"
 
 
 def test_swapped_columns_give_no_widths() -> None:

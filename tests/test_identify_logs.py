@@ -16,8 +16,8 @@ from scipy.signal import lfilter
 import undeadzone as uz
 from undeadzone.cli import group
 from undeadzone.errors import FileError, InputError
-from undeadzone.identification.grid import find_quantum, shortened, to_grid
-from undeadzone.identification.readers import log_of_arrays, read_log
+from undeadzone.identification.logs.grid import find_quantum, shortened, to_grid
+from undeadzone.identification.logs.log import log_of_arrays, read_log
 from undeadzone.scenario.reader import read
 
 ROWS = np.column_stack([0.5 * np.arange(5), [1, 2, 3, 4, 5.5], [0, 0, -0.25, 1, 2]])
@@ -285,7 +285,7 @@ def test_two_records_become_certified_gains_and_a_run(written: Path, tmp_path: P
     for path, part in zip(halves, (rows[:400], rows[400:]), strict=True):
         path.write_text(text_of(part))
     answer = uz.identify([str(path) for path in halves], order=2, place="sensor")
-    assert answer.answer.evidence.grid.start.tolist() == [0, 400]
+    assert answer.answer.case.grid.start.tolist() == [0, 400]
     (tmp_path / "both.toml").write_text(answer.scenario())
     problem = read(tmp_path / "both.toml")
     proved = uz.design(problem, "rate")

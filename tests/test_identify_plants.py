@@ -15,11 +15,10 @@ from scipy.signal import lfilter
 import undeadzone as uz
 from undeadzone.cli import group
 from undeadzone.errors import InputError
-from undeadzone.identification.delay import delayed
-from undeadzone.identification.jump_edges import edge_of
-from undeadzone.identification.objective import Limits, Objective
-from undeadzone.identification.plant_fit import Data, Simulator
-from undeadzone.identification.to_continuous import continuous
+from undeadzone.identification.answer.to_continuous import continuous
+from undeadzone.identification.logs.prepare import edge_of
+from undeadzone.identification.models.plant import Data, Simulator, delayed
+from undeadzone.identification.models.zone import Limits, Objective
 from undeadzone.linear.hold import zoh
 
 DENOMINATOR = [1.0, -1.6, 0.68]
@@ -156,7 +155,7 @@ def test_a_delay_moves_the_input_within_each_record() -> None:
 def test_a_late_input_is_found_and_no_scenario_hides_it() -> None:
     u, z = driven(late=3, seed=0)
     answer = uz.identify(t=STEP, u=u, y=dead_zone(z, 0.5, 0.3), order=2)
-    assert answer.answer.evidence.delay == 3
+    assert answer.answer.found.delay == 3
     assert answer.right.low <= 0.5 <= answer.right.high
     with pytest.raises(InputError, match=r"3 samples \(0.15 s\) late.*--delay 3"):
         answer.scenario()
@@ -233,7 +232,7 @@ def test_an_edge_that_is_hardly_passed_has_its_profile() -> None:
     right = float(np.sort(z)[-15])
     y = dead_zone(z + 0.03 * rng.standard_normal(1200), right, 0.3)
     answer = uz.identify(t=STEP, u=u, y=y, order=2)
-    assert answer.answer.evidence.excitation.visits[0] == 2
+    assert answer.answer.excitation.visits[0] == 2
     assert any("profile likelihood" in remark for remark in answer.answer.remarks)
     assert answer.right.low <= right <= answer.right.high
     assert answer.width.half >= answer.right.half

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from undeadzone.engine import interval_arithmetic as arithmetic
-from undeadzone.engine.interval_arithmetic import SMOOTH, Interval
+from undeadzone.compile import interval as arithmetic
+from undeadzone.compile.interval import SMOOTH, Interval
 from undeadzone.errors import InputError
 from undeadzone.support.arrays import Floats
 

@@ -33,7 +33,7 @@ from undeadzone.observers.parts.shown_belief import within_ranges
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled
-from undeadzone.simulation.run import Run
+from undeadzone.results.run import Run
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.arrays import Floats
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from undeadzone.engine import cache, cache_folder
+from undeadzone.compile import cache, cache_folder
 
 KINDS = ("float64", "float64*")
 SOURCE = """

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import undeadzone as uz
-from undeadzone.identification.long_run import positive
-from undeadzone.identification.plant_fit import roots, stabilised
+from undeadzone.identification.models.estimates import positive
+from undeadzone.identification.models.plant import roots, stabilised
 from undeadzone.scenario.reader import parse
 from undeadzone.support.arrays import Floats
 

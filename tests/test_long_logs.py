@@ -7,11 +7,16 @@ import pytest
 from scipy.signal import lfilter
 
 import undeadzone as uz
-from undeadzone.identification import records
-from undeadzone.identification.fit import fit_zone, refit
-from undeadzone.identification.objective import Limits
-from undeadzone.identification.plant_fit import Data, Simulator
-from undeadzone.identification.records import longest_record, moved, part_of, reduced, taken
+from undeadzone.identification.models import plant
+from undeadzone.identification.models.plant import Data, Simulator, part_of, taken
+from undeadzone.identification.models.zone import Limits
+from undeadzone.identification.models.zone_fit import (
+    fit_zone,
+    longest_record,
+    moved,
+    reduced,
+    refit,
+)
 
 
 def log(size: int = 1600, late: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -32,7 +37,7 @@ def data_of(u: np.ndarray, y: np.ndarray, starts: tuple[int, ...] = (0,)) -> Dat
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
     """As if 800 samples were many."""
-    monkeypatch.setattr(records, "MANY", 800)
+    monkeypatch.setattr(plant, "MANY", 800)
 
 
 def test_the_part_is_where_both_edges_are_passed(short: None) -> None:
@@ -89,13 +94,13 @@ def test_an_answer_from_a_part_is_that_of_all(monkeypatch: pytest.MonkeyPatch, l
     u, y = log(late=late)
     options = {"t": 0.05, "u": u, "y": y, "order": 2, "place": "sensor"}
     whole = uz.identify(**options)
-    monkeypatch.setattr(records, "MANY", 800)
-    monkeypatch.setattr(records, "STRETCH", 400)
+    monkeypatch.setattr(plant, "MANY", 800)
+    monkeypatch.setattr(plant, "STRETCH", 400)
     found = uz.identify(**options)
     assert isinstance(whole, uz.Identified)
     assert isinstance(found, uz.Identified)
     assert found.verdict == whole.verdict == "dead_zone"
-    assert found.answer.evidence.delay == whole.answer.evidence.delay == late
+    assert found.answer.found.delay == whole.answer.found.delay == late
     assert found.order == whole.order
     for name in ("right", "left", "width"):
         one, other = getattr(found, name), getattr(whole, name)

@@ -16,10 +16,10 @@ from scipy.linalg import expm, solve_continuous_are
 
 from scenes import scene, slopes
 from undeadzone.numerics.dense_output import Crossing
+from undeadzone.results.run import Run
 from undeadzone.signals import noise
-from undeadzone.simulation.run import Run
+from undeadzone.simulation.close import entered, exogenous_at
 from undeadzone.simulation.simulate import simulate
-from undeadzone.simulation.steps import entered, exogenous_at
 from undeadzone.simulation.wiring import Mode
 from undeadzone.support.arrays import Floats
 

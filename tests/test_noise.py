@@ -19,8 +19,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from undeadzone.engine import draws, normal
-from undeadzone.engine.philox import box_muller, philox
+from undeadzone.compile import normal
+from undeadzone.compile.philox import box_muller, philox
 from undeadzone.errors import ShapeError
 from undeadzone.signals import noise
 from undeadzone.support.arrays import Floats
@@ -334,7 +334,7 @@ def test_coloured_noise_has_its_rms_and_correlation_time() -> None:
 
 def test_lanes_are_drawn_by_vector_instructions() -> None:
     """The generator's products, the radius' root and the polynomials are of many lanes at once."""
-    code = draws.fill(16)
+    code = normal.fill_text(16)
     for wide in (
         r"mul .*<\d+ x i64>",
         r"fmul <\d+ x float>",

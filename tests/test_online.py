@@ -8,7 +8,7 @@ import pytest
 
 import undeadzone as uz
 from test_engines import OBSERVERS, small
-from undeadzone.engine import live
+from undeadzone.compile import live
 
 PLANT = uz.Plant(A=[[0, 1], [-1, -2]], B=[[0], [1]], C=[[1, 0]], x0=[0.5, 0])
 SENSOR = uz.Sensor(right=1.3, left=0.6, noise=0.02)

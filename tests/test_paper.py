@@ -18,9 +18,9 @@ import pytest
 from undeadzone.controllers import PD
 from undeadzone.linear.riccati import paper_riccati
 from undeadzone.plants.build import matrices, system
+from undeadzone.results.run import Run
 from undeadzone.scenario.reader import read
 from undeadzone.scenario.schema import Scenario, Simulation
-from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import simulate
 from undeadzone_paper import Paper, audit, measures, write
 from undeadzone_paper.claim_texts import TEXTS

@@ -19,16 +19,16 @@ import undeadzone as uz
 from scenes import scene
 from test_engines import distance, parts
 from undeadzone.analysis.side_schedule import planned
+from undeadzone.compile import interpret, lanes
 from undeadzone.ends.play import contacts, held
 from undeadzone.ends.sensor import Sensor, resolve
-from undeadzone.engine import interpret, lanes
 from undeadzone.ensemble.run_ensemble import deviation, run_ensemble
 from undeadzone.errors import InputError
 from undeadzone.observers.parts import measured_side, motion
+from undeadzone.results.run import Run
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.signals.exosystem import Sine, exosystem
-from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.arrays import Floats
 

@@ -19,16 +19,16 @@ from test_play import CENSORED, KALMAN, late, slow
 from test_which import STEP, driven, through
 from undeadzone.analysis.identifiability.play_and_zone import Readings, told_of_both
 from undeadzone.analysis.side_schedule import planned, recorded
+from undeadzone.compile import interpret, lanes
 from undeadzone.ends.sensor import Sensor, resolve
-from undeadzone.engine import interpret, lanes
 from undeadzone.ensemble.run_ensemble import deviation, run_ensemble
 from undeadzone.errors import InputError, UndeadzoneError
 from undeadzone.linear.matrices import Matrices
 from undeadzone.observers.parts import further_constants
 from undeadzone.report.run_page import run_page
+from undeadzone.results.run import Run
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
-from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.arrays import Floats
 from undeadzone_arena.contest.prior_knowledge import situation

@@ -23,7 +23,7 @@ from undeadzone.analysis.certificate.polytopic import (
     slopes_on,
 )
 from undeadzone.analysis.error_dynamics import Dynamics
-from undeadzone.engine.interval import Interval, enclosure
+from undeadzone.compile.interval import Interval, enclosure
 from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant

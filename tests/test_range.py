@@ -20,15 +20,14 @@ from scenes import on_numbers, scene
 from test_engines import OBSERVERS, distance, parts, small
 from undeadzone.analysis.side_schedule import planned
 from undeadzone.cli import group
+from undeadzone.compile import interpret, lanes
 from undeadzone.ends.limits import Limits
 from undeadzone.ends.sensor import Sensor, Zone, deadzone, quantised, resolve
-from undeadzone.engine import interpret, lanes
 from undeadzone.ensemble.run_ensemble import deviation, replay_run, run_ensemble
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.identification.grid import to_grid
-from undeadzone.identification.log import Log
-from undeadzone.identification.options import Options
-from undeadzone.identification.prepare import prepare
+from undeadzone.identification.logs.grid import to_grid
+from undeadzone.identification.logs.log import Log, Options
+from undeadzone.identification.logs.prepare import prepare
 from undeadzone.interfaces import Estimate, Reading, graph_of, received
 from undeadzone.logs.range_ends import RunningEnds, range_ends
 from undeadzone.observers.parts import measured_side
@@ -36,8 +35,8 @@ from undeadzone.observers.parts.measured_reading import Ends, surely_exact
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled
+from undeadzone.results.run import Run
 from undeadzone.scenario.problem import resolve_scenario
-from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.arrays import Floats
 from undeadzone_arena import MovingHorizon, ParticleFilter

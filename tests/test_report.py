@@ -22,20 +22,19 @@ from undeadzone.ensemble.run_ensemble import run_ensemble
 from undeadzone.errors import FileError, InputError
 from undeadzone.observers import Certified
 from undeadzone.report.animation import TILT, face_seen
-from undeadzone.report.arm_figures import joint_rows, offset
 from undeadzone.report.ensemble_figures import bin_edges
 from undeadzone.report.ensemble_page import figures as ensemble_figures
-from undeadzone.report.figures import overview, rows_below, rows_beside
+from undeadzone.report.gain_figures import ELLIPSE, ellipse
 from undeadzone.report.html import Html, Origin, html, page, paragraph, picture, section, table
 from undeadzone.report.plot import KINDS, plot
 from undeadzone.report.proof_figures import nyquist, proof_of
+from undeadzone.report.run_figures import joint_rows, offset, overview, rows_below, rows_beside
 from undeadzone.report.run_page import run_page
 from undeadzone.report.style import image, png, sheet, write
-from undeadzone.report.trade_figures import ELLIPSE, ellipse
-from undeadzone.report.tune_figures import history
+from undeadzone.report.tune_page import history
+from undeadzone.results.run import Run
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import read
-from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.files import write_text
 from undeadzone.synthesis.assessment import assess

@@ -23,7 +23,7 @@ from tests.scenes import scene
 
 from undeadzone.errors import FileError, InputError, Terminated
 from undeadzone.identification.identify import identify
-from undeadzone.identification.intervals import profile
+from undeadzone.identification.verdict.widths import profile
 from undeadzone.scenario.reader import digests
 from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.tune_table import Range, Tune

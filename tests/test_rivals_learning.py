@@ -18,9 +18,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from scenes import PAPER_PLANT, linear, random_plant, scene
+from undeadzone.compile import interpret
 from undeadzone.ends import sensor
 from undeadzone.ends.sensor import Sensor, Zone, resolve
-from undeadzone.engine import interpret
 from undeadzone.errors import InputError, ShapeError, StepError, StructureError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Estimate, Observer, Reading
@@ -29,8 +29,8 @@ from undeadzone.linear.riccati import fast_gain
 from undeadzone.observers.parts.gain import injection
 from undeadzone.plants.system import System, sampled
 from undeadzone.plants.time_scales import fastest_pole
+from undeadzone.results.run import Run
 from undeadzone.scenario.problem import resolve_scenario
-from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import prepare, simulate
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats

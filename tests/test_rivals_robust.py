@@ -19,9 +19,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scenes import PAPER_PLANT, linear, random_plant, response, scene, slopes
+from undeadzone.compile import interpret
 from undeadzone.ends.sensor import Sensor, Zone, deadzone, resolve, side
 from undeadzone.ends.sensor import jump as jump_sensor
-from undeadzone.engine import interpret
 from undeadzone.errors import InputError, ShapeError, StepError, StructureError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Estimate, Observer, Reading

@@ -8,7 +8,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import re
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -17,12 +16,13 @@ import msgspec
 import numpy as np
 import pytest
 
+from commands import undeadzone as command
 from scenes import scene
 from test_engines import compiled, distance, generated, parts
 from test_ensemble import table
 from test_report import Auditor
+from undeadzone.compile import interpret
 from undeadzone.ends.sensor import quantised, side
-from undeadzone.engine import interpret
 from undeadzone.ensemble.batch import prepare
 from undeadzone.ensemble.run_ensemble import replay
 from undeadzone.errors import FileError, InputError, ShapeError, StepError, TrackingError
@@ -30,14 +30,14 @@ from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.robots.arm import evaluate_rows, torque
 from undeadzone.plants.robots.options import URDF, OneLink, TwoLink
-from undeadzone.report import animation, arm_figures
-from undeadzone.report.figures import overview
-from undeadzone.report.run_files import write_run as write
+from undeadzone.report import animation, run_figures
+from undeadzone.report.run_figures import overview
+from undeadzone.report.run_page import write_run as write
+from undeadzone.results.run import FRAMES, Run
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import parse
 from undeadzone.scenario.schema import Scenario
-from undeadzone.simulation.compare import labels as _told_apart
-from undeadzone.simulation.run import FRAMES, Run
+from undeadzone.simulation.simulate import labels as _told_apart
 from undeadzone.simulation.simulate import simulate
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -415,7 +415,7 @@ def test_machine_lanes_and_c_agree_on_an_arm(tmp_path: Path) -> None:
 
 
 def test_figures_of_an_arm_have_their_panels(both: tuple[Run, Run]) -> None:
-    figure = arm_figures.tip(*both)
+    figure = run_figures.tip(*both)
     assert [axes.get_title(loc="left") for axes in figure.axes] == [
         "The tip, last half of the run",
         "Distance of the tip from where it should be",
@@ -431,7 +431,7 @@ def test_figures_of_an_arm_have_their_panels(both: tuple[Run, Run]) -> None:
         "extended, blind",
     ]
     assert len(figure.axes[2].lines) == 2
-    planes = arm_figures.phase(both[0])
+    planes = run_figures.phase(both[0])
     assert [axes.get_title(loc="left") for axes in planes.axes] == ["q1", "q2"]
     zone = planes.axes[0].patches[0].get_x(), planes.axes[0].patches[0].get_width()
     assert zone == pytest.approx((-1.65 - 0.03, 0.08))
@@ -446,7 +446,7 @@ def test_a_speed_has_no_dead_zone_in_the_phase_plane() -> None:
             observer={"method": "full_state"},
         )
     )
-    assert not arm_figures.phase(run).axes[0].patches
+    assert not run_figures.phase(run).axes[0].patches
 
 
 def test_the_page_plays_the_arm_from_itself_alone(both: tuple[Run, Run], tmp_path: Path) -> None:
@@ -506,17 +506,6 @@ def test_a_gif_is_written_and_other_names_are_refused(
 
 
 # --- The command
-
-
-def command(*arguments: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*COMMAND, *map(str, arguments)],
-        cwd=cwd,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
 
 
 @pytest.fixture

@@ -22,11 +22,11 @@ from undeadzone.linear.matrices import Matrices
 from undeadzone.linear.riccati import riccati, riccati_along
 from undeadzone.plants.robots.arm import acceleration
 from undeadzone.plants.system import System, sampled
+from undeadzone.results.run import Run
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation import exogenous as inputs
 from undeadzone.simulation.packed import graph
-from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import prepare, run_loop, simulate
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats

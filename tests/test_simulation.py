@@ -17,11 +17,10 @@ from scipy.linalg import expm
 from scenes import PAPER_PLANT, scene
 from undeadzone.errors import InputError, TrackingError
 from undeadzone.observers import Certified, Luenberger
+from undeadzone.results.run import Run
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.simulation import exogenous
-from undeadzone.simulation.compare import compare, labels
-from undeadzone.simulation.run import Run
-from undeadzone.simulation.simulate import simulate
+from undeadzone.simulation.simulate import compare, labels, simulate
 
 IDLE: dict[str, Any] = {"method": "state_feedback", "K": [0.0, 0.0]}
 NO_REFERENCE: dict[str, Any] = {"kind": "step", "amplitude": 0.0}

@@ -19,15 +19,14 @@ from undeadzone.ensemble import journal, saved
 from undeadzone.ensemble.job import Layout
 from undeadzone.errors import FileError, InputError
 from undeadzone.exports.source import _plain as commented
-from undeadzone.identification.readers import read_log
+from undeadzone.identification.logs.log import read_log
 from undeadzone.plants.robots import urdf_elements
 from undeadzone.report.html import page, table
 from undeadzone.report.style import plain
+from undeadzone.results.run import Run
 from undeadzone.scenario.reader import confined, parse, read
 from undeadzone.signals.exosystem import read_csv
-from undeadzone.simulation.compare import compare
-from undeadzone.simulation.run import Run
-from undeadzone.simulation.simulate import simulate
+from undeadzone.simulation.simulate import compare, simulate
 from undeadzone.support import files
 from undeadzone.support.files import read_bytes, require_folder
 from undeadzone.support.shown import text as text_of
@@ -223,10 +222,10 @@ def test_a_file_that_grows_is_refused(tmp_path: Path) -> None:
 def test_a_run_that_unpacks_to_more_than_a_run_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from undeadzone.simulation import run_file
+    from undeadzone.results import files
 
     np.savez_compressed(tmp_path / "bomb.npz", z=np.zeros(100_000))
-    monkeypatch.setattr(run_file, "LARGEST_RUN", 500_000)
+    monkeypatch.setattr(files, "LARGEST_RUN", 500_000)
     with pytest.raises(FileError, match="it would unpack to 1 MB"):
         Run.load(tmp_path / "bomb.npz")
 

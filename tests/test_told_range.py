@@ -11,10 +11,9 @@ from scipy.stats import t as student
 
 import undeadzone as uz
 from undeadzone.errors import InputError
-from undeadzone.identification.answer import Answer
-from undeadzone.identification.intervals import Interval
-from undeadzone.identification.jump_edges import edge_of
-from undeadzone.identification.told_range import told_range
+from undeadzone.identification.answer.answer import Answer, told_range
+from undeadzone.identification.logs.prepare import edge_of
+from undeadzone.identification.models.estimates import Interval
 
 RIGHT, LEFT = 0.4, 0.9
 
@@ -43,7 +42,7 @@ def growth(degrees: float) -> float:
 
 
 def test_the_range_grows_with_the_quantile_of_its_degrees(answer: Answer) -> None:
-    degrees = answer.evidence.widths.degrees
+    degrees = answer.widths.degrees
     assert degrees["left"] < degrees["right"]  # passed 4 times, and 20 times or more
     for side, edge in (("right", answer.right), ("left", answer.left)):
         assert edge is not None
@@ -56,7 +55,7 @@ def test_the_range_grows_with_the_quantile_of_its_degrees(answer: Answer) -> Non
 
 def test_each_half_of_an_interval_grows_by_itself(answer: Answer) -> None:
     edge = Interval(0.5, 0.4, 0.8)
-    factor = growth(answer.evidence.widths.degrees["left"])
+    factor = growth(answer.widths.degrees["left"])
     told = told_range(answer._replace(left=edge), "left")
     assert told == pytest.approx((max(0.5 - 0.1 * factor, 0.0), 0.5 + 0.3 * factor))
 

@@ -20,6 +20,7 @@ from undeadzone.ensemble import metrics
 from undeadzone.ensemble.batch import prepare
 from undeadzone.errors import InputError, StructureError
 from undeadzone.observers import HighGain
+from undeadzone.results.scales import LIMIT
 from undeadzone.scenario.address import numbers, with_numbers
 from undeadzone.scenario.ensemble_table import Distribution, Vary
 from undeadzone.scenario.problem import resolve_scenario
@@ -28,7 +29,6 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.tune_table import Range, Tune
 from undeadzone.simulation.exogenous import exogenous
 from undeadzone.simulation.packed import graph
-from undeadzone.simulation.scales import LIMIT
 from undeadzone.simulation.simulate import prepare as prepare_loop
 from undeadzone.simulation.simulate import run_loop
 from undeadzone.statistics.intervals import Interval

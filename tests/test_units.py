@@ -20,10 +20,10 @@ from undeadzone.observers.parts.prior import build_prior
 from undeadzone.plants.build import system
 from undeadzone.plants.system import sampled
 from undeadzone.plants.time_scales import pace, rates_of_motion, state_units, time_scale
+from undeadzone.results.scales import plant_scales
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
 from undeadzone.scenario.schema import Scenario
-from undeadzone.simulation.scales import plant_scales
 
 POLES = -np.array([1.0, 1.5, 2.0, 3.0])  # [1/s]
 MISMATCH = np.array([1.05, 0.95, 1.05, 0.95])  # of the model's coefficients

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from scenes import random_plant, scene, table
-from undeadzone.engine import interpret
+from undeadzone.compile import interpret
 from undeadzone.ensemble.binding import Binding, bind, initial_copies
 from undeadzone.ensemble.varied import sizes
 from undeadzone.errors import InputError, UndeadzoneError

@@ -16,22 +16,26 @@ import undeadzone as uz
 from tools import script_of_docs
 from undeadzone.cli import group
 from undeadzone.errors import InputError
-from undeadzone.identification.ahead import disturbance_ahead
-from undeadzone.identification.four_offsets import (
+from undeadzone.identification.models.elements import PlayModel, fit_play
+from undeadzone.identification.models.estimates import climb
+from undeadzone.identification.models.kalman import KalmanObjective
+from undeadzone.identification.models.least_squares import LeastSquares
+from undeadzone.identification.models.motion import (
     NAMES,
     WIDTHS,
     Moving,
+    Sensing,
     classes,
     four_offsets,
+    moved_before,
     named,
+    sensing,
+    sides,
+    white_noise,
 )
-from undeadzone.identification.kalman_fit import climbed
-from undeadzone.identification.kalman_likelihood import KalmanObjective
-from undeadzone.identification.motion import Sensing, moved_before, sensing, sides, white_noise
-from undeadzone.identification.objective import Limits
-from undeadzone.identification.plant_fit import Data, Simulator
-from undeadzone.identification.play_likelihood import fit_ticks, ticks_of
-from undeadzone.identification.play_model import PlayModel, fit_play
+from undeadzone.identification.models.plant import Data, Simulator, disturbance_ahead
+from undeadzone.identification.models.play_gap import fit_ticks
+from undeadzone.identification.models.zone import Limits
 from undeadzone.scenario.reader import read
 from undeadzone.support.arrays import Floats
 
@@ -168,13 +172,14 @@ def test_gradients_of_a_play(zone: bool, integrators: int) -> None:
     a = A if not integrators else np.array([-0.68])
     theta = np.concatenate([a, B, [0.1, 0.05, -0.1, 0.02], [0.31, 0.23, 0.12, 0.15]])
     theta = model.project(theta)
-    _, rows = model.rows(theta)
+    squares = LeastSquares(model)
+    _, rows = squares.rows(theta)
     for column, index in enumerate(model.free):
         step = np.zeros(theta.size)
         step[index] = 1e-6
         if model.tied and index == model.base:
             step[index + 1] = 1e-6
-        slope = (model.residual(theta - step) - model.residual(theta + step)) / 2e-6
+        slope = (squares.residual(theta - step) - squares.residual(theta + step)) / 2e-6
         smooth = np.abs(slope - rows[:, column]) < 1e-5 * (1 + np.abs(slope))
         assert smooth.mean() > 0.99  # but where a contact begins
 
@@ -221,17 +226,18 @@ def test_a_disturbance_ahead_of_an_encoder_leaves_the_gap_right(quantum: float) 
         level = through(z + disturbed(rng, 0.08), (0.3, 0.25), (0.0, 0.0))
         data = logged(u, quantum * np.round(level / quantum) if quantum else level)
         fit = fit_play(data, [2], 0)[0]
-        how = ticks_of(data, quantum)
+        how = sensing(data.y, data.ok, data.start, quantum)
+        assert how.window == 1
         ticks = fit_ticks([fit], how)
         heard = ticks.kalman.objective.data
         moving = heard._replace(ok=heard.ok & (heard.side != 0))
         kind, layout = ticks.kalman.model, fit.model.simulator.layout
         deaf = KalmanObjective(moving, layout, kind, Limits())
-        widths = slice(deaf.numbers.log_q + 2, deaf.numbers.log_q + 4)
+        widths = slice(deaf.log_q + 2, deaf.log_q + 4)
         found = [
             fit.theta[fit.model.base : fit.model.base + 2],
-            ticks.kalman.p[widths],
-            climbed(deaf, ticks.kalman.p, 50).theta[widths],
+            ticks.kalman.theta[widths],
+            climb(deaf, ticks.kalman.theta, 50).theta[widths],
         ]
         errors.append([float(np.sum(one)) - 0.55 for one in found])
     least_squares, by_ticks, _ = np.sqrt(np.mean(np.square(errors), axis=0))
@@ -242,7 +248,8 @@ def test_a_disturbance_ahead_of_an_encoder_leaves_the_gap_right(quantum: float) 
 
 def test_noisy_readings_have_no_ticks() -> None:
     noisy = np.random.default_rng(0).standard_normal(400)
-    assert ticks_of(logged(noisy, noisy), 0.0) is None
+    data = logged(noisy, noisy)
+    assert sensing(data.y, data.ok, data.start, 0.0).window > 1
 
 
 def test_what_has_no_play_is_given_none() -> None:

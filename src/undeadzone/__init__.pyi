@@ -38,9 +38,9 @@ from .errors import TrackingError as TrackingError
 from .errors import UndeadzoneError as UndeadzoneError
 from .exports.export import Exported as Exported
 from .exports.export import export as export
+from .identification.answer.result import Identified as Identified
+from .identification.answer.result import IdentifiedOutputs as IdentifiedOutputs
 from .identification.identify import identify as identify
-from .identification.outputs import IdentifiedOutputs as IdentifiedOutputs
-from .identification.result import Identified as Identified
 from .interfaces import Estimate as Estimate
 from .linear.matrices import Matrices as Matrices
 from .observers import Auto as Auto
@@ -74,6 +74,8 @@ from .plants.robots.options import OneLink as OneLink
 from .plants.robots.options import TwoLink as TwoLink
 from .plants.system import System as System
 from .report.plot import plot as plot
+from .results.estimation import Estimation as Estimation
+from .results.run import Run as Run
 from .scenario.ensemble_table import Distribution as Distribution
 from .scenario.ensemble_table import Vary as Vary
 from .scenario.reader import read as read
@@ -93,11 +95,9 @@ from .signals.exosystem import Trapezoid as Trapezoid
 from .signals.paths import Circle as Circle
 from .signals.paths import FigureEight as FigureEight
 from .signals.paths import Quintic as Quintic
-from .simulation.compare import compare as compare
 from .simulation.estimate import estimate as estimate
-from .simulation.estimation import Estimation as Estimation
 from .simulation.online import Online as Online
-from .simulation.run import Run as Run
+from .simulation.simulate import compare as compare
 from .simulation.simulate import simulate as simulate
 from .synthesis.check import Check as Check
 from .synthesis.check import check as check

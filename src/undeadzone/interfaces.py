@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -80,10 +80,30 @@ def no_further(expected: Any, y: Any, side: Any) -> Any:
 NONE: Any = ca.SX(0, 1)
 
 
+class Quantity(NamedTuple):
+    """What a field of an estimate is: said once, for runs, logs, tables and exports.
+
+    Attributes:
+        meaning: in words.
+        unit: whose it has: that of an output, input or state, of a state's rate; 1 has none.
+        signal: of a run that holds it, in turn with the others of the same signal; empty: none.
+        final: how its last value stands in a summary: as one number each, as their sum, as whether
+            all of them hold; None: not at all.
+        column: what columns of a table call it; empty: as the field.
+    """
+
+    meaning: str
+    unit: Literal["output", "input", "state", "rate", "1"]
+    signal: str = ""
+    final: type[float] | type[int] | type[bool] | None = None
+    column: str = ""
+
+
 class Estimate(NamedTuple):
     """What an observer makes of the readings so far; a field that it does not estimate is empty.
 
-    The fields are CasADi expressions on a graph, NumPy arrays in a run or live.
+    The fields are CasADi expressions on a graph, NumPy arrays in a run or live. A new one is an
+    entry here: runs, logs, tables and exports take it by its `Quantity`.
 
     Attributes:
         x: state x^ (n).
@@ -138,18 +158,56 @@ class Estimate(NamedTuple):
     gap_std: Any = NONE
 
 
-_COLUMNS = {
-    "x": "x_hat",
-    "z": "z_hat",
-    "right": "d_right",
-    "left": "d_left",
-    "right_std": "d_right_std",
-    "left_std": "d_left_std",
-    "w": "w_hat",
-    "theta": "theta_hat",
-}
+_OF_FIELDS = Estimate(
+    x=Quantity("estimated state", "state", "x_hat", column="x_hat"),
+    z=Quantity("estimated output behind the dead zone", "output", "z_hat", column="z_hat"),
+    right=Quantity(
+        "estimated right width of the dead zone", "output", "d_hat", float, column="d_right"
+    ),
+    left=Quantity(
+        "estimated left width of the dead zone", "output", "d_hat", float, column="d_left"
+    ),
+    z_inverse=Quantity("reading with the dead zone undone", "output", "z_inverse"),
+    innovation=Quantity("what the reading adds to the prediction", "output", "innovation"),
+    x_std=Quantity("standard deviations of x", "state", "x_std"),
+    right_std=Quantity(
+        "standard deviation of right", "output", "d_std", float, column="d_right_std"
+    ),
+    left_std=Quantity("standard deviation of left", "output", "d_std", float, column="d_left_std"),
+    width_std=Quantity("standard deviation of right + left", "output", "width_std", float),
+    innovation_std=Quantity("standard deviation of the innovation", "output", "innovation_std"),
+    w=Quantity("what the model leaves out, x' = f(x, u) + w", "rate", "w_hat", column="w_hat"),
+    theta=Quantity("estimated parameters of the model", "1", "theta_hat", column="theta_hat"),
+    theta_std=Quantity("standard deviations of theta", "1", "theta_std"),
+    consistent=Quantity(
+        "1 where the readings of late fit the claims, else 0", "1", "consistent", bool
+    ),
+    refused=Quantity("readings taken for wrong so far", "1", "refused", int),
+    restarts=Quantity("how often the observer lost its state and began anew", "1", "restarts", int),
+    contact=Quantity("side of the play that the readings are on: 1 right, -1 left, 0 neither", "1"),
+    actuator_right=Quantity(
+        "estimated right width of the actuator's dead zone", "input", "b_hat", float
+    ),
+    actuator_left=Quantity(
+        "estimated left width of the actuator's dead zone", "input", "b_hat", float
+    ),
+    actuator_right_std=Quantity("standard deviation of actuator_right", "input", "b_std", float),
+    actuator_left_std=Quantity("standard deviation of actuator_left", "input", "b_std", float),
+    gap_right=Quantity(
+        "estimated right gap of the play ahead of the dead zone", "output", "c_hat", float
+    ),
+    gap_left=Quantity(
+        "estimated left gap of the play ahead of the dead zone", "output", "c_hat", float
+    ),
+    gap_right_std=Quantity("standard deviation of gap_right", "output", "c_std", float),
+    gap_left_std=Quantity("standard deviation of gap_left", "output", "c_std", float),
+    gap_std=Quantity("standard deviation of gap_right + gap_left", "output", "gap_std", float),
+)
 
-COLUMNS = Estimate(*(_COLUMNS.get(name, name) for name in Estimate._fields))
+QUANTITIES: Final[dict[str, Quantity]] = _OF_FIELDS._asdict()
+"""What each field of an estimate is, by its name."""
+
+COLUMNS = Estimate(*(quantity.column or name for name, quantity in QUANTITIES.items()))
 """What the columns of a table call each field of an estimate, beside the signals of the plant."""
 
 
@@ -339,7 +397,7 @@ def numeric_estimate(
         left_std,
         width_std,
         e_std,
-        *[none] * 16,
+        *[none] * (len(Estimate._fields) - 11),
     )
 
 

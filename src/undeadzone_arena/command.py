@@ -253,7 +253,7 @@ def _written(contest: Contest, folder: Path, own: bool) -> list[Path]:
     from undeadzone_arena.contest.page import write_arena
     from undeadzone_arena.contest.traces import traced
 
-    written = [contest.save(folder / "results.json")]
+    written = contest.save(folder / "results.json")
     written += write_arena(contest, traced(contest), folder, origin(None))
     if own and contest.contestants:
         best = contest.contestants[0].method

@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from undeadzone.simulation.run import Run
+from undeadzone.results.run import Run
 from undeadzone_paper.claims import Claim, judge
 from undeadzone_paper.equations import EQUATIONS
 from undeadzone_paper.evidence import RESTING, Evidence, gather

@@ -11,10 +11,11 @@ from typing import Any, Final, NamedTuple
 import msgspec
 
 from undeadzone.ends.sensor import Sensor
-from undeadzone.observers import Certified, Luenberger
+from undeadzone.observers.certified import Certified
+from undeadzone.observers.luenberger import Luenberger
+from undeadzone.results.run import Run
 from undeadzone.scenario.schema import Model, Scenario, Simulation
 from undeadzone.signals.exosystem import Sine
-from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import simulate
 from undeadzone_paper.example import (
     AMPLITUDES,

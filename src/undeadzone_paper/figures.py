@@ -20,7 +20,7 @@ from undeadzone.report.style import (
     shade_zone,
     sheet,
 )
-from undeadzone.simulation.run import Run
+from undeadzone.results.run import Run
 from undeadzone.support.arrays import Floats
 from undeadzone_paper.equations import FIGURES
 from undeadzone_paper.example import D

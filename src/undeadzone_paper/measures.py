@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 
 from undeadzone.ends.sensor import deadzone, indicators, zone
 from undeadzone.linear.riccati import paper_riccati
 from undeadzone.plants.build import matrices
-from undeadzone.simulation.run import LAST, Run
-from undeadzone.simulation.scales import LIMIT
+from undeadzone.results.run import LAST, Run
+from undeadzone.results.scales import LIMIT
 from undeadzone.support.arrays import Floats
 from undeadzone_paper.example import ALPHA, L_PRINTED, printed
 
@@ -34,7 +32,7 @@ def with_printed_V(run: Run) -> Run:
     P = paper_riccati(A - np.array([L_PRINTED]).T @ C, B, ALPHA, np.eye(2)).P
     of_reading = run.innovation[:, 0] ** 2 * float((C @ P @ C.T)[0, 0])
     of_widths = (width_errors(run) ** 2).sum(axis=1) / 2
-    return dataclasses.replace(run, V=of_reading + of_widths)
+    return Run(run.info, run.signals, V=of_reading + of_widths)
 
 
 def rms(values: Floats) -> float:

@@ -14,8 +14,8 @@ from undeadzone.linear.matrices import Matrices
 from undeadzone.linear.poles import observer_gain
 from undeadzone.linear.riccati import paper_riccati
 from undeadzone.plants.build import matrices, system
+from undeadzone.results.run import Run
 from undeadzone.scenario.schema import Scenario
-from undeadzone.simulation.run import Run
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 from undeadzone_paper import measures as m

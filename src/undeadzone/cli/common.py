@@ -21,7 +21,7 @@ from undeadzone.support.text import printable
 
 if TYPE_CHECKING:
     from undeadzone.report.html import Origin
-    from undeadzone.simulation.log_info import LogInfo
+    from undeadzone.results.info import LogInfo
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 LARGE = 1e7  # [bytes] of a table of signals that is written unasked

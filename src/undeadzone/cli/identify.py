@@ -21,8 +21,7 @@ from undeadzone.cli.common import (
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
-    from undeadzone.identification.outputs import IdentifiedOutputs
-    from undeadzone.identification.result import Identified
+    from undeadzone.identification.answer.result import Identified, IdentifiedOutputs
 
     Answers = Identified | IdentifiedOutputs
 
@@ -69,8 +68,8 @@ def identify(
     kept in DIR meanwhile: after Ctrl-C, kill or a crash --resume goes on. Exit code 1: no dead zone
     of the sensor, or nothing can be said.
     """
+    from undeadzone.identification.answer.result import WRITTEN
     from undeadzone.identification.identify import identify as identified
-    from undeadzone.identification.result import WRITTEN
 
     first = logs[0]
     folder = folder_for(out, no_figures, f"{first.stem}-identify")
@@ -113,7 +112,7 @@ def _scenario(answer: Answers, path: Path) -> tuple[list[Path], str | None]:
 
 def _pages(answer: Answers, folder: Path, source: str) -> list[Path]:
     """A page with figures for each output, written to a folder."""
-    from undeadzone.identification.result import Identified
+    from undeadzone.identification.answer.result import Identified
     from undeadzone.report.identify_page import write_identified
 
     if isinstance(answer, Identified):

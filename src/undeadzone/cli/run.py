@@ -24,8 +24,8 @@ from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
     from undeadzone.report.html import Origin
+    from undeadzone.results.run import Run
     from undeadzone.scenario.schema import Scenario
-    from undeadzone.simulation.run import Run
 
 OF_ENSEMBLE = (".npz", ".parquet")  # files that hold runs, no scenario
 
@@ -115,8 +115,8 @@ def _simulated(path: Path, animated: bool, confine: Path | None) -> tuple[Run, R
     """
     from undeadzone.errors import InputError
     from undeadzone.scenario.reader import read
-    from undeadzone.simulation.compare import beside
     from undeadzone.simulation.listening import heard
+    from undeadzone.simulation.simulate import beside
 
     if path.suffix in OF_ENSEMBLE:
         raise InputError(
@@ -175,7 +175,7 @@ def _written(
     """The files of a run, once they are written."""
     written = []
     if folder is not None:
-        from undeadzone.report.run_files import write_run
+        from undeadzone.report.run_page import write_run
 
         written += write_run(result, folder, figures, rival, tables, again)
     if animation is not None:

@@ -28,9 +28,9 @@ from undeadzone.errors import FileError, Terminated
 
 if TYPE_CHECKING:
     from undeadzone.interfaces import Estimate
-    from undeadzone.simulation.follow_text import LiveLog
+    from undeadzone.results.info import LogInfo
     from undeadzone.simulation.follower import Follower
-    from undeadzone.simulation.log_info import LogInfo
+    from undeadzone.simulation.live_log import LiveLog
     from undeadzone.support.arrays import Floats
 
 BLOCK = 1 << 20  # bytes that are read at once, if as many have come
@@ -96,8 +96,8 @@ def watch(
     """
     from undeadzone.logs.names import parse_columns
     from undeadzone.scenario.reader import read_for_logs
-    from undeadzone.simulation.follow_text import LiveLog
     from undeadzone.simulation.follower import Follower
+    from undeadzone.simulation.live_log import LiveLog
 
     if state is not None:
         writable(state.parent)
@@ -198,7 +198,7 @@ def _follow(log: LiveLog, follower: Follower, kept: Kept, as_json: bool) -> None
 
 def _say_end(info: LogInfo, as_json: bool) -> None:
     """What the log comes to, on stderr."""
-    from undeadzone.simulation.log_words import in_words
+    from undeadzone.results.estimation import in_words
     from undeadzone.support.arrays import finite
 
     if as_json:

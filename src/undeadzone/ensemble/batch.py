@@ -8,18 +8,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.engine import lanes
+from undeadzone.compile import lanes
 from undeadzone.ensemble import metrics
 from undeadzone.ensemble.binding import Binding, Lanes, RunNoise, bind, drawn
 from undeadzone.ensemble.job import Layout
 from undeadzone.ensemble.metrics import Measured, Tally
+from undeadzone.results.run import last_samples
+from undeadzone.results.scales import plant_scales
 from undeadzone.scenario.ensemble_table import Vary
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.exogenous import exogenous as exogenous_inputs
 from undeadzone.simulation.loop import Loop
-from undeadzone.simulation.run import last_samples
-from undeadzone.simulation.scales import plant_scales
 from undeadzone.simulation.simulate import closed
 from undeadzone.support import toml, tree
 from undeadzone.support.arrays import Floats, Integers

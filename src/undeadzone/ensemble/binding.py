@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.engine import normal
-from undeadzone.engine.lane_inputs import Source, Supply
+from undeadzone.compile import normal
+from undeadzone.compile.lanes import Source, Supply
 from undeadzone.ensemble.varied import UncertainNumber, quantities, uncertain_numbers
 from undeadzone.errors import InputError
 from undeadzone.interfaces import graph_of

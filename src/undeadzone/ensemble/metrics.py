@@ -10,10 +10,10 @@ import numpy as np
 
 from undeadzone.plants.robots.arm import Arm
 from undeadzone.plants.system import System
+from undeadzone.results.scales import LIMIT, Scales, shares
 from undeadzone.scenario.address import matching
 from undeadzone.scenario.problem import Problem
 from undeadzone.simulation.loop import Exogenous, Loop, Outputs, Params
-from undeadzone.simulation.scales import LIMIT, Scales, shares
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 

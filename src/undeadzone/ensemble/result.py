@@ -17,7 +17,7 @@ from undeadzone.ensemble.metrics import Bands, true_width
 from undeadzone.ensemble.saved import Info, unit_of_column
 from undeadzone.ensemble.words import in_words
 from undeadzone.errors import InputError
-from undeadzone.simulation.run import LAST
+from undeadzone.results.run import LAST
 from undeadzone.statistics import sensitivity
 from undeadzone.statistics.intervals import LEVEL, Interval, describe, proportion
 from undeadzone.statistics.sensitivity import Correlation
@@ -304,17 +304,13 @@ class Ensemble:
         }
         return finite(summary)
 
-    def __repr__(self) -> str:
-        """The tables that `undeadzone ensemble` prints."""
-        return shown.text(self.blocks(self.summary()))
+    def blocks(self, summary: dict[str, Any] | None = None) -> list[Block]:
+        """The tables that `undeadzone ensemble` prints; summary: its own, where it is known."""
+        numbers = self.summary() if summary is None else summary
+        return in_words(self.info, numbers, int(self.diverged.sum()))
 
-    def _repr_html_(self) -> str:
-        """The same and a figure, for a notebook."""
-        return shown.display(self, self.blocks(self.summary()))
-
-    def blocks(self, summary: dict[str, Any]) -> list[Block]:
-        """The tables that `undeadzone ensemble` prints, of a summary."""
-        return in_words(self.info, summary, int(self.diverged.sum()))
+    __repr__ = shown.in_text
+    _repr_html_ = shown.in_notebook
 
     plot = shown.plot
     """Draw it."""

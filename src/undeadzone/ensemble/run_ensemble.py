@@ -15,8 +15,8 @@ import msgspec
 import numpy as np
 
 import undeadzone
+from undeadzone.compile import interpret, lanes
 from undeadzone.ends.sensor import Zone
-from undeadzone.engine import interpret, lanes
 from undeadzone.ensemble import run_blocks, saved
 from undeadzone.ensemble.batch import Batch, prepare
 from undeadzone.ensemble.journal import Store
@@ -24,13 +24,13 @@ from undeadzone.ensemble.metrics import EDGES, Bands, bands
 from undeadzone.ensemble.result import Ensemble
 from undeadzone.ensemble.saved import Info
 from undeadzone.errors import FileError, InputError
+from undeadzone.results.run import Run
 from undeadzone.scenario.ensemble_table import Vary
 from undeadzone.scenario.problem import Problem
 from undeadzone.scenario.reader import anchored, parse
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.collect import collect
 from undeadzone.simulation.loop import Params
-from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import named
 from undeadzone.support import toml, tree
 from undeadzone.support.arrays import Floats, Integers

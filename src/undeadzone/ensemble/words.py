@@ -2,23 +2,39 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from undeadzone.ensemble.saved import Info, unit_of_column
-from undeadzone.simulation.run import LAST
+from undeadzone.results.run import LAST
+from undeadzone.results.sheet import number, within
 from undeadzone.support.shown import Block
-from undeadzone.support.text import label
+from undeadzone.support.text import counted, label
+
+
+class Metric(NamedTuple):
+    """What a metric of a run is called.
+
+    Attributes:
+        label: in a terminal.
+        title: on a page.
+        late: whether it is taken over the end of a run.
+    """
+
+    label: str
+    title: str
+    late: bool = False
+
 
 METRICS: Final = {
-    "rms_tracking": "rms z - r, last {last} s",
-    "rms_estimation": "rms z - z^, last {last} s",
-    "rms_behind_play": "rms y/m - r, last {last} s",
-    "rms_tip": "rms distance of the tip from its path, last {last} s",
-    "d_error": "largest |d^ - d|, at the end",
-    "settling_time": "settling time",
-    "peak_tracking": "peak |z - r|",
-    "rms_input": "rms u",
-    "silent_fraction": "share of silent samples",
+    "rms_tracking": Metric("rms z - r", "rms of z − r", late=True),
+    "rms_estimation": Metric("rms z - z^", "rms of z − z^", late=True),
+    "rms_behind_play": Metric("rms y/m - r", "rms of y / m − r", late=True),
+    "rms_tip": Metric(*2 * ("rms distance of the tip from its path",), late=True),
+    "d_error": Metric("largest |d^ - d|, at the end", "largest |d^ − d| at the end"),
+    "settling_time": Metric("settling time", "settling time"),
+    "peak_tracking": Metric("peak |z - r|", "largest |z − r|"),
+    "rms_input": Metric("rms u", "rms of u"),
+    "silent_fraction": Metric("share of silent samples", "share of silent samples"),
 }
 SHOWN: Final = 5  # worst runs, and entries that decide
 
@@ -33,7 +49,7 @@ def in_words(info: Info, summary: dict[str, Any], diverged: int) -> list[Block]:
     """
     sampling = info.sampling.replace("_", " ")
     blocks: list[Block] = [
-        f"{info.title}: {info.runs:,} run{'s' * (info.runs > 1)} of {info.duration:g} s, "
+        f"{info.title}: {counted(info.runs, 'run')} of {info.duration:g} s, "
         f"{sampling} sampling, seed {info.seed}",
         _shares(info, summary, diverged),
     ]
@@ -68,10 +84,11 @@ def _quantiles(info: Info, metrics: dict[str, Any]) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = [
         ("95 % intervals in ()", "median", "95 % of runs below", "99 % of runs below")
     ]
-    for key, name in METRICS.items():
+    for key, metric in METRICS.items():
         if key in metrics:
             quantiles = [_interval(metrics[key][column]) for column in ("median", "p95", "p99")]
-            words = name.format(last=f"{min(LAST, info.duration):g}")
+            late = f", last {min(LAST, info.duration):g} s" if metric.late else ""
+            words = metric.label + late
             rows.append((label(words, unit_of_column(key, info.units)), *quantiles))
     return rows
 
@@ -86,21 +103,16 @@ def _share(share: dict[str, Any]) -> str:
     """A share and its interval in percent; one end of which is left out at 0 % and at 100 %."""
     value, low, high = (f"{100 * share[key]:.3g} %" for key in ("value", "low", "high"))
     if share["value"] <= 0:
-        return _within(value, None, high if share["value"] < 1 else None)
-    return _within(value, low, high if share["value"] < 1 else None)
+        low = ""
+    return within(value, low, high if share["value"] < 1 else "")
 
 
 def _interval(metric: dict[str, Any]) -> str:
     """A metric and its interval; a settling time without a bound is one that is never over."""
-    low, high = _number(metric["low"]), _number(metric["high"])
+    low, high = (number(metric[end], none="") for end in ("low", "high"))
     if metric["value"] is not None:
-        return _within(f"{metric['value']:.4g}", low, high)
-    return "never settles" if low is None else f"never settles (or after {low})"
-
-
-def _number(value: float | None) -> str | None:
-    """A number to four digits; None where there is none."""
-    return None if value is None else f"{value:.4g}"
+        return within(number(metric["value"]), low, high)
+    return f"never settles (or after {low})" if low else "never settles"
 
 
 def _decides(name: str, entry: dict[str, Any]) -> tuple[str, str, str]:
@@ -113,15 +125,4 @@ def _decides(name: str, entry: dict[str, Any]) -> tuple[str, str, str]:
 
 def _in_hundredths(value: dict[str, float]) -> str:
     """A value and its interval, with two decimals."""
-    return _within(*(f"{value[key]:z.2f}" for key in ("value", "low", "high")))
-
-
-def _within(value: str, low: str | None, high: str | None) -> str:
-    """A value and its interval, an end of which may be unknown."""
-    if low is None and high is None:
-        return value
-    if high is None:
-        return f"{value} ({low} or more)"
-    if low is None:
-        return f"{value} ({high} or less)"
-    return value if value == low == high else f"{value} ({low} to {high})"
+    return within(*(f"{value[key]:z.2f}" for key in ("value", "low", "high")))

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.engine import interpret
+from undeadzone.compile import interpret
 from undeadzone.exports.code import Code
 from undeadzone.exports.compiler import shared_library, stack_bytes
 from undeadzone.exports.fields import Field
@@ -91,7 +91,7 @@ class Compiled:
     """
 
     def __init__(self, code: Code, folder: Path) -> None:
-        prefix = f"run_{'single' if code.single else 'double'}"
+        prefix = f"run_{code.kind}"
         text = source(code, Labels(prefix, "accuracy", "replica"))
         params = f"    {prefix}_params params;\n    {prefix}_params_default(&params);\n"
         runner = _RUNNER.format(
@@ -107,7 +107,7 @@ class Compiled:
         library = ctypes.CDLL(str(shared_library(files, folder / f"{prefix}.so")))
         self._run = library.run
         self.stack = stack_bytes(folder, prefix)
-        self.real: Any = np.float32 if code.single else np.float64
+        self.real = code.kind
         carried = 0 if code.phases is None else code.phases.carried
         self.memory = code.step.start.size
         self.state = np.zeros(self.memory + carried, self.real)

@@ -1,17 +1,22 @@
-"""A step as graphs ready to print: rewritten for C, and split at what depends on the input."""
+"""A step as nodes ready to print: in one, and split at what depends on the input."""
 
 from __future__ import annotations
 
 import hashlib
+import itertools
+from collections import Counter
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
-import casadi as ca
-
-from undeadzone.engine.graph import Graph, Node, listed
-from undeadzone.exports.instructions import require_known, uses_of
+from undeadzone.compile.graph import LANES, Node, Nodes, Results, condition, needed
+from undeadzone.compile.lower import portable
 from undeadzone.exports.parts import Step
-from undeadzone.exports.rewrite import rewritten
+
+_COUNTED: Final = {
+    **{"add": "add", "sub": "add", "neg": "negate", "mul": "multiply", "div": "divide"},
+    **{"not": "logic", "and": "logic", "or": "logic", "select": "select"},
+    **{"lt": "compare", "le": "compare", "eq": "compare", "ne": "compare"},
+}
 
 
 class Phases(NamedTuple):
@@ -23,8 +28,8 @@ class Phases(NamedTuple):
         carried: how many numbers pass from one to the other.
     """
 
-    estimate: Graph
-    advance: Graph
+    estimate: Results
+    advance: Results
     carried: int
 
 
@@ -34,27 +39,36 @@ class Code(NamedTuple):
     Attributes:
         step: the step it came from.
         single: whether numbers are float, else double.
-        graph: results (next, out).
+        results: next and out.
         phases: the same in two calls; None where no input acts from outside.
     """
 
     step: Step
     single: bool
-    graph: Graph
+    results: Results
     phases: Phases | None
 
     @property
+    def kind(self) -> str:
+        """NumPy's name of the type of numbers."""
+        return "float32" if self.single else "float64"
+
+    @property
     def hash(self) -> str:
-        """Of the graph, its numbers and the precision, 16 hexadecimal digits."""
-        nodes = [(node.op, node.operands, node.text) for node in self.graph.nodes]
+        """Of the nodes, their numbers and the precision, 16 hexadecimal digits."""
+        nodes = []
+        for node in needed(itertools.chain(*self.results)):
+            args = [arg.number for arg in node.args]
+            nodes.append((node.op, args, node.text, node.kind, node.number))
         fields = (self.step.state, self.step.inputs, self.step.outputs, self.step.params)
         numbers = (self.step.start.tolist(), self.step.defaults.tolist(), self.step.Ts)
-        text = repr((self.single, nodes, self.graph.results, fields, numbers))
+        results = [[node.number for node in result] for result in self.results]
+        text = repr((nodes, results, fields, numbers))
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def code(step: Step, single: bool) -> Code:
-    """A step's graphs in a precision.
+    """A step's nodes in a precision.
 
     Args:
         step: the step.
@@ -63,53 +77,52 @@ def code(step: Step, single: bool) -> Code:
     Raises:
         InputError: an instruction that the export cannot print.
     """
-    graph = listed(step.function)
-    require_known("export", graph)
-    graph = rewritten(graph)
-    phases = None
-    if step.acting:
-        phases = split(graph, {f"w{k}" for k in step.acting})
-    return Code(step, single, graph, phases)
+    results = portable(step.function, "float32" if single else "float64")
+    phases = split(results, {f"w{k}" for k in step.acting}) if step.acting else None
+    return Code(step, single, results, phases)
 
 
-def split(graph: Graph, acting: Iterable[str]) -> Phases:
-    """A graph of results (next, out) in two: before the inputs are known, and after.
+def split(results: Results, acting: Iterable[str]) -> Phases:
+    """Results (next, out) in two: before the inputs are known, and after.
 
     Args:
-        graph: the graph.
-        acting: texts of the input entries that are known late; `out` must not depend on them.
+        results: the nodes.
+        acting: names of the inputs that are known late; `out` must not depend on them.
     """
-    late = _late(graph.nodes, set(acting))
-    following, out = graph.results
-    uses = uses_of(Graph(graph.nodes, [following], []))
-    needed: list[int] = []
-    for place in sorted(late):
-        if uses[place]:
-            needed += graph.nodes[place].operands
-    carried: dict[int, int] = {}
-    for place in [*needed, *following]:
-        if place not in late and _is_computed(graph.nodes[place]):
-            carried.setdefault(place, len(carried))
-    estimate = Graph(graph.nodes, [list(out), list(carried)], [])
-    nodes = list(graph.nodes)
-    for place, entry in carried.items():
-        nodes[place] = Node(ca.OP_INPUT, (), f"c{entry}")
-    advance = Graph(nodes, [list(following)], [])
-    return Phases(estimate, advance, len(carried))
-
-
-def _late(nodes: list[Node], acting: set[str]) -> set[int]:
-    """The nodes that depend on those inputs."""
-    late: set[int] = set()
-    for place, node in enumerate(nodes):
-        is_acting = node.op == ca.OP_INPUT and node.text in acting
-        if is_acting or any(operand in late for operand in node.operands):
-            late.add(place)
-    return late
+    following, out = results
+    order = needed(following)
+    late: set[Node] = set()
+    used: list[Node] = []
+    for node in order:
+        if node.text in acting or not late.isdisjoint(node.args):
+            late.add(node)
+            used += node.args
+    used.sort(key=lambda node: node.number)
+    carried: dict[Node, int] = {}
+    for node in [*used, *following]:
+        if node not in late and _is_computed(node):
+            carried.setdefault(node, len(carried))
+    nodes = Nodes()
+    copies: dict[Node, Node] = {}
+    for node, entry in carried.items():
+        copies[node] = nodes.input(f"c{entry}", LANES, node.kind)
+    for node in needed(following, carried):
+        args = [copies[arg] for arg in node.args]
+        copies[node] = nodes.made(node.op, *args, text=node.text, kind=node.kind)
+    return Phases([out, list(carried)], [[copies[node] for node in following]], len(carried))
 
 
 def _is_computed(node: Node) -> bool:
     """Whether a node must be carried: constants, states and parameters are there anyway."""
-    if node.op == ca.OP_CONST:
+    if node.op == "const":
         return False
-    return node.op != ca.OP_INPUT or node.text.startswith("w")
+    return node.op != "input" or node.text.startswith("w")
+
+
+def operations(results: Results) -> dict[str, int]:
+    """How many operations of each kind one evaluation takes, by their names."""
+    counts: Counter[str] = Counter()
+    for node in needed(itertools.chain(*results)):
+        if node.args and condition(node) is None:  # a truth as a number is the truth itself
+            counts[node.text or _COUNTED[node.op]] += 1
+    return dict(sorted(counts.items()))

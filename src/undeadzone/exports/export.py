@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 import undeadzone
+from undeadzone.compile.graph import needed
 from undeadzone.errors import InputError
 from undeadzone.exports import accuracy, compiler, folder, parts, targets
-from undeadzone.exports.code import Code, code
-from undeadzone.exports.expressions import LARGEST, LEAST
+from undeadzone.exports.code import Code, code, operations
 from undeadzone.exports.fields import identifier
-from undeadzone.exports.instructions import operations, uses_of
 from undeadzone.exports.page.build import write_page
 from undeadzone.exports.selftest import selftest
 from undeadzone.exports.source import Labels, Source, source
@@ -94,6 +96,7 @@ def export(
     text = source(printed, Labels(prefix, scenario.title, part))
     rows = recorded(continued(scenario, STEPS), step)
     report = _report(printed, text, scenario, prefix, part, tuple(tunable))
+    report["replaced_constants"] = replaced_constants(double) if printed.single else []
     report |= _measured(double, printed, text, rows)
     vectors = reference(printed, chosen(rows[: problem.steps + 1], step.readings))
     tested = selftest(printed, prefix, vectors)
@@ -168,32 +171,21 @@ def _report(
         "tunable": list(tunable),
         "two_phase": printed.phases is not None,
         "sizes": sizes,
-        "operations": operations(printed.graph),
+        "operations": operations(printed.results),
         "functions": text.functions,
-        "replaced_constants": replaced_constants(printed),
     }
 
 
-def replaced_constants(printed: Code) -> list[str]:
-    """The numbers of the graph that float cannot hold, and what stands for them."""
-    if not printed.single:
-        return []
-    uses = uses_of(printed.graph)
-    texts = set()
-    for place, node in enumerate(printed.graph.nodes):
-        if not uses[place] or node.operands or not _is_number(node.text):
-            continue
-        size = abs(float(node.text))
-        if size > LARGEST:
+def replaced_constants(double: Code) -> list[str]:
+    """The numbers of the code in double that float cannot hold, and what stands for them."""
+    limits, texts = np.finfo(np.float32), set()
+    for node in needed(itertools.chain(*double.results)):
+        size = abs(node.value or 0.0)
+        if size > float(limits.max):
             texts.add(f"{node.text}: FLT_MAX")
-        if 0 < size < LEAST:
+        if 0 < size < float(limits.tiny):
             texts.add(f"{node.text}: FLT_MIN")
     return sorted(texts)
-
-
-def _is_number(text: str) -> bool:
-    """Whether the text of a node is a number's, not an input's."""
-    return not text[:1].isalpha() or text in ("inf", "nan")
 
 
 def _measured(double: Code, printed: Code, text: Source, rows: Floats) -> dict[str, Any]:

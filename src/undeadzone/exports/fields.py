@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from undeadzone.interfaces import Estimate
+from undeadzone.interfaces import QUANTITIES, Estimate
 from undeadzone.scenario.schema import Units
 from undeadzone.support import tree
 
@@ -105,37 +105,14 @@ def _state_meaning(name: str) -> str:
 
 def estimate_meanings(units: Units) -> dict[str, str]:
     """What each field of an estimate means, with its unit."""
-    output = units.output
     states = units.state if isinstance(units.state, str) else ", ".join(units.state)
-    return {
-        "x": f"estimated state [{states}]",
-        "z": f"estimated output behind the dead zone [{output}]",
-        "right": f"estimated right width of the dead zone [{output}]",
-        "left": f"estimated left width of the dead zone [{output}]",
-        "z_inverse": f"reading with the dead zone undone [{output}]",
-        "innovation": f"what the reading adds to the prediction [{output}]",
-        "x_std": f"standard deviations of x [{states}]",
-        "right_std": f"standard deviation of right [{output}]",
-        "left_std": f"standard deviation of left [{output}]",
-        "width_std": f"standard deviation of right + left [{output}]",
-        "innovation_std": f"standard deviation of the innovation [{output}]",
-        "w": f"what the model leaves out, x' = f(x, u) + w [({states})/s]",
-        "theta": "estimated parameters of the model",
-        "theta_std": "standard deviations of theta",
-        "consistent": "1 where the readings of late fit the claims, else 0",
-        "refused": "readings taken for wrong so far",
-        "restarts": "how often the observer lost its state and began anew",
-        "actuator_right": f"estimated right width of the actuator's dead zone [{units.input}]",
-        "actuator_left": f"estimated left width of the actuator's dead zone [{units.input}]",
-        "actuator_right_std": f"standard deviation of actuator_right [{units.input}]",
-        "actuator_left_std": f"standard deviation of actuator_left [{units.input}]",
-        "gap_right": f"estimated right gap of the play ahead of the dead zone [{output}]",
-        "gap_left": f"estimated left gap of the play ahead of the dead zone [{output}]",
-        "gap_right_std": f"standard deviation of gap_right [{output}]",
-        "gap_left_std": f"standard deviation of gap_left [{output}]",
-        "gap_std": f"standard deviation of gap_right + gap_left [{output}]",
-        "contact": "side of the play that the readings are on: 1 right, -1 left, 0 neither",
-    }
+    names = {"output": units.output, "input": units.input}
+    names |= {"state": states, "rate": f"({states})/s"}
+    meanings = {}
+    for name, quantity in QUANTITIES.items():
+        unit = names.get(quantity.unit)
+        meanings[name] = quantity.meaning if unit is None else f"{quantity.meaning} [{unit}]"
+    return meanings
 
 
 def estimate_fields(sizes: Estimate, units: Units) -> list[Field]:

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import NamedTuple
 
 import undeadzone
-from undeadzone.engine.graph import Graph
-from undeadzone.exports import elementary
+from undeadzone.compile import elementary, print_c
+from undeadzone.compile.graph import Node, Results, condition, needed
+from undeadzone.compile.print_c import INDENT, Body, Names, Style, body, literal
+from undeadzone.compile.simplify import held
 from undeadzone.exports.code import Code
-from undeadzone.exports.expressions import Style, literal
 from undeadzone.exports.fields import Field, members
-from undeadzone.exports.instructions import uses_of
-from undeadzone.exports.labels import meanings
-from undeadzone.exports.math_header import math_header
-from undeadzone.exports.statements import INDENT, Body, Names, body
+from undeadzone.exports.parts import Step
 from undeadzone.support.text import one_line
 
 
@@ -58,13 +57,13 @@ class Source(NamedTuple):
 
 def source(code: Code, labels: Labels) -> Source:
     """The C of an export."""
-    style = Style(code.single, labels.prefix)
+    style = Style(code.kind, labels.prefix)
     bodies = _bodies(code, style)
     used: set[str] = set()
     for part in bodies.values():
         used |= part.functions
-    functions = elementary.needed(used)
-    math = math_header(functions, used, style) if used else ""
+    functions = elementary.needed(used, code.kind)
+    math = _math_header(functions, used, style) if used else ""
     return Source(
         _header(code, labels, style),
         _code(code, labels, style, bodies, bool(math)),
@@ -81,8 +80,8 @@ def _bodies(code: Code, style: Style) -> dict[str, Body]:
     out = [f"out->{name}[{k}]" for name, k in members(step.outputs)]
     shown = [f"{name}_{k}" for name, k in members(step.outputs)]
     inputs = _inputs(code)
-    names = Names(inputs, [stored, out], [following, shown], meanings(code.graph, step, 1))
-    bodies = {"step": body(code.graph, style, names)}
+    names = Names(inputs, [stored, out], [following, shown], meanings(code.results, step, 1))
+    bodies = {"step": body(code.results, style, names)}
     if code.phases is not None:
         carry = [f"state->carry[{k}]" for k in range(code.phases.carried)]
         local = [f"carry_{k}" for k in range(code.phases.carried)]
@@ -112,11 +111,9 @@ def _inputs(code: Code) -> dict[str, str]:
 
 def _with_states(part: Body, code: Code, name: str) -> Body:
     """A body that first reads the states that it uses, as results overwrite them."""
-    graph = code.graph
-    if code.phases is not None and name != "step":
-        graph = code.phases.estimate if name == "estimate" else code.phases.advance
-    used = _used_inputs(graph)
-    real = "float" if code.single else "double"
+    results = code.results if name == "step" else getattr(code.phases, name)
+    used = print_c.inputs_of(results)
+    real = print_c.TYPES[code.kind]
     reads: list[str] = []
     for entry, (field, k) in enumerate(members(code.step.state)):
         if f"s{entry}" in used:
@@ -124,14 +121,29 @@ def _with_states(part: Body, code: Code, name: str) -> Body:
     return Body([*reads, "", *part.lines] if reads else part.lines, part.functions)
 
 
-def _used_inputs(graph: Graph) -> set[str]:
-    """The texts of the input entries on which results depend."""
-    uses = uses_of(graph)
-    texts = set()
-    for place, node in enumerate(graph.nodes):
-        if uses[place] and not node.operands:
-            texts.add(node.text)
-    return texts
+def _math_header(names: list[str], used: set[str], style: Style) -> str:
+    """The text of the header with the elementary functions.
+
+    Args:
+        names: of the functions, each after those that it calls.
+        used: every function that the code calls, those of a number's bits included.
+        style: how numbers and functions are written.
+    """
+    texts = "\n\n".join(print_c.functions(names, used, style))
+    includes = ["#include <float.h>", "#include <math.h>", "#include <stdbool.h>"]
+    if "memcpy" in texts:
+        includes += ["#include <stdint.h>", "#include <string.h>"]
+    guard = f"{style.prefix.upper()}_MATH_H"
+    top = [
+        f"/* Elementary functions of {style.prefix}, the same bits on every processor.",
+        f"   Written by undeadzone {undeadzone.__version__}; do not edit. */",
+        f"#ifndef {guard}",
+        f"#define {guard}",
+        "",
+        *includes,
+        "",
+    ]
+    return "\n".join([*top, texts, "", "#endif", ""])
 
 
 def _header(code: Code, labels: Labels, style: Style) -> str:
@@ -168,7 +180,7 @@ def _header(code: Code, labels: Labels, style: Style) -> str:
         'extern "C" {',
         "#endif",
         "",
-        f"#define {upper}_STEP {literal(step.Ts, code.single)} /**< sample time [s] */",
+        f"#define {upper}_STEP {literal(step.Ts, code.kind)} /**< sample time [s] */",
         f'#define {upper}_HASH "{code.hash}" /**< of the graph, its numbers and the precision */',
         "",
         *structs,
@@ -241,7 +253,7 @@ def _code(
     start = _assignments("state", step.state, [float(v) for v in step.start], style)
     if code.phases is not None:
         for k in range(code.phases.carried):
-            start.append(f"{INDENT}state->carry[{k}] = {literal(0.0, code.single)};")
+            start.append(f"{INDENT}state->carry[{k}] = {literal(0.0, code.kind)};")
     lines = [
         f"/* {_plain(labels.title)}: {labels.part}, {style.real}.",
         f"   Written by undeadzone {undeadzone.__version__}; do not edit. */",
@@ -256,7 +268,7 @@ def _code(
     text = "\n".join(lines_of_bodies)
     if "FLT_M" in text or "DBL_M" in text:
         lines.append("#include <float.h>")
-    if any(word in text for word in ("NAN", "sqrt", "fmod", "remainder", "copysign")):
+    if any(word in text for word in ("NAN", "fabs", "sqrt", "fmod", "remainder", "copysign")):
         lines.append("#include <math.h>")
     if "bool " in text or "true" in text or "false" in text:
         lines.append("#include <stdbool.h>")
@@ -301,5 +313,63 @@ def _assignments(target: str, fields: list[Field], values: list[float], style: S
     """Statements that store numbers."""
     lines = []
     for (name, k), value in zip(members(fields), values, strict=True):
-        lines.append(f"{INDENT}{target}->{name}[{k}] = {literal(value, style.single)};")
+        lines.append(f"{INDENT}{target}->{name}[{k}] = {literal(value, style.kind)};")
     return lines
+
+
+# --- Names for locals whose meaning shows in the nodes: is there a reading, which side it shows
+
+HUGE = 1e299  # what `sensor.present` compares with is larger
+
+
+def meanings(results: Results, step: Step, out: int | None) -> dict[Node, str]:
+    """Names of locals.
+
+    Args:
+        results: the nodes.
+        step: the step, for the names of its inputs and outputs.
+        out: which of the results is the output; None: none of them.
+    """
+    order = needed(itertools.chain(*results))
+    names = _present(order, step)
+    if out is not None:
+        for (name, k), node in zip(members(step.outputs), results[out], strict=True):
+            sides = [truth for truth in map(condition, node.args) if truth is not None]
+            if name == "side" and node.op == "sub" and len(sides) == 2:
+                names |= {sides[0]: f"is_right_{k}", sides[1]: f"is_left_{k}"}
+                names |= _either(order, set(sides), f"is_active_{k}")
+    return names
+
+
+def _either(order: list[Node], truths: set[Node], name: str) -> dict[Node, str]:
+    """The name of the node that holds where one of two truths does."""
+    for node in order:
+        if node.op == "or" and set(node.args) == truths:
+            return {node: name}
+    return {}
+
+
+def _present(order: list[Node], step: Step) -> dict[Node, str]:
+    """The truths that an input is a finite number: -1e300 < w and w < 1e300."""
+    inputs = {f"w{entry}": f"{name}_{k}" for entry, (name, k) in enumerate(members(step.inputs))}
+    names: dict[Node, str] = {}
+    for node in order:
+        if node.op != "and":
+            continue
+        compared = {_bounded_input(arg) for arg in node.args}
+        text = compared.pop()
+        if not compared and text in inputs:
+            names[node] = f"has_{inputs[text]}"
+    return names
+
+
+def _bounded_input(node: Node) -> str:
+    """The name of the input of w < huge or -huge < w; empty: a node is neither."""
+    if node.op != "lt":
+        return ""
+    low, high = node.args
+    for bound, value, sign in ((low, high, -1.0), (high, low, 1.0)):
+        is_huge = sign * (bound.value or 0.0) >= held(HUGE, bound.kind)
+        if is_huge and value.op == "input":
+            return value.text
+    return ""

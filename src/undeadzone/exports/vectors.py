@@ -7,13 +7,12 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from undeadzone.engine import interpret
+from undeadzone.compile import interpret
+from undeadzone.compile.print_numpy import replica
 from undeadzone.errors import InputError
-from undeadzone.exports import elementary
 from undeadzone.exports.code import Code
 from undeadzone.exports.fields import members
 from undeadzone.exports.parts import Step
-from undeadzone.exports.replica import arithmetic, replica
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.simulate import named, prepare
@@ -112,20 +111,19 @@ def reference(code: Code, rows: Floats) -> Vectors:
         code: what is printed.
         rows: inputs, a row for each sample.
     """
-    kind = arithmetic(code.single)
-    evaluate = replica(code.graph, code.single, elementary.python(code.single))
-    rows = rows.astype(kind.real)
-    state = code.step.start.astype(kind.real)
-    params = code.step.defaults.astype(kind.real)
+    kind, evaluate = code.kind, replica(code.results)
+    rows = rows.astype(kind)
+    state = code.step.start.astype(kind)
+    params = code.step.defaults.astype(kind)
     outputs, states = [], []
     with np.errstate(all="ignore"):
         for row in rows:
             following, out = evaluate(_entries(state, row, params))
-            state = np.array(following, kind.real)
-            outputs.append(np.array(out, kind.real))
-            states.append(checksum(state, code.single))
+            state = np.array(following, kind)
+            outputs.append(np.array(out, kind))
+            states.append(checksum(state, kind))
     table = np.array(outputs).reshape(len(rows), len(members(code.step.outputs)))
-    return Vectors(words(rows, code.single), words(table, code.single), states)
+    return Vectors(words(rows, kind), words(table, kind), states)
 
 
 def _entries(state: Any, row: Any, params: Any) -> dict[str, Any]:
@@ -135,20 +133,19 @@ def _entries(state: Any, row: Any, params: Any) -> dict[str, Any]:
     return entries | {f"p{k}": value for k, value in enumerate(params)}
 
 
-def words(values: Any, single: bool) -> Any:
+def words(values: Any, kind: str) -> Any:
     """The bits of numbers; every NaN has the same."""
-    kind = arithmetic(single)
-    table = np.ascontiguousarray(values, kind.real)
-    bits = table.view(kind.word).copy()
-    bits[np.isnan(table)] = kind.word(0x7FC00000 if single else 0x7FF8000000000000)
+    table = np.ascontiguousarray(values, kind)
+    bits = table.view(f"uint{8 * table.itemsize}").copy()
+    bits[np.isnan(table)] = 0x7FC00000 if kind == "float32" else 0x7FF8000000000000
     return bits
 
 
-def checksum(values: Any, single: bool) -> int:
+def checksum(values: Any, kind: str) -> int:
     """The checksum of numbers by their bits, 32 of them at a time, lower ones first."""
     total = OFFSET
-    for word in words(values, single).tolist():
-        parts = (word,) if single else (word & 0xFFFFFFFF, word >> 32)
+    for word in words(values, kind).tolist():
+        parts = (word,) if kind == "float32" else (word & 0xFFFFFFFF, word >> 32)
         for part in parts:
             total = ((total ^ part) * PRIME) & 0xFFFFFFFF
     return total

@@ -1,23 +1,42 @@
-"""`identify`: from a log to plant, widths and verdict."""
+"""`identify`: from a log to plant, widths and verdict.
+
+Of each output plants of every order are fitted with a dead zone of the sensor, and static maps in
+its place. Then one nonlinearity after another is asked for, by the same steps: may it be there?
+Then it is fitted, judged and measured. What was found in the end is told.
+"""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
+import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.identification.climb import KeptClimbs
-from undeadzone.identification.grid import to_grid
-from undeadzone.identification.log import Log
-from undeadzone.identification.one_output import identify_output
-from undeadzone.identification.options import Options
-from undeadzone.identification.outputs import IdentifiedOutputs
-from undeadzone.identification.readers import log_of_arrays, read_log
-from undeadzone.identification.result import Identified
+from undeadzone.identification.answer.answer import to_answer
+from undeadzone.identification.answer.result import Identified, IdentifiedOutputs
+from undeadzone.identification.logs.grid import Grid, shortened, to_grid
+from undeadzone.identification.logs.log import Log, Options, log_of_arrays, read_log
+from undeadzone.identification.logs.prepare import Prepared, prepare
+from undeadzone.identification.models.elements import better_rivals, static_rivals
+from undeadzone.identification.models.estimates import KeptClimbs
+from undeadzone.identification.models.kalman_fit import fit_kalman
+from undeadzone.identification.models.least_squares import Density
+from undeadzone.identification.models.likelihood import taken_off
+from undeadzone.identification.models.zone_fit import Fit, longest_record, polished, reduced
+from undeadzone.identification.verdict.delays import fitted_with_delay, without_unreached
+from undeadzone.identification.verdict.orders import (
+    OrderFit,
+    best_order,
+    judge_no_zone,
+    residual_map,
+)
+from undeadzone.identification.verdict.place import find_place, rescued, with_place
+from undeadzone.identification.verdict.verdict import Case, by_maps, unmodelled
+from undeadzone.identification.verdict.which import Found, of_input_zone, with_play
 from undeadzone.support.answers import Answers
 from undeadzone.support.progress import in_notebook
 
@@ -84,14 +103,6 @@ def identify(
         FileError: a log that cannot be read, or `keep`.
         InputError: a log from which nothing can be learnt, or an option that cannot be used.
     """
-    words = {
-        "noise": ("before", "after", "auto"),
-        "place": ("sensor", "auto"),
-        "kind": ("deadzone", "jump", "play", "auto"),
-    }
-    for name, value in (("noise", noise), ("place", place), ("kind", kind)):
-        if value not in words[name]:
-            raise InputError(f"{name}: expected {', '.join(words[name])}; found {value!r}")
     options = Options(
         order=str(order),
         right=None if right is None else str(right),
@@ -175,3 +186,182 @@ def _logs(log: Any, t: Any, u: Any, y: Any, columns: str | None, strict: bool) -
     if not sources:
         raise InputError("identify: the list of logs is empty")
     return [read_log(source, columns, strict) for source in sources]
+
+
+# --- One output
+
+
+class Question(NamedTuple):
+    """A nonlinearity that a log may show, beside what was found so far.
+
+    Attributes:
+        name: what it is.
+        is_asked: whether it may be there.
+        found: what is found with it, fitted, judged and measured.
+    """
+
+    name: str
+    is_asked: Callable[[Case, Found], bool]
+    found: Callable[[Case, Found], Found]
+
+
+def identify_output(
+    grid: Grid,
+    options: Options,
+    advance: Callable[[int], None],
+    climbs: KeptClimbs | None = None,
+) -> Identified:
+    """Find plant and zone from records of one output on a regular grid.
+
+    Args:
+        grid: the records.
+        options: what the user said.
+        advance: called with the number of steps just done.
+        climbs: those that are on disk; None: none are.
+
+    Returns:
+        The answer.
+
+    Raises:
+        InputError: nothing can be learnt.
+    """
+    case = _fitted(shortened(grid, options.integrators), options, advance, climbs)
+    found = Found(by_maps(case), case.fitted.delay)
+    if found.verdict.word == "jump" and _shows_edges(case):
+        as_jump = msgspec.structs.replace(options, kind="jump")
+        return identify_output(case.grid, as_jump, advance, climbs)
+    for question in QUESTIONS:
+        if question.is_asked(case, found):
+            found = question.found(case, found)
+            advance(1)
+    return Identified(to_answer(case, found))
+
+
+def _fitted(
+    grid: Grid, options: Options, advance: Callable[[int], None], climbs: KeptClimbs | None
+) -> Case:
+    """The log, fitted with a zone of the sensor and with static maps. Raises InputError."""
+    prepared = prepare(grid, options)
+    prepared = prepared._replace(data=prepared.data._replace(climbs=climbs))
+    prepared, unreached = without_unreached(prepared)
+    fitted = fitted_with_delay(prepared, options, advance)
+    chosen = _polished(best_order(fitted.fits))
+    no_zone = judge_no_zone(chosen.pairs)
+    if no_zone.fit is not chosen.pairs:
+        chosen = chosen._replace(singles=no_zone.fit, pairs=no_zone.fit)
+    residuals = residual_map(chosen.singles)
+    rivals = _rivals(fitted.prepared, chosen, fitted.fits)
+    advance(1)
+    return Case(
+        grid=grid,
+        options=options,
+        recorded=prepared.data,
+        unreached=unreached,
+        fitted=fitted,
+        chosen=chosen,
+        no_zone=no_zone,
+        residuals=residuals,
+        rivals=rivals,
+        advance=advance,
+    )
+
+
+def _polished(chosen: OrderFit) -> OrderFit:
+    """The chosen order at the very top of both likelihoods."""
+    pairs = polished(chosen.pairs)
+    singles = pairs if chosen.pairs is chosen.singles else polished(chosen.singles)
+    return chosen._replace(singles=singles, pairs=pairs)
+
+
+def _rivals(prepared: Prepared, chosen: OrderFit, fits: list[OrderFit]) -> dict[str, Density]:
+    """Static rivals, on the readings as they are."""
+    rivals = static_rivals(_of_readings(prepared, reduced(chosen.singles)))
+    if fits[-1].n > chosen.n:  # another map may need more poles than the zone was given
+        larger = static_rivals(_of_readings(prepared, reduced(fits[-1].singles)))
+        rivals = better_rivals(rivals, larger)
+    return rivals
+
+
+def _of_readings(prepared: Prepared, fit: Fit) -> Fit:
+    """The fit with the readings of a jump sensor as they are, not less its edges."""
+    if prepared.jumps is None:
+        return fit
+    data = fit.objective.data
+    shift = taken_off(data.side, *[edge.value for edge in prepared.jumps])
+    whole = data._replace(y=np.where(data.ok, data.y + shift, 0.0))
+    return fit._replace(objective=fit.objective.along(whole))
+
+
+def _shows_edges(case: Case) -> bool:
+    """Whether the edges of a jump sensor can be read off, and were not."""
+    asked = case.options.kind == "auto" and case.jumps is None
+    return asked and case.data.silent_zeros and not case.options.integrators
+
+
+# --- What is asked, one after the other
+
+
+def _without_jump(case: Case, found: Found) -> bool:
+    """Whether the log was not taken for that of a jump sensor."""
+    return case.jumps is None
+
+
+def _falls_silent(case: Case, found: Found) -> bool:
+    """Whether there is a zone of the sensor in which noise falls silent."""
+    has_zone = found.verdict.word == ("jump" if case.jumps else "dead_zone")
+    return has_zone and case.data.silent_zeros and case.chosen.pairs.objective.kind == "pairs"
+
+
+def _with_filter(case: Case, found: Found) -> Found:
+    """The third likelihood, and the disturbance that it makes out."""
+    return found._replace(kalman=fit_kalman(case.chosen.pairs))
+
+
+def _has_a_place(case: Case, found: Found) -> bool:
+    """Whether the place of the zone is asked."""
+    known = case.options.place == "sensor" or case.jumps or found.element is not None
+    return not (known or case.unreached or case.options.integrators)
+
+
+def _with_place(case: Case, found: Found) -> Found:
+    """Where the zone is; what is no zone of the sensor may be friction or one of the input."""
+    place = find_place(longest_record(case.chosen.pairs))
+    if found.verdict.word == "dead_zone":
+        loudest = found.kalman[0].r if found.kalman else 0.0
+        silenced = loudest > max(2 * case.quantum, 0.01)
+        verdict = with_place(found.verdict, place, silenced)
+        return found._replace(verdict=verdict, place=place)
+    one, rivals = longest_record(case.chosen.singles), case.rivals
+    if one is not case.chosen.singles:
+        rivals = static_rivals(one)
+    verdict = rescued(found.verdict, place, rivals)
+    return found if verdict is found.verdict else found._replace(verdict=verdict, place=place)
+
+
+def _may_lack_something(case: Case, found: Found) -> bool:
+    """Whether a linear plant and a zone may not be all."""
+    return found.verdict.word in ("dead_zone", "other", "unclear")
+
+
+def _with_remainder(case: Case, found: Found) -> Found:
+    """What a linear plant and a zone do not hold, by name."""
+    return found._replace(verdict=unmodelled(found.verdict, case.chosen.pairs))
+
+
+def _is_at_input(case: Case, found: Found) -> bool:
+    """Whether the zone is the actuator's."""
+    return found.verdict.word == "input_zone"
+
+
+def _with_actuator(case: Case, found: Found) -> Found:
+    """The widths of the actuator's zone, and the plant behind it."""
+    return found._replace(element=of_input_zone([one.pairs for one in case.fitted.fits]))
+
+
+QUESTIONS = (
+    Question("a play, or a play and a dead zone", _without_jump, with_play),
+    Question("noise that falls silent in the zone", _falls_silent, _with_filter),
+    Question("friction, or a zone of the input", _has_a_place, _with_place),
+    Question("a spring that bends, or an offset", _may_lack_something, _with_remainder),
+    Question("a dead zone of the actuator", _is_at_input, _with_actuator),
+)

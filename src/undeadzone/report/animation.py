@@ -16,7 +16,7 @@ import numpy as np
 from undeadzone.errors import FileError, InputError
 from undeadzone.report.html import Html, html
 from undeadzone.report.style import ESTIMATE, PRINTED, REFERENCE, plain
-from undeadzone.simulation.run import FRAMES, Run
+from undeadzone.results.run import FRAMES, Run
 from undeadzone.support.arrays import Floats
 from undeadzone.support.files import replacing
 

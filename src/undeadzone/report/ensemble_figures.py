@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from undeadzone.ensemble.result import MAIN, WIDTHS, Ensemble
+from undeadzone.ensemble.words import METRICS
+from undeadzone.errors import InputError
 from undeadzone.report.style import (
     ESTIMATE,
     PRINTED,
@@ -17,7 +19,7 @@ from undeadzone.report.style import (
     floor_of,
     sheet,
 )
-from undeadzone.simulation.run import LAST
+from undeadzone.results.run import LAST
 from undeadzone.statistics.intervals import LEVEL
 from undeadzone.support.arrays import Floats
 
@@ -25,23 +27,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-WORDS: Final = {
-    "rms_tracking": "rms of z − r",
-    "rms_estimation": "rms of z − z^",
-    "rms_behind_play": "rms of y / m − r",
-    "rms_tip": "rms distance of the tip from its path",
-    "peak_tracking": "largest |z − r|",
-    "settling_time": "settling time",
-    "silent_fraction": "share of silent samples",
-    "rms_input": "rms of u",
-    WIDTHS: "largest |d^ − d| at the end",
-}
-LATE: Final = (
-    "rms_tracking",
-    "rms_estimation",
-    "rms_behind_play",
-    "rms_tip",
-)  # metrics of the end of a run
 MARKS: Final = {"median": (0.5, TRUTH), "95 %": (0.95, READING), "99 %": (0.99, PRINTED)}
 SPREAD: Final = 20  # beyond this ratio of the 99.5 % to the 0.5 % quantile an axis is logarithmic
 
@@ -53,10 +38,10 @@ def words(quantity: str, duration: float | None = None) -> str:
         quantity: its name.
         duration: of a run [s]; with it the words say over which time the metric is taken.
     """
-    if quantity in WORDS:
-        late = duration is not None and quantity in LATE
-        when = f" over the last {min(LAST, duration or LAST):g} s" if late else ""
-        return WORDS[quantity] + when
+    if quantity in METRICS:
+        metric = METRICS[quantity]
+        late = duration is not None and metric.late
+        return metric.title + (f" over the last {min(LAST, duration or LAST):g} s" if late else "")
     edge, _, output = quantity.partition("_error[")
     if not output:
         return quantity
@@ -89,6 +74,16 @@ def distributions(result: Ensemble) -> Figure:
         quantity = words(name, result.info.duration)
         finish(above, quantity[:1].upper() + quantity[1:], of_bins, "", legend=2)
         finish(below, "", of_runs, axis_label(quantity, result.unit(name)), legend=0)
+    return figure
+
+
+def first_of_ensemble(result: Ensemble) -> Figure:
+    """Its first figure. Raises InputError where every run diverged and none was recorded."""
+    if not result.diverged[result.independent].all():
+        return distributions(result)
+    figure = over_time(result)
+    if figure is None:
+        raise InputError("plot: every run of this ensemble diverged, and none was recorded")
     return figure
 
 

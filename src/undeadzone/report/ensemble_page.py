@@ -12,14 +12,24 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from undeadzone.ensemble.result import MAIN, Ensemble
-from undeadzone.errors import InputError
 from undeadzone.report.ensemble_figures import distributions, over_time, words
-from undeadzone.report.html import Html, Origin, page, paragraph, section, table, tag
-from undeadzone.report.pictures import images_of, pick, pictures, write_figures
+from undeadzone.report.html import (
+    Html,
+    Origin,
+    page,
+    paragraph,
+    pick,
+    pictures,
+    section,
+    table,
+    tag,
+    verdict_line,
+    write_page,
+)
 from undeadzone.report.sensitivity_figures import influence, tornado
-from undeadzone.simulation.run import LAST
-from undeadzone.support.files import write_text
-from undeadzone.support.text import label
+from undeadzone.results.run import LAST
+from undeadzone.results.sheet import number
+from undeadzone.support.text import label, with_unit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -51,16 +61,6 @@ def figures(result: Ensemble, summary: Mapping[str, Any]) -> dict[str, Figure]:
     return {name: figure for name, figure in drawn.items() if figure is not None}
 
 
-def first_of_ensemble(result: Ensemble) -> Figure:
-    """The first of `figures`. Raises InputError where every run diverged and none was recorded."""
-    if not result.diverged[result.independent].all():
-        return distributions(result)
-    figure = over_time(result)
-    if figure is None:
-        raise InputError("plot: every run of this ensemble diverged, and none was recorded")
-    return figure
-
-
 def write_ensemble(
     result: Ensemble, summary: Mapping[str, Any], folder: Path, origin: Origin | None = None
 ) -> list[Path]:
@@ -75,9 +75,11 @@ def write_ensemble(
     Returns:
         The paths of the files.
     """
-    written = write_figures(figures(result, summary), folder)
-    text = ensemble_page(result, summary, images_of(written), origin)
-    return [*written.values(), write_text(text, folder / "report.html")]
+
+    def text(images: dict[str, bytes]) -> str:
+        return ensemble_page(result, summary, images, origin)
+
+    return write_page(figures(result, summary), folder, text)
 
 
 def ensemble_page(
@@ -106,21 +108,20 @@ def _verdict(result: Ensemble, summary: Mapping[str, Any]) -> Html:
     """How many runs settle and diverge, and what 99 % of the errors keep to."""
     settled, diverged = summary["settled"], summary["diverged"]
     parts = [
-        tag("span", f"{result.info.runs:,} runs"),
-        tag("span", f"{_percent(settled)} settle", _settled_style(settled["value"])),
+        (f"{result.info.runs:,} runs", ""),
+        (f"{_percent(settled)} settle", _settled_style(settled["value"])),
     ]
     if diverged["value"]:
-        parts.append(tag("span", f"{_percent(diverged)} diverge", "no"))
+        parts.append((f"{_percent(diverged)} diverge", "no"))
     else:
         most = f"{100 * diverged['high']:.2g}"
-        parts.append(tag("span", f"none diverged (at most {most} % do)", "yes"))
+        parts.append((f"none diverged (at most {most} % do)", "yes"))
     if summary["metrics"]:
         worst = summary["metrics"][MAIN]["p99"]
         limit = f"{words(MAIN, result.info.duration)} at most {worst['value']:.4g}"
-        if result.unit(MAIN) != "1":
-            limit += f" {result.unit(MAIN)}"
-        parts.append(tag("span", f"{limit} in 99 % of the runs that did not diverge"))
-    return Html("<p>" + "; ".join(part.text for part in parts) + ".</p>")
+        limit = with_unit(limit, result.unit(MAIN))
+        parts.append((f"{limit} in 99 % of the runs that did not diverge", ""))
+    return verdict_line(*parts)
 
 
 def _settled_style(share: float) -> str:
@@ -170,15 +171,10 @@ def _bounded(name: str, value: Mapping[str, float | None], cell: Any) -> Any:
 
 def _interval(value: Mapping[str, float | None]) -> Html:
     """A value with its interval, which stands on a line of its own, unbroken."""
-    middle, low, high = (_digits(value[key]) for key in ("value", "low", "high"))
+    middle, low, high = (number(value[key], none="–") for key in ("value", "low", "high"))
     if middle == low == high:
         return Html(middle)
     return Html(f'{middle}<br><span class="note">({low}&nbsp;to&nbsp;{high})</span>')
-
-
-def _digits(number: float | None) -> str:
-    """A number to four digits, None as a dash."""
-    return "–" if number is None else f"{number:.4g}"
 
 
 def _sensitivities(summary: Mapping[str, Any]) -> list[Html]:

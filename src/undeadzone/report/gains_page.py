@@ -11,25 +11,32 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from undeadzone.analysis.certificate.design_file import Design
-from undeadzone.report.gains_sections import (
-    gains_section,
-    guarantee_section,
-    knowledge_section,
-    numbers,
-    speed_section,
-    trade_section,
-    verdict,
+from undeadzone.analysis.certificate.design_file import Design, Knowledge
+from undeadzone.analysis.certificate.passivity import Certificate
+from undeadzone.analysis.identifiability.linear import DIRECTIONS
+from undeadzone.report.gain_figures import ellipses, front, root_locus
+from undeadzone.report.html import (
+    Html,
+    Origin,
+    folded,
+    join,
+    page,
+    paragraph,
+    pick,
+    pictures,
+    section,
+    table,
+    tag,
+    trust,
+    verdict_line,
+    widths_known,
+    write_page,
+    yes_no,
 )
-from undeadzone.report.html import Html, Origin, page, paragraph, section, table
-from undeadzone.report.locus_figures import root_locus
-from undeadzone.report.pictures import images_of, pick, pictures, write_figures
 from undeadzone.report.proof_figures import courses, nyquist
-from undeadzone.report.trade_figures import ellipses, front
 from undeadzone.support.arrays import listed
-from undeadzone.support.files import write_text
-from undeadzone.support.text import label
-from undeadzone.synthesis.assessment import Assessment, Attacks
+from undeadzone.support.text import counted, label
+from undeadzone.synthesis.assessment import Assessment, Attacks, Gains
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -47,6 +54,12 @@ CAPTIONS: Final = {
     "ellipse": "Where 95 % of the estimates of an optimal estimator lie at the end of the "
     "scenario; a strip where a direction cannot be known.",
     "front": "Gains none of which is better than another one in everything; all are certified.",
+}
+SCORES: Final = {
+    "rate": "rate along the reference [1/s]",
+    "disturbance": "rms error per white disturbance of 1 per root second on the inputs",
+    "mismatch": "rms error per relative error in the entries of A and B",
+    "noise": "rms error per rms noise on z at every sample",
 }
 
 
@@ -92,9 +105,11 @@ def write_gains(
     Returns:
         The paths of the files.
     """
-    written = write_figures(figures(of, tried, design), folder)
-    text = gains_page(of, tried, images_of(written), design, origin)
-    return [*written.values(), write_text(text, folder / "report.html")]
+
+    def text(images: dict[str, bytes]) -> str:
+        return gains_page(of, tried, images, design, origin)
+
+    return write_page(figures(of, tried, design), folder, text)
 
 
 def gains_page(
@@ -144,7 +159,9 @@ def _asked(of: Assessment, design: Design | None) -> Html:
     """The plant, the sensor, the reference and what was wanted."""
     scenario, model = of.problem.scenario, of.problem.model
     unit = scenario.units.output
-    sizes = f"{_count(model.n, 'state')}, {_count(model.m, 'input')}, {_count(model.p, 'output')}"
+    sizes = (
+        f"{counted(model.n, 'state')}, {counted(model.m, 'input')}, {counted(model.p, 'output')}"
+    )
     poles = np.linalg.eigvals(of.problem.flow.linear.A) + 0.0
     simulation = scenario.simulation
     rows: list[tuple[str, Any]] = [
@@ -184,9 +201,186 @@ def _schedule(of: Assessment) -> str:
     """How many spans the schedule of sides has, in what time."""
     schedule = of.schedule
     again = ", then the same again" if schedule.periodic else ""
-    return f"{_count(len(schedule.spans), 'span')} in {schedule.duration:.4g} s{again}"
+    return f"{counted(len(schedule.spans), 'span')} in {schedule.duration:.4g} s{again}"
 
 
-def _count(number: int, what: str) -> str:
-    """A number of things: "1 state", "2 states"."""
-    return f"{number} {what}{'s' * (number != 1)}"
+def verdict(of: Assessment) -> Html:
+    """One line: certified or not, the rate, and whether every width can be known."""
+    parts = []
+    if of.gains is not None:
+        proof = of.gains.certificate
+        certified = f"certified, margin {proof.margin:.4g}"
+        parts.append(yes_no(proof.certified, certified, "not certified"))
+        parts.append((f"rate {of.gains.rates.rate:.4g} 1/s", ""))
+    return verdict_line(*parts, widths_known(all(one.right and one.left for one in of.known)))
+
+
+def gains_section(gains: Gains, design: Design | None) -> list[Html]:
+    """The gains, the nearest certified ones if these are not, and how to use a design."""
+    parts = [_gain_table(gains)]
+    near = gains.nearest
+    if near is not None:
+        margin, rate = near.certificate.margin, near.rates.rate
+        words = f"The nearest certified gains, with margin {margin:.4g} and rate {rate:.4g} 1/s:"
+        parts.append(paragraph(words))
+        parts.append(_gain_table(near))
+    if design is not None:
+        use = (
+            'In a scenario: [observer] method = "certified", design = "design.toml". '
+            "The proof is checked again when it is read."
+        )
+        parts.append(paragraph(use, "note"))
+    return parts
+
+
+def _gain_table(gains: Gains) -> Html:
+    """L and gamma, a column for each output."""
+    head = ("[1/s]", *(f"output {j}" for j in range(gains.gamma.size)))
+    rows = [(f"L, x[{i}]", *map(float, row)) for i, row in enumerate(gains.L)]
+    return table(head, [*rows, ("γ", *map(float, gains.gamma))])
+
+
+def guarantee_section(gains: Gains, tried: Attacks | None) -> list[Html]:
+    """What the certificate guarantees and how it was checked, or what is not guaranteed."""
+    proof = gains.certificate
+    if not proof.certified:
+        return _no_guarantee(proof, tried)
+    attempts = ""
+    if tried is not None:
+        count = f"{tried.attack.trajectories:,}"
+        attempts = f" {count} random and adversarial trajectories did not make V rise."
+    widths = ""
+    if gains.dynamics.gamma.any():
+        widths = " + the sum of w |d~|² / γ over the outputs"
+    guarantee = (
+        f"For an exact model without noise and disturbance, V = x~'P x~{widths} never rises, "
+        "whatever the sides do and in whatever order, with projection and silence innovation too; "
+        "x~ → 0, and each width error whose side is read again and again → 0."
+    )
+    head = ("P", *(f"x[{j}]" for j in range(len(proof.P))))
+    rows = [(f"x[{i}]", *map(float, row)) for i, row in enumerate(proof.P)]
+    checked = "Checked by eigenvalues alone, without the solver that found P:"
+    return [
+        paragraph(guarantee + attempts),
+        table(head, rows),
+        paragraph(f"W = {numbers(proof.W)}. {checked}"),
+        table(("what", "value"), _checked(proof)),
+    ]
+
+
+def _no_guarantee(proof: Certificate, tried: Attacks | None) -> list[Html]:
+    """Why nothing is guaranteed, and the cycle along which the error grows if one was found."""
+    words = f"Nothing is guaranteed for every way in which the sides may change: {proof.reason}."
+    parts = [paragraph(f"{words} That alone does not make the observer unstable.")]
+    if tried is None or tried.cycle is None:
+        return parts
+    if "cycle" in {course.kind for course in tried.courses}:
+        growth = f"{tried.cycle.factor:.4g} every {tried.cycle.seconds:.4g} s"
+        parts.append(
+            paragraph(
+                "A periodic sequence of sides was found along which the error grows by "
+                f"{growth}: these gains can diverge."
+            )
+        )
+    return parts
+
+
+def _checked(proof: Certificate) -> list[tuple[str, Any]]:
+    """The numbers by which a certificate was checked."""
+    inequality = proof.dynamics.inequality(proof.W)
+    matrices = inequality.matrices(proof.P)
+    values = np.concatenate([np.linalg.eigvalsh(M) for M in matrices])
+    step = "" if proof.dynamics.Ts is None else " − Ts γ/2"
+    at_infinity = proof.frequency is None or np.isinf(proof.frequency)
+    return [
+        ("eigenvalues of P, all positive", numbers(np.linalg.eigvalsh(proof.P))),
+        ("eigenvalues of the inequality, all negative", numbers(np.sort(values))),
+        ("greatest of them, scaled to a diagonal of −1", proof.check.lmi),
+        ("bound on the rounding of the scaled ones", proof.check.rounding),
+        (f"margin: least eigenvalue of the Hermitian part of 1 + G{step}", proof.margin),
+        ("where [rad/s]", "ω → ∞" if at_infinity else proof.frequency),
+    ]
+
+
+def speed_section(gains: Gains) -> list[Html]:
+    """How fast the error dies along the reference."""
+    speed = gains.rates
+    constant = speed.time_constant if np.isfinite(speed.time_constant) else None
+    rows: list[tuple[str, Any]] = [
+        ("rate along the reference, in the long run [1/s]", speed.rate),
+        ("time constant [s]", constant),
+        ("every error at 1 % of itself, in size √V, after [s] at the latest", gains.settled),
+        ("one pass of the schedule [s]", speed.period),
+        ("largest factor of one pass on an error, in balanced units", speed.gain),
+    ]
+    note = (
+        "Where several errors die equally slowly, as where a rate is largest, it takes long before "
+        "this rate is seen; the time to 1 % tells."
+    )
+    parts = [table(("what", "value"), rows), paragraph(note, "note")]
+    if speed.rate <= 0:
+        parts.append(paragraph("The error does not die along this reference.", "no"))
+    if speed.never:
+        errors = ", ".join(speed.never)
+        stays = "These errors stay along this reference, whatever the gains"
+        parts.append(paragraph(f"{stays}: {errors}."))
+    return parts
+
+
+def knowledge_section(of: Assessment) -> list[Html]:
+    """Which widths an optimal estimator can know, how well, why not, and what would help."""
+    unit, duration = of.problem.scenario.units.output, of.problem.scenario.simulation.duration
+    rows = []
+    for i, known in enumerate(of.known):
+        rows.append((i, *(_known(known, name) for name in DIRECTIONS)))
+    question = (
+        "Whether an optimal estimator can know it, and its "
+        f"{label('standard deviation', unit)} after {duration:g} s at the scenario's noise:"
+    )
+    head = ("output", "d_r", "d_l", "width d_r + d_l", "centre d_r − d_l")
+    parts = [paragraph(question), table(head, rows)]
+    if of.listens:
+        parts.append(paragraph(join(["How strongly readings move z^:", trust(of.listens)])))
+    for i, known in enumerate(of.known):
+        where = f"Output {i}: " if len(of.known) > 1 else ""
+        parts += [paragraph(f"{where}{reason}.") for reason in known.reasons]
+        parts += [paragraph(f"{where}What would help: {cure}.") for cure in known.cures]
+    return parts
+
+
+def _known(known: Knowledge, name: str) -> Html:
+    """Whether a direction can be known, with its deviation if that is."""
+    yes = f"± {known.std[name]:.2g}" if name in known.std else "yes"
+    return tag("span", *yes_no(getattr(known, name), yes))
+
+
+def trade_section(design: Design) -> list[Html]:
+    """The gains chosen beside the scenario's own and the fastest; all gains of the front."""
+    points = {"chosen": design.best}
+    if design.present is not None:
+        points["yours"] = design.present
+    if len(design.front) > 1:
+        points["fastest"] = design.front[0]
+    rows = []
+    for name, words in SCORES.items():
+        rows.append((words, *(getattr(point, name) for point in points.values())))
+    parts = [table(("", *points), rows)]
+    parts += [paragraph(f"{remark[:1].upper()}{remark[1:]}.") for remark in design.remarks]
+    if len(design.front) > 1:
+        parts.append(_front_table(design))
+    return parts
+
+
+def _front_table(design: Design) -> Html:
+    """Every gain of the front and what it is worth."""
+    rows = []
+    for point in design.front:
+        scores = [getattr(point, name) for name in SCORES]
+        rows.append((numbers(np.ravel(point.L)), numbers(point.gamma), *scores))
+    title = f"The {len(design.front)} gains of the front"
+    return folded(title, table(("L", "γ", *SCORES), rows))
+
+
+def numbers(values: Any) -> str:
+    """Numbers to four digits, with commas."""
+    return ", ".join(f"{value:.4g}" for value in np.atleast_1d(values))

@@ -7,12 +7,20 @@ from __future__ import annotations
 
 import base64
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from html import escape
-from typing import Any, Final, NamedTuple
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from undeadzone import __version__
+from undeadzone.report.style import write
+from undeadzone.results.listening import in_words, on_trust
+from undeadzone.results.sheet import Row
+from undeadzone.support.files import write_text
 from undeadzone.support.text import printable
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _CSS: Final = """
 :root { color-scheme: light dark; --text: #1d2129; --soft: #5c6370; --paper: #fdfdfc; \
@@ -144,6 +152,57 @@ def table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> Html:
     return Html(f'<div class="wide"><table>{inner}</table></div>')
 
 
+def estimates(
+    what: str,
+    names: Iterable[str],
+    sheets: Sequence[Sequence[Row]],
+    heads: Sequence[str] = (),
+    cells: Sequence[Sequence[Any]] = (),
+) -> Html:
+    """A table of estimates, a sheet in each line, beside the truth where it is known.
+
+    Args:
+        what: has these estimates, such as an output.
+        names: of these.
+        sheets: rows of each, the same ones.
+        heads: of further columns.
+        cells: of these, for each.
+    """
+    shown = [what]
+    for row in sheets[0]:
+        shown += [row.head] if row.true is None else [row.head, "true"]
+    lines = []
+    for k, (name, rows) in enumerate(zip(names, sheets, strict=True)):
+        line: list[Any] = [name]
+        for row in rows:
+            line += [row.cell] if row.true is None else [row.cell, row.true]
+        lines.append([*line, *(cells[k] if cells else ())])
+    return table((*shown, *heads), lines)
+
+
+def verdict_line(*parts: tuple[str, str]) -> Html:
+    """One line of words, each with a class of the page's style sheet."""
+    spans = [tag("span", words, style).text for words, style in parts]
+    return Html("<p>" + "; ".join(spans) + ".</p>")
+
+
+def yes_no(good: bool, yes: str = "yes", no: str = "no") -> tuple[str, str]:
+    """Words and their class: what is said of something that is good, or is not."""
+    return (yes, "yes") if good else (no, "no")
+
+
+def widths_known(all_of_them: bool) -> tuple[str, str]:
+    """Whether every width can be known, for a verdict."""
+    return yes_no(all_of_them, "every width can be known", "not every width can be known")
+
+
+def trust(listens: Sequence[float | None]) -> Html | None:
+    """How strongly readings move each z^, marked where the model is taken on trust."""
+    if not listens:
+        return None
+    return tag("span", in_words(listens), "mid" if on_trust(listens) else "")
+
+
 def _row(cells: Sequence[Any], numeric: Sequence[bool]) -> Html:
     """A row of a table; numeric: which columns hold numbers alone."""
     styles = [_cell_style(*each) for each in zip(cells, numeric, strict=True)]
@@ -262,3 +321,28 @@ _LEGEND: Final = section(
     table(("symbol", "meaning"), _SYMBOLS),
     paragraph("In figures: grey the dead zone, pale the truth.", "note"),
 )
+
+
+def write_page(
+    drawn: Mapping[str, Figure], folder: Path, text: Callable[[dict[str, bytes]], str]
+) -> list[Path]:
+    """Write figures as SVG and a page that shows them, report.html; their paths. Raises FileError.
+
+    Args:
+        drawn: figures by name.
+        folder: where the files go; created if needed.
+        text: text(images) is the page, images the SVGs by name.
+    """
+    files = {name: write(figure, folder / f"{name}.svg") for name, figure in drawn.items()}
+    images = {name: path.read_bytes() for name, path in files.items()}
+    return [*files.values(), write_text(text(images), folder / "report.html")]
+
+
+def pictures(images: Mapping[str, bytes], captions: Mapping[str, str]) -> dict[str, Html]:
+    """Figures (SVG) by name, each with its caption."""
+    return {name: picture(image, captions[name]) for name, image in images.items()}
+
+
+def pick(shown: Mapping[str, Html], *names: str) -> list[Html]:
+    """The pictures of these names that there are."""
+    return [shown[name] for name in names if name in shown]

@@ -1,4 +1,4 @@
-"""Figures of an identified log."""
+"""Figures of an identified log: with a zone of the sensor, or with another element."""
 
 from __future__ import annotations
 
@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from undeadzone.identification.intervals import profile
-from undeadzone.identification.kalman_smoother import innovations as filtered
-from undeadzone.identification.orders import correlation, innovations, trained_part
-from undeadzone.identification.records import MANY
-from undeadzone.identification.residual_map import expected_reading
-from undeadzone.identification.result import Identified
-from undeadzone.report import element_figures
+from undeadzone.identification.answer.result import Identified
+from undeadzone.identification.models.kalman_fit import innovations as filtered
+from undeadzone.identification.models.plant import MANY
+from undeadzone.identification.models.zone_fit import expected_reading
+from undeadzone.identification.verdict.orders import correlation, innovations, trained_part
+from undeadzone.identification.verdict.widths import profile
 from undeadzone.report.style import (
     ESTIMATE,
     OTHER,
@@ -23,6 +22,7 @@ from undeadzone.report.style import (
     ZONE,
     finish,
     label,
+    plain,
     sheet,
 )
 
@@ -30,12 +30,17 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from undeadzone.identification.answer.result import IdentifiedOutputs
+    from undeadzone.identification.verdict.which import Element
     from undeadzone.support.arrays import Floats
 
 MAPS = {"jump": "jump sensor"}  # by verdict, what the fitted sensor is called
 LAGS = 25
 POINTS = 9  # of a profile
 MOST = 4000  # samples of a figure over time; of a longer log the last ones are drawn
+MOST_OF_ELEMENT = 600  # samples of a figure over time: the last ones
+NAMES = {"play": "the play", "both": "play and dead zone", "input_zone": "the plant"}
+SIDES = {"input_zone": "Side of the input"}
 
 
 def figures(found_log: Identified) -> dict[str, Figure]:
@@ -49,7 +54,7 @@ def figures(found_log: Identified) -> dict[str, Figure]:
         a log that is not long, profiles; of a play, or of an input zone, overview and element.
     """
     if found_log.answer.element is not None:
-        return element_figures.figures(found_log, found_log.answer.element)
+        return _of_element(found_log, found_log.answer.element)
     drawn = {
         "overview": overview(found_log),
         "residual_map": _residual_map(found_log),
@@ -65,17 +70,17 @@ def figures(found_log: Identified) -> dict[str, Figure]:
 
 def _shown(found_log: Identified) -> slice:
     """The samples of a figure over time."""
-    size = found_log.answer.evidence.grid.t.size
+    size = found_log.answer.case.grid.t.size
     return slice(max(0, size - MOST), size)
 
 
 def _unit(found_log: Identified) -> str:
-    return found_log.answer.evidence.grid.output_unit
+    return found_log.answer.case.grid.output_unit
 
 
 def _time(found_log: Identified) -> str:
     """The label of the axis of time."""
-    return "t [samples]" if found_log.answer.evidence.grid.counted else "t [s]"
+    return "t [samples]" if found_log.answer.case.grid.counted else "t [s]"
 
 
 def overview(found_log: Identified) -> Figure:
@@ -84,7 +89,7 @@ def overview(found_log: Identified) -> Figure:
     figure, panels = sheet([["signals"], ["signals"], ["sides"]], "The log and its fit", height=1.9)
     signals(panels["signals"], found_log)
     _shade_held_out(panels["sides"], found_log)
-    fit, t = found_log.answer.fit, found_log.answer.evidence.grid.t[part]
+    fit, t = found_log.answer.fit, found_log.answer.case.grid.t[part]
     side, whose = data.side, "Side of the readings"
     if fit.objective.kind == "behind":  # where readings inside the zone are noise
         side, whose = 1 * (fit.z > fit.right) - 1 * (fit.z < -fit.left), r"Side of $\hat z$"
@@ -99,7 +104,7 @@ def overview(found_log: Identified) -> Figure:
 def signals(axes: Axes, found_log: Identified, of: str = "") -> None:
     """z^, y and zone over time, the held-out part shaded; of: name of the output."""
     answer, part = found_log.answer, _shown(found_log)
-    grid = answer.evidence.grid
+    grid = answer.case.grid
     t = grid.t[part]
     if answer.element is None:
         _zone_bands(axes, found_log)
@@ -111,12 +116,25 @@ def signals(axes: Axes, found_log: Identified, of: str = "") -> None:
     finish(axes, title, label("z, y", _unit(found_log)), "")
 
 
+def of_outputs(result: IdentifiedOutputs) -> Figure:
+    """The log and the fit of each output, one below the other."""
+    figure, panels = sheet([[name] for name in result.names], "The log and its fits")
+    for name, one in zip(result.names, result.outputs, strict=True):
+        signals(panels[name], one, f" {plain(name)}")
+    return figure
+
+
+def first_output(axes: Axes, result: IdentifiedOutputs) -> None:
+    """The log and the fit of the first output."""
+    signals(axes, result.outputs[0])
+
+
 def _shade_held_out(axes: Axes, found_log: Identified) -> None:
     """Shade what had no part in the fit that checks."""
     answer, part = found_log.answer, _shown(found_log)
     held_out = ~trained_part(answer.fit.objective.data, answer.options.held_out)
     axes.fill_between(
-        answer.evidence.grid.t[part], 0, 1, where=held_out[part], color=ZONE, alpha=0.12,
+        answer.case.grid.t[part], 0, 1, where=held_out[part], color=ZONE, alpha=0.12,
         linewidth=0, transform=axes.get_xaxis_transform(),
     )  # fmt: skip
 
@@ -138,7 +156,7 @@ def _zone_bands(axes: Axes, found_log: Identified) -> None:
 def _hidden(found_log: Identified) -> Figure:
     """The hidden output with its band against the reading, of the last part of the log."""
     states = found_log.states()
-    grid = found_log.answer.evidence.grid
+    grid = found_log.answer.case.grid
     size = grid.t.size
     part = slice(max(0, size - 600), size)
     figure, panels = sheet([["z"]], "The hidden output", height=3.2)
@@ -157,8 +175,8 @@ def _hidden(found_log: Identified) -> Figure:
 def _residual_map(found_log: Identified) -> Figure:
     """The residual by z^."""
     answer = found_log.answer
-    residuals, scale = answer.evidence.residuals, answer.scale
-    fit = answer.evidence.chosen.singles
+    residuals, scale = answer.case.residuals, answer.scale
+    fit = answer.chosen.singles
     figure, panels = sheet([["map", "static"]], "What the zone leaves", height=3.4)
     axes = panels["map"]
     ok = fit.objective.readings.ok
@@ -174,7 +192,7 @@ def _residual_map(found_log: Identified) -> Figure:
         axes, r"Residual by $\hat z$", label(r"$y - E[y | \hat z]$", unit), label(r"$\hat z$", unit)
     )
     axes = panels["static"]
-    axes.plot((fit.z * scale)[ok], answer.evidence.grid.y[ok], ".", color=READING,
+    axes.plot((fit.z * scale)[ok], answer.case.grid.y[ok], ".", color=READING,
               markersize=1.5, alpha=0.5, label="readings", rasterized=True)  # fmt: skip
     z, expected = _sensor_map(found_log)
     axes.plot(z, expected, color=ESTIMATE, label=MAPS.get(found_log.verdict, "dead zone"))
@@ -185,7 +203,7 @@ def _residual_map(found_log: Identified) -> Figure:
 def _sensor_map(found_log: Identified) -> tuple[Floats, Floats]:
     """z in order, and the reading that the fitted sensor gives there."""
     answer = found_log.answer
-    fit, jumps = answer.evidence.chosen.singles, answer.evidence.jumps
+    fit, jumps = answer.chosen.singles, answer.case.jumps
     z = np.sort(fit.z) * answer.scale
     if jumps is None:
         return z, np.sort(expected_reading(fit)) * answer.scale
@@ -197,7 +215,7 @@ def _residual(found_log: Identified) -> Figure:
     """Correlation of the one-step residual with itself and with the input."""
     fit = found_log.answer.fit
     data = fit.objective.data
-    kalman = found_log.answer.evidence.kalman
+    kalman = found_log.answer.found.kalman
     if kalman:
         value, use = filtered(kalman[0]), data.ok & (data.side != 0)
     else:
@@ -243,3 +261,74 @@ def _profiles(found_log: Identified) -> Figure:
         finish(axes, f"d_{name[0]}; shaded: printed interval", "log likelihood less its top",
                label(f"$d_{name[0]}$", _unit(found_log)), legend=0)  # fmt: skip
     return figure
+
+
+def _of_element(found_log: Identified, element: Element) -> dict[str, Figure]:
+    """The _of_element of an element: over time, and reading by output.
+
+    Args:
+        found_log: the answer.
+        element: what was found in it.
+    """
+    return {"overview": _over_time(found_log, element), "element": _by_output(found_log, element)}
+
+
+def _over_time(found_log: Identified, element: Element) -> Figure:
+    """z^, what is read of it, and the readings; contacts or sides below."""
+    answer = found_log.answer
+    grid, scale = answer.case.grid, answer.scale
+    part = slice(max(0, grid.t.size - MOST_OF_ELEMENT), grid.t.size)
+    unit = grid.output_unit
+    time = "t [samples]" if grid.counted else "t [s]"
+    figure, panels = sheet([["signals"], ["signals"], ["sides"]], "The log and its fit", height=1.9)
+    axes = panels["signals"]
+    t = grid.t[part]
+    axes.plot(t, (element.z * scale)[part], color=ESTIMATE, label=r"plant's $\hat z$")
+    y = np.where(grid.ok, grid.y, np.nan)[part]
+    axes.plot(t, y, color=READING, linewidth=1.0, label="reading y")
+    if element.kind != "input_zone":
+        expected = (element.readings * scale)[part]
+        axes.plot(t, expected, color=OTHER, linewidth=1.0, label=f"{NAMES[element.kind]} of it")
+    finish(axes, "The end of the log", label("z, y", unit), "")
+    axes = panels["sides"]
+    axes.plot(t, element.side[part], color=TRUTH, linewidth=0.8, drawstyle="steps-post")
+    middle = "silent" if element.kind == "input_zone" else "holds"
+    axes.set_yticks([-1, 0, 1], ["left", middle, "right"])
+    axes.set_ylim(-1.3, 1.3)
+    finish(axes, SIDES.get(element.kind, "Contact"), "", time, legend=0)
+    return figure
+
+
+def _by_output(found_log: Identified, element: Element) -> Figure:
+    """Readings by z^ with the path of what is expected; by u where the input has the zone."""
+    answer = found_log.answer
+    grid, scale = answer.case.grid, answer.scale
+    figure, panels = sheet([["map", "left"]], "What was found", height=3.4)
+    axes, unit = panels["map"], grid.output_unit
+    z = element.z * scale
+    _dots(axes, z[grid.ok], grid.y[grid.ok])
+    if element.kind == "input_zone":
+        finish(axes, "Reading by z^", label("y", unit), label(r"$\hat z$", unit))
+    else:
+        part = slice(max(0, z.size - MOST_OF_ELEMENT), z.size)
+        axes.plot(z[part], (element.readings * scale)[part], color=ESTIMATE, linewidth=1.0,
+                  label=f"path of {NAMES[element.kind]}")  # fmt: skip
+        finish(axes, "Reading by z^, and its path", label("y", unit), label(r"$\hat z$", unit))
+    axes = panels["left"]
+    residual = (answer.fit.objective.data.y - element.readings) * scale
+    if element.kind == "input_zone":
+        u = grid.u[:, 0]
+        _dots(axes, u[grid.ok], residual[grid.ok])
+        finish(axes, "What is left, by the input", label("y - E[y]", unit),
+               label("u", grid.input_unit))  # fmt: skip
+    else:
+        _dots(axes, z[grid.ok], residual[grid.ok])
+        finish(axes, "What is left", label("y - E[y]", unit), label(r"$\hat z$", unit))
+    return figure
+
+
+def _dots(axes: Axes, x: Floats, y: Floats) -> None:
+    """Single readings."""
+    axes.plot(
+        x, y, ".", color=READING, markersize=1.5, alpha=0.5, label="readings", rasterized=True
+    )

@@ -5,13 +5,22 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from undeadzone.identification.orders import OrderFit, at_limit
-from undeadzone.identification.result import Identified
-from undeadzone.identification.words import HEADS, rivals_in_words
-from undeadzone.report.html import Html, Origin, page, paragraph, section, table, tag
+from undeadzone.identification.answer.result import Identified
+from undeadzone.identification.answer.words import HEADS, rivals_in_words
+from undeadzone.identification.verdict.orders import OrderFit, at_limit
+from undeadzone.report.html import (
+    Html,
+    Origin,
+    page,
+    paragraph,
+    pick,
+    pictures,
+    section,
+    table,
+    tag,
+    write_page,
+)
 from undeadzone.report.identify_figures import figures
-from undeadzone.report.pictures import images_of, pick, pictures, write_figures
-from undeadzone.support.files import write_text
 from undeadzone.support.text import label, with_deviation
 
 if TYPE_CHECKING:
@@ -54,9 +63,11 @@ def write_identified(
     Raises:
         FileError: a file cannot be written.
     """
-    written = write_figures(figures(found_log), folder)
-    text = identified_page(found_log, images_of(written), source, origin)
-    return [*written.values(), write_text(text, folder / "report.html")]
+
+    def text(images: dict[str, bytes]) -> str:
+        return identified_page(found_log, images, source, origin)
+
+    return write_page(figures(found_log), folder, text)
 
 
 def identified_page(
@@ -111,22 +122,22 @@ def _fits(found_log: Identified, shown: dict[str, Html]) -> list[Html]:
 
 def _rivals(found_log: Identified) -> list[Html]:
     """Static rivals and the residual map in numbers."""
-    evidence = found_log.answer.evidence
-    residuals = evidence.residuals
+    answer = found_log.answer
+    residuals = answer.case.residuals
     words = (
         f"A curve over z^ explains {100 * residuals.share:.1f} % of what the zone leaves"
         f" (p = {residuals.chance:.2g}); one over its direction"
         f" {100 * residuals.moving_share:.1f} % (p = {residuals.moving_chance:.2g})."
         " A dead zone alone leaves 1 % or less. Test of no zone at all:"
-        f" p = {evidence.no_zone.chance:.2g}."
+        f" p = {answer.case.no_zone.chance:.2g}."
     )
-    rivals = rivals_in_words(found_log.answer)
+    rivals = rivals_in_words(answer)
     return [table(("what the sensor may be", "behind, nats a sample"), rivals), paragraph(words)]
 
 
 def _place(found_log: Identified) -> list[Html]:
     """Where the zone is."""
-    place = found_log.answer.evidence.place
+    place = found_log.answer.found.place
     if place is None:
         return []
     words = (
@@ -147,7 +158,7 @@ def _place(found_log: Identified) -> list[Html]:
 def _stages(found_log: Identified) -> Html:
     """Widths by stage of the fit."""
     answer = found_log.answer
-    if answer.evidence.jumps is not None:
+    if answer.case.jumps is not None:
         return paragraph(
             "The edges of a jump sensor come from the least readings of their passages; plant and"
             " likelihoods take them as known."
@@ -158,13 +169,13 @@ def _stages(found_log: Identified) -> Html:
         "L3": "Kalman filter",
     }
     rows = []
-    for name, (right, left) in answer.evidence.widths.stages.items():
-        halves = answer.evidence.widths.halves[name]
+    for name, (right, left) in answer.widths.stages.items():
+        halves = answer.widths.halves[name]
         cells = []
         for edge, value in (("right", right), ("left", left)):
             cells.append(with_deviation(value * answer.scale, halves[edge] * answer.scale))
         rows.append((names[name], *cells))
-    unit = answer.evidence.grid.output_unit
+    unit = answer.case.grid.output_unit
     heads = [label(f"{edge} ± half of 95 %", unit) for edge in ("d_r", "d_l")]
     return table(("likelihood of", *heads), rows)
 
@@ -172,9 +183,9 @@ def _stages(found_log: Identified) -> Html:
 def _orders(found_log: Identified) -> Html:
     """Orders tried."""
     answer = found_log.answer
-    least = min(one.pairs.bic for one in answer.evidence.orders)
+    least = min(one.pairs.bic for one in answer.case.fitted.fits)
     rows = []
-    for one in answer.evidence.orders:
+    for one in answer.case.fitted.fits:
         rows.append(
             (
                 one.n,

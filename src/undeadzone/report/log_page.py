@@ -1,17 +1,49 @@
-"""The page and the files of a log that an observer followed."""
+"""The figure, the page and the files of a log that an observer followed."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
-from undeadzone.report.html import Origin, page, paragraph, picture, section, table, tag
-from undeadzone.report.log_figures import log_overview
+import numpy as np
+
+from undeadzone.observers.parts.claims import CHANCE
+from undeadzone.observers.parts.judged_filter import FAR
+from undeadzone.report.html import (
+    Html,
+    Origin,
+    estimates,
+    page,
+    paragraph,
+    picture,
+    section,
+    table,
+    tag,
+)
+from undeadzone.report.run_page import gap_tables
+from undeadzone.report.style import (
+    ESTIMATE,
+    FORBIDDEN,
+    OTHER,
+    PRINTED,
+    READING,
+    REFERENCE,
+    TRUTH,
+    finish,
+    label,
+    shade_gap,
+    shade_zone,
+    sheet,
+    width_lines,
+)
 from undeadzone.report.style import write as write_figure
-from undeadzone.simulation.estimation import Estimation
-from undeadzone.simulation.gap_words import SYMBOLS, gaps_with_deviations
+from undeadzone.results.estimation import Estimation, gaps, widths
+from undeadzone.support.arrays import Floats
 from undeadzone.support.files import write_text
-from undeadzone.support.text import label, with_deviation
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 _OVERVIEW = (
     "Reading and estimates over the estimated dead zone; missing readings are shaded. Below, the "
@@ -28,6 +60,7 @@ VERDICTS: Final = {
     False: ("no", "no"),
     None: ("that cannot be tested", "mid"),
 }
+POINTS = 20_000  # samples that a line shows at most
 
 
 def write_estimation(
@@ -79,46 +112,19 @@ def estimation_page(result: Estimation, image: bytes, origin: Origin | None = No
         head,
         *reasons,
         section("Along the log", picture(image, _OVERVIEW), paragraph(_TEST, "note")),
-        section("Widths", table(_heads(info.units.output), _widths(result)), *_gaps(result)),
+        section("Widths", _widths(result), *gap_tables(result.outputs, gaps(info))),
         section("The log", table(("what", "value"), list(_numbers(result).items()))),
         origin=origin,
     )
 
 
-def _heads(unit: str) -> tuple[str, ...]:
-    """The heads of the table of widths."""
-    return ("output", label("d_r^", unit), label("d_l^", unit), "readings right", "left", "silent")
-
-
-def _widths(result: Estimation) -> list[tuple[Any, ...]]:
-    """The rows of the table of widths."""
+def _widths(result: Estimation) -> Html:
+    """The final widths of each output, and how many readings lie on each side."""
     info = result.info
-    unknown: list[float | None] = [None] * len(info.d_right)
-    right_std, left_std = info.d_right_std or unknown, info.d_left_std or unknown
-    rows = []
-    for i, name in enumerate(result.outputs):
-        right, left = _width(info.d_right[i], right_std[i]), _width(info.d_left[i], left_std[i])
-        rows.append((name, right, left, info.right[i], info.left[i], info.silent[i]))
-    return rows
-
-
-def _gaps(result: Estimation) -> list[Any]:
-    """The table of the gaps ahead of dead zones; nothing where none are estimated."""
-    c, std, both = result.c_hat, result.c_std, result.gap_std
-    if c is None or std is None or both is None:
-        return []
-    rows = []
-    for i, name in enumerate(result.outputs):
-        pair = slice(2 * i, 2 * i + 2)
-        rows.append((name, *gaps_with_deviations(c[-1, pair], std[-1, pair], both[-1, i])))
-    unit = result.info.units.output
-    heads = [label(symbol, unit) for symbol in SYMBOLS]
-    return [table(("play ahead of the zone", *heads), rows)]
-
-
-def _width(value: float, std: float | None) -> float | str:
-    """A width, with its deviation where known."""
-    return value if std is None else with_deviation(value, std)
+    sheets = [widths(info, i) for i in range(len(result.outputs))]
+    counts = list(zip(info.right, info.left, info.silent, strict=True))
+    heads = ("readings right", "left", "silent")
+    return estimates("output", result.outputs, sheets, heads, counts)
 
 
 def _numbers(result: Estimation) -> dict[str, Any]:
@@ -141,3 +147,100 @@ def _numbers(result: Estimation) -> dict[str, Any]:
         "silent far outside the zone": info.silent_outside,
         "smoothed with the whole log": result.z_smooth is not None,
     }
+
+
+def log_overview(result: Estimation) -> Figure:
+    """Per output: reading and estimates over the estimated zone; widths; innovations."""
+    rows = []
+    for i in range(result.y.shape[1]):
+        rows.append([f"output {i}"] * 2)
+        rows.append([f"widths {i}", f"innovation {i}"])
+    figure, panels = sheet(rows, result.info.title)
+    shown = _shown(result)
+    for i, name in enumerate(result.outputs):
+        of = f" {name}" if len(result.outputs) > 1 else ""
+        output(panels[f"output {i}"], result, i, of, shown)
+        _draw_widths(panels[f"widths {i}"], result, i, of, shown)
+        _innovations(panels[f"innovation {i}"], result, i, of, shown)
+    return figure
+
+
+def _shown(result: Estimation) -> slice:
+    """The samples that are drawn."""
+    return slice(None, None, max(1, result.t.size // POINTS))
+
+
+def output(
+    axes: Axes, result: Estimation, i: int = 0, of: str = "", shown: slice | None = None
+) -> None:
+    """Reading and estimates of output i over its estimated dead zone; of: its name."""
+    shown = _shown(result) if shown is None else shown
+    t = result.t[shown]
+    right, left = result.info.d_right[i], result.info.d_left[i]
+    if result.info.sensor == "play":
+        shade_gap(axes, t, result.y[shown, i], right, left)
+    elif right > -left:
+        shade_zone(axes, right, left)
+    axes.plot(t, result.y[shown, i], color=READING, label="reading y")
+    axes.plot(t, result.z_hat[shown, i], color=ESTIMATE, label=r"estimate $\hat z$")
+    if result.z_smooth is not None:
+        smooth = result.z_smooth[shown, i]
+        axes.plot(t, smooth, color=TRUTH, linestyle=(0, (4, 2)), label="with the whole log")
+    _mark_missing(axes, result, i)
+    title = f"Output{of}: what was read, and what the observer makes of it"
+    finish(axes, title, label("z, y", result.unit("z_hat")), legend=4)
+
+
+def _mark_missing(axes: Axes, result: Estimation, i: int) -> None:
+    """Shade where readings of output i are missing."""
+    missing = ~np.isfinite(result.y[:, i])
+    edges = np.flatnonzero(np.diff(missing.astype(int), prepend=0, append=0))
+    if edges.size > POINTS // 100:
+        return  # too many to be told apart
+    for start, end in edges.reshape(-1, 2):
+        last = min(end, result.t.size - 1)
+        axes.axvspan(result.t[start], result.t[last], color=FORBIDDEN, linewidth=0)
+
+
+def _draw_widths(axes: Axes, result: Estimation, i: int, of: str, shown: slice) -> None:
+    """The estimated widths of output i, with two standard deviations."""
+    t = result.t[shown]
+    columns = slice(2 * i, 2 * i + 2)
+    widths = result.d_hat[shown, columns]
+    std = None if result.d_std is None else result.d_std[shown, columns]
+    width_lines(axes, t, widths, std, "d")
+    if result.d_smooth is not None:
+        for column, colour in ((2 * i, PRINTED), (2 * i + 1, OTHER)):
+            axes.plot(t, result.d_smooth[shown, column], color=colour, linestyle=(0, (4, 2)))
+    settled = widths[len(widths) // 10 :]  # the start would stretch the axis
+    low, high = float(np.nanmin(settled)), float(np.nanmax(settled))
+    room = 0.3 * (high - low) + 1e-12
+    if np.isfinite(room):
+        axes.set_ylim(low - room, high + room)
+    band = " and two standard deviations" if result.d_std is not None else ""
+    finish(axes, f"Widths{of}{band}", label("d", result.unit("d_hat")))
+
+
+def _innovations(axes: Axes, result: Estimation, i: int, of: str, shown: slice) -> None:
+    """The normalised innovations of output i and the statistic of the test; else innovations."""
+    t = result.t[shown]
+    innovation = result.innovation[shown, i]
+    used = innovation != 0
+    if result.innovation_std is None or result.B is None:
+        axes.plot(t[used], innovation[used], ".", color=ESTIMATE, markersize=2, rasterized=True)
+        finish(axes, f"Innovations{of}: no test exists", label("e", result.unit("y")), legend=0)
+        return
+    normalised = innovation[used] / result.innovation_std[shown, i][used]
+    limited = np.clip(normalised, -2 * FAR, 2 * FAR)
+    name = "innovation / its std"
+    axes.plot(t[used], limited, ".", color=ESTIMATE, markersize=2, label=name, rasterized=True)
+    for bound in (-FAR, FAR):
+        axes.axhline(bound, color=REFERENCE, linewidth=0.8)
+    _statistic(axes, t, result.B[shown, i])
+    finish(axes, f"Innovations{of} and their test", "standard deviations", legend=3)
+
+
+def _statistic(axes: Any, t: Floats, B: Floats) -> None:
+    """The statistic B and its limit, in the panel of the innovations."""
+    axes.plot(t, np.minimum(B, 2 * FAR), color=PRINTED, label="B")
+    axes.axhline(CHANCE, color=PRINTED, linewidth=0.8, linestyle=(0, (4, 2)), label="usual limit")

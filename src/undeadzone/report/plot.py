@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias, runtime_checkable
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 from undeadzone.errors import InputError
-from undeadzone.report import figures
-from undeadzone.report.style import plain, sheet, write
-from undeadzone.simulation.run import Run
+from undeadzone.report.style import write
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -18,9 +17,9 @@ if TYPE_CHECKING:
 
     from undeadzone.analysis.certificate.design_file import Design
     from undeadzone.ensemble.result import Ensemble
-    from undeadzone.identification.outputs import IdentifiedOutputs
-    from undeadzone.identification.result import Identified
-    from undeadzone.simulation.estimation import Estimation
+    from undeadzone.identification.answer.result import Identified, IdentifiedOutputs
+    from undeadzone.results.estimation import Estimation
+    from undeadzone.results.run import Run
     from undeadzone.synthesis.check import Check
     from undeadzone.tuning.result import Tuned
 
@@ -29,6 +28,34 @@ KINDS = (
     "a Run, an Ensemble, an Estimation, a Check, a Design, a Tuned, a Contest or what identify "
     "returns"
 )
+
+
+# By class: the file that draws it, its first figure, the panel that says most.
+DRAWN: Final = {
+    "undeadzone.results.run.Run": ("run_figures", "overview", "output"),
+    "undeadzone.results.estimation.Estimation": ("log_page", "log_overview", "output"),
+    "undeadzone.ensemble.result.Ensemble": (
+        "ensemble_figures",
+        "first_of_ensemble",
+        "distribution",
+    ),
+    "undeadzone.analysis.certificate.design_file.Design": (
+        "proof_figures",
+        "of_design",
+        "panel_of_design",
+    ),
+    "undeadzone.tuning.result.Tuned": ("tune_page", "history", "candidates"),
+    "undeadzone.identification.answer.result.Identified": (
+        "identify_figures",
+        "overview",
+        "signals",
+    ),
+    "undeadzone.identification.answer.result.IdentifiedOutputs": (
+        "identify_figures",
+        "of_outputs",
+        "first_output",
+    ),
+}
 
 
 class Drawing(NamedTuple):
@@ -96,47 +123,23 @@ def plot(
     return figure
 
 
-def _drawing(result: Result) -> Drawing:
-    """How a result is drawn. Raises InputError."""
+def _drawing(result: Any) -> Drawing:
+    """How a result is drawn. Raises InputError for what is none.
+
+    What draws is imported late, so that whoever draws runs alone does not wait for the rest.
+    """
     if isinstance(result, Drawn):
         return result.drawing()
-    if isinstance(result, Run):
-        return Drawing(lambda: figures.overview(result), lambda ax: figures.output(ax, result))
-    # imported here, so that whoever draws runs alone does not wait for them
-    from undeadzone.analysis.certificate.design_file import Design
-    from undeadzone.ensemble.result import Ensemble
-    from undeadzone.report import log_figures, proof_figures, tune_figures
-    from undeadzone.simulation.estimation import Estimation
-    from undeadzone.synthesis.check import Check
-    from undeadzone.tuning.result import Tuned
-
-    if isinstance(result, Estimation):
-        return Drawing(
-            lambda: log_figures.log_overview(result), lambda ax: log_figures.output(ax, result)
-        )
-    if isinstance(result, Ensemble):
-        return _of_ensemble(result)
-    if isinstance(result, Check):
+    kind = f"{type(result).__module__}.{type(result).__qualname__}"
+    if kind == "undeadzone.synthesis.check.Check":
         return _of_check(result)
-    if isinstance(result, Design):
-        proof = proof_figures.proof_of(result)
-        return Drawing(
-            lambda: proof_figures.positive_realness(proof),
-            lambda ax: proof_figures.least_real_part(ax, proof),
-        )
-    if isinstance(result, Tuned):
-        return Drawing(
-            lambda: tune_figures.history(result), lambda ax: tune_figures.candidates(ax, result)
-        )
-    return _of_identified(result)
-
-
-def _of_ensemble(result: Ensemble) -> Drawing:
-    """How an ensemble is drawn."""
-    from undeadzone.report.ensemble_figures import distribution
-    from undeadzone.report.ensemble_page import first_of_ensemble
-
-    return Drawing(lambda: first_of_ensemble(result), lambda ax: distribution(ax, result))
+    if kind not in DRAWN:
+        raise InputError(f"plot: expected {KINDS}, found {type(result).__name__}")
+    room, whole, panel = DRAWN[kind]
+    draws = import_module(f"undeadzone.report.{room}")
+    return Drawing(
+        lambda: getattr(draws, whole)(result), lambda ax: getattr(draws, panel)(ax, result)
+    )
 
 
 def _of_check(result: Check) -> Drawing:
@@ -146,8 +149,8 @@ def _of_check(result: Check) -> Drawing:
     """
     import numpy as np
 
+    from undeadzone.report.gain_figures import deviations, ellipses
     from undeadzone.report.proof_figures import least_real_part, nyquist
-    from undeadzone.report.trade_figures import deviations, ellipses
 
     gains, of = result.assessment.gains, result.assessment
     if gains is not None and np.isfinite(gains.certificate.margin):
@@ -155,27 +158,3 @@ def _of_check(result: Check) -> Drawing:
     if of.problem.sensor.kind != "deadzone":
         raise InputError("plot: this check has no certificate, and nothing that can be drawn")
     return Drawing(lambda: ellipses(of), lambda ax: deviations(ax, of, 0))
-
-
-def _of_identified(result: Identified | IdentifiedOutputs) -> Drawing:
-    """How identified logs are drawn. Raises InputError for what is no result at all."""
-    from undeadzone.identification.outputs import IdentifiedOutputs
-    from undeadzone.identification.result import Identified
-    from undeadzone.report.identify_figures import overview, signals
-
-    if isinstance(result, Identified):
-        return Drawing(lambda: overview(result), lambda ax: signals(ax, result))
-    if isinstance(result, IdentifiedOutputs):
-        first = result.outputs[0]
-        return Drawing(lambda: _of_outputs(result), lambda ax: signals(ax, first))
-    raise InputError(f"plot: expected {KINDS}, found {type(result).__name__}")
-
-
-def _of_outputs(result: IdentifiedOutputs) -> Figure:
-    """The log and the fit of each output, one below the other."""
-    from undeadzone.report.identify_figures import signals
-
-    figure, panels = sheet([[name] for name in result.names], "The log and its fits")
-    for name, one in zip(result.names, result.outputs, strict=True):
-        signals(panels[name], one, f" {plain(name)}")
-    return figure

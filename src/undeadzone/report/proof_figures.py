@@ -50,6 +50,16 @@ def proof_of(design: Design) -> Certificate:
     return Certificate(check.proved, "", design.margin, design.frequency, V, errors, check)
 
 
+def of_design(design: Design) -> Figure:
+    """The proof of a design over frequency."""
+    return positive_realness(proof_of(design))
+
+
+def panel_of_design(axes: Axes, design: Design) -> None:
+    """The least real part of a design's proof over frequency."""
+    least_real_part(axes, proof_of(design))
+
+
 def positive_realness(proof: Certificate) -> Figure:
     """1 + G(jw) and its real part over frequency.
 

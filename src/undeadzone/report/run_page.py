@@ -1,16 +1,36 @@
-"""The page of one run: its figures, its numbers, its gains, and what its readings can tell."""
+"""The page and the files of one run: figures, numbers, gains, what its readings can tell."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Final
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
 
 from undeadzone.analysis.identifiability.linear import DIRECTIONS
-from undeadzone.report.gains_sections import trust
-from undeadzone.report.html import Html, Origin, page, paragraph, picture, section, table, tag
-from undeadzone.simulation.gap_words import SYMBOLS, gaps_with_deviations
-from undeadzone.simulation.run import Run
-from undeadzone.support.text import label, with_deviation, with_unit
+from undeadzone.report.html import (
+    Html,
+    Origin,
+    estimates,
+    page,
+    paragraph,
+    picture,
+    section,
+    table,
+    tag,
+    trust,
+    verdict_line,
+    widths_known,
+    yes_no,
+)
+from undeadzone.report.run_figures import overview, phase, tip
+from undeadzone.report.style import write as write_figure
+from undeadzone.results.run import Run, actuators, errors, gaps, parameters, widths
+from undeadzone.results.sheet import Row, on_page
+from undeadzone.support.files import write_text
+from undeadzone.support.text import with_unit
+
+if TYPE_CHECKING:
+    from undeadzone.results.run import Run
 
 _OVERVIEW: Final = (
     "Output, reading and estimate; errors; widths, in bands of two standard deviations, against "
@@ -19,6 +39,8 @@ _OVERVIEW: Final = (
     "the Lyapunov function where there is one."
 )
 _VARIABLE: Final = "The observer has no constant gains; its options stand in the scenario."
+TIP = "The tip against its path, its distance from it, and the torques."
+PHASE = "Position and velocity of each joint, truth and estimate, over its dead zone."
 
 
 def run_page(
@@ -32,7 +54,7 @@ def run_page(
 
     Args:
         run: what is shown.
-        figures: of the run, as SVG; see `figures.overview`.
+        figures: of the run, as SVG; see `run_figures.overview`.
         rival: a run beside whose numbers those of the run stand.
         first: pieces of HTML above the figures.
         origin: what it takes to get the same run; None: what the run itself knows of it.
@@ -47,7 +69,11 @@ def run_page(
         section("What happens", *first, *(picture(figure, _OVERVIEW) for figure in figures)),
         section("Numbers", _numbers_table(run, rival)),
         section(
-            "Widths", _widths_table(run), *_actuators(run), *_gaps(run), *map(paragraph, reasons)
+            "Widths",
+            _widths_table(run),
+            *_actuators(run),
+            *gap_tables(run.outputs, gaps(run, run.info.units.output, run.info.gaps)),
+            *map(paragraph, reasons),
         ),
         section("Gains", *_gains(run)),
         origin=origin or Origin(scenario=run.info.scenario, seed=run.info.seed),
@@ -56,17 +82,16 @@ def run_page(
 
 def _verdict(run: Run) -> Html:
     """One line: diverged or not, the error, whether every width can be known."""
-    unit = run.info.units.output
     if run.diverged_at is not None:
         return tag("p", tag("span", f"Diverged at {run.diverged_at:.4g} s.", "no"))
-    known = tag("span", "every width can be known", "yes")
-    if not run.fully_identifiable:
-        known = tag("span", "not every width can be known", "no")
-    rms = with_unit(f"rms of z − r {run.rms_tracking:.4g}", unit)
-    parts = [tag("span", f"{rms} over the last {run.lasting:g} s"), known]
+    rms = with_unit(f"rms of z − r {run.rms_tracking:.4g}", run.info.units.output)
+    parts = [
+        (f"{rms} over the last {run.lasting:g} s", ""),
+        widths_known(run.fully_identifiable),
+    ]
     if run.inexact:
-        parts.append(tag("span", "the step is too large: these are no results", "no"))
-    return Html("<p>" + "; ".join(part.text for part in parts) + ".</p>")
+        parts.append(("the step is too large: these are no results", "no"))
+    return verdict_line(*parts)
 
 
 def _numbers_table(run: Run, rival: Run | None) -> Html:
@@ -80,21 +105,14 @@ def _numbers_table(run: Run, rival: Run | None) -> Html:
 
 def _numbers(run: Run) -> dict[str, Any]:
     """The numbers of a run, in words."""
-    unit, last = run.info.units.output, f"last {run.lasting:g} s"
     numbers: dict[str, Any] = {
         "observer": run.name,
         "time": f"{run.info.time}, step {run.info.step:g} s, {run.t[-1]:g} s",
         "diverged at [s]": run.diverged_at,
-        label(f"rms of z − r, {last}", unit): run.rms_tracking,
-        label(f"rms of z − z^, {last}", unit): run.rms_estimation,
+        **on_page(errors(run)),
     }
-    if run.rms_behind_play is not None:
-        numbers[label(f"rms of y / m − r, {last}", unit)] = run.rms_behind_play
-    if run.rms_tip is not None:
-        numbers[f"rms distance of the tip from its path, {last} [m]"] = run.rms_tip
-    for name, parameter in run.parameters.items():
-        estimate, std, true = (parameter[key] for key in ("estimate", "std", "true"))
-        numbers[f"{name}, estimated"] = f"{with_deviation(estimate, std)} (true {true:g})"
+    for row in parameters(run):
+        numbers[row.title] = row.words
     rise = "largest rise of V above an earlier value, relative to its largest"
     return numbers | {
         "share of silent samples": run.silent_fraction,
@@ -113,57 +131,23 @@ def _of_integration(run: Run) -> str | None:
 
 def _widths_table(run: Run) -> Html:
     """The estimated and the true widths of each output, and which of them readings can tell."""
-    unit = run.info.units.output
-    rows = []
-    for i, (name, verdict) in enumerate(zip(run.outputs, run.info.identifiable, strict=True)):
-        cells: list[Any] = []
-        for column in (2 * i, 2 * i + 1):
-            std = None if run.d_std is None else float(run.d_std[-1, column])
-            value = float(run.d_hat[-1, column])
-            cells += [value if std is None else with_deviation(value, std)]
-            cells += [run.info.widths[column]]
-        rows.append((name, *cells, *(_yes(verdict[each]) for each in DIRECTIONS)))
-    estimates = (label("d_r^", unit), "true", label("d_l^", unit), "true")
-    knowledge = ("d_r can be known", "d_l", "d_r + d_l", "d_r − d_l")
-    return table(("output", *estimates, *knowledge), rows)
+    known = []
+    for verdict in run.info.identifiable:
+        known.append([tag("span", *yes_no(verdict[each])) for each in DIRECTIONS])
+    sheets = [widths(run, i) for i in range(len(run.outputs))]
+    heads = ("d_r can be known", "d_l", "d_r + d_l", "d_r − d_l")
+    return estimates("output", run.outputs, sheets, heads, known)
 
 
 def _actuators(run: Run) -> list[Html]:
     """The estimated and the true widths of each actuator; nothing where none are estimated."""
-    if run.b_hat is None or run.b_std is None:
-        return []
-    rows = []
-    for j, (true_right, true_left) in enumerate(zip(*[iter(run.info.actuator)] * 2, strict=True)):
-        last = zip(run.b_hat[-1, 2 * j : 2 * j + 2], run.b_std[-1, 2 * j : 2 * j + 2], strict=True)
-        right, left = (with_deviation(float(value), float(std)) for value, std in last)
-        rows.append((f"u[{j}]", right, true_right, left, true_left))
-    unit = run.info.units.input
-    return [table(("actuator", label("b_r^", unit), "true", label("b_l^", unit), "true"), rows)]
+    found = actuators(run)
+    return [estimates("actuator", (f"u[{j}]" for j in range(len(found))), found)] if found else []
 
 
-def _gaps(run: Run) -> list[Html]:
-    """The estimated and the true gaps ahead of each dead zone; nothing where none are."""
-    if run.c_hat is None or run.c_std is None or run.gap_std is None:
-        return []
-    rows = []
-    for i, name in enumerate(run.outputs):
-        true = run.info.gaps[2 * i : 2 * i + 2]
-        c, std = run.c_hat[-1, 2 * i : 2 * i + 2], run.c_std[-1, 2 * i : 2 * i + 2]
-        found = gaps_with_deviations(c, std, run.gap_std[-1, i])
-        cells: list[Any] = []
-        for estimate, truth in zip(found, (*true, sum(true)), strict=True):
-            cells += [estimate, truth]
-        rows.append((name, *cells))
-    unit = run.info.units.output
-    heads: list[str] = []
-    for symbol in SYMBOLS:
-        heads += [label(symbol, unit), "true"]
-    return [table(("play ahead of the zone", *heads), rows)]
-
-
-def _yes(known: bool) -> Html:
-    """A yes or a no in its colour."""
-    return tag("span", "yes" if known else "no", "yes" if known else "no")
+def gap_tables(outputs: Sequence[str], found: Sequence[Sequence[Row]]) -> list[Html]:
+    """The table of the gaps ahead of dead zones; nothing where none are estimated."""
+    return [estimates("play ahead of the zone", outputs, found)] if found else []
 
 
 def _gains(run: Run) -> list[Html]:
@@ -191,3 +175,57 @@ def _output(name: str) -> str:
 def _rows(letter: str, matrix: list[list[float]]) -> list[tuple[Any, ...]]:
     """The rows of a matrix, each named by a letter and its number."""
     return [(f"{letter}[{i}]", *row) for i, row in enumerate(matrix)]
+
+
+def write_run(
+    result: Run,
+    folder: Path,
+    figures: bool,
+    rival: Run | None = None,
+    tables: bool = True,
+    origin: Origin | None = None,
+) -> list[Path]:
+    """Write the files of a run.
+
+    Args:
+        result: the run.
+        folder: for the files; made if missing.
+        figures: whether figure and page are wanted beside the signals.
+        rival: a run to be shown beside it.
+        tables: whether the signals are wanted as `.csv` too.
+        origin: what it takes to get the same run; None: what the run itself knows of it.
+
+    Returns:
+        The paths of the files.
+
+    Raises:
+        FileError: a file cannot be written.
+    """
+    written = [result.save(folder / "run.npz")]
+    if tables:
+        written.append(result.save(folder / "run.csv"))
+    if not figures:
+        return written
+    drawn = write_figure(overview(result), folder / "figure.svg")
+    written.append(drawn)
+    first: list[Any] = []
+    if result.poses is not None:
+        files, first = _arm(result, folder, rival)
+        written += files
+    page = run_page(result, [drawn.read_bytes()], rival, first, origin)
+    written.append(write_text(page, folder / "report.html"))
+    return written
+
+
+def _arm(result: Run, folder: Path, rival: Run | None) -> tuple[list[Path], list[Any]]:
+    """The files of an arm's own figures, and what the page begins with."""
+    from undeadzone.report.animation import animated
+
+    written = [
+        write_figure(tip(result, rival), folder / "tip.svg"),
+        write_figure(phase(result), folder / "phase.svg"),
+    ]
+    pictures = [
+        picture(path.read_bytes(), words) for path, words in zip(written, (TIP, PHASE), strict=True)
+    ]
+    return written, [animated(result, rival), *pictures]

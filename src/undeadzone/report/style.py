@@ -67,6 +67,7 @@ _STYLE: Final[Any] = {
     "figure.titlesize": 11.0,
     "figure.titleweight": "bold",
 }
+BAND = 2  # standard deviations on either side
 
 
 def own_settings() -> None:
@@ -221,3 +222,27 @@ def image(figure: Figure, kind: str) -> bytes:
     with matplotlib.rc_context({"svg.hashsalt": "undeadzone"}):
         figure.savefig(buffer, format=kind, dpi=FINE if kind == "svg" else DPI, **undated)
     return buffer.getvalue()
+
+
+def width_lines(axes: Axes, t: Floats, widths: Floats, std: Floats | None, letter: str) -> None:
+    """A right and a left width, each in a band of two standard deviations.
+
+    The band does not stretch the axis: at first it is wide.
+
+    Args:
+        axes: to draw on.
+        t: times (N) [s].
+        widths: right and left estimates (N x 2).
+        std: their standard deviations (N x 2); None: there are none.
+        letter: of the widths, d or b.
+    """
+    sides = (("r", PRINTED), ("l", OTHER))
+    for k, (side, colour) in enumerate(sides):
+        axes.plot(t, widths[:, k], color=colour, label=rf"$\hat {letter}_{side}$")
+    if std is None:
+        return
+    limits = axes.get_ylim()
+    for k, (_, colour) in enumerate(sides):
+        low, high = widths[:, k] - BAND * std[:, k], widths[:, k] + BAND * std[:, k]
+        axes.fill_between(t, low, high, color=colour, alpha=0.18, linewidth=0)
+    axes.set_ylim(*limits)

@@ -1,27 +1,52 @@
-"""The page of a tuning: the numbers found, what they are worth on other runs, and the search."""
+"""The page of a tuning: the numbers found, their worth on other runs, the search; its figures."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
+import numpy as np
+
+from undeadzone.report.ensemble_figures import words
 from undeadzone.report.html import (
     Html,
     Origin,
     folded,
     page,
     paragraph,
+    pick,
+    pictures,
     section,
     source,
     table,
-    tag,
+    verdict_line,
+    write_page,
+    yes_no,
 )
-from undeadzone.report.pictures import images_of, pick, pictures, write_figures
-from undeadzone.report.tune_figures import around, history, slices
+from undeadzone.report.style import (
+    ESTIMATE,
+    OTHER,
+    PRINTED,
+    READING,
+    REFERENCE,
+    TRUTH,
+    ZONE,
+    finish,
+    plain,
+    sheet,
+)
 from undeadzone.statistics.intervals import Interval
 from undeadzone.support import toml
-from undeadzone.support.files import write_text
+from undeadzone.support.arrays import Floats
+from undeadzone.support.text import counted
+from undeadzone.tuning.parameters import Parameter
 from undeadzone.tuning.result import HeldOut, Tuned
+from undeadzone.tuning.tune import Sweep, sweep
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 CAPTIONS: Final = {
     "history": "Left: what each candidate costs on the runs tuned on, and the best so far. Right: "
@@ -29,6 +54,10 @@ CAPTIONS: Final = {
     "around": "The metric on held-out runs as one number moves and the others stay. A flat curve "
     "is a number that hardly matters.",
 }
+COLOURS: Final = {"start": TRUTH, "global": READING, "gradient": REFERENCE, "local": OTHER}
+POINTS: Final = 25  # of a curve around the tuned numbers
+COLUMNS: Final = 3
+STEEP: Final = 20  # times the least cost, beyond which a curve is cut off
 
 
 def write_tuned(result: Tuned, folder: Path, origin: Origin | None = None) -> list[Path]:
@@ -43,9 +72,7 @@ def write_tuned(result: Tuned, folder: Path, origin: Origin | None = None) -> li
         The paths of the files.
     """
     drawn = {"history": history(result), "around": around(result, slices(result))}
-    written = write_figures(drawn, folder)
-    text = tuned_page(result, images_of(written), origin)
-    return [*written.values(), write_text(text, folder / "report.html")]
+    return write_page(drawn, folder, lambda images: tuned_page(result, images, origin))
 
 
 def tuned_page(result: Tuned, images: dict[str, bytes], origin: Origin | None = None) -> str:
@@ -71,14 +98,12 @@ def tuned_page(result: Tuned, images: dict[str, bytes], origin: Origin | None = 
 
 def _verdict(result: Tuned) -> Html:
     """One line: better or not, certified or not."""
-    good = result.improved
-    words = "better on held-out runs" if good else "no improvement that chance could not explain"
-    parts = [tag("span", words, "yes" if good else "no")]
+    no_better = "no improvement that chance could not explain"
+    parts = [yes_no(result.improved, "better on held-out runs", no_better)]
     if result.margin is not None:
         certified = f"certified, margin {result.margin:.4g}"
-        words = certified if result.certified else "not certified"
-        parts.append(tag("span", words, "yes" if result.certified else "no"))
-    return Html("<p>" + "; ".join(part.text for part in parts) + ".</p>")
+        parts.append(yes_no(result.certified, certified, "not certified"))
+    return verdict_line(*parts)
 
 
 def _numbers(result: Tuned) -> Html:
@@ -109,7 +134,7 @@ def _held_out(title: str, held_out: HeldOut) -> tuple[Any, ...]:
     """The row of a scenario's held-out runs."""
     before, after = held_out.before, held_out.after
     lost = [f"{100 * worth.diverged.value:.3g} %" for worth in (before, after)]
-    name = f"{title}: {held_out.runs} held-out run{'s' * (held_out.runs > 1)}"
+    name = f"{title}: {counted(held_out.runs, 'held-out run')}"
     return (name, _interval(before.value), _interval(after.value), *lost)
 
 
@@ -117,3 +142,117 @@ def _interval(interval: Interval) -> str:
     """A value with its interval."""
     value, low, high = interval
     return f"{value:.4g}" if low == high else f"{value:.4g} ({low:.4g} to {high:.4g})"
+
+
+def slices(result: Tuned) -> dict[str, Sweep]:
+    """The metric of the first scenario on held-out runs, over each tuned number alone."""
+    what = msgspec.structs.replace(result.what, runs=result.what.held_out, seed=result.seed + 1)
+    sweeps = {}
+    for parameter, value in zip(result.parameters, result.values, strict=True):
+        places = {parameter.name: _places(parameter, value)}
+        sweeps[parameter.name] = sweep(result.scenario, places, what)
+    return sweeps
+
+
+def history(result: Tuned) -> Figure:
+    """Every candidate in order, and the scenario before and after on held-out runs."""
+    rows = [["trials", "trials", "trials", "held_out"]]
+    figure, panels = sheet(rows, f"{result.scenario.title}: tuned", height=3.6)
+    candidates(panels["trials"], result)
+    words = _words(result)
+    _compare(panels["held_out"], result)
+    finish(panels["held_out"], "On held-out runs", words, "", legend=0)
+    return figure
+
+
+def candidates(axes: Axes, result: Tuned) -> None:
+    """The cost of every candidate by the stage that tried it, and the best so far."""
+    _costs(axes, result)
+    finish(axes, "Candidates, on the runs tuned on", _words(result), "candidate", legend=3)
+
+
+def _costs(axes: Axes, result: Tuned) -> None:
+    """Candidates as dots, those not certified as crosses, the best so far as a line."""
+    cost = np.array([trial.cost for trial in result.trials])
+    kept = np.array([not trial.margin < result.what.margin for trial in result.trials])
+    best = np.minimum.accumulate(np.where(kept, cost, np.inf))
+    known = best[np.isfinite(best)]
+    top = 1.15 * max(float(known.max(initial=0.0)), result.cost[0])
+    shown = np.minimum(cost, top)
+    for stage, colour in COLOURS.items():
+        tried = np.flatnonzero([trial.stage == stage for trial in result.trials])
+        if tried.size:
+            axes.plot(tried, shown[tried], ".", color=colour, markersize=5, label=stage)
+    if not kept.all():
+        lost = np.flatnonzero(~kept)
+        axes.plot(
+            lost, shown[lost], "x", color=PRINTED, markersize=3.5, alpha=0.6, label="not certified"
+        )
+    axes.plot(best, color=ESTIMATE, drawstyle="steps-post", label="best so far")
+    _scaled(axes, known)
+
+
+def around(result: Tuned, sweeps: dict[str, Sweep]) -> Figure:
+    """The metric over each tuned number, on held-out runs; sweeps: as `slices` gives them."""
+    names = list(sweeps)
+    rows = [names[i : i + COLUMNS] for i in range(0, len(names), COLUMNS)]
+    rows[-1] += [rows[-1][-1]] * (len(rows[0]) - len(rows[-1]))
+    title = "Around what was found, on held-out runs, the other numbers unchanged"
+    figure, panels = sheet(rows, title, height=3.0)
+    words = _words(result)
+    for parameter, value in zip(result.parameters, result.values, strict=True):
+        axes = panels[parameter.name]
+        _curve(axes, parameter, value, sweeps[parameter.name], result.what.margin)
+        finish(axes, plain(parameter.name), words, legend=2, x_label="")
+    return figure
+
+
+def _curve(axes: Axes, parameter: Parameter, value: float, curve: Sweep, margin: float) -> None:
+    """The metric over one number; margin: least one of a certificate."""
+    (x,) = curve.axes.values()
+    cost = curve.cost
+    axes.set_xscale("log" if parameter.log else "linear")
+    shown = np.isfinite(cost) & (cost < STEEP * cost.min())
+    axes.plot(x[shown], cost[shown], ".-", color=ESTIMATE)
+    lost = shown & (curve.margin < margin)
+    if lost.any():
+        axes.plot(x[lost], cost[lost], "x", color=PRINTED, label="not certified")
+    start = parameter.start
+    axes.axvline(value, color=REFERENCE, label=f"tuned {value:.4g}")
+    axes.axvline(start, color=ZONE, linestyle=(0, (4, 2)), label=f"start {start:.4g}")
+    axes.set_xlim(parameter.low, parameter.high)
+    _scaled(axes, cost[shown])
+
+
+def _words(result: Tuned) -> str:
+    """The statistic and the metric that were tuned for."""
+    return f"{result.what.statistic} {words(result.what.metric)}"
+
+
+def _places(parameter: Parameter, value: float) -> Floats:
+    """The tuned number, and a grid over its range."""
+    return np.unique(np.append(parameter.value(np.linspace(0.0, 1.0, POINTS)), value))
+
+
+def _compare(axes: Axes, result: Tuned) -> None:
+    """The first scenario on held-out runs as it was and tuned, with intervals."""
+    first = result.held_out[0]
+    for place, (worth, colour) in enumerate(((first.before, TRUTH), (first.after, ESTIMATE))):
+        value, low, high = worth.value
+        reach = [[_reach(low, value)], [_reach(high, value)]]
+        axes.errorbar([place], [value], yerr=reach, fmt="o", capsize=5, color=colour)
+    axes.set_xticks([0, 1], ["before", "tuned"])
+    axes.set_xlim(-0.6, 1.6)
+    axes.set_ylim(bottom=0.0)
+    axes.margins(y=0.2)
+
+
+def _reach(end: float, value: float) -> float:
+    """How far an interval reaches from its value; 0 where it has no end."""
+    return abs(end - value) if np.isfinite(end) else 0.0
+
+
+def _scaled(axes: Axes, shown: Floats) -> None:
+    """A logarithmic axis where values span more than a decade."""
+    if shown.size and shown.min() > 0 and shown.max() > 10 * shown.min():
+        axes.set_yscale("log")

@@ -14,18 +14,15 @@ from undeadzone.analysis.side_schedule import Schedule, recorded
 from undeadzone.ends.play import levels
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import flat_targets
-from undeadzone.interfaces import Estimate
 from undeadzone.plants.robots.arm import evaluate_rows
 from undeadzone.plants.system import System
+from undeadzone.results.info import Info, IntegrationError
+from undeadzone.results.run import FRAMES, Run
+from undeadzone.results.scales import plant_scales
+from undeadzone.results.signals import RUN, Signals, of_estimate
 from undeadzone.scenario.problem import Problem, constant_gains
 from undeadzone.scenario.schema import Scenario
-from undeadzone.simulation.arm_cure import with_cures
-from undeadzone.simulation.false_claims import with_false_claims
-from undeadzone.simulation.gap_words import gap_signals
 from undeadzone.simulation.loop import Outputs
-from undeadzone.simulation.run import FRAMES, Info, Run
-from undeadzone.simulation.run_info import IntegrationError
-from undeadzone.simulation.scales import plant_scales
 from undeadzone.simulation.verdicts import (
     actuator_unknown,
     as_far_as_known,
@@ -33,6 +30,8 @@ from undeadzone.simulation.verdicts import (
     constant_inputs,
     linear_verdicts,
     told_at_both_ends,
+    with_cures,
+    with_false_claims,
     withdrawn,
 )
 from undeadzone.support import toml
@@ -169,57 +168,24 @@ def collect(problem: Problem, signal: Outputs, error: IntegrationError | None, b
     """
     t = np.arange(problem.steps + 1) * problem.scenario.simulation.step
     estimate = signal.estimate
-    d_hat = _interleaved(estimate.right, estimate.left)
+    given = of_estimate(estimate)
     proof = certificate(problem)
-    optional = {
-        "x_std": estimate.x_std,
-        "d_std": _interleaved(estimate.right_std, estimate.left_std),
-        "width_std": estimate.width_std,
-        "innovation_std": estimate.innovation_std,
-        "w_hat": estimate.w,
-        "theta_hat": estimate.theta,
-        "theta_std": estimate.theta_std,
-        "consistent": estimate.consistent,
-        "refused": estimate.refused,
-        "restarts": estimate.restarts,
-        "level": behind_play(problem, signal.z),
-        **_actuator(estimate),
-        **gap_signals(estimate),
-    }
-    return Run(
-        t=t,
-        x=signal.x,
-        z=signal.z,
-        y=signal.y,
-        side=signal.side,
-        x_hat=estimate.x,
-        z_hat=estimate.z,
-        d_hat=d_hat,
-        z_inverse=estimate.z_inverse,
-        innovation=estimate.innovation,
-        u=signal.u,
-        r=problem.reference.value(t),
-        V=_storage(problem, proof, signal.x - estimate.x, d_hat),
-        info=_info(problem, signal, proof, error, began),
+    level = behind_play(problem, signal.z)
+    signals = {
+        "t": t,
+        "x": signal.x,
+        "z": signal.z,
+        "y": signal.y,
+        "side": signal.side,
+        "u": signal.u,
+        "r": problem.reference.value(t),
+        "V": _storage(problem, proof, signal.x - estimate.x, given["d_hat"]),
+        "level": level if level.size else None,
+        **given,
         **tips(problem, signal.x, estimate.x, t),
         **_poses(problem, signal.x, t),
-        **{name: value for name, value in optional.items() if value.size},
-    )
-
-
-def _interleaved(right: Floats, left: Floats) -> Floats:
-    """[right, left] of each output side by side (N x 2p)."""
-    return np.stack((right, left), axis=2).reshape(len(right), -1)
-
-
-def _actuator(estimate: Estimate) -> dict[str, Floats]:
-    """The estimated widths of the actuators, empty where none are estimated."""
-    if not estimate.actuator_right_std.shape[1]:
-        return {}
-    return {
-        "b_hat": _interleaved(estimate.actuator_right, estimate.actuator_left),
-        "b_std": _interleaved(estimate.actuator_right_std, estimate.actuator_left_std),
     }
+    return Run(_info(problem, signal, proof, error, began), Signals(RUN, signals))
 
 
 def _true_actuator(problem: Problem) -> list[float]:
@@ -227,21 +193,21 @@ def _true_actuator(problem: Problem) -> list[float]:
     drive, belief = problem.actuator, problem.belief
     if drive is None or belief is None or belief.ranges is None:
         return []
-    return [float(width) for width in np.stack([drive.right, drive.left], axis=1).ravel()]
+    return _in_turn(drive.right, drive.left)
 
 
 def _true_gaps(problem: Problem, signal: Outputs) -> list[float]:
     """True [c_r, c_l] of each output; nothing where they are known, or there is no play."""
     if not signal.estimate.gap_std.shape[1]:
         return []
-    play, none = problem.sensor.play, np.zeros(problem.plant.p)
-    gaps = (none, none) if play is None else (play.right, play.left)
-    return [float(gap) for gap in np.stack(gaps, axis=1).ravel()]
+    play = problem.sensor.play
+    return [0.0] * (2 * problem.plant.p) if play is None else _in_turn(play.right, play.left)
 
 
-def _true_widths(problem: Problem) -> Floats:
-    """The true [d_r, d_l] of each output (2p)."""
-    return np.stack([problem.sensor.right, problem.sensor.left], axis=1).ravel()
+def _in_turn(right: Floats, left: Floats) -> list[float]:
+    """Right and left of each output or actuator in turn."""
+    turns: list[float] = np.stack([right, left], axis=1).ravel().astype(float).tolist()
+    return turns
 
 
 def _storage(
@@ -255,8 +221,9 @@ def _storage(
     gamma = problem.observer.traits.gamma
     if proof is None or not proof.certified or gamma is None:
         return None
-    if problem.sensor.kind != "jump":
-        d_error = _true_widths(problem) - d_hat
+    sensor = problem.sensor
+    if sensor.kind != "jump":
+        d_error = np.array(_in_turn(sensor.right, sensor.left)) - d_hat
     else:
         d_error = np.zeros_like(d_hat)
     adapted = np.repeat(gamma > 0, 2)
@@ -281,7 +248,7 @@ def _info(
         time=scenario.simulation.time,
         step=scenario.simulation.step,
         tracked=problem.tracked,
-        widths=_true_widths(problem).tolist(),
+        widths=_in_turn(problem.sensor.right, problem.sensor.left),
         threshold=problem.sensor.threshold.tolist(),
         certified=None if proof is None else proof.certified,
         integration_error=None if error is None else error.largest,

@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.engine import interpret
+from undeadzone.compile import interpret
 from undeadzone.interfaces import Estimate
 from undeadzone.observers.parts.claims import CHANCE, HISTORY, SPAN
 from undeadzone.observers.parts.judged_filter import FAR, Sums, summed

@@ -15,13 +15,12 @@ from undeadzone.logs.names import parse_columns
 from undeadzone.logs.samples import Grid, Regular
 from undeadzone.logs.text import blocks_of
 from undeadzone.logs.whole import BINARY, samples_of, samples_of_arrays
+from undeadzone.results.estimation import Estimation
+from undeadzone.results.info import LogInfo
+from undeadzone.results.signals import LOG, Signals, of_estimate
 from undeadzone.scenario.reader import read_for_logs
 from undeadzone.scenario.schema import Scenario
-from undeadzone.simulation.estimation import Estimation
-from undeadzone.simulation.follow_text import TextLog
-from undeadzone.simulation.follower import Follower, require_units
-from undeadzone.simulation.gap_words import gap_signals
-from undeadzone.simulation.log_info import LogInfo
+from undeadzone.simulation.follower import Follower, TextLog, require_units
 from undeadzone.simulation.smoother import smooth
 from undeadzone.support.arrays import Array, Floats
 from undeadzone.support.progress import in_notebook
@@ -164,33 +163,7 @@ def _collected(
     smoothed: dict[str, Floats],
 ) -> Estimation:
     """The result, without the signals that the observer does not estimate."""
-    optional = {
-        "x_std": estimated.x_std,
-        "d_std": _interleaved(estimated.right_std, estimated.left_std),
-        "width_std": estimated.width_std,
-        "innovation_std": estimated.innovation_std,
-        "B": B,
-        "w_hat": estimated.w,
-        "theta_hat": estimated.theta,
-        "theta_std": estimated.theta_std,
-        **gap_signals(estimated),
-    }
-    return Estimation(
-        t=regular.t,
-        y=regular.y,
-        u=regular.u,
-        side=sides,
-        x_hat=estimated.x,
-        z_hat=estimated.z,
-        d_hat=_interleaved(estimated.right, estimated.left),
-        z_inverse=estimated.z_inverse,
-        innovation=estimated.innovation,
-        info=info,
-        **{name: value for name, value in optional.items() if value.size},
-        **smoothed,
-    )
-
-
-def _interleaved(right: Floats, left: Floats) -> Floats:
-    """[right, left] of each output side by side (N x 2p)."""
-    return np.stack((right, left), axis=2).reshape(len(right), -1)
+    given = {name: value for name, value in of_estimate(estimated).items() if name in LOG.names}
+    own = {"t": regular.t, "y": regular.y, "u": regular.u, "side": sides}
+    B_known = {"B": B} if B.size else {}
+    return Estimation(info, Signals(LOG, own | B_known | given | smoothed))

@@ -1,9 +1,9 @@
-"""An observer that follows a log, and what the log comes to."""
+"""An observer that follows a log, from bytes or samples, and what the log comes to."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, Final
+from collections.abc import Callable, Mapping
+from typing import Final
 
 import numpy as np
 
@@ -12,15 +12,15 @@ from undeadzone.interfaces import Estimate, graph_of
 from undeadzone.logs.clock import Clock
 from undeadzone.logs.names import Layout
 from undeadzone.logs.range_ends import RunningEnds
-from undeadzone.logs.samples import MOST_UNREADABLE, Faults, Grid, Regular
+from undeadzone.logs.samples import MOST_UNREADABLE, Faults, Grid, LogReader, Regular
 from undeadzone.plants.time_scales import state_units, time_scale
+from undeadzone.results.info import LogInfo
+from undeadzone.results.signals import final, of_estimate
 from undeadzone.scenario.problem import known_actuator, known_sensor, modelled_plant, with_units
 from undeadzone.scenario.schema import Scenario, Units
 from undeadzone.simulation.consistency import Consistency, Own, verdict_of
-from undeadzone.simulation.gap_words import gap_numbers, gap_signals
-from undeadzone.simulation.log_info import LogInfo
-from undeadzone.simulation.numeric_along import numeric_along
 from undeadzone.simulation.online import Online, built_for
+from undeadzone.simulation.sample_by_sample import numeric_along
 from undeadzone.support.arrays import Floats
 
 LIMIT = 1e12  # beyond this an estimate has diverged
@@ -208,7 +208,7 @@ class Follower:
         if verdict.consistent is False and grid.gaps:
             reason = "the inputs in its gaps are not known, and were taken as constant"
             verdict = verdict._replace(reasons=[*verdict.reasons, reason])
-        p = self.model.p
+        p, last_row = self.model.p, Estimate(*[field[None] for field in last])
         right, left, silent, limited = self._counts.tolist()
         return LogInfo(
             title=scenario.title,
@@ -244,7 +244,7 @@ class Follower:
             units=scenario.units,
             limited=limited if self.zone.limits is not None else [],
             sensor=self.zone.kind,
-            play=_final_gaps(last),
+            play=final(of_estimate(last_row), "c_hat", "c_std", "gap_std"),
             remarks=self._remarks(),
         )
 
@@ -261,13 +261,6 @@ class Follower:
         return remarks
 
 
-def _final_gaps(last: Estimate) -> dict[str, Any]:
-    """The gaps of the last estimate, with their deviations; nothing where none are estimated."""
-    whole = Estimate(*[field[None] for field in last])
-    signals = gap_signals(whole)
-    return gap_numbers(*signals.values()) if signals else {}
-
-
 def require_units(layout: Layout, units: Units, source: str) -> None:
     """Raise FileError where header and scenario name different units: numbers stay as they are."""
     for signal, named, expected in (
@@ -281,3 +274,50 @@ def require_units(layout: Layout, units: Units, source: str) -> None:
                     f"{source}: {signal} is in {unit!r}, but units.{key} of the scenario is "
                     f"{expected!r}: numbers are never converted; bring both to one unit"
                 )
+
+
+class TextLog:
+    """A CSV log on the steps of a scenario.
+
+    Args:
+        source: the log, for messages.
+        scenario: for its step and its units.
+        follower: of the same scenario.
+        chosen: columns that the user names; see `names.parse_columns`.
+        strict: whether a line that cannot be read is an error.
+    """
+
+    def __init__(
+        self,
+        source: str,
+        scenario: Scenario,
+        follower: Follower,
+        chosen: Mapping[str, str],
+        strict: bool,
+    ) -> None:
+        p, m = follower.model.p, follower.model.m
+        self.reader = LogReader(source, p, m, chosen, strict)
+        self.grid = Grid(scenario.simulation.step, source)
+        self._source, self._units = source, scenario.units
+        self._checked = False
+
+    def feed(self, data: bytes, last: bool) -> Regular:
+        """The samples in the lines that are whole now, one step apart.
+
+        Args:
+            data: the bytes that came in.
+            last: whether no more will come.
+
+        Raises:
+            FileError: the log cannot be what the scenario describes.
+        """
+        samples = self.reader.feed(data, last)
+        layout = self.reader.layout
+        if layout is not None and not self._checked:
+            require_units(layout, self._units, self._source)
+            self._checked = True
+        return self.grid.place(samples, layout is not None and layout.timed)
+
+    def info(self, follower: Follower) -> LogInfo:
+        """What the log comes to. Raises FileError."""
+        return follower.info(self._source, self.reader.layout, self.grid, self.reader.faults)

@@ -13,13 +13,13 @@ import msgspec
 import numpy as np
 
 from undeadzone.plants.system import System
+from undeadzone.results.listening import LARGER
+from undeadzone.results.run import Run
 from undeadzone.scenario.problem import Problem
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation import exogenous as inputs
 from undeadzone.simulation import sample_by_sample as live
-from undeadzone.simulation.listening_words import LARGER
 from undeadzone.simulation.loop import Outputs
-from undeadzone.simulation.run import Run
 from undeadzone.simulation.simulate import Progress, Start, prepare, run_loop, simulated
 from undeadzone.support.arrays import Floats
 

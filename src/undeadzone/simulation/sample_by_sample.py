@@ -10,13 +10,15 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from undeadzone.engine.interpret import CHUNK, Stepper
+from undeadzone.compile.interpret import CHUNK, Stepper
+from undeadzone.ends.limits import beyond
+from undeadzone.ends.sensor import Zone, side
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
-from undeadzone.interfaces import Controller, Estimate, Reading
+from undeadzone.interfaces import Controller, Estimate, InPython, Reading
 from undeadzone.scenario.problem import Problem
-from undeadzone.simulation.close import close
-from undeadzone.simulation.loop import Loop, Outputs
+from undeadzone.simulation.close import loop_of
+from undeadzone.simulation.loop import Outputs
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats, vector
 
@@ -42,7 +44,7 @@ def run_sample_by_sample(
         InputError: the law gives no finite input of m entries.
     """
     numeric = problem.observer.python
-    loop = _loop_around(problem)
+    loop = loop_of(problem)
     initial = tree.pack(loop.state._replace(plant=problem.x0))
     stepper = Stepper(loop.step, initial, tree.pack(loop.params))
     where: Outputs = tree.slices(loop.outputs)
@@ -104,17 +106,38 @@ def _input(u: Any, m: int, t: float) -> Floats:
         raise type(error)(f"{error}, from the control law at t = {t:g} s") from None
 
 
-def _loop_around(problem: Problem) -> Loop:
-    """The loop of a problem, with the estimate of an observer in Python left to be written in."""
-    outputs_tracked = len(problem.tracked)
-    step = problem.scenario.simulation.step
-    return close(
-        problem.plant,
-        problem.sensor,
-        problem.observer,
-        problem.controller,
-        outputs_tracked,
-        step,
-        compensator=problem.compensator,
-        actuator=problem.actuator,
-    )
+def numeric_along(
+    observer: InPython,
+    sensor: Zone,
+    y: Floats,
+    u: Floats,
+    seed: int,
+    progress: Callable[[int], None] | None = None,
+) -> tuple[Estimate, Floats]:
+    """The estimates of an observer that computes in Python.
+
+    Args:
+        observer: the observer.
+        sensor: the dead zone, for its threshold and its range.
+        y: readings (N x p), NaN where one is missing.
+        u: inputs (N x m), NaN where the last one is held.
+        seed: of its random numbers.
+        progress: called with the number of steps just done.
+
+    Returns:
+        The estimates, a row for each sample in each field, and the measured sides (N x p).
+    """
+    state = observer.start(seed)
+    held = np.zeros(u.shape[1])
+    if sensor.limits is not None:
+        y = np.where(beyond(y, sensor.limits), np.nan, y)
+    sides = side(y, sensor.threshold, sensor.limits)
+    rows = []
+    for k in range(len(y)):
+        held = np.where(np.isfinite(u[k]), u[k], held)
+        state, estimate = observer.correct(state, Reading(y[k].copy(), sides[k].copy()))
+        rows.append(estimate)
+        state = observer.predict(state, held)
+        if progress is not None and (k + 1) % CHUNK == 0:
+            progress(CHUNK)
+    return Estimate(*[np.stack(field) for field in zip(*rows, strict=True)]), sides

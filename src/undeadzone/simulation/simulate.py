@@ -1,4 +1,4 @@
-"""Run a scenario: exogenous signals in, the loop through an engine, a `Run` out."""
+"""Run a scenario: exogenous signals in, the loop through an engine, a `Run` out; or two."""
 
 from __future__ import annotations
 
@@ -8,30 +8,31 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 import casadi as ca
 import msgspec
 import numpy as np
 
-from undeadzone.engine import interpret
+from undeadzone.compile import interpret
 from undeadzone.errors import InputError
 from undeadzone.interfaces import graph_of
+from undeadzone.results.info import IntegrationError
+from undeadzone.results.run import Run
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation import exogenous as inputs
 from undeadzone.simulation import sample_by_sample as live
-from undeadzone.simulation.close import close
+from undeadzone.simulation.close import loop_of
 from undeadzone.simulation.collect import collect
 from undeadzone.simulation.loop import Loop, Outputs
-from undeadzone.simulation.run import Run
-from undeadzone.simulation.run_info import IntegrationError
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 from undeadzone.support.progress import in_notebook
+from undeadzone.support.toml import tables
 
 if TYPE_CHECKING:
-    from undeadzone.engine.lanes import Kernel
+    from undeadzone.compile.lanes import Kernel
 
 Engine = Literal["auto", "interpret", "lanes"]
 Progress = Callable[[int], None]  # called with the number of steps just done
@@ -220,20 +221,7 @@ def prepare(problem: Problem) -> Start:
 
 def closed(problem: Problem) -> Loop:
     """The closed loop of a problem. Raises InputError for an observer that is no graph."""
-    simulation = problem.scenario.simulation
-    located = simulation.switching == "located"
-    return close(
-        problem.plant,
-        problem.sensor,
-        graph_of(problem.observer),
-        problem.controller,
-        len(problem.tracked),
-        simulation.step,
-        located,
-        simulation.order,
-        problem.compensator,
-        problem.actuator,
-    )
+    return loop_of(problem._replace(observer=graph_of(problem.observer)))
 
 
 def run_loop(
@@ -273,7 +261,7 @@ def engine_for(loop: Loop, engine: Engine, steps: int) -> LoopEngine:
     if engine not in get_args(Engine):
         raise InputError(f"engine: expected auto, interpret or lanes, found {engine!r}")
     if engine != "interpret":
-        from undeadzone.engine import lanes
+        from undeadzone.compile import lanes
 
         parts = (loop.step, ()) if loop.parts is None else loop.parts
         wait = engine == "lanes" or steps > lanes.WORTH
@@ -289,7 +277,7 @@ def _compiled_outputs(
     kernel: Kernel, state: Floats, exogenous: Floats, params: Floats, progress: Progress | None
 ) -> Floats:
     """The outputs of a loop that is compiled."""
-    from undeadzone.engine import lanes
+    from undeadzone.compile import lanes
 
     outputs, _ = lanes.run(kernel, state, exogenous, params, progress=progress, threads=1)
     return np.asarray(outputs[0])
@@ -324,3 +312,77 @@ def _difference(coarse: Outputs, fine: Outputs) -> IntegrationError:
         return IntegrationError(float("inf"), float("inf"))
     size = max(float(np.abs(coarse.z).max()), 1e-300)
     return IntegrationError(float(max(largest)), float(max(outputs)) / size)
+
+
+def compare(
+    scenario: Scenario, *, progress: Callable[[int], None] | None = None
+) -> tuple[Run, Run]:
+    """Simulate a scenario, and the same scenario with the observer of its [compare] table.
+
+    Args:
+        scenario: what to simulate; its `compare` names the other observer.
+        progress: called with the number of steps just done, of both runs; None: a bar in a
+            notebook.
+
+    Returns:
+        The run of the scenario's own observer and that of the other. Each `info.label` says what
+        tells the two observers apart.
+
+    Raises:
+        InputError: the scenario has no [compare]; or, also as a subclass, what `simulate` raises.
+    """
+    if scenario.compare is None:
+        raise InputError(
+            "compare: this scenario has no [compare]; name there the observer whose run is to be "
+            'shown beside the first, such as method = "luenberger"'
+        )
+    with in_notebook(progress, "simulating", 2 * steps(scenario)) as advance:
+        return beside(scenario, simulate(scenario, progress=advance), advance)
+
+
+def beside(
+    scenario: Scenario, run: Run, progress: Callable[[int], None] | None = None
+) -> tuple[Run, Run]:
+    """The run of a scenario and that of the observer of its [compare] table, both labelled.
+
+    Args:
+        scenario: which has a [compare] table.
+        run: of it.
+        progress: called with the number of steps just done.
+    """
+    rival = msgspec.structs.replace(scenario, observer=scenario.compare)
+    second = simulate(rival, progress=progress)
+    one, other = labels(scenario.observer, scenario.compare)
+    return _labelled(run, one), _labelled(second, other)
+
+
+def labels(first: Any, second: Any) -> tuple[str, str]:
+    """Names that tell two observers apart.
+
+    These are their methods, and, where the methods are the same, one option that differs: a switch
+    before all others.
+    """
+    one, other = tables(first), tables(second)
+    differing = [name for name in {**one, **other} if one.get(name) != other.get(name)]
+    if "method" in differing or not differing:
+        return _in_words(one, "method"), _in_words(other, "method")
+    switches = [name for name in differing if True in (one.get(name), other.get(name))]
+    name = (switches or differing)[0]
+    return _in_words(one, name), _in_words(other, name)
+
+
+def _in_words(options: dict[str, Any], name: str) -> str:
+    """A method, and one of its options, in words."""
+    method, value = str(options["method"]), options.get(name)
+    if name == "method" or value in (None, False, {}):
+        return method
+    if value is True:
+        return f"{method}, {name}"
+    if isinstance(value, dict):
+        return f"{method}, {name} {', '.join(value)}"
+    return f"{method}, {name} = {value}"
+
+
+def _labelled(run: Run, label: str) -> Run:
+    """The run with a label."""
+    return dataclasses.replace(run, info=msgspec.structs.replace(run.info, label=label))

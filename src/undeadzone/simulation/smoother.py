@@ -15,15 +15,15 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from undeadzone.compile import interpret
 from undeadzone.ends.sensor import Zone
-from undeadzone.engine import interpret
 from undeadzone.interfaces import Estimate, Observer
 from undeadzone.numerics.adjoint import Later, back
 from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.observers.parts.model_bank import LEAST
 from undeadzone.observers.parts.smoothing import Moments
 from undeadzone.plants.system import System
-from undeadzone.simulation.observer_graph import Out, observer_graph, symbols
+from undeadzone.simulation.online import Out, observer_graph, symbols
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 

@@ -1,12 +1,18 @@
-"""What readings along a schedule of sides tell of a linear plant's widths, and how well."""
+"""What readings along a schedule of sides tell of a linear plant's widths, and how well.
+
+A simulation knows besides which claimed ranges are false, and what would help an arm.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Final
 
 import numpy as np
 
 from undeadzone.analysis.identifiability.beforehand import beforehand
 from undeadzone.analysis.identifiability.both_ends import both_ends, modes_visited
-from undeadzone.analysis.identifiability.edges import largest_deviations, vague
+from undeadzone.analysis.identifiability.edges import MARGIN, largest_deviations, vague
 from undeadzone.analysis.identifiability.information import EXACT, SMALLEST, Colour, deviations
 from undeadzone.analysis.identifiability.linear import (
     DIRECTIONS,
@@ -15,9 +21,10 @@ from undeadzone.analysis.identifiability.linear import (
     verdicts,
 )
 from undeadzone.analysis.identifiability.play_and_zone import Readings, Told, told_of_both
-from undeadzone.analysis.side_schedule import Schedule
+from undeadzone.analysis.side_schedule import Schedule, reading_levels
 from undeadzone.ends.gaps import gaps_of
 from undeadzone.interfaces import Traits
+from undeadzone.observers.parts.prior import width_ranges
 from undeadzone.plants.system import System
 from undeadzone.scenario.problem import Problem
 from undeadzone.signals.exosystem import Random
@@ -25,6 +32,7 @@ from undeadzone.simulation.loop import Outputs
 from undeadzone.support.arrays import Floats
 
 NEGLIGIBLE = 1e-6  # share of the motion's range: a smaller deviation is known, also of width 0
+ROUNDING: Final = 1e-9  # share of a gap by which one that is told may miss it
 
 
 def linear_verdicts(problem: Problem, schedule: Schedule, arrive: Floats) -> list[Verdict]:
@@ -207,3 +215,100 @@ def _colour(model: System, disturbance: object) -> Colour | None:
     if not acts.any():
         return None
     return Colour(model.linear.B[:, acts], rms[acts], disturbance.correlation_time)
+
+
+def with_false_claims(problem: Problem, verdicts: Sequence[Verdict]) -> list[Verdict]:
+    """The verdicts; a width outside of its claimed range is not known, as no reading corrects it.
+
+    Args:
+        problem: the scenario's parts.
+        verdicts: on the widths of each output (p).
+    """
+    options: Any = problem.scenario.observer
+    claims = {"right", "left"} <= set(getattr(options, "__struct_fields__", ()))
+    if not claims or not problem.observer.traits.adapts:
+        return list(verdicts)
+    p = len(verdicts)
+    ranges = width_ranges(options.right, options.left, p)
+    judged = []
+    for i, verdict in enumerate(verdicts):
+        sides = {
+            "right": (problem.sensor.right[i], ranges[i]),
+            "left": (problem.sensor.left[i], ranges[p + i]),
+        }
+        for side, (width, (low, high)) in sides.items():
+            if not low <= width <= high:
+                reason = (
+                    f"a false claim: the {side} width is {width:.4g}, observer.{side} says "
+                    f"{low:.4g} to {high:.4g}"
+                )
+                found: dict[str, Any] = {side: False, "width": False, "centre": False}
+                verdict = verdict._replace(**found, reasons=(*verdict.reasons, reason))
+        judged.append(_with_false_gaps(problem, verdict, i))
+    return judged
+
+
+def _with_false_gaps(problem: Problem, verdict: Verdict, i: int) -> Verdict:
+    """The verdict on output i; no width is known beside a gap that is told wrongly."""
+    play, model = problem.sensor.play, problem.scenario.model
+    if play is None or model is None or model.play is None:
+        return verdict
+    p = problem.model.p
+    gaps, ranges = gaps_of(model.play, p, "model.play")
+    low, high = gaps, gaps
+    if ranges is not None:
+        low, high = ranges.T.reshape(2, 2, p)
+    true = np.stack([play.right, play.left])
+    slack = ROUNDING * true
+    if ((low - slack <= true) & (true <= high + slack))[:, i].all():
+        return verdict
+    reason = f"a false claim: model.play excludes the gaps of the sensor, {true[:, i].tolist()}"
+    return Verdict(False, False, False, False, (*verdict.reasons, reason), verdict.std)
+
+
+def with_cures(problem: Problem, verdicts: Sequence[Verdict], z: Floats) -> list[Verdict]:
+    """The verdicts on an arm, each with a cure where the motion passes one edge or none.
+
+    Args:
+        problem: the scenario's parts.
+        verdicts: on the widths of each output (p).
+        z: the outputs along the run (N x p).
+    """
+    options = problem.scenario.plant.arm
+    if options is None or getattr(options, "measured", "") == "velocity":
+        return list(verdicts)
+    offset = np.broadcast_to(np.asarray(options.reference, float), z.shape[1])
+    levels = reading_levels(problem.sensor)
+    cured = []
+    for i, verdict in enumerate(verdicts):
+        where = "plant.arm.reference" + (f"[{i}]" if z.shape[1] > 1 else "")
+        cure = _cure(where, z[:, i], float(offset[i]), *map(float, levels[i]))
+        cured.append(verdict._replace(reasons=(*verdict.reasons, *cure)))
+    return cured
+
+
+def _cure(where: str, z: Floats, offset: float, right: float, left: float) -> list[str]:
+    """What to do with the position at which a sensor reads 0; nothing where both edges are passed.
+
+    Args:
+        where: its key.
+        z: the output along the run (N).
+        offset: the position.
+        right, left: from where on the sensor reads something, its threshold included.
+    """
+    if not np.isfinite(z).all():
+        return []
+    least, most = float(z.min()), float(z.max())
+    if least < -left and most > right:
+        return []
+    lowest = least + offset + left * (1 + MARGIN)
+    highest = most + offset - right * (1 + MARGIN)
+    if lowest < highest:
+        return [
+            f"{where} = {(lowest + highest) / 2:.4g} would do, as any from {lowest:.4g} to "
+            f"{highest:.4g}: there the sensor reads 0, and this motion passes both edges"
+        ]
+    return [
+        f"this motion, {most - least:.3g} wide, is too narrow for both edges of a zone of "
+        f"{right + left:.3g}, whatever {where} is: move further"
+    ]

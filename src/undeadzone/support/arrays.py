@@ -12,6 +12,7 @@ from undeadzone.errors import InputError, ShapeError
 
 Floats = npt.NDArray[np.floating[Any]]
 Integers = npt.NDArray[np.integer[Any]]
+Flags = npt.NDArray[np.bool_]
 
 LARGEST = 1e50  # beyond this no unit makes sense, and squares and products overflow
 
@@ -218,6 +219,16 @@ def positive(key: str, value: Any, size: int, why: str = "") -> Floats:
     if (entries <= 0).any():
         raise InputError(f"{key}: must be positive, found {entries.min():g}")
     return entries
+
+
+def runs(flags: Flags) -> tuple[Integers, Integers]:
+    """The first and the last place of each run of True.
+
+    Args:
+        flags: in a row (N).
+    """
+    ends = np.diff(flags.astype(int), prepend=0, append=0)
+    return np.flatnonzero(ends > 0), np.flatnonzero(ends < 0) - 1
 
 
 def finite(value: Any) -> Any:

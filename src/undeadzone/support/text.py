@@ -33,6 +33,11 @@ def with_unit(words: str, unit: str) -> str:
     return words if unit == "1" else f"{words} {unit}"
 
 
+def counted(number: int, what: str) -> str:
+    """A number of things: "1 run", "2 runs"."""
+    return f"{number:,} {what}{'s' * (number != 1)}"
+
+
 def with_deviation(value: float | None, std: float | None) -> str:
     """A value and its standard deviation to two digits, the value to the same place."""
     if value is None or std is None or not math.isfinite(value) or not 0 < std < math.inf:

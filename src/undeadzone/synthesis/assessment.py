@@ -31,18 +31,18 @@ from undeadzone.analysis.identifiability.linear import (
 )
 from undeadzone.analysis.identifiability.play_and_zone import states_told
 from undeadzone.analysis.side_schedule import Schedule, arriving, planned, recorded
-from undeadzone.controllers import StateFeedback
+from undeadzone.controllers.state_feedback import StateFeedback
 from undeadzone.errors import StructureError
+from undeadzone.results.run import Run
 from undeadzone.scenario.problem import Problem, constant_gains
-from undeadzone.simulation.false_claims import with_false_claims
 from undeadzone.simulation.listening import listening
-from undeadzone.simulation.run import Run
 from undeadzone.simulation.verdicts import (
     actuator_unknown,
     constant_inputs,
     gaps_known,
     linear_verdicts,
     readings_of_both,
+    with_false_claims,
 )
 from undeadzone.support.arrays import Floats
 from undeadzone.support.progress import silent

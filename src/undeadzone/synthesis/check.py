@@ -14,11 +14,11 @@ from undeadzone.analysis.certificate.polytopic import certify_on
 from undeadzone.analysis.certificate.robust import l2_gain
 from undeadzone.analysis.identifiability.linear import DIRECTIONS
 from undeadzone.plants.region import Box, box
+from undeadzone.results.run import Run
+from undeadzone.results.signals import output_names
 from undeadzone.scenario.overrun import overrun_numbers
 from undeadzone.scenario.problem import Problem, constant_gains, resolve_scenario
 from undeadzone.scenario.schema import Scenario
-from undeadzone.simulation.run import Run
-from undeadzone.simulation.run_columns import output_names
 from undeadzone.support import shown
 from undeadzone.support.arrays import Floats, finite, one_or_list
 from undeadzone.support.shown import Block

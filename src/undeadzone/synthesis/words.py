@@ -7,8 +7,8 @@ from typing import Any, Final
 
 from undeadzone.analysis.certificate.design_file import in_words_of_margin, plain
 from undeadzone.analysis.identifiability.linear import DIRECTIONS, yes_no
+from undeadzone.results.listening import in_words as share_in_words
 from undeadzone.scenario.schema import Scenario
-from undeadzone.simulation.listening_words import in_words as share_in_words
 from undeadzone.support.shown import Block, Rows
 from undeadzone.support.text import label, with_unit
 

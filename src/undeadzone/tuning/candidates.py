@@ -19,6 +19,8 @@ from undeadzone.ensemble.binding import bind
 from undeadzone.ensemble.metrics import EDGES, true_width
 from undeadzone.errors import InputError, UndeadzoneError
 from undeadzone.interfaces import graph_of
+from undeadzone.results.run import last_samples
+from undeadzone.results.scales import LIMIT, plant_scales
 from undeadzone.scenario.address import with_numbers
 from undeadzone.scenario.ensemble_table import Vary
 from undeadzone.scenario.problem import Problem, constant_gains, resolve_scenario
@@ -28,9 +30,7 @@ from undeadzone.simulation.collect import tips
 from undeadzone.simulation.exogenous import exogenous, random_disturbance
 from undeadzone.simulation.loop import Outputs
 from undeadzone.simulation.packed import graph, moved, packed
-from undeadzone.simulation.run import last_samples
 from undeadzone.simulation.sample_by_sample import run_sample_by_sample
-from undeadzone.simulation.scales import LIMIT, plant_scales
 from undeadzone.simulation.simulate import closed
 from undeadzone.statistics.intervals import QUANTILES
 from undeadzone.support.arrays import Floats, Integers

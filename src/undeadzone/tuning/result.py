@@ -11,11 +11,12 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 import undeadzone
+from undeadzone.results.scales import LIMIT
+from undeadzone.results.sheet import number
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import anchored
 from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.tune_table import Tune
-from undeadzone.simulation.scales import LIMIT
 from undeadzone.statistics import intervals as statistics
 from undeadzone.statistics.intervals import LEVEL, QUANTILES, Interval
 from undeadzone.support import shown, toml
@@ -239,8 +240,9 @@ def _gained(summary: Mapping[str, Any]) -> dict[str, str]:
     before, after, runs = (held_out["scenarios"][0][key] for key in ("before", "after", "runs"))
     drawn = f"{runs} runs" if runs > 1 else "one run: nothing differs between them"
     verdict = "better" if summary["improved"] else "NO improvement that chance could not explain"
+    costs = [number(tuning[name], none="?") for name in ("before", "after")]
     shown = {
-        "runs tuned on": f"{_number(tuning['before'])} -> {_number(tuning['after'])}",
+        "runs tuned on": " -> ".join(costs),
         "held-out runs": f"{_interval(before['value'])} -> {_interval(after['value'])}, {drawn}",
         "change": f"{_interval(held_out['change'])}: {verdict}",
     }
@@ -252,13 +254,8 @@ def _gained(summary: Mapping[str, Any]) -> dict[str, str]:
 
 def _interval(interval: Mapping[str, float | None]) -> str:
     """A value and its interval, an end of which may be unknown."""
-    value, low, high = (_number(interval[name]) for name in ("value", "low", "high"))
+    value, low, high = (number(interval[name], none="?") for name in ("value", "low", "high"))
     return f"{value} ({low} to {high})"
-
-
-def _number(value: float | None) -> str:
-    """A number to four digits; a question mark where there is none."""
-    return "?" if value is None else f"{value:.4g}"
 
 
 def validate(

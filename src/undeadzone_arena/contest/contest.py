@@ -7,7 +7,7 @@ import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
 
@@ -55,6 +55,8 @@ RULES: Mapping[str, Any] = {
     "zero": ZERO,
     "unit": "half of d_r + d_l",
 }
+
+TIMED: Final = ("leaderboard", "results")  # tables of the summary, with a cost a row
 
 
 class Contest(NamedTuple):
@@ -169,9 +171,22 @@ class Contest(NamedTuple):
         """
         return shown.plot(self, path, ax)
 
-    def save(self, path: Path) -> Path:
-        """Write the summary as JSON. Raises FileError."""
-        return write_text(json.dumps(self.summary(), indent=1, allow_nan=False), path)
+    def save(self, path: Path) -> list[Path]:
+        """Write the summary as JSON; measured times into a file of their own, `costs.json` beside.
+
+        So two contests over the same scenarios and seeds have the same results, to the last byte.
+
+        Raises:
+            FileError: it cannot be written.
+        """
+        summary = self.summary()
+        costs = {key: [row.pop("cost", None) for row in summary[key]] for key in TIMED}
+        return [_json_file(summary, path), _json_file(costs, path.with_name("costs.json"))]
+
+
+def _json_file(value: Any, path: Path) -> Path:
+    """A value written as JSON. Raises FileError."""
+    return write_text(json.dumps(value, indent=1, allow_nan=False), path)
 
 
 def run_contest(

@@ -9,9 +9,9 @@ import numpy as np
 
 from undeadzone.analysis.identifiability.linear import verdicts
 from undeadzone.analysis.side_schedule import recorded
+from undeadzone.results.scales import LIMIT, plant_scales, shares
 from undeadzone.scenario.problem import Problem
 from undeadzone.simulation.loop import Outputs
-from undeadzone.simulation.scales import LIMIT, plant_scales, shares
 from undeadzone.simulation.verdicts import actuator_unknown, constant_inputs, told_at_both_ends
 from undeadzone.support.arrays import Floats
 

@@ -6,9 +6,19 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from undeadzone.report.html import Html, Origin, folded, page, paragraph, section, table
-from undeadzone.report.pictures import images_of, pick, pictures, write_figures
-from undeadzone.support.files import write_text
+from undeadzone.report.html import (
+    Html,
+    Origin,
+    folded,
+    page,
+    paragraph,
+    pick,
+    pictures,
+    section,
+    table,
+    write_page,
+)
+from undeadzone.support.text import counted
 from undeadzone_arena.contest.contest import Contest
 from undeadzone_arena.contest.figures import costs, heat, places, traces
 from undeadzone_arena.contest.leaderboard import CAP, NAIVE, ZERO, Row, regrets
@@ -83,9 +93,8 @@ def write_arena(
     Returns:
         The paths of the files.
     """
-    written = write_figures(figures(contest, runs), folder)
-    text = arena_page(contest, images_of(written), origin)
-    return [*written.values(), write_text(text, folder / "report.html")]
+    drawn = figures(contest, runs)
+    return write_page(drawn, folder, lambda images: arena_page(contest, images, origin))
 
 
 def figures(contest: Contest, runs: Sequence[Trace]) -> dict[str, Figure]:
@@ -143,16 +152,11 @@ def _rounded(value: float | None) -> float | None:
 def size_in_words(contest: Contest) -> str:
     """How many methods, scenarios and runs there are."""
     parts = [
-        _count(len(contest.rows), "method"),
-        _count(len(contest.scenarios), "scenario"),
-        _count(len(contest.seeds), "run"),
+        counted(len(contest.rows), "method"),
+        counted(len(contest.scenarios), "scenario"),
+        counted(len(contest.seeds), "run"),
     ]
     return ", ".join(parts) + " each"
-
-
-def _count(number: int, what: str) -> str:
-    """A number of things: "1 run", "2 runs"."""
-    return f"{number} {what}{'s' * (number > 1)}"
 
 
 def _verdict(contest: Contest) -> Html:

@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 import msgspec
 import numpy as np
 
-from undeadzone.engine import interpret
+from undeadzone.compile import interpret
 from undeadzone.errors import ClusterError, UndeadzoneError
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.reader import digests

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
+from undeadzone.results.sheet import number
 from undeadzone.support.shown import Block
+from undeadzone.support.text import counted
 from undeadzone_arena.contest.leaderboard import Row, contestants
 
 HEAD: Final = (
@@ -39,14 +41,9 @@ def in_words(rows: Sequence[Row], scenarios: int, seeds: int) -> list[Block]:
     blocks: list[Block] = [table]
     if refused:
         blocks.append(f"not applicable (--json says why): {', '.join(refused)}")
-    on = f"{_counted(scenarios, 'scenario')}, {_counted(seeds, 'run')} each"
+    on = f"{counted(scenarios, 'scenario')}, {counted(seeds, 'run')} each"
     blocks.append(f"{on}; - : line to compare with; 95 % intervals in ()")
     return blocks
-
-
-def _counted(number: int, what: str) -> str:
-    """1 run, 2 runs."""
-    return f"{number} {what}{'s' * (number > 1)}"
 
 
 def _cells(place: str, row: Row) -> tuple[str, ...]:
@@ -60,8 +57,8 @@ def _cells(place: str, row: Row) -> tuple[str, ...]:
         row.worst_scenario,
         _share(row.diverged),
         _share(row.not_applicable),
-        _number(row.tracking, ".3g"),
-        _number(row.coverage, ".2f"),
+        number(row.tracking, ".3g", ""),
+        number(row.coverage, ".2f", ""),
     )
 
 
@@ -73,8 +70,3 @@ def _regret(value: float, interval: tuple[float, float]) -> str:
 def _share(value: float) -> str:
     """A share in percent; nothing where there is none."""
     return f"{100 * value:.0f} %" if value else ""
-
-
-def _number(value: float | None, form: str) -> str:
-    """A number; nothing where there is none."""
-    return "" if value is None else format(value, form)

@@ -20,7 +20,7 @@ import numpy as np
 
 from undeadzone.analysis.certificate.passivity import Certificate, certify_dynamics
 from undeadzone.analysis.error_dynamics import Dynamics, adaptation
-from undeadzone.engine.interval import Interval, enclosure
+from undeadzone.compile.interval import Interval, enclosure
 from undeadzone.errors import InputError, StructureError
 from undeadzone.numerics.semidefinite import minimise, symmetric
 from undeadzone.plants.region import Box

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.engine.interpret import mapped
+from undeadzone.compile.interpret import mapped
 from undeadzone.plants.system import System
 from undeadzone.support.arrays import Floats, Integers
 

@@ -9,13 +9,18 @@ typedef struct
     fmi3LogMessageCallback log;
 } fmu_instance;
 
-static const char *const no_variable = "there is no such variable, or it cannot be set to this";
+FMU_FLAGS(fmi3Boolean)
 
-/* Report a failure to the importer. */
-static fmi3Status failed(const fmu_instance *instance, const char *message)
+static const char *const one_number = "every variable holds one number";
+
+/* Report what is wrong to the importer. */
+static fmi3Status told(const fmu_instance *instance, const char *wrong)
 {
+    if (wrong == NULL) {
+        return fmi3OK;
+    }
     if ((instance != NULL) && (instance->log != NULL)) {
-        instance->log(instance->environment, fmi3Error, "error", message);
+        instance->log(instance->environment, fmi3Error, "error", wrong);
     }
     return fmi3Error;
 }
@@ -52,7 +57,7 @@ fmi3Instance FMI(fmi3InstantiateCoSimulation)(fmi3String name, fmi3String token,
     instance->environment = environment;
     instance->log = log;
     if ((token == NULL) || (strcmp(token, FMU_TOKEN) != 0)) {
-        (void)failed(instance, "this binary is of another model description");
+        (void)told(instance, "this binary is of another model description");
         free(instance);
         return NULL;
     }
@@ -67,17 +72,11 @@ void FMI(fmi3FreeInstance)(fmi3Instance i)
 
 fmi3Status FMI(fmi3EnterInitializationMode)(fmi3Instance i, fmi3Boolean has_tolerance, fmi3Float64 tolerance, fmi3Float64 start, fmi3Boolean has_stop, fmi3Float64 stop)
 {
-    fmu_instance *instance = i;
     (void)has_tolerance;
     (void)tolerance;
     (void)has_stop;
     (void)stop;
-    if (!(fabs(start) < 1e300)) {
-        return failed(instance, "the start time is not finite");
-    }
-    instance->model.start = start;
-    instance->model.now = start;
-    return fmi3OK;
+    return told(i, fmu_begin(&((fmu_instance *)i)->model, start));
 }
 
 fmi3Status FMI(fmi3ExitInitializationMode)(fmi3Instance i)
@@ -100,104 +99,49 @@ fmi3Status FMI(fmi3Reset)(fmi3Instance i)
 
 fmi3Status FMI(fmi3GetFloat64)(fmi3Instance i, const fmi3ValueReference r[], size_t n, fmi3Float64 values[], size_t count)
 {
-    fmu_instance *instance = i;
-    if (n != count) {
-        return failed(instance, "every variable holds one number");
-    }
-    for (size_t k = 0u; k < n; k++) {
-        if (!fmu_get(&instance->model, r[k], &values[k])) {
-            return failed(instance, no_variable);
-        }
-    }
-    return fmi3OK;
+    return told(i, (n == count) ? fmu_get(&((fmu_instance *)i)->model, r, n, values) : one_number);
 }
 
 fmi3Status FMI(fmi3SetFloat64)(fmi3Instance i, const fmi3ValueReference r[], size_t n, const fmi3Float64 values[], size_t count)
 {
-    fmu_instance *instance = i;
-    if (n != count) {
-        return failed(instance, "every variable holds one number");
-    }
-    for (size_t k = 0u; k < n; k++) {
-        if (!fmu_set(&instance->model, r[k], values[k])) {
-            return failed(instance, no_variable);
-        }
-    }
-    return fmi3OK;
+    return told(i, (n == count) ? fmu_set(&((fmu_instance *)i)->model, r, n, values) : one_number);
 }
 
 fmi3Status FMI(fmi3GetBoolean)(fmi3Instance i, const fmi3ValueReference r[], size_t n, fmi3Boolean values[], size_t count)
 {
-    fmu_instance *instance = i;
-    if (n != count) {
-        return failed(instance, "every variable holds one number");
-    }
-    for (size_t k = 0u; k < n; k++) {
-        const bool *flag = fmu_flag(&instance->model, r[k]);
-        if (flag == NULL) {
-            return failed(instance, no_variable);
-        }
-        values[k] = *flag;
-    }
-    return fmi3OK;
+    return told(i, (n == count) ? fmu_get_flags(&((fmu_instance *)i)->model, r, n, values) : one_number);
 }
 
 fmi3Status FMI(fmi3SetBoolean)(fmi3Instance i, const fmi3ValueReference r[], size_t n, const fmi3Boolean values[], size_t count)
 {
-    fmu_instance *instance = i;
-    if (n != count) {
-        return failed(instance, "every variable holds one number");
-    }
-    for (size_t k = 0u; k < n; k++) {
-        bool *flag = fmu_flag(&instance->model, r[k]);
-        if (flag == NULL) {
-            return failed(instance, no_variable);
-        }
-        *flag = values[k];
-    }
-    return fmi3OK;
+    return told(i, (n == count) ? fmu_set_flags(&((fmu_instance *)i)->model, r, n, values) : one_number);
 }
 
 fmi3Status FMI(fmi3DoStep)(fmi3Instance i, fmi3Float64 now, fmi3Float64 step, fmi3Boolean no_return, fmi3Boolean *event, fmi3Boolean *terminate, fmi3Boolean *early, fmi3Float64 *last)
 {
-    fmu_instance *instance = i;
     (void)no_return;
     *event = false;
     *terminate = false;
     *early = false;
-    const bool done = fmu_run(&instance->model, now, step);
-    *last = instance->model.now;
-    return done ? fmi3OK : failed(instance, "a step must be 0 or longer, and finite");
+    const char *wrong = fmu_run(&((fmu_instance *)i)->model, now, step);
+    *last = ((fmu_instance *)i)->model.now;
+    return told(i, wrong);
 }
 
 fmi3Status FMI(fmi3GetFMUState)(fmi3Instance i, fmi3FMUState *state)
 {
-    const fmu_instance *instance = i;
-    void *copy = fmu_copied(&instance->model, *state);
-    if (copy == NULL) {
-        return failed(instance, "out of memory");
-    }
-    *state = copy;
-    return fmi3OK;
+    return told(i, fmu_copy(&((fmu_instance *)i)->model, state));
 }
 
 fmi3Status FMI(fmi3SetFMUState)(fmi3Instance i, fmi3FMUState state)
 {
-    fmu_instance *instance = i;
-    if (state == NULL) {
-        return failed(instance, "there is no state");
-    }
-    (void)fmu_copied(state, &instance->model);
-    return fmi3OK;
+    return told(i, fmu_restore(&((fmu_instance *)i)->model, state));
 }
 
 fmi3Status FMI(fmi3FreeFMUState)(fmi3Instance i, fmi3FMUState *state)
 {
     (void)i;
-    if (state != NULL) {
-        free(*state);
-        *state = NULL;
-    }
+    fmu_forget(state);
     return fmi3OK;
 }
 
@@ -211,24 +155,12 @@ fmi3Status FMI(fmi3SerializedFMUStateSize)(fmi3Instance i, fmi3FMUState state, s
 
 fmi3Status FMI(fmi3SerializeFMUState)(fmi3Instance i, fmi3FMUState state, fmi3Byte bytes[], size_t size)
 {
-    if ((state == NULL) || (size < sizeof(fmu_model))) {
-        return failed(i, "there is no state, or too little memory for it");
-    }
-    (void)fmu_copied(state, bytes);
-    return fmi3OK;
+    return told(i, fmu_serialized(state, bytes, size));
 }
 
 fmi3Status FMI(fmi3DeserializeFMUState)(fmi3Instance i, const fmi3Byte bytes[], size_t size, fmi3FMUState *state)
 {
-    if (!fmu_is_state(bytes, size)) {
-        return failed(i, "these bytes are no state of this model");
-    }
-    void *copy = fmu_copied(bytes, *state);
-    if (copy == NULL) {
-        return failed(i, "out of memory");
-    }
-    *state = copy;
-    return fmi3OK;
+    return told(i, fmu_deserialized(bytes, size, state));
 }
 
 /* What the model has not: an error if asked for anything. */
@@ -260,165 +192,32 @@ fmi3Instance FMI(fmi3InstantiateScheduledExecution)(fmi3String name, fmi3String 
     return NULL;
 }
 
-fmi3Status FMI(fmi3GetFloat32)(fmi3Instance i, const fmi3ValueReference r[], size_t n, fmi3Float32 values[], size_t count)
-{
-    (void)r;
-    (void)values;
-    (void)count;
-    return (n == 0u) ? fmi3OK : failed(i, no_variable);
-}
+#define ABSENT(type) \
+    fmi3Status FMI(fmi3Get##type)(fmi3Instance i, const fmi3ValueReference r[], size_t n, fmi3##type values[], size_t count) \
+    { \
+        (void)r; \
+        (void)values; \
+        (void)count; \
+        return told(i, fmu_none(n)); \
+    } \
+    fmi3Status FMI(fmi3Set##type)(fmi3Instance i, const fmi3ValueReference r[], size_t n, const fmi3##type values[], size_t count) \
+    { \
+        (void)r; \
+        (void)values; \
+        (void)count; \
+        return told(i, fmu_none(n)); \
+    }
 
-fmi3Status FMI(fmi3SetFloat32)(fmi3Instance i, const fmi3ValueReference r[], size_t n, const fmi3Float32 values[], size_t count)
-{
-    (void)r;
-    (void)values;
-    (void)count;
-    return (n == 0u) ? fmi3OK : failed(i, no_variable);
-}
-
-fmi3Status FMI(fmi3GetInt8)(fmi3Instance i, const fmi3ValueReference r[], size_t n, fmi3Int8 values[], size_t count)
-{
-    (void)r;
-    (void)values;
-    (void)count;
-    return (n == 0u) ? fmi3OK : failed(i, no_variable);
-}
-
-fmi3Status FMI(fmi3SetInt8)(fmi3Instance i, const fmi3ValueReference r[], size_t n, const fmi3Int8 values[], size_t count)
-{
-    (void)r;
-    (void)values;
-    (void)count;
-    return (n == 0u) ? fmi3OK : failed(i, no_variable);
-}
-
-fmi3Status FMI(fmi3GetUInt8)(fmi3Instance i, const fmi3ValueReference r[], size_t n, fmi3UInt8 values[], size_t count)
-{
-    (void)r;
-    (void)values;
-    (void)count;
-    return (n == 0u) ? fmi3OK : failed(i, no_variable);
-}
-
-fmi3Status FMI(fmi3SetUInt8)(fmi3Instance i, const fmi3ValueReference r[], size_t n, const fmi3UInt8 values[], size_t count)
-{
-    (void)r;
-    (void)values;
-    (void)count;
-    return (n == 0u) ? fmi3OK : failed(i, no_variable);
-}
-
-fmi3Status FMI(fmi3GetInt16)(fmi3Instance i, const fmi3ValueReference r[], size_t n, fmi3Int16 values[], size_t count)
-{
-    (void)r;
-    (void)values;
-    (void)count;
-    return (n == 0u) ? fmi3OK : failed(i, no_variable);
-}
-
-fmi3Status FMI(fmi3SetInt16)(fmi3Instance i, const fmi3ValueReference r[], size_t n, const fmi3Int16 values[], size_t count)
-{
-    (void)r;
-    (void)values;
-    (void)count;
-    return (n == 0u) ? fmi3OK : failed(i, no_variable);
-}
-
-fmi3Status FMI(fmi3GetUInt16)(fmi3Instance i, const fmi3ValueReference r[], size_t n, fmi3UInt16 values[], size_t count)
-{
-    (void)r;
-    (void)values;
-    (void)count;
-    return (n == 0u) ? fmi3OK : failed(i, no_variable);
-}
-
-fmi3Status FMI(fmi3SetUInt16)(fmi3Instance i, const fmi3ValueReference r[], size_t n, const fmi3UInt16 values[], size_t count)
-{
-    (void)r;
-    (void)values;
-    (void)count;
-    return (n == 0u) ? fmi3OK : failed(i, no_variable);
-}
-
-fmi3Status FMI(fmi3GetInt32)(fmi3Instance i, const fmi3ValueReference r[], size_t n, fmi3Int32 values[], size_t count)
-{
-    (void)r;
-    (void)values;
-    (void)count;
-    return (n == 0u) ? fmi3OK : failed(i, no_variable);
-}
-
-fmi3Status FMI(fmi3SetInt32)(fmi3Instance i, const fmi3ValueReference r[], size_t n, const fmi3Int32 values[], size_t count)
-{
-    (void)r;
-    (void)values;
-    (void)count;
-    return (n == 0u) ? fmi3OK : failed(i, no_variable);
-}
-
-fmi3Status FMI(fmi3GetUInt32)(fmi3Instance i, const fmi3ValueReference r[], size_t n, fmi3UInt32 values[], size_t count)
-{
-    (void)r;
-    (void)values;
-    (void)count;
-    return (n == 0u) ? fmi3OK : failed(i, no_variable);
-}
-
-fmi3Status FMI(fmi3SetUInt32)(fmi3Instance i, const fmi3ValueReference r[], size_t n, const fmi3UInt32 values[], size_t count)
-{
-    (void)r;
-    (void)values;
-    (void)count;
-    return (n == 0u) ? fmi3OK : failed(i, no_variable);
-}
-
-fmi3Status FMI(fmi3GetInt64)(fmi3Instance i, const fmi3ValueReference r[], size_t n, fmi3Int64 values[], size_t count)
-{
-    (void)r;
-    (void)values;
-    (void)count;
-    return (n == 0u) ? fmi3OK : failed(i, no_variable);
-}
-
-fmi3Status FMI(fmi3SetInt64)(fmi3Instance i, const fmi3ValueReference r[], size_t n, const fmi3Int64 values[], size_t count)
-{
-    (void)r;
-    (void)values;
-    (void)count;
-    return (n == 0u) ? fmi3OK : failed(i, no_variable);
-}
-
-fmi3Status FMI(fmi3GetUInt64)(fmi3Instance i, const fmi3ValueReference r[], size_t n, fmi3UInt64 values[], size_t count)
-{
-    (void)r;
-    (void)values;
-    (void)count;
-    return (n == 0u) ? fmi3OK : failed(i, no_variable);
-}
-
-fmi3Status FMI(fmi3SetUInt64)(fmi3Instance i, const fmi3ValueReference r[], size_t n, const fmi3UInt64 values[], size_t count)
-{
-    (void)r;
-    (void)values;
-    (void)count;
-    return (n == 0u) ? fmi3OK : failed(i, no_variable);
-}
-
-fmi3Status FMI(fmi3GetString)(fmi3Instance i, const fmi3ValueReference r[], size_t n, fmi3String values[], size_t count)
-{
-    (void)r;
-    (void)values;
-    (void)count;
-    return (n == 0u) ? fmi3OK : failed(i, no_variable);
-}
-
-fmi3Status FMI(fmi3SetString)(fmi3Instance i, const fmi3ValueReference r[], size_t n, const fmi3String values[], size_t count)
-{
-    (void)r;
-    (void)values;
-    (void)count;
-    return (n == 0u) ? fmi3OK : failed(i, no_variable);
-}
+ABSENT(Float32)
+ABSENT(Int8)
+ABSENT(UInt8)
+ABSENT(Int16)
+ABSENT(UInt16)
+ABSENT(Int32)
+ABSENT(UInt32)
+ABSENT(Int64)
+ABSENT(UInt64)
+ABSENT(String)
 
 fmi3Status FMI(fmi3GetBinary)(fmi3Instance i, const fmi3ValueReference r[], size_t n, size_t sizes[], fmi3Binary values[], size_t count)
 {
@@ -426,7 +225,7 @@ fmi3Status FMI(fmi3GetBinary)(fmi3Instance i, const fmi3ValueReference r[], size
     (void)sizes;
     (void)values;
     (void)count;
-    return (n == 0u) ? fmi3OK : failed(i, no_variable);
+    return told(i, fmu_none(n));
 }
 
 fmi3Status FMI(fmi3SetBinary)(fmi3Instance i, const fmi3ValueReference r[], size_t n, const size_t sizes[], const fmi3Binary values[], size_t count)
@@ -435,21 +234,21 @@ fmi3Status FMI(fmi3SetBinary)(fmi3Instance i, const fmi3ValueReference r[], size
     (void)sizes;
     (void)values;
     (void)count;
-    return (n == 0u) ? fmi3OK : failed(i, no_variable);
+    return told(i, fmu_none(n));
 }
 
 fmi3Status FMI(fmi3GetClock)(fmi3Instance i, const fmi3ValueReference r[], size_t n, fmi3Clock values[])
 {
     (void)r;
     (void)values;
-    return (n == 0u) ? fmi3OK : failed(i, no_variable);
+    return told(i, fmu_none(n));
 }
 
 fmi3Status FMI(fmi3SetClock)(fmi3Instance i, const fmi3ValueReference r[], size_t n, const fmi3Clock values[])
 {
     (void)r;
     (void)values;
-    return (n == 0u) ? fmi3OK : failed(i, no_variable);
+    return told(i, fmu_none(n));
 }
 
 fmi3Status FMI(fmi3GetIntervalDecimal)(fmi3Instance i, const fmi3ValueReference r[], size_t n, fmi3Float64 intervals[], fmi3IntervalQualifier qualifiers[])
@@ -457,7 +256,7 @@ fmi3Status FMI(fmi3GetIntervalDecimal)(fmi3Instance i, const fmi3ValueReference 
     (void)r;
     (void)intervals;
     (void)qualifiers;
-    return (n == 0u) ? fmi3OK : failed(i, no_variable);
+    return told(i, fmu_none(n));
 }
 
 fmi3Status FMI(fmi3GetIntervalFraction)(fmi3Instance i, const fmi3ValueReference r[], size_t n, fmi3UInt64 counters[], fmi3UInt64 resolutions[], fmi3IntervalQualifier qualifiers[])
@@ -466,14 +265,14 @@ fmi3Status FMI(fmi3GetIntervalFraction)(fmi3Instance i, const fmi3ValueReference
     (void)counters;
     (void)resolutions;
     (void)qualifiers;
-    return (n == 0u) ? fmi3OK : failed(i, no_variable);
+    return told(i, fmu_none(n));
 }
 
 fmi3Status FMI(fmi3GetShiftDecimal)(fmi3Instance i, const fmi3ValueReference r[], size_t n, fmi3Float64 shifts[])
 {
     (void)r;
     (void)shifts;
-    return (n == 0u) ? fmi3OK : failed(i, no_variable);
+    return told(i, fmu_none(n));
 }
 
 fmi3Status FMI(fmi3GetShiftFraction)(fmi3Instance i, const fmi3ValueReference r[], size_t n, fmi3UInt64 counters[], fmi3UInt64 resolutions[])
@@ -481,14 +280,14 @@ fmi3Status FMI(fmi3GetShiftFraction)(fmi3Instance i, const fmi3ValueReference r[
     (void)r;
     (void)counters;
     (void)resolutions;
-    return (n == 0u) ? fmi3OK : failed(i, no_variable);
+    return told(i, fmu_none(n));
 }
 
 fmi3Status FMI(fmi3SetIntervalDecimal)(fmi3Instance i, const fmi3ValueReference r[], size_t n, const fmi3Float64 intervals[])
 {
     (void)r;
     (void)intervals;
-    return (n == 0u) ? fmi3OK : failed(i, no_variable);
+    return told(i, fmu_none(n));
 }
 
 fmi3Status FMI(fmi3SetIntervalFraction)(fmi3Instance i, const fmi3ValueReference r[], size_t n, const fmi3UInt64 counters[], const fmi3UInt64 resolutions[])
@@ -496,14 +295,14 @@ fmi3Status FMI(fmi3SetIntervalFraction)(fmi3Instance i, const fmi3ValueReference
     (void)r;
     (void)counters;
     (void)resolutions;
-    return (n == 0u) ? fmi3OK : failed(i, no_variable);
+    return told(i, fmu_none(n));
 }
 
 fmi3Status FMI(fmi3SetShiftDecimal)(fmi3Instance i, const fmi3ValueReference r[], size_t n, const fmi3Float64 shifts[])
 {
     (void)r;
     (void)shifts;
-    return (n == 0u) ? fmi3OK : failed(i, no_variable);
+    return told(i, fmu_none(n));
 }
 
 fmi3Status FMI(fmi3SetShiftFraction)(fmi3Instance i, const fmi3ValueReference r[], size_t n, const fmi3UInt64 counters[], const fmi3UInt64 resolutions[])
@@ -511,7 +310,7 @@ fmi3Status FMI(fmi3SetShiftFraction)(fmi3Instance i, const fmi3ValueReference r[
     (void)r;
     (void)counters;
     (void)resolutions;
-    return (n == 0u) ? fmi3OK : failed(i, no_variable);
+    return told(i, fmu_none(n));
 }
 
 fmi3Status FMI(fmi3GetOutputDerivatives)(fmi3Instance i, const fmi3ValueReference r[], size_t n, const fmi3Int32 orders[], fmi3Float64 values[], size_t count)
@@ -520,7 +319,7 @@ fmi3Status FMI(fmi3GetOutputDerivatives)(fmi3Instance i, const fmi3ValueReferenc
     (void)orders;
     (void)values;
     (void)count;
-    return (n == 0u) ? fmi3OK : failed(i, no_variable);
+    return told(i, fmu_none(n));
 }
 
 fmi3Status FMI(fmi3GetDirectionalDerivative)(fmi3Instance i, const fmi3ValueReference unknowns[], size_t n, const fmi3ValueReference knowns[], size_t k, const fmi3Float64 seed[], size_t seeds, fmi3Float64 values[], size_t count)
@@ -533,7 +332,7 @@ fmi3Status FMI(fmi3GetDirectionalDerivative)(fmi3Instance i, const fmi3ValueRefe
     (void)seeds;
     (void)values;
     (void)count;
-    return failed(i, "there are no derivatives and no dependencies");
+    return told(i, "there are no derivatives and no dependencies");
 }
 
 fmi3Status FMI(fmi3GetAdjointDerivative)(fmi3Instance i, const fmi3ValueReference unknowns[], size_t n, const fmi3ValueReference knowns[], size_t k, const fmi3Float64 seed[], size_t seeds, fmi3Float64 values[], size_t count)
@@ -546,14 +345,14 @@ fmi3Status FMI(fmi3GetAdjointDerivative)(fmi3Instance i, const fmi3ValueReferenc
     (void)seeds;
     (void)values;
     (void)count;
-    return failed(i, "there are no derivatives and no dependencies");
+    return told(i, "there are no derivatives and no dependencies");
 }
 
 fmi3Status FMI(fmi3GetNumberOfVariableDependencies)(fmi3Instance i, fmi3ValueReference r, size_t *count)
 {
     (void)r;
     (void)count;
-    return failed(i, "there are no derivatives and no dependencies");
+    return told(i, "there are no derivatives and no dependencies");
 }
 
 fmi3Status FMI(fmi3GetVariableDependencies)(fmi3Instance i, fmi3ValueReference r, size_t elements[], fmi3ValueReference independents[], size_t others[], fmi3DependencyKind kinds[], size_t count)
@@ -564,33 +363,20 @@ fmi3Status FMI(fmi3GetVariableDependencies)(fmi3Instance i, fmi3ValueReference r
     (void)others;
     (void)kinds;
     (void)count;
-    return failed(i, "there are no derivatives and no dependencies");
+    return told(i, "there are no derivatives and no dependencies");
 }
 
-fmi3Status FMI(fmi3EnterConfigurationMode)(fmi3Instance i)
-{
-    return failed(i, "there is no such mode");
-}
+#define NO_MODE(name) \
+    fmi3Status FMI(name)(fmi3Instance i) \
+    { \
+        return told(i, "there is no such mode"); \
+    }
 
-fmi3Status FMI(fmi3ExitConfigurationMode)(fmi3Instance i)
-{
-    return failed(i, "there is no such mode");
-}
-
-fmi3Status FMI(fmi3EnterEventMode)(fmi3Instance i)
-{
-    return failed(i, "there is no such mode");
-}
-
-fmi3Status FMI(fmi3EnterStepMode)(fmi3Instance i)
-{
-    return failed(i, "there is no such mode");
-}
-
-fmi3Status FMI(fmi3EvaluateDiscreteStates)(fmi3Instance i)
-{
-    return failed(i, "there is no such mode");
-}
+NO_MODE(fmi3EnterConfigurationMode)
+NO_MODE(fmi3ExitConfigurationMode)
+NO_MODE(fmi3EnterEventMode)
+NO_MODE(fmi3EnterStepMode)
+NO_MODE(fmi3EvaluateDiscreteStates)
 
 fmi3Status FMI(fmi3UpdateDiscreteStates)(fmi3Instance i, fmi3Boolean *again, fmi3Boolean *terminate, fmi3Boolean *nominals, fmi3Boolean *values, fmi3Boolean *defined, fmi3Float64 *next)
 {
@@ -600,12 +386,36 @@ fmi3Status FMI(fmi3UpdateDiscreteStates)(fmi3Instance i, fmi3Boolean *again, fmi
     (void)values;
     (void)defined;
     (void)next;
-    return failed(i, "there is no such mode");
+    return told(i, "there is no such mode");
 }
+
+static const char *const discrete = "this FMU is for co-simulation";
+
+#define NO_STATES(name, kind) \
+    fmi3Status FMI(name)(fmi3Instance i, kind values[], size_t count) \
+    { \
+        (void)values; \
+        (void)count; \
+        return told(i, discrete); \
+    }
+#define NO_NUMBER(name) \
+    fmi3Status FMI(name)(fmi3Instance i, size_t *count) \
+    { \
+        (void)count; \
+        return told(i, discrete); \
+    }
+
+NO_STATES(fmi3SetContinuousStates, const fmi3Float64)
+NO_STATES(fmi3GetContinuousStates, fmi3Float64)
+NO_STATES(fmi3GetContinuousStateDerivatives, fmi3Float64)
+NO_STATES(fmi3GetEventIndicators, fmi3Float64)
+NO_STATES(fmi3GetNominalsOfContinuousStates, fmi3Float64)
+NO_NUMBER(fmi3GetNumberOfEventIndicators)
+NO_NUMBER(fmi3GetNumberOfContinuousStates)
 
 fmi3Status FMI(fmi3EnterContinuousTimeMode)(fmi3Instance i)
 {
-    return failed(i, "this FMU is for co-simulation");
+    return told(i, discrete);
 }
 
 fmi3Status FMI(fmi3CompletedIntegratorStep)(fmi3Instance i, fmi3Boolean no_return, fmi3Boolean *event, fmi3Boolean *terminate)
@@ -613,65 +423,18 @@ fmi3Status FMI(fmi3CompletedIntegratorStep)(fmi3Instance i, fmi3Boolean no_retur
     (void)no_return;
     (void)event;
     (void)terminate;
-    return failed(i, "this FMU is for co-simulation");
+    return told(i, discrete);
 }
 
 fmi3Status FMI(fmi3SetTime)(fmi3Instance i, fmi3Float64 time)
 {
     (void)time;
-    return failed(i, "this FMU is for co-simulation");
-}
-
-fmi3Status FMI(fmi3SetContinuousStates)(fmi3Instance i, const fmi3Float64 x[], size_t count)
-{
-    (void)x;
-    (void)count;
-    return failed(i, "this FMU is for co-simulation");
-}
-
-fmi3Status FMI(fmi3GetContinuousStateDerivatives)(fmi3Instance i, fmi3Float64 values[], size_t count)
-{
-    (void)values;
-    (void)count;
-    return failed(i, "this FMU is for co-simulation");
-}
-
-fmi3Status FMI(fmi3GetEventIndicators)(fmi3Instance i, fmi3Float64 values[], size_t count)
-{
-    (void)values;
-    (void)count;
-    return failed(i, "this FMU is for co-simulation");
-}
-
-fmi3Status FMI(fmi3GetContinuousStates)(fmi3Instance i, fmi3Float64 x[], size_t count)
-{
-    (void)x;
-    (void)count;
-    return failed(i, "this FMU is for co-simulation");
-}
-
-fmi3Status FMI(fmi3GetNominalsOfContinuousStates)(fmi3Instance i, fmi3Float64 nominals[], size_t count)
-{
-    (void)nominals;
-    (void)count;
-    return failed(i, "this FMU is for co-simulation");
-}
-
-fmi3Status FMI(fmi3GetNumberOfEventIndicators)(fmi3Instance i, size_t *count)
-{
-    (void)count;
-    return failed(i, "this FMU is for co-simulation");
-}
-
-fmi3Status FMI(fmi3GetNumberOfContinuousStates)(fmi3Instance i, size_t *count)
-{
-    (void)count;
-    return failed(i, "this FMU is for co-simulation");
+    return told(i, discrete);
 }
 
 fmi3Status FMI(fmi3ActivateModelPartition)(fmi3Instance i, fmi3ValueReference clock, fmi3Float64 time)
 {
     (void)clock;
     (void)time;
-    return failed(i, "this FMU is for co-simulation");
+    return told(i, discrete);
 }

@@ -58,13 +58,28 @@ static void fmu_reset(fmu_model *model)
     fmu_before(model);
 }
 
-/* The samples in [now, end) by the inputs as they are; false: no step that can be made. */
-static bool fmu_run(fmu_model *model, double now, double step)
+/* What follows gives what is wrong, for the importer to read; NULL: nothing is. */
+
+static const char *const fmu_no_variable = "there is no such variable, or it cannot be set to this";
+
+/* The time of the first sample. */
+static const char *fmu_begin(fmu_model *model, double start)
+{
+    if (!(fabs(start) < 1e300)) {
+        return "the start time is not finite";
+    }
+    model->start = start;
+    model->now = start;
+    return NULL;
+}
+
+/* The samples in [now, end) by the inputs as they are. */
+static const char *fmu_run(fmu_model *model, double now, double step)
 {
     const double end = now + step;
     const double due = (end - model->start) - (FMU_TOLERANCE * FMU_STEP);
     if (!(step >= 0.0) || !(fabs(end) < 1e300)) {
-        return false;
+        return "a step must be 0 or longer, and finite";
     }
     while (((double)model->samples * FMU_STEP) < due) {
         fmu_in in = model->in;
@@ -75,8 +90,10 @@ static bool fmu_run(fmu_model *model, double now, double step)
         model->samples++;
     }
     model->now = end;
-    return true;
+    return NULL;
 }
+
+/* --- Variables */
 
 /* Where a number is kept; NULL: there is none of this reference. */
 static fmu_real *fmu_number(fmu_model *model, uint32_t reference)
@@ -97,32 +114,33 @@ static fmu_real *fmu_number(fmu_model *model, uint32_t reference)
     return (fmu_real *)first + place;
 }
 
-/* Read a number; false: there is none. */
-static bool fmu_get(fmu_model *model, uint32_t reference, double *value)
+/* Read numbers. */
+static const char *fmu_get(fmu_model *model, const uint32_t references[], size_t n, double values[])
 {
-    const fmu_real *number = fmu_number(model, reference);
-    if (number != NULL) {
-        *value = (double)*number;
-    } else if (reference == FMU_TIME) {
-        *value = model->now;
-    } else {
-        return false;
+    for (size_t k = 0u; k < n; k++) {
+        const fmu_real *number = fmu_number(model, references[k]);
+        if ((number == NULL) && (references[k] != FMU_TIME)) {
+            return fmu_no_variable;
+        }
+        values[k] = (number != NULL) ? (double)*number : model->now;
     }
-    return true;
+    return NULL;
 }
 
-/* Change an input or a parameter, which must be finite; false: it cannot be done. */
-static bool fmu_set(fmu_model *model, uint32_t reference, double value)
+/* Change inputs and parameters, which must be finite. */
+static const char *fmu_set(fmu_model *model, const uint32_t references[], size_t n, const double values[])
 {
-    fmu_real *number = fmu_number(model, reference);
-    const bool is_param = reference >= FMU_FIRST_PARAM;
-    const bool is_out = (reference >= FMU_FIRST_OUT) && !is_param;
-    const fmu_real rounded = (fmu_real)value;
-    if ((number == NULL) || is_out || (is_param && !isfinite(rounded))) {
-        return false;
+    for (size_t k = 0u; k < n; k++) {
+        fmu_real *number = fmu_number(model, references[k]);
+        const bool is_param = references[k] >= FMU_FIRST_PARAM;
+        const bool is_out = (references[k] >= FMU_FIRST_OUT) && !is_param;
+        const fmu_real rounded = (fmu_real)values[k];
+        if ((number == NULL) || is_out || (is_param && !isfinite(rounded))) {
+            return fmu_no_variable;
+        }
+        *number = rounded;
     }
-    *number = rounded;
-    return true;
+    return NULL;
 }
 
 /* Where a `missing` is kept; NULL: there is none of this reference. */
@@ -132,20 +150,86 @@ static bool *fmu_flag(fmu_model *model, uint32_t reference)
     return known ? &model->missing[reference - FMU_FIRST_MISSING] : NULL;
 }
 
-/* A copy of a state into memory that is there or is made; NULL: out of memory. */
-static void *fmu_copied(const void *from, void *to)
-{
-    void *target = (to != NULL) ? to : calloc(1u, sizeof(fmu_model));
-    if (target != NULL) {
-        (void)memcpy(target, from, sizeof(fmu_model));
+/* Read and change each `missing`, as the version's own kind of Boolean. */
+#define FMU_FLAGS(fmu_boolean) \
+    static const char *fmu_get_flags(fmu_model *model, const uint32_t references[], size_t n, fmu_boolean values[]) \
+    { \
+        for (size_t k = 0u; k < n; k++) { \
+            const bool *flag = fmu_flag(model, references[k]); \
+            if (flag == NULL) { \
+                return fmu_no_variable; \
+            } \
+            values[k] = *flag ? 1 : 0; \
+        } \
+        return NULL; \
+    } \
+    static const char *fmu_set_flags(fmu_model *model, const uint32_t references[], size_t n, const fmu_boolean values[]) \
+    { \
+        for (size_t k = 0u; k < n; k++) { \
+            bool *flag = fmu_flag(model, references[k]); \
+            if (flag == NULL) { \
+                return fmu_no_variable; \
+            } \
+            *flag = values[k] != 0; \
+        } \
+        return NULL; \
     }
-    return target;
+
+/* Variables of a kind that the model has not. */
+static const char *fmu_none(size_t n)
+{
+    return (n == 0u) ? NULL : fmu_no_variable;
 }
 
-/* Whether bytes are a state of this model. */
-static bool fmu_is_state(const void *bytes, size_t size)
+/* --- States */
+
+/* Copy a state into memory that is there or is made. */
+static const char *fmu_copy(const void *from, void **to)
 {
-    return (size == sizeof(fmu_model)) && (memcmp(bytes, FMU_TOKEN, sizeof(FMU_TOKEN)) == 0);
+    *to = (*to != NULL) ? *to : calloc(1u, sizeof(fmu_model));
+    if (*to == NULL) {
+        return "out of memory";
+    }
+    (void)memcpy(*to, from, sizeof(fmu_model));
+    return NULL;
+}
+
+/* Go back to a state. */
+static const char *fmu_restore(fmu_model *model, const void *state)
+{
+    if (state == NULL) {
+        return "there is no state";
+    }
+    (void)memcpy(model, state, sizeof(fmu_model));
+    return NULL;
+}
+
+/* Free a state. */
+static void fmu_forget(void **state)
+{
+    if (state != NULL) {
+        free(*state);
+        *state = NULL;
+    }
+}
+
+/* A state as bytes. */
+static const char *fmu_serialized(const void *state, void *bytes, size_t size)
+{
+    if ((state == NULL) || (size < sizeof(fmu_model))) {
+        return "there is no state, or too little memory for it";
+    }
+    (void)memcpy(bytes, state, sizeof(fmu_model));
+    return NULL;
+}
+
+/* Bytes as a state. */
+static const char *fmu_deserialized(const void *bytes, size_t size, void **state)
+{
+    if ((size != sizeof(fmu_model)) || (memcmp(bytes, FMU_TOKEN, sizeof(FMU_TOKEN)) != 0)) {
+        return "these bytes are no state of this model";
+    }
+    return fmu_copy(bytes, state);
 }
 
 #endif

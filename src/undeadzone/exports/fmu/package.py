@@ -14,8 +14,7 @@ from typing import Any
 from undeadzone.errors import InputError
 from undeadzone.exports import compiler
 from undeadzone.exports.code import Code
-from undeadzone.exports.fmu.description import build_description, description, token
-from undeadzone.exports.fmu.variables import variables
+from undeadzone.exports.fmu.description import build_description, description, token, variables
 from undeadzone.scenario.schema import Units
 
 MODEL = """/* What fmu.h needs to know of {prefix}; written by undeadzone {version}, do not edit. */

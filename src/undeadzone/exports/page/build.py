@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import itertools
+import json
+import re
+from html import escape
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 import undeadzone
-from undeadzone.engine.graph import Graph, listed
+from undeadzone.compile import print_wasm
+from undeadzone.compile.graph import Results, needed
+from undeadzone.compile.lower import portable
 from undeadzone.errors import FileError, InputError
-from undeadzone.exports import wasm
-from undeadzone.exports.instructions import operations, require_known
+from undeadzone.exports.code import operations
 from undeadzone.exports.page import signals, sliders
-from undeadzone.exports.page.frame import MARK, framed
-from undeadzone.exports.page.slider import as_data
-from undeadzone.exports.rewrite import rewritten
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation import exogenous
@@ -96,7 +99,7 @@ def build(scenario: Scenario) -> Page:
     problem = resolve_scenario(scenario)
     _require_shown(problem)
     loop = closed(problem)
-    _require_quick(problem, len(_graph(loop).nodes))
+    _require_quick(problem, len(needed(itertools.chain(*_results(loop)))))
     code, memory = _code(loop)
     data = _data(problem, loop, memory)
     data["wasm"] = base64.b64encode(code).decode()
@@ -107,7 +110,7 @@ def build(scenario: Scenario) -> Page:
         "hash": hashlib.sha256(text.encode()).hexdigest()[:16],
         "steps": data["rows"],
         "sizes": {"wasm": len(code), "page": len(text.encode())},
-        "operations": operations(_graph(loop)),
+        "operations": operations(_results(loop)),
         "sliders": [slider["key"] for slider in data["sliders"]],
         "refusals": [],
     }
@@ -148,10 +151,9 @@ def _require_quick(problem: Problem, size: int) -> None:
         )
 
 
-def _graph(loop: Loop) -> Graph:
+def _results(loop: Loop) -> Results:
     """What a step computes as a rule."""
-    function = loop.step if loop.parts is None else loop.parts.usual
-    return rewritten(listed(function))
+    return portable(loop.step if loop.parts is None else loop.parts.usual, print_wasm.KIND)
 
 
 def _code(loop: Loop) -> tuple[bytes, dict[str, int]]:
@@ -169,7 +171,7 @@ def _code(loop: Loop) -> tuple[bytes, dict[str, int]]:
     inputs = {}
     for part in "swp":
         for k in range(sizes[part]):
-            inputs[f"{part}{k}"] = wasm.REAL * (places[part] + k)
+            inputs[f"{part}{k}"] = print_wasm.REAL * (places[part] + k)
     functions: list[tuple[str, Any, tuple[str, ...]]] = [("step", loop.step, ("n", "o"))]
     if loop.parts is not None:
         functions = [
@@ -178,16 +180,15 @@ def _code(loop: Loop) -> tuple[bytes, dict[str, int]]:
         ]
     printed = []
     for name, function, results in functions:
-        graph = listed(function)
-        require_known("export", graph)
+        nodes = portable(function, print_wasm.KIND)
         targets = [_addresses(places[part], sizes[part]) for part in results]
-        printed.append(wasm.Function(name, rewritten(graph), inputs, targets))
-    return wasm.module(printed, wasm.REAL * sum(sizes.values())), places
+        printed.append(print_wasm.Function(name, nodes, inputs, targets))
+    return print_wasm.module(printed, print_wasm.REAL * sum(sizes.values())), places
 
 
 def _addresses(start: int, size: int) -> list[int]:
     """Where the numbers of a part stand [bytes]."""
-    return [wasm.REAL * (start + k) for k in range(size)]
+    return [print_wasm.REAL * (start + k) for k in range(size)]
 
 
 def _data(problem: Problem, loop: Loop, memory: dict[str, int]) -> dict[str, Any]:
@@ -233,7 +234,7 @@ def _data(problem: Problem, loop: Loop, memory: dict[str, int]) -> dict[str, Any
         "params": np.clip(tree.pack(loop.params), -_LARGEST, _LARGEST).tolist(),
         "reference": signals.reference(problem),
         "disturbance": signals.disturbance(problem),
-        "sliders": [as_data(slider) for slider in made],
+        "sliders": [slider._asdict() for slider in made],
         "learns": any(slider.key == "gamma" for slider in made),
     }
 
@@ -281,3 +282,40 @@ def _require_replaceable(out: Path) -> None:
             f"{out}: is no page of `undeadzone export`, so it is not replaced; "
             "give another file or remove this one"
         )
+
+
+# --- The HTML around the data: its own script and style, and a policy that allows nothing else
+
+
+MARK = '<meta name="generator" content="undeadzone export">'
+
+
+def framed(title: str, data: dict[str, Any]) -> str:
+    """The page.
+
+    Args:
+        title: its title.
+        data: what its script reads.
+    """
+    folder = files("undeadzone.exports.page")
+    text, style, script = (
+        (folder / f"page.{kind}").read_text(encoding="utf-8") for kind in ("html", "css", "js")
+    )
+    policy = (
+        f"default-src 'none'; script-src {_digest(script)} 'wasm-unsafe-eval'; "
+        f"style-src {_digest(style)}; img-src data:; base-uri 'none'; form-action 'none'"
+    )
+    content = json.dumps(data, separators=(",", ":"), allow_nan=False)
+    parts = {
+        "__POLICY__": policy,
+        "__TITLE__": escape(printable(title)),
+        "__STYLE__": style,
+        "__SCRIPT__": script,
+        "__DATA__": content.replace("<", "\\u003c"),
+    }
+    return re.sub("__[A-Z]+__", lambda mark: parts[mark[0]], text)
+
+
+def _digest(text: str) -> str:
+    """The hash by which the page's policy allows a text, and no other."""
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"

@@ -1,0 +1,138 @@
+"""Nodes: the instructions of a graph, each once, and how often each has to be computed."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Container, Iterable
+from dataclasses import dataclass
+from typing import Final
+
+# How often: never, once a call, once a step for all lanes, once a call in every lane, once a step
+# in every lane.
+CONSTANT: Final = 0
+STEADY: Final = 1
+SHARED: Final = 2
+STILL: Final = 3
+LANES: Final = 4
+
+
+@dataclass(slots=True, eq=False)
+class Node:
+    """An instruction.
+
+    Attributes:
+        op: what it does: add, sub, mul, div, neg, lt, le, eq, ne; and, or, xor, shl, shr of words;
+            and, or, not, ne of truths; select (one of two values by a truth), convert (to another
+            type), view (the same bits as another type), least and most (of two numbers, the second
+            where one is NaN or both are equal); call, input, const.
+        args: its operands.
+        text: of an input, its name; of a call, the function; of a constant, its value.
+        kind: NumPy's name of the type of its value.
+        level: how often it has to be computed.
+        number: of nodes made before it.
+    """
+
+    op: str
+    args: tuple[Node, ...]
+    text: str
+    kind: str
+    level: int
+    number: int
+
+    @property
+    def value(self) -> float | None:
+        """The number that a constant is; None for other nodes."""
+        return float(self.text) if self.op == "const" else None
+
+    @property
+    def is_real(self) -> bool:
+        """Whether its value is a floating-point number."""
+        return self.kind.startswith("float")
+
+
+Results = list[list[Node]]  # the nodes that each output of a graph consists of
+
+
+class Nodes:
+    """A growing list of instructions in which none stands twice."""
+
+    def __init__(self) -> None:
+        self._known: dict[tuple[object, ...], Node] = {}
+
+    def made(self, op: str, *args: Node, text: str = "", kind: str = "", level: int = 0) -> Node:
+        """An instruction, the one that is there if it is.
+
+        Args:
+            op, args, text: as of `Node`.
+            kind: of its value; empty for that of its last operand.
+            level: the least that it may have.
+        """
+        kind = kind or args[-1].kind
+        key = (op, text, kind, *[arg.number for arg in args])
+        node = self._known.get(key)
+        if node is None:
+            levels = {level, *(arg.level for arg in args)}
+            level = max(levels)
+            if op != "const":
+                level = max(level, STEADY)
+            if level == STILL and SHARED in levels:
+                level = LANES
+            node = self._known[key] = Node(op, args, text, kind, level, len(self._known))
+        return node
+
+    def constant(self, value: float, kind: str = "float64") -> Node:
+        """A number, a word or a truth (1 or 0)."""
+        text = repr(float(value)) if kind.startswith("float") else str(int(value))
+        return self.made("const", text=text, kind=kind)
+
+    def input(self, name: str, level: int, kind: str = "float64") -> Node:
+        """What a graph is given."""
+        return self.made("input", text=name, kind=kind, level=level)
+
+
+def needed(results: Iterable[Node], known: Container[Node] = ()) -> list[Node]:
+    """What results need beyond what is known, in the order in which it was made."""
+    seen: set[Node] = set()
+    waiting = list(results)
+    while waiting:
+        node = waiting.pop()
+        if node not in seen and node not in known:
+            seen.add(node)
+            waiting.extend(node.args)
+    return sorted(seen, key=_number)
+
+
+def used(order: Iterable[Node], results: Iterable[Node], level: int) -> list[Node]:
+    """The values of a level that some instructions or results use directly."""
+    found = set(results)
+    for node in order:
+        found.update(node.args)
+    return sorted((node for node in found if node.level == level), key=_number)
+
+
+def still(order: Iterable[Node], results: Iterable[Node]) -> list[Node]:
+    """The instructions of lanes that some instructions or results need once a call."""
+    nodes = needed(used(order, results, STILL))
+    return [node for node in nodes if node.level == STILL and node.op != "input"]
+
+
+def uses(results: Results) -> Counter[Node]:
+    """How often each node is used by results and by nodes that these need."""
+    counts: Counter[Node] = Counter()
+    for result in results:
+        counts.update(result)
+    for node in needed(counts):
+        counts.update(node.args)
+    return counts
+
+
+def condition(number: Node) -> Node | None:
+    """The truth that a number 1 or 0 stands for; None for other numbers."""
+    if number.op != "select" or (number.args[1].text, number.args[2].text) != ("1.0", "0.0"):
+        return None
+    return number.args[0]
+
+
+def _number(node: Node) -> int:
+    """When a node was made."""
+    return node.number

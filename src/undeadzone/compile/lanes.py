@@ -1,0 +1,411 @@
+"""Many runs at once: the graph compiled for this CPU, a run to a lane.
+
+Threads go over blocks of lanes, kernels over groups of a block, and in each over time. A lane's
+numbers do not depend on the other lanes, the width, the threads, or on which of its inputs are
+shared.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.compile import cache, promises
+from undeadzone.compile.kernel import KINDS, graphs, source
+from undeadzone.compile.lower import Arithmetic
+from undeadzone.compile.machine import Form, Shape, here
+from undeadzone.compile.promises import Promise
+from undeadzone.errors import InputError, ShapeError
+from undeadzone.support.arrays import Floats, Integers, shape_text
+
+WIDTH = 128
+# Steps of the virtual machine that take about as long as a compilation, of any graph: 15,000 to
+# 45,000. The kernel serves later runs with other numbers, too.
+WORTH = 20_000
+WIDE = 1024  # lanes of a block that neither records nor has inputs of its own
+# Numbers of recorded outputs and lane inputs between two calls of a kernel: 1 MB stays in L2.
+BUFFER = 2**17
+
+UNRECORDED = 1 / 8  # what a step counts for that neither records nor has inputs of its own
+LINE = 8  # numbers in a line of the cache
+
+
+class Kernel(NamedTuple):
+    """A compiled step for many lanes at a time.
+
+    Attributes:
+        block: block(steps, lanes, work, exogenous, params, own, outputs), of flat arrays, lanes
+            last.
+        shape: what it was compiled for.
+        form: how lanes are computed.
+        width: lanes of a block, at most.
+        promises: what it takes for granted of params.
+    """
+
+    block: Any
+    shape: Shape
+    form: Form
+    width: int
+    promises: tuple[Promise, ...]
+
+
+class _Schedule(NamedTuple):
+    """When a run keeps and reports.
+
+    Attributes:
+        every: the outputs of each so many-th step are kept.
+        chunk: steps of one call of the kernel, a multiple of `every`.
+        progress: told of lanes x steps done.
+    """
+
+    every: int
+    chunk: int
+    progress: Callable[[int], None] | None
+
+
+def build(
+    step: ca.Function,
+    rare: Sequence[ca.Function] = (),
+    *,
+    exogenous: Sequence[int] = (),
+    params: Sequence[int] = (),
+    record: Sequence[int] | None = None,
+    known_exogenous: Mapping[int, float] = MappingProxyType({}),
+    known_params: Mapping[int, float] = MappingProxyType({}),
+    width: int | None = None,
+    fused: bool = False,
+    portable: bool = False,
+    form: Form | None = None,
+    hurry: bool = True,
+) -> Kernel:
+    """Compile a step, or take it from disk if it was compiled before.
+
+    Args:
+        step: next, out = step(s, w, p); with rare parts next, out, flag = step(s, w, p).
+        rare: where flag is not 0, the first entries of next and a new flag are rare[0](s, w, p),
+            and so on, the last flag being without meaning.
+        exogenous, params: entries of w and p that differ from lane to lane.
+        record: entries of out to keep; default: all.
+        known_exogenous, known_params: entries that have these values throughout (0 and 1 make the
+            kernel shorter).
+        width: lanes of a block, at most; 1 for a single run, without vectors; default: as suits
+            caches.
+        fused: multiply and add with one rounding: faster, within rounding of CasADi's virtual
+            machine where otherwise every bit agrees. Right and left edges given by params are taken
+            not to cross.
+        portable: elementary functions of exported code in place of the C library's: with neither
+            exceptions nor zeros of the other sign in its numbers, the bits of exported C.
+        form: how lanes are computed; default: as suits this machine.
+        hurry: of a large graph, code that is compiled in a quarter of the time and half as fast, at
+            once; the best one takes its place when a thread has it.
+
+    Raises:
+        InputError: an entry that is not there, or an instruction that cannot be compiled.
+    """
+    wanted = _Wanted(tuple(exogenous), tuple(params), record, known_exogenous, known_params)
+    recipe, shape, width = _recipe(step, rare, wanted, width, Arithmetic(fused, portable), form)
+    return _kernel(cache.made(recipe, KINDS, hurry), shape, width)
+
+
+def kept(
+    step: ca.Function, rare: Sequence[ca.Function] = (), *, width: int | None = None
+) -> Kernel | None:
+    """The kernel that `build` would give with no other options, if it is on disk."""
+    wanted = _Wanted((), (), None, {}, {})
+    recipe, shape, width = _recipe(step, rare, wanted, width, Arithmetic(), None)
+    block = cache.kept(recipe, KINDS)
+    return None if block is None else _kernel(block, shape, width)
+
+
+class _Wanted(NamedTuple):
+    """Options of `build` that concern entries."""
+
+    exogenous: tuple[int, ...]
+    params: tuple[int, ...]
+    record: Sequence[int] | None
+    known_exogenous: Mapping[int, float]
+    known_params: Mapping[int, float]
+
+
+def _recipe(
+    step: ca.Function,
+    rare: Sequence[ca.Function],
+    wanted: _Wanted,
+    width: int | None,
+    arithmetic: Arithmetic,
+    form: Form | None,
+) -> tuple[cache.Recipe, Shape, int]:
+    """How to make a kernel, what it is compiled for, and the lanes of a block."""
+    sizes = (step.size1_in(0), step.size1_in(1), step.size1_in(2))
+    outputs = step.size1_out(1)
+    recorded = range(outputs) if wanted.record is None else wanted.record
+    _require_entries("exogenous", [*wanted.exogenous, *wanted.known_exogenous], sizes[1])
+    _require_entries("params", [*wanted.params, *wanted.known_params], sizes[2])
+    _require_entries("record", recorded, outputs)
+    shape = Shape(sizes, wanted.exogenous, wanted.params, tuple(recorded))
+    chosen = width or (WIDTH if shape.exogenous or shape.record else WIDE)
+    functions = graphs(step, rare, shape, wanted.known_exogenous, wanted.known_params)
+    texts = [part.serialize() for part in (functions.usual, *functions.rare)]
+    key = "\n".join([*texts, repr((shape, arithmetic, chosen, form))])
+
+    def make() -> cache.Made:
+        made = source(functions, shape, here(), arithmetic, chosen, form)
+        return cache.Made(made.text, json.dumps([made.form, made.promises]))
+
+    return cache.Recipe(key, make), shape, chosen
+
+
+def _kernel(block: cache.Block, shape: Shape, width: int) -> Kernel:
+    """A compiled block with its note."""
+    form, granted = json.loads(block.note)
+    return Kernel(block, shape, Form(*form), width, promises.read(granted))
+
+
+def run(
+    kernel: Kernel,
+    states: Floats,
+    exogenous: Floats,
+    params: Floats,
+    lane_exogenous: Floats | Supply | None = None,
+    lane_params: Floats | None = None,
+    *,
+    every: int = 1,
+    threads: int | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> tuple[Floats, Floats]:
+    """Run the kernel's step along N steps in every lane.
+
+    Args:
+        kernel: the compiled step.
+        states: at the beginning, (states) or (lanes x states).
+        exogenous: w of each step (N x inputs).
+        params: p.
+        lane_exogenous: replaces the entries of w that differ by lane (N x own inputs x lanes), or
+            what supplies it, from several threads.
+        lane_params: replaces the entries of p that differ by lane (lanes x own params).
+        every: keep the outputs of each so many-th step, the first included.
+        threads: default one per processor.
+        progress: told of lanes x steps done, from any thread.
+
+    Returns:
+        The outputs (lanes x kept steps x recorded) and the final states (lanes x states).
+
+    Raises:
+        ShapeError: an array of another shape.
+        InputError: fused, and the edges of a zone cross.
+    """
+    shape = kernel.shape
+    inputs = checked(shape, states, exogenous, params, lane_exogenous, lane_params)
+    promises.require(kernel.promises, inputs.params, shape.params, inputs.own_params)
+    total, lanes = len(inputs.exogenous), len(inputs.states)
+    outputs = np.empty((lanes, -(-total // every), len(shape.record)))
+    finals = np.empty((lanes, shape.sizes[0]))
+    threads = threads or os.cpu_count() or 1
+    width = _width(kernel, lanes, threads)
+    schedule = _Schedule(every, _chunk(shape, width, every), progress)
+    spare: list[_Arrays] = []
+    run_block = partial(_run_block, kernel, inputs, schedule, outputs, finals, width, spare)
+    starts = range(0, lanes, width)
+    if min(threads, len(starts)) == 1:
+        for start in starts:
+            run_block(start)  # a pool of threads would cost more than a short run
+        return outputs, finals
+    with ThreadPoolExecutor(min(threads, len(starts))) as pool:
+        # A failure or Ctrl-C here drops the blocks that have not begun.
+        for _ in pool.map(run_block, starts):
+            pass
+    return outputs, finals
+
+
+def _width(kernel: Kernel, lanes: int, threads: int) -> int:
+    """Lanes of a block: whole groups, and work for every thread."""
+    group = kernel.form.lanes * kernel.form.streams
+    each = min(kernel.width, -(-lanes // threads))
+    return -(-each // group) * group
+
+
+def _require_entries(name: str, entries: Sequence[int], size: int) -> None:
+    """Raise InputError for an entry that is not there."""
+    for index in entries:
+        if not 0 <= index < size:
+            raise InputError(f"{name}: expected entries from 0 to {size - 1}, found {index}")
+
+
+def _chunk(shape: Shape, width: int, every: int) -> int:
+    """The steps of one call of a kernel: a multiple of `every`, and of 4 for the noise."""
+    unit = math.lcm(4, every)
+    numbers = width * max(UNRECORDED, len(shape.record), len(shape.exogenous))  # of a step
+    return max(1, int(BUFFER // numbers) // unit) * unit
+
+
+class _Arrays(NamedTuple):
+    """What a thread computes in.
+
+    Attributes:
+        work: states and own params (rows x lanes).
+        buffer: outputs of a chunk (steps x recorded x lanes).
+    """
+
+    work: Floats
+    buffer: Floats
+
+
+def _arrays(kernel: Kernel, width: int, steps: int) -> _Arrays:
+    """Arrays for blocks of so many lanes."""
+    shape = kernel.shape
+    rows = shape.sizes[0] + len(shape.params)
+    buffer = np.empty((steps, len(shape.record), width))
+    return _Arrays(_aligned(rows * width).reshape(rows, width), buffer)
+
+
+def _run_block(
+    kernel: Kernel,
+    inputs: Inputs,
+    schedule: _Schedule,
+    outputs: Floats,
+    finals: Floats,
+    width: int,
+    spare: list[_Arrays],
+    start: int,
+) -> None:
+    """Run the lanes of the block from `start` on; their results are written in place."""
+    states_each, every = kernel.shape.sizes[0], schedule.every
+    total, lanes = len(inputs.exogenous), len(inputs.states)
+    end = min(start + width, lanes)
+    steps = min(schedule.chunk, total)
+    arrays = spare.pop() if spare else _arrays(kernel, width, steps)
+    arrays.work[:states_each, : end - start] = inputs.states[start:end].T
+    arrays.work[states_each:, : end - start] = inputs.own_params[start:end].T
+    # Places beyond the last lane repeat it.
+    arrays.work[:, end - start :] = arrays.work[:, end - start - 1 : end - start]
+    own = inputs.supply(np.minimum(np.arange(start, start + width), end - 1))
+    for first in range(0, total, schedule.chunk):
+        count = min(schedule.chunk, total - first)
+        kernel.block(
+            count,
+            width,
+            arrays.work,
+            inputs.exogenous[first : first + count],
+            inputs.params,
+            np.ascontiguousarray(own(first, count)),
+            arrays.buffer,
+        )
+        kept = arrays.buffer[:count:every, :, : end - start].transpose(2, 0, 1)
+        at = first // every
+        outputs[start:end, at : at + kept.shape[1]] = kept
+        if schedule.progress is not None:
+            schedule.progress(count * (end - start))
+    finals[start:end] = arrays.work[:states_each, : end - start].T
+    spare.append(arrays)
+
+
+def _aligned(numbers: int) -> Floats:
+    """An array that begins with a line of the cache: no vector lies across two lines."""
+    raw = np.empty(numbers + LINE)
+    start = -(raw.ctypes.data // raw.itemsize) % LINE
+    return raw[start : start + numbers]
+
+
+# (first step, steps), asked for in order -> steps x own inputs x lanes
+Source = Callable[[int, int], Floats]
+Supply = Callable[[Integers], Source]  # lane numbers -> their source
+
+
+class Inputs(NamedTuple):
+    """What a run is given, checked.
+
+    Attributes:
+        states: at the beginning (lanes x states).
+        exogenous: w of each step (N x inputs).
+        params: p.
+        own_params: entries of p that differ by lane (lanes x own params).
+        supply: of the entries of w that differ by lane.
+    """
+
+    states: Floats
+    exogenous: Floats
+    params: Floats
+    own_params: Floats
+    supply: Supply
+
+
+def checked(
+    shape: Shape,
+    states: Floats,
+    exogenous: Floats,
+    params: Floats,
+    lane_exogenous: Floats | Supply | None,
+    lane_params: Floats | None,
+) -> Inputs:
+    """The arguments of `run` in the shapes of a kernel. Raises ShapeError."""
+    own = None if callable(lane_exogenous) else lane_exogenous
+    lanes = _lanes(
+        ("states", states, 2, 0),
+        ("lane_exogenous", own, 3, 2),
+        ("lane_params", lane_params, 2, 0),
+    )
+    total = len(exogenous)
+    states_each, entries_w, entries_p = shape.sizes
+    expected = (lanes, states_each) if np.ndim(states) > 1 else (states_each,)
+    states = np.broadcast_to(_shaped("states", states, *expected), (lanes, states_each))
+    exogenous = np.ascontiguousarray(_shaped("exogenous", exogenous, total, entries_w))
+    params = np.ascontiguousarray(_shaped("params", params, entries_p))
+    if lane_params is None:
+        lane_params = np.empty((lanes, 0))
+    own_params = _shaped("lane_params", lane_params, lanes, len(shape.params))
+    if callable(lane_exogenous):
+        return Inputs(states, exogenous, params, own_params, lane_exogenous)
+    if own is None:
+        own = np.empty((total, 0, lanes))
+    own = _shaped("lane_exogenous", own, total, len(shape.exogenous), lanes)
+    return Inputs(states, exogenous, params, own_params, _held(own))
+
+
+def _held(inputs: Floats) -> Supply:
+    """A supply from an array (N x own inputs x lanes)."""
+
+    def of_lanes(lanes: Integers) -> Source:
+        return partial(_steps_of_lanes, inputs, lanes)
+
+    return of_lanes
+
+
+def _steps_of_lanes(inputs: Floats, lanes: Integers, first: int, count: int) -> Floats:
+    """Some steps of some lanes of an array (N x own inputs x lanes)."""
+    if not inputs.size:
+        return np.empty((count, 0, lanes.size))
+    return inputs[first : first + count, :, lanes]
+
+
+def _lanes(*sources: tuple[str, Any, int, int]) -> int:
+    """The number of lanes that arrays agree on.
+
+    Args:
+        sources: name, value, dimensions when it has lanes, axis of lanes.
+    """
+    counts = {}
+    for name, value, dimensions, axis in sources:
+        if np.ndim(value) == dimensions:
+            counts[name] = np.shape(value)[axis]
+    if len(set(counts.values())) > 1 or 0 in counts.values():
+        listed = ", ".join(f"{count} in {name}" for name, count in counts.items())
+        raise ShapeError(f"lanes: expected one number of lanes, 1 or more, found {listed}")
+    return next(iter(counts.values()), 1)
+
+
+def _shaped(name: str, value: Floats, *shape: int) -> Floats:
+    """An array of a given shape. Raises ShapeError for another one."""
+    numbers = np.asarray(value, float)
+    if numbers.shape != shape:
+        present = shape_text(numbers.shape) or "one number"
+        raise ShapeError(f"{name}: expected {shape_text(shape)}, found {present}")
+    return numbers

@@ -1,0 +1,155 @@
+"""A CasADi SX function instruction by instruction: as nodes, or as any other kind of values."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Final, NamedTuple, Protocol
+
+import casadi as ca
+
+from undeadzone.compile.graph import Node, Nodes, Results
+from undeadzone.errors import InputError
+
+# CasADi's numbers of instructions as words: add of OP_ADD.
+_WORDS: Final = {getattr(ca, word): word[3:].lower() for word in dir(ca) if word[:3] == "OP_"}
+ARITHMETIC: Final = ("add", "sub", "mul", "div", "neg")
+COMPARISONS: Final = ("lt", "le", "eq", "ne")
+# Functions that a call names, of one number and of two.
+OF_ONE: Final = (
+    *("exp", "expm1", "log", "log1p", "erf", "sin", "cos", "tan", "asin", "acos", "atan"),
+    *("sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "sqrt", "fabs", "floor", "ceil", "sign"),
+)
+OF_TWO: Final = ("pow", "atan2", "hypot", "copysign", "fmod", "remainder", "fmin", "fmax")
+_SAME: Final = ("assign", "lift")
+_KNOWN: Final = {
+    *(*ARITHMETIC, *COMPARISONS, *OF_ONE, *OF_TWO, *_SAME),
+    *("inv", "sq", "twice", "constpow", "not", "and", "or", "if_else_zero"),
+}
+
+
+class Line(NamedTuple):
+    """An instruction.
+
+    Attributes:
+        word: its name.
+        operands: numbers of earlier lines.
+        leaf: of an input, its name and entry; of a constant, its value.
+    """
+
+    word: str
+    operands: tuple[int, ...] = ()
+    leaf: Any = None
+
+
+class Program(NamedTuple):
+    """A function as lines, each of which needs earlier ones only.
+
+    Attributes:
+        title: of the function.
+        lines: the instructions.
+        results: the lines that each output consists of.
+    """
+
+    title: str
+    lines: list[Line]
+    results: list[list[int]]
+
+
+def program(function: ca.Function) -> Program:
+    """The instructions of a function with dense outputs.
+
+    Every line is assigned once, unlike the places of CasADi's work vector.
+    """
+    lines: list[Line] = []
+    holds: dict[int, int] = {}  # the line that a place of the work vector holds
+    results = [[0] * function.nnz_out(i) for i in range(function.n_out())]
+    for k in range(function.n_instructions()):
+        word = _WORDS[function.instruction_id(k)]
+        sources, targets = function.instruction_input(k), function.instruction_output(k)
+        if word == "output":
+            results[targets[0]][targets[1]] = holds[sources[0]]
+            continue
+        if word == "input":
+            line = Line(word, leaf=(function.name_in(sources[0]), sources[1]))
+        elif word == "const":
+            line = Line(word, leaf=function.instruction_constant(k))
+        else:
+            line = Line(word, tuple(holds[source] for source in sources))
+        holds[targets[0]] = len(lines)
+        lines.append(line)
+    return Program(function.name(), lines, results)
+
+
+def evaluated(
+    of: Program,
+    read: Callable[[str, int], Any],
+    constant: Callable[[float], Any],
+    apply: Callable[..., Any],
+) -> list[list[Any]]:
+    """The outputs of a function in any kind of values.
+
+    Args:
+        of: the function.
+        read: (name of an input, entry) -> its value.
+        constant: a number -> its value.
+        apply: (word, values of the operands) -> the value of an instruction.
+    """
+    values: list[Any] = []
+    for word, operands, leaf in of.lines:
+        if word == "input":
+            values.append(read(*leaf))
+        elif word == "const":
+            values.append(constant(leaf))
+        else:
+            values.append(apply(word, *[values[operand] for operand in operands]))
+    return [[values[place] for place in result] for result in of.results]
+
+
+class Rules(Protocol):
+    """What makes nodes of the words of numbers: one of `simplify`."""
+
+    nodes: Nodes
+    real: str
+
+    def made(self, word: str, *args: Node) -> Node:
+        """The number that an instruction gives, where truths are 1 or 0."""
+
+    def constant(self, value: float) -> Node:
+        """A number that is written down."""
+
+
+def listed(function: ca.Function, rules: Rules, level: Callable[[str], int]) -> Results:
+    """The results of a function as nodes.
+
+    Args:
+        function: with dense outputs.
+        rules: what makes the nodes.
+        level: how often an input, such as s3, is new.
+
+    Raises:
+        InputError: an instruction that cannot be compiled; it names it.
+    """
+    lines = program(function)
+    for line in lines.lines:
+        if line.word not in (*_KNOWN, "input", "const"):
+            raise InputError(
+                f"{lines.title}: no code can be made of the instruction OP_{line.word.upper()}; "
+                "run this graph on the engine 'interpret'"
+            )
+
+    def read(name: str, entry: int) -> Node:
+        text = f"{name}{entry}"
+        return rules.nodes.input(text, level(text), rules.real)
+
+    def apply(word: str, *args: Node) -> Node:
+        if word in _SAME:
+            return args[0]
+        if word == "sq":
+            return rules.made("mul", args[0], args[0])
+        if word == "twice":
+            return rules.made("mul", rules.constant(2.0), args[0])
+        if word == "inv":
+            return rules.made("div", rules.constant(1.0), args[0])
+        return rules.made("pow" if word == "constpow" else word, *args)
+
+    return evaluated(lines, read, rules.constant, apply)

@@ -1,0 +1,219 @@
+"""The processor at hand, and how it computes lanes; LLVM's text compiled and linked for it."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import sys
+from typing import Any, Final, NamedTuple
+
+# Instructions of a step beyond which groups go alone, and beyond which in the order of the graph.
+PAIRED: Final = 350
+LARGE: Final = 700
+SMALL_STACK: Final = 2**20
+LARGE_STACK: Final = 2**23
+
+
+class Shape(NamedTuple):
+    """What a kernel is compiled for.
+
+    Attributes:
+        sizes: of s, w and p.
+        exogenous, params: entries of w and p that each lane has for itself.
+        record: outputs that are kept.
+    """
+
+    sizes: tuple[int, int, int]
+    exogenous: tuple[int, ...]
+    params: tuple[int, ...]
+    record: tuple[int, ...]
+
+
+class Form(NamedTuple):
+    """How the lanes of a kernel are computed; it changes no bit.
+
+    Attributes:
+        lanes: of a vector; 1 for plain numbers.
+        streams: groups side by side, so that one works while the other waits.
+        slots: each use of a shared number has an entry of a table for itself, which becomes an
+            operand of its instruction (AVX-512).
+        registers: numbers of a group that may wait for their use; 0 for the order of the graph.
+        branches: instructions of one condition that are worth a branch, of groups that go alone; 0
+            for no branches.
+    """
+
+    lanes: int
+    streams: int
+    slots: bool
+    registers: int
+    branches: int = 0
+
+
+ONE: Final = Form(1, 1, False, 0, 60)  # for a single run
+
+
+class Machine(NamedTuple):
+    """What machine code is made for.
+
+    Attributes:
+        triple: LLVM's name of processor and system.
+        processor: LLVM's name.
+        features: LLVM's list.
+    """
+
+    triple: str
+    processor: str
+    features: str
+
+    @property
+    def vector(self) -> tuple[int, int]:
+        """Lanes of a vector, and how many vectors registers hold."""
+        features = self.features.split(",")
+        if "+avx512f" in features:
+            return 8, 32
+        if "+avx2" in features and "+fma" in features:
+            return 4, 16
+        return (2, 32) if self.triple.startswith(("aarch64", "arm64")) else (2, 16)
+
+    def form(self, instructions: int, width: int) -> Form:
+        """The form of a kernel of so many instructions of a lane, for blocks of so many lanes."""
+        lanes, registers = self.vector
+        slots = lanes == 8
+        if registers < 32 or instructions > LARGE:
+            return Form(lanes, 1, slots, 0, 300)
+        if instructions > PAIRED or width < 2 * lanes:
+            return Form(lanes, 1, slots, 26)
+        return Form(lanes, 2, slots, 20)
+
+    def target(self, effort: int = 3) -> Any:
+        """A compiler for it, of LLVM's effort 0 to 3."""
+        from llvmlite import binding
+
+        _initialized()
+        found = binding.Target.from_triple(self.triple)
+        reloc = "static" if found.name.startswith("x86") else "default"
+        return found.create_target_machine(
+            cpu=self.processor,
+            features=self.features,
+            opt=effort,
+            reloc=reloc,
+            codemodel="jitdefault",
+            jit=True,
+        )
+
+
+@functools.cache
+def here() -> Machine:
+    """This one."""
+    from llvmlite import binding
+
+    _initialized()
+    features = binding.get_host_cpu_features().flatten()
+    return Machine(binding.get_process_triple(), binding.get_host_cpu_name(), features)
+
+
+@functools.cache
+def _initialized() -> None:
+    """Tell LLVM to use what it has for this processor."""
+    from llvmlite import binding
+
+    binding.initialize_native_target()
+    binding.initialize_native_asmprinter()
+    binding.initialize_native_asmparser()
+
+
+def stack() -> int:
+    """The bytes of a thread's stack, or fewer."""
+    if sys.platform == "win32":
+        return SMALL_STACK
+    import resource
+
+    limit = resource.getrlimit(resource.RLIMIT_STACK)[0]
+    return LARGE_STACK if limit == resource.RLIM_INFINITY else min(limit, LARGE_STACK)
+
+
+# ctypes of the numbers that a function takes.
+NUMBERS: Final[dict[str, Any]] = {
+    "int64": ctypes.c_int64,
+    "uint64": ctypes.c_uint64,
+    "float64": ctypes.c_double,
+}
+MOST: Final = 3  # effort
+
+
+class Compiled(NamedTuple):
+    """Machine code that is not linked yet.
+
+    Attributes:
+        calls: the C functions that it may call.
+        code: the machine code.
+    """
+
+    calls: list[str]
+    code: bytes
+
+
+class Linked(NamedTuple):
+    """Machine code that can be called.
+
+    Attributes:
+        function: takes numbers and addresses.
+        engine: owns the machine code.
+    """
+
+    function: Any
+    engine: Any
+
+
+def compiled(text: str, effort: int = MOST) -> Compiled:
+    """The machine code of a module, with LLVM's effort 0 (four times sooner, half as fast) to 3."""
+    from llvmlite import binding
+
+    target = here().target(effort)
+    module = binding.parse_assembly(text)
+    declared = [part.name for part in module.functions if part.is_declaration]
+    return Compiled(_called(declared), target.emit_object(module))
+
+
+def linked(made: Compiled, kinds: tuple[str, ...]) -> Linked | None:
+    """The function `block` of machine code, ready to be called.
+
+    None if something that it calls is missing from this process, at which LLVM would abort.
+    """
+    from llvmlite import binding
+
+    library = _library()
+    declarations = "\n".join(f"declare void @{name}()" for name in made.calls)
+    names = binding.parse_assembly(declarations)
+    engine = binding.create_mcjit_compiler(names, here().target())
+    for name in made.calls:
+        function = getattr(library, name, None)
+        if function is not None:
+            address = ctypes.cast(function, ctypes.c_void_p).value
+            engine.add_global_mapping(names.get_function(name), address)
+        elif binding.address_of_symbol(name) is None:
+            return None
+    engine.add_object_file(binding.ObjectFileRef.from_data(made.code))
+    engine.finalize_object()
+    prototype = ctypes.CFUNCTYPE(None, *(NUMBERS.get(kind, ctypes.c_void_p) for kind in kinds))
+    return Linked(prototype(engine.get_function_address("block")), engine)
+
+
+def _called(declared: list[str]) -> list[str]:
+    """The C functions that may be called, from the names that LLVM declares.
+
+    An intrinsic function such as llvm.floor.v2f64 may become a call of floor.
+    """
+    library = _library()
+    calls = set()
+    for name in declared:
+        if not name.startswith("llvm."):
+            calls.add(name)
+        elif hasattr(library, name.split(".")[1]):
+            calls.add(name.split(".")[1])
+    return sorted(calls)
+
+
+def _library() -> ctypes.CDLL:
+    """The C library of this process."""
+    return ctypes.CDLL("ucrtbase" if sys.platform == "win32" else None)

@@ -1,0 +1,316 @@
+"""Instructions printed as LLVM's text, of one number or of a vector of lanes."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterable, Sequence
+from typing import Final
+
+import numpy as np
+
+from undeadzone.compile.graph import CONSTANT, STILL, Node, needed
+from undeadzone.compile.schedule import Branch
+
+_INTRINSICS: Final = ("fma", "sqrt", "fabs", "floor", "ceil", "copysign")
+# LLVM's types, by NumPy's; whether an integer has a sign is a matter of its instructions.
+TYPES: Final = {
+    "float64": "double",
+    "float32": "float",
+    "int64": "i64",
+    "uint64": "i64",
+    "int32": "i32",
+    "uint32": "i32",
+    "bool": "i1",
+}
+_SIZES: Final = {"double": 8, "i64": 8, "float": 4, "i32": 4, "i1": 1}
+_SHORT: Final = {"double": "f64", "float": "f32"}
+_OF_REALS: Final = {
+    **{op: f"f{op}" for op in ("add", "sub", "mul", "div", "neg")},
+    **{"lt": "fcmp olt", "le": "fcmp ole", "eq": "fcmp oeq", "ne": "fcmp une"},
+}
+_OF_WORDS: Final = {
+    **{op: op for op in ("add", "sub", "mul", "and", "or", "xor", "shl")},
+    **{"shr": "lshr", "lt": "icmp ult", "le": "icmp ule", "eq": "icmp eq", "ne": "icmp ne"},
+}
+_OF_TRUTHS: Final = {"and": "and", "or": "or", "ne": "xor"}
+
+Names = Callable[[Node], str]
+
+
+class Text:
+    """The body of a function, line by line.
+
+    Args:
+        lanes: of a vector; 1 for plain numbers.
+        declared: what the module declares, by name; functions share it.
+        prefix: of the names of values, another one for each part of a function.
+    """
+
+    def __init__(self, lanes: int, declared: dict[str, str], prefix: str = "t") -> None:
+        self.lanes, self.declared = lanes, declared
+        self.lines: list[str] = []
+        self.block = ""  # the label of the block that is being printed
+        self._prefix, self._fresh = prefix, 0
+
+    def line(self, text: str) -> None:
+        """Add a line that gives no value."""
+        self.lines.append(f"  {text}")
+
+    def label(self, name: str) -> None:
+        """Begin a block of instructions."""
+        self.block = name
+        self.lines.append(f"{name}:")
+
+    def add(self, text: str) -> str:
+        """Add a line; the name of its value."""
+        self._fresh += 1
+        name = f"%{self._prefix}.{self._fresh}"
+        self.lines.append(f"  {name} = {text}")
+        return name
+
+    def type(self, of_one: str, vector: bool = True) -> str:
+        """The type of a vector of lanes, or of one number."""
+        return f"<{self.lanes} x {of_one}>" if vector and self.lanes > 1 else of_one
+
+    def at(self, base: str, index: int | str) -> str:
+        """The address of an entry of an array."""
+        if index == 0:
+            return base
+        return self.add(f"getelementptr double, ptr {base}, i64 {index}")
+
+    def load(self, address: str, of_type: str = "double", vector: bool = False) -> str:
+        """The numbers at an address."""
+        return self.add(
+            f"load {self.type(of_type, vector)}, ptr {address}, align {_SIZES[of_type]}"
+        )
+
+    def store(self, name: str, address: str, vector: bool = False) -> None:
+        """Keep numbers at an address."""
+        self.line(f"store {self.type('double', vector)} {name}, ptr {address}, align 8")
+
+    def splat(self, name: str, of_type: str) -> str:
+        """A number in every lane."""
+        if self.lanes == 1:
+            return name
+        vector = self.type(of_type)
+        one = self.add(f"insertelement {vector} poison, {of_type} {name}, i64 0")
+        zeros = f"<{self.lanes} x i32> zeroinitializer"
+        return self.add(f"shufflevector {vector} {one}, {vector} poison, {zeros}")
+
+    def literal(self, node: Node, vector: bool = True) -> str:
+        """A constant; of a float, the double of the same value."""
+        of_type, text = TYPES[node.kind], node.text
+        if node.is_real:
+            (word,) = struct.unpack("<Q", struct.pack("<d", np.dtype(node.kind).type(text)))
+            text = f"0x{word:016X}"
+        if of_type == "i1":
+            text = "true" if text == "1" else "false"
+        return self.every(text, of_type, vector)
+
+    def every(self, text: str, of_type: str, vector: bool = True) -> str:
+        """What is written down, in every lane."""
+        if not vector or self.lanes == 1:
+            return text
+        return f"<{', '.join([f'{of_type} {text}'] * self.lanes)}>"
+
+    def zero(self) -> str:
+        """0.0 in every lane."""
+        return "zeroinitializer" if self.lanes > 1 else "0.0"
+
+    def print(self, node: Node, names: Names, vector: bool = True) -> str:
+        """Print an instruction; the name of its value.
+
+        Args:
+            node: the instruction, neither input nor constant.
+            names: of its operands.
+            vector: in every lane, else once.
+        """
+        args, last = [names(arg) for arg in node.args], node.args[-1]
+        value = self.type(TYPES[last.kind], vector)
+        if node.op == "select":
+            return self._choice(args[0], value, args[1], args[2], vector)
+        if node.op in ("least", "most"):
+            relation = "olt" if node.op == "least" else "ogt"
+            better = self.add(f"fcmp {relation} {value} {args[0]}, {args[1]}")
+            return self._choice(better, value, args[0], args[1], vector)
+        if node.op == "call":
+            if node.text in _INTRINSICS:
+                return self._intrinsic(node, args, vector)
+            return self._call(node.text, args, vector)
+        if node.op in ("convert", "view"):
+            return self._converted(node, args[0], vector)
+        if node.op == "not":
+            return self.add(f"xor {value} {args[0]}, {self.every('true', 'i1', vector)}")
+        words = _OF_TRUTHS if last.kind == "bool" else _OF_WORDS
+        word = (_OF_REALS if last.is_real else words)[node.op]
+        return self.add(f"{word} {value} {', '.join(args)}")
+
+    def _choice(self, condition: str, value: str, yes: str, no: str, vector: bool) -> str:
+        """One of two values of a type."""
+        truth = self.type("i1", vector)
+        return self.add(f"select {truth} {condition}, {value} {yes}, {value} {no}")
+
+    def _converted(self, node: Node, name: str, vector: bool) -> str:
+        """A number as one of another type."""
+        source = node.args[0]
+        old, new = TYPES[source.kind], TYPES[node.kind]
+        if old == new:
+            return name
+        word = "bitcast" if node.op == "view" else _conversion(source, node)
+        return self.add(f"{word} {self.type(old, vector)} {name} to {self.type(new, vector)}")
+
+    def _intrinsic(self, node: Node, args: list[str], vector: bool) -> str:
+        """A call of what LLVM makes instructions of."""
+        of_one = TYPES[node.kind]
+        value = self.type(of_one, vector)
+        lanes = f"v{self.lanes}" if vector and self.lanes > 1 else ""
+        name = f"llvm.{node.text}.{lanes}{_SHORT[of_one]}"
+        self.declared[name] = f"declare {value} @{name}({', '.join([value] * len(args))})"
+        given = ", ".join([f"{value} {arg}" for arg in args])
+        return self.add(f"call {value} @{name}({given})")
+
+    def _call(self, function: str, args: list[str], vector: bool) -> str:
+        """Calls of a C function, lane by lane."""
+        numbers = ", ".join(["double"] * len(args))
+        self.declared[function] = f"declare double @{function}({numbers})"
+        if not vector or self.lanes == 1:
+            return self._called(function, args)
+        value, whole = self.type("double"), "poison"
+        for lane in range(self.lanes):
+            parts = [self.add(f"extractelement {value} {arg}, i64 {lane}") for arg in args]
+            one = self._called(function, parts)
+            whole = self.add(f"insertelement {value} {whole}, double {one}, i64 {lane}")
+        return whole
+
+    def _called(self, function: str, args: list[str]) -> str:
+        """A call of a C function."""
+        return self.add(f"call double @{function}({', '.join([f'double {x}' for x in args])})")
+
+    def any(self, condition: str) -> str:
+        """Whether a condition holds in any lane."""
+        if self.lanes == 1:
+            return condition
+        bits = self.add(f"bitcast {self.type('i1')} {condition} to i{self.lanes}")
+        return self.add(f"icmp ne i{self.lanes} {bits}, 0")
+
+
+def once(text: Text, wanted: Iterable[Node], have: dict[Node, str], source: Names) -> None:
+    """Print as plain numbers what is wanted, and what that needs beyond what is there.
+
+    Args:
+        text: where it is printed.
+        wanted: values of levels below the lanes'.
+        have: the names of values that are there, which grow.
+        source: prints an input.
+    """
+
+    def name(node: Node) -> str:
+        return text.literal(node, False) if node.level == CONSTANT else have[node]
+
+    for node in needed(wanted, have):
+        if node.op == "const":
+            continue
+        have[node] = source(node) if node.op == "input" else text.print(node, name, False)
+
+
+def kept(text: Text, node: Node, name: str) -> str:
+    """A plain value as a double, the form in which tables keep it."""
+    if node.kind == "bool":
+        return text.add(f"select i1 {name}, double 1.0, double 0.0")
+    if node.kind in ("int64", "uint64"):
+        return text.add(f"bitcast i64 {name} to double")
+    return name
+
+
+def plain(text: Text, node: Node, name: str, vector: bool = False) -> str:
+    """A double of a table as the value that it is."""
+    double = text.type("double", vector)
+    if node.kind == "bool":
+        return text.add(f"fcmp une {double} {name}, {text.zero() if vector else '0.0'}")
+    if node.kind in ("int64", "uint64"):
+        return text.add(f"bitcast {double} {name} to {text.type('i64', vector)}")
+    return name
+
+
+def in_lanes(
+    text: Text, order: Sequence[Node | Branch], sources: list[Names], every_use: bool
+) -> list[Names]:
+    """Print the lanes' instructions for several groups of lanes side by side.
+
+    Args:
+        text: where they are printed.
+        order: of the instructions; branches for one group only.
+        sources: for each group, what names an input of lanes, or a value of a lower level.
+        every_use: values of lower levels are named anew at every use.
+
+    Returns:
+        For each group, what names its values.
+    """
+    have: list[dict[Node, str]] = [{} for _ in sources]
+
+    def name(node: Node, group: int) -> str:
+        if node.level == CONSTANT:
+            return text.literal(node)
+        if node in have[group]:
+            return have[group][node]
+        found = sources[group](node)
+        if node.level >= STILL:
+            have[group][node] = found
+        elif not every_use:
+            for each in have:
+                each[node] = found
+        return found
+
+    def namer(group: int) -> Names:
+        return lambda node: name(node, group)
+
+    namers = [namer(group) for group in range(len(sources))]
+    for node in order:
+        if isinstance(node, Branch):
+            _branch(text, node, have[0], namers[0])
+            continue
+        for group, named in enumerate(namers):
+            have[group][node] = text.print(node, named)
+    return namers
+
+
+def _branch(text: Text, branch: Branch, have: dict[Node, str], name: Names) -> None:
+    """Print a branch for one group; where it is not taken, its values are 0, which no lane uses."""
+    condition = name(branch.truth)
+    if not branch.holds:
+        condition = text.add(f"xor {text.type('i1')} {condition}, {text.every('true', 'i1')}")
+    before, number = dict(have), branch.nodes[0].number
+    came = text.block
+    text.line(f"br i1 {text.any(condition)}, label %needed{number}, label %past{number}")
+    text.label(f"needed{number}")
+    for node in branch.nodes:
+        have[node] = text.print(node, name)
+    values = [have[node] for node in branch.leaving]
+    text.line(f"br label %past{number}")
+    text.label(f"past{number}")
+    have.clear()
+    have.update(before)  # what was loaded in the branch is not there beyond it
+    for node, value in zip(branch.leaving, values, strict=True):
+        kind = text.type(TYPES[node.kind])
+        sources = f"[{value}, %needed{number}], [zeroinitializer, %{came}]"
+        have[node] = text.add(f"phi {kind} {sources}")
+
+
+def entries_of(text: Text, array: str) -> Names:
+    """What loads an input, such as p3, from entry 3 of an array."""
+    return lambda node: text.load(text.at(f"%{array}", int(node.text[1:])))
+
+
+def _conversion(source: Node, target: Node) -> str:
+    """LLVM's name of a conversion by value."""
+    wider = _SIZES[TYPES[target.kind]] > _SIZES[TYPES[source.kind]]
+    has_sign = not source.kind.startswith("u")
+    if source.is_real and target.is_real:
+        return "fpext" if wider else "fptrunc"
+    if target.is_real:
+        return "sitofp" if has_sign else "uitofp"
+    if source.is_real:
+        return "fptoui" if target.kind.startswith("u") else "fptosi"
+    if not wider:
+        return "trunc"
+    return "sext" if has_sign else "zext"

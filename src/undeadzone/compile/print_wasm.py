@@ -1,0 +1,248 @@
+"""Nodes as one WebAssembly module, written byte by byte: no compiler is needed.
+
+Every instruction is the one of IEEE 754 double precision; elementary functions are those of
+exported C. Binary format: WebAssembly Core Specification 1.0, section 5.
+"""
+
+from __future__ import annotations
+
+import itertools
+import struct
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+from undeadzone.compile import elementary
+from undeadzone.compile.graph import Node, Results, condition, needed, uses
+from undeadzone.errors import InputError
+
+KIND: Final = "float64"
+REAL: Final = 8  # bytes of a number
+PAGE: Final = 65536  # bytes of a page of memory
+DEEPEST: Final = 60  # nesting of an expression, beyond which a local holds a part of it
+_MAGIC: Final = b"\0asm\x01\0\0\0"
+_TYPES: Final = {"float64": 0x7C, "uint64": 0x7E, "bool": 0x7F}  # f64, i64, i32
+_OF_REALS: Final = {
+    **{"add": b"\xa0", "sub": b"\xa1", "mul": b"\xa2", "div": b"\xa3", "neg": b"\x9a"},
+    **{"eq": b"\x61", "ne": b"\x62", "lt": b"\x63", "le": b"\x65", "view": b"\xbd"},
+}
+_OF_WORDS: Final = {
+    **{"add": b"\x7c", "sub": b"\x7d", "mul": b"\x7e", "and": b"\x83", "or": b"\x84"},
+    **{"xor": b"\x85", "shl": b"\x86", "shr": b"\x88", "eq": b"\x51", "ne": b"\x52"},
+    **{"lt": b"\x54", "le": b"\x58", "view": b"\xbf"},
+}
+_OF_TRUTHS: Final = {"not": b"\x45", "and": b"\x71", "or": b"\x72", "ne": b"\x47"}
+_CODES: Final = {"float64": _OF_REALS, "uint64": _OF_WORDS, "bool": _OF_TRUTHS}
+_BUILT_IN: Final = {
+    **{"fabs": b"\x99", "ceil": b"\x9b", "floor": b"\x9c", "sqrt": b"\x9f", "copysign": b"\xa6"},
+}
+_AS_NUMBER, _SELECTED = b"\xb7", b"\x1b"
+
+
+class Function(NamedTuple):
+    """Results of inputs that stand in memory, where they go, too.
+
+    Attributes:
+        name: what it is exported as.
+        results: the nodes.
+        inputs: where each input stands [bytes], by its name.
+        targets: where each entry of each result goes [bytes].
+    """
+
+    name: str
+    results: Results
+    inputs: dict[str, int]
+    targets: list[list[int]]
+
+
+def module(functions: Sequence[Function], size: int) -> bytes:
+    """The module: it exports the functions, and the memory as "memory".
+
+    Args:
+        functions: what it computes.
+        size: bytes of memory that they use.
+
+    Raises:
+        InputError: an instruction that WebAssembly has not.
+    """
+    own = _own(functions)
+    calls = {name: len(functions) + k for k, name in enumerate(own)}
+    shapes = [elementary.formula(name, KIND) for name in own]
+    bodies = [_stored(function, calls) for function in functions]
+    bodies += [_returned(shape, calls) for shape in shapes]
+    kinds = [0] * len(functions) + [len(shape.inputs) for shape in shapes]
+    exports = [_name(each.name) + b"\0" + _unsigned(k) for k, each in enumerate(functions)]
+    exports.append(_name("memory") + b"\x02\0")
+    sections = [
+        _section(1, [_type(0, 0), _type(1, 1), _type(2, 1)]),
+        _section(3, [_unsigned(kind) for kind in kinds]),
+        _section(5, [b"\0" + _unsigned(-(-size // PAGE))]),
+        _section(7, exports),
+        _section(10, [_unsigned(len(body)) + body for body in bodies]),
+    ]
+    return _MAGIC + b"".join(sections)
+
+
+def _own(functions: Sequence[Function]) -> list[str]:
+    """The elementary functions that are called, but those of WebAssembly. Raises InputError."""
+    names: set[str] = set()
+    for function in functions:
+        names |= elementary.called(function.results)
+    if names & {"fmod", "remainder"}:
+        raise InputError("export: a remainder of a division has no WebAssembly instruction")
+    return [name for name in elementary.needed(names) if name not in _BUILT_IN]
+
+
+def _stored(function: Function, calls: dict[str, int]) -> bytes:
+    """The body of a function between places in memory."""
+    writer = _Writer(function.results, function.inputs, {}, calls)
+    code = writer.filled()
+    for nodes, targets in zip(function.results, function.targets, strict=True):
+        for node, target in zip(nodes, targets, strict=True):
+            code += b"\x41\0" + writer.code(node) + b"\x39\x03" + _unsigned(target)
+    return writer.declared() + code + b"\x0b"
+
+
+def _returned(shape: elementary.Formula, calls: dict[str, int]) -> bytes:
+    """The body of an elementary function."""
+    arguments = {text: k for k, text in enumerate(shape.inputs)}
+    writer = _Writer([[shape.result]], {}, arguments, calls)
+    code = writer.filled() + writer.code(shape.result)
+    return writer.declared() + code + b"\x0b"
+
+
+class _Writer:
+    """The instructions of nodes; what is used more than once stays in a local.
+
+    Args:
+        results: the nodes.
+        inputs: where each input stands [bytes], by its name.
+        arguments: numbers of the inputs that are arguments.
+        calls: numbers of the functions, by name.
+    """
+
+    def __init__(
+        self,
+        results: Results,
+        inputs: dict[str, int],
+        arguments: dict[str, int],
+        calls: dict[str, int],
+    ) -> None:
+        self._inputs, self._calls, self._first = inputs, calls, len(arguments)
+        self._locals: dict[Node, int] = {}
+        for node in needed(itertools.chain(*results)):
+            if node.op == "input" and node.text in arguments:
+                self._locals[node] = arguments[node.text]
+        self._kept = self._kept_of(results)
+
+    def _kept_of(self, results: Results) -> dict[str, list[Node]]:
+        """The nodes that a local holds, by their types."""
+        counts = uses(results)
+        depths: dict[Node, int] = {}
+        kept: dict[str, list[Node]] = {kind: [] for kind in _TYPES}
+        for node in sorted(counts, key=lambda node: node.number):
+            depth = 1 + max([depths[arg] for arg in node.args], default=0)
+            often = counts[node] > (2 if node.op == "const" else 1) and not _is_short(node)
+            is_state = node.op == "input" and node.text.startswith("s")  # results overwrite it
+            holds = often or depth > DEEPEST or is_state
+            depths[node] = 0 if holds else depth
+            if holds and node not in self._locals:
+                kept[node.kind].append(node)
+        return kept
+
+    def declared(self) -> bytes:
+        """The declaration of the locals."""
+        groups = []
+        for kind, nodes in self._kept.items():
+            if nodes:
+                groups.append(_unsigned(len(nodes)) + bytes([_TYPES[kind]]))
+        return _unsigned(len(groups)) + b"".join(groups)
+
+    def filled(self) -> bytes:
+        """The instructions that fill the locals, each after those that it needs."""
+        kept = itertools.chain(*self._kept.values())
+        numbers = {node: self._first + k for k, node in enumerate(kept)}
+        code = b""
+        for node in sorted(numbers, key=lambda node: node.number):
+            code += self.code(node) + b"\x21" + _unsigned(numbers[node])
+            self._locals[node] = numbers[node]
+        return code
+
+    def code(self, node: Node) -> bytes:
+        """The instructions of a node."""
+        if node in self._locals:
+            return b"\x20" + _unsigned(self._locals[node])
+        if node.op == "const":
+            return _constant(node)
+        if node.op == "input":
+            return b"\x41\0\x2b\x03" + _unsigned(self._inputs[node.text])
+        truth = condition(node)
+        if truth is not None:
+            return self.code(truth) + _AS_NUMBER
+        if node.op == "select":
+            asked, yes, no = map(self.code, node.args)
+            return yes + no + asked + _SELECTED
+        values = b"".join(map(self.code, node.args))
+        if node.op != "call":
+            return values + _CODES[node.args[0].kind][node.op]
+        if node.text in _BUILT_IN:
+            return values + _BUILT_IN[node.text]
+        return values + b"\x10" + _unsigned(self._calls[node.text])
+
+
+def _is_short(node: Node) -> bool:
+    """Whether a node is a constant of a few bytes."""
+    return node.op == "const" and len(_constant(node)) < REAL
+
+
+def _constant(node: Node) -> bytes:
+    """What is written down; a small whole number is converted: three bytes in place of nine."""
+    if node.kind == "bool":
+        return b"\x41" + _signed(int(node.text))
+    if not node.is_real:
+        word = int(node.text)
+        return b"\x42" + _signed(word - (1 << 64) if word >> 63 else word)
+    value = float(node.text)
+    bits = struct.pack("<d", value)
+    if abs(value) < 64 and bits == struct.pack("<d", int(value)):
+        return b"\x41" + _signed(int(value)) + _AS_NUMBER
+    return b"\x44" + bits
+
+
+# --- The smallest parts of a module
+
+
+def _signed(value: int) -> bytes:
+    """A signed integer in LEB128."""
+    code = bytearray()
+    while True:
+        low, value = value & 0x7F, value >> 7
+        if value == -(low >> 6):
+            code.append(low)
+            return bytes(code)
+        code.append(low | 0x80)
+
+
+def _unsigned(value: int) -> bytes:
+    """An unsigned integer in LEB128."""
+    code = bytearray()
+    while value > 0x7F:
+        code.append((value & 0x7F) | 0x80)
+        value >>= 7
+    return bytes([*code, value])
+
+
+def _name(text: str) -> bytes:
+    """A name, its length first."""
+    return _unsigned(len(text)) + text.encode()
+
+
+def _type(arguments: int, results: int) -> bytes:
+    """The type of a function of numbers."""
+    reals = bytes([_TYPES[KIND]])
+    return b"\x60" + _unsigned(arguments) + reals * arguments + _unsigned(results) + reals * results
+
+
+def _section(number: int, entries: list[bytes]) -> bytes:
+    """A section of the module."""
+    content = _unsigned(len(entries)) + b"".join(entries)
+    return bytes([number]) + _unsigned(len(content)) + content

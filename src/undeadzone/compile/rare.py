@@ -1,0 +1,178 @@
+"""What a step rarely needs: functions of their own, called when a lane of a group asks for them."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Final
+
+from undeadzone.compile.graph import SHARED, STEADY, STILL, Node, needed, still, used
+from undeadzone.compile.machine import LARGE, Form, Shape
+from undeadzone.compile.print_llvm import TYPES, Names, Text, entries_of, in_lanes, once, plain
+from undeadzone.compile.schedule import of_graph, ordered
+
+_POINTERS: Final = ("before", "next", "flag", "row", "own", "w", "rare")
+
+
+class RareParts:
+    """The rare parts of a kernel.
+
+    A group's vectors go to them and come back through memory: of the states before the step those
+    that they read, of the states after it those that they write.
+
+    Args:
+        shape, form: of the kernel.
+        parts: next, flag of each.
+    """
+
+    def __init__(self, shape: Shape, form: Form, parts: list[list[list[Node]]]) -> None:
+        self._shape, self._form = shape, form
+        self._results = [[*following, *flag] for following, flag in parts]
+        self._orders = [_order(results, form) for results in self._results]
+        self._written = len(parts[0][0]) if parts else 0
+        everything = needed(itertools.chain(*self._results))
+        inputs = [node.text for node in everything if node.op == "input"]
+        self._read = sorted(int(text[1:]) for text in inputs if text[0] == "s")
+        self._uses = [self._steady(part) for part in range(len(parts))]
+        self.steady = list(dict.fromkeys(itertools.chain(*self._uses)))
+
+    @property
+    def arrays(self) -> list[tuple[str, int]]:
+        """The arrays that each group needs, and their vectors."""
+        return [("before", len(self._read)), ("next", self._written), ("flag", 1)]
+
+    def _steady(self, part: int) -> list[Node]:
+        """The steady values that a part uses."""
+        order, results = self._orders[part], self._results[part]
+        shared = [node for node in needed(used(order, results, SHARED)) if node.level == SHARED]
+        return [*used(order, results, STEADY), *used(shared, [], STEADY)]
+
+    def called(
+        self, text: Text, following: list[list[str]], flags: list[str]
+    ) -> tuple[str, list[list[str]]]:
+        """Print the call for groups in which a flag is set.
+
+        Args:
+            text: where it is printed.
+            following: the names of the states after the step, for each group.
+            flags: the names of conditions, for each group.
+
+        Returns:
+            The label of the last block, and the names of the states after it.
+        """
+        marks = [text.any(flag) for flag in flags]
+        some = marks[0]
+        for mark in marks[1:]:
+            some = text.add(f"or i1 {some}, {mark}")
+        text.line(f"br i1 {some}, label %rarely, label %after, !prof !0")
+        text.label("rarely")
+        came, merged = "rarely", []
+        for u, (flag, mark) in enumerate(zip(flags, marks, strict=True)):
+            text.line(f"br i1 {mark}, label %do{u}, label %did{u}")
+            text.label(f"do{u}")
+            changed = self._one(text, u, following[u], flag)
+            text.line(f"br label %did{u}")
+            text.label(f"did{u}")
+            values = list(following[u])
+            for i, name in enumerate(changed):
+                sources = f"[{values[i]}, %{came}], [{name}, %do{u}]"
+                values[i] = text.add(f"phi {text.type('double')} {sources}")
+            merged.append(values)
+            came = f"did{u}"
+        text.line("br label %after")
+        return came, merged
+
+    def _one(self, text: Text, u: int, following: list[str], flag: str) -> list[str]:
+        """Print the call for one group; the names of the states that it writes."""
+        for i, place in enumerate(self._read):
+            text.store(f"%s{u}_{place}", self._at(text, f"%before{u}", i), vector=True)
+        for i in range(self._written):
+            text.store(following[i], self._at(text, f"%next{u}", i), vector=True)
+        text.store(_number(text, flag), f"%flag{u}", vector=True)
+        row, own = f"%row{u}_0", f"%own{u}_0" if self._shape.exogenous else "%own"
+        given = (f"%before{u}", f"%next{u}", f"%flag{u}", row, own, "%w", "%rare")
+        pointers = ", ".join(f"ptr {name}" for name in given)
+        text.line(f"call void @rare0(i64 %lanes, {pointers})")
+        changed = []
+        for i in range(self._written):
+            changed.append(text.load(self._at(text, f"%next{u}", i), vector=True))
+        return changed
+
+    def _at(self, text: Text, base: str, i: int) -> str:
+        """The address of a vector of an array."""
+        return text.at(base, i * self._form.lanes)
+
+    def functions(self, declared: dict[str, str]) -> list[str]:
+        """The functions' text, given what the module declares."""
+        return [self._function(part, declared) for part in range(len(self._results))]
+
+    def _function(self, part: int, declared: dict[str, str]) -> str:
+        """A part: the states where the flag is set, and a new flag; then the next part."""
+        text, results = Text(self._form.lanes, declared), self._results[part]
+        vector, order = text.type("double"), self._orders[part]
+        have: dict[Node, str] = {}
+        for place, node in enumerate(self.steady):
+            if node in self._uses[part]:
+                have[node] = plain(text, node, text.load(text.at("%rare", place)))
+        once(text, used(order, results, SHARED), have, entries_of(text, "w"))
+        (names,) = in_lanes(text, order, [self._source(text, have)], False)
+        old = text.load("%flag", vector=True)
+        flagged = text.add(f"fcmp une {vector} {old}, {text.zero()}")
+        for i, node in enumerate(results[:-1]):
+            address = self._at(text, "%next", i)
+            usual = text.load(address, vector=True)
+            choice = f"{text.type('i1')} {flagged}, {vector} {names(node)}, {vector} {usual}"
+            text.store(text.add(f"select {choice}"), address, vector=True)
+        if part + 1 < len(self._results):
+            choice = f"{text.type('i1')} {flagged}, {vector} {names(results[-1])}, {vector}"
+            flag = text.add(f"select {choice} {text.zero()}")  # of a lane that asked for this part
+            text.store(flag, "%flag", vector=True)
+            again = text.any(text.add(f"fcmp une {vector} {flag}, {text.zero()}"))
+            text.line(f"br i1 {again}, label %again, label %enough")
+            text.label("again")
+            given = ", ".join(f"ptr %{name}" for name in _POINTERS)
+            text.line(f"call void @rare{part + 1}(i64 %lanes, {given})")
+            text.line("br label %enough")
+            text.label("enough")
+        text.line("ret void")
+        pointers = ", ".join(f"ptr noalias %{name}" for name in _POINTERS)
+        head = f"define internal void @rare{part}(i64 %lanes, {pointers}) noinline #0 {{"
+        return "\n".join([head, *text.lines, "}"])
+
+    def _source(self, text: Text, have: dict[Node, str]) -> Names:
+        """What names values of lower levels and inputs of the lanes."""
+
+        def source(node: Node) -> str:
+            if node.level < STILL:
+                return text.splat(have[node], TYPES[node.kind])
+            place = int(node.text[1:])
+            if node.text[0] == "s":
+                return text.load(self._at(text, "%before", self._read.index(place)), vector=True)
+            if node.text[0] == "p":
+                row = self._shape.sizes[0] + self._shape.params.index(place)
+                return text.load(_row(text, "%row", row), vector=True)
+            if place in self._shape.exogenous:
+                return text.load(
+                    _row(text, "%own", self._shape.exogenous.index(place)), vector=True
+                )
+            return text.load(text.at("%w", place))
+
+        return source
+
+
+def _order(results: list[Node], form: Form) -> list[Node]:
+    """The instructions of a part; one group goes alone, so that it has all registers."""
+    small = len(of_graph(results)) <= LARGE
+    order = ordered(results, form.registers * form.streams if small else 0)
+    return [*still(order, results), *order]
+
+
+def _row(text: Text, base: str, row: int) -> str:
+    """The address of a row of an array, each `lanes` numbers after the one before."""
+    numbers = text.add(f"mul i64 %lanes, {row}")
+    return text.at(base, numbers)
+
+
+def _number(text: Text, condition: str) -> str:
+    """1 where a condition holds, else 0."""
+    vector, one = text.type("double"), text.splat("1.0", "double")
+    return text.add(f"select {text.type('i1')} {condition}, {vector} {one}, {vector} {text.zero()}")

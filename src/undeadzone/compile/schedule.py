@@ -1,0 +1,260 @@
+"""The order of a lane's instructions, and which of them are skipped.
+
+As many go at once as registers hold. What only one truth needs is gathered: it is skipped where no
+lane of a group needs it.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections import Counter, defaultdict
+from collections.abc import Iterable
+from typing import Final, NamedTuple
+
+from undeadzone.compile.graph import LANES, Node, needed
+
+# Cycles until a result is there, by instruction or function; 4 where nothing stands.
+_LATENCY: Final = {
+    **{"div": 13, "sqrt": 20, "neg": 0, "and": 1, "or": 1, "xor": 1, "not": 1, "select": 2},
+}
+_USUAL: Final = 4
+
+Users = dict[Node, list[Node]]
+
+
+def ordered(results: list[Node], registers: int) -> list[Node]:
+    """The lanes' instructions, scheduled if registers are counted."""
+    return by_height(results, registers) if registers else of_graph(results)
+
+
+def of_graph(results: Iterable[Node]) -> list[Node]:
+    """The lanes' instructions in the order in which they were made."""
+    return [node for node in needed(results) if node.level == LANES and node.op != "input"]
+
+
+def _users(order: list[Node]) -> Users:
+    """The instructions that use each value."""
+    users: Users = defaultdict(list)
+    for node in order:
+        for arg in set(node.args):
+            users[arg].append(node)
+    return users
+
+
+def by_height(results: list[Node], registers: int) -> list[Node]:
+    """List scheduling of the lanes' instructions.
+
+    First comes what is farthest from the end, until that many numbers are waiting for their use;
+    then what makes a register free.
+    """
+    state = _started(of_graph(results), results)
+    order: list[Node] = []
+    while state.ready:
+        best = state.best(len(order), registers)
+        order.append(best)
+        state.place(best, len(order))
+    return order
+
+
+class _State(NamedTuple):
+    """A schedule on the way.
+
+    Attributes:
+        users: of each instruction.
+        height: cycles from each one's begin to the end.
+        waiting: how many operands of each are not there yet.
+        at: the cycle from which each can begin.
+        left: how many users of each are not placed.
+        live: the numbers that wait for a use.
+        ready: what can be placed.
+    """
+
+    users: Users
+    height: dict[Node, int]
+    waiting: dict[Node, int]
+    at: dict[Node, int]
+    left: Counter[Node]
+    live: set[Node]
+    ready: list[Node]
+
+    def best(self, clock: int, registers: int) -> Node:
+        """What to place in a cycle."""
+        if len(self.live) >= registers:
+            return max(self.ready, key=lambda node: (self._frees(node), *self._urgency(node)))
+        now = [node for node in self.ready if self.at[node] <= clock] or self.ready
+        return max(now, key=lambda node: (self.height[node], self._frees(node), -node.number))
+
+    def place(self, node: Node, clock: int) -> None:
+        """Take an instruction for placed; `clock` cycles have passed."""
+        self.ready.remove(node)
+        for arg in set(node.args):
+            self.left[arg] -= 1
+            if self.left[arg] == 0:
+                self.live.discard(arg)
+        if node.kind != "bool" and self.left[node]:
+            self.live.add(node)
+        for user in self.users[node]:
+            self.waiting[user] -= 1
+            self.at[user] = max(self.at.get(user, 0), clock + _latency(node) - 1)
+            if self.waiting[user] == 0:
+                self.ready.append(user)
+
+    def _urgency(self, node: Node) -> tuple[int, int]:
+        """How far from the end it is, earlier ones first."""
+        return self.height[node], -node.number
+
+    def _frees(self, node: Node) -> int:
+        """How many registers more are free after an instruction."""
+        ended = 0
+        for arg in set(node.args):
+            last = arg.level == LANES and self.left[arg] == 1
+            ended += last and arg.kind != "bool"
+        return ended - (node.kind != "bool")
+
+
+def _started(order: list[Node], results: list[Node]) -> _State:
+    """A schedule in which nothing is placed."""
+    inside, users = set(order), _users(order)
+    waiting = {node: len(inside.intersection(node.args)) for node in order}
+    left = Counter(set(results))
+    height: dict[Node, int] = {}
+    for node in order:
+        left.update(set(node.args))
+    for node in reversed(order):
+        height[node] = _latency(node) + max((height[user] for user in users[node]), default=0)
+    ready = [node for node in order if waiting[node] == 0]
+    return _State(users, height, waiting, dict.fromkeys(ready, 0), left, set(), ready)
+
+
+def _latency(node: Node) -> int:
+    """Cycles until the result of an instruction is there."""
+    is_xor = node.op == "ne" and node.args[0].kind == "bool"
+    return 1 if is_xor else _LATENCY.get(node.text or node.op, _USUAL)
+
+
+class Branch(NamedTuple):
+    """Instructions that count only where a truth holds, or only where it does not.
+
+    Attributes:
+        truth: which is asked of all lanes of a group.
+        holds: whether they count where it holds.
+        nodes: the instructions, in order.
+        leaving: those whose values are used after it.
+    """
+
+    truth: Node
+    holds: bool
+    nodes: list[Node]
+    leaving: list[Node]
+
+
+Guard = tuple[Node, bool]  # a truth, and its value on which an instruction counts
+
+
+def gathered(order: list[Node], results: list[Node], least: int) -> list[Node | Branch]:
+    """The same instructions with branches.
+
+    Args:
+        order: the instructions, each after what it needs.
+        results: what is wanted of them.
+        least: instructions that are worth a branch.
+    """
+    users = _users(order)
+    kept = _kept(order, set(results), users, least)
+    return _Gathering(order, set(results), users, kept).all() if kept else list(order)
+
+
+def _kept(order: list[Node], results: set[Node], users: Users, least: int) -> dict[Node, Guard]:
+    """The guard of each instruction of a branch."""
+    nothing: frozenset[Guard] = frozenset()
+    guards: dict[Node, frozenset[Guard]] = {}
+    for node in reversed(order):
+        all_of = [_guards_of_use(node, user, guards[user]) for user in users[node]]
+        needless = node in results or not all_of
+        guards[node] = nothing if needless else frozenset.intersection(*all_of)
+    counts = Counter(itertools.chain.from_iterable(guards.values()))
+    worth = {guard for guard, count in counts.items() if count >= least}
+    kept = {}
+    for node, each in guards.items():
+        possible = each & worth
+        if possible:
+            kept[node] = max(possible, key=lambda guard: (counts[guard], _rank(guard)))
+    return kept
+
+
+def _rank(guard: Guard) -> tuple[int, bool]:
+    """What decides between equal guards."""
+    return guard[0].number, guard[1]
+
+
+def _guards_of_use(node: Node, user: Node, guards: frozenset[Guard]) -> frozenset[Guard]:
+    """On what a use of a value counts, given on what its user does."""
+    if user.op != "select" or user.args[0] is node or user.args[0].level < LANES:
+        return guards
+    places = [arg is node for arg in user.args[1:]]
+    return guards if all(places) else guards | {(user.args[0], places[0])}
+
+
+class _Gathering:
+    """Instructions on the way into their order, those of no branch first.
+
+    Args:
+        order, results, users, kept: as above.
+    """
+
+    def __init__(
+        self, order: list[Node], results: set[Node], users: Users, kept: dict[Node, Guard]
+    ) -> None:
+        self._results, self._users, self._kept = results, users, kept
+        self._waiting: dict[Node, int] = {}
+        self._free: list[Node] = []
+        self._held: dict[Guard, list[Node]] = defaultdict(list)
+        inside = set(order)
+        for node in order:
+            before = inside.intersection(node.args)
+            if node in kept and kept[node][0] not in node.args:
+                users[kept[node][0]].append(node)  # the truth comes before its branch
+                before.add(kept[node][0])
+            self._waiting[node] = len(before)
+        for node in order:
+            if self._waiting[node] == 0:
+                self._ready(node)
+
+    def all(self) -> list[Node | Branch]:
+        """All instructions."""
+        found: list[Node | Branch] = []
+        while self._free or any(self._held.values()):
+            while self._free:
+                node = self._free.pop(0)
+                found.append(node)
+                self._place(node)
+            if any(self._held.values()):
+                found.append(self._branch())
+        return found
+
+    def _ready(self, node: Node) -> None:
+        """Let an instruction be placed."""
+        (self._held[self._kept[node]] if node in self._kept else self._free).append(node)
+
+    def _place(self, node: Node) -> None:
+        """Take an instruction for placed."""
+        for user in self._users[node]:
+            self._waiting[user] -= 1
+            if self._waiting[user] == 0:
+                self._ready(user)
+
+    def _branch(self) -> Branch:
+        """The branch of which most is ready, with all of it that becomes ready on the way."""
+        guard = max(self._held, key=lambda guard: (len(self._held[guard]), _rank(guard)))
+        nodes = []
+        while self._held[guard]:
+            nodes.append(self._held[guard].pop(0))
+            self._place(nodes[-1])
+        leaving = [node for node in nodes if self._is_used_outside(node, set(nodes))]
+        return Branch(*guard, nodes, leaving)
+
+    def _is_used_outside(self, node: Node, inside: set[Node]) -> bool:
+        """Whether a value is used after its branch."""
+        if node in self._results:
+            return True
+        return any(node in user.args and user not in inside for user in self._users[node])

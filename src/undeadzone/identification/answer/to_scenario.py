@@ -1,0 +1,347 @@
+"""From the answer to a scenario that `run`, `check`, `design` and `watch` take as it is."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from undeadzone.errors import InputError
+from undeadzone.identification.answer.answer import Answer, told_element, told_range
+from undeadzone.identification.answer.to_continuous import entry_spread
+from undeadzone.identification.models.estimates import Interval
+from undeadzone.identification.models.kalman import AT_OUTPUT
+from undeadzone.identification.models.plant import input_gain
+from undeadzone.identification.verdict.which import Element
+from undeadzone.linear.matrices import Matrices
+from undeadzone.support.arrays import Floats
+from undeadzone.support.text import printable
+
+UNSEEN = 0.1  # of the readings' noise: what a disturbance makes of z, and no log of this kind shows
+SIDES = ("right", "left")
+NO_ZONE = ("right = 0.0  # the sensor has no zone", "left = 0.0")
+NO_ZONE_CLAIMED = ("right = [0.0, 1e-09]  # no zone", "left = [0.0, 1e-09]")
+LEAST, MOST = 1e-3, 0.5  # tolerance of an entry
+
+
+def scenario_text(answers: Sequence[Answer]) -> str:
+    """A scenario as TOML text.
+
+    Args:
+        answers: one for each output of one log: zones with both edges known. Each output has a
+            plant of its own, and all plants have the same inputs.
+
+    Returns:
+        The text, with remarks on where each number comes from.
+
+    Raises:
+        InputError: no plant in continuous time fits, the input acts late, or a zone that does not
+            hold z = 0.
+    """
+    plants, spreads_A, spreads_B = zip(*[_plant(answer) for answer in answers], strict=True)
+    first = answers[0]
+    step = first.case.grid.step
+    plant = _joined(plants)
+    spread_A, spread_B = block_diag(*spreads_A), np.vstack(spreads_B)
+    at_input = first.verdict == "input_zone"
+    driven = plant.B.shape[1] >= len(answers)
+    lines = [
+        f'title = "Identified from a log of {first.case.grid.t.size} samples"',
+        "",
+        "[plant]  # from the sampled plant by the matrix logarithm, companion form",
+        f"A = {_rows(plant.A)}",
+        f"B = {_rows(plant.B)}",
+        f"C = {_rows(plant.C)}",
+        "",
+        "[sensor]",
+        *([f'kind = "{first.verdict}"'] if first.verdict in ("jump", "play") else []),
+        *(NO_ZONE if at_input else _widths(answers)),
+        *_gaps(first),
+        *_noise(answers),
+        "",
+        *_told_gaps(first),
+        *(_actuator(first) if at_input else []),
+        *(_reference(answers, plant.A) if driven else []),
+        "[observer]",
+        'method = "censored"',
+        *(NO_ZONE_CLAIMED if at_input else _claimed(answers)),
+        *_disturbance(answers),
+        f"tolerance = {_tolerance(spread_A, spread_B)}  # relative, from the fit's covariance",
+        "",
+        *(["[controller]", 'method = "state_feedback"', "alpha = 1.0", ""] if driven else []),
+        "[simulation]",
+        f"duration = {_number(_duration(answers, plant.A))}",
+        'time = "sampled"',
+        f"step = {float(f'{step:.12g}')!r}  # of the log",
+        "",
+        "[units]",
+        f"output = {_text(first.case.grid.output_unit)}",
+        f"input = {_text(first.case.grid.input_unit)}",
+    ]
+    remarks = list(dict.fromkeys(itertools.chain(*[answer.remarks for answer in answers])))
+    if not driven:
+        remarks.append("fewer inputs than outputs: no controller follows references; for logs only")
+    cautions = [f"# {printable(remark)}" for remark in remarks]
+    return "\n".join(["# Written by undeadzone identify.", *cautions, *lines]) + "\n"
+
+
+def _widths(answers: Sequence[Answer]) -> list[str]:
+    """The widths of a sensor, or of an actuator. Raises InputError."""
+    zones = [_edges(answer) for answer in answers]
+    lines = []
+    for side, edges in zip(SIDES, zip(*zones, strict=True), strict=True):
+        values = _numbers(edge.value for edge in edges)
+        lines.append(f"{side} = {values}  # 95 %: {_intervals(edges)}")
+    return lines
+
+
+def _claimed(answers: Sequence[Answer]) -> list[str]:
+    """The widths as the observer knows them. Raises InputError."""
+    element, remark = answers[0].element, "99.9 % interval"
+    edges = None if element is None else element.edges
+    lines = []
+    for place, side in enumerate(SIDES):
+        if element is not None and edges is not None:
+            ranges, remark = [told_element(element, edges[place])], "99.9 % interval, if c_r = c_l"
+        else:
+            ranges = [told_range(one, side) for one in answers]
+        lines.append(f"{side} = {_listed([_pair(*ends) for ends in ranges])}  # {remark}")
+    return lines
+
+
+def _gaps(answer: Answer) -> list[str]:
+    """The gaps of a play ahead of the dead zone; nothing without one."""
+    if answer.verdict != "both":
+        return []
+    gap = _gap(answer)
+    even = _pair(gap.value / 2, gap.value / 2)
+    remark = "the sum of both centres stands in right and left"
+    return [f"play = {even}  # c_r + c_l, 95 %: {_intervals([gap])}; {remark}"]
+
+
+def _told_gaps(answer: Answer) -> list[str]:
+    """The gaps as the observer knows them; nothing without a play ahead of the dead zone."""
+    element = answer.element
+    if answer.verdict != "both" or element is None:
+        return []
+    low, high = told_element(element, _gap(answer))
+    half = _pair(low / 2, high / 2)
+    return ["[model]", f"play = [{half}, {half}]  # 99.9 % interval of the gap, even", ""]
+
+
+def _gap(answer: Answer) -> Interval:
+    """The gap of a play ahead of a dead zone. Raises InputError."""
+    if answer.width is None:
+        raise InputError("scenario: both widths must be known")
+    return answer.width
+
+
+def _actuator(answer: Answer) -> list[str]:
+    """The actuator's dead zone, and what is known of it. Raises InputError."""
+    widths, claimed = _widths([answer]), _claimed([answer])
+    return ["[actuator]", *widths, "", "[model.actuator]", *claimed, ""]
+
+
+def _plant(answer: Answer) -> tuple[Matrices, Floats, Floats]:
+    """The plant of one output, and relative spreads of its A and B. Raises InputError."""
+    grid, delay = answer.case.grid, answer.found.delay
+    if delay and answer.options.delay == "auto":
+        raise InputError(
+            f"scenario: the input acts {delay} samples ({delay * grid.step:.4g} s) late, and"
+            f" scenarios have no delay; if only the recording is late, say --delay {delay}"
+        )
+    layout, a, b, V = answer.plant_numbers
+    return entry_spread(a, b, layout, grid.step, V)
+
+
+def _joined(plants: Sequence[Matrices]) -> Matrices:
+    """Plants side by side, with the same inputs."""
+    return Matrices(
+        block_diag(*[plant.A for plant in plants]),
+        np.vstack([plant.B for plant in plants]),
+        block_diag(*[plant.C for plant in plants]),
+    )
+
+
+def _numbers(values: Iterable[float]) -> str:
+    """The numbers of all outputs: one, or a list."""
+    return _listed([_number(value) for value in values])
+
+
+def _intervals(edges: Sequence[Interval]) -> str:
+    """The 95 % intervals of all outputs, for a remark."""
+    return "; ".join(f"{edge.low:.6g} to {edge.high:.6g}" for edge in edges)
+
+
+def _pair(low: float, high: float) -> str:
+    """Two numbers in TOML."""
+    return f"[{_number(low)}, {_number(high)}]"
+
+
+def _listed(texts: Sequence[str]) -> str:
+    """One text as it is, several as a list in TOML."""
+    return texts[0] if len(texts) == 1 else f"[{', '.join(texts)}]"
+
+
+def _edges(answer: Answer) -> tuple[Interval, Interval]:
+    """Both widths. Raises InputError."""
+    right, left = answer.right, answer.left
+    if answer.element is not None and answer.element.edges is not None:
+        right, left = answer.element.edges
+    if right is None or left is None:
+        raise InputError("scenario: both widths must be known")
+    for name, edge in (("right", right), ("left", left)):
+        if not math.isfinite(edge.value):
+            raise InputError(
+                f"scenario: the {name} edge is never reached in the log; give it by --{name}"
+            )
+        if edge.value < 0:
+            cure = "take a constant offset away from the readings that are not silent, or from u"
+            if answer.verdict == "play" and answer.centre is not None:
+                middle = -answer.centre.value
+                cure = (
+                    f"an offset of a play is its centre: --zero {middle:.4g} makes both sides even"
+                )
+            value = f"{edge.value:.4g}"
+            raise InputError(
+                f"scenario: the {name} width {value} is negative: z = 0 is not inside; {cure}"
+            )
+    return right, left
+
+
+def _noise(answers: Sequence[Answer]) -> list[str]:
+    """Noise of the sensor, its threshold and quantum."""
+    before, behind = zip(*[_rms_of_noise(answer) for answer in answers], strict=True)
+    lines = []
+    if any(before):
+        silent = [max(0.5 * one.case.grid.quantum, one.options.threshold or 0.0) for one in answers]
+        lines.append(f"noise_before = {_numbers(before)}  # white part of what disturbs z")
+        lines.append(f"threshold = {_numbers(silent)}  # the log has exact zeros")
+    if any(behind):
+        lines.append(f"noise = {_numbers(behind)}  # rms of the residual")
+    return lines
+
+
+def _rms_of_noise(answer: Answer) -> tuple[float, float]:
+    """rms of white noise ahead of the zone and behind it; of another element always behind."""
+    disturbance = answer.disturbance
+    white = disturbance.rms if disturbance.white is None else disturbance.white
+    if answer.element is not None:
+        return 0.0, white
+    return (white, 0.0) if disturbance.ahead else (0.0, disturbance.rms)
+
+
+def _reference(answers: Sequence[Answer], A: Floats) -> list[str]:
+    """A sine within the range of z and the bandwidth of the plant."""
+    reached = [np.quantile(np.abs(one.z) * one.scale, 0.98) for one in answers]
+    return [
+        "[reference]  # fits the range of z in the log",
+        'kind = "sine"',
+        f"amplitude = {_numbers(reached)}",
+        f"frequency = {_number(_frequency(answers[0], A))}",
+        "",
+    ]
+
+
+def _frequency(answer: Answer, A: Floats) -> float:
+    """A frequency that plant and samples follow [Hz]; integrators alone: that of the log."""
+    rates = np.abs(np.linalg.eigvals(A))
+    moving = rates[rates > 1e-6 * rates.max()]
+    slowest = float(moving.min()) if moving.size else _rate_of_motion(answer)
+    return float(f"{min(0.5 * slowest / (2 * math.pi), 0.02 / answer.case.grid.step):.3g}")
+
+
+def _rate_of_motion(answer: Answer) -> float:
+    """rms of z' over that of z along the log [1/s]: of a sine its frequency."""
+    grid = answer.case.grid
+    around = float(np.std(answer.z))
+    return float(np.std(np.diff(answer.z))) / (grid.step * around) if around else 0.02 / grid.step
+
+
+def _duration(answers: Sequence[Answer], A: Floats) -> float:
+    """A whole number of steps that hold 20 periods of the reference, 20,000 at most."""
+    step = answers[0].case.grid.step
+    periods = 20 / _frequency(answers[0], A)
+    return float(f"{step * math.ceil(min(periods / step, 20000)):.12g}")
+
+
+def _disturbance(answers: Sequence[Answer]) -> list[str]:
+    """What disturbs the input, for the observer: the strongest of the outputs' disturbances."""
+    claims = [_claim(answer) for answer in answers]
+    known = [claim for claim in claims if claim is not None]
+    if len(known) < len(claims):
+        return []  # something disturbs z, and nobody knows what: the observer's own default
+    rms, time = max(known)
+    return [
+        f"disturbance = {_number(rms)}  # rms at the input",
+        f"correlation_time = {_number(time)}",
+    ]
+
+
+def _claim(answer: Answer) -> tuple[float, float] | None:
+    """rms at the input and correlation time [s] of what disturbs an output; None: not known."""
+    step = answer.case.grid.step
+    layout = answer.fit.objective.layout
+    kalman = answer.found.kalman
+    data = answer.fit.objective.data
+    if answer.element is not None:
+        return _claim_ahead(answer.element, step, float(data.u_scale[0]))
+    if not kalman:
+        return (0.0, 0.5 * step) if answer.chosen.white else None
+    best = kalman[0]
+    phi = best.phi
+    rms = best.q / math.sqrt(1 - phi * phi) * float(data.u_scale[0])
+    if best.model == AT_OUTPUT:
+        _, a, b, _ = answer.plant_numbers
+        at_z = best.q / math.sqrt(1 - phi * phi) * answer.scale
+        rms = at_z / math.sqrt(input_gain(a, b[: layout.n], layout.n, phi))
+    return rms, _correlation_time(phi, step)
+
+
+def _correlation_time(phi: float, step: float) -> float:
+    """The correlation time [s] of a correlation over one step."""
+    if phi <= 0.01:
+        return 0.5 * step
+    return float(np.clip(-step / math.log(phi), 0.11 * step, 1e5 * step))
+
+
+def _claim_ahead(element: Element, step: float, scale: float) -> tuple[float, float] | None:
+    """rms at the input and correlation time [s] of what disturbs the plant behind an element."""
+    if element.ahead is None:
+        return None
+    unseen = UNSEEN * element.noise
+    if element.ahead.rms < unseen:  # noise hides it; a zero would claim that there is none
+        layout, theta = element.simulator.layout, element.theta
+        gain = input_gain(theta[layout.a], theta[layout.b][: layout.n], layout.n, 0.0)
+        return unseen / math.sqrt(gain) * scale, 0.5 * step
+    return element.ahead.at_input * scale, _correlation_time(element.ahead.phi, step)
+
+
+def _tolerance(spread_A: Floats, spread_B: Floats) -> str:
+    """Relative deviations of the entries of A and B, as a TOML table in a line."""
+    entries = []
+    for name, spread in (("A", spread_A), ("B", spread_B)):
+        for i, j in np.argwhere(spread > 0):
+            value = float(np.clip(spread[i, j], LEAST, MOST))
+            entries.append(f'"{name}[{i},{j}]" = {value:.3g}')
+    return "{ " + ", ".join(entries) + " }"
+
+
+def _rows(matrix: Any) -> str:
+    """A matrix in TOML."""
+    return str(np.asarray(matrix, dtype=float).tolist())
+
+
+def _number(value: float) -> str:
+    """A number in TOML, every digit of it."""
+    return repr(float(value))
+
+
+def _text(value: str) -> str:
+    """A text in TOML."""
+    safe = printable(value).replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{safe}"'

@@ -1,0 +1,320 @@
+"""The answer as numbers for JSON and as words for the terminal."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from undeadzone.identification.answer.answer import Answer
+from undeadzone.identification.models.estimates import DIRECTIONS, Interval
+from undeadzone.identification.verdict.verdict import MODELS, winning_rival
+
+HEADS = {
+    "dead_zone": "yes",
+    "unreached": "yes, but an edge is never reached",
+    "none": "NO",
+    "saturation": "NO: a saturation",
+    "jump": "NO: a zone with a jump, readings are not shifted",
+    "play": "NO: play",
+    "both": "NO, not alone: a play and a dead zone",
+    "friction": "NO: friction in the plant",
+    "input_zone": "NO: a zone of the input",
+    "other": "NO: another nonlinearity",
+    "unclear": "nothing can be said",
+}
+AT_ZERO = "  assumes z = 0 at u = 0"
+
+
+# --- Numbers
+
+
+def numbers(answer: Answer) -> dict[str, Any]:
+    """All numbers of an answer, as nested dictionaries.
+
+    Args:
+        answer: what a log says.
+
+    Returns:
+        zone, verdict, right, left, width, centre (each [value, low, high] or None), order,
+        alternatives, held_out, and more.
+    """
+    grid, chosen = answer.case.grid, answer.chosen
+    return {
+        "zone": answer.zone,
+        "verdict": answer.verdict,
+        "reasons": answer.reasons,
+        **{name: _listed(getattr(answer, name)) for name in DIRECTIONS},
+        "order": answer.order,
+        "plant": {
+            "poles": [[float(pole.real), float(pole.imag)] for pole in answer.poles],
+            "gain": answer.gain.tolist(),
+        },
+        "disturbance": answer.disturbance._asdict(),
+        "zone_width": None if answer.element is None else _listed(answer.element.zone),
+        "offsets": _offsets(answer),
+        "alternatives": behind_the_best(answer),
+        "place": _place(answer),
+        "held_out": {
+            "error": chosen.error * answer.scale,
+            "fit": chosen.share,
+            "white": chosen.white,
+        },
+        "orders": [
+            {"order": one.n, "bic": one.pairs.bic, "held_out_error": one.error * answer.scale}
+            for one in answer.case.fitted.fits
+        ],
+        "no_zone": answer.case.no_zone.chance,
+        "residual_map": {
+            "share": answer.case.residuals.share,
+            "p": answer.case.residuals.chance,
+            "moving_share": answer.case.residuals.moving_share,
+            "moving_p": answer.case.residuals.moving_chance,
+        },
+        "excitation": {
+            "samples": list(answer.excitation.samples),
+            "visits": list(answer.excitation.visits),
+            "silent": answer.excitation.silent,
+            "longest_silence": answer.excitation.longest * grid.step,
+        },
+        "stages": _stages(answer),
+        "record": {
+            "samples": int(grid.t.size),
+            "readings": int(grid.ok.sum()),
+            "records": int(grid.start.size),
+            "step": grid.step,
+            "quantum": grid.quantum,
+        },
+        "units": {"input": grid.input_unit, "output": grid.output_unit},
+        "remarks": answer.remarks,
+    }
+
+
+def _listed(interval: Interval | None) -> list[float] | None:
+    """[value, low, high]."""
+    return None if interval is None else [float(number) for number in interval]
+
+
+def _offsets(answer: Answer) -> dict[str, Any] | None:
+    """What the four offsets of the readings say."""
+    offsets = answer.found.offsets
+    if offsets is None:
+        return None
+    pairs = zip(offsets.widths * answer.scale, offsets.std * answer.scale, strict=True)
+    play, zone, rest = ([float(value), float(std)] for value, std in pairs)
+    return {"name": offsets.name, "play": play, "dead_zone": zone, "rest": rest}
+
+
+def behind_the_best(answer: Answer) -> dict[str, Any]:
+    """Nats per sample by which static rivals and other places are behind the best of their kind."""
+    rivals = answer.case.rivals
+    best = min(one.bic for one in rivals.values())
+    return {name: (one.bic - best) / (2 * one.value.size) for name, one in rivals.items()}
+
+
+def _place(answer: Answer) -> dict[str, Any] | None:
+    """The place of the zone, lambda, and how far other places are behind."""
+    place = answer.found.place
+    if place is None:
+        return None
+    u_scale = answer.fit.objective.data.u_scale[0]
+    return {
+        "verdict": place.verdict,
+        "lambda": [place.lam, place.lam - place.half, place.lam + place.half],
+        "by_rivals": place.by_rivals,
+        "by_lambda": place.by_lambda,
+        "behind": place.behind,
+        "levels": {name: [u_scale * one for one in two] for name, two in place.levels.items()},
+    }
+
+
+def _stages(answer: Answer) -> dict[str, Any]:
+    """Widths and half intervals by stage of the fit."""
+    widths = answer.widths
+    stages = {}
+    for name, (right, left) in widths.stages.items():
+        halves = widths.halves[name]
+        stages[name] = {
+            "right": right * answer.scale,
+            "left": left * answer.scale,
+            "right_half": halves["right"] * answer.scale,
+            "left_half": halves["left"] * answer.scale,
+        }
+    return stages
+
+
+# --- Words
+
+
+def in_words(answer: Answer) -> dict[str, Any]:
+    """The answer as lines of the terminal: name and text, or a list of texts.
+
+    Args:
+        answer: what a log says.
+
+    Returns:
+        The lines in order.
+    """
+    lines: dict[str, Any] = {"record": _record(answer), "plant": _plant(answer)}
+    lines["dead zone"] = HEADS[answer.verdict] + _certainty(answer)
+    if answer.reasons:
+        lines["why"] = answer.reasons
+    place = answer.found.place
+    if place is not None:
+        lines["where"] = _where(answer)
+    unit = _unit(answer.case.grid.output_unit)
+    lines |= _widths(answer)
+    lines["disturbance"] = _disturbance(answer, unit)
+    lines["held out"] = _held_out(answer, unit)
+    if answer.remarks:
+        lines["note"] = answer.remarks
+    return lines
+
+
+def _widths(answer: Answer) -> dict[str, str]:
+    """The widths of the sensor's zone, or of what stands in its place, and the four offsets."""
+    element, grid = answer.element, answer.case.grid
+    letter, unit = "d", _unit(grid.output_unit)
+    if element is not None:
+        letter = "c"
+        if element.kind == "input_zone":
+            letter, unit = "b", _unit(grid.input_unit)
+    lines = {}
+    for place, name in enumerate(DIRECTIONS):
+        interval: Interval | None = getattr(answer, name)
+        if interval is None:
+            continue
+        title = f"{letter}_{name}" if place < 2 else f"{letter} {name}".removeprefix("d ")
+        lines[title] = _in_words(interval, unit)
+        if element is None and place < 2:
+            visits, samples = answer.excitation.visits[place], answer.excitation.samples[place]
+            lines[title] += f"  passed {visits} times, {samples} samples"
+        if name == "centre" and letter != "b" and np.isfinite(interval.high):
+            lines[title] += AT_ZERO
+    if element is not None and element.zone is not None:
+        lines["d width"] = _in_words(element.zone, unit)
+    if element is not None and answer.found.offsets is not None:
+        lines["four offsets"] = answer.found.offsets.name.replace("_", " ")
+    return lines
+
+
+def _unit(unit: str) -> str:
+    """A unit behind a number."""
+    return "" if unit == "1" else f" {unit}"
+
+
+def _in_words(interval: Interval, unit: str) -> str:
+    """A value with its interval, digits as far as they mean something."""
+    value, low, high = interval
+    if not np.isfinite(high):
+        if not np.isfinite(low):
+            return "unknown: an offset would shift it"
+        return f"at least {low:.4g}{unit}: no reading lies beyond this edge"
+    if high == low:
+        return f"{value:.6g}{unit}  (given)"
+    digits = max(0, int(np.ceil(-np.log10(max(high - low, 1e-300)))) + 2)
+    digits = min(digits, 12)
+    return f"{value:.{digits}f}{unit}  [{low:.{digits}f}, {high:.{digits}f}]"
+
+
+def _record(answer: Answer) -> str:
+    """Samples, step, names and units, silence."""
+    grid = answer.case.grid
+    names = ", ".join(f"{name} [{grid.input_unit}]" for name in grid.inputs)
+    step = "times count samples" if grid.counted else f"{grid.step:.6g} s"
+    text = f"{grid.t.size} samples, {step}, {names}, {grid.output} [{grid.output_unit}]"
+    if grid.start.size > 1:
+        text += f", {grid.start.size} records"
+    silent = answer.excitation.silent
+    if answer.fit.objective.kind != "behind":
+        return text + f"; {100 * silent:.0f} % silent: the zone acts on the noise too"
+    if not answer.zone:
+        return text + "; no exact zeros"
+    return text + f"; no exact zeros: noise behind the zone; {100 * silent:.0f} % of z inside it"
+
+
+def _plant(answer: Answer) -> str:
+    """Order, poles, gains."""
+    grid = answer.case.grid
+    rate = "1/sample" if grid.counted else "1/s"
+    shown = []
+    for pole in answer.poles:
+        if abs(abs(pole.imag) * grid.step - np.pi) < 1e-9:  # negative in sampled time
+            shown.append(f"{pole.real:.4g} with a sign that alternates from sample to sample")
+        elif pole.imag > 1e-12 * abs(pole):
+            shown.append(f"{pole.real:.4g} +- {pole.imag:.4g}i")
+        elif abs(pole.imag) <= 1e-12 * abs(pole):
+            shown.append(f"{pole.real:.4g}")
+    unit = f"{grid.output_unit}/{grid.input_unit}"
+    unit = "" if unit == "1/1" else f" {unit}"
+    gains = ", ".join(f"{gain:.4g}" for gain in answer.gain)
+    kind = "DC gain"
+    if answer.options.integrators:
+        kind = "gain of the rate" if answer.options.integrators == 1 else "gain of the acceleration"
+        unit += " 1/s" if answer.options.integrators == 1 else " 1/s^2"
+    return f"order {answer.order} (BIC), poles {', '.join(shown)} {rate}, {kind} {gains}{unit}"
+
+
+def _certainty(answer: Answer) -> str:
+    """How sure the zone is."""
+    if not answer.zone:
+        return ""
+    chance = answer.case.no_zone.chance
+    sure = chance_in_words(chance)
+    if answer.fit.objective.kind != "behind":
+        sure = "silence"
+    if winning_rival(answer.case.rivals) is None:
+        return f" ({sure}; no other static map, no play explains it better)"
+    return f" ({sure})"
+
+
+def chance_in_words(chance: float) -> str:
+    """A probability of chance alone; how small a very small one is says nothing."""
+    return "p < 0.001" if chance < 1e-3 else f"p = {chance:.2g}"
+
+
+def _where(answer: Answer) -> str:
+    """The place of the zone."""
+    place = answer.found.place
+    assert place is not None
+    text = f"{place.verdict}: lambda {place.lam:.2f} +- {place.half:.2g} (1 sensor, 0 friction)"
+    behind = []
+    for name in ("sensor", "friction", "input"):
+        if name in place.behind and place.behind[name] > 0:
+            behind.append(f"{name} {place.behind[name]:.2g}")
+    if behind:
+        text += "; behind the best, nats a sample: " + ", ".join(behind)
+    return text
+
+
+def _disturbance(answer: Answer, unit: str) -> str:
+    """rms and correlation time."""
+    disturbance = answer.disturbance
+    where = "at z" if disturbance.ahead else "behind the zone"
+    if not disturbance.ahead and not answer.zone:
+        where = "in what the plant leaves of the readings"
+    text = f"rms {disturbance.rms:.3g}{unit} {where}"
+    if disturbance.correlation_time is not None:
+        unit_of_time = "samples" if answer.case.grid.counted else "s"
+        text += f", correlation time {disturbance.correlation_time:.2g} {unit_of_time}"
+    if disturbance.model is not None:
+        text += f", {disturbance.model}, white part {disturbance.white:.2g}{unit}"
+    return text
+
+
+def _held_out(answer: Answer, unit: str) -> str:
+    """How the fit does on data that had no part in it."""
+    chosen = answer.chosen
+    share = f"last {100 * answer.options.held_out:.0f} %"
+    white = "white" if chosen.white else "not white"
+    return (
+        f"{share}: rms error {chosen.error * answer.scale:.3g}{unit},"
+        f" fit {100 * chosen.share:.1f} %, one-step residual {white}"
+    )
+
+
+def rivals_in_words(answer: Answer) -> list[tuple[str, float]]:
+    """Static rivals by how far they are behind, in nats per sample."""
+    behind = behind_the_best(answer)
+    words = MODELS | {"dead_zone": "a dead zone of the sensor"}
+    return sorted(((words[name], value) for name, value in behind.items()), key=lambda row: row[1])

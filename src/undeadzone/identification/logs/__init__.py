@@ -1,0 +1,1 @@
+"""Logs as recorded, on their grid, and made ready for a fit."""

@@ -1,0 +1,363 @@
+"""Logs from CSV, .npz, .mat, DataFrames and arrays, checked; and what a user says about them.
+
+Nothing in a file is ever executed.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, TypeVar, get_args, get_type_hints
+
+import msgspec
+import numpy as np
+
+from undeadzone.errors import FileError, InputError
+from undeadzone.logs.names import Layout, Title, layout_of_titles, numbers, parse_columns
+from undeadzone.logs.samples import MOST_UNREADABLE, LogReader, Samples, counted_lines
+from undeadzone.logs.text import blocks_of
+from undeadzone.logs.whole import BINARY, samples_of
+from undeadzone.support.arrays import LARGEST, Floats
+from undeadzone.support.files import LARGEST_TABLE
+
+T = TypeVar("T", int, float)
+
+MOST_POLES = 8
+MOST_LATE = 1000  # samples
+
+
+class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What is known or asked, besides the log.
+
+    Attributes:
+        order: orders of the plant to try, as "2" or "1-4"; default 1-4.
+        right, left: widths as in "0.5" (known), "0.2,1.0" (bounds) or "inf" (no edge on that
+            side) [y]; default: from the log.
+        offset: rms of a constant offset of the output [y], or "free": then the width alone has an
+            interval; default 0, none.
+        held_out: share of the log, at its end, that checks the fit; default 0.3.
+        noise: before (ahead of the zone), after, or auto: from exact zeros in the log.
+        place: where the zone is: sensor if the user knows, auto to find out.
+        kind: deadzone, jump (readings are not shifted), play, or auto: they are told apart.
+        delay: samples by which the input acts late: auto, or a number that belongs to the
+            recording.
+        zero: what the sensor reads inside its zone [y]; it is taken off every reading.
+        threshold: |y| up to which a reading counts as silent [y]; default: half the quantum.
+        integrators: how many poles of the plant are integrators, as one of a motor's position.
+        resample: step [s] onto which an irregular log is put; default: none.
+    """
+
+    order: str = "1-4"
+    right: str | None = None
+    left: str | None = None
+    offset: str = "0"
+    held_out: float = 0.3
+    noise: Literal["before", "after", "auto"] = "auto"
+    place: Literal["sensor", "auto"] = "auto"
+    kind: Literal["deadzone", "jump", "play", "auto"] = "auto"
+    delay: str = "auto"
+    zero: float = 0.0
+    threshold: float | None = None
+    resample: float | None = None
+    integrators: int = 0
+
+    def orders(self) -> range:
+        """The orders to try. Raises InputError."""
+        ends = _one_or_two(self.order, "-", int)
+        if not ends or not 1 <= ends[0] <= ends[-1] <= MOST_POLES:
+            raise InputError(
+                f"order: expected a number or a range within 1 to {MOST_POLES}, as 2 or 1-4;"
+                f" found {self.order!r}"
+            )
+        return range(max(ends[0], self.integrators), max(ends[-1], self.integrators) + 1)
+
+    def offset_rms(self) -> float | None:
+        """The rms of an unknown output offset [y]; None where it is free. Raises InputError."""
+        if self.offset == "free":
+            return None
+        try:
+            rms = float(self.offset)
+        except ValueError:
+            rms = math.nan
+        if not (math.isfinite(rms) and rms >= 0):
+            raise InputError(f"offset: expected an rms >= 0 or free, found {self.offset!r}")
+        return rms
+
+    def bounds(self, side: str) -> tuple[float, float]:
+        """Least and largest width of right or left [y]; equal if known. Raises InputError."""
+        text = self.right if side == "right" else self.left
+        if text is None:
+            return (-math.inf, math.inf)
+        ends = _one_or_two(text, ",", float)
+        if not ends or not 0 <= ends[0] <= ends[-1]:
+            raise InputError(
+                f"{side}: expected a width, two bounds or inf, as 0.5, 0.2,1.0 or inf;"
+                f" found {text!r}"
+            )
+        return (ends[0], ends[-1])
+
+    def checked(self) -> Options:
+        """These options, every one of them usable. Raises InputError."""
+        for name in ("noise", "place", "kind"):
+            words = get_args(get_type_hints(Options)[name])
+            if getattr(self, name) not in words:
+                found = getattr(self, name)
+                raise InputError(f"{name}: expected {', '.join(words)}; found {found!r}")
+        if self.integrators not in (0, 1, 2):
+            raise InputError(f"integrators: expected 0, 1 or 2, found {self.integrators}")
+        if self.kind == "jump" and self.integrators:
+            raise InputError("kind: a jump sensor's readings show z; it has no --integrators")
+        if self.delay != "auto" and not (self.delay.isdigit() and int(self.delay) <= MOST_LATE):
+            raise InputError(
+                f"delay: expected auto or samples up to {MOST_LATE}, found {self.delay!r}"
+            )
+        if not math.isfinite(self.zero):
+            raise InputError(f"zero: expected a number, found {self.zero:g}")
+        self.orders()
+        self.offset_rms()
+        self.bounds("right")
+        self.bounds("left")
+        if not 0.1 <= self.held_out <= 0.5:
+            raise InputError(f"held_out: expected 0.1 to 0.5, found {self.held_out:g}")
+        if self.threshold is not None and not 0 <= self.threshold < math.inf:
+            raise InputError(f"threshold: must not be negative, found {self.threshold:g}")
+        return self
+
+
+def _one_or_two(text: str, between: str, kind: Callable[[str], T]) -> list[T]:
+    """One number or two; empty where the text is something else."""
+    try:
+        numbers = [kind(part) for part in text.split(between)]
+    except ValueError:
+        return []
+    return numbers if len(numbers) in (1, 2) else []
+
+
+# --- A log
+
+
+class Log(NamedTuple):
+    """A record of one plant.
+
+    Attributes:
+        t: times (N) [s], increasing.
+        u: inputs (N x m).
+        y: readings (N x p); NaN where one is missing.
+        inputs, outputs: names of the inputs (m) and of the readings (p)
+        input_unit: unit of the inputs, "1" where none is named, or several differ.
+        output_units: units of the readings (p), "1" where none is named.
+        source: where the log came from, for messages.
+        lines: the line of each sample in its file (N), for messages; empty where there is none.
+        counted: whether the times count samples, so that no rate in seconds is known.
+        remarks: what was left out, for the user.
+    """
+
+    t: Floats
+    u: Floats
+    y: Floats
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    input_unit: str
+    output_units: tuple[str, ...]
+    source: str
+    lines: Any
+    counted: bool
+    remarks: tuple[str, ...] = ()
+
+    def of_output(self, k: int) -> Log:
+        """The log with one of its outputs alone."""
+        return self._replace(
+            y=self.y[:, k : k + 1],
+            outputs=self.outputs[k : k + 1],
+            output_units=self.output_units[k : k + 1],
+        )
+
+
+def checked_log(samples: Samples, layout: Layout, source: str) -> Log:
+    """A log from samples, fit for identification.
+
+    Args:
+        samples: times, readings, inputs.
+        layout: where they came from, with units.
+        source: the log, for messages.
+
+    Returns:
+        The log; times that count samples have 1 s between two of them.
+
+    Raises:
+        FileError: times that do not increase, a missing input, readings that are all missing.
+    """
+    t, lines = samples.t, samples.lines
+    outputs, inputs = tuple(layout.reading_names), tuple(layout.input_names)
+    y = np.where(np.isfinite(samples.y), samples.y, np.nan)
+    _check_times(t, source, lines)
+    _check_inputs(samples.u, inputs, source, lines)
+    for name, column in zip(outputs, y.T, strict=True):
+        if np.isnan(column).all():
+            raise FileError(f"{source}: {name} holds no reading: every one is missing")
+        if np.nanmax(np.abs(column)) > LARGEST:
+            raise FileError(f"{source}: {name} holds numbers beyond {LARGEST:g}")
+    units = {unit or "1" for unit in layout.input_units}
+    return Log(
+        t,
+        samples.u,
+        y,
+        inputs,
+        outputs,
+        units.pop() if len(units) == 1 else "1",
+        tuple(unit or "1" for unit in layout.reading_units),
+        source,
+        lines,
+        layout.seconds is None,
+    )
+
+
+def where(source: str, lines: Any, index: int) -> str:
+    """The place of a sample, for messages: its line where the file has one."""
+    if len(lines):
+        return f"{source}, line {int(lines[index])}"
+    return f"{source}, sample {index}"
+
+
+def _check_times(t: Floats, source: str, lines: Any) -> None:
+    """Every time is a number and later than the one before. Raises FileError."""
+    bad = np.flatnonzero(~np.isfinite(t))
+    if bad.size:
+        raise FileError(f"{where(source, lines, bad[0])}: the time is missing or not finite")
+    back = np.flatnonzero(np.diff(t) <= 0)
+    if back.size:
+        index = int(back[0]) + 1
+        raise FileError(
+            f"{where(source, lines, index)}: time does not increase: {t[index]:.9g} s after"
+            f" {t[index - 1]:.9g} s; sort the lines, or give logs of several runs as several files"
+        )
+
+
+def _check_inputs(u: Floats, inputs: Sequence[str], source: str, lines: Any) -> None:
+    """Every input is a number of sensible size. Raises FileError."""
+    bad = np.argwhere(~np.isfinite(u) | (np.abs(u) > LARGEST))
+    if bad.size:
+        row, column = bad[0]
+        raise FileError(
+            f"{where(source, lines, int(row))}: input {inputs[column]!r} is missing or not a"
+            " usable number; an input must be known at every sample"
+        )
+
+
+# --- Where it comes from
+
+
+def read_log(source: Any, columns: str | None = None, strict: bool = False) -> Log:
+    """The log in a file or DataFrame.
+
+    Args:
+        source: path of a CSV, .npz or .mat file, or a pandas DataFrame with the columns.
+        columns: which column is which where names do not say it: `t=1,y=angle,u=voltage`.
+        strict: whether a line that cannot be read is an error; else its sample is missing.
+
+    Returns:
+        The log, its times in seconds.
+
+    Raises:
+        FileError: what is wrong, with file and line where there are any.
+    """
+    chosen = parse_columns(columns)
+    remarks: list[str] = []
+    if hasattr(source, "columns") and hasattr(source, "index"):
+        name = "DataFrame"
+        samples, layout = samples_of(source, None, None, chosen, name)
+    elif not isinstance(source, str | os.PathLike):
+        raise InputError(f"log: expected a path or a DataFrame, found {type(source).__name__}")
+    else:
+        path, name = Path(source), str(source)
+        if path.suffix.lower() in BINARY:
+            samples, layout = samples_of(path, None, None, chosen, name)
+        else:
+            samples, layout = _of_text(path, chosen, strict, remarks)
+    if layout.time is None:
+        raise FileError(
+            f"{name}: no name says which column holds the times; say which by --columns t=NAME"
+        )
+    return checked_log(samples, layout, name)._replace(remarks=tuple(remarks))
+
+
+def _of_text(
+    path: Path, chosen: Mapping[str, str], strict: bool, remarks: list[str]
+) -> tuple[Samples, Layout]:
+    """The samples of a CSV file, without lines that cannot be read. Raises FileError."""
+    reader = LogReader(str(path), None, None, chosen, strict)
+    blocks = [reader.feed(data, last) for data, last in blocks_of(path, LARGEST_TABLE)]
+    whole = [block for block in blocks if block.t.size]
+    if reader.layout is None or not whole:
+        raise FileError(f"{path}: holds no samples")
+    samples = Samples(*[np.concatenate(parts) for parts in zip(*whole, strict=True)])
+    if reader.unreadable:
+        samples = _readable(samples, reader, path)
+        remarks.append(
+            f"{path}: {counted_lines(reader.unreadable)} cannot be read and count as missing; "
+            f"{reader.why}"
+        )
+    return samples, reader.layout
+
+
+def _readable(samples: Samples, reader: LogReader, path: Path) -> Samples:
+    """The samples of which something could be read. Raises FileError if those are few."""
+    if reader.unreadable > MOST_UNREADABLE * samples.t.size:
+        raise FileError(
+            f"{path}: {counted_lines(reader.unreadable)} of {samples.t.size} cannot be read; "
+            f"{reader.why}"
+        )
+    some = np.isfinite(np.column_stack([samples.t, samples.y, samples.u])).any(axis=1)
+    return Samples(*[part[some] for part in samples])
+
+
+def log_of_arrays(t: Any, u: Any, y: Any) -> Log:
+    """A log from arrays.
+
+    Args:
+        t: times (N) [s], or one number, the sample time [s].
+        u: inputs (N) or (N x m).
+        y: readings (N) or (N x p); NaN where one is missing.
+
+    Returns:
+        The log.
+
+    Raises:
+        InputError: arrays of different lengths, or what is not numeric.
+    """
+    readings = _rows("y", numbers("y", y, "iuf"))
+    moved = _rows("u", numbers("u", u, "iuf"))
+    times = numbers("t", t, "iuf")
+    if times.ndim == 0:
+        times = float(times) * np.arange(len(readings))
+    times = times.ravel()
+    if not times.size == len(moved) == len(readings):
+        raise InputError(
+            f"t, u, y: expected as many rows in each, found {times.shape}, {moved.shape},"
+            f" {readings.shape}"
+        )
+    layout = _layout(readings.shape[1], moved.shape[1])
+    samples = Samples(times, readings, moved, np.empty(0, np.int64))
+    return checked_log(samples, layout, "arrays")
+
+
+def _layout(p: int, m: int) -> Layout:
+    """The layout of arrays."""
+    titles = [Title("t", "s")]
+    for signal, count in (("y", p), ("u", m)):
+        names = [signal] if count == 1 else [f"{signal}[{i}]" for i in range(count)]
+        titles += [Title(name, "") for name in names]
+    return layout_of_titles(titles, p, m, {}, "arrays")
+
+
+def _rows(key: str, array: Any) -> Any:
+    """An array with a row a sample. Raises InputError."""
+    if array.ndim == 1:
+        return array[:, None]
+    if array.ndim == 2 and 1 in array.shape and array.shape[1] != 1:
+        return array.T
+    if array.ndim != 2:
+        raise InputError(f"{key}: expected a row for each sample, found shape {array.shape}")
+    return array

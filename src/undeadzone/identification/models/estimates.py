@@ -1,0 +1,431 @@
+"""To the top of a likelihood, and how surely it is known there.
+
+The climb is Levenberg and Marquardt's. Intervals hold whatever the colour of the disturbance: their
+covariance is estimated by cosines (I1).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+
+import numpy as np
+from scipy.fft import dct
+from scipy.stats import t as student
+
+from undeadzone.errors import InputError
+from undeadzone.support.answers import Answers
+from undeadzone.support.arrays import Floats, Integers
+
+GAUSSIAN = 2 / 3  # of the fourth power of a Gaussian: what 3 s^4 holds beyond s^4
+LEAST_KEPT = 0.05  # share of a variance below which nothing is left of it
+# Weights of d_r and d_l, or of c_r and c_l.
+DIRECTIONS = {"right": (1.0, 0.0), "left": (0.0, 1.0), "width": (1.0, 1.0), "centre": (0.5, -0.5)}
+
+# --- The climb
+
+
+class Target(Protocol):
+    """A log likelihood of numbers theta; `free` are the places of those that may change."""
+
+    free: Integers
+
+    @property
+    def gain(self) -> float:
+        """Two steps in a row that gain less than this end a climb."""
+
+    @property
+    def longest(self) -> Floats | float:
+        """The longest step of each free number, or of all."""
+
+    @property
+    def climbs(self) -> KeptClimbs | None:
+        """Tops that are on disk; None: none are."""
+
+    def value(self, theta: Floats) -> float:
+        """The log likelihood; -inf where theta makes no sense."""
+
+    def quadratic(self, theta: Floats) -> tuple[float, Floats, Floats]:
+        """Value, score and a positive Hessian of minus the value, of the free numbers."""
+
+    def project(self, theta: Floats) -> Floats:
+        """A trial brought back within bounds; it may be changed."""
+
+
+class Top(NamedTuple):
+    """Where a climb ended: the numbers, and the log likelihood there."""
+
+    theta: Floats
+    value: float
+
+
+class KeptClimbs:
+    """Tops of climbs on disk: a log that is identified once more climbs to none of them again.
+
+    Args:
+        answers: the file; a log asks for its climbs in the same order each time.
+    """
+
+    def __init__(self, answers: Answers) -> None:
+        self._answers: Answers | None = answers
+        self._count = 0
+
+    def close(self) -> None:
+        """Keep no more: what is asked of an answer later, as for a figure, is no part of it."""
+        self._answers = None
+
+    def top(self, start: Floats, compute: Callable[[], Top]) -> Top:
+        """The top of the next climb, from the file or computed and kept.
+
+        Args:
+            start: where the climb begins (P).
+            compute: climbs.
+        """
+        if self._answers is None:
+            return compute()
+        self._count += 1
+        question = [self._count, hashlib.blake2b(start.tobytes(), digest_size=16).hexdigest()]
+
+        def answer(missing: list[int]) -> Iterator[tuple[int, Any]]:
+            top = compute()
+            yield 0, [top.theta.tolist(), float(top.value)]
+
+        theta, value = self._answers.of([question], answer)[0]
+        return Top(np.array(theta), value)
+
+
+def climb(target: Target, start: Floats, steps: int, gain: float | None = None) -> Top:
+    """Raise a log likelihood by damped Newton steps.
+
+    Args:
+        target: the log likelihood.
+        start: where to start (P).
+        steps: how many trials at most.
+        gain: in place of the target's own.
+
+    Returns:
+        The best theta found; the start with a value of -inf where that makes no sense.
+    """
+    theta = target.project(start.copy())
+    if not math.isfinite(target.value(theta)):
+        return Top(theta, -math.inf)
+    compute = partial(_climbed, target, theta, steps, target.gain if gain is None else gain)
+    return compute() if target.climbs is None else target.climbs.top(theta, compute)
+
+
+def _climbed(target: Target, theta: Floats, steps: int, gain: float) -> Top:
+    """The top above theta, which makes sense."""
+    top, best = theta, target.quadratic(theta)
+    damping, small = 1e-2, 0
+    for _ in range(steps):
+        current, score, hessian = best
+        step = _step(score, hessian, damping)
+        trial = top.copy()
+        trial[target.free] += np.clip(step, -target.longest, target.longest)
+        trial = target.project(trial)
+        reached = target.value(trial)
+        if not reached > current:
+            damping *= 6
+            if damping > 1e8:
+                return Top(top, current)
+            continue
+        top, best = trial, target.quadratic(trial)
+        damping = max(damping / 5, 1e-9)
+        small = small + 1 if reached - current < gain + 1e-8 * abs(reached) else 0
+        if small >= 2:
+            return Top(top, reached)
+    return Top(top, best[0])
+
+
+def _step(score: Floats, hessian: Floats, damping: float) -> Floats:
+    """The damped Newton step, scaled by the Hessian's diagonal."""
+    diagonal = np.maximum(np.diag(hessian), 0.0)
+    scale = np.sqrt(diagonal + 1e-14 * diagonal.sum()) + 1e-12
+    scaled = hessian / np.outer(scale, scale)
+    try:
+        step = np.linalg.solve(scaled + damping * np.eye(scale.size), score / scale) / scale
+    except np.linalg.LinAlgError:
+        step = score / scale**2
+    return step if np.isfinite(step).all() else np.zeros(scale.size)
+
+
+def best_top(
+    target: Target,
+    starts: Sequence[Floats],
+    first: int,
+    last: int,
+    lead: float = math.inf,
+) -> Top | None:
+    """The best of the climbs from several starts.
+
+    Args:
+        target: the log likelihood.
+        starts: where to start.
+        first: steps of all of them; 0: all go to the end.
+        last: steps of the best two after that.
+        lead: by how much the best must lead by then to go on alone.
+
+    Returns:
+        The best top; None where no start makes sense.
+    """
+    begun = list(starts)
+    if first:
+        tops = [climb(target, start, first) for start in starts]
+        tops.sort(key=lambda top: -top.value)
+        alone = len(tops) > 1 and tops[0].value - tops[1].value > lead
+        best = tops[:1] if alone else tops[:2]
+        begun = [top.theta for top in best]
+    ends = [climb(target, theta, last) for theta in begun]
+    ends = [top for top in ends if math.isfinite(top.value)]
+    return max(ends, key=lambda top: top.value, default=None)
+
+
+Found = TypeVar("Found")
+
+
+class Latest(Generic[Found]):
+    """What was computed of numbers last, kept: a climb asks for the same again."""
+
+    def __init__(self) -> None:
+        self._theta: Floats | None = None
+
+    def of(self, theta: Floats, compute: Callable[[Floats], Found]) -> Found:
+        """What was kept, or computed.
+
+        Args:
+            theta: the numbers (P).
+            compute: of these.
+        """
+        if self._theta is None or not np.array_equal(self._theta, theta):
+            self._found = compute(theta)
+            self._theta = theta.copy()
+        return self._found
+
+
+# --- Derivatives by differences
+
+
+def around(theta: Floats, free: Integers, steps: Floats) -> Floats:
+    """The numbers, then each free one a step larger, then each a step smaller (1 + 2 free, P)."""
+    moves = np.zeros((free.size, theta.size))
+    moves[np.arange(free.size), free] = steps
+    return np.vstack([theta, theta + moves, theta - moves])
+
+
+def differences(moved: Floats, steps: Floats) -> Floats:
+    """Derivatives by the free numbers (free x ...), of values at all points but the first one."""
+    more, less = np.split(moved, 2)
+    return np.asarray((more - less).T / (2 * steps)).T
+
+
+# --- How surely it is known
+
+
+class Interval(NamedTuple):
+    """A value with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+    @staticmethod
+    def around(value: float, half: float) -> Interval:
+        """An interval that reaches as far to both sides."""
+        return Interval(value, value - half, value + half)
+
+    def scaled(self, factor: float) -> Interval:
+        """The interval in other units."""
+        return Interval(self.value * factor, self.low * factor, self.high * factor)
+
+    def grown(self, factor: float) -> Interval:
+        """An interval whose halves are so many times as long."""
+        below, above = self.value - self.low, self.high - self.value
+        return Interval(self.value, self.value - factor * below, self.value + factor * above)
+
+    def reaching(self, below: float, above: float) -> Interval:
+        """An interval that reaches further down and up by so much."""
+        return Interval(self.value, self.low - below, self.high + above)
+
+    @property
+    def half(self) -> float:
+        """Half the width of the interval."""
+        return 0.5 * (self.high - self.low)
+
+
+class Spread(NamedTuple):
+    """Covariance of estimates.
+
+    Attributes:
+        V: robust covariance H^-1 J H^-1 (P x P).
+        naive: H^-1 (P x P), right for independent samples only.
+        degrees: cosines K from which J was estimated.
+        scores: of each sample (N x P).
+    """
+
+    V: Floats
+    naive: Floats
+    degrees: int
+    scores: Floats
+
+    def accuracy(self, direction: Floats) -> tuple[float, float]:
+        """The variance of direction' theta without its bias, and its degrees of freedom.
+
+        Where a few samples tell of an edge, the cosines that they enter are few, and the fit has
+        used up part of what they scatter: docs/identify.md, "Few passages".
+        """
+        variance = max(float(direction @ self.V @ direction), 0.0)
+        kept, degrees = few_samples(self.scores, self.naive @ direction, self.degrees)
+        return variance / kept, degrees
+
+    def half_and_degrees(self, direction: Floats, level: float = 0.95) -> tuple[float, float]:
+        """Half the interval of direction' theta at a level, and its degrees of freedom."""
+        variance, degrees = self.accuracy(direction)
+        return quantile(degrees, level) * variance**0.5, degrees
+
+    def half_width(self, direction: Floats, level: float = 0.95) -> float:
+        """Half the interval of direction' theta at a level."""
+        return self.half_and_degrees(direction, level)[0]
+
+
+def few_samples(scores: Floats, row: Floats, count: int) -> tuple[float, float]:
+    """What few samples leave of an estimated variance, were the samples independent.
+
+    Args:
+        scores: of each sample at the estimate (N x P).
+        row: H^-1 c, for the estimate c' theta (P).
+        count: cosines K.
+
+    Returns:
+        The expected share of the variance that the cosines show after the fit (Bell and McCaffrey
+        2002), and the degrees of freedom of that (Satterthwaite 1946), at least 1.
+    """
+    told = scores @ row  # by each sample, of the estimate
+    squares = told**2
+    total = float(squares.sum())
+    if total <= 0:
+        return 1.0, float(count)
+    angle = np.pi * (np.arange(told.size) + 0.5) / told.size
+    weights = count / 2 + (np.sin((2 * count + 1) * angle) / np.sin(angle) - 1) / 4  # sum of cos^2
+    power = 0.5 * dct(squares)[: 2 * count + 1]
+    k = np.arange(1, count + 1)
+    shared = power[np.abs(k[:, None] - k)] + power[k[:, None] + k]  # covariance of the cosines
+    excess = GAUSSIAN * float(np.sum((2 * weights * squares) ** 2))
+    degrees = (np.trace(shared) ** 2 - excess) / max(float(np.sum(shared**2)) - excess, 1e-300)
+    white = scores @ _whitener(scores)
+    lever = np.einsum("ij,ij->i", white, white)
+    used = np.sum((0.5 * dct(white * told[:, None], axis=0)[1 : count + 1]) ** 2)
+    used -= GAUSSIAN * np.sum(weights * lever * squares)
+    kept = 1 - 2 / count * float(used) / total
+    return max(kept, LEAST_KEPT), float(np.clip(degrees, 1, count))
+
+
+def _whitener(scores: Floats) -> Floats:
+    """W with W W' the inverse of the sum of the scores' outer products (P x P)."""
+    scale = 1 / np.sqrt(np.sum(scores**2, axis=0) + 1e-300)
+    values, vectors = np.linalg.eigh(finite((scores * scale).T @ (scores * scale)))
+    whitener = scale[:, None] * vectors / np.sqrt(np.maximum(values, 1e-10))
+    return np.asarray(whitener * (values > 1e-10))
+
+
+def finite(matrix: Floats) -> Floats:
+    """A matrix whose decomposition is asked for.
+
+    Raises:
+        InputError: a fit of which so little is known that its derivatives overflow.
+    """
+    if not np.isfinite(matrix).all():
+        raise InputError(
+            "log: what the readings tell of the plant overflows; try a lower --order, or a log"
+            " whose readings move more"
+        )
+    return matrix
+
+
+def quantile(degrees: float, level: float = 0.95) -> float:
+    """Student's two-sided quantile."""
+    return float(student.ppf(0.5 + level / 2, degrees))
+
+
+def long_run_covariance(scores: Floats, count: int | None = None) -> tuple[Floats, int]:
+    """The covariance of sum(scores) and its degrees of freedom.
+
+    Args:
+        scores: one row a sample (N x P), correlated in any way that dies out.
+        count: cosines; default 0.4 N^(2/3) (Lazarus and others 2018), between 8 and N / 8.
+
+    Returns:
+        J (P x P) and K.
+    """
+    size = scores.shape[0]
+    number = max(8, min(int(0.4 * size ** (2 / 3)), size // 8)) if count is None else count
+    parts = dct(scores, axis=0, norm="ortho")[1 : number + 1]
+    return size * (parts.T @ parts) / number, number
+
+
+def sandwich(scores: Floats, hessian: Floats, count: int | None = None) -> Spread:
+    """(I1): the robust covariance of an estimate.
+
+    Args:
+        scores: of each sample at the estimate (N x P).
+        hessian: minus the second derivative of the log likelihood (P x P).
+        count: cosines; default as in `long_run_covariance`.
+
+    Returns:
+        Covariances and degrees of freedom.
+    """
+    J, number = long_run_covariance(scores, count)
+    inverse = np.linalg.pinv(finite(hessian), rcond=1e-13, hermitian=True)
+    return Spread(inverse @ J @ inverse, inverse, number, scores)
+
+
+def positive(hessian: Floats) -> Floats:
+    """A Hessian with its eigenvalues, after scaling, raised to at least 1e-6 of the largest."""
+    both = 0.5 * (hessian + hessian.T)
+    scale = 1 / np.sqrt(np.abs(np.diag(both)) + 1e-300)
+    values, vectors = np.linalg.eigh(finite(both * np.outer(scale, scale)))
+    raised = np.maximum(values, 1e-6 * values.max())
+    return (vectors * raised) @ vectors.T / np.outer(scale, scale)
+
+
+def above(hessian: Floats, outer: Floats, least: float = 0.5) -> Floats:
+    """A Hessian raised to at least a part of the scores' outer products, in every direction.
+
+    Args:
+        hessian: minus the second derivative, by differences (P x P).
+        outer: sum of the outer products of the scores (P x P).
+        least: the part; both are equal where the model is right.
+
+    Returns:
+        A positive Hessian; it differs from the given one only where differences tell nothing, as
+        along the logarithm of a variance that is nearly 0.
+    """
+    scale = 1 / np.sqrt(np.diag(outer) + 1e-300)
+    values, vectors = np.linalg.eigh(finite(outer * np.outer(scale, scale)))
+    root = vectors * np.sqrt(np.maximum(values, 1e-10 * values.max()))
+    whiten = np.linalg.pinv(root)
+    both = 0.5 * (hessian + hessian.T) * np.outer(scale, scale)
+    sizes, axes = np.linalg.eigh(finite(whiten @ both @ whiten.T))
+    raised = (axes * np.maximum(sizes, least)) @ axes.T
+    return root @ raised @ root.T / np.outer(scale, scale)
+
+
+def weighing(
+    free: Integers, size: int, first: int, weights: Sequence[float], tied: bool = False
+) -> Floats:
+    """The row of a weighted sum of numbers over those that are free.
+
+    Args:
+        free: places of the numbers that may change.
+        size: of all numbers (P).
+        first: place of the first number of the sum; the others follow.
+        weights: of these.
+        tied: whether the second one is the first one.
+    """
+    row = np.zeros(size)
+    row[first : first + len(weights)] = weights
+    if tied:
+        row[first] += row[first + 1]
+    return row[free]

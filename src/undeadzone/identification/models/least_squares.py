@@ -1,0 +1,245 @@
+"""Least squares of readings on a plant and an element beside it, and how such models compare.
+
+A model says what is read and how that changes with its numbers; all else is the same for each.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Generic, NamedTuple, Protocol, TypeVar
+
+import numpy as np
+from scipy.stats import f as fisher
+
+from undeadzone.identification.models.estimates import (
+    Spread,
+    best_top,
+    long_run_covariance,
+    sandwich,
+)
+from undeadzone.identification.models.plant import Simulator
+from undeadzone.identification.models.zone import FAR
+from undeadzone.support.arrays import Floats, Integers
+
+CLEARLY = 2.0  # Vuong's statistic from which one model beats another
+HATS = 8
+COSINES = 24
+SURE_SHARE = 0.1  # of the residual that a curve explains, from which it is another nonlinearity
+LARGE_SHARE, LIKELY = 0.25, 0.01  # the same for a large share, of which p may be larger
+CHANCE = 1e-3  # p from which a curve is real
+
+
+class Model(Protocol):
+    """A plant and an element; theta = [a, b, x0, the numbers of the element].
+
+    Attributes:
+        name: of the model.
+        simulator: the plant, with its data.
+        free: places of the numbers that are fitted.
+        first, last: steps of a climb from every start (0: all go to the end), and to the end.
+        gain: two steps in a row that gain less end a climb.
+    """
+
+    name: str
+    simulator: Simulator
+    free: Integers
+    first: int
+    last: int
+    gain: float
+
+    def project(self, theta: Floats) -> Floats:
+        """Numbers brought back to where they make sense; these may be changed."""
+
+    def output(self, theta: Floats) -> Floats:
+        """z, the output of the plant (N)."""
+
+    def readings(self, z: Floats, theta: Floats) -> Floats:
+        """What is read of z without noise (N)."""
+
+    def slopes(self, theta: Floats) -> tuple[Floats, Floats]:
+        """The readings (N), and their derivatives by the free numbers (N x free)."""
+
+
+M = TypeVar("M", bound=Model)
+
+
+class Density(NamedTuple):
+    """A model's account of the readings.
+
+    Attributes:
+        name: of the model.
+        value: log density of each reading (N), residuals being first order.
+        numbers: how many numbers were fitted.
+        rms: of its residuals, scaled.
+        strange: whether a curve over its z explains what it leaves: then it is not the map either.
+    """
+
+    name: str
+    value: Floats
+    numbers: int
+    rms: float
+    strange: bool = False
+
+    @property
+    def bic(self) -> float:
+        """-2 L + p ln N."""
+        return -2 * float(self.value.sum()) + self.numbers * math.log(self.value.size)
+
+
+class LeastSquares(Generic[M]):
+    """Least squares of the readings of a model.
+
+    Args:
+        model: the plant and the element.
+    """
+
+    longest = math.inf
+
+    def __init__(self, model: M) -> None:
+        self.model = model
+        self.data = model.simulator.data
+        self.free, self.gain, self.climbs = model.free, model.gain, self.data.climbs
+        self._count = int(self.data.ok.sum())
+
+    def residual(self, theta: Floats) -> Floats:
+        """y less what is expected (N); 0 where a reading is missing."""
+        expected = self.model.readings(self.model.output(theta), theta)
+        return (self.data.y - expected) * self.data.ok
+
+    def rows(self, theta: Floats) -> tuple[Floats, Floats]:
+        """Residual (N) and derivatives of the reading by the free numbers (N x free)."""
+        expected, slopes = self.model.slopes(theta)
+        return (self.data.y - expected) * self.data.ok, slopes * self.data.ok[:, None]
+
+    def rms(self, theta: Floats) -> float:
+        """rms of what is left of the readings that there are."""
+        return float(np.sqrt(np.mean(self.residual(theta)[self.data.ok] ** 2)))
+
+    def value(self, theta: Floats) -> float:
+        """Minus N / 2 ln of the mean square of the residual; -inf where theta makes no sense."""
+        if not self.model.simulator.admissible(theta):
+            return -math.inf
+        return self._value_of(self.residual(theta))
+
+    def _value_of(self, e: Floats) -> float:
+        """The value of an admissible plant with these residuals (N)."""
+        square = float(e @ e)
+        if not square < FAR:
+            return -math.inf
+        return -0.5 * self._count * math.log(square / self._count + 1e-30)
+
+    def quadratic(self, theta: Floats) -> tuple[float, Floats, Floats]:
+        """(value, score, Gauss-Newton Hessian) of the free numbers of an admissible plant."""
+        e, rows = self.rows(theta)
+        variance, hessian = self._gauss_newton(e, rows)
+        return self._value_of(e), rows.T @ e / variance, hessian
+
+    def _gauss_newton(self, e: Floats, rows: Floats) -> tuple[float, Floats]:
+        """Variance of residuals, and the Hessian of half their squares over it, kept positive."""
+        variance = float(e @ e) / self._count + 1e-30
+        return variance, rows.T @ rows / variance + 1e-9 * np.eye(rows.shape[1])
+
+    def project(self, theta: Floats) -> Floats:
+        """Numbers brought back to where they make sense."""
+        return self.model.project(theta)
+
+    def spread(self, theta: Floats) -> Spread:
+        """(I1) of the free numbers."""
+        e, rows = self.rows(theta)
+        variance, hessian = self._gauss_newton(e, rows)
+        return sandwich(rows * e[:, None] / variance, hessian)
+
+    def best(self, starts: Sequence[Floats]) -> Fitted[M] | None:
+        """The best fit from several starts; None where no start makes sense."""
+        top = best_top(self, starts, self.model.first, self.model.last)
+        return None if top is None else Fitted(self, top.theta, self.density(top.theta))
+
+    def density(self, theta: Floats) -> Density:
+        """The model's account of the readings, residuals taken as first-order Gaussian noise."""
+        ok, e = self.data.ok, self.residual(theta)
+        rho = float(e[1:] @ e[:-1] / (e[:-1] @ e[:-1] + 1e-30))
+        rho = float(np.clip(rho, -0.95, 0.995))
+        innovation = e.copy()
+        innovation[1:] -= rho * e[:-1]
+        innovation[0] *= math.sqrt(1 - rho**2)
+        variance = float(np.mean(innovation**2)) + 1e-12
+        value = -0.5 * innovation**2 / variance - 0.5 * math.log(2 * math.pi * variance)
+        rms = float(np.sqrt(np.mean(e**2)))
+        strange = is_strange(*curve_over(self.model.output(theta)[ok], e[ok]))
+        return Density(self.model.name, value, self.free.size + 2, rms, strange)
+
+
+class Fitted(NamedTuple, Generic[M]):
+    """A model that was fitted: its numbers and its account of the readings."""
+
+    squares: LeastSquares[M]
+    theta: Floats
+    density: Density
+
+    @property
+    def model(self) -> M:
+        """The plant and the element."""
+        return self.squares.model
+
+
+def compare_statistic(first: Density, second: Density) -> float:
+    """Vuong's statistic of one model against another, penalised by BIC; above 2: the first wins."""
+    gap = first.value - second.value
+    penalty = 0.5 * (first.numbers - second.numbers) * math.log(gap.size)
+    covariance, _ = long_run_covariance(gap[:, None])
+    return (float(gap.sum()) - penalty) / math.sqrt(max(float(covariance[0, 0]), 1e-9))
+
+
+# --- What is left, as a curve
+
+
+def is_strange(share: float, chance: float) -> bool:
+    """Whether a curve explains so much of a residual, and so surely, that the model is wrong."""
+    sure = share > SURE_SHARE and chance < CHANCE
+    return sure or (share > LARGE_SHARE and chance < LIKELY)
+
+
+def curve_over(z: Floats, residual: Floats) -> tuple[float, float]:
+    """The share of a residual that a curve over z explains, and p of it.
+
+    Args:
+        z: output of the plant (N).
+        residual: what a model leaves (N).
+
+    Returns:
+        Share and p.
+    """
+    centres = np.unique(np.quantile(z, np.linspace(0.01, 0.99, HATS)))
+    _, _, share, chance = explained(hats(z, centres), residual)
+    return share, chance
+
+
+def hats(z: Floats, centres: Floats) -> Floats:
+    """Hat functions of z (N x K), one at each centre."""
+    unit = np.eye(centres.size)
+    return np.column_stack([np.interp(z, centres, row) for row in unit])
+
+
+def explained(columns: Floats, residual: Floats) -> tuple[Floats, Floats, float, float]:
+    """A residual by functions, by least squares.
+
+    Args:
+        columns: the functions (N x K).
+        residual: what is to be explained (N).
+
+    Returns:
+        Coefficients, their deviations, the share explained, and p of a Wald test by (I1).
+    """
+    coefficients = np.linalg.lstsq(columns, residual, rcond=None)[0]
+    left = residual - columns @ coefficients
+    share = 1 - float(left @ left) / max(float(residual @ residual), 1e-300)
+    normal = columns.T @ columns + 1e-9 * np.eye(columns.shape[1])
+    spread = sandwich(columns * left[:, None], normal, COSINES)
+    null = sandwich(columns * residual[:, None], normal, COSINES)
+    count = columns.shape[1]
+    wald = float(coefficients @ np.linalg.pinv(null.V) @ coefficients)
+    degrees = max(COSINES - count + 1, 1)
+    statistic = wald * degrees / (COSINES * count)
+    std = np.sqrt(np.maximum(np.diag(spread.V), 0.0))
+    return coefficients, std, share, float(fisher.sf(statistic, count, degrees))

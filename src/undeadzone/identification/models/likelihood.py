@@ -1,0 +1,438 @@
+"""Likelihoods of readings behind a dead zone, sample by sample (L1) and pair by pair (L2).
+
+The plant puts out z; e is a Gaussian disturbance of rms s ahead of the zone. The reading is
+y = z + e - d_r beyond the right edge, z + e + d_l beyond the left one, 0 between. docs/identify.md
+derives the formulas.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import log_ndtr
+
+from undeadzone.support.arrays import Flags, Floats, Integers
+
+Z, Z_BEFORE, RIGHT, LEFT, LOG_S, ATANH_RHO = range(6)  # columns of `Terms.slopes`
+LOG_ROOT = 0.5 * math.log(2 * math.pi)
+NARROW = 1e-5  # intervals below this width are taken by the midpoint, where a difference cancels
+REACH = 7.0  # standard deviations beyond which a Gaussian factor is left out: 2e-11 of its mass
+STEEP = 0.7  # correlation from which the integral over innovations is the smoother one
+ALL, NEAR = 8.0, 3.0  # limits beyond ALL hold all of x, given that the other is within NEAR: 7e-14
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(32)
+
+
+class Terms(NamedTuple):
+    """Log densities of samples and their derivatives.
+
+    Attributes:
+        value: log density of each sample (N).
+        slopes: derivatives (N x 6) by z_t, z_(t-1), d_r, d_l, log s and atanh rho.
+    """
+
+    value: Floats
+    slopes: Floats
+
+
+class Readings(NamedTuple):
+    """What the likelihoods need of a record.
+
+    Attributes:
+        y: readings (N), any number where missing.
+        side: +1, 0, -1 (N): where a reading is beyond an edge or silent.
+        ok: whether there is a reading (N).
+        before: whether the sample before is there too, in the same record (N).
+    """
+
+    y: Floats
+    side: Integers
+    ok: Flags
+    before: Flags
+
+
+class Noise(NamedTuple):
+    """d_r and d_l [z], rms s of what disturbs z [z], its correlation rho over one sample."""
+
+    right: float
+    left: float
+    s: float
+    rho: float
+
+
+def dead_zone(z: Floats, right: float, left: float) -> Floats:
+    """Dz(z) (N): what is read of z without noise."""
+    return np.maximum(z - right, 0.0) + np.minimum(z + left, 0.0)
+
+
+def taken_off(side: Integers, right: float, left: float) -> Floats:
+    """What a zone takes off z where it speaks (N): d_r on the right, -d_l on the left."""
+    return np.asarray(right * (side > 0) - left * (side < 0))
+
+
+def residual(readings: Readings, z: Floats, right: float, left: float) -> Floats:
+    """e where a reading speaks: y + d_r - z or y - d_l - z (N); y - z where it is silent."""
+    return readings.y + taken_off(readings.side, right, left) - z
+
+
+def singles(readings: Readings, z: Floats, noise: Noise) -> Terms:
+    """(L1): the log density of each sample by itself.
+
+    Args:
+        readings: the record.
+        z: output of the plant (N).
+        noise: widths and rms; rho is not used.
+
+    Returns:
+        Log densities and derivatives; 0 where a reading is missing.
+    """
+    value = np.zeros(z.size)
+    slopes = np.zeros((z.size, 6))
+    speaks = readings.ok & (readings.side != 0)
+    _speak(readings, z, noise, np.flatnonzero(speaks), value, slopes)
+    silent = np.flatnonzero(readings.ok & (readings.side == 0))
+    mass = _Mass(z[silent], noise)
+    value[silent] = mass.log
+    slopes[silent, Z] = mass.by_z
+    slopes[silent, RIGHT] = mass.by_right
+    slopes[silent, LEFT] = mass.by_left
+    slopes[silent, LOG_S] = mass.by_log_s
+    return Terms(value, slopes)
+
+
+class _Mass:
+    """ln P(-d_l < z + e < d_r) and its derivatives, for an array of z."""
+
+    def __init__(self, z: Floats, noise: Noise) -> None:
+        a = (noise.right - z) / noise.s
+        b = (-noise.left - z) / noise.s
+        self.log = log_difference(a, b)
+        at_a, at_b = hazards(a, b, self.log)
+        self.by_z = (at_b - at_a) / noise.s
+        self.by_right = at_a / noise.s
+        self.by_left = at_b / noise.s
+        self.by_log_s = b * at_b - a * at_a
+
+
+def _speak(
+    readings: Readings, z: Floats, noise: Noise, at: Integers, value: Floats, slopes: Floats
+) -> None:
+    """ln N(e; 0, s^2) of speaking samples, entered at their places."""
+    e = residual(readings, z, noise.right, noise.left)[at]
+    side = readings.side[at]
+    value[at] = -0.5 * (e / noise.s) ** 2 - math.log(noise.s) - LOG_ROOT
+    push = -e / noise.s**2
+    slopes[at, Z] = -push
+    slopes[at, RIGHT] = push * (side > 0)
+    slopes[at, LEFT] = -push * (side < 0)
+    slopes[at, LOG_S] = (e / noise.s) ** 2 - 1
+
+
+def behind(readings: Readings, z: Floats, noise: Noise, zone: bool = True) -> Terms:
+    """The log density N(y; Dz(z), s^2) of noise behind the zone.
+
+    Args:
+        readings: the record; sides are not used.
+        z: output of the plant (N).
+        noise: widths and rms.
+        zone: whether there is a zone at all.
+
+    Returns:
+        Log densities and derivatives; 0 where a reading is missing.
+    """
+    side = np.zeros(z.size)
+    expected = z
+    if zone:
+        side = 1.0 * (z > noise.right) - 1.0 * (z < -noise.left)
+        expected = (z - noise.right * (side > 0) + noise.left * (side < 0)) * (side != 0)
+    e = (readings.y - expected) / noise.s
+    slopes = np.zeros((z.size, 6))
+    slopes[:, Z] = e / noise.s * (side != 0) if zone else e / noise.s
+    slopes[:, RIGHT] = -e / noise.s * (side > 0)
+    slopes[:, LEFT] = e / noise.s * (side < 0)
+    slopes[:, LOG_S] = e**2 - 1
+    value = -0.5 * e**2 - math.log(noise.s) - LOG_ROOT
+    return Terms(value * readings.ok, slopes * readings.ok[:, None])
+
+
+def pairs(readings: Readings, z: Floats, noise: Noise) -> Terms:
+    """(L2): the log density of each sample given the one before; (L1) where there is none before.
+
+    Args:
+        readings: the record.
+        z: output of the plant (N).
+        noise: widths, rms, and correlation rho of e over one sample.
+
+    Returns:
+        Log densities and derivatives; 0 where a reading is missing.
+    """
+    terms = singles(readings, z, noise)
+    if noise.rho == 0.0 or not readings.before.any():
+        return _with_slope_of_rho(readings, z, noise, terms)
+    both = np.flatnonzero(readings.ok & readings.before)
+    silent, silent_before = readings.side[both] == 0, readings.side[both - 1] == 0
+    _speak_speak(readings, z, noise, both[~silent & ~silent_before], terms)
+    _silent_speak(readings, z, noise, both[silent & ~silent_before], terms)
+    _speak_silent(readings, z, noise, both[~silent & silent_before], terms)
+    _silent_silent(readings, z, noise, both[silent & silent_before], terms)
+    return terms
+
+
+def _with_slope_of_rho(readings: Readings, z: Floats, noise: Noise, terms: Terms) -> Terms:
+    """(L1) with the derivative of (L2) by atanh rho at rho = 0: the product of both scores by z."""
+    both = np.flatnonzero(readings.ok & readings.before)
+    terms.slopes[both, ATANH_RHO] = noise.s**2 * terms.slopes[both, Z] * terms.slopes[both - 1, Z]
+    return terms
+
+
+def _sides(readings: Readings, at: Integers) -> tuple[Floats, Floats]:
+    """1 where the samples speak on the right; on the left."""
+    return 1.0 * (readings.side[at] > 0), 1.0 * (readings.side[at] < 0)
+
+
+def _speak_speak(readings: Readings, z: Floats, noise: Noise, at: Integers, terms: Terms) -> None:
+    """Speaking after speaking: ln N(e_t; rho e_(t-1), s'^2)."""
+    rho, rest = noise.rho, 1 - noise.rho**2
+    e = residual(readings, z, noise.right, noise.left)
+    v = e[at] - rho * e[at - 1]
+    variance = noise.s**2 * rest
+    push = -v / variance
+    excess = v**2 / variance - 1
+    right, left = _sides(readings, at)
+    right_before, left_before = _sides(readings, at - 1)
+    slopes = terms.slopes
+    terms.value[at] = -0.5 * v**2 / variance - 0.5 * math.log(variance) - LOG_ROOT
+    slopes[at, Z] = -push
+    slopes[at, Z_BEFORE] = rho * push
+    slopes[at, RIGHT] = push * (right - rho * right_before)
+    slopes[at, LEFT] = -push * (left - rho * left_before)
+    slopes[at, LOG_S] = excess
+    slopes[at, ATANH_RHO] = -rho * excess - push * e[at - 1] * rest
+
+
+def _silent_speak(readings: Readings, z: Floats, noise: Noise, at: Integers, terms: Terms) -> None:
+    """Silent after speaking: ln{Phi((a_t - rho e)/s') - Phi((b_t - rho e)/s')}."""
+    e = residual(readings, z, noise.right, noise.left)[at - 1]
+    right, left = _sides(readings, at - 1)
+    slice_ = _Slice(noise.right - z[at], -noise.left - z[at], e, noise)
+    slopes = terms.slopes
+    terms.value[at] = slice_.log
+    slopes[at, Z] = -slice_.by_a - slice_.by_b
+    slopes[at, Z_BEFORE] = -slice_.by_e
+    slopes[at, RIGHT] = slice_.by_a + slice_.by_e * right
+    slopes[at, LEFT] = -slice_.by_b - slice_.by_e * left
+    slopes[at, LOG_S] = slice_.by_log_s
+    slopes[at, ATANH_RHO] = slice_.by_rho
+
+
+class _Slice:
+    """ln{Phi((a - rho e)/s') - Phi((b - rho e)/s')} and its derivatives, for arrays a, b, e [z]."""
+
+    def __init__(self, a: Floats, b: Floats, e: Floats, noise: Noise) -> None:
+        rest = 1 - noise.rho**2
+        spread = noise.s * math.sqrt(rest)
+        upper = (a - noise.rho * e) / spread
+        lower = (b - noise.rho * e) / spread
+        self.log = log_difference(upper, lower)
+        at_upper, at_lower = hazards(upper, lower, self.log)
+        self.by_a = at_upper / spread
+        self.by_b = -at_lower / spread
+        self.by_e = -noise.rho * (self.by_a + self.by_b)
+        self.by_log_s = lower * at_lower - upper * at_upper
+        self.by_rho = -rest * e * (self.by_a + self.by_b) - noise.rho * self.by_log_s
+
+
+def _speak_silent(readings: Readings, z: Floats, noise: Noise, at: Integers, terms: Terms) -> None:
+    """Speaking after silent: ln N(e; 0, s^2) + ln P(silent before | e) - ln P(silent before)."""
+    e = residual(readings, z, noise.right, noise.left)[at]
+    right, left = _sides(readings, at)
+    given_e = _Slice(noise.right - z[at - 1], -noise.left - z[at - 1], e, noise)
+    before = _Mass(z[at - 1], noise)
+    slopes = terms.slopes  # of ln N(e; 0, s^2), entered by `singles`
+    terms.value[at] += given_e.log - before.log
+    slopes[at, Z] += -given_e.by_e
+    slopes[at, Z_BEFORE] = -given_e.by_a - given_e.by_b - before.by_z
+    slopes[at, RIGHT] += given_e.by_e * right + given_e.by_a - before.by_right
+    slopes[at, LEFT] += -given_e.by_e * left - given_e.by_b - before.by_left
+    slopes[at, LOG_S] += given_e.by_log_s - before.by_log_s
+    slopes[at, ATANH_RHO] = given_e.by_rho
+
+
+def _silent_silent(readings: Readings, z: Floats, noise: Noise, at: Integers, terms: Terms) -> None:
+    """Silent after silent: ln P(both silent) - ln P(silent before)."""
+    if not at.size:
+        return
+    s, rho = noise.s, noise.rho
+    a, b = (noise.right - z[at]) / s, (-noise.left - z[at]) / s
+    a0, b0 = (noise.right - z[at - 1]) / s, (-noise.left - z[at - 1]) / s
+    log_both = log_rectangle(a0, b0, a, b, rho)
+    before = _Mass(z[at - 1], noise)
+    by_a, by_b = edge_slopes(a, b, a0, b0, rho, log_both)
+    by_a0, by_b0 = edge_slopes(a0, b0, a, b, rho, log_both)
+    slopes = terms.slopes
+    terms.value[at] = log_both - before.log
+    slopes[at, Z] = -(by_a + by_b) / s
+    slopes[at, Z_BEFORE] = -(by_a0 + by_b0) / s - before.by_z
+    slopes[at, RIGHT] = (by_a + by_a0) / s - before.by_right
+    slopes[at, LEFT] = -(by_b + by_b0) / s - before.by_left
+    slopes[at, LOG_S] = -(a * by_a + b * by_b + a0 * by_a0 + b0 * by_b0) - before.by_log_s
+    slopes[at, ATANH_RHO] = (1 - rho**2) * slope_of_rho(a0, b0, a, b, rho, log_both)
+
+
+# --- Masses of Gaussians between limits, alone and in correlated pairs, as logarithms
+
+
+def log_difference(a: Floats, b: Floats) -> Floats:
+    """ln(Phi(a) - Phi(b)) without cancellation or underflow.
+
+    Args:
+        a, b: upper and lower limits (any shape), a > b.
+
+    Returns:
+        The logarithms; relative error near rounding wherever Phi(a) - Phi(b) > e^-700000.
+    """
+    flip = b > 0
+    upper = np.where(flip, -b, a)
+    lower = np.where(flip, -a, b)
+    top = log_ndtr(upper)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        value = top + np.log1p(-np.exp(log_ndtr(lower) - top))
+    narrow = upper - lower < NARROW
+    if narrow.any():
+        width = np.maximum(upper - lower, 1e-300)
+        middle = 0.5 * (upper + lower)
+        bend = np.log1p(np.clip((middle**2 - 1) * width**2 / 24, -0.5, 0.5))
+        value = np.where(narrow, np.log(width) - 0.5 * middle**2 - LOG_ROOT + bend, value)
+    return value
+
+
+def hazards(a: Floats, b: Floats, log_mass: Floats) -> tuple[Floats, Floats]:
+    """phi(a) and phi(b) over the mass between them, from the logarithm of that mass.
+
+    Args:
+        a, b: upper and lower limits (any shape).
+        log_mass: ln(Phi(a) - Phi(b)).
+    """
+    at_a = np.exp(np.minimum(-0.5 * a**2 - LOG_ROOT - log_mass, 700.0))
+    at_b = np.exp(np.minimum(-0.5 * b**2 - LOG_ROOT - log_mass, 700.0))
+    return at_a, at_b
+
+
+def log_rectangle(a0: Floats, b0: Floats, a: Floats, b: Floats, rho: float) -> Floats:
+    """ln P(b0 < x0 < a0, b < x < a) of unit Gaussians x0, x with correlation rho.
+
+    Weak correlations are integrated over x0, strong ones over the innovation x - rho x0, whichever
+    integrand is smooth on the scale of 1; both are log-concave, so that `REACH` about a point near
+    their top is all that counts.
+
+    Args:
+        a0, b0: upper and lower limits of x0 (N).
+        a, b: of x (N).
+        rho: correlation, |rho| < 1.
+
+    Returns:
+        The logarithms (N).
+    """
+    if rho < 0:
+        a, b, rho = -b, -a, -rho
+    value = np.empty(a.size)
+    first = _bounds_nothing(a0, b0, a, b)
+    second = ~first & _bounds_nothing(a, b, a0, b0)
+    value[first] = log_difference(a[first], b[first])
+    value[second] = log_difference(a0[second], b0[second])
+    rest = ~(first | second)
+    a0, b0, a, b = a0[rest], b0[rest], a[rest], b[rest]
+    top = np.clip(rho * np.clip(0.0, b, a), b0, a0)  # of the density within the rectangle, nearly
+    over = _over_first if rho < STEEP else _over_innovation
+    value[rest] = over(a0, b0, a, b, rho, top)
+    return value
+
+
+def _bounds_nothing(a0: Floats, b0: Floats, a: Floats, b: Floats) -> Flags:
+    """Where all of x0 lies between b0 and a0, given that x lies between b and a (N)."""
+    return (a0 > ALL) & (b0 < -ALL) & (a > -NEAR) & (b < NEAR)
+
+
+def _over_first(a0: Floats, b0: Floats, a: Floats, b: Floats, rho: float, top: Floats) -> Floats:
+    """ln int phi(x) {Phi((a - rho x)/q) - Phi((b - rho x)/q)} dx from b0 to a0."""
+    q = math.sqrt(1 - rho**2)
+    low, high = np.maximum(b0, top - REACH), np.minimum(a0, top + REACH)
+    half = 0.5 * (high - low)
+    x = 0.5 * (high + low)[:, None] + half[:, None] * NODES
+    inside = log_difference((a[:, None] - rho * x) / q, (b[:, None] - rho * x) / q)
+    logs = -0.5 * x**2 - LOG_ROOT + inside
+    return _log_sum(logs, half[:, None] * WEIGHTS)
+
+
+def _over_innovation(
+    a0: Floats, b0: Floats, a: Floats, b: Floats, rho: float, top: Floats
+) -> Floats:
+    """ln int phi(v) {Phi(x_high(v)) - Phi(x_low(v))} dv, x0 between the limits that v leaves it."""
+    q = math.sqrt(1 - rho**2)
+    peak = (np.clip(rho * top, b, a) - rho * top) / q
+    low = np.maximum((b - rho * a0) / q, peak - REACH)
+    high = np.minimum((a - rho * b0) / q, peak + REACH)
+    kinks = np.sort(
+        [np.clip((a - rho * a0) / q, low, high), np.clip((b - rho * b0) / q, low, high)], 0
+    )
+    ends = np.stack([low, kinks[0], kinks[1], high], axis=1)
+    half = 0.5 * np.diff(ends, axis=1)
+    piece = np.argwhere(half > 1e-14)
+    row, column = piece[:, 0], piece[:, 1]
+    width = half[row, column]
+    v = (ends[row, column] + width)[:, None] + width[:, None] * NODES
+    x_high = np.minimum(a0[row, None], (a[row, None] - q * v) / rho)
+    x_low = np.maximum(b0[row, None], (b[row, None] - q * v) / rho)
+    logs = -0.5 * v**2 - LOG_ROOT + log_difference(x_high, np.minimum(x_low, x_high))
+    parts = np.full(half.shape, -np.inf)
+    parts[row, column] = _log_sum(logs, width[:, None] * WEIGHTS)
+    return np.logaddexp(np.logaddexp(parts[:, 0], parts[:, 1]), parts[:, 2])
+
+
+def _log_sum(logs: Floats, weights: Floats) -> Floats:
+    """ln of the weighted sum of exponentials along the last axis."""
+    largest = logs.max(axis=1, initial=-1e300)
+    total = np.sum(weights * np.exp(logs - largest[:, None]), axis=1)
+    with np.errstate(divide="ignore"):
+        return np.maximum(largest + np.log(total), -1e6)
+
+
+def edge_slopes(
+    a: Floats, b: Floats, other_a: Floats, other_b: Floats, rho: float, log_mass: Floats
+) -> tuple[Floats, Floats]:
+    """Derivatives of ln P(b < x < a, other_b < x' < other_a) by a and b, of unit Gaussians.
+
+    Args:
+        a, b: limits of x (N).
+        other_a, other_b: limits of x' (N).
+        rho: correlation of both.
+        log_mass: ln P (N).
+    """
+    spread = math.sqrt(1 - rho**2)
+    slopes = []
+    for edge in (a, b):
+        inside = log_difference((other_a - rho * edge) / spread, (other_b - rho * edge) / spread)
+        log_slope = -0.5 * edge**2 - LOG_ROOT + inside - log_mass
+        slopes.append(np.exp(np.minimum(log_slope, 700.0)))
+    return slopes[0], -slopes[1]
+
+
+def slope_of_rho(
+    a0: Floats, b0: Floats, a: Floats, b: Floats, rho: float, log_mass: Floats
+) -> Floats:
+    """Derivative of ln P(both inside) by rho: densities at the corners (Plackett 1954).
+
+    Args:
+        a0, b0, a, b, rho: as for `log_rectangle`.
+        log_mass: ln P (N).
+    """
+    rest = 1 - rho**2
+    log_scale = -math.log(2 * math.pi) - 0.5 * math.log(rest)
+    slope = np.zeros(a.size)
+    for x, sign in ((a0, 1.0), (b0, -1.0)):
+        for x1, sign1 in ((a, 1.0), (b, -1.0)):
+            square = (x**2 - 2 * rho * x * x1 + x1**2) / rest
+            exponent = log_scale - 0.5 * square - log_mass
+            slope += sign * sign1 * np.exp(np.minimum(exponent, 700.0))
+    return slope

@@ -1,0 +1,1 @@
+"""What a log shows: orders, delays, which nonlinearity, where, how wide."""

@@ -1,0 +1,343 @@
+"""Each order fitted with a zone of the sensor, and how such a fit is checked.
+
+By BIC, by what it says of held-out data, by a curve over what it leaves, and against no zone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import chi2
+
+from undeadzone.identification.models.estimates import climb
+from undeadzone.identification.models.least_squares import CHANCE, HATS, explained, hats
+from undeadzone.identification.models.plant import Data, Simulator
+from undeadzone.identification.models.zone import Limits, Objective
+from undeadzone.identification.models.zone_fit import (
+    Fit,
+    expected_reading,
+    fit_linear,
+    fit_zone,
+    moved,
+    refit,
+)
+from undeadzone.support.arrays import Flags, Floats, Integers
+
+CREDIBLE = 1.02  # times the least held-out error: orders that may be right as well
+LAGS = 20
+HEARD = 8  # past inputs, of which one-step residuals should be free
+SHARE = 0.05  # of the residual's variance that a curve explains, from which it is real
+
+
+class OrderFit(NamedTuple):
+    """One order.
+
+    Attributes:
+        n: the order.
+        singles: fit of (L1), or of noise behind the zone.
+        pairs: fit of (L2); the same as singles for noise behind the zone.
+        error: rms error of the held-out readings, simulated, scaled.
+        share: 1 - that error / rms of these readings.
+        white: whether the one-step residuals of the held-out readings are white.
+    """
+
+    n: int
+    singles: Fit
+    pairs: Fit
+    error: float
+    share: float
+    white: bool
+
+
+class HeldOut(NamedTuple):
+    """How a fit of the first part of a log does on the rest."""
+
+    error: float
+    share: float
+    white: bool
+
+
+def fit_orders(
+    data: Data,
+    orders: list[int],
+    limits: Limits,
+    held_out: float,
+    advance: Callable[[int], None],
+    integrators: int = 0,
+    begun: Sequence[OrderFit] = (),
+) -> list[OrderFit]:
+    """Every order, fitted to all data and checked on the last part.
+
+    Args:
+        data: the records.
+        orders: the orders to try.
+        limits: of the widths.
+        held_out: share of the samples, at the end, that checks.
+        advance: called with 1 after each order.
+        integrators: of the plant.
+        begun: fits of a part of the log, from where those of all of it start; none: from scratch.
+
+    Returns:
+        One entry an order; those without a stable fit are left out.
+    """
+    train = trained_part(data, held_out)
+    known = {one.n: one for one in begun}
+    fits = []
+    for n in orders:
+        if known and n not in known:
+            continue
+        singles, pairs = _stages(Simulator(data, n, integrators), limits, known.get(n))
+        advance(1)
+        if _says_something(singles) and _says_something(pairs):
+            fits.append(OrderFit(n, singles, pairs, *validate(pairs, train)))
+    return fits
+
+
+def _stages(simulator: Simulator, limits: Limits, begun: OrderFit | None) -> tuple[Fit, Fit]:
+    """The fits of singles and of pairs; one and the same with noise behind the zone."""
+    data = simulator.data
+    if begun is not None:
+        singles = moved(begun.singles, data)
+        return singles, moved(begun.pairs, data) if data.silent_zeros else singles
+    singles = fit_zone(simulator, "singles" if data.silent_zeros else "behind", limits)
+    paired = data.silent_zeros and math.isfinite(singles.value)
+    return singles, refit(singles, "pairs") if paired else singles
+
+
+def _says_something(fit: Fit) -> bool:
+    """Whether a fit has a likelihood whose derivatives do not overflow."""
+    if not math.isfinite(fit.value):
+        return False
+    return all(np.isfinite(part).all() for part in fit.objective.quadratic(fit.theta))
+
+
+def trained_part(data: Data, held_out: float) -> Flags:
+    """The samples that are no held-out ones (N): all but the last of each record."""
+    train = np.ones(data.y.size, bool)
+    for part in data.records():
+        train[part.start + math.ceil((1 - held_out) * (part.stop - part.start)) : part.stop] = False
+    return train
+
+
+def best_order(fits: list[OrderFit]) -> OrderFit:
+    """The order of least BIC of (L2), those with a pole at the limit of what is allowed last."""
+    inside = [one for one in fits if not at_limit(one)]
+    return min(inside or fits, key=lambda one: one.pairs.bic)
+
+
+def at_limit(one: OrderFit) -> bool:
+    """Whether a pole is as slow as is allowed, so that with x(0) it is an offset or a sine."""
+    return not one.pairs.objective.simulator.admissible(one.pairs.theta, 1.2)
+
+
+def credible(fits: list[OrderFit]) -> list[OrderFit]:
+    """The orders whose held-out error is within 2 % of the least."""
+    inside = [one for one in fits if not at_limit(one)] or fits
+    least = min(one.error for one in inside)
+    return [one for one in inside if one.error <= CREDIBLE * least]
+
+
+def validate(fit: Fit, train: Flags) -> HeldOut:
+    """A fit of the training part, checked on the rest.
+
+    Args:
+        fit: the fit to all data, from where the climb starts.
+        train: samples that are used (N).
+
+    Returns:
+        Error, share and whiteness on the other samples.
+    """
+    trained = refit(fit, fit.objective.kind, train, 25)
+    if not math.isfinite(trained.value):
+        trained = fit
+    data = fit.objective.data
+    test = data.ok & ~train
+    return judged(data.y - expected_reading(trained), data, test, innovations(trained, test))
+
+
+def judged(error: Floats, data: Data, test: Flags, one_step: tuple[Floats, Flags]) -> HeldOut:
+    """What errors of held-out readings say of a fit.
+
+    Args:
+        error: y less what is expected (N).
+        data: the records.
+        test: the held-out readings (N).
+        one_step: one-step residuals, and where they are known (N, N).
+    """
+    rms = float(np.sqrt(np.mean(error[test] ** 2)))
+    usual = float(np.sqrt(np.mean(data.y[test] ** 2)))
+    return HeldOut(rms, 1 - rms / max(usual, 1e-12), is_white(*one_step))
+
+
+def innovations(fit: Fit, among: Flags) -> tuple[Floats, Flags]:
+    """One-step residuals e_t - rho e_(t-1) and where they are known: speaking in a row (N, N)."""
+    readings = fit.objective.readings
+    e = fit.objective.residuals(fit.theta)
+    ok = fit.objective.data.ok
+    speaks = ok if fit.objective.kind == "behind" else ok & (readings.side != 0)
+    rho = fit.rho if fit.objective.kind == "pairs" else None
+    return one_step(e, speaks & among, speaks, fit.objective.data.start, rho)
+
+
+def one_step(
+    e: Floats, among: Flags, speaks: Flags, start: Integers, rho: float | None = None
+) -> tuple[Floats, Flags]:
+    """Residuals less what those of the sample before say of them, and where both are known (N, N).
+
+    Args:
+        e: residuals (N).
+        among: those that are asked for (N).
+        speaks: those that are known (N).
+        start: first sample of each record (R).
+        rho: correlation over one sample; None: of the residuals themselves.
+    """
+    use = among.copy()
+    use[1:] &= speaks[:-1]
+    use[start] = False
+    if rho is None:
+        at = np.flatnonzero(use)
+        rho = float(e[at] @ e[at - 1] / max(float(e[at - 1] @ e[at - 1]), 1e-300))
+    value = e.copy()
+    value[1:] -= rho * e[:-1]
+    return value, use
+
+
+def is_white(value: Floats, use: Flags, lags: int = LAGS) -> bool:
+    """Whether residuals are white, by Ljung and Box's sum of squared correlations at 1 %."""
+    count = int(use.sum())
+    if count < 3 * lags:
+        return True
+    squares = correlation(value, use, lags) ** 2
+    total = count * (count + 2) * float(np.sum(squares / (count - np.arange(1, lags + 1))))
+    return bool(chi2.sf(total, lags) > 0.01)
+
+
+def hears_input(fit: Fit) -> bool:
+    """Whether past inputs explain one-step residuals: a delay, or too few poles."""
+    value, use = innovations(fit, fit.objective.data.ok)
+    lagged = []
+    for lag in range(1, HEARD + 1):
+        lagged.append(np.roll(fit.objective.data.u, lag, axis=0))
+    use = use.copy()
+    for first in fit.objective.data.start:
+        use[first : first + HEARD] = False
+    if use.sum() < 20 * HEARD:
+        return False
+    _, _, share, chance = explained(np.hstack(lagged)[use], value[use])
+    return (share > 0.03 and chance < 1e-3) or (share > 0.15 and chance < 0.01)
+
+
+def correlation(value: Floats, use: Flags, lags: int) -> Floats:
+    """Autocorrelation at lags 1 to `lags` over pairs that are both known (lags)."""
+    centred = (value - value[use].mean()) * use if use.any() else value * 0.0
+    count = max(int(use.sum()), 1)
+    power = max(float(centred @ centred) / count, 1e-300)
+    out = np.zeros(lags)
+    for lag in range(1, lags + 1):
+        both = max(int((use[lag:] & use[:-lag]).sum()), 1)
+        out[lag - 1] = float(centred[lag:] @ centred[:-lag]) / both / power
+    return out
+
+
+# --- What the zone leaves
+
+
+class ResidualMap(NamedTuple):
+    """The residual y - E[y | z^] by z^.
+
+    Attributes:
+        centres: places of the hat functions (K) [scaled z].
+        curve, std: mean residual there, and its standard deviation (K) [scaled y].
+        share, chance: share of the residual's variance that the curve explains, and its p.
+        moving_share, moving_chance: the same for a curve times the direction of z^: a memory.
+    """
+
+    centres: Floats
+    curve: Floats
+    std: Floats
+    share: float
+    chance: float
+    moving_share: float
+    moving_chance: float
+
+    @property
+    def strange(self) -> bool:
+        """Whether a map of z^ explains what a dead zone leaves."""
+        return self.share > SHARE and self.chance < CHANCE
+
+    @property
+    def remembers(self) -> bool:
+        """Whether the residual depends on the direction of z^."""
+        return self.moving_share > SHARE and self.moving_chance < CHANCE
+
+
+def residual_map(fit: Fit) -> ResidualMap:
+    """What the fit leaves, by z^ and by its direction.
+
+    Args:
+        fit: plant and zone of a record.
+
+    Returns:
+        The curve, how much it explains and how surely.
+    """
+    z = fit.z
+    ok = fit.objective.readings.ok
+    residual = fit.objective.readings.y - expected_reading(fit)
+    centres = np.unique(np.quantile(z[ok], np.linspace(0.01, 0.99, HATS)))
+    curves = hats(z, centres)
+    speed = np.diff(z, prepend=z[0])
+    moving = curves * np.tanh(speed / (speed.std() + 1e-300))[:, None]
+    curve, std, share, chance = explained(curves[ok], residual[ok])
+    _, _, moving_share, moving_chance = explained(moving[ok], residual[ok])
+    return ResidualMap(centres, curve, std, share, chance, moving_share, moving_chance)
+
+
+# --- A zone against none
+
+
+class NoZone(NamedTuple):
+    """The test's outcome.
+
+    Attributes:
+        chance: p of what was seen if there is no zone.
+        fit: the fit with a zone, perhaps a better one than before.
+    """
+
+    chance: float
+    fit: Fit
+
+
+def judge_no_zone(fit: Fit) -> NoZone:
+    """Whether the readings need a zone at all.
+
+    Args:
+        fit: plant and zone.
+
+    Returns:
+        p by the likelihood ratio, made robust; 0 where exact zeros in number show the zone.
+    """
+    objective = fit.objective
+    if objective.kind != "behind":
+        return NoZone(0.0, fit)
+    linear = fit_linear(objective.simulator, objective.readings.ok)
+    best = _from_linear(objective, linear, fit)
+    spread = best.objective.spread(best.theta)
+    row = best.objective.direction(1.0, 1.0)
+    robust, naive = float(row @ spread.V @ row), float(row @ spread.naive @ row)
+    ratio = 2 * max(best.value - linear.value, 0.0) / max(1.0, robust / max(naive, 1e-300))
+    chance = float(chi2.sf(ratio, 2))
+    if best.right + best.left <= spread.half_width(row):
+        chance = max(chance, 0.05)
+    return NoZone(chance, best)
+
+
+def _from_linear(objective: Objective, linear: Fit, fit: Fit) -> Fit:
+    """The fit, or a better one that starts at a small zone."""
+    theta = linear.theta.copy()
+    theta[objective.layout.right : objective.layout.right + 2] = 0.05
+    top = climb(objective, theta, 60)
+    better = math.isfinite(top.value) and top.value > fit.value
+    return Fit(objective, *top) if better else fit

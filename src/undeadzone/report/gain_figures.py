@@ -1,0 +1,343 @@
+"""Figures of gains: how fast an error dies as they are scaled, and what they trade for it."""
+
+from __future__ import annotations
+
+from textwrap import fill
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from undeadzone.analysis.certificate.design_file import Design, Knowledge, Point
+from undeadzone.analysis.certificate.passivity import Certificate
+from undeadzone.analysis.certificate.weights import margin
+from undeadzone.analysis.convergence.falsify import Mode, generator
+from undeadzone.analysis.convergence.floquet import rates
+from undeadzone.analysis.error_dynamics import Dynamics, delta, growth, pattern
+from undeadzone.analysis.identifiability.linear import DIRECTIONS
+from undeadzone.report.style import (
+    ESTIMATE,
+    FORBIDDEN,
+    PRINTED,
+    READING,
+    TRUTH,
+    ZONE,
+    axis_label,
+    finish,
+    sheet,
+)
+from undeadzone.support.arrays import Floats
+from undeadzone.synthesis.assessment import Assessment, Gains
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+FACTORS: Final = np.linspace(0.0, 3.0, 1501)  # times the gains
+CHOSEN: Final = 500  # where the factor is 1
+EVERY: Final = 25  # of the factors: where rates are shown
+NAMES: Final = {"gamma": r"$\gamma$", "L": "$L$"}
+NORMAL: Final = 1.959964  # standard deviations of a 95 % interval
+ELLIPSE: Final = 2.447747  # of a 95 % ellipse
+PRICES: Final = (("noise", "disturbance"), ("disturbance", "noise"))
+LABELS: Final = {
+    "noise": "error per rms noise at every sample",
+    "disturbance": "error per white disturbance [$\\sqrt{s}$]",
+}
+
+
+def root_locus(of: Assessment, gains: Gains) -> Figure:
+    """Poles of the error while every output is read, as gamma or L is scaled, and the rate.
+
+    The rate is that along the reference. Sampled, poles z are drawn as (z - 1) / Ts, which tends
+    to s as Ts -> 0; the unit circle is drawn so too.
+    """
+    dynamics = gains.dynamics
+    scaled = ["gamma", "L"] if dynamics.gamma.any() else ["L"]
+    title = "Poles of the error while every output is read, and the rate"
+    figure, panels = sheet([[*scaled, "rate"]], title, height=4.0)
+    dots: Any = None
+    for name in scaled:
+        dots = _locus_panel(panels[name], dynamics, name)
+    _rates(panels["rate"], of, gains, scaled)
+    figure.colorbar(
+        dots, ax=[*panels.values()], label="times the gain", shrink=0.7, aspect=30, pad=0.01
+    )
+    return figure
+
+
+def _locus_panel(axes: Axes, dynamics: Dynamics, name: str) -> Any:
+    """The poles as one gain is scaled, slow ones enlarged; returns the dots for a colour bar."""
+    Ts = dynamics.Ts
+    poles = np.stack([_poles(dynamics, _scaled(dynamics, name, factor)) for factor in FACTORS])
+    silent = np.linalg.eigvals(dynamics.A[0])
+    dots = _locus(axes, poles, silent, name)
+    _forbid_unstable(axes, np.concatenate([poles.ravel(), silent]), Ts)
+    slow = 1.5 * max(np.abs(silent).max(), np.abs(poles[CHOSEN].real).min())
+    if slow > 0 and np.ptp(poles.real) > 8 * slow:
+        _enlarge_slow(axes, poles, silent, name, Ts, slow)
+    if Ts is None:
+        x_label, y_label = "Re s [1/s]", "Im s [rad/s]"
+    else:
+        x_label, y_label = "Re (z − 1)/Ts [1/s]", "Im (z − 1)/Ts [1/s]"
+    finish(axes, f"{NAMES[name]} scaled", y_label, x_label, legend=3)
+    return dots
+
+
+def _locus(axes: Axes, poles: np.ndarray, silent: np.ndarray, name: str) -> Any:
+    """Poles (factors x poles) coloured by the factor of a gain, and those of a silent sensor."""
+    factors = np.repeat(FACTORS, poles.shape[1])
+    dots = axes.scatter(poles.real, poles.imag, c=factors, s=3, cmap="viridis", linewidths=0)
+    dots.set_rasterized(True)  # thousands
+    without, chosen = poles[0], poles[CHOSEN]
+    axes.plot(
+        silent.real, silent.imag, "s", color=TRUTH, fillstyle="none", markersize=8, label="silent"
+    )
+    axes.plot(
+        without.real, without.imag, "x", color=TRUTH, markersize=6, label=f"{NAMES[name]} = 0"
+    )
+    axes.plot(chosen.real, chosen.imag, "o", color=PRINTED, markersize=6, label="chosen")
+    return dots
+
+
+def _enlarge_slow(
+    axes: Axes, poles: np.ndarray, silent: np.ndarray, name: str, Ts: float | None, size: float
+) -> None:
+    """Enlarge the slow poles below the real axis; size [1/s]: of the largest of them."""
+    bottom, top = axes.get_ylim()
+    axes.set_ylim(1.6 * bottom, top)
+    inset = axes.inset_axes((0.14, 0.06, 0.64, 0.3))
+    _locus(inset, poles, silent, name)
+    near = np.concatenate([poles[poles.real > -2 * size], silent])
+    _forbid_unstable(inset, np.append(near, -2 * size), Ts)
+    inset.set_xlim(-2 * size, 0.3 * size)
+    inset.tick_params(labelsize=6.5, pad=1)
+    axes.indicate_inset_zoom(inset, edgecolor=ZONE)
+
+
+def _scaled(dynamics: Dynamics, name: str, factor: float) -> Dynamics:
+    """The dynamics with one gain, gamma or L, scaled."""
+    return dynamics._replace(**{name: factor * getattr(dynamics, name)})
+
+
+def _poles(dynamics: Dynamics, scaled: Dynamics) -> np.ndarray:
+    """Poles of x~ and of the widths that `dynamics` adapts, under scaled gains.
+
+    Every output is read on its right side.
+    """
+    outputs = dynamics.C.shape[0]
+    S = pattern((1,) * outputs)  # which width each output's reading holds
+    F = generator(scaled, Mode(np.ones(1), S, np.ones(outputs), 0.0))
+    adapted = S.any(axis=0) & (np.diag(dynamics.gamma) > 0)
+    kept = np.concatenate([np.ones(len(dynamics.A[0]), bool), adapted])
+    return np.asarray(np.linalg.eigvals(F[np.ix_(kept, kept)]))
+
+
+def _forbid_unstable(axes: Axes, poles: np.ndarray, Ts: float | None) -> None:
+    """Limits that hold all poles and some of the unstable region, which is shaded."""
+    size = max(np.ptp(poles.real), np.ptp(poles.imag), 1e-3 * np.abs(poles).max(), 1e-300)
+    left = poles.real.min() - 0.08 * size
+    right = max(poles.real.max(), 0.0) + 0.12 * size
+    top = np.abs(poles.imag).max() + 0.15 * size
+    x, y = np.meshgrid(np.linspace(left, right, 400), np.linspace(-2 * top, 2 * top, 400))
+    growth = x if Ts is None else (np.abs(1 + Ts * (x + 1j * y)) - 1) / Ts
+    axes.contourf(x, y, growth, levels=[0.0, np.inf], colors=[FORBIDDEN], zorder=0)
+    axes.contour(x, y, growth, levels=[0.0], colors=[PRINTED], linewidths=1.0, zorder=1)
+    axes.set_xlim(left, right)
+    axes.set_ylim(-top, top)
+
+
+def _rates(axes: Axes, of: Assessment, gains: Gains, scaled: list[str]) -> None:
+    """The rate over the factor of each gain: a line where V proves it, dots elsewhere."""
+    for name, colour in zip(scaled, (ESTIMATE, READING), strict=False):
+        first = EVERY if name == "gamma" else 0  # with gamma = 0 the error holds no widths
+        factors = FACTORS[first::EVERY]
+        rate = np.array([_rate(of, gains, name, factor) for factor in factors])
+        proved = np.array([_proved(gains.certificate, name, factor) for factor in factors])
+        certified = np.where(proved, rate, np.nan)
+        axes.plot(factors, rate, ":", color=colour, linewidth=1.4)
+        axes.plot(factors, certified, color=colour, linewidth=2.0, label=f"{NAMES[name]} alone")
+    axes.plot([1.0], [gains.rates.rate], "o", color=PRINTED, markersize=6)
+    axes.axhline(0.0, color=TRUTH, linewidth=0.8)
+    y_label = "rate along the reference [1/s]"
+    finish(axes, "Rate (dotted: not certified)", y_label, "times the gain", legend=2)
+
+
+def _rate(of: Assessment, gains: Gains, name: str, factor: float) -> float:
+    """The rate [1/s] along the reference with one gain scaled."""
+    L, gamma = gains.L, gains.gamma
+    if name == "L":
+        L = factor * L
+    else:
+        gamma = factor * gamma
+    jump = of.problem.sensor.kind == "jump"
+    return rates(of.problem.model.linear, L, gamma, of.schedule, jump).rate
+
+
+def _proved(proof: Certificate, name: str, factor: float) -> bool:
+    """Whether the weights of a certificate prove it with one gain scaled, too."""
+    if not proof.margin > -np.inf:
+        return False
+    return margin(_scaled(proof.dynamics, name, factor), proof.W)[0] > 0
+
+
+def front(design: Design) -> Figure:
+    """Rate against noise gain and against disturbance gain, each coloured by the other.
+
+    The gains chosen, the fastest and the scenario's own are marked.
+    """
+    count = f"{len(design.front)} certified gains"
+    title = f"The trade: {count}, none better than another in everything"
+    figure, panels = sheet([[price for price, _ in PRICES]], title, height=4.2)
+    for price, other in PRICES:
+        axes = panels[price]
+        x, rate = _scores(design, price), _scores(design, "rate")
+        colour = np.log10(_scores(design, other))
+        dots = axes.scatter(x, rate, c=colour, s=26, cmap="viridis_r", linewidths=0)
+        _mark(axes, design.front[0], price, "^", TRUTH, "fastest")
+        if design.present is not None:
+            _mark(axes, design.present, price, "X", PRINTED, "yours")
+        _mark(axes, design.best, price, "*", PRINTED, "chosen", 16)
+        _log_ticks(axes)
+        axes.margins(0.06)
+        y_label = "rate along the reference [1/s]"
+        finish(axes, f"Rate against {price}", y_label, LABELS[price], legend=3)
+        bar = figure.colorbar(dots, ax=axes, shrink=0.8, pad=0.02)
+        ticks = np.linspace(*dots.get_clim(), 5)
+        bar.set_ticks(ticks.tolist(), labels=[f"{10**tick:.3g}" for tick in ticks])
+        bar.set_label(f"{other} gain")
+    return figure
+
+
+def _scores(design: Design, name: str) -> Floats:
+    """What the gains of the front are worth in one respect."""
+    return np.array([getattr(point, name) for point in design.front])
+
+
+def _log_ticks(axes: Axes) -> None:
+    """A logarithmic axis of less than two decades, with plain numbers."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axes.set_xscale("log")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+
+
+def _mark(
+    axes: Axes, point: Point, price: str, marker: str, colour: str, name: str, size: float = 9
+) -> None:
+    """Mark one point of the front; price: what stands on the axis to the right."""
+    axes.plot(
+        [getattr(point, price)],
+        [point.rate],
+        marker,
+        color=colour,
+        markersize=size,
+        markeredgecolor="white",
+        label=name,
+        zorder=5,
+    )
+
+
+def ellipses(of: Assessment) -> Figure:
+    """The 95 % region of (d_r, d_l) of each output that an optimal estimator reaches in the end.
+
+    An ellipse about the truth, or an unbounded strip where only one direction can be known, with
+    the reason in words.
+    """
+    outputs = len(of.known)
+    names = [f"output {i}" for i in range(outputs)]
+    title = f"What {of.problem.scenario.simulation.duration:g} s of readings tell of the widths"
+    figure, panels = sheet([names], title, width=max(5.5, 4.6 * outputs), height=5.0)
+    for i, name in enumerate(names):
+        deviations(panels[name], of, i)
+    return figure
+
+
+def deviations(axes: Axes, of: Assessment, i: int) -> None:
+    """The 95 % region of the widths of output i, with its title and labels."""
+    known, sensor, unit = of.known[i], of.problem.sensor, of.problem.scenario.units.output
+    truth = np.array([sensor.right[i], sensor.left[i]])
+    if known.right and known.left:
+        _ellipse(axes, known)
+        words, off = "Both can be known", " − truth"
+        if not (sensor.noise[i] or sensor.noise_before[i]):
+            words += " (no noise: readings are taken as all but exact)"
+        axes.plot(0.0, 0.0, "+", color=TRUTH, markersize=10, label="truth")
+    else:
+        _strip(axes, known, truth, _floor(of, i, truth))
+        words, off = "; ".join(known.reasons), ""
+        axes.plot(*truth, "+", color=TRUTH, markersize=10, label="truth")
+    axes.set_aspect("equal")
+    title = words[:1].upper() + words[1:]
+    if len(of.known) > 1:
+        title = f"Output {i}: {words}"
+    y_label, x_label = (axis_label(rf"$\hat d_{edge}${off}", unit) for edge in "lr")
+    finish(axes, fill(title, 46), y_label, x_label, legend=2)
+
+
+def _floor(of: Assessment, i: int, truth: Floats) -> Floats:
+    """What (d_r, d_l) of output i must exceed, or else the edges would have been reached; or 0.
+
+    Silence tells it only of a stable model, whose output is known in the end.
+    """
+    model, schedule = of.problem.model, of.schedule
+    if not growth(delta(model.linear, model.Ts), model.Ts) < 0:
+        return np.zeros(2)
+    return np.array([schedule.high[i], -schedule.low[i]]) - (schedule.levels[i] - truth)
+
+
+def _ellipse(axes: Axes, known: Knowledge) -> None:
+    """The ellipse of 95 % about the truth, limits included."""
+    x, y = ellipse(known.std)
+    axes.fill(x, y, color=ESTIMATE, alpha=0.25, linewidth=0)
+    axes.plot(x, y, color=ESTIMATE, label="95 %")
+    axes.ticklabel_format(scilimits=(-2, 3))
+    size = 1.15 * max(np.abs(x).max(), np.abs(y).max())
+    axes.set_xlim(-size, size)
+    axes.set_ylim(-size, size)
+
+
+def ellipse(std: dict[str, float]) -> Floats:
+    """The border (2 x points) of the 95 % ellipse of (d_r, d_l) about the truth.
+
+    The covariance follows from the deviations of both, of their sum and of their difference.
+    """
+    cross = (std["width"] ** 2 - std["centre"] ** 2) / 4
+    values, vectors = np.linalg.eigh([[std["right"] ** 2, cross], [cross, std["left"] ** 2]])
+    angle = np.linspace(0.0, 2 * np.pi, 300)
+    circle = np.stack([np.cos(angle), np.sin(angle)])
+    semi_axes = np.sqrt(np.maximum(values, 0.0))[:, None]
+    return np.asarray(ELLIPSE * vectors @ (semi_axes * circle))
+
+
+def _strip(axes: Axes, known: Knowledge, truth: Floats, floor: Floats) -> None:
+    """Shade the region of widths that readings leave open where one direction at most is known.
+
+    Where a direction g is known, g'd lies between two parallel lines. An edge that was not reached
+    lies beyond all of z, at least.
+    """
+    size = 2.0 * max(float(truth.max()), 1e-12)
+    grid = np.linspace(0.0, 1.5 * size, 901)
+    x, y = np.meshgrid(grid, grid)
+    direction = next((name for name in ("right", "left", "width") if getattr(known, name)), None)
+    if direction == "width":
+        floor = np.zeros(2)
+    beyond_right = 0.0 if known.right else floor[0] - x
+    beyond_left = 0.0 if known.left else floor[1] - y
+    region = np.maximum(beyond_right, beyond_left)  # negative inside
+    if direction is not None:
+        g = np.array(DIRECTIONS[direction])
+        half = NORMAL * known.std[direction]
+        distance = np.abs(g[0] * (x - truth[0]) + g[1] * (y - truth[1]))
+        region = np.maximum(region, distance - max(half, 0.004 * size))
+        words = f"95 %: {direction} ± {half:.2g}"
+    elif floor.any():
+        words = f"only d_r > {floor[0]:.3g}, d_l > {floor[1]:.3g}"
+    else:
+        words = "nothing is known"
+    axes.contourf(x, y, region, levels=[-np.inf, 0.0], colors=[ESTIMATE], alpha=0.25)
+    axes.contour(x, y, region, levels=[0.0], colors=[ESTIMATE], linewidths=1.0)
+    axes.plot([], [], color=ESTIMATE, label=words)
+    axes.set_xlim(0.0, size)
+    axes.set_ylim(0.0, size)

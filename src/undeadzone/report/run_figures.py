@@ -1,0 +1,307 @@
+"""The figures of a run: what was read, what the observer made of it, how far off; an arm's tip."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from undeadzone.report.style import (
+    ESTIMATE,
+    OTHER,
+    PRINTED,
+    READING,
+    REFERENCE,
+    TRUTH,
+    ZONE,
+    axis_label,
+    finish,
+    plain,
+    plot_magnitude,
+    shade_gap,
+    shade_zone,
+    sheet,
+    width_lines,
+)
+from undeadzone.results.run import Run
+from undeadzone.support.arrays import Floats
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+STACKED = 2  # outputs, whose errors and widths stand below them; those of more stand beside them
+COLOURS = (TRUTH, ESTIMATE, READING, REFERENCE, PRINTED, OTHER)  # of joints
+COLUMNS = 3  # joints in a row
+LEGEND: Any = {"frameon": False, "fontsize": 8.5}
+BEYOND = 0.25  # share of the truth's range by which a phase plane shows more
+PLANAR = [["x-y", "error"], ["x-y", "torque"]]
+SPATIAL = [["x-y"] * 3 + ["x-z"] * 3, ["error"] * 3 + ["torque"] * 3]
+PLANES = {"x-y": (0, 1), "x-z": (0, 2)}  # coordinates to the right and upwards
+
+
+def overview(run: Run) -> Figure:
+    """Per output: z, reading, reference and estimate over the dead zone; errors; widths; then V.
+
+    Below them stand the actuators whose widths are estimated, and the plays ahead of dead zones
+    whose gaps are. Many outputs have a row each. A run
+    that diverged is drawn up to where it did.
+    """
+    info, outputs = run.info, run.z.shape[1]
+    actuators = 0 if run.b_hat is None else run.b_hat.shape[1] // 2
+    gaps = 0 if run.c_hat is None else outputs
+    if outputs > STACKED:
+        rows = rows_beside(outputs, run.V is not None)
+        rows += rows_of_actuators(actuators, 12) + rows_of_gaps(gaps, 12)
+        figure, panels = sheet(rows, run.info.title, width=15.0, height=2.2)
+    else:
+        rows = rows_below(outputs, run.V is not None)
+        rows += rows_of_actuators(actuators, 6) + rows_of_gaps(gaps, 6)
+        figure, panels = sheet(rows, run.info.title)
+    for i in range(outputs):
+        of = f" {plain(str(run.outputs[i]))}" if outputs > 1 else ""
+        output(panels[f"output {i}"], run, i, of)
+        _errors(panels[f"error {i}"], run, i, of)
+        _edges(panels[f"widths {i}"], run, i, "d", info.widths, f"Widths{of}")
+    for j in range(actuators):
+        of = f" {j}" if actuators > 1 else ""
+        _command(panels[f"command {j}"], run, j, of)
+        what = f"Widths of the actuator{of}"
+        _edges(panels[f"actuator {j}"], run, j, "b", info.actuator, what)
+    for i in range(gaps):
+        of = f" {plain(str(run.outputs[i]))}" if outputs > 1 else ""
+        _loop(panels[f"loop {i}"], run, i, of)
+        _edges(panels[f"gaps {i}"], run, i, "c", info.gaps, f"Gaps of the play{of}")
+    if run.V is not None:
+        plot_magnitude(panels["V"], run.t[run.shown], run.V[run.shown], TRUTH, "V")
+        finish(panels["V"], "Lyapunov function", axis_label("V", run.unit("V")), legend=0)
+    return figure
+
+
+def rows_below(outputs: int, with_V: bool) -> list[list[str]]:
+    """The panels of few outputs: each output as wide as the figure, what belongs to it below.
+
+    V stands beside the errors of the first output.
+    """
+    rows = []
+    for i in range(outputs):
+        rows.append([f"output {i}"] * 6)
+        if with_V and i == 0:
+            rows.append([f"error {i}"] * 2 + [f"widths {i}"] * 2 + ["V"] * 2)
+        else:
+            rows.append([f"error {i}"] * 3 + [f"widths {i}"] * 3)
+    return rows
+
+
+def rows_beside(outputs: int, with_V: bool) -> list[list[str]]:
+    """The panels of many outputs: a row each, what belongs to it beside; V below all."""
+    rows = [[f"output {i}"] * 6 + [f"error {i}"] * 3 + [f"widths {i}"] * 3 for i in range(outputs)]
+    return [*rows, ["V"] * 12] if with_V else rows
+
+
+def rows_of_actuators(actuators: int, columns: int) -> list[list[str]]:
+    """The panels of actuators whose widths are estimated: a row each, command and widths."""
+    half = columns // 2
+    return [[f"command {j}"] * half + [f"actuator {j}"] * half for j in range(actuators)]
+
+
+def rows_of_gaps(gaps: int, columns: int) -> list[list[str]]:
+    """The panels of plays whose gaps are estimated: a row each, reading over z and gaps."""
+    half = columns // 2
+    return [[f"loop {i}"] * half + [f"gaps {i}"] * half for i in range(gaps)]
+
+
+def output(axes: Axes, run: Run, i: int = 0, of: str = "") -> None:
+    """Output i over its dead zone: reference, reading, truth and estimate; of: its name."""
+    shown = run.shown
+    t = run.t[shown]
+    right, left = run.info.widths[2 * i : 2 * i + 2]
+    if run.info.sensor == "play":
+        shade_gap(axes, t, run.y[shown, i], right, left)
+    else:
+        shade_zone(axes, right, left)
+    if i in run.info.tracked:
+        r = run.r[shown, run.info.tracked.index(i)]
+        axes.plot(t, r, color=REFERENCE, linewidth=2.6, alpha=0.45, label="reference r")
+    axes.plot(t, run.y[shown, i], color=READING, label="reading y")
+    axes.plot(t, run.z[shown, i], color=TRUTH, label="output z")
+    estimate = run.z_hat[shown, i]
+    axes.plot(t, estimate, color=ESTIMATE, linestyle=(0, (4, 2)), label=r"estimate $\hat z$")
+    title = f"Output{of} and what is known of it"
+    if run.diverged_at is not None:
+        title += f", diverged at {run.diverged_at:.4g} s"
+    finish(axes, title, axis_label("z, y", run.unit("z")), legend=5)
+
+
+def _errors(axes: Axes, run: Run, i: int, of: str) -> None:
+    """The sizes of the errors of tracking, where output i is tracked, and of estimation."""
+    shown = run.shown
+    t = run.t[shown]
+    if i in run.info.tracked:
+        tracking = (run.z[:, i] - run.r[:, run.info.tracked.index(i)])[shown]
+        plot_magnitude(axes, t, tracking, REFERENCE, "$|z - r|$")
+    plot_magnitude(axes, t, (run.z - run.z_hat)[shown, i], ESTIMATE, r"$|z - \hat z|$")
+    finish(axes, f"Errors{of}", axis_label("error", run.unit("z")))
+
+
+def _command(axes: Axes, run: Run, j: int, of: str) -> None:
+    """Input j over the dead zone of its actuator."""
+    shade_zone(axes, *run.info.actuator[2 * j : 2 * j + 2])
+    axes.plot(run.t[run.shown], run.u[run.shown, j], color=TRUTH)
+    finish(axes, f"Command{of} over the actuator's zone", axis_label("u", run.unit("u")), legend=0)
+
+
+def _loop(axes: Axes, run: Run, i: int, of: str) -> None:
+    """Readings of output i over the true output and its estimate, of the end of the run."""
+    last = slice(2 * run.t.size // 3, None)
+    axes.plot(run.z[last, i], run.y[last, i], color=TRUTH, label="z")
+    z_hat = run.z_hat[last, i]
+    axes.plot(z_hat, run.y[last, i], color=ESTIMATE, linestyle=(0, (4, 2)), label=r"$\hat z$")
+    title, unit = f"Reading{of} over the output, last third", run.unit("z")
+    finish(axes, title, axis_label("y", run.unit("y")), axis_label("z", unit))
+
+
+def _edges(axes: Axes, run: Run, i: int, letter: str, true: Sequence[float], what: str) -> None:
+    """The estimated right and left edge of a zone or a play over the true ones.
+
+    Args:
+        axes: to draw on.
+        run: what is shown.
+        i: which sensor or actuator it is.
+        letter: of its widths.
+        true: of all of them.
+        what: it is.
+    """
+    columns, name = slice(2 * i, 2 * i + 2), f"{letter}_hat"
+    for value, colour in zip(true[columns], (PRINTED, OTHER), strict=True):
+        axes.axhline(value, color=colour, linewidth=3.0, alpha=0.3)
+    found, std = getattr(run, name), getattr(run, f"{letter}_std")
+    band = None if std is None else std[run.shown, columns]
+    width_lines(axes, run.t[run.shown], found[run.shown, columns], band, letter)
+    finish(axes, f"{what}, truth pale", axis_label(letter, run.unit(name)))
+
+
+def tip(run: Run, rival: Run | None = None) -> Figure:
+    """The tip on its path in each plane it moves in, its distance from the path, the torques."""
+    assert run.tip is not None
+    spatial = run.tip.shape[1] == 3
+    title = f"{run.info.title}: the tip"
+    if spatial:
+        figure, panels = sheet(SPATIAL, title, height=3.2)
+        for name, plane in PLANES.items():
+            _plane(panels[name], run, rival, plane, f" in {name}")
+    else:
+        figure, panels = sheet(PLANAR, title, height=3.2)
+        _plane(panels["x-y"], run, rival, PLANES["x-y"], "")
+    figure.legend(*panels["x-y"].get_legend_handles_labels(), loc="upper right", ncols=3, **LEGEND)
+    _distances(panels["error"], run, rival)
+    _torques(panels["torque"], run)
+    return figure
+
+
+def _distances(axes: Axes, run: Run, rival: Run | None) -> None:
+    """The distance of each tip from its path."""
+    for one, colour in _both(run, rival):
+        assert one.tip is not None
+        assert one.tip_r is not None
+        distance = np.linalg.norm(one.tip - one.tip_r, axis=1)
+        plot_magnitude(axes, one.t[one.shown], distance[one.shown], colour, plain(one.name))
+    finish(axes, "Distance of the tip from where it should be", axis_label("distance", "m"))
+
+
+def _torques(axes: Axes, run: Run) -> None:
+    """The torque of each motor."""
+    t = run.t[run.shown]
+    motors = run.info.joints[: run.u.shape[1]]  # names of the joints that have one
+    for i, name in enumerate(motors):
+        colour = COLOURS[i % len(COLOURS)]
+        axes.plot(t, run.u[run.shown, i], color=colour, linewidth=0.9, label=plain(name))
+    finish(axes, "Torques", axis_label("u", run.unit("u")), legend=3)
+
+
+def phase(run: Run) -> Figure:
+    """Position and velocity of each joint, truth and estimate.
+
+    The dead zone is shown where it lies in the position.
+    """
+    rows = joint_rows(len(run.info.joints))
+    figure, panels = sheet(rows, f"{run.info.title}: phase planes", height=2.8)
+    for i, name in enumerate(run.info.joints):
+        _phase_plane(panels[f"{i}"], run, i, name)
+    figure.legend(*panels["0"].get_legend_handles_labels(), loc="upper right", ncols=3, **LEGEND)
+    return figure
+
+
+def joint_rows(joints: int) -> list[list[str]]:
+    """The panels of joints, some in a row; a dot is an empty place after the last one."""
+    columns = min(COLUMNS, joints)
+    rows = []
+    for first in range(0, joints, COLUMNS):
+        row = [f"{i}" for i in range(first, min(first + columns, joints))]
+        rows.append(row + ["."] * (columns - len(row)))
+    return rows
+
+
+def _phase_plane(axes: Axes, run: Run, i: int, name: str) -> None:
+    """Velocity over position of joint i, truth and estimate."""
+    velocity = len(run.info.joints) + i  # its place in x
+    q, q_rate = run.x[run.shown, i], run.x[run.shown, velocity]
+    q_hat, q_hat_rate = run.x_hat[run.shown, i], run.x_hat[run.shown, velocity]
+    _zone(axes, run, i)
+    axes.plot(q, q_rate, color=TRUTH, linewidth=1.3, linestyle="-", label="truth")
+    axes.plot(
+        q_hat, q_hat_rate, color=ESTIMATE, linewidth=0.9, linestyle=(0, (4, 2)), label="estimate"
+    )
+    axes.set_xlim(*_range(q))
+    axes.set_ylim(*_range(q_rate))
+    upwards, to_the_right = run.unit(f"x[{velocity}]"), run.unit(f"x[{i}]")
+    finish(axes, name, axis_label("q'", upwards), axis_label("q", to_the_right), legend=0)
+
+
+def _both(run: Run, rival: Run | None) -> list[tuple[Run, str]]:
+    """Each run with its colour."""
+    if rival is None:
+        return [(run, ESTIMATE)]
+    return [(run, ESTIMATE), (rival, PRINTED)]
+
+
+def _plane(axes: Axes, run: Run, rival: Run | None, plane: tuple[int, int], where: str) -> None:
+    """The tip seen along one direction, equally scaled."""
+    assert run.tip_r is not None
+    axes.margins(0.05)
+    axes.plot(*run.tip_r[:, plane].T, color=REFERENCE, linewidth=4.0, alpha=0.4, label="path")
+    for one, colour in reversed(_both(run, rival)):
+        assert one.tip is not None
+        first = one.t.size // 2 if one.diverged_at is None else 0
+        points = one.tip[first : one.shown.stop][:, plane]
+        axes.plot(*points.T, color=colour, linewidth=1.1, label=plain(one.name))
+    to_the_right, upwards = (axis_label("xyz"[coordinate], "m") for coordinate in plane)
+    title = f"The tip{where}, last half of the run"
+    finish(axes, title, upwards, to_the_right, legend=0)
+    axes.set_aspect("equal", adjustable="datalim")
+
+
+def _range(values: Floats) -> tuple[float, float]:
+    """Where the values lie, and a little more."""
+    room = BEYOND * float(np.ptp(values)) + 1e-9
+    return float(values.min()) - room, float(values.max()) + room
+
+
+def _zone(axes: Axes, run: Run, i: int) -> None:
+    """The dead zone of a joint whose position is read: where it lies in q."""
+    if i >= run.z.shape[1]:
+        return
+    silent_at = offset(run.x[run.shown, i], run.z[run.shown, i])
+    if silent_at is None:
+        return
+    right, left = run.info.widths[2 * i : 2 * i + 2]
+    ends = silent_at - left, silent_at + right
+    axes.axvspan(*ends, color=ZONE, alpha=0.18, linewidth=0, label="dead zone")
+
+
+def offset(q: Floats, z: Floats) -> float | None:
+    """q - z where that is a constant: the position at which the sensor reads 0."""
+    gap = q - z
+    constant = np.ptp(gap) <= 1e-9 * (1 + np.abs(gap).max())
+    return float(gap[0]) if constant else None

@@ -1,0 +1,1 @@
+"""Results: signals, what is known of them, how they are said and kept."""

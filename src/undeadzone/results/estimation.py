@@ -1,0 +1,229 @@
+"""The result of `estimate`: what an observer makes of a log. There is no truth in it."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, ClassVar, Final
+
+import numpy as np
+
+from undeadzone.logs.samples import counted_lines
+from undeadzone.results import files, sheet
+from undeadzone.results.info import LogInfo
+from undeadzone.results.sheet import Row
+from undeadzone.results.signals import LOG, Signals, attribute, attributes, final, output_names
+from undeadzone.support import shown
+from undeadzone.support.arrays import Floats, finite
+from undeadzone.support.shown import Block, Rows
+from undeadzone.support.text import label
+
+
+@dataclasses.dataclass(frozen=True, eq=False, init=False)
+class Estimation:
+    """What an observer makes of a log, one row per sample.
+
+    Each signal is an attribute, None where the method does not estimate it: those of a log, and
+    what observers give (`results.signals.ESTIMATED`).
+
+    Args:
+        info: what is known besides the signals.
+        signals: by name; None: those that are given alone.
+        given: signals in their place, or besides them.
+
+    Attributes:
+        t: time (N) [s].
+        y: reading (N x p) [y], NaN where it is missing.
+        u: input (N x m), NaN where it is missing.
+        side: measured side (N x p): +1 right, -1 left, 0 silent or missing, +2, -2 at a limit.
+        x_hat: estimate of the state from the readings so far (N x n).
+        z_hat: estimate of the true output (N x p) [z].
+        d_hat: estimates [d_r^, d_l^] of each output (N x 2p) [z].
+        z_inverse: the dead-zone inverse (26) (N x p) [z].
+        innovation: what each reading adds to the prediction (N x p).
+        info: counts, final widths, and whether the record is consistent.
+        signals: all of them by name.
+        x_std: standard deviation of x_hat (N x n).
+        d_std: standard deviation of d_hat (N x 2p) [z].
+        width_std: standard deviation of d_r^ + d_l^ (N x p) [z].
+        innovation_std: standard deviation of the innovation (N x p).
+        B: statistic of the test of consistency after each sample (N x p).
+        w_hat: what the observer's model leaves out (N x n), x' = f(x, u) + w.
+        theta_hat: parameters of the model that the observer estimates (info.uncertain).
+        theta_std: standard deviations of theta_hat.
+        c_hat: estimates [c_r^, c_l^] of the play ahead of each dead zone (N x 2p) [z].
+        c_std: standard deviation of c_hat (N x 2p) [z].
+        gap_std: standard deviation of c_r^ + c_l^ (N x p) [z].
+        x_smooth, z_smooth, d_smooth: as x_hat, z_hat, d_hat, but from the whole log; of `kalman`,
+            `censored`, `extended` and `auto`.
+        x_smooth_std, d_smooth_std: their standard deviations.
+    """
+
+    signals: Signals
+    info: LogInfo
+
+    def __init__(
+        self, info: LogInfo, signals: Signals | None = None, **given: Floats | None
+    ) -> None:
+        before = {} if signals is None else signals.arrays
+        object.__setattr__(self, "info", info)
+        object.__setattr__(self, "signals", Signals(LOG, {**before, **given}))
+
+    layout: ClassVar = LOG
+    __dir__ = attributes
+
+    def __getattr__(self, name: str) -> Any:
+        """A signal by name, None where there is none. Raises AttributeError."""
+        return attribute(self, name)
+
+    @property
+    def consistent(self) -> bool | None:
+        """Whether the innovations are what the observer claims; None: it cannot be tested."""
+        return self.info.consistent
+
+    @property
+    def outputs(self) -> list[str]:
+        """The names of the outputs: an arm's joints where it has one for each, else numbers."""
+        return output_names(self.info.joints, self.y.shape[1])
+
+    def summary(self) -> dict[str, Any]:
+        """The numbers of the log, ready for JSON; lists where there are several outputs."""
+        numbers = self.info.summary()
+        numbers |= final(self.signals.arrays, "width_std")
+        if self.theta_hat is not None and self.theta_std is not None:
+            ends = zip(self.info.uncertain, self.theta_hat[-1], self.theta_std[-1], strict=True)
+            numbers["parameters"] = {
+                name: {"estimate": float(value), "std": float(std)} for name, value, std in ends
+            }
+        numbers["smoothed"] = self.z_smooth is not None
+        return finite(numbers)
+
+    def blocks(self) -> list[Block]:
+        """The tables that `undeadzone estimate` prints."""
+        return in_words(self.info)
+
+    __repr__ = shown.in_text
+    _repr_html_ = shown.in_notebook
+
+    plot = shown.plot
+    """Draw it."""
+
+    columns = files.columns
+    unit = files.unit
+    to_pandas = files.to_pandas
+    save = files.save
+    table_size = property(files.table_size)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Estimation:
+        """Read estimates saved as `.npz` or `.csv`, exactly as they were.
+
+        Args:
+            path: of the file.
+
+        Raises:
+            FileError: it cannot be read, or holds no estimates of a log.
+        """
+        return cls(*files.read(Path(path), LOG, LogInfo))
+
+
+FAULTS: Final = {  # by kind, after a number
+    "zero_bytes": "with bytes of 0",
+    "too_long": "too long",
+    "values": "with too few or many values",
+    "number": "with what is no number",
+    "no_time": "without a time",
+    "time": "whose time fits no neighbour",
+    "jump": "at which time jumped and the observer began anew",
+}
+
+
+def in_words(info: LogInfo) -> list[Block]:
+    """What a log comes to: pairs, and of several outputs a table with their rows."""
+    single = len(info.d_right) == 1
+    shown: dict[str, Any] = {
+        "scenario": info.title,
+        "observer": f"{info.method}, step {info.step:g} s",
+        "log": _samples(info),
+    }
+    if info.columns:
+        shown["columns"] = info.columns
+    if info.unreadable:
+        lines = counted_lines(info.unreadable)
+        shown["unreadable"] = f"{lines}, counted as missing; {info.why_unreadable}"
+    if info.faults:
+        shown["faults"] = ", ".join(f"{n} {FAULTS[kind]}" for kind, n in info.faults.items())
+    if single:
+        estimated = "" if info.adapts else " (not estimated)"
+        shown |= sheet.in_text(row._replace(note=estimated) for row in widths(info, 0))
+        for rows in gaps(info):
+            shown |= sheet.in_text(rows)
+        shown["readings"] = _sides(info, 0)
+    elif not info.adapts:
+        shown["widths"] = "not estimated"
+    shown["consistent"] = _verdict(info)
+    if info.remarks:
+        shown["remark"] = "; ".join(info.remarks)
+    return [shown] if single else [shown, _rows(info)]
+
+
+def _rows(info: LogInfo) -> Rows:
+    """A row for each output: its widths and on which sides its readings are."""
+    count, unit = len(info.d_right), info.units.output
+    names = output_names(info.joints, count)
+    what = "output" if names[0] == "0" else "joint"
+    rows: list[Sequence[str]] = [
+        (what, label("d_right", unit), label("d_left", unit), "readings"),
+    ]
+    for i, name in enumerate(names):
+        rows.append((name, *(row.found for row in widths(info, i)), _sides(info, i)))
+    return rows
+
+
+def _samples(info: LogInfo) -> str:
+    """How many samples there are, and how many of them are missing."""
+    text = f"{info.samples} samples, {info.missing} missing"
+    if info.gaps:
+        text += f" ({info.gaps} in gaps)"
+    if info.measured_step is None:
+        return text + "; without times the step is taken on trust"
+    return text + f", {info.measured_step:g} s apart"
+
+
+def widths(info: LogInfo, i: int) -> list[Row]:
+    """The final widths of output i."""
+    values, stds = (info.d_right[i], info.d_left[i]), None
+    if info.d_right_std is not None and info.d_left_std is not None:
+        stds = (info.d_right_std[i], info.d_left_std[i])
+    return sheet.edges("d", "d", values, stds, info.units.output)
+
+
+def gaps(info: LogInfo) -> list[list[Row]]:
+    """The final gaps of the play ahead of each dead zone; nothing where none are estimated."""
+    names = ("gap_right", "gap_left", "gap_right_std", "gap_left_std", "gap_std")
+    if not info.play:
+        return []
+    each = np.array([info.play[name] for name in names], float).reshape(len(names), -1)
+    unit = info.units.output
+    return [sheet.gaps(one[:2], one[2:4], one[4], unit) for one in each.T.tolist()]
+
+
+def _sides(info: LogInfo, i: int) -> str:
+    """How many readings of output i are on each side."""
+    right, left = info.right[i], info.left[i]
+    text = f"{right} right, {left} left, {info.silent[i]} silent"
+    if info.limited:
+        text += f", {info.limited[i]} at a limit"
+    never = [name for name, count in (("right", right), ("left", left)) if count == 0]
+    return f"{text}: the {' and the '.join(never)} edge is never passed" if never else text
+
+
+def _verdict(info: LogInfo) -> str:
+    """Whether the record is consistent with what the observer claims, and why not."""
+    if info.consistent is None:
+        return f"cannot be tested: {'; '.join(info.reasons)}"
+    if not info.consistent:
+        return "NO: " + "; ".join(info.reasons)
+    return f"yes (B = {info.B:.2f}; {info.glitches} of {info.used} readings taken for wrong)"

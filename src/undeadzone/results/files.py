@@ -1,0 +1,185 @@
+"""A result as a table, and its files: signals with their info, exactly as they were.
+
+What takes a result here is a method of it: of a run, and of what an observer makes of a log.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import os
+import zipfile
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+import numpy as np
+
+from undeadzone.errors import FileError, InputError
+from undeadzone.results.signals import Layout, Signals, from_columns, unit_of
+from undeadzone.support.arrays import Floats
+from undeadzone.support.files import LARGEST_RUN, reason, replacing, require_plain, require_unpacked
+from undeadzone.support.text import json_line, printable
+
+CHECKSUM: Final = '"sha256":"'  # the last key of the info in a `.csv`
+DIGITS: Final = 20  # bytes of a number in a `.csv`, about
+NO_SUM: Final = 64 * "0"
+
+# What NumPy, msgspec and the zip file around them raise of a file that is no run.
+NOT_A_RUN: Final = (
+    ValueError,
+    KeyError,
+    TypeError,
+    StopIteration,
+    EOFError,
+    msgspec.DecodeError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
+
+
+def columns(result: Any) -> dict[str, Floats]:
+    """Every scalar signal by column name: t, y[0], ..., d_right[0], d_left[0], ..., V."""
+    found: dict[str, Floats] = result.signals.columns()
+    return found
+
+
+def unit(result: Any, name: str) -> str:
+    """The unit of a signal or of one of its columns.
+
+    Args:
+        result: whose signal it is.
+        name: of the signal, `x_hat`, or of the column, `x_hat[0]`.
+    """
+    return unit_of(name, result.info.units)
+
+
+def to_pandas(result: Any) -> Any:
+    """A pandas DataFrame indexed by t, one column per scalar signal; needs pandas."""
+    import pandas as pd
+
+    table = columns(result)
+    t = pd.Index(table.pop("t"), name="t")
+    return pd.DataFrame(table, index=t)
+
+
+def table_size(result: Any) -> float:
+    """About how many bytes its `.csv` has."""
+    return DIGITS * sum(float(column.size) for column in columns(result).values())
+
+
+def save(result: Any, path: str | os.PathLike[str]) -> Path:
+    """Write the signals to a file.
+
+    Args:
+        result: whose signals they are.
+        path: ending in `.npz`, or in `.csv` (17 digits, units in the header, the info as a
+            first line after #).
+
+    Returns:
+        The path.
+
+    Raises:
+        FileError: it cannot be written.
+        InputError: the name ends otherwise.
+    """
+    path, info = Path(path), untimed(result.info)
+    if path.suffix == ".npz":
+        _write_npz(path, info, result.signals.arrays)
+    elif path.suffix == ".csv":
+        _write_csv(path, info, columns(result))
+    else:
+        raise InputError(f"{path}: the name must end in .npz or .csv")
+    return path
+
+
+def untimed(info: Any) -> Any:
+    """An info without the time that it took, so that equal runs have equal files."""
+    return msgspec.structs.replace(info, seconds=0.0) if hasattr(info, "seconds") else info
+
+
+def read(path: Path, layout: Layout, kind: type[msgspec.Struct]) -> tuple[Any, Signals]:
+    """The info and the signals of a result. Raises FileError.
+
+    Args:
+        path: of a file that `save` wrote.
+        layout: of the signals.
+        kind: of the info.
+    """
+    try:
+        require_plain(path, LARGEST_RUN)
+        if path.suffix == ".csv":
+            info, table = _read_csv(path, kind)
+            return info, Signals(layout, from_columns(table, layout))
+        require_unpacked(path, LARGEST_RUN)
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in layout.names if name in file}
+            info = msgspec.json.decode(file["info"].tobytes(), type=kind)
+        return info, Signals(layout, arrays)
+    except OSError as error:
+        raise FileError(f"{path}: cannot read: {reason(error)}") from None
+    except NOT_A_RUN as error:
+        raise FileError(f"{path}: not a run saved by undeadzone ({error})") from None
+
+
+def _write_npz(path: Path, info: Any, signals: Mapping[str, Floats]) -> None:
+    """Write signals compressed."""
+    arrays: dict[str, Any] = {
+        "info": np.frombuffer(msgspec.json.encode(info), np.uint8),
+        **signals,
+    }
+    with replacing(path) as temporary, open(temporary, "wb") as file:
+        np.savez_compressed(file, **arrays)
+
+
+def _write_csv(path: Path, info: Any, table: Mapping[str, Floats]) -> None:
+    """Write columns with 17 digits: the info after #, names with units, numbers.
+
+    The info ends with a checksum of the whole file, in which zeros stand in its own place.
+    """
+    units = [" ".join(unit_of(name, info.units).split()) for name in table]
+    heads = [f"{name} [{printable(unit)}]" for name, unit in zip(table, units, strict=True)]
+    numbers = np.stack(list(table.values()), axis=1)
+    entries = json_line(msgspec.json.encode(info).decode()).removesuffix("}")
+    first = f'# {entries},{CHECKSUM}{NO_SUM}"}}\n'
+    with replacing(path) as temporary:
+        with open(temporary, "w", encoding="utf-8", newline="") as file:
+            file.write(first)
+            csv.writer(file, lineterminator="\n").writerow(heads)
+            np.savetxt(file, numbers, fmt="%.17g", delimiter=",")
+        with open(temporary, "r+b") as written:
+            digest = hashlib.file_digest(written, "sha256").hexdigest()
+            written.seek(0)
+            written.write(first.replace(NO_SUM, digest).encode())
+
+
+def _read_csv(path: Path, kind: type[msgspec.Struct]) -> tuple[Any, dict[str, Floats]]:
+    """The info and the columns of a table."""
+    _require_whole(path)
+    with open(path, encoding="utf-8", newline="") as file:
+        info = msgspec.json.decode(file.readline().removeprefix("# "), type=kind)
+        heads = next(csv.reader([file.readline()]))
+        rows = file.readlines()
+    if not rows:
+        raise ValueError("no samples")
+    names = [head.partition(" [")[0] for head in heads]
+    table = np.loadtxt(rows, delimiter=",", ndmin=2)
+    return info, dict(zip(names, table.T, strict=True))
+
+
+def _require_whole(path: Path) -> None:
+    """Raise ValueError for a table that is not as it was written; older ones have no checksum."""
+    with open(path, "rb") as file:
+        first = file.readline()
+        start = first.rfind(CHECKSUM.encode())
+        if start < 0:
+            return
+        start += len(CHECKSUM)
+        end = start + len(NO_SUM)
+        digest = hashlib.sha256(first[:start] + NO_SUM.encode() + first[end:])
+        while chunk := file.read(2**20):
+            digest.update(chunk)
+    if first[start:end] != digest.hexdigest().encode():
+        raise ValueError("its checksum is not that of its contents: it was changed or cut")

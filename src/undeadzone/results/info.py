@@ -1,0 +1,176 @@
+"""What is known of a run, and of a log once an observer has followed it, besides the signals."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import msgspec
+
+from undeadzone.scenario.schema import Units
+
+
+class IntegrationError(NamedTuple):
+    """By how much a run differs from its twin of half the step.
+
+    Attributes:
+        largest: difference of x, x^, d^.
+        share: of the largest |z|: the largest difference of z, z^, d^.
+    """
+
+    largest: float
+    share: float
+
+
+class Info(msgspec.Struct, frozen=True, kw_only=True):
+    """What a run knows besides its signals.
+
+    Attributes:
+        title: of the scenario.
+        method: of its observer.
+        time: continuous or sampled.
+        step: between two samples [s].
+        tracked: numbers of the outputs that follow the reference.
+        widths: true [right, left] of each output (2p) [z].
+        threshold: |y| that counts as silent (p) [y].
+        certified: whether a certificate holds; None where the method has no constant gains or the
+            model is nonlinear.
+        integration_error: largest difference to a run of half the step; None: not measured.
+        integration_share: the same error of z, z^ and d^ as a share of the largest |z|; above 1 %
+            the run is no result. None: not measured.
+        scales: sizes of the plant's own: of its states (n), then of its outputs and its inputs,
+            1e12 times which a signal has diverged; empty: 1 of each.
+        identifiable: what the readings tell of each output's widths, and why not all.
+        seconds: that the run took [s]; 0 in files, which are the same whenever they are made.
+        units: names of units.
+        joints: names of an arm's joints; empty without an arm.
+        uncertain: the parameters that the observer estimates, and their true values.
+        label: what tells its observer from one that it is compared with; empty: the method does.
+        adapts: whether the observer estimates the widths.
+        scenario: what was run, as TOML; empty where no text can hold it.
+        version: of undeadzone.
+        seed: of every random number.
+        gains: of the observer L (n x p) and gamma (p), of the controller K (m x n), where constant;
+            in sampled time L and gamma are those of one step.
+        listens: share of an error of the model that z^ follows, of each output; None where it
+            cannot be told; empty: not measured (`simulation.listening`).
+        sensor: its kind.
+        actuator: true [right, left] of each actuator whose widths are estimated (2m) [u].
+        gaps: true [c_r, c_l] of the play ahead of each dead zone, where they are estimated (2p)
+            [z].
+    """
+
+    title: str
+    method: str
+    time: str
+    step: float
+    tracked: list[int]
+    widths: list[float]
+    threshold: list[float]
+    certified: bool | None
+    integration_error: float | None
+    identifiable: list[dict[str, Any]]
+    seconds: float
+    units: Units = Units()
+    joints: list[str] = []
+    uncertain: dict[str, float] = {}
+    label: str = ""
+    adapts: bool = True
+    integration_share: float | None = None
+    scales: list[float] = []
+    listens: list[float | None] = []
+    sensor: str = "deadzone"
+    actuator: list[float] = []
+    gaps: list[float] = []
+    scenario: str = ""
+    version: str = ""
+    seed: int = 0
+    gains: dict[str, list[Any]] = {}
+
+
+class LogInfo(msgspec.Struct, frozen=True, kw_only=True):
+    """What an observer makes of a log as a whole.
+
+    Attributes:
+        title: of the scenario.
+        method: of its observer.
+        source: the log.
+        columns: in words, which column was taken for what.
+        step: between two samples [s].
+        measured_step: the usual time between samples of the log [s]; None: it has no times.
+        samples: how many there are, those in gaps included.
+        missing: how many of them have a reading missing.
+        gaps: how many of these are in gaps of the log's times.
+        unreadable: lines that could not be read.
+        why_unreadable: what the first fault is.
+        faults: how many lines are wrong in which way, by kind (docs/watch.md); lasting jumps in
+            time, at which the observer began anew, are among them.
+        right, left, silent: samples on each measured side, of each output (p).
+        d_right, d_left: final widths (p) [z].
+        d_right_std, d_left_std: their standard deviations (p) [z]; None: the observer gives none.
+        adapts: whether the observer estimates the widths.
+        consistent: whether its innovations are what it claims; None: it cannot be tested.
+        B: statistic of the test, about 1 where all is well.
+        square: mean square of the normalised innovations, about 1 where all is well.
+        used: readings that corrected the estimate.
+        glitches: readings that the filter took for wrong, or beyond 4.5 standard deviations.
+        silent_outside: readings that are silent although z^ is far outside the estimated zone.
+        reasons: why the record is not consistent, or cannot be tested.
+        threshold: |y| that counts as silent (p) [y].
+        uncertain: names of the parameters that the observer estimates.
+        joints: names of an arm's joints; empty without an arm.
+        units: names of units.
+        limited: samples at a limit of the range, of each output (p); empty: there is none.
+        remarks: what else the log shows, for the user.
+        sensor: its kind.
+        play: final gaps of the play ahead of each dead zone, with their deviations, by name [z];
+            empty where none are estimated.
+    """
+
+    title: str
+    method: str
+    source: str
+    columns: str
+    step: float
+    measured_step: float | None
+    samples: int
+    missing: int
+    gaps: int
+    unreadable: int
+    why_unreadable: str
+    right: list[int]
+    left: list[int]
+    silent: list[int]
+    d_right: list[float]
+    d_left: list[float]
+    d_right_std: list[float] | None
+    d_left_std: list[float] | None
+    adapts: bool
+    consistent: bool | None
+    B: float | None
+    square: float | None
+    used: int
+    glitches: int
+    silent_outside: int
+    reasons: list[str]
+    threshold: list[float]
+    uncertain: list[str] = []
+    joints: list[str] = []
+    units: Units = Units()
+    limited: list[int] = []
+    remarks: list[str] = []
+    sensor: str = "deadzone"
+    play: dict[str, Any] = {}
+    faults: dict[str, int] = {}
+
+    def summary(self) -> dict[str, Any]:
+        """The numbers, ready for JSON; lists where there are several outputs."""
+        numbers = msgspec.to_builtins(self)
+        numbers |= numbers.pop("play")
+        for name in ("right", "left", "silent", "limited"):
+            numbers[f"samples_{name}"] = numbers.pop(name)
+        if not self.limited:
+            del numbers["samples_limited"]
+        for name, value in numbers.items():
+            if name.startswith(("d_", "samples_")) and isinstance(value, list) and len(value) == 1:
+                numbers[name] = value[0]
+        return dict(numbers)

@@ -1,0 +1,463 @@
+"""The result of a run: signals by name, with their units and what was found out about them."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, ClassVar, Final
+
+import numpy as np
+
+from undeadzone.analysis.identifiability.linear import DIRECTIONS, yes_no
+from undeadzone.results import files, sheet
+from undeadzone.results.info import Info
+from undeadzone.results.listening import in_words as listening_in_words
+from undeadzone.results.scales import LIMIT, Scales, shares
+from undeadzone.results.sheet import Row, in_json
+from undeadzone.results.signals import (
+    RUN,
+    Signals,
+    attribute,
+    attributes,
+    ending,
+    final,
+    output_names,
+)
+from undeadzone.support.arrays import Floats, finite, one_or_list
+from undeadzone.support.shown import Block, Rows, in_notebook, in_text, plot
+from undeadzone.support.text import label
+
+LAST: Final = 2.0  # [s] over which errors are measured
+FRAMES: Final = 25  # per second, of an arm's poses
+INEXACT: Final = 0.01  # of the largest |z|: an integration error above this is a failure
+
+
+@dataclasses.dataclass(frozen=True, eq=False, init=False)
+class Run:
+    """Signals of one run, one row per sample.
+
+    Each signal is an attribute, None where the method does not estimate it or the plant does not
+    have it: those of a simulation, and all that observers give (`results.signals.ESTIMATED`).
+
+    Args:
+        info: what is known besides the signals.
+        signals: by name; None: those that are given alone.
+        given: signals in their place, or besides them.
+
+    Attributes:
+        t: time (N) [s].
+        x: state (N x n).
+        z: true output (N x p) [z].
+        y: reading (N x p) [y].
+        side: measured side (N x p): +1 right, -1 left, 0 silent, +2, -2 at a limit of the range.
+        x_hat: estimate of x (N x n).
+        z_hat: estimate of z (N x p) [z].
+        d_hat: estimates [d_r^, d_l^] of each output (N x 2p) [z].
+        z_inverse: the deadzone inverse (26) (N x p) [z].
+        innovation: the observer's (N x p).
+        u: input (N x m).
+        r: reference of the tracked outputs (N x tracked).
+        V: storage function (N), where a certificate exists.
+        info: what is known besides the signals.
+        signals: all of them by name.
+        x_std: standard deviation of x_hat (N x n).
+        d_std: standard deviation of d_hat (N x 2p) [z].
+        width_std: standard deviation of d_r^ + d_l^ (N x p) [z].
+        innovation_std: standard deviation of the innovation (N x p).
+        w_hat: what the observer's model leaves out (N x n), x' = f(x, u) + w.
+        theta_hat: the model's parameters that the observer takes for uncertain (info.uncertain).
+        theta_std: standard deviations of theta_hat.
+        consistent: 1 where the readings of late fit what the observer claims, else 0 (N x 1).
+        refused: readings that the observer took for wrong so far (N x p).
+        restarts: how often the observer lost its state so far (N x 1).
+        b_hat: estimates [b_r^, b_l^] of each actuator (N x 2m) [u].
+        b_std: standard deviation of b_hat (N x 2m) [u].
+        c_hat: estimates [c_r^, c_l^] of the play ahead of each dead zone (N x 2p) [z].
+        c_std: standard deviation of c_hat (N x 2p) [z].
+        gap_std: standard deviation of c_r^ + c_l^ (N x p) [z].
+        level: what is behind a play, y / m without noise (N x p) [z]; not where its gaps drift.
+        tip, tip_hat, tip_r: where an arm's tip is, is believed to be, and should be (N x 2 or 3)
+            [m].
+        poses: where an arm's base, joints and tip are at FRAMES instants per second, from t = 0 on
+            (F x K x 3) [m]; in `.npz` files only.
+    """
+
+    signals: Signals
+    info: Info
+
+    def __init__(self, info: Info, signals: Signals | None = None, **given: Floats | None) -> None:
+        before = {} if signals is None else signals.arrays
+        object.__setattr__(self, "info", info)
+        object.__setattr__(self, "signals", Signals(RUN, {**before, **given}))
+
+    layout: ClassVar = RUN
+    __dir__ = attributes
+
+    def __getattr__(self, name: str) -> Any:
+        """A signal by name, None where there is none. Raises AttributeError."""
+        return attribute(self, name)
+
+    @property
+    def last(self) -> slice:
+        """The samples of the last 2 s (all of a shorter run)."""
+        return last_samples(self.t)
+
+    @property
+    def lasting(self) -> float:
+        """The time over which errors are measured, at the end: 2 s, or all of a shorter run [s]."""
+        return min(LAST, float(self.t[-1] - self.t[0]))
+
+    @property
+    def diverged_at(self) -> float | None:
+        """The time [s] at which a signal left 1e12 times its scale or was no number, or None.
+
+        The scales are the plant's own, so that no choice of units makes a run diverge.
+        """
+        *of_states, of_outputs, of_inputs = self.info.scales or [1.0, 1.0]
+        scales = Scales(np.array(of_states or [1.0]), of_outputs, of_inputs)
+        outputs = [self.z, self.z_hat, self.d_hat]
+        worst = shares(scales, [self.x, self.x_hat], outputs, self.u)
+        bad = np.flatnonzero(~(worst < LIMIT))
+        return float(self.t[bad[0]]) if bad.size else None
+
+    @property
+    def inexact(self) -> bool:
+        """Whether half the step makes so much of a difference that the run is no result.
+
+        That is more than 1 % of the largest |z|, in z, z^ or d^.
+        """
+        share = self.info.integration_share
+        return share is not None and not share <= INEXACT
+
+    @property
+    def shown(self) -> slice:
+        """The samples that a figure shows: those up to where the run diverged, two at least."""
+        diverged = self.diverged_at
+        if diverged is None:
+            return slice(0, self.t.size)
+        return slice(0, max(2, int(np.searchsorted(self.t, diverged))))
+
+    @property
+    def name(self) -> str:
+        """What figures call its observer.
+
+        This is the method, or what tells it from the one that it is compared with.
+        """
+        return self.info.label or self.info.method
+
+    @property
+    def rms_tracking(self) -> float:
+        """Root mean square of z - r over the last 2 s and the tracked outputs."""
+        return _rms((self.z[:, self.info.tracked] - self.r)[self.last])
+
+    @property
+    def rms_estimation(self) -> float:
+        """Root mean square of z - z_hat over the last 2 s and all outputs."""
+        return _rms((self.z - self.z_hat)[self.last])
+
+    @property
+    def rms_behind_play(self) -> float | None:
+        """Root mean square of y / m - r over the last 2 s, y without noise; None without a play."""
+        if self.level is None:
+            return None
+        return _rms((self.level[:, self.info.tracked] - self.r)[self.last])
+
+    @property
+    def rms_tip(self) -> float | None:
+        """Root mean square distance of an arm's tip from where it should be over the last 2 s [m].
+
+        None without an arm.
+        """
+        if self.tip is None or self.tip_r is None:
+            return None
+        return float(np.sqrt(np.sum((self.tip - self.tip_r)[self.last] ** 2, axis=1).mean()))
+
+    @property
+    def widths(self) -> Floats:
+        """The final width estimates (p x 2): [d_r^, d_l^] of each output."""
+        return self.d_hat[-1].reshape(-1, 2)
+
+    @property
+    def parameters(self) -> dict[str, dict[str, float]]:
+        """The final estimates of uncertain parameters, their standard deviations, and the truth."""
+        if self.theta_hat is None or self.theta_std is None:
+            return {}
+        ends = zip(self.info.uncertain.items(), self.theta_hat[-1], self.theta_std[-1], strict=True)
+        return {
+            name: {"estimate": float(value), "std": float(std), "true": true}
+            for (name, true), value, std in ends
+        }
+
+    @property
+    def outputs(self) -> list[str]:
+        """The names of the outputs: an arm's joints where it has one for each, else numbers."""
+        return output_names(self.info.joints, self.z.shape[1])
+
+    @property
+    def silent_fraction(self) -> float:
+        """The share of samples at which an output is silent."""
+        return float((self.side == 0).mean())
+
+    @property
+    def largest_rise_of_V(self) -> float | None:
+        """The largest increase of V above any earlier value, relative to the largest V.
+
+        None without a certificate.
+        """
+        if self.V is None:
+            return None
+        with np.errstate(invalid="ignore"):
+            rise = (self.V - np.minimum.accumulate(self.V)).max()
+            return float(rise / np.maximum(self.V.max(), 1e-300))
+
+    @property
+    def fully_identifiable(self) -> bool:
+        """Whether every width of every output could be told from this run's readings."""
+        return all(verdict["right"] and verdict["left"] for verdict in self.info.identifiable)
+
+    @property
+    def adapts(self) -> bool:
+        """Whether the observer estimates the widths.
+
+        `luenberger` and `oracle` do not, nor does a blind filter.
+        """
+        return self.info.adapts
+
+    def summary(self) -> dict[str, Any]:
+        """The numbers of the run, ready for JSON; lists where there are several outputs."""
+        verdicts, listens, ends = self.info.identifiable, self.info.listens, self.signals.arrays
+        numbers: dict[str, Any] = {
+            "title": self.info.title,
+            "method": self.info.method,
+            "time": self.info.time,
+            "step": self.info.step,
+            **in_json(errors(self)),
+            **final(ends, "d_hat"),
+            **({"d_right_std": None, "d_left_std": None} | final(ends, "d_std")),
+            **({} if self.theta_hat is None else {"parameters": self.parameters}),
+            **final(ends, *ending(float, but=("d_hat", "d_std", "width_std"))),
+            **({"width_std": None} | final(ends, "width_std")),
+            **final(ends, *ending(bool), *ending(int)),
+            "listens": one_or_list(np.array(listens, float)) if listens else None,
+            "silent_fraction": self.silent_fraction,
+            "certified": self.info.certified,
+            "largest_rise_of_V": self.largest_rise_of_V,
+            "integration_error": self.info.integration_error,
+            "inexact": self.inexact,
+            "identifiable": one_or_list(verdicts),
+            "diverged_at": self.diverged_at,
+            "seconds": self.info.seconds,
+        }
+        return finite(numbers)
+
+    def blocks(self) -> list[Block]:
+        """The tables that `undeadzone run` prints."""
+        return in_words(self, self._errors())
+
+    def _errors(self) -> dict[str, tuple[float | None, float]]:
+        """The rms of z - r, where it is tracked, and of z - z^ of each output by its name."""
+        tracked = self.info.tracked
+        errors: dict[str, tuple[float | None, float]] = {}
+        for i, name in enumerate(self.outputs):
+            tracking = None
+            if i in tracked:
+                tracking = _rms((self.z[:, i] - self.r[:, tracked.index(i)])[self.last])
+            errors[name] = tracking, _rms((self.z - self.z_hat)[self.last, i])
+        return errors
+
+    __repr__ = in_text
+    _repr_html_ = in_notebook
+
+    plot = plot
+    """Draw it."""
+
+    columns = files.columns
+    unit = files.unit
+    to_pandas = files.to_pandas
+    save = files.save
+    table_size = property(files.table_size)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Run:
+        """Read a run saved as `.npz` or `.csv`, exactly as it was.
+
+        Args:
+            path: of the file.
+
+        Raises:
+            FileError: it cannot be read, or is no run.
+        """
+        return cls(*files.read(Path(path), RUN, Info))
+
+
+def last_samples(t: Floats) -> slice:
+    """The samples at times t [s] over which errors are measured: of the last 2 s, or all."""
+    return slice(int(np.searchsorted(t, t[-1] - LAST - 1e-12)), None)
+
+
+def _rms(values: Floats) -> float:
+    """Root mean square of all entries."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return float(np.sqrt(np.mean(values**2)))
+
+
+def errors(run: Run) -> list[Row]:
+    """The errors of a run over its end."""
+    last, unit = f"last {run.lasting:g} s", run.info.units.output
+    said = [
+        ("rms_tracking", "rms z - r", "rms of z − r", unit, ""),
+        ("rms_estimation", "rms z - z^", "rms of z − z^", unit, ""),
+        ("rms_behind_play", "rms y/m - r", "rms of y / m − r", unit, ""),
+        ("rms_tip", "rms tip", "rms distance of the tip from its path", "m", " from its path"),
+    ]
+    rows = []
+    for key, name, title, of, note in said:
+        value, behind = getattr(run, key), f"{note} ({last})"
+        if value is not None:
+            row = Row(name, f"{title}, {last}", value, of, key=key, form=".4g", note=behind)
+            rows.append(row)
+    return rows
+
+
+def parameters(run: Run) -> list[Row]:
+    """The parameters that the observer estimates."""
+    rows = []
+    for name, found in run.parameters.items():
+        note = f" (true {found['true']:g})"
+        std = found["std"]
+        rows.append(Row(name, f"{name}, estimated", found["estimate"], std=std, note=note))
+    return rows
+
+
+def widths(run: Run, i: int) -> list[Row]:
+    """The widths of output i."""
+    unit = run.info.units.output
+    return sheet.edges("d", "d", *_last(run.d_hat, run.d_std, i), unit, _pair(run.info.widths, i))
+
+
+def actuators(run: Run) -> list[list[Row]]:
+    """The widths of each actuator; nothing where none are estimated."""
+    info = run.info
+    if run.b_hat is None or run.b_std is None:
+        return []
+    rows = []
+    for j in range(len(info.actuator) // 2):
+        found = _last(run.b_hat, run.b_std, j)
+        rows.append(sheet.edges("b", "b", *found, info.units.input, _pair(info.actuator, j)))
+    return rows
+
+
+def gaps(signals: Any, unit: str, true: Sequence[float] | None = None) -> list[list[Row]]:
+    """The gaps of the play ahead of each dead zone; nothing where none are estimated.
+
+    Args:
+        signals: a result that has them.
+        unit: of z.
+        true: of each output in turn; None: nobody knows them.
+    """
+    c, std, both = signals.c_hat, signals.c_std, signals.gap_std
+    if c is None or std is None or both is None:
+        return []
+    rows = []
+    for i in range(both.shape[1]):
+        truth = None if true is None else _pair(true, i)
+        rows.append(sheet.gaps(*_last(c, std, i), both[-1, i], unit, truth))
+    return rows
+
+
+def _last(values: Floats, stds: Floats | None, i: int) -> tuple[Any, Any]:
+    """The last right and left values of output i, and their deviations where known."""
+    pair = slice(2 * i, 2 * i + 2)
+    return values[-1, pair].tolist(), None if stds is None else stds[-1, pair].tolist()
+
+
+def _pair(values: Sequence[float], i: int) -> Sequence[float]:
+    """Right and left of output i."""
+    return values[2 * i : 2 * i + 2]
+
+
+def in_words(run: Run, of_outputs: Mapping[str, Sequence[float | None]]) -> list[Block]:
+    """What a run came to: pairs, and of several outputs a table with their rows.
+
+    Args:
+        run: what is shown.
+        of_outputs: rms of z - r, None where it is not tracked, and of z - z^ of each output by its
+            name.
+    """
+    info, single = run.info, len(of_outputs) == 1
+    shown: dict[str, Any] = {
+        "scenario": info.title,
+        "observer": f"{info.method}, {info.time} time, step {info.step:g} s",
+        **sheet.in_text(errors(run)),
+    }
+    driven = actuators(run)
+    if single:
+        shown |= sheet.in_text(widths(run, 0))
+    if len(driven) == 1:
+        shown |= sheet.in_text(driven[0])
+    if single:
+        for rows in gaps(run, info.units.output, info.gaps):
+            shown |= sheet.in_text(rows)
+    shown |= sheet.in_text(parameters(run))
+    quiet = "holding" if info.sensor == "play" else "silent"
+    shown[quiet] = f"{100 * run.silent_fraction:.1f} % of the time"
+    if run.diverged_at is not None:  # what readings would tell is no use of these
+        shown["DIVERGED"] = f"at {run.diverged_at:g} s"
+        return [shown] if single else [shown, _rows(run, of_outputs)]
+    if info.listens:
+        shown["listens"] = listening_in_words(info.listens)
+    shown |= _proof(run) | _identifiable(info, list(of_outputs))
+    if run.inexact:
+        share = info.integration_share
+        assert share is not None
+        shown["NOT EXACT"] = (
+            f"half the step changes the run by {100 * share:.3g} % of the largest |z|: these are "
+            "no results; use a smaller simulation.step"
+        )
+    return [shown] if single else [shown, _rows(run, of_outputs)]
+
+
+def _rows(run: Run, of_outputs: Mapping[str, Sequence[float | None]]) -> Rows:
+    """A row for each output: its errors, widths, and what its readings tell."""
+    info, unit = run.info, run.info.units.output
+    heads = [label(name, unit) for name in ("rms z - r", "rms z - z^", "d_right", "d_left")]
+    what = "joint" if info.joints and list(info.joints) == list(of_outputs) else "output"
+    rows: list[Sequence[str]] = [(what, *heads[:3], "true", heads[3], "true", "identifiable")]
+    for i, (name, (tracking, estimation)) in enumerate(of_outputs.items()):
+        cells = ["" if tracking is None else f"{tracking:.4g}", f"{estimation:.4g}"]
+        for row in widths(run, i):
+            cells += [row.found, f"{row.true:.6g}"]
+        verdict = info.identifiable[i]
+        told = "yes" if all(verdict[each] for each in DIRECTIONS) else yes_no(verdict)
+        rows.append((name, *cells, told))
+    return rows
+
+
+def _proof(run: Run) -> dict[str, Any]:
+    """What is proved of a run, and how exactly it was integrated."""
+    shown: dict[str, Any] = {}
+    certified, rise = run.info.certified, run.largest_rise_of_V
+    if certified is False:
+        shown["certificate"] = "none found for these gains; undeadzone check says why"
+    elif certified:
+        words = "holds for an exact model without noise or disturbance"
+        if rise is not None:
+            words += f"; along this run V rose by at most {rise:.1g} of its peak"
+        shown["certificate"] = words
+    error = run.info.integration_error
+    if error is not None:
+        shown["integration"] = f"error {error:.2g} (against half the step)"
+    return shown
+
+
+def _identifiable(info: Info, outputs: Sequence[str]) -> dict[str, Any]:
+    """What the readings tell of the widths of one output; of several, why not all of them."""
+    if len(outputs) == 1:
+        verdict = info.identifiable[0]
+        return {"identifiable": "; ".join([yes_no(verdict), *verdict["reasons"]])}
+    why = []
+    for name, verdict in zip(outputs, info.identifiable, strict=True):
+        why += [f"{name}: {reason}" for reason in verdict["reasons"]]
+    return {"why": why} if why else {}

@@ -1,0 +1,152 @@
+"""A sheet: numbers of a result, each said once for JSON, a terminal, a notebook and a page.
+
+A row has a value and whatever is known of it. JSON takes key and value; a terminal and a notebook
+take label and `words`; a page takes title and `cell`, as `report.html.estimates` sets them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
+
+from undeadzone.support.text import label, with_deviation, with_unit
+
+
+class Row(NamedTuple):
+    """A number of a result.
+
+    Attributes:
+        label: what a terminal calls it.
+        title: what a page calls it.
+        value: the number.
+        unit: its unit; 1: it has none.
+        std: its standard deviation; None: not known.
+        true: the truth; None: nobody knows it.
+        key: of the number in a summary; empty: it stands there otherwise.
+        form: of the number where it has no deviation.
+        note: what a terminal says behind it.
+    """
+
+    label: str
+    title: str
+    value: float | None
+    unit: str = "1"
+    std: float | None = None
+    true: float | None = None
+    key: str = ""
+    form: str = ".6g"
+    note: str = ""
+
+    @property
+    def found(self) -> str:
+        """The value, with its deviation where that is known; nan where there is none."""
+        if self.std is None:
+            return number(_finite(self.value), self.form)
+        return with_deviation(_finite(self.value), _finite(self.std))
+
+    @property
+    def words(self) -> str:
+        """The value with all that is known of it."""
+        truth = "" if self.true is None else f" (true {self.true:.6g})"
+        return f"{with_unit(self.found, self.unit)}{truth}{self.note}"
+
+    @property
+    def cell(self) -> Any:
+        """The value as a page has it: a number, or words where its deviation is known."""
+        return self.value if self.std is None else with_deviation(self.value, self.std)
+
+    @property
+    def head(self) -> str:
+        """The title with the unit."""
+        return label(self.title, self.unit)
+
+
+def number(value: float | None, form: str = ".4g", none: str = "nan") -> str:
+    """A number as text.
+
+    Args:
+        value: the number.
+        form: as `format` takes it.
+        none: what stands where there is none.
+    """
+    return none if value is None else format(value, form)
+
+
+def within(value: str, low: str, high: str) -> str:
+    """A value and its interval as text; an end that is not known is empty."""
+    if not low and not high:
+        return value
+    if not high:
+        return f"{value} ({low} or more)"
+    if not low:
+        return f"{value} ({high} or less)"
+    return value if value == low == high else f"{value} ({low} to {high})"
+
+
+def in_text(rows: Iterable[Row]) -> dict[str, str]:
+    """Rows as a terminal and a notebook show them."""
+    return {row.label: row.words for row in rows}
+
+
+def in_json(rows: Iterable[Row]) -> dict[str, float | None]:
+    """Rows as a summary has them."""
+    return {row.key: row.value for row in rows}
+
+
+def on_page(rows: Iterable[Row]) -> dict[str, Any]:
+    """Rows as a page shows them one below the other."""
+    return {row.head: row.cell for row in rows}
+
+
+def edges(
+    name: str,
+    letter: str,
+    values: Sequence[float],
+    stds: Sequence[float] | None,
+    unit: str,
+    true: Sequence[float] | None = None,
+) -> list[Row]:
+    """What is found of the right and the left edge of one zone or play.
+
+    Args:
+        name: of its widths in a terminal, before _right and _left.
+        letter: of its widths on a page.
+        values: right and left.
+        stds: their deviations; None: not known.
+        unit: of all.
+        true: right and left; None: nobody knows them.
+    """
+    rows = []
+    for k, side in enumerate(("right", "left")):
+        std = None if stds is None else stds[k]
+        truth = None if true is None else true[k]
+        rows.append(Row(f"{name}_{side}", f"{letter}_{side[0]}^", values[k], unit, std, truth))
+    return rows
+
+
+def gaps(
+    values: Sequence[float],
+    stds: Sequence[float],
+    both: float,
+    unit: str,
+    true: Sequence[float] | None = None,
+) -> list[Row]:
+    """What is found of a play ahead of a dead zone: its gaps and their sum, which is told better.
+
+    Args:
+        values: right and left.
+        stds: their deviations.
+        both: deviation of the sum.
+        unit: of all.
+        true: right and left; None: nobody knows them.
+    """
+    right, left = edges("gap", "c", values, stds, unit, true)
+    total = None if true is None else sum(true)
+    title = f"{right.title} + {left.title}"
+    return [right, left, Row("gap_right + gap_left", title, sum(values), unit, both, total)]
+
+
+def _finite(value: float | None) -> float | None:
+    """A number that is finite, or None."""
+    return value if value is not None and math.isfinite(value) else None

@@ -1,0 +1,268 @@
+"""The signals of a result: one table of their names, units and columns, and what is made of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from undeadzone.interfaces import COLUMNS, QUANTITIES, Estimate
+from undeadzone.scenario.schema import Units
+from undeadzone.support.arrays import Floats, one_or_list
+
+
+class Signal(NamedTuple):
+    """A signal of a result, one row per sample.
+
+    Attributes:
+        unit: whose it has: that of an output, input or state, of a state's rate; or the unit.
+        columns: what its columns are called in turn, such as those of right and left; empty: as
+            the signal.
+        fields: of an `Estimate`, whose columns stand in it in turn; empty: no observer gives it.
+        final: how its last row stands in a summary; see `Quantity`.
+    """
+
+    unit: str
+    columns: tuple[str, ...] = ()
+    fields: tuple[str, ...] = ()
+    final: type | None = None
+
+
+def _estimated() -> dict[str, Signal]:
+    """The signals that observers give; a run calls b what an estimate calls actuator."""
+    found: dict[str, Signal] = {}
+    for field, quantity in QUANTITIES.items():
+        if not quantity.signal:
+            continue
+        before = found.get(quantity.signal, Signal(quantity.unit, final=quantity.final))
+        column = getattr(COLUMNS, field).replace("actuator", "b")
+        found[quantity.signal] = before._replace(
+            columns=(*before.columns, column), fields=(*before.fields, field)
+        )
+    return found
+
+
+ESTIMATED: Final = _estimated()
+SIGNALS: Final = {
+    "t": Signal("s"),
+    "x": Signal("state"),
+    "z": Signal("output"),
+    "y": Signal("output"),
+    "side": Signal("1"),
+    "u": Signal("input"),
+    "r": Signal("output"),
+    "V": Signal("1"),
+    "B": Signal("1"),
+    **ESTIMATED,
+    "level": Signal("output"),
+    "tip": Signal("m"),
+    "tip_hat": Signal("m"),
+    "tip_r": Signal("m"),
+    "poses": Signal("m"),
+    "x_smooth": Signal("state"),
+    "z_smooth": Signal("output"),
+    "d_smooth": Signal("output", ("d_right_smooth", "d_left_smooth")),
+    "x_smooth_std": Signal("state"),
+    "d_smooth_std": Signal("output", ("d_right_smooth_std", "d_left_smooth_std")),
+}
+SERIES: Final = ("t", "V")  # signals of one column, which has no number
+
+# Of those that observers give: what each of them does, what further ones do.
+EVERY: Final = tuple(
+    name
+    for name, signal in ESTIMATED.items()
+    if not Estimate._field_defaults.keys() & {*signal.fields}
+)
+FURTHER: Final = tuple(name for name in ESTIMATED if name not in EVERY)
+DEVIATIONS: Final = ("x_std", "d_std", "width_std", "innovation_std")
+NOT_OF_LOGS: Final = ("consistent", "refused", "restarts", "b_hat", "b_std")
+
+
+class Layout(NamedTuple):
+    """Which signals a kind of result may have, in the order of its files.
+
+    Attributes:
+        names: of all of them.
+        required: without which it is none.
+    """
+
+    names: tuple[str, ...]
+    required: tuple[str, ...]
+
+
+def _layout(measured: tuple[str, ...], driven: tuple[str, ...], further: tuple[str, ...]) -> Layout:
+    """A layout: what is measured, what every observer gives, what drives, and what else may be."""
+    required = (*measured, *EVERY, *driven)
+    return Layout((*required, *further), required)
+
+
+RUN: Final = _layout(
+    ("t", "x", "z", "y", "side"),
+    ("u", "r"),
+    ("V", *FURTHER, "level", "tip", "tip_hat", "tip_r", "poses"),
+)
+LOG: Final = _layout(
+    ("t", "y", "u", "side"),
+    (),
+    (
+        *DEVIATIONS,
+        "B",
+        *(name for name in FURTHER if name not in (*DEVIATIONS, *NOT_OF_LOGS)),
+        *("x_smooth", "z_smooth", "d_smooth", "x_smooth_std", "d_smooth_std"),
+    ),
+)
+
+
+class Signals:
+    """The signals of a result by name; one that it has not is None.
+
+    Args:
+        layout: which there may be.
+        given: arrays by name; what is None is left out.
+
+    Attributes:
+        layout: which there may be.
+        arrays: those that there are, in the order of the layout.
+
+    Raises:
+        TypeError: one that must be is missing, or one is none of the layout.
+    """
+
+    def __init__(self, layout: Layout, given: Mapping[str, Floats | None]) -> None:
+        missing = [name for name in layout.required if given.get(name) is None]
+        if missing:
+            raise TypeError(f"{min(missing)} is missing")
+        strange = given.keys() - {*layout.names}
+        if strange:
+            raise TypeError(f"{min(strange)} is no signal of such a result")
+        self.layout = layout
+        self.arrays: dict[str, Floats] = {}
+        for name in layout.names:
+            value = given.get(name)
+            if value is not None:
+                self.arrays[name] = value
+
+    def columns(self) -> dict[str, Floats]:
+        """The columns of the signals that have a row per sample: all but poses."""
+        columns: dict[str, Floats] = {}
+        for name, value in self.arrays.items():
+            if name in SERIES:
+                columns[name] = value
+            elif value.ndim == 2:
+                heads = SIGNALS[name].columns or (name,)
+                for i in range(value.shape[1]):
+                    columns[f"{heads[i % len(heads)]}[{i // len(heads)}]"] = value[:, i]
+        return columns
+
+
+def attribute(result: Any, name: str) -> Any:
+    """A signal by name, None where there is none; `__getattr__` of results.
+
+    Raises:
+        AttributeError: such a result cannot have it.
+    """
+    if name not in type(result).layout.names:
+        raise AttributeError(f"{type(result).__name__} has no attribute {name!r}")
+    return result.signals.arrays.get(name)
+
+
+def attributes(result: Any) -> list[str]:
+    """The names of attributes, signals among them; `__dir__` of results."""
+    return [*object.__dir__(result), *type(result).layout.names]
+
+
+def final(signals: Mapping[str, Floats], *names: str) -> dict[str, Any]:
+    """The last rows of signals, for a summary; nothing of those that there are not.
+
+    Args:
+        signals: by name.
+        names: of those that are wanted.
+    """
+    numbers: dict[str, Any] = {}
+    for name in names:
+        if name in signals:
+            numbers |= _final(SIGNALS[name], signals[name][-1])
+    return numbers
+
+
+def _final(signal: Signal, last: Floats) -> dict[str, Any]:
+    """The last row of a signal, by the names of its columns."""
+    if signal.final is not float:
+        assert signal.final is not None
+        return {signal.columns[0]: signal.final(last.sum())}
+    parts = len(signal.columns)
+    return {name: one_or_list(last[k::parts]) for k, name in enumerate(signal.columns)}
+
+
+def ending(kind: type, but: Iterable[str] = ()) -> list[str]:
+    """The estimated signals whose last rows stand in a summary as this.
+
+    Args:
+        kind: float: a number each; int: their sum; bool: whether they hold.
+        but: names to be left out.
+    """
+    return [name for name in ESTIMATED if ESTIMATED[name].final is kind and name not in but]
+
+
+def of_estimate(estimate: Estimate) -> dict[str, Floats]:
+    """The signals that an observer gave.
+
+    Args:
+        estimate: a row for each sample in each field.
+
+    Returns:
+        By name; nothing of what it does not estimate.
+    """
+    found = {}
+    for name, signal in ESTIMATED.items():
+        if all(getattr(estimate, field).size for field in _telling(signal)):
+            parts = [getattr(estimate, field) for field in signal.fields]
+            found[name] = np.stack(parts, axis=2).reshape(len(parts[0]), -1)
+    return found
+
+
+def _telling(signal: Signal) -> list[str]:
+    """The fields that tell whether a signal is estimated: gaps without a deviation are known."""
+    deviations = [f"{field}_std" for field in signal.fields if field in Estimate._field_defaults]
+    return [*signal.fields, *(name for name in deviations if name in QUANTITIES)]
+
+
+def from_columns(columns: Mapping[str, Floats], layout: Layout) -> dict[str, Floats]:
+    """The signals whose columns these are.
+
+    Args:
+        columns: as `Signals.columns` names them.
+        layout: of the result. Raises ValueError where one lacks that must be.
+    """
+    arrays: dict[str, Floats] = {}
+    for name in layout.names:
+        heads = SIGNALS[name].columns or (name,)
+        parts = [column for key, column in columns.items() if key.partition("[")[0] in heads]
+        if name in SERIES and parts:
+            arrays[name] = parts[0]
+        elif parts or name in layout.required:
+            arrays[name] = np.stack(parts, axis=1)
+    return arrays
+
+
+def unit_of(name: str, units: Units) -> str:
+    """The unit of a signal, `x`, or of one of its columns, `x[0]`.
+
+    Args:
+        name: of either.
+        units: names of the scenario's units.
+    """
+    head, _, index = name.partition("[")
+    of_columns = (signal for signal in SIGNALS.values() if head in signal.columns)
+    unit = SIGNALS.get(head, next(of_columns, Signal("output"))).unit
+    if unit in ("state", "rate"):
+        states = units.state
+        of = states if isinstance(states, str) else states[int(index.rstrip("]") or 0)]
+        return f"{of}/s" if unit == "rate" else of
+    return {"output": units.output, "input": units.input}.get(unit, unit)
+
+
+def output_names(joints: Sequence[str], count: int) -> list[str]:
+    """The names of outputs: an arm's joints where it has one for each, else numbers."""
+    return list(joints) if len(joints) == count else [str(i) for i in range(count)]
