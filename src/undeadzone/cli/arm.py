@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import common, folder_for, print_blocks, print_json
+from undeadzone.cli.common import common, folder_for, force_option, print_blocks, print_json
+from undeadzone.support.own_files import require_own
 
 if TYPE_CHECKING:
     from undeadzone.plants.robots.survey import Survey
@@ -31,12 +32,14 @@ HEAD = ("joint", "moves", "from", "to", "speed", "torque", "to hold", "b", "f", 
     metavar="Q1,...",
     help="Posture [rad or m] (default: 0, or the middle between limits).",
 )
+@force_option
 @common
 def arm(
     robot: Path,
     tip: str | None,
     joints: str | None,
     at: str | None,
+    force: bool,
     out: Path | None,
     as_json: bool,
     no_figures: bool,
@@ -51,7 +54,7 @@ def arm(
     folder = folder_for(out, True, "")
     names = None if joints is None else [name.strip() for name in joints.split(",")]
     found = survey(robot, names, tip, None if at is None else _numbers(at))
-    written = [] if folder is None else [_started(found, robot, folder)]
+    written = [] if folder is None else [_started(found, robot, folder, force)]
     weak = _weak(found)
     if as_json:
         print_json(_in_numbers(found), written)
@@ -73,15 +76,13 @@ def _numbers(text: str) -> list[float]:
         ) from None
 
 
-def _started(found: Survey, robot: Path, folder: Path) -> Path:
+def _started(found: Survey, robot: Path, folder: Path, force: bool) -> Path:
     """The scenario that was written. Raises FileError where there is one already."""
-    from undeadzone.errors import FileError
     from undeadzone.scenario.urdf_start import starting_scenario
     from undeadzone.support.files import write_text
 
     path = folder / f"{robot.stem}.toml"
-    if path.exists():
-        raise FileError(f"{path}: exists already; choose another --out")
+    require_own(path, force)  # it is for the user to edit: without a mark
     relative = Path(os.path.relpath(robot, folder)).as_posix()
     return write_text(starting_scenario(found, relative), path)
 

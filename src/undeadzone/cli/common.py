@@ -85,6 +85,12 @@ def confined(command: Command) -> Command:
     return option(command)
 
 
+def force_option(command: Command) -> Command:
+    """Add --force."""
+    words = "Replace what someone else wrote or edited."
+    return click.option("--force", is_flag=True, help=words)(command)
+
+
 def origin(path: Path | None, seed: int | None = None) -> Origin:
     """What it takes to get a result again, for its page: the command, and the scenario as given.
 

@@ -11,11 +11,13 @@ from undeadzone.cli.common import (
     common,
     confined,
     folder_for,
+    force_option,
     named_files,
     origin,
     print_blocks,
     print_json,
 )
+from undeadzone.support.own_files import require_own
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
@@ -78,6 +80,7 @@ def powers(
     show_default=True,
     help="Of the search: the same seed gives the same gains.",
 )
+@force_option
 @confined
 @common
 def design(
@@ -86,6 +89,7 @@ def design(
     weights: tuple[float, ...] | None,
     margin: float,
     seed: int,
+    force: bool,
     out: Path | None,
     as_json: bool,
     no_figures: bool,
@@ -118,6 +122,8 @@ def design(
         )
     planned = read(scenario, confine)
     folder = folder_for(out, no_figures, f"{scenario.stem}-design")
+    if folder is not None:
+        require_own(folder / "design.toml", force)
     _, flow, _ = systems(planned)
     reason = impossible(flow)
     if reason:

@@ -11,6 +11,7 @@ from undeadzone.cli.common import (
     columns_option,
     common,
     folder_for,
+    force_option,
     named_files,
     origin,
     print_blocks,
@@ -18,6 +19,7 @@ from undeadzone.cli.common import (
     strict_option,
     writable,
 )
+from undeadzone.support.own_files import require_own, write_own
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
@@ -48,6 +50,7 @@ if TYPE_CHECKING:
 @click.option(
     "--resume", is_flag=True, help="Continue where it was stopped, from DIR/identify.json.partial."
 )
+@force_option
 @common
 def identify(
     logs: tuple[Path, ...],
@@ -55,6 +58,7 @@ def identify(
     as_json: bool,
     no_figures: bool,
     resume: bool,
+    force: bool,
     **options: Any,
 ) -> int:
     """Find plant and dead zone from a log of a real plant.
@@ -73,7 +77,8 @@ def identify(
 
     first = logs[0]
     folder = folder_for(out, no_figures, f"{first.stem}-identify")
-    writable(out or Path())
+    path = writable(out or Path()) / f"{first.stem}.toml"
+    require_own(path, force)
     keep = None if folder is None else folder / "identify.json.partial"
     if resume and keep is None:
         raise click.UsageError("--resume needs the folder that was written to; name it with --out")
@@ -84,8 +89,7 @@ def identify(
         written: list[Path] = [] if folder is None else [answer.save(folder / "identify.json")]
         reason = None
         if is_found or answer.verdict in WRITTEN:
-            path = Path(f"{first.stem}.toml") if out is None else out / f"{first.stem}.toml"
-            scenario, reason = _scenario(answer, path)
+            scenario, reason = _scenario(answer, path, force)
             written = scenario + written
         if folder is not None and not no_figures:
             written += _pages(answer, folder, first.name)
@@ -99,13 +103,12 @@ def identify(
     return 0 if is_found else 1
 
 
-def _scenario(answer: Answers, path: Path) -> tuple[list[Path], str | None]:
+def _scenario(answer: Answers, path: Path, force: bool) -> tuple[list[Path], str | None]:
     """The scenario that was written, or why there is none."""
     from undeadzone.errors import InputError
-    from undeadzone.support.files import write_text
 
     try:
-        return [write_text(answer.scenario(), path)], None
+        return [write_own(answer.scenario(), path, force)], None
     except InputError as error:
         return [], str(error)
 

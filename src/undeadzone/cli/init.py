@@ -14,9 +14,10 @@ from typing import Any, Final
 import click
 
 import undeadzone
-from undeadzone.cli.common import common, print_blocks, print_json, say
-from undeadzone.errors import FileError, InputError
-from undeadzone.support.files import read_text
+from undeadzone.cli.common import common, force_option, print_blocks, print_json, say
+from undeadzone.errors import InputError
+from undeadzone.support.files import read_text, write_text
+from undeadzone.support.own_files import require_own
 
 OTHERS: Final = {
     "samples.csv": "A log for undeadzone watch and estimate, of asymmetric_noise",
@@ -33,7 +34,7 @@ OTHERS: Final = {
     help="Write an example, with the files that it names, in place of the template.",
 )
 @click.option("--list", "as_list", is_flag=True, help="List the examples and write nothing.")
-@click.option("--force", is_flag=True, help="Replace files that exist.")
+@force_option
 @common
 def init(
     file: Path | None,
@@ -52,11 +53,8 @@ def init(
         return _listed(as_json)
     texts = _texts(file, example, out or Path())
     for path in texts:
-        if path.exists() and not force:
-            raise FileError(f"{path}: exists already; choose another name or add --force")
-    from undeadzone.support.files import write_text
-
-    for path, text in texts.items():
+        require_own(path, force)
+    for path, text in texts.items():  # they are for the user to edit: without a mark
         write_text(text, path)
     if as_json:
         print_json({}, list(texts))

@@ -11,11 +11,13 @@ from undeadzone.cli.common import (
     common,
     confined,
     folder_for,
+    force_option,
     named_files,
     origin,
     print_blocks,
     print_json,
 )
+from undeadzone.support.own_files import require_own
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
@@ -75,12 +77,14 @@ if TYPE_CHECKING:
     is_flag=True,
     help="Continue a search that was stopped, from DIR/tuned.toml.partial.",
 )
+@force_option
 @confined
 @common
 def tune(
     scenario: Path,
     over: tuple[str, ...],
     resume: bool,
+    force: bool,
     out: Path | None,
     as_json: bool,
     no_figures: bool,
@@ -112,6 +116,8 @@ def tune(
 
     tuned = read(scenario, confine)
     folder = folder_for(out, no_figures, f"{scenario.stem}-tune")
+    if folder is not None:
+        require_own(folder / "tuned.toml", force)
     wanted = _wanted(tuned, over, changes)
     keep = None if folder is None else folder / "tuned.toml.partial"
     if resume and keep is None:
