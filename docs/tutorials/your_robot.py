@@ -1,8 +1,8 @@
 # %% [markdown]
 # # Your robot's URDF
 #
-# The joints of an arm are measured behind gear play. Its URDF says the rest. This arm has two
-# joints; yours may have six or seven.
+# The joints of an arm are read through a dead zone about their reference. Its URDF says the rest.
+# This arm has two joints; yours may have six or seven.
 
 # %%
 import undeadzone as uz

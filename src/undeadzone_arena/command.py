@@ -18,6 +18,7 @@ from undeadzone.cli.common import (
     say,
     writable,
 )
+from undeadzone.cli.untrusted import untrusted
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
@@ -102,6 +103,7 @@ FOLDER = Path("arena-results")
     is_flag=True,
     help="Continue what was stopped, from DIR/results.json.partial or tuned.toml.partial.",
 )
+@untrusted
 @confined
 def arena(
     scenarios: tuple[Path, ...],

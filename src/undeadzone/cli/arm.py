@@ -47,7 +47,7 @@ def arm(
     """Show the arm in a URDF file: joints, limits, masses, tip, reach, torques that hold it.
 
     With --out it writes NAME.toml to DIR, a scenario to start from: every joint swings about the
-    posture, behind gear play. Exit code 1: its motors cannot hold the arm in this posture.
+    posture, with a dead zone there. Exit code 1: its motors cannot hold the arm in this posture.
     """
     from undeadzone.plants.robots.survey import survey
 
@@ -153,7 +153,7 @@ def _advice(found: Survey, weak: list[str], written: list[Path], robot: Path) ->
     missing = []
     if not any(any(joint.friction) for joint in found.joints):
         missing.append("friction (plant.parameters b1, f1, ...)")
-    missing.append("the play of each gear (sensor.right, sensor.left)")
+    missing.append("the dead zone of each joint (sensor.right, sensor.left)")
     return (
         f"the file does not know {' and '.join(missing)}; "
         f"a scenario to start from: undeadzone arm {robot} --out ."

@@ -17,6 +17,7 @@ from undeadzone.cli.common import (
     print_json,
     with_schema,
 )
+from undeadzone.cli.untrusted import untrusted
 from undeadzone.support.progress import on_terminal as progress
 
 
@@ -25,6 +26,7 @@ from undeadzone.support.progress import on_terminal as progress
     "verdict/report.html"
 )
 @click.argument("scenario", type=click.Path(path_type=Path), metavar="SCENARIO.toml")
+@untrusted
 @confined
 @common
 def check(

@@ -17,6 +17,7 @@ from undeadzone.cli.common import (
     print_blocks,
     print_json,
 )
+from undeadzone.cli.untrusted import untrusted
 from undeadzone.support.own_files import require_own
 from undeadzone.support.progress import on_terminal as progress
 
@@ -81,6 +82,7 @@ def powers(
     help="Of the search: the same seed gives the same gains.",
 )
 @force_option
+@untrusted
 @confined
 @common
 def design(

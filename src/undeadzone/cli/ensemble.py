@@ -17,6 +17,7 @@ from undeadzone.cli.common import (
     print_json,
     writable,
 )
+from undeadzone.cli.untrusted import untrusted
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
@@ -57,6 +58,7 @@ if TYPE_CHECKING:
     is_flag=True,
     help="Write runs.parquet instead of runs.npz (needs the extra parquet).",
 )
+@untrusted
 @confined
 @common
 def ensemble(

@@ -20,6 +20,7 @@ from undeadzone.cli.common import (
     strict_option,
     wanted_table,
 )
+from undeadzone.cli.untrusted import untrusted
 from undeadzone.support.progress import on_terminal as progress
 
 
@@ -30,6 +31,7 @@ from undeadzone.support.progress import on_terminal as progress
 @strict_option
 @click.option("--causal", is_flag=True, help="The filter alone: no smoothing with the whole log.")
 @csv_option
+@untrusted
 @confined
 @common
 def estimate(

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from undeadzone.cli.common import confined, force_option, print_blocks, print_json
+from undeadzone.cli.untrusted import untrusted
 
 if TYPE_CHECKING:
     from undeadzone.support.shown import Block
@@ -56,6 +57,7 @@ if TYPE_CHECKING:
 )
 @force_option
 @click.option("--json", "as_json", is_flag=True, help="Print the report as one JSON object.")
+@untrusted
 @confined
 def export(
     scenario: Path,

@@ -19,6 +19,7 @@ from undeadzone.cli.common import (
     strict_option,
     writable,
 )
+from undeadzone.cli.untrusted import untrusted
 from undeadzone.support.own_files import require_own, write_own
 from undeadzone.support.progress import on_terminal as progress
 
@@ -51,6 +52,7 @@ if TYPE_CHECKING:
     "--resume", is_flag=True, help="Continue where it was stopped, from DIR/identify.json.partial."
 )
 @force_option
+@untrusted
 @common
 def identify(
     logs: tuple[Path, ...],

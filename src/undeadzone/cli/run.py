@@ -20,6 +20,7 @@ from undeadzone.cli.common import (
     wanted_table,
     writable,
 )
+from undeadzone.cli.untrusted import untrusted
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
@@ -49,6 +50,7 @@ OF_ENSEMBLE = (".npz", ".parquet")  # files that hold runs, no scenario
     help="Write an arm's motion as .gif (or .mp4, with ffmpeg) too.",
 )
 @csv_option
+@untrusted
 @confined
 @common
 def run(

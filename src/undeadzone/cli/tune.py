@@ -17,6 +17,7 @@ from undeadzone.cli.common import (
     print_blocks,
     print_json,
 )
+from undeadzone.cli.untrusted import untrusted
 from undeadzone.support.own_files import require_own
 from undeadzone.support.progress import on_terminal as progress
 
@@ -78,6 +79,7 @@ if TYPE_CHECKING:
     help="Continue a search that was stopped, from DIR/tuned.toml.partial.",
 )
 @force_option
+@untrusted
 @confined
 @common
 def tune(

@@ -24,6 +24,7 @@ from undeadzone.cli.common import (
     with_schema,
     writable,
 )
+from undeadzone.cli.untrusted import untrusted
 from undeadzone.errors import FileError, Terminated
 
 if TYPE_CHECKING:
@@ -68,6 +69,7 @@ BLOCK = 1 << 20  # bytes that are read at once, if as many have come
     metavar="SECONDS",
     help="Say so often on stderr how far it is, samples or none.",
 )
+@untrusted
 @confined
 def watch(
     scenario: Path,

@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import os
 import re
+import stat
 import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -214,11 +215,24 @@ def confined(scenario: Scenario, folder: Path) -> Scenario:
         if "\0" in path:
             raise InputError(f"{key}: no path: it holds a NUL character; take it out")
         real = Path(os.path.realpath(path))
+        if _has_further_names(real):
+            raise InputError(
+                f"{key}: the file has further names, maybe outside of {folder}; copy it there"
+            )
         if not real.is_relative_to(root):
             raise InputError(f"{key}: names a file outside of {folder}, to which --confine keeps")
         return str(real)
 
     return _with_files(scenario, inside)
+
+
+def _has_further_names(path: Path) -> bool:
+    """Whether a file is one that hard links show elsewhere too."""
+    try:
+        status = path.stat()
+    except OSError:
+        return False
+    return stat.S_ISREG(status.st_mode) and status.st_nlink > 1
 
 
 def digests(scenario: Scenario) -> dict[str, str]:

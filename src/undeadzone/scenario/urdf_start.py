@@ -19,7 +19,7 @@ PERIOD = 4.0  # [s] of the motion
 FASTEST = 2.5  # more than the greatest speed of that motion per swing [1/s]
 PLAY = 6.0  # swings to one side in a width
 SENSOR = """
-[sensor]                        # gear play: the truth; the observer is not told
+[sensor]                        # about the reference: the truth; the observer is not told
 right = {right}
 left = {left}
 noise = {noise}
@@ -63,7 +63,7 @@ substeps = 1
 
 
 def starting_scenario(found: Survey, path: str) -> str:
-    """A scenario as TOML text: every joint swings about the arm's posture, behind gear play.
+    """A scenario as TOML text: every joint swings about the arm's posture, in a dead zone.
 
     Args:
         found: what the file says.

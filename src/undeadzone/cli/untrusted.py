@@ -1,0 +1,200 @@
+"""A stranger's files held apart: what this process may still read, write and use, for good."""
+
+from __future__ import annotations
+
+import atexit
+import ctypes
+import functools
+import os
+import shutil
+import signal
+import sys
+import tempfile
+from collections.abc import Iterable
+from pathlib import Path
+from types import FrameType
+from typing import Any, Final, cast
+
+import click
+
+from undeadzone.cli.common import Command, say
+from undeadzone.errors import InputError, Terminated
+from undeadzone.support.files import require_folder
+
+MEMORY: Final = 4_000_000_000  # [bytes] of addresses
+CPU_TIME: Final = 600  # [s]
+SYSTEM: Final = (
+    "/usr", "/lib", "/lib64", "/bin", "/etc", "/opt", "/proc", "/sys/devices/system/cpu",
+    "/dev/urandom",
+)  # fmt: skip
+
+# Linux's Landlock: numbers of its calls and rights, from the kernel's headers.
+CREATE, ADD, RESTRICT, NO_NEW_PRIVILEGES = 444, 445, 446, 38
+VERSION, BENEATH = 1, 1
+EXECUTE, WRITE_FILE, READ_FILE, READ_FOLDER = 1, 2, 4, 8
+OF_FILES: Final = EXECUTE | WRITE_FILE | READ_FILE
+EVERY: Final = {1: (1 << 13) - 1, 2: (1 << 14) - 1, 3: (1 << 15) - 1}  # rights by version
+TRUNCATE: Final = 1 << 14
+
+
+class _Ruleset(ctypes.Structure):
+    """The rights that are taken away unless a rule grants them."""
+
+    _fields_ = (("rights", ctypes.c_uint64),)
+
+
+class _Beneath(ctypes.Structure):
+    """The rights that are granted below a folder, or of a file."""
+
+    _pack_ = 1
+    _fields_ = (("rights", ctypes.c_uint64), ("place", ctypes.c_int32))
+
+
+def untrusted(command: Command) -> Command:
+    """Add --untrusted, which holds as long as the command runs; it means --confine too."""
+
+    @functools.wraps(command)
+    def held(*, untrusted: Path | None, **options: Any) -> Any:
+        if untrusted is None:
+            return command(**options)
+        if options.get("out", untrusted) is None and not options.get("no_figures"):
+            raise InputError("--untrusted: say --out too, the only folder that is written")
+        for word in hold_apart(untrusted, options.get("out")):
+            say(f"untrusted: {word}", err=True)
+        if "confine" in options:
+            options["confine"] = untrusted
+        return command(**options)
+
+    option = click.option(
+        "--untrusted",
+        type=click.Path(path_type=Path),
+        default=None,
+        metavar="DIR",
+        help="Strangers made DIR: read it alone, write --out alone, take little time and memory.",
+    )
+    return cast(Command, option(held))
+
+
+def hold_apart(folder: Path, out: Path | None) -> list[str]:
+    """Read strangers' files from `folder` and write below `out`, whatever they ask for.
+
+    No module comes from `folder`. Memory and CPU time are limited, unless they are more already.
+    Where the kernel has Landlock, nothing else can be read but what programs and libraries need,
+    and nothing else written. All of this lasts, and holds for every process started from here.
+
+    Args:
+        folder: of the strangers.
+        out: made if missing; None: nothing is written.
+
+    Returns:
+        What this system cannot hold, in words.
+
+    Raises:
+        InputError: `folder` is none.
+        FileError: nothing can be written below `out`.
+    """
+    if not folder.is_dir():
+        raise InputError(f"--untrusted: expected a folder, found {str(folder)!r}")
+    here = Path(os.path.realpath(folder))
+    sys.path[:] = [place for place in sys.path if place and not _is_below(Path(place), here)]
+    if out is not None:
+        require_folder(out)
+        out.mkdir(parents=True, exist_ok=True)
+        _keep_scratch(out)
+    limited = _limit()
+    written = [place for place in (out, _cache()) if place is not None]
+    held = _landlocked([here, *_libraries()], written)
+    words = {"no limits of memory and time on this system": limited}
+    words["no Landlock on this system: paths are checked, nothing more"] = held
+    return [word for word, is_there in words.items() if not is_there]
+
+
+def _is_below(place: Path, folder: Path) -> bool:
+    """Whether a place is a folder or in it."""
+    return Path(os.path.realpath(place)).is_relative_to(folder)
+
+
+def _keep_scratch(out: Path) -> None:
+    """Put temporary files below `out`; they go when the process ends."""
+    scratch = tempfile.mkdtemp(dir=out, prefix=".scratch-")
+    atexit.register(shutil.rmtree, scratch, ignore_errors=True)
+    tempfile.tempdir = os.environ["TMPDIR"] = scratch
+
+
+def _cache() -> Path | None:
+    """Where kernels are kept, made if missing; None where that cannot be."""
+    from undeadzone.compile.cache_folder import chosen
+
+    place = chosen()
+    try:
+        if place is not None:
+            place.mkdir(parents=True, exist_ok=True, mode=0o700)
+    except OSError:
+        return None
+    return place
+
+
+def _libraries() -> list[Path]:
+    """What programs and libraries need to be read."""
+    package = Path(__file__).parents[2]
+    places = [*map(Path, (*SYSTEM, sys.prefix, sys.base_prefix, *sys.path)), package]
+    return [place for place in places if place.exists()]
+
+
+def _limit() -> bool:
+    """Limit memory, CPU time, and files of crashes; whether the system can."""
+    if sys.platform == "win32":
+        return False
+    import resource
+
+    for kind, most in (
+        (resource.RLIMIT_AS, MEMORY),
+        (resource.RLIMIT_CPU, CPU_TIME),
+        (resource.RLIMIT_CORE, 0),
+    ):
+        allowed, hard = resource.getrlimit(kind)
+        if allowed == resource.RLIM_INFINITY or allowed > most:
+            resource.setrlimit(kind, (most, hard))
+    signal.signal(signal.SIGXCPU, _out_of_time)
+    return True
+
+
+def _out_of_time(number: int, frame: FrameType | None) -> None:
+    """End the command."""
+    raise Terminated(f"{CPU_TIME} s of CPU time ran out, which --untrusted allows")
+
+
+def _landlocked(read: Iterable[Path], written: Iterable[Path]) -> bool:
+    """Take every other right on files away; whether the kernel can."""
+    if sys.platform != "linux":
+        return False
+    kernel = ctypes.CDLL(None, use_errno=True)
+    version = kernel.syscall(CREATE, None, ctypes.c_size_t(0), VERSION)
+    if version < 1:
+        return False
+    every = EVERY[min(version, max(EVERY))]
+    wanted = _Ruleset(every)
+    rules = kernel.syscall(CREATE, ctypes.byref(wanted), ctypes.c_size_t(ctypes.sizeof(wanted)), 0)
+    if rules < 0:
+        return False
+    try:
+        for place in read:
+            _grant(kernel, rules, place, EXECUTE | READ_FILE | READ_FOLDER)
+        for place in (*written, Path(os.devnull)):
+            _grant(kernel, rules, place, every)
+        kernel.prctl(NO_NEW_PRIVILEGES, 1, 0, 0, 0)
+        return bool(kernel.syscall(RESTRICT, rules, 0) == 0)
+    finally:
+        os.close(rules)
+
+
+def _grant(kernel: ctypes.CDLL, rules: int, place: Path, rights: int) -> None:
+    """Grant rights below a folder, or those of a file on a file."""
+    if not place.is_dir():
+        rights &= OF_FILES | (TRUNCATE if rights & TRUNCATE else 0)
+    descriptor = os.open(place, os.O_PATH | os.O_CLOEXEC)
+    try:
+        rule = _Beneath(rights, descriptor)
+        kernel.syscall(ADD, rules, BENEATH, ctypes.byref(rule), 0)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,155 @@
+"""A folder of a stranger's traps: `--untrusted` reads it, and nothing else happens."""
+
+from __future__ import annotations
+
+import os
+import socket
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from test_strange_folder import SHORT, TRAP, TRAPS, ran
+from undeadzone.cli.untrusted import _landlocked
+from undeadzone.errors import InputError
+from undeadzone.scenario.reader import read
+
+HOSTILE = '../../x; $(touch RAN) `touch RAN` <script>\\"\\u001b[2J'
+
+
+def signal(path: str) -> str:
+    """The scenario with a reference from a file."""
+    line = f'reference = {{ kind = "csv", path = "{path}" }}'
+    kept = [row for row in SHORT.splitlines() if not row.startswith("reference")]
+    return "\n".join([*kept, line])
+
+
+@pytest.fixture
+def secret(tmp_path: Path) -> Path:
+    """A file outside of the stranger's folder."""
+    path = tmp_path / "home" / "secret.csv"
+    path.parent.mkdir()
+    path.write_text("t,r\n0.0,1.0\n1.0,2.0\n")
+    return path
+
+
+@pytest.fixture
+def folder(tmp_path: Path, secret: Path) -> Path:
+    """The traps, by what they try."""
+    here = tmp_path / "strange"
+    here.mkdir()
+    for name in TRAPS:  # 1 to 7: modules
+        (here / f"{name}.py").write_text(TRAP)
+    (here / "matplotlibrc").write_text("text.usetex: True\n")  # 8
+    for name in ("short-results", "out", "s-ensemble"):  # 9 to 11: where results would go
+        (here / name).symlink_to(secret.parent)
+    scenarios = {
+        "link": "linked.csv",  # 12
+        "hard": "hard.csv",  # 13
+        "absolute": str(secret),  # 14
+        "above": "../home/secret.csv",  # 15
+        "device": "/dev/zero",  # 16
+        "own_memory": "/proc/self/mem",  # 17
+        "pipe": "pipe.csv",  # 18
+        "socket": "socket.csv",  # 19
+        "itself": "a_folder",  # 20
+        "loop": "loop.csv",  # 21
+        "nul": "a\\u0000b",  # 22
+        "long": "x" * 5000,  # 23
+        "missing": "missing.csv",  # 24
+    }
+    for name, path in scenarios.items():
+        (here / f"{name}.toml").write_text(signal(path))
+    (here / "linked.csv").symlink_to(secret)
+    os.link(secret, here / "hard.csv")
+    os.mkfifo(here / "pipe.csv")
+    with socket.socket(socket.AF_UNIX) as opened:
+        before = os.getcwd()
+        os.chdir(here)  # names of sockets are short
+        opened.bind("socket.csv")
+        os.chdir(before)
+    (here / "a_folder").mkdir()
+    (here / "loop.csv").symlink_to("loop.csv")
+    hostile = SHORT.replace('"short"', f'"{HOSTILE}"') + f'units = {{ output = "{HOSTILE}" }}\n'
+    (here / "hostile.toml").write_text(hostile)  # 25, 26
+    endless = SHORT.replace("duration = 0.2", "duration = 1e9")  # 27
+    (here / "endless.toml").write_text(endless)
+    (here / "deep.toml").write_text("a = " + "[" * 100_000)  # 28
+    (here / "large.toml").write_bytes(b"#" * 11_000_000)  # 29
+    savemat(here / "bomb.mat", {"t": np.zeros(70_000_000)}, do_compression=True)  # 30
+    (here / "-rf.toml").write_text(SHORT)  # 31
+    return here
+
+
+REFUSED = (
+    "link", "hard", "absolute", "above", "device", "own_memory", "pipe", "socket", "itself",
+    "loop", "nul", "long", "missing", "endless", "deep", "large",
+)  # fmt: skip
+
+
+def test_no_trap_does_anything(folder: Path, secret: Path, tmp_path: Path) -> None:
+    """Every scenario of the folder is refused, or runs and writes into --out alone."""
+    held = ("--untrusted", ".", "--no-figures")
+    for name in REFUSED:
+        done = ran(folder, "check", f"{name}.toml", *held)
+        assert done.returncode == 2, (name, done.stdout, done.stderr)
+        assert len(done.stderr.splitlines()) == 1, done.stderr
+        assert "secret" not in done.stderr.replace("home/secret.csv", "")
+    out = tmp_path / "results"
+    for name in ("hostile.toml", "./-rf.toml"):
+        done = ran(folder, "run", name, "--untrusted", ".", "--out", str(out))
+        assert done.returncode == 1, (name, done.stderr)  # an edge is never reached
+        assert "\x1b" not in done.stdout
+    done = ran(folder, "identify", "bomb.mat", "--untrusted", ".", "--out", str(out))
+    assert done.returncode == 2
+    assert "unpack" in done.stderr or "larger" in done.stderr
+    assert {path.name for path in secret.parent.iterdir()} == {"secret.csv"}
+    assert not list(tmp_path.rglob("RAN"))
+    assert not list(out.glob(".scratch*"))
+    assert {path.name for path in tmp_path.iterdir()} == {"home", "strange", "results"}
+
+
+def test_every_command_that_reads_files_has_it(folder: Path) -> None:
+    """It asks for --out before anything else."""
+    for command in ("run", "check", "design", "ensemble", "tune", "estimate", "export", "arena"):
+        more = ["run.csv"] if command == "estimate" else []
+        done = ran(folder, command, "-rf.toml" * 0 + "./-rf.toml", *more, "--untrusted", "nowhere")
+        assert done.returncode == 2
+        assert "--untrusted" in done.stderr, (command, done.stderr)
+
+
+def test_a_link_in_the_place_of_results_is_not_followed(folder: Path, secret: Path) -> None:
+    """Where the kernel has Landlock; nothing is written into the folder behind the link."""
+    done = ran(folder, "run", "./-rf.toml", "--untrusted", ".", "--out", "results")
+    assert done.returncode == 1
+    assert {path.name for path in secret.parent.iterdir()} == {"secret.csv"}
+
+
+def test_workers_are_held_too(folder: Path, tmp_path: Path) -> None:
+    """Processes that a command starts have its limits; a contest runs as ever."""
+    few = ("--methods", "kalman,oracle,ekf,ukf", "--seeds", "3", "--processes", "2")
+    out = str(tmp_path / "a")
+    done = ran(folder, "arena", "./-rf.toml", *few, "--untrusted", ".", "--out", out)
+    assert done.returncode == 0, done.stderr
+    assert not list(tmp_path.rglob("RAN"))
+
+
+def test_a_scenario_beside_the_folder_is_not_read(folder: Path, secret: Path) -> None:
+    """What the kernel takes away is bad input, not a mistake of the program."""
+    other = secret.parent / "mine.toml"
+    other.write_text(SHORT)
+    done = ran(folder, "check", str(other), "--untrusted", ".", "--no-figures")
+    landlock = sys.platform == "linux" and "no Landlock" not in done.stderr
+    assert done.returncode == (2 if landlock else 1), done.stderr
+
+
+def test_files_with_further_names_are_refused_by_confine_too(folder: Path) -> None:
+    with pytest.raises(InputError, match="the file has further names"):
+        read(folder / "hard.toml", folder)
+
+
+def test_a_system_without_landlock_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "platform", "darwin")
+    assert not _landlocked([Path.cwd()], [])
