@@ -195,8 +195,8 @@ class LogReader:
         """The lines with content, with their numbers."""
         first = self._count + 1
         self._count += len(lines)
-        numbered = enumerate(lines, first)
-        return [(k, line) for k, line in numbered if is_content(line[: LONGEST_LINE + 1])]
+        numbered = enumerate((line[: LONGEST_LINE + 1] for line in lines), first)
+        return [(k, line) for k, line in numbered if is_content(line)]
 
     def _layout(self, dialect: Dialect) -> Layout:
         """Where the log has what. Raises FileError."""
