@@ -15,7 +15,11 @@ import undeadzone
 from tools import pytest_terminal_summary as pytest_terminal_summary
 
 settings.register_profile(
-    "shared", deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True
+    "shared",
+    max_examples=30,  # `python -m fuzz` and `make mutants` look longer
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow],
+    derandomize=True,
 )
 settings.load_profile("shared")
 

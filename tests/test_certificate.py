@@ -66,10 +66,10 @@ def condition(L: Floats) -> tuple[bool, float]:
     return bool(gap > 0), min(abs(gap) / (1 + abs(b1)), b0)
 
 
-def test_certified_exactly_where_theory_says_for_ten_thousand_gains() -> None:
+def test_certified_exactly_where_theory_says_for_two_thousand_gains() -> None:
     rng = np.random.default_rng(0)
     wrong = [0, 0]
-    for k in range(10_000):
+    for k in range(2_000):
         L = rng.normal(0, 10 ** rng.uniform(-1, 2), (2, 1))
         expected, distance = condition(L)
         if distance < 1e-7:

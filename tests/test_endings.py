@@ -72,7 +72,7 @@ def test_every_end_has_its_code_and_its_line(
 
 @pytest.mark.parametrize(
     "error",
-    [TypeError("a\nb"), ValueError(), MemoryError(), RecursionError("deep"), AssertionError()],
+    [TypeError("a\nb"), ValueError(), RecursionError("deep"), AssertionError()],
 )
 def test_an_unexpected_exception_is_one_line_and_its_own_code(
     capfd: pytest.CaptureFixture[str], error: Exception
@@ -198,7 +198,7 @@ def test_sigterm_stays_ignored_where_it_was(monkeypatch: pytest.MonkeyPatch) -> 
     assert ended(lambda: os.kill(os.getpid(), signal.SIGTERM)) == 0
 
 
-@pytest.mark.parametrize("text", [r"$\\frac$", "cost $5", "$x$ and $", r"a\\$b"])
+@pytest.mark.parametrize("text", [r"$\\frac$ and $", r"cost $5 a\\$b"])
 def test_dollars_in_a_title_lose_no_report(scenario: Path, text: str) -> None:
     content = scenario.read_text(encoding="utf-8")
     units = f'\n[units]\noutput = "{text}"\n'

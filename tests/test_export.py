@@ -35,7 +35,6 @@ EXPORTED = [
     name for name, (times, _) in OBSERVERS.items() if "sampled" in times and name != "full_state"
 ]
 DRIVEN = [name for name, (times, _) in CONTROLLERS.items() if "sampled" in times]
-BIG = {"censored"}
 OWN = elementary.FUNCTIONS.keys() - {"fmin", "fmax", "sign", "floor", "ceil"}  # rounded otherwise
 
 
@@ -86,7 +85,7 @@ def test_every_observer(observer: str, precision: str, tmp_path: Path) -> None:
     done = uz.export(scenario, out=tmp_path / "fw", precision=precision, name="o")
     assert done.report["accuracy"]["machine"] <= done.report["accuracy"]["machine_bar"]
     assert done.report["refusals"] == []
-    result = built(tmp_path / "fw", "o", ["-O0" if observer in BIG else "-O1", *WARNINGS])
+    result = built(tmp_path / "fw", "o", ["-O0", *WARNINGS])
     assert result.returncode == 0, result.stdout
 
 

@@ -25,8 +25,8 @@ def column(*L: float) -> Floats:
     return np.array(L)[:, None]
 
 
-@pytest.mark.parametrize("block", range(10))
-def test_two_hundred_certified_designs_are_never_broken(block: int) -> None:
+@pytest.mark.parametrize("block", range(3))
+def test_sixty_certified_designs_are_never_broken(block: int) -> None:
     """n = 1..8, 1-3 outputs, continuous and sampled, Gamma per edge or full: V never rises."""
     for k in range(20 * block, 20 * block + 20):
         rng = np.random.default_rng([7, k])
@@ -161,7 +161,7 @@ def test_no_v_without_a_positive_definite_p() -> None:
         falsify(found.dynamics, found.V._replace(P=-found.P), 100)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("time", ["continuous", "sampled"])
 def test_v_never_rises_in_the_real_loop(seed: int, time: str) -> None:
     """The graph that is simulated and flashed, with wild references, widths and guesses.

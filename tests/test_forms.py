@@ -109,7 +109,7 @@ def test_what_all_lanes_share_means_the_same_as_what_each_has(shared: bool, fuse
     own = lanes.build(step, fused=fused, **options)
     for form in FORMS.values():
         usual = lanes.build(step, fused=fused, form=form)
-        for k in range(0, total, 5):
+        for k in range(0, total, 15):
             given_w = np.tile(rows[k], (3, 1))
             expected = lanes.run(
                 own,

@@ -134,7 +134,7 @@ def test_a_run_says_what_was_refused_and_whether_its_readings_fit() -> None:
 )
 def test_wrong_readings_cost_next_to_nothing(kind: str, most: float) -> None:
     spoil, _ = glitches.KINDS[kind]
-    posed = coverage.problems("both edges", glitches.SHAKEN, 2, 80, 4)
+    posed = coverage.problems("both edges", glitches.SHAKEN, 2, 40, 4)
     clean = glitches.observe(coverage.censored, posed)
     wrong = spoil(np.random.default_rng(5), posed.y)
     outcome = glitches.observe(coverage.censored, posed._replace(y=wrong))

@@ -261,7 +261,7 @@ def test_a_tenth_of_wrong_readings_keeps_kalman_in_size() -> None:
 
 def test_a_gust_four_times_the_claim_is_followed() -> None:
     """Without a level above the claim z^ is off by a third more, and intervals are far wider."""
-    posed = honest_problems.problems(honest_problems.Kind(gust=4.0), 2, 80, 6)
+    posed = honest_problems.problems(honest_problems.Kind(gust=4.0), 2, 40, 6)
     told = glitches.observe(glitches.doubting, posed)
 
     def right(known: coverage.Problems, k: int) -> Any:

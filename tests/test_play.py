@@ -228,19 +228,25 @@ def test_a_wrong_model_is_as_bad_as_none() -> None:
 
 
 def test_a_held_reading_is_heard_for_no_more_than_it_says() -> None:
-    """A motor whose hold levels are noisy: with each of them heard at every reading, .73 of 60."""
+    """A motor whose hold levels are noisy: with each of them heard at every reading, .73 of 60.
+
+    The bound is three standard errors below .95 of 24.
+    """
     world, reading = play.WORLDS["motor"], "noise 1 %"
-    each = [play.posed(world, reading, play.censored, False, seed) for seed in range(40)]
+    each = [play.posed(world, reading, play.censored, False, seed) for seed in range(24)]
     ran = run_loops(each, 0.8 * world.duration)
     error = ran.errors.sum(axis=1)
-    assert np.mean(np.abs(error) <= 1.96 * ran.width_std) > 0.9
+    assert np.mean(np.abs(error) <= 1.96 * ran.width_std) > 0.82
     assert abs(np.median(error / ran.width)) < 0.06
 
 
 def test_silence_of_a_dead_zone_is_heard_for_no_more_than_it_says() -> None:
-    """Grazing motion under a white disturbance that is told: heard at every sample, .70 of 40."""
+    """Grazing motion under a white disturbance that is told: heard at every sample, .70 of 40.
+
+    The bounds are three standard errors below .95 of 24.
+    """
     world, each = play.WORLDS["slow"], []
-    for seed in range(40):
+    for seed in range(24):
         posed = play.posed(world, "noise 1 %", play.censored, False, seed).scenario
         sensor = msgspec.structs.replace(posed.sensor, kind="deadzone")
         widest = max(sensor.right, sensor.left)
@@ -249,8 +255,8 @@ def test_silence_of_a_dead_zone_is_heard_for_no_more_than_it_says() -> None:
         grazing = msgspec.structs.replace(posed, sensor=sensor, reference=reference)
         each.append(resolve_scenario(grazing))
     ran = run_loops(each, 0.8 * world.duration)
-    assert np.mean(np.abs(ran.errors.sum(axis=1)) <= 1.96 * ran.width_std) > 0.9
-    assert np.mean(np.abs(ran.errors) <= 1.96 * ran.stds) > 0.9
+    assert np.mean(np.abs(ran.errors.sum(axis=1)) <= 1.96 * ran.width_std) > 0.82
+    assert np.mean(np.abs(ran.errors) <= 1.96 * ran.stds) > 0.82
 
 
 def test_one_glitch_costs_little() -> None:

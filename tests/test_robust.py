@@ -551,9 +551,9 @@ def least_gain(errors: Dynamics, E: Floats, noise: float) -> float:
     return float(np.exp(min(finer.fun, values[k]) / 2))
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(3))
 def test_l2_gains_are_least_within_one_percent(seed: int) -> None:
-    """300 random designs, all ten seeds together: every second one has noise, the others w."""
+    """90 random designs, all seeds together: every second one has noise, the others w."""
     rng = np.random.default_rng(seed)
     for k in range(30):
         model, gains, gamma, Ts = random_design(rng, int(rng.integers(1, 5)), 1)

@@ -809,7 +809,7 @@ def short(scenario: Scenario) -> Scenario:
     )
 
 
-@settings(max_examples=1500)
+@settings(max_examples=300)
 @given(mutants())
 @pytest.mark.filterwarnings("ignore")
 def test_only_undeadzone_errors_come_out_of_any_tables(data: dict[str, Any]) -> None:
@@ -817,7 +817,7 @@ def test_only_undeadzone_errors_come_out_of_any_tables(data: dict[str, Any]) -> 
         resolve_scenario(convert(data))
 
 
-@settings(max_examples=400)
+@settings(max_examples=80)
 @given(mutants())
 @pytest.mark.filterwarnings("ignore")
 def test_only_undeadzone_errors_come_out_of_a_short_run(data: dict[str, Any]) -> None:

@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from commands import undeadzone as in_process
 from undeadzone.analysis.certificate.design_file import Design
 from undeadzone.cli.common import json_text, print_blocks
 from undeadzone.ensemble import journal, saved
@@ -301,9 +302,9 @@ def test_a_confined_scenario_keeps_the_files_inside(tmp_path: Path) -> None:
 )
 def test_every_command_that_reads_a_scenario_can_be_confined(tmp_path: Path, command: str) -> None:
     mine = scenario(tmp_path, names("/etc/passwd")["observer.design"])
-    done = undeadzone(command, mine, "--confine", tmp_path, cwd=tmp_path)
+    done = in_process(command, mine, "--confine", tmp_path, cwd=tmp_path)
     assert done.returncode == 2
-    assert done.stderr.startswith(b"undeadzone: observer.design: names a file outside of ")
+    assert done.stderr.startswith("undeadzone: observer.design: names a file outside of ")
     assert [path.name for path in tmp_path.iterdir()] == ["mine.toml"]
 
 
