@@ -15,33 +15,33 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 37_800, 340
+MOST_CODE, MOST_FILES = 38_400, 340
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
     "(root)": 360,
     "analysis": 3330,
-    "cli": 1540,
+    "cli": 1650,
     "compensators": 170,
     "compile": 3660,
     "controllers": 680,
     "ends": 440,
     "ensemble": 1970,
-    "exports": 2470,
+    "exports": 2510,
     "feedforward": 370,
     "identification": 5430,
     "linear": 410,
-    "logs": 850,
+    "logs": 1070,
     "numerics": 640,
     "observers": 2950,
     "plants": 1540,
     "report": 3080,
-    "results": 870,
+    "results": 890,
     "scenario": 1380,
     "signals": 430,
-    "simulation": 2220,
+    "simulation": 2400,
     "statistics": 270,
-    "support": 810,
+    "support": 840,
     "synthesis": 1050,
     "tuning": 890,
 }

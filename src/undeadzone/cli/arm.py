@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import PATH, option, writable
+from undeadzone.cli.common import PATH, force_option, option, writable
 from undeadzone.cli.output import Output, common
+from undeadzone.support.own_files import require_own
 
 if TYPE_CHECKING:
     from undeadzone.plants.robots.survey import Survey
@@ -26,6 +27,7 @@ HEAD = ("joint", "moves", "from", "to", "speed", "torque", "to hold", "b", "f", 
     "Joints that move, from base to tip (default: all; the others are fixed at 0).",
 )
 @option("--at", "Q1,...", "Posture [rad or m] (default: 0, or the middle between limits).")
+@force_option
 @common
 def arm(
     robot: Path,
@@ -33,6 +35,7 @@ def arm(
     joints: str | None,
     at: str | None,
     output: Output,
+    force: bool,
 ) -> int:
     """Show the arm in a URDF file: joints, limits, masses, tip, reach, torques that hold it.
 
@@ -44,7 +47,7 @@ def arm(
     folder = None if output.out is None else writable(output.out)
     names = None if joints is None else [name.strip() for name in joints.split(",")]
     found = survey(robot, names, tip, None if at is None else _numbers(at))
-    written = [] if folder is None else [_started(found, robot, folder)]
+    written = [] if folder is None else [_started(found, robot, folder, force)]
     weak = _weak(found)
     output.show(
         lambda: _in_numbers(found),
@@ -71,15 +74,13 @@ def _numbers(text: str) -> list[float]:
         ) from None
 
 
-def _started(found: Survey, robot: Path, folder: Path) -> Path:
+def _started(found: Survey, robot: Path, folder: Path, force: bool) -> Path:
     """The scenario that was written. Raises FileError where there is one already."""
-    from undeadzone.errors import FileError
     from undeadzone.scenario.urdf_start import starting_scenario
     from undeadzone.support.files import write_text
 
     path = folder / f"{robot.stem}.toml"
-    if path.exists():
-        raise FileError(f"{path}: exists already; choose another --out")
+    require_own(path, force)  # it is for the user to edit: without a mark
     relative = Path(os.path.relpath(robot, folder)).as_posix()
     return write_text(starting_scenario(found, relative), path)
 

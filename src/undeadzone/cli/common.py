@@ -60,6 +60,12 @@ columns_option = option(
 )
 
 
+def force_option(command: Command) -> Command:
+    """Add --force."""
+    words = "Replace what someone else wrote or edited."
+    return click.option("--force", is_flag=True, help=words)(command)
+
+
 def origin(path: Path | None, seed: int | None = None) -> Origin:
     """What it takes to get a result again, for its page: the command, and the scenario as given.
 

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import PATH, confined, option, origin
+from undeadzone.cli.common import PATH, confined, force_option, option, origin
 from undeadzone.cli.output import Output, common, named_files
 from undeadzone.cli.untrusted import untrusted
+from undeadzone.support.own_files import require_own
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
@@ -70,6 +71,7 @@ def powers(
     show_default=True,
     help="Of the search: the same seed gives the same gains.",
 )
+@force_option
 @untrusted
 @confined
 @common
@@ -80,6 +82,7 @@ def design(
     margin: float,
     seed: int,
     output: Output,
+    force: bool,
     confine: Path | None,
 ) -> int:
     """Find gains L, gamma for a scenario's plant, sensor and reference, with a proof.
@@ -109,6 +112,8 @@ def design(
         )
     planned = read(scenario, confine)
     folder = output.folder(f"{scenario.stem}-design")
+    if folder is not None:
+        require_own(folder / "design.toml", force)
     _, flow, _ = systems(planned)
     reason = impossible(flow)
     if reason:

@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import PATH, confined, flag, option, print_blocks, print_json
+from undeadzone.cli.common import (
+    PATH,
+    confined,
+    flag,
+    force_option,
+    option,
+    print_blocks,
+    print_json,
+)
 from undeadzone.cli.untrusted import untrusted
 
 if TYPE_CHECKING:
@@ -38,6 +46,7 @@ if TYPE_CHECKING:
     "--check",
     "Build the self-test with this computer's compiler, run it, print the accuracy table.",
 )
+@force_option
 @click.option("--json", "as_json", is_flag=True, help="Print the report as one JSON object.")
 @untrusted
 @confined
@@ -50,6 +59,7 @@ def export(
     tunable: tuple[str, ...],
     name: str | None,
     check: bool,
+    force: bool,
     as_json: bool,
     confine: Path | None,
 ) -> int:
@@ -59,7 +69,8 @@ def export(
     folder of C holds the code, a self-test with reference vectors as bits, build files, README and
     manifest. Single precision is run beside double along the scenario's own run.
     Exit code 1: the self-test or the accuracy fails; the files are written all the same.
-    A folder that is no earlier export is never replaced.
+    Of an earlier export in the folder its files are replaced, others stay; one that was edited, or
+    a folder that is no export, is refused without --force.
     `--to page` writes one HTML file in which the whole loop runs in a browser, with sliders.
     """
     from undeadzone.exports.export import export as run
@@ -71,7 +82,7 @@ def export(
     with tempfile.TemporaryDirectory() as scratch:
         kept = out if out is not None or check else Path("firmware")
         folder = Path(scratch) / "firmware" if kept is None else kept
-        result = run(problem, to, folder, precision, part, tunable, name, check)
+        result = run(problem, to, folder, precision, part, tunable, name, check, force)
     files = [] if kept is None else [str(path) for path in result.files]
     if as_json:
         print_json(result.report | {"written": files})

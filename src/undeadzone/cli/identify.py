@@ -7,9 +7,18 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import columns_option, flag, option, origin, strict_option, writable
+from undeadzone.cli.common import (
+    columns_option,
+    flag,
+    force_option,
+    option,
+    origin,
+    strict_option,
+    writable,
+)
 from undeadzone.cli.output import Output, common, named_files, partial_file
 from undeadzone.cli.untrusted import untrusted
+from undeadzone.support.own_files import require_own, write_own
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
@@ -38,12 +47,14 @@ if TYPE_CHECKING:
 @columns_option
 @strict_option
 @flag("--resume", "Continue where it was stopped, from DIR/identify.json.partial.")
+@force_option
 @untrusted
 @common
 def identify(
     logs: tuple[Path, ...],
     output: Output,
     resume: bool,
+    force: bool,
     **options: Any,
 ) -> int:
     """Find plant and dead zone from a log of a real plant.
@@ -62,7 +73,8 @@ def identify(
 
     first = logs[0]
     folder = output.folder(f"{first.stem}-identify")
-    beside = writable(output.out or Path())  # where the scenario goes
+    path = writable(output.out or Path()) / f"{first.stem}.toml"
+    require_own(path, force)
     keep = partial_file(folder, "identify.json", resume)
     with progress("identifying", None) as advance:
         names = [str(path) for path in logs]
@@ -71,8 +83,7 @@ def identify(
         written: list[Path] = [] if folder is None else [answer.save(folder / "identify.json")]
         reason = None
         if is_found or answer.verdict in WRITTEN:
-            path = beside / f"{first.stem}.toml"
-            scenario, reason = _scenario(answer, path)
+            scenario, reason = _scenario(answer, path, force)
             written = scenario + written
         if folder is not None and output.figures:
             written += _pages(answer, folder, first.name)
@@ -83,13 +94,12 @@ def identify(
     return 0 if is_found else 1
 
 
-def _scenario(answer: Answers, path: Path) -> tuple[list[Path], str | None]:
+def _scenario(answer: Answers, path: Path, force: bool) -> tuple[list[Path], str | None]:
     """The scenario that was written, or why there is none."""
     from undeadzone.errors import InputError
-    from undeadzone.support.files import write_text
 
     try:
-        return [write_text(answer.scenario(), path)], None
+        return [write_own(answer.scenario(), path, force)], None
     except InputError as error:
         return [], str(error)
 

@@ -14,10 +14,11 @@ from typing import Any, Final
 import click
 
 import undeadzone
-from undeadzone.cli.common import PATH, flag, option, print_blocks, print_json, say
+from undeadzone.cli.common import PATH, force_option, option, print_blocks, print_json, say
 from undeadzone.cli.output import Output, common
-from undeadzone.errors import FileError, InputError
-from undeadzone.support.files import read_text
+from undeadzone.errors import InputError
+from undeadzone.support.files import read_text, write_text
+from undeadzone.support.own_files import require_own
 
 OTHERS: Final = {
     "samples.csv": "A log for undeadzone watch and estimate, of asymmetric_noise",
@@ -31,7 +32,7 @@ OTHERS: Final = {
     "--example", "NAME", "Write an example, with the files that it names, in place of the template."
 )
 @click.option("--list", "as_list", is_flag=True, help="List the examples and write nothing.")
-@flag("--force", "Replace files that exist.")
+@force_option
 @common
 def init(
     file: Path | None,
@@ -48,11 +49,8 @@ def init(
         return _listed(output.as_json)
     texts = _texts(file, example, output.out or Path())
     for path in texts:
-        if path.exists() and not force:
-            raise FileError(f"{path}: exists already; choose another name or add --force")
-    from undeadzone.support.files import write_text
-
-    for path, text in texts.items():
+        require_own(path, force)
+    for path, text in texts.items():  # they are for the user to edit: without a mark
         write_text(text, path)
     if output.as_json:
         print_json({}, list(texts))

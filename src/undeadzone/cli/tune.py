@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import PATH, confined, flag, option, origin
+from undeadzone.cli.common import PATH, confined, flag, force_option, option, origin
 from undeadzone.cli.output import Output, common, partial_file
 from undeadzone.cli.untrusted import untrusted
+from undeadzone.support.own_files import require_own
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
 @option("--budget", "N", "Candidates tried in all (default: [tune] budget, 200).", type=int)
 @option("--seed", "N", "Of the runs and the search (default: [tune] seed).", type=int)
 @flag("--resume", "Continue a search that was stopped, from DIR/tuned.toml.partial.")
+@force_option
 @untrusted
 @confined
 @common
@@ -49,6 +51,7 @@ def tune(
     over: tuple[str, ...],
     resume: bool,
     output: Output,
+    force: bool,
     confine: Path | None,
     **changes: Any,
 ) -> int:
@@ -77,6 +80,8 @@ def tune(
 
     tuned = read(scenario, confine)
     folder = output.folder(f"{scenario.stem}-tune")
+    if folder is not None:
+        require_own(folder / "tuned.toml", force)
     wanted = _wanted(tuned, over, changes)
     keep = partial_file(folder, "tuned.toml", resume)
     with progress("tuning", wanted.budget, "candidates") as advance:

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,14 +19,19 @@ from undeadzone.cli.common import (
     confined,
     exit_code,
     print_blocks,
+    say,
     strict_option,
+    with_schema,
+    writable,
 )
 from undeadzone.cli.untrusted import untrusted
 from undeadzone.errors import FileError, Terminated
 
 if TYPE_CHECKING:
     from undeadzone.interfaces import Estimate
-    from undeadzone.simulation.follower import Follower, TextLog
+    from undeadzone.results.info import LogInfo
+    from undeadzone.simulation.follower import Follower
+    from undeadzone.simulation.live_log import LiveLog
     from undeadzone.support.arrays import Floats
 
 BLOCK = 1 << 20  # bytes that are read at once, if as many have come
@@ -37,10 +47,39 @@ BLOCK = 1 << 20  # bytes that are read at once, if as many have come
 )
 @columns_option
 @strict_option
+@click.option(
+    "--state",
+    type=click.Path(path_type=Path),
+    default=None,
+    metavar="FILE",
+    help="Keep the observer's state in FILE, and go on from it if it is there.",
+)
+@click.option(
+    "--every",
+    type=click.FloatRange(min=0, min_open=True),
+    default=10.0,
+    show_default=True,
+    metavar="SECONDS",
+    help="How often the state is saved.",
+)
+@click.option(
+    "--heartbeat",
+    type=click.FloatRange(min=0, min_open=True, max=threading.TIMEOUT_MAX),
+    default=None,
+    metavar="SECONDS",
+    help="Say so often on stderr how far it is, samples or none.",
+)
 @untrusted
 @confined
 def watch(
-    scenario: Path, as_json: bool, columns: str | None, strict: bool, confine: Path | None
+    scenario: Path,
+    as_json: bool,
+    columns: str | None,
+    strict: bool,
+    state: Path | None,
+    every: float,
+    heartbeat: float | None,
+    confine: Path | None,
 ) -> int:
     """Read samples from stdin, write one estimate per sample to stdout, flushed as they come.
 
@@ -48,49 +87,126 @@ def watch(
     units in brackets; other columns are ignored, and run.csv of `undeadzone run` is such a log.
     Without a header name the columns: --columns t=1,y=2,u=3. u acts until the next sample.
     Times must fit simulation.step; gaps in them, empty and NaN readings and lines that cannot be
-    read are missing samples: predicted, not corrected, and counted. The observer and [model] (or
-    [plant]) of the scenario are used; it needs no [reference], no [controller], no widths.
+    read are missing samples: predicted, not corrected, and counted. So is a line whose time fits
+    none of its neighbours; where time jumps for good the observer begins anew. --strict ends at
+    the first such line. The observer and [model] (or [plant]) of the scenario are used; it needs no
+    [reference], no [controller], no widths.
 
     Ends with a table on stderr, after Ctrl-C too: widths, what was missing, and whether the
-    readings are what the observer claims. Exit code 1: they are not.
+    readings are what the observer claims; with --json it is one JSON object in one line. Exit code
+    1: they are not.
     """
     from undeadzone.logs.names import parse_columns
-    from undeadzone.results.estimation import in_words
     from undeadzone.scenario.reader import read_for_logs
-    from undeadzone.simulation.follower import Follower, TextLog
+    from undeadzone.simulation.follower import Follower
+    from undeadzone.simulation.live_log import LiveLog
 
+    if state is not None:
+        writable(state.parent)
     watched = read_for_logs(scenario, confine)
     follower = Follower(watched, live=True)
-    log = TextLog("stdin", watched, follower, parse_columns(columns), strict)
+    log = LiveLog("stdin", watched, follower, parse_columns(columns), strict)
     if sys.stdin is None:
         raise FileError("stdin: it is closed; give lines of readings and inputs")
+    kept = Kept(state, every, follower, log)
     try:
-        _follow(log, follower, as_json)
+        with _beating(heartbeat, follower, log):
+            _follow(log, follower, kept, as_json)
     except (KeyboardInterrupt, Terminated):  # a live log ends this way
         if follower.samples:
-            print_blocks(in_words(log.info(follower)), err=True)
+            _say_end(log.info(follower), as_json)
         raise
     info = log.info(follower)
-    print_blocks(in_words(info), err=True)
+    _say_end(info, as_json)
     return exit_code(info)
 
 
-def _follow(log: TextLog, follower: Follower, as_json: bool) -> None:
+class Kept:
+    """What the watch has come to, kept in a file; read at once if it is there.
+
+    Args:
+        path: of the file; None: nothing is kept.
+        every: time between two savings [s].
+        follower, log: what is kept.
+    """
+
+    def __init__(self, path: Path | None, every: float, follower: Follower, log: LiveLog) -> None:
+        self._path, self._every = path, every
+        self._parts = {"follower": follower, "clock": log.clock}
+        self._digest = follower.digest
+        self._saved = time.monotonic()
+        if path is not None and path.exists():
+            from undeadzone.simulation.saved_state import load
+
+            load(path, self._parts, self._digest)
+            follower.go_on()
+
+    def save(self, when_due: bool = False) -> None:
+        """Replace the file; when_due: only if so much time has passed. Raises FileError."""
+        if self._path is None or (when_due and time.monotonic() - self._saved < self._every):
+            return
+        from undeadzone.simulation.saved_state import save
+
+        save(self._path, self._parts, self._digest)
+        self._saved = time.monotonic()
+
+
+@contextmanager
+def _beating(seconds: float | None, follower: Follower, log: LiveLog) -> Iterator[None]:
+    """Say on stderr every so many seconds how far the watch is, while this lasts."""
+    ended = threading.Event()
+
+    def beat() -> None:
+        seen, idle = follower.samples, 0.0
+        while not ended.wait(seconds):
+            idle = idle + (seconds or 0.0) if follower.samples == seen else 0.0
+            seen, faults = follower.samples, sum(log.clock.faults.by_kind.values())
+            say(f"alive: {seen} samples, {faults} faults, {idle:g} s without a sample", err=True)
+
+    beats = threading.Thread(target=beat, daemon=True)
+    if seconds is not None:
+        beats.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        if seconds is not None:
+            beats.join()
+
+
+def _follow(log: LiveLog, follower: Follower, kept: Kept, as_json: bool) -> None:
     """Answer every sample on stdin until it ends."""
     stdin: Any = sys.stdin.buffer
+    text = _json if as_json else _csv
     last = False
     header = not as_json
     while not last:
-        data = stdin.read1(BLOCK)
+        try:
+            data = stdin.read1(BLOCK)
+        except (KeyboardInterrupt, Terminated):  # all that came in was followed
+            kept.save()
+            raise
         last = not data
-        samples = log.feed(data, last)
-        if not samples.t.size:
-            continue
-        estimate, sides, _ = follower.follow(samples)
-        if header:
-            _write(_header(estimate, sides))
-            header = False
-        _write(_json(samples.t, estimate, sides) if as_json else _csv(samples.t, estimate, sides))
+        for begins, samples in log.pieces(data, last):
+            if begins:
+                follower.restart()
+            estimate, sides, _ = follower.follow(samples)
+            if header:
+                _write(_header(estimate, sides))
+                header = False
+            _write(text(samples.t, estimate, sides))
+        kept.save(when_due=not last)
+
+
+def _say_end(info: LogInfo, as_json: bool) -> None:
+    """What the log comes to, on stderr."""
+    from undeadzone.results.estimation import in_words
+    from undeadzone.support.arrays import finite
+
+    if as_json:
+        say(json.dumps(finite(with_schema(info.summary())), allow_nan=False), err=True)
+    else:
+        print_blocks(in_words(info), err=True)
 
 
 def _write(text: bytes) -> None:

@@ -56,6 +56,7 @@ def export(
     tunable: tuple[str, ...] = (),
     name: str | None = None,
     check: bool = False,
+    force: bool = False,
 ) -> Exported:
     """Write a scenario's observer as C99 that runs without a library.
 
@@ -64,12 +65,15 @@ def export(
         to: "c"; "arduino" for a library of the Arduino IDE; "fmu2" or "fmu3" for an FMU for
             co-simulation; "python" for a module that needs no undeadzone;
             "page" for one HTML file in which the scenario's loop runs.
-        out: folder for the files, or the HTML file; replaced if it is an earlier export.
+        out: folder for the files, or the HTML file; replaced if it is an earlier export. Other
+            files in the folder stay.
         precision: "single" for float, or "double"; default: double but for "c" and "arduino".
         part: "observer", or "observer+controller".
         tunable: numbers that stay parameters of the code, such as "observer.gamma".
         name: what every symbol begins with; default: made of the scenario's title.
         check: also build the self-test with this computer's compiler and run it (not for Arduino).
+        force: replace files in the folder that someone else wrote or edited, where they are in the
+            way; other files stay all the same.
 
     Returns:
         The files, and a report. Accuracy is measured where there is a C compiler; single
@@ -83,10 +87,10 @@ def export(
     precision = targets.PRECISION[to] if precision is None else precision
     _require("precision", precision, PRECISIONS)
     if to == "page":
-        _require_plain(precision, part, tunable, name, check)
+        _require_plain(precision, part, tunable, name, check, force)
         return Exported([Path(out)], write_page(scenario, Path(out)))
     prefix = _prefix(name, scenario.title)
-    folder.require_replaceable(Path(out))
+    folder.require_replaceable(Path(out), force)
     targets.require_possible(to, prefix)
     problem = resolve_scenario(scenario)
     step = parts.build(problem, part, tuple(tunable))
@@ -101,7 +105,7 @@ def export(
     vectors = reference(printed, chosen(rows[: problem.steps + 1], step.readings))
     tested = selftest(printed, prefix, vectors)
     files = targets.files(to, Material(printed, text, tested, scenario.units, report))
-    written = folder.write_folder(files, Path(out))
+    written = folder.write_folder(files, Path(out), force)
     if check and to != "arduino":
         passed, said = compiler.self_tested(text.files(prefix) | {f"{prefix}_test.c": tested})
         report["self_test"] = said
@@ -117,7 +121,7 @@ def _require(key: str, value: str, known: tuple[str, ...]) -> None:
 
 
 def _require_plain(
-    precision: str, part: str, tunable: tuple[str, ...], name: str | None, check: bool
+    precision: str, part: str, tunable: tuple[str, ...], name: str | None, check: bool, force: bool
 ) -> None:
     """Raise InputError for an option that means nothing to a page."""
     options = {
@@ -126,6 +130,7 @@ def _require_plain(
         "tunable": tunable,
         "name": name,
         "check": check,
+        "force": force,
     }
     for key, value in options.items():
         if value:

@@ -118,6 +118,11 @@ class Layout(NamedTuple):
         first = [] if self.time is None else [self.time]
         return first + self.readings + self.inputs
 
+    @property
+    def timed(self) -> bool:
+        """Whether it has times in seconds."""
+        return self.time is not None and self.seconds is not None
+
 
 def parse_columns(text: str | None) -> dict[str, str]:
     """The columns that --columns names, by signal.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -50,6 +50,8 @@ class RangeEnds(NamedTuple):
 
 class RunningEnds:
     """Where readings stick that come in block after block."""
+
+    KEPT: Final = ("_upper", "_lower")
 
     def __init__(self) -> None:
         self._upper, self._lower = _End(), _End()
@@ -103,6 +105,8 @@ class _End:
         top: the largest reading.
         count: how many readings are there.
     """
+
+    KEPT: Final = ("top", "count", "_total", "_before", "_speed", "_y", "_ok")
 
     def __init__(self) -> None:
         self.top = -np.inf

@@ -13,7 +13,15 @@ import numpy.typing as npt
 
 from undeadzone.errors import FileError
 from undeadzone.logs.names import Layout, layout_of_numbers, layout_of_titles
-from undeadzone.logs.text import LARGEST, Dialect, Text, dialect_of, is_content
+from undeadzone.logs.text import (
+    LARGEST,
+    LONGEST_LINE,
+    Dialect,
+    Text,
+    dialect_of,
+    flaw,
+    is_content,
+)
 from undeadzone.support.arrays import Floats
 
 Lines = npt.NDArray[np.int64]
@@ -25,6 +33,10 @@ JITTER: Final = 0.25  # of the step: how far a sample may be from where it shoul
 LONGEST: Final = 100_000  # steps of a gap
 MOST: Final = 10  # steps per sample, on average, in a block of samples
 WATCHED: Final = 1000  # intervals whose median is compared with the step
+# What can be wrong with a line: it holds bytes of 0, is too long, has too few or many values, one
+# that is no number, no time, or a time that fits none of its neighbours; or it begins anew, in
+# another time, and others follow it.
+KINDS: Final = ("zero_bytes", "too_long", "values", "number", "no_time", "time", "jump")
 
 
 class Samples(NamedTuple):
@@ -43,6 +55,59 @@ class Samples(NamedTuple):
     lines: Lines
 
 
+class Fault(NamedTuple):
+    """What is wrong with a line.
+
+    Attributes:
+        line: its number.
+        kind: one of `KINDS`.
+        why: in words.
+    """
+
+    line: int
+    kind: str
+    why: str
+
+
+class Faults:
+    """What was wrong with lines so far, by kind.
+
+    Args:
+        source: the log, for messages.
+        strict: whether the first fault is an error.
+
+    Attributes:
+        counts: how many faults there were of each of `KINDS`.
+        why: what the first of them is; empty if there is none.
+    """
+
+    KEPT: Final = ("counts", "why")
+
+    def __init__(self, source: str, strict: bool) -> None:
+        self.counts = np.zeros(len(KINDS), np.int64)
+        self.why = ""
+        self._line = 0  # of the first one
+        self._source, self._strict = source, strict
+
+    def add(self, fault: Fault) -> None:
+        """Count a fault. Raises FileError where `strict` is set."""
+        if self._strict:
+            raise FileError(f"{self._source}, line {fault.line}: {fault.why}")
+        self.counts[KINDS.index(fault.kind)] += 1
+        if not self.why or fault.line < self._line:
+            self._line, self.why = fault.line, f"line {fault.line}: {fault.why}"
+
+    @property
+    def unreadable(self) -> int:
+        """The lines that could not be read."""
+        return int(self.counts[: KINDS.index("jump")].sum())
+
+    @property
+    def by_kind(self) -> dict[str, int]:
+        """How many there were of each kind, without kinds of which there was none."""
+        return {KINDS[k]: int(self.counts[k]) for k in np.flatnonzero(self.counts)}
+
+
 class LogReader:
     """The samples of a CSV log, from bytes as they come in.
 
@@ -53,11 +118,13 @@ class LogReader:
             have a header.
         strict: whether a line that cannot be read is an error; else it is counted, and its
             sample is missing.
+        live: whether lines come one by one: the dialect is then told by the header and one line,
+            or by the first line alone, in whatever pieces they come.
 
     Attributes:
         layout: where the log has what; None before its first sample.
-        unreadable: how many lines could not be read.
-        why: why the first of these could not; empty if all could.
+        faults: the lines that could not be read.
+        latest: these among the lines that came last.
     """
 
     def __init__(
@@ -67,16 +134,28 @@ class LogReader:
         m: int | None,
         chosen: Mapping[str, str],
         strict: bool = False,
+        live: bool = False,
     ) -> None:
         self.layout: Layout | None = None
-        self.unreadable = 0
-        self.why = ""
+        self.faults = Faults(source, strict)
+        self.latest: list[Fault] = []
+        self._live = live
         self._source, self._p, self._m = source, p, m
-        self._chosen, self._strict = chosen, strict
+        self._chosen = chosen
         self._text = Text(source)
         self._dialect: Dialect | None = None
         self._first: list[tuple[int, str]] = []  # lines that wait for the dialect to be known
         self._count = 0  # lines read
+
+    @property
+    def unreadable(self) -> int:
+        """How many lines could not be read."""
+        return self.faults.unreadable
+
+    @property
+    def why(self) -> str:
+        """Why the first of these could not; empty if all could."""
+        return self.faults.why
 
     def feed(self, data: bytes, last: bool = False) -> Samples:
         """The samples in the lines that are whole now.
@@ -89,10 +168,11 @@ class LogReader:
             FileError: this is no text, a column cannot be told, or a line cannot be read and
                 `strict` is set.
         """
+        self.latest = []
         numbered = self._first + self._numbered(self._text.feed(data, last))
         self._first = []
         if self._dialect is None and numbered:
-            lines = [line for _, line in numbered[:FIRST]]
+            lines = self._telling([line for _, line in numbered[:FIRST]])
             dialect = dialect_of(lines)
             if dialect.heads and len(lines) < 2 and not last:
                 self._first = numbered  # a line of units may follow
@@ -105,11 +185,18 @@ class LogReader:
             return self._none()
         return self._samples(numbered, self._dialect, self.layout)
 
+    def _telling(self, lines: list[str]) -> list[str]:
+        """Those of the first lines that tell the dialect: when live, as few as will do."""
+        if not self._live:
+            return lines
+        return lines[:2] if dialect_of(lines[:1]).heads else lines[:1]
+
     def _numbered(self, lines: Sequence[str]) -> list[tuple[int, str]]:
         """The lines with content, with their numbers."""
         first = self._count + 1
         self._count += len(lines)
-        return [(k, line) for k, line in enumerate(lines, first) if is_content(line)]
+        numbered = enumerate((line[: LONGEST_LINE + 1] for line in lines), first)
+        return [(k, line) for k, line in numbered if is_content(line)]
 
     def _layout(self, dialect: Dialect) -> Layout:
         """Where the log has what. Raises FileError."""
@@ -121,7 +208,7 @@ class LogReader:
         """Raise FileError where the first line without a header says nothing of the columns."""
         if dialect.titles is None and lines:
             number, line = lines[0]
-            why = self._problem(dialect.cells(line), dialect)
+            _, why = self._problem(line, dialect)
             if why:
                 raise FileError(f"{self._source}, line {number}: {why}")
 
@@ -152,30 +239,28 @@ class LogReader:
         """The numbers of the columns that are used; a line that cannot be read gives NaN."""
         values = np.full((len(numbered), len(layout.columns)), np.nan)
         for row, (number, line) in enumerate(numbered):
-            cells = dialect.cells(line)
-            if len(cells) == dialect.width:
-                read = [dialect.number(cells[k]) for k in layout.columns]
-                if None not in read:
-                    values[row] = read
-                    continue
-            self._refuse(number, self._problem(cells, dialect))
+            kind, why = self._problem(line, dialect)
+            if why:
+                fault = Fault(number, kind, why)
+                self.faults.add(fault)
+                self.latest.append(fault)
+            else:
+                cells = dialect.cells(line)
+                values[row] = [dialect.number(cells[k]) for k in layout.columns]
         return values
 
-    def _problem(self, cells: Sequence[str], dialect: Dialect) -> str:
-        """Why a line cannot be read; empty if it can."""
+    def _problem(self, line: str, dialect: Dialect) -> tuple[str, str]:
+        """Why a line cannot be read, as kind and words; empty if it can."""
+        kind, why = flaw(line)
+        if why:
+            return kind, why
+        cells = dialect.cells(line)
         if len(cells) != dialect.width:
-            return f"expected {dialect.width} values, found {len(cells)}"
+            return "values", f"expected {dialect.width} values, found {len(cells)}"
         for k in self.layout.columns if self.layout else ():
             if dialect.number(cells[k]) is None:
-                return f"expected a number or nothing, found {cells[k]!r:.40}"
-        return ""
-
-    def _refuse(self, number: int, why: str) -> None:
-        """Count a line that cannot be read. Raises FileError where `strict` is set."""
-        if self._strict:
-            raise FileError(f"{self._source}, line {number}: {why}")
-        self.unreadable += 1
-        self.why = self.why or f"line {number}: {why}"
+                return "number", f"expected a number or nothing, found {cells[k]!r:.40}"
+        return "", ""
 
 
 def counted_lines(count: int) -> str:
@@ -185,7 +270,7 @@ def counted_lines(count: int) -> str:
 
 def _at_once(lines: list[str], dialect: Dialect, layout: Layout) -> Floats | None:
     """The numbers of the columns that are used, read by NumPy; None where a line is not plain."""
-    if dialect.separator == " ":
+    if dialect.separator == " " or any(len(line) > LONGEST_LINE for line in lines):
         return None
     between = {line.count(dialect.separator) for line in lines}
     if between != {dialect.width - 1}:
@@ -199,9 +284,7 @@ def _at_once(lines: list[str], dialect: Dialect, layout: Layout) -> Floats | Non
         )
     except ValueError:
         return None
-    with np.errstate(invalid="ignore"):
-        strange = (np.abs(values) > LARGEST) & np.isfinite(values)
-    return None if strange.any() else values
+    return None if (np.abs(values) > LARGEST).any() else values
 
 
 class Regular(NamedTuple):
@@ -316,11 +399,7 @@ class Grid:
         self.measured = usual
         if abs(usual - self._step) <= TOLERANCE * self._step:
             return
-        raise FileError(
-            f"{self._source}: its samples are {usual:.6g} s apart, but the scenario's step is "
-            f"{self._step:g} s: set simulation.step = {usual:.6g} if the log is right"
-            f"{_unit_hint(usual / self._step)}"
-        )
+        raise other_step(usual, self._step, self._source)
 
     def _filled(self, t: Floats, y: Floats, u: Floats, steps: Floats) -> Regular:
         """The samples, and missing ones in the gaps before them."""
@@ -356,6 +435,20 @@ def filled(samples: Regular, steps: Floats, step: float) -> Regular:
     behind = np.arange(total) - following  # steps before the next sample, 0 at samples
     full.t[:] = full.t[following] + behind * step
     return full
+
+
+def other_step(usual: float, step: float, source: str) -> FileError:
+    """That the samples of a log are another step apart than the scenario says.
+
+    Args:
+        usual: time between two samples of the log [s].
+        step: of the scenario [s].
+        source: the log.
+    """
+    return FileError(
+        f"{source}: its samples are {usual:.6g} s apart, but the scenario's step is {step:g} s: "
+        f"set simulation.step = {usual:.6g} if the log is right{_unit_hint(usual / step)}"
+    )
 
 
 def _unit_hint(ratio: float) -> str:

@@ -17,7 +17,7 @@ from undeadzone.logs.names import Title, split_unit
 from undeadzone.support.files import LARGEST_RUN, reason, require_plain
 
 BLOCK: Final = 1 << 22  # bytes of a file that are read at once
-LONGEST: Final = 65_536  # characters of a line; a longer one is no line of numbers
+LONGEST_LINE: Final = 65_536  # characters of a line; a longer one is no line of numbers
 _MARKS: Final = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 REMARKS: Final = ("#", "%", "//")
 # What stands in a cell whose number is missing.
@@ -26,6 +26,7 @@ MISSING: Final = frozenset(
 )
 LARGEST: Final = 1e50  # beyond this no unit makes sense
 _BLANKS_BETWEEN: Final = re.compile(r"\d,\d+ +[-+]?\d")
+_ESCAPED: Final = re.compile("[\udc80-\udcff]+")
 BRACKETED: Final = re.compile(r"^\[.*\]$|^\(.*\)$")
 
 
@@ -51,7 +52,10 @@ def blocks_of(path: Path, largest: int = LARGEST_RUN) -> Iterator[tuple[bytes, b
 
 
 class Text:
-    """Bytes in, whole lines out: UTF-8, UTF-16 with its mark, else Windows' Western European.
+    """Bytes in, whole lines out: UTF-8, UTF-16 with its mark, Windows' Western European.
+
+    Lines are the same in whatever pieces the bytes come. A line that begins is kept up to one
+    character more than `LONGEST_LINE`: that says enough of it, and an endless one fills no memory.
 
     Args:
         source: where the bytes come from, for messages.
@@ -60,49 +64,72 @@ class Text:
     def __init__(self, source: str) -> None:
         self._source = source
         self._decoder: codecs.IncrementalDecoder | None = None
+        self._mark = b""  # a first byte, which may begin a mark
         self._rest = ""  # a line that has begun
+        self._is_text = False  # whether a line with content came
 
     def feed(self, data: bytes, last: bool = False) -> list[str]:
         """The lines that are whole now, without their ends.
 
         Args:
-            data: the bytes that came in; the first call has two at least, if there are two.
+            data: the bytes that came in.
             last: whether no more will come; then the line that has begun is whole.
 
         Raises:
-            FileError: this is no text.
+            FileError: this is no text: the first line with content is none (`flaw`).
         """
         text = self._rest + self._decoded(data, last)
-        if "\0" in text:
-            raise FileError(f"{self._source}: not CSV text (it holds bytes of 0)")
         if last:
             text += "\n"
         held_back = "\r" if text.endswith("\r") else ""
         text = text.removesuffix("\r").replace("\r\n", "\n").replace("\r", "\n")
         *lines, rest = text.split("\n")
-        self._rest = rest + held_back
-        if max(map(len, (rest, *lines))) > LONGEST:
-            self._refuse_long((rest, *lines))
+        if not self._is_text:
+            self._require_text(lines, rest)
+        self._rest = rest[: LONGEST_LINE + 1] + held_back
         return lines
 
-    def _refuse_long(self, lines: tuple[str, ...]) -> None:
-        """Raise FileError for a long line that is no remark."""
-        for line in lines:
-            if len(line) > LONGEST and not line.startswith(("#", "%", "//")):
-                raise FileError(
-                    f"{self._source}: not CSV text (a line of more than {LONGEST} characters)"
-                )
+    def _require_text(self, lines: Sequence[str], rest: str) -> None:
+        """Raise FileError where the first line with content is no text, or begins as none."""
+        for k, line in enumerate((*lines, rest)):
+            if not is_content(line[: LONGEST_LINE + 1]):
+                continue
+            _, why = flaw(line)
+            if why:
+                raise FileError(f"{self._source}: not CSV text ({why})")
+            self._is_text = k < len(lines)
+            return
 
     def _decoded(self, data: bytes, last: bool) -> str:
         """The text of the bytes that came in."""
         if self._decoder is None:
-            encoding = "utf-16" if data[:2] in _MARKS else "utf-8-sig"
-            self._decoder = codecs.getincrementaldecoder(encoding)()
-        try:
-            return self._decoder.decode(data, last)
-        except UnicodeDecodeError:
-            self._decoder = codecs.getincrementaldecoder("cp1252")("replace")
-            return self._decoder.decode(data, last)
+            data = self._mark + data
+            if len(data) < 2 and not last:
+                self._mark = data
+                return ""
+            is_wide = data[:2] in _MARKS
+            make = codecs.getincrementaldecoder("utf-16" if is_wide else "utf-8-sig")
+            self._decoder = make("replace" if is_wide else "surrogateescape")
+        text = self._decoder.decode(data, last)
+        return text if text.isascii() else _ESCAPED.sub(_western, text)
+
+
+def _western(found: re.Match[str]) -> str:
+    """Bytes that are no UTF-8, as Windows' Western European."""
+    return found[0].encode("utf-8", "surrogateescape").decode("cp1252", "replace")
+
+
+def flaw(line: str) -> tuple[str, str]:
+    """Why a line can be none of numbers, whatever it holds, as kind and words; else empty.
+
+    Args:
+        line: with content.
+    """
+    if "\0" in line[: LONGEST_LINE + 1]:
+        return "zero_bytes", "it holds bytes of 0"
+    if len(line) > LONGEST_LINE:
+        return "too_long", f"a line of more than {LONGEST_LINE} characters"
+    return "", ""
 
 
 class Dialect(NamedTuple):

@@ -6,7 +6,7 @@ import dataclasses
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Final
 
 import numpy as np
 
@@ -129,6 +129,17 @@ class Estimation:
         return cls(*files.read(Path(path), LOG, LogInfo))
 
 
+FAULTS: Final = {  # by kind, after a number
+    "zero_bytes": "with bytes of 0",
+    "too_long": "too long",
+    "values": "with too few or many values",
+    "number": "with what is no number",
+    "no_time": "without a time",
+    "time": "whose time fits no neighbour",
+    "jump": "at which time jumped and the observer began anew",
+}
+
+
 def in_words(info: LogInfo) -> list[Block]:
     """What a log comes to: pairs, and of several outputs a table with their rows."""
     single = len(info.d_right) == 1
@@ -142,6 +153,8 @@ def in_words(info: LogInfo) -> list[Block]:
     if info.unreadable:
         lines = counted_lines(info.unreadable)
         shown["unreadable"] = f"{lines}, counted as missing; {info.why_unreadable}"
+    if info.faults:
+        shown["faults"] = ", ".join(f"{n} {FAULTS[kind]}" for kind, n in info.faults.items())
     if single:
         estimated = "" if info.adapts else " (not estimated)"
         shown |= sheet.in_text(row._replace(note=estimated) for row in widths(info, 0))

@@ -101,7 +101,9 @@ class LogInfo(msgspec.Struct, frozen=True, kw_only=True):
         missing: how many of them have a reading missing.
         gaps: how many of these are in gaps of the log's times.
         unreadable: lines that could not be read.
-        why_unreadable: what the first of these is.
+        why_unreadable: what the first fault is.
+        faults: how many lines are wrong in which way, by kind (docs/watch.md); lasting jumps in
+            time, at which the observer began anew, are among them.
         right, left, silent: samples on each measured side, of each output (p).
         d_right, d_left: final widths (p) [z].
         d_right_std, d_left_std: their standard deviations (p) [z]; None: the observer gives none.
@@ -158,6 +160,7 @@ class LogInfo(msgspec.Struct, frozen=True, kw_only=True):
     remarks: list[str] = []
     sensor: str = "deadzone"
     play: dict[str, Any] = {}
+    faults: dict[str, int] = {}
 
     def summary(self) -> dict[str, Any]:
         """The numbers, ready for JSON; lists where there are several outputs."""

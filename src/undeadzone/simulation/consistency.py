@@ -59,18 +59,27 @@ class Consistency:
         quarter_period: of the plant [s].
     """
 
+    KEPT: Final = (
+        *("B", "used", "refused", "silent", "outside"),
+        *("_sums", "_squares", "_samples", "_exceeded"),
+    )
+
     def __init__(self, step: float, quarter_period: float) -> None:
-        self.B = 1.0
         self.used = 0
         self.refused = 0
         self.silent = 0
         self.outside = 0
-        self._sums = np.array([0.0, 0.0, 1.0])  # total, count, ratio
         self._graph = _graph()
         self._rates = np.exp(-step / quarter_period / np.array([SPAN, HISTORY]))
         self._squares = 0.0
         self._samples = 0
         self._exceeded = 0  # samples at which B was beyond its limit
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin anew, as the observer does; what was counted stays."""
+        self.B = 1.0
+        self._sums = np.array([0.0, 0.0, 1.0])  # total, count, ratio
 
     def add(self, innovation: Floats, std: Floats) -> Floats:
         """B after each of the next samples (N).
@@ -87,7 +96,7 @@ class Consistency:
         nu = np.where(counted, nu, 0.0)
         self.used += int(used.sum())
         self.refused += int(far.sum())
-        self._squares += float(nu @ nu)
+        self._squares = float(np.cumsum([self._squares, *nu * nu])[-1])  # as one by one
         if not nu.size:
             return np.empty(0)
         rows = np.column_stack([nu, counted])
@@ -144,11 +153,18 @@ class Own:
         refused: readings that it took for wrong, so far.
     """
 
+    KEPT: Final = ("last", "refused", "_samples", "_unfit", "_before")
+
     def __init__(self) -> None:
         self.last = True
         self.refused = 0
         self._samples = 0
         self._unfit = 0
+        self._before = 0  # refused before the filter began anew
+
+    def restart(self) -> None:
+        """The filter begins anew; what was counted stays."""
+        self._before = self.refused
 
     def add(self, estimate: Estimate) -> None:
         """The next estimates, of a filter that judges itself."""
@@ -157,7 +173,7 @@ class Own:
         self._unfit += int((~fits).sum())
         if fits.size:
             self.last = bool(fits[-1])
-            self.refused = int(estimate.refused[-1].sum())
+            self.refused = self._before + int(estimate.refused[-1].sum())
 
     @property
     def unfit(self) -> float:

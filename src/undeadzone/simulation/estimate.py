@@ -112,7 +112,7 @@ def _of_log(
     samples, layout = samples_of(Path(log) if is_path else log, model.p, model.m, chosen, source)
     require_units(layout, scenario.units, source)
     grid = Grid(scenario.simulation.step, source)
-    regular = grid.place(samples, layout.time is not None and layout.seconds is not None)
+    regular = grid.place(samples, layout.timed)
     return _limited(regular, source), lambda: follower.info(source, layout, grid)
 
 

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import Final
 
 import numpy as np
 
 from undeadzone.errors import FileError
 from undeadzone.interfaces import Estimate, graph_of
+from undeadzone.logs.clock import Clock
 from undeadzone.logs.names import Layout
 from undeadzone.logs.range_ends import RunningEnds
-from undeadzone.logs.samples import MOST_UNREADABLE, Grid, LogReader, Regular
+from undeadzone.logs.samples import MOST_UNREADABLE, Faults, Grid, LogReader, Regular
 from undeadzone.plants.time_scales import state_units, time_scale
 from undeadzone.results.info import LogInfo
 from undeadzone.results.signals import final, of_estimate
@@ -37,10 +39,22 @@ class Follower:
         zone: the dead zone.
         observer: as it is built for both.
         samples: how many came in.
+        KEPT: names of what a saved state holds, as in all that this holds (`saved_state`).
 
     Raises:
         InputError: or a subclass, for what is wrong with the scenario.
     """
+
+    KEPT: Final = (
+        "samples",
+        "_online",
+        "_tests",
+        "_own",
+        "_counts",
+        "_missing",
+        "_ends",
+        "_diverged",
+    )
 
     def __init__(self, scenario: Scenario, live: bool = False) -> None:
         simulation = scenario.simulation
@@ -64,6 +78,31 @@ class Follower:
         self._ends = [RunningEnds() for _ in range(undeclared)]
         self._diverged = False
         self._last: Estimate | None = None
+        if self._online is not None:
+            self._make_tests(self._online.latest)
+
+    @property
+    def digest(self) -> str:
+        """Of all that the observer of a live log is but for its state."""
+        assert self._online is not None
+        return self._online.digest
+
+    def go_on(self) -> None:
+        """Go on from numbers that were read."""
+        if self.samples and self._online is not None:
+            self._last = Estimate(*[part.copy() for part in self._online.latest])
+
+    def restart(self) -> None:
+        """Let the observer begin anew; what was counted stays.
+
+        Only of a log that comes in live.
+        """
+        assert self._online is not None
+        self._online.restart()
+        for test in self._tests or []:
+            test.restart()
+        if self._own is not None:
+            self._own.restart()
 
     def follow(
         self, samples: Regular, progress: Callable[[int], None] | None = None
@@ -113,16 +152,12 @@ class Follower:
 
     def _test(self, estimate: Estimate, silent: Floats) -> Floats:
         """Test these estimates; B after each (N x p, N x 0 where no test exists)."""
-        outputs = estimate.innovation_std.shape[1]
         if self._tests is None:
-            flow = self.model.linear if self.model.flow is None else self.model.flow
-            quarter = time_scale(flow)
-            step = self._scenario.simulation.step
-            self._tests = [Consistency(step, quarter) for _ in range(outputs)]
-            self._own = Own() if estimate.consistent.shape[1] else None
+            self._make_tests(estimate)
+        assert self._tests is not None
         if self._own is not None:
             self._own.add(estimate)
-        along = np.empty((len(silent), outputs))
+        along = np.empty((len(silent), len(self._tests)))
         band = self.zone.threshold / self.zone.slope
         for i, test in enumerate(self._tests):
             along[:, i] = test.add(estimate.innovation[:, i], estimate.innovation_std[:, i])
@@ -130,13 +165,20 @@ class Follower:
                 test.add_silences(estimate, i, silent[:, i], float(band[i]))
         return along
 
+    def _make_tests(self, estimate: Estimate) -> None:
+        """The tests that estimates like this one allow."""
+        flow = self.model.linear if self.model.flow is None else self.model.flow
+        quarter, step = time_scale(flow), self._scenario.simulation.step
+        outputs = estimate.innovation_std.shape[-1]
+        self._tests = [Consistency(step, quarter) for _ in range(outputs)]
+        self._own = Own() if estimate.consistent.shape[-1] else None
+
     def info(
         self,
         source: str,
         layout: Layout | None,
-        grid: Grid,
-        unreadable: int = 0,
-        why_unreadable: str = "",
+        grid: Grid | Clock,
+        faults: Faults | None = None,
     ) -> LogInfo:
         """What the log comes to.
 
@@ -144,14 +186,15 @@ class Follower:
             source: the log.
             layout: where it has what; None for arrays.
             grid: which put it on the scenario's steps.
-            unreadable: lines that could not be read.
-            why_unreadable: what the first of these is.
+            faults: what was wrong with its lines; None of arrays.
 
         Raises:
             FileError: there are no samples.
         """
+        faults = faults or Faults(source, strict=False)
+        unreadable = faults.unreadable
         if self._last is None:
-            seen = f" that can be read; {why_unreadable}" if unreadable else ""
+            seen = f" that can be read; {faults.why}" if faults.why else ""
             raise FileError(f"{source}: no samples{seen}; give lines of times, readings and inputs")
         last, scenario = self._last, self._scenario
         stds = None
@@ -178,7 +221,8 @@ class Follower:
             missing=self._missing,
             gaps=grid.gaps,
             unreadable=unreadable,
-            why_unreadable=why_unreadable,
+            why_unreadable=faults.why,
+            faults=faults.by_kind,
             right=right,
             left=left,
             silent=silent,
@@ -266,10 +310,8 @@ class TextLog:
         if layout is not None and not self._checked:
             require_units(layout, self._units, self._source)
             self._checked = True
-        timed = layout is not None and layout.time is not None and layout.seconds is not None
-        return self.grid.place(samples, timed)
+        return self.grid.place(samples, layout is not None and layout.timed)
 
     def info(self, follower: Follower) -> LogInfo:
         """What the log comes to. Raises FileError."""
-        reader = self.reader
-        return follower.info(self._source, reader.layout, self.grid, reader.unreadable, reader.why)
+        return follower.info(self._source, self.reader.layout, self.grid, self.reader.faults)

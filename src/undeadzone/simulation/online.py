@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import casadi as ca
@@ -174,6 +175,8 @@ class Online:
         InputError: or a subclass, as a scenario would.
     """
 
+    KEPT: Final = ("samples", "missing", "state")
+
     def __init__(
         self,
         observer: ObserverOptions,
@@ -195,8 +198,29 @@ class Online:
         self.latest = Estimate(*[self._out[part] for part in where.estimate])
         self._entries, self._last = self._w.data, self._out.data
         self._is_single = (self.model.p, self.model.m) == (1, 1)
+        self._graph, self._start, self._params = graph, state, params
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin anew, as if no sample had come in; what was counted stays."""
+        self._step.state[:] = self._start
         self._out[:] = np.nan
-        self._out[where.side] = 0.0
+        self._out[self._where.side] = 0.0
+
+    @property
+    def digest(self) -> str:
+        """Of all that the observer is, whatever it has seen."""
+        numbers = np.concatenate([self._start, self._params])
+        return hashlib.sha256(self._graph.serialize().encode() + numbers.tobytes()).hexdigest()
+
+    @property
+    def state(self) -> Floats:
+        """The observer's state and what it gave last, as one vector; it may be set."""
+        return np.concatenate([self._step.state, self._out])
+
+    @state.setter
+    def state(self, numbers: Floats) -> None:
+        self._step.state[:], self._out[:] = np.split(numbers, [self._step.state.size])
 
     @property
     def side(self) -> Floats:

@@ -22,6 +22,7 @@ from undeadzone.statistics.intervals import LEVEL, QUANTILES, Interval
 from undeadzone.support import shown, toml
 from undeadzone.support.arrays import Floats, finite
 from undeadzone.support.files import write_text
+from undeadzone.support.own_files import marked
 from undeadzone.tuning.candidates import Objective, statistic
 from undeadzone.tuning.parameters import Parameter
 
@@ -163,7 +164,7 @@ class Tuned:
             f"# {len(self.trials)} candidates on {self.what.runs} runs each, seed {self.seed}.\n"
         )
         here = Path(os.path.relpath(Path(), path.parent))  # from the file's folder
-        return write_text(head + toml.dumps(anchored(self.scenarios[index], here)), path)
+        return write_text(marked(head + toml.dumps(anchored(self.scenarios[index], here))), path)
 
     def summary(self) -> dict[str, Any]:
         """Everything found, ready for JSON.

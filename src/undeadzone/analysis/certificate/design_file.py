@@ -22,6 +22,7 @@ from undeadzone.linear.matrices import Matrices
 from undeadzone.support import shown, toml
 from undeadzone.support.arrays import Floats, matrix, vector
 from undeadzone.support.files import read_text, reason, write_text
+from undeadzone.support.own_files import marked
 
 Matrix = list[list[float]]
 
@@ -169,7 +170,7 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         Raises:
             FileError: if it cannot be written.
         """
-        return write_text(toml.dumps(self), Path(path))
+        return write_text(marked(toml.dumps(self)), Path(path))
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Design:

@@ -1,0 +1,248 @@
+"""Samples that come in live, put on the steps of a scenario: a wrong time ends nothing.
+
+A line's time is judged by its neighbours, the last sample before it and the line after it:
+
+* one step after the last sample: a sample, at once;
+* some steps after it: a sample behind a gap, unless the line after it fits the last sample only;
+* neither, but the line after it is one step later: a lasting jump (a clock that was set, a device
+  that started again), from which all begins anew. The first sample of a log is found so, too;
+* else: a line that cannot be read.
+
+So a line that is one step after the last sample waits for nothing, any other for the next line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from undeadzone.logs.samples import (
+    JITTER,
+    LONGEST,
+    TOLERANCE,
+    Fault,
+    Faults,
+    Regular,
+    Samples,
+    filled,
+    other_step,
+)
+from undeadzone.support.arrays import Floats
+
+# After so many lines with times the usual step is compared with the scenario's, by this share.
+TESTS: Final = {21: JITTER, 1001: TOLERANCE}
+
+
+class Piece(NamedTuple):
+    """Samples one step apart.
+
+    Attributes:
+        begins: whether they begin anew, after a jump in time.
+        samples: the samples.
+    """
+
+    begins: bool
+    samples: Regular
+
+
+class Run(NamedTuple):
+    """Lines one step apart.
+
+    Attributes:
+        rows: which they are.
+        steps: how many steps the first is after the sample before.
+        kind: `time`: no sample, as it fits no neighbour; `jump`: they begin anew; else empty.
+    """
+
+    rows: slice
+    steps: float
+    kind: str
+
+
+class Clock:
+    """Puts the lines of a live log on the steps of a scenario, block after block.
+
+    What comes out is the same in whatever blocks the lines come in.
+
+    Args:
+        step: of the scenario [s].
+        source: the log, for messages.
+        strict: whether the first fault is an error.
+
+    Attributes:
+        gaps: how many samples were missing altogether, between others.
+        faults: the lines that are none, and the jumps.
+        last: time of the last sample [s]; NaN before the first.
+    """
+
+    KEPT: Final = ("gaps", "faults", "last", "_count")
+
+    def __init__(self, step: float, source: str, strict: bool) -> None:
+        self.gaps = 0
+        self.faults = Faults(source, strict)
+        self.last = np.nan
+        self._step, self._source, self._strict = step, source, strict
+        self._count = 0  # samples so far, where there are no times
+        self._waiting: Samples | None = None  # the line that waits for the next one
+        self._first: Floats = np.empty(0)  # times of the first lines [s]
+
+    @property
+    def measured(self) -> float | None:
+        """The usual time between two of the first lines [s]; None without times."""
+        intervals = np.diff(self._first)
+        later = intervals[intervals > 0]  # gaps only lengthen them
+        return float(np.quantile(later, 0.5, method="lower")) if later.size else None
+
+    def place(
+        self, samples: Samples, unread: Sequence[Fault], timed: bool, last: bool
+    ) -> Iterator[Piece]:
+        """The samples one step apart, as far as they can be judged; those in gaps are missing.
+
+        Args:
+            samples: the next ones of the log.
+            unread: the lines among them that cannot be read.
+            timed: whether they have times in seconds.
+            last: whether no more will come.
+
+        Raises:
+            FileError: they are another step apart, or one is a fault and `strict` is set. What
+                was good before has been given out by then.
+        """
+        faults = list(unread)
+        if timed:
+            known = {fault.line for fault in faults}
+            without = samples.lines[~np.isfinite(samples.t)].tolist()
+            faults += [Fault(k, "no_time", "it has no time") for k in without if k not in known]
+        if self._strict and faults:
+            before = samples.lines < min(faults).line
+            yield from self._placed(_part(samples, before), timed, last=False)
+        for fault in sorted(faults):
+            self.faults.add(fault)
+        yield from self._placed(samples, timed, last)
+
+    def _placed(self, samples: Samples, timed: bool, last: bool) -> Iterator[Piece]:
+        """The same of lines whose faults are counted already."""
+        if not timed:
+            t = (self._count + np.arange(len(samples.t))) * self._step
+            self._count += len(t)
+            yield Piece(False, Regular(t, samples.y, samples.u))
+            return
+        samples = _part(samples, np.isfinite(samples.t))
+        ends = [count - self._first.size for count in TESTS]
+        inner = [end for end in ends if 0 < end < len(samples.t)]
+        for part in np.split(np.arange(len(samples.t)), inner):
+            yield from self._judged(_part(samples, part), last=False)
+            self._test(samples.t[part])
+        if last:
+            if np.isnan(self.last) and self._first.size > 1:
+                self._require_step(TOLERANCE)
+            yield from self._judged(_part(samples, slice(0)), last=True)
+
+    def _test(self, t: Floats) -> None:
+        """Compare the usual step of the first lines. Raises FileError where it is another one."""
+        room = max(TESTS) - self._first.size
+        self._first = np.append(self._first, t[:room])
+        if t.size and room and self._first.size in TESTS:
+            self._require_step(TESTS[self._first.size])
+
+    def _require_step(self, tolerance: float) -> None:
+        """Raise FileError where the usual step is another one than the scenario's."""
+        usual = self.measured
+        if usual is not None and abs(usual - self._step) > tolerance * self._step:
+            raise other_step(usual, self._step, self._source)
+
+    def _judged(self, samples: Samples, last: bool) -> Iterator[Piece]:
+        """The samples among lines with times, so far as they can be told."""
+        if self._waiting is not None:
+            both = zip(self._waiting, samples, strict=True)
+            samples = Samples(*[np.concatenate(rows) for rows in both])
+            self._waiting = None
+        runs: list[Run] = []
+        missing = 0.0
+        for run in self._runs(samples, last):
+            ends = self._strict if run.kind == "time" else run.kind == "jump"
+            if runs and (ends or missing > LONGEST):
+                yield self._piece(samples, runs)
+                runs, missing = [], 0.0
+            if run.kind:
+                self.faults.add(self._fault(samples, run))
+            if run.kind != "time":
+                runs.append(run)
+                missing += run.steps
+        if runs:
+            yield self._piece(samples, runs)
+
+    def _runs(self, samples: Samples, last: bool) -> Iterator[Run]:
+        """What the lines are, in order; one that needs the line after it may have to wait."""
+        t, size, k = samples.t, len(samples.t), 0
+        ends = np.append(np.flatnonzero(self._steps(t[:-1], t[1:]) != 1) + 1, size)
+        while k < size:
+            steps, kind, end = float(self._steps(self.last, t[k])), "", k + 1
+            if steps == 1:
+                end = int(ends[np.searchsorted(ends, k, side="right")])
+            elif end < size or last:
+                kind = self._kind(steps, t[k], t[end] if end < size else None)
+            else:
+                self._waiting = _part(samples, slice(k, size))
+                return
+            yield Run(slice(k, end), max(steps, 1.0), kind)
+            if kind != "time":
+                self.last = float(t[end - 1])
+            k = end
+
+    def _kind(self, steps: float, t: float, after: float | None) -> str:
+        """What a line is that is not one step after the last sample: `jump`, `time`, or a sample.
+
+        Args:
+            steps: from the last sample to it; 0 where it does not fit.
+            t: its time [s].
+            after: that of the line after it [s]; None: it is the last one.
+        """
+        has_begun = not np.isnan(self.last)
+        if after is None:
+            alone = not has_begun and self._first.size <= 1
+            return "" if steps or alone else "time"
+        fits_last, from_here = self._steps(self.last, after), self._steps(t, after)
+        if steps:
+            return "time" if fits_last and not from_here else ""
+        if fits_last or from_here != 1:
+            return "time"
+        return "jump" if has_begun else ""
+
+    def _steps(self, before: float | Floats, t: float | Floats) -> Floats:
+        """How many steps times are after others (of any shape); 0 where they do not fit."""
+        interval = np.subtract(t, before)
+        steps = np.rint(interval / self._step)
+        off = np.abs(interval - steps * self._step)
+        fits = (steps >= 1) & (steps <= LONGEST) & (off <= JITTER * self._step)
+        return np.asarray(np.where(fits, steps, 0.0))
+
+    def _piece(self, samples: Samples, runs: Sequence[Run]) -> Piece:
+        """Runs as one piece, with missing samples in the gaps before them."""
+        rows = np.concatenate([np.arange(run.rows.start, run.rows.stop) for run in runs])
+        lengths = [run.rows.stop - run.rows.start for run in runs]
+        steps = np.ones(rows.size)
+        steps[np.cumsum([0, *lengths[:-1]])] = [run.steps for run in runs]
+        self.gaps += int(steps.sum()) - rows.size
+        regular = Regular(samples.t[rows], samples.y[rows], samples.u[rows])
+        return Piece(runs[0].kind == "jump", filled(regular, steps, self._step))
+
+    def _fault(self, samples: Samples, run: Run) -> Fault:
+        """What is wrong with the time of a line."""
+        k = run.rows.start
+        where = f"t = {samples.t[k]:.9g} s"
+        if run.kind == "jump":
+            why = f"{where} after {self.last:.9g} s, and time goes on from there"
+        else:
+            why = (
+                f"{where} fits neither the sample before nor the line after it; expected a "
+                f"multiple of the step, {self._step:g} s"
+            )
+        return Fault(int(samples.lines[k]), run.kind, why)
+
+
+def _part(samples: Samples, rows: Any) -> Samples:
+    """Some of the samples."""
+    return Samples(*[part[rows] for part in samples])

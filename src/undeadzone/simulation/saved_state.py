@@ -1,0 +1,138 @@
+"""What a live log has come to, in a file: it is replaced whole, and read as numbers only.
+
+Objects name in `KEPT` what of them a file holds: numbers, arrays, texts, and other such objects.
+"""
+
+from __future__ import annotations
+
+import os
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+import undeadzone
+from undeadzone.errors import FileError
+from undeadzone.support.files import (
+    LARGEST_TABLE,
+    reason,
+    replacing,
+    require_plain,
+    require_unpacked,
+)
+
+DIGEST: Final = "digest"
+# What NumPy and the zip file around arrays raise of a file that is no such state.
+NO_STATE: Final = (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error)
+
+
+def save(path: Path, parts: Mapping[str, Any], digest: str) -> None:
+    """Replace a file by the present numbers; it is on the disk when this returns.
+
+    Args:
+        path: of the file.
+        parts: objects with `KEPT`, by name.
+        digest: of what the numbers are of.
+
+    Raises:
+        FileError: it cannot be written.
+    """
+    arrays: dict[str, Any] = {}
+    for name, part in parts.items():
+        arrays |= {f"{name}.{key}": value for key, value in _of(part)}
+    with replacing(path) as temporary, open(temporary, "wb") as file:
+        np.savez(file, allow_pickle=False, **{DIGEST: np.array(_whole(digest))}, **arrays)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def load(path: Path, parts: Mapping[str, Any], digest: str) -> None:
+    """Put the numbers of a file into objects like those that were saved.
+
+    Args:
+        path: of the file.
+        parts: objects with `KEPT`, by name, as new.
+        digest: of what the numbers must be of.
+
+    Raises:
+        FileError: it cannot be read, is no such file, or is of something else.
+    """
+    try:
+        require_plain(path, LARGEST_TABLE)
+        require_unpacked(path, LARGEST_TABLE)
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        found = str(arrays[DIGEST])
+    except OSError as error:
+        raise FileError(f"{path}: cannot read: {reason(error)}") from None
+    except NO_STATE as error:
+        raise _no_state(path, error) from None
+    if found != _whole(digest):
+        raise FileError(
+            f"{path}: the state of another observer (model, sensor, options, step or version); "
+            "name another file, or delete this one to begin anew"
+        )
+    try:
+        for name, part in parts.items():
+            _put(part, arrays, name)
+    except NO_STATE as error:
+        raise _no_state(path, error) from None
+
+
+def _no_state(path: Path, error: Exception) -> FileError:
+    """That a file is no saved state."""
+    return FileError(
+        f"{path}: no state saved by undeadzone, or a damaged one ({error}); name another file, or "
+        "delete this one to begin anew"
+    )
+
+
+def _whole(digest: str) -> str:
+    """A digest, and the version that gives the numbers their names."""
+    return f"{undeadzone.__version__} {digest}"
+
+
+def _of(thing: Any) -> Iterator[tuple[str, Any]]:
+    """The numbers of an object, by dotted name."""
+    for name in thing.KEPT:
+        value = getattr(thing, name)
+        inner = _inner(name, value)
+        if not inner and value is not None:
+            yield name, np.asarray(value)
+        for key, part in inner.items():
+            yield from ((f"{key}.{below}", number) for below, number in _of(part))
+
+
+def _put(thing: Any, arrays: Mapping[str, Any], above: str) -> None:
+    """Set the numbers of an object. Raises ValueError or KeyError for what does not fit."""
+    for name in thing.KEPT:
+        value = getattr(thing, name)
+        inner = _inner(name, value)
+        if not inner and value is not None:
+            setattr(thing, name, _like(value, arrays[f"{above}.{name}"], f"{above}.{name}"))
+        for key, part in inner.items():
+            _put(part, arrays, f"{above}.{key}")
+
+
+def _inner(name: str, value: Any) -> dict[str, Any]:
+    """The objects with `KEPT` under a name, which may be a list of them; none of numbers."""
+    if hasattr(value, "KEPT"):
+        return {name: value}
+    if isinstance(value, list):
+        return {f"{name}.{k}": part for k, part in enumerate(value) if hasattr(part, "KEPT")}
+    return {}
+
+
+def _like(value: Any, array: Any, name: str) -> Any:
+    """An array as a value of the same kind; of another shape only where the value is empty."""
+    known = np.asarray(value)
+    grows = known.ndim == 1 and not known.size
+    fits = array.ndim == known.ndim if grows else array.shape == known.shape
+    if not fits or array.dtype.kind != known.dtype.kind:
+        raise ValueError(f"{name} is {array.dtype} {array.shape}")
+    if isinstance(value, np.ndarray):
+        return array
+    return array.tolist()
