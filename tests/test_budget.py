@@ -15,34 +15,34 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 38_400, 340
+MOST_CODE, MOST_FILES = 37_300, 340
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
     "(root)": 360,
-    "analysis": 3330,
-    "cli": 1650,
+    "analysis": 3300,
+    "cli": 1670,
     "compensators": 170,
-    "compile": 3660,
+    "compile": 3400,
     "controllers": 680,
     "ends": 440,
     "ensemble": 1970,
-    "exports": 2510,
+    "exports": 1960,
     "feedforward": 370,
-    "identification": 5430,
+    "identification": 5360,
     "linear": 410,
-    "logs": 1070,
+    "logs": 1060,
     "numerics": 640,
     "observers": 2950,
     "plants": 1540,
-    "report": 3080,
+    "report": 2950,
     "results": 890,
-    "scenario": 1380,
+    "scenario": 1390,
     "signals": 430,
-    "simulation": 2400,
+    "simulation": 2320,
     "statistics": 270,
     "support": 840,
-    "synthesis": 1050,
+    "synthesis": 1040,
     "tuning": 890,
 }
 SILENT = {
