@@ -18,6 +18,7 @@ from undeadzone.cli.common import (
     print_json,
 )
 from undeadzone.cli.untrusted import untrusted
+from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
     from undeadzone.support.shown import Block
@@ -82,7 +83,8 @@ def export(
     with tempfile.TemporaryDirectory() as scratch:
         kept = out if out is not None or check else Path("firmware")
         folder = Path(scratch) / "firmware" if kept is None else kept
-        result = run(problem, to, folder, precision, part, tunable, name, check, force)
+        with progress("exporting", None):
+            result = run(problem, to, folder, precision, part, tunable, name, check, force)
     files = [] if kept is None else [str(path) for path in result.files]
     if as_json:
         print_json(result.report | {"written": files})
@@ -110,6 +112,10 @@ def _in_words(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
     if report["refusals"]:
         pairs["REFUSED"] = report["refusals"]
     pairs["written"] = files or "nothing; --out DIR keeps the files"
+    if any(name.endswith("Makefile") for name in files):
+        pairs["next"] = (
+            f"make -C {Path(files[0]).parent} runs the self-test; README.md has the rest"
+        )
     return pairs
 
 

@@ -65,8 +65,8 @@ def identify(
     named and measured instead. Writes NAME.toml, a scenario for run,
     check, design and watch, and identify.json, figures and report.html to DIR (default:
     NAME-identify). With --no-figures and no --out it writes the scenario alone. What was fitted is
-    kept in DIR meanwhile: after Ctrl-C, kill or a crash --resume goes on. Exit code 1: no dead zone
-    of the sensor, or nothing can be said.
+    kept in DIR meanwhile: after Ctrl-C, kill or a crash --resume goes on. Exit code 1: there is no
+    dead zone of the sensor, and nothing else that a scenario could be written for.
     """
     from undeadzone.identification.answer.result import WRITTEN
     from undeadzone.identification.identify import identify as identified
@@ -90,8 +90,18 @@ def identify(
     if keep is not None:
         keep.unlink(missing_ok=True)
     why = {} if reason is None else {"no scenario": reason.removeprefix("scenario: ")}
-    output.show(answer.numbers, answer.blocks, written, why | named_files(written))
-    return 0 if is_found else 1
+    is_written = path in written
+    follow = {"next": _next(path, first, len(logs))} if is_written else {}
+    output.show(answer.numbers, answer.blocks, written, why | named_files(written) | follow)
+    return 0 if is_found or is_written else 1
+
+
+def _next(scenario: Path, log: Path, logs: int) -> str:
+    """What to type next, with the scenario that was written."""
+    words = f"undeadzone run {scenario}"
+    if logs == 1:
+        words = f"undeadzone estimate {scenario} {log}, {words}"
+    return f"{words}, or undeadzone export {scenario}"
 
 
 def _scenario(answer: Answers, path: Path, force: bool) -> tuple[list[Path], str | None]:
