@@ -15,7 +15,7 @@ from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.analysis.convergence.trajectories import settling
 from undeadzone.analysis.dissipation import Inequality, check
 from undeadzone.analysis.identifiability import nonlinear
-from undeadzone.analysis.identifiability.information import deviations
+from undeadzone.analysis.identifiability.information import Readings, deviations
 from undeadzone.analysis.side_schedule import recorded
 from undeadzone.ends.sensor import Sensor, resolve
 from undeadzone.errors import StructureError
@@ -53,7 +53,7 @@ def test_readings_without_noise_are_as_exact_as_the_larger_edge(larger: int) -> 
     stds = []
     for levels in ([1.0, 1.0], [8.0, 8.0], np.eye(2)[larger] * 7 + 1):
         schedule = visiting([True], [True])._replace(levels=np.array([levels]))
-        known = deviations(PAPER_PLANT.linear, schedule, np.zeros(1), 0.01, 15.0)
+        known = deviations(PAPER_PLANT.linear, schedule, Readings(np.zeros(1), 0.01, 15.0))
         stds.append(known.widths[0]["width"])
     assert stds[1] == pytest.approx(8 * stds[0], rel=1e-9)
     assert stds[2] == pytest.approx(stds[1], rel=1e-9)

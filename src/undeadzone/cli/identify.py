@@ -74,7 +74,8 @@ def identify(
     first = logs[0]
     folder = output.folder(f"{first.stem}-identify")
     path = writable(output.out or Path()) / f"{first.stem}.toml"
-    require_own(path, force)
+    if path.name != first.name:  # a scenario in the log's place is named as such below
+        require_own(path, force)
     keep = partial_file(folder, "identify.json", resume)
     with progress("identifying", None) as advance:
         names = [str(path) for path in logs]
