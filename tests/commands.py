@@ -1,6 +1,6 @@
 """The command line called in this process, as a shell would call it; a start costs half a second.
 
-Each command is started once as a process of its own in `test_terminal.py`.
+`test_untrusted.py` and `test_wheel.py` start them as processes of their own.
 """
 
 from __future__ import annotations
