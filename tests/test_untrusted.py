@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
+import subprocess
 import sys
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from test_strange_folder import SHORT, TRAP, TRAPS, ran
+from test_strange_folder import COMMAND, SHORT, TRAP, TRAPS, ran
 from undeadzone.cli.untrusted import _landlocked
 from undeadzone.errors import InputError
 from undeadzone.scenario.reader import read
@@ -115,7 +116,7 @@ def test_every_command_that_reads_files_has_it(folder: Path) -> None:
     """It asks for --out before anything else."""
     for command in ("run", "check", "design", "ensemble", "tune", "estimate", "export", "arena"):
         more = ["run.csv"] if command == "estimate" else []
-        done = ran(folder, command, "-rf.toml" * 0 + "./-rf.toml", *more, "--untrusted", "nowhere")
+        done = ran(folder, command, "./-rf.toml", *more, "--untrusted", "nowhere")
         assert done.returncode == 2
         assert "--untrusted" in done.stderr, (command, done.stderr)
 
@@ -153,3 +154,19 @@ def test_files_with_further_names_are_refused_by_confine_too(folder: Path) -> No
 def test_a_system_without_landlock_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "platform", "darwin")
     assert not _landlocked([Path.cwd()], [])
+
+
+def test_a_page_and_a_state_are_written_beside_themselves(folder: Path, tmp_path: Path) -> None:
+    """Where --out names a file, or a command makes but one, its folder is what is written."""
+    page, state = tmp_path / "results" / "live.html", tmp_path / "kept" / "state.npz"
+    made = ran(
+        folder, "export", "./-rf.toml", "--to", "page", "--untrusted", ".", "--out", str(page)
+    )
+    assert made.returncode == 0, made.stderr
+    assert page.is_file()
+    lines = "y,u\n0.5,1.0\n0.4,1.0\n"
+    line = [*COMMAND, "watch", "./-rf.toml", "--untrusted", ".", "--state", str(state)]
+    done = subprocess.run(line, cwd=folder, input=lines, capture_output=True, text=True)
+    assert done.returncode in (0, 1), done.stderr
+    assert state.is_file()
+    assert len(done.stdout.splitlines()) == 3

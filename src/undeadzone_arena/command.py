@@ -8,9 +8,16 @@ from typing import TYPE_CHECKING
 
 import click
 
-from undeadzone.cli.common import confined, origin, print_blocks, print_json, say, writable
+from undeadzone.cli.common import (
+    confined,
+    origin,
+    print_blocks,
+    print_json,
+    say,
+    untrusted,
+    writable,
+)
 from undeadzone.cli.output import named_files, prepare_figures
-from undeadzone.cli.untrusted import untrusted
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:

@@ -10,7 +10,6 @@ import click
 
 from undeadzone.cli.common import PATH, force_option, option, writable
 from undeadzone.cli.output import Output, common
-from undeadzone.support.own_files import require_own
 
 if TYPE_CHECKING:
     from undeadzone.plants.robots.survey import Survey
@@ -78,6 +77,7 @@ def _started(found: Survey, robot: Path, folder: Path, force: bool) -> Path:
     """The scenario that was written. Raises FileError where there is one already."""
     from undeadzone.scenario.urdf_start import starting_scenario
     from undeadzone.support.files import write_text
+    from undeadzone.support.own_files import require_own
 
     path = folder / f"{robot.stem}.toml"
     require_own(path, force)  # it is for the user to edit: without a mark

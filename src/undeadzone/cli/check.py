@@ -6,9 +6,8 @@ from pathlib import Path
 
 import click
 
-from undeadzone.cli.common import PATH, confined, json_text, origin, with_schema
+from undeadzone.cli.common import PATH, confined, json_text, origin, untrusted, with_schema
 from undeadzone.cli.output import Output, common
-from undeadzone.cli.untrusted import untrusted
 from undeadzone.support.progress import on_terminal as progress
 
 

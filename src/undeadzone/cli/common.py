@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import re
@@ -58,6 +59,40 @@ columns_option = option(
     "y=NAME,u=NAME",
     "Columns by name or number: t=1,y=angle,u=voltage; several: y[0]=a,y[1]=b.",
 )
+
+
+def untrusted(command: Command) -> Command:
+    """Add --untrusted, which holds as long as the command runs; it means --confine too."""
+
+    @functools.wraps(command)
+    def held(*, untrusted: Path | None, **options: Any) -> Any:
+        if untrusted is None:
+            return command(**options)
+        from undeadzone.cli.untrusted import hold_apart
+        from undeadzone.errors import InputError
+
+        if options.get("out", untrusted) is None and not options.get("no_figures"):
+            raise InputError("--untrusted: say --out too, the only folder that is written")
+        for word in hold_apart(untrusted, _written_folder(options)):
+            say(f"untrusted: {word}", err=True)
+        if "confine" in options:
+            options["confine"] = untrusted
+        return command(**options)
+
+    return option(
+        "--untrusted",
+        "DIR",
+        "Strangers made DIR: read it alone, write --out alone, take little time and memory.",
+        type=PATH,
+    )(held)
+
+
+def _written_folder(options: Mapping[str, Any]) -> Path | None:
+    """The folder that a command may write: --out, or where the one file lies that it makes."""
+    out, state = options.get("out"), options.get("state")
+    file = out if options.get("to") == "page" else state
+    folder: Path | None = out if file is None else file.parent
+    return folder
 
 
 def force_option(command: Command) -> Command:

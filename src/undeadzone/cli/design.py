@@ -7,10 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import PATH, confined, force_option, option, origin
+from undeadzone.cli.common import PATH, confined, force_option, option, origin, untrusted
 from undeadzone.cli.output import Output, common, named_files
-from undeadzone.cli.untrusted import untrusted
-from undeadzone.support.own_files import require_own
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
@@ -101,6 +99,7 @@ def design(
     """
     from undeadzone.scenario.problem import systems
     from undeadzone.scenario.reader import read
+    from undeadzone.support.own_files import require_own
     from undeadzone.synthesis.check import check as assess_gains
     from undeadzone.synthesis.design import design as search
     from undeadzone.synthesis.design import impossible, rounds, with_gains

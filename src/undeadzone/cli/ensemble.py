@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import PATH, confined, flag, option, origin, writable
+from undeadzone.cli.common import PATH, confined, flag, option, origin, untrusted, writable
 from undeadzone.cli.output import Output, common, prepare_figures
-from undeadzone.cli.untrusted import untrusted
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:

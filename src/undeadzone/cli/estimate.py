@@ -6,9 +6,16 @@ from pathlib import Path
 
 import click
 
-from undeadzone.cli.common import PATH, columns_option, confined, exit_code, origin, strict_option
+from undeadzone.cli.common import (
+    PATH,
+    columns_option,
+    confined,
+    exit_code,
+    origin,
+    strict_option,
+    untrusted,
+)
 from undeadzone.cli.output import Output, common, csv_option, named_files, wanted_table
-from undeadzone.cli.untrusted import untrusted
 from undeadzone.support.progress import on_terminal as progress
 
 

@@ -16,8 +16,8 @@ from undeadzone.cli.common import (
     option,
     print_blocks,
     print_json,
+    untrusted,
 )
-from undeadzone.cli.untrusted import untrusted
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:

@@ -14,11 +14,10 @@ from undeadzone.cli.common import (
     option,
     origin,
     strict_option,
+    untrusted,
     writable,
 )
 from undeadzone.cli.output import Output, common, named_files, partial_file
-from undeadzone.cli.untrusted import untrusted
-from undeadzone.support.own_files import require_own, write_own
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
@@ -70,6 +69,7 @@ def identify(
     """
     from undeadzone.identification.answer.result import WRITTEN
     from undeadzone.identification.identify import identify as identified
+    from undeadzone.support.own_files import require_own
 
     first = logs[0]
     folder = output.folder(f"{first.stem}-identify")
@@ -108,6 +108,7 @@ def _next(scenario: Path, log: Path, logs: int) -> str:
 def _scenario(answer: Answers, path: Path, force: bool) -> tuple[list[Path], str | None]:
     """The scenario that was written, or why there is none."""
     from undeadzone.errors import InputError
+    from undeadzone.support.own_files import write_own
 
     try:
         return [write_own(answer.scenario(), path, force)], None

@@ -18,7 +18,6 @@ from undeadzone.cli.common import PATH, force_option, option, print_blocks, prin
 from undeadzone.cli.output import Output, common
 from undeadzone.errors import InputError
 from undeadzone.support.files import read_text, write_text
-from undeadzone.support.own_files import require_own
 
 OTHERS: Final = {
     "samples.csv": "A log for undeadzone watch and estimate, of asymmetric_noise",
@@ -45,6 +44,8 @@ def init(
 
     With --example two_link write that example (default FILE: two_link.toml); --list shows all.
     """
+    from undeadzone.support.own_files import require_own
+
     if as_list:
         return _listed(output.as_json)
     texts = _texts(file, example, output.out or Path())

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import PATH, confined, option, origin, writable
+from undeadzone.cli.common import PATH, confined, option, origin, untrusted, writable
 from undeadzone.cli.output import (
     Output,
     common,
@@ -16,7 +16,6 @@ from undeadzone.cli.output import (
     prepare_figures,
     wanted_table,
 )
-from undeadzone.cli.untrusted import untrusted
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:

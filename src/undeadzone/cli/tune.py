@@ -7,10 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import PATH, confined, flag, force_option, option, origin
+from undeadzone.cli.common import PATH, confined, flag, force_option, option, origin, untrusted
 from undeadzone.cli.output import Output, common, partial_file
-from undeadzone.cli.untrusted import untrusted
-from undeadzone.support.own_files import require_own
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
@@ -75,6 +73,7 @@ def tune(
     or not certified though this was asked for.
     """
     from undeadzone.scenario.reader import read
+    from undeadzone.support.own_files import require_own
     from undeadzone.tuning.result import in_words
     from undeadzone.tuning.tune import tune as search
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import atexit
 import ctypes
-import functools
 import os
 import shutil
 import signal
@@ -13,11 +12,8 @@ import tempfile
 from collections.abc import Iterable
 from pathlib import Path
 from types import FrameType
-from typing import Any, Final, cast
+from typing import Final
 
-import click
-
-from undeadzone.cli.common import Command, say
 from undeadzone.errors import InputError, Terminated
 from undeadzone.support.files import require_folder
 
@@ -50,35 +46,10 @@ class _Beneath(ctypes.Structure):
     _fields_ = (("rights", ctypes.c_uint64), ("place", ctypes.c_int32))
 
 
-def untrusted(command: Command) -> Command:
-    """Add --untrusted, which holds as long as the command runs; it means --confine too."""
-
-    @functools.wraps(command)
-    def held(*, untrusted: Path | None, **options: Any) -> Any:
-        if untrusted is None:
-            return command(**options)
-        if options.get("out", untrusted) is None and not options.get("no_figures"):
-            raise InputError("--untrusted: say --out too, the only folder that is written")
-        for word in hold_apart(untrusted, options.get("out")):
-            say(f"untrusted: {word}", err=True)
-        if "confine" in options:
-            options["confine"] = untrusted
-        return command(**options)
-
-    option = click.option(
-        "--untrusted",
-        type=click.Path(path_type=Path),
-        default=None,
-        metavar="DIR",
-        help="Strangers made DIR: read it alone, write --out alone, take little time and memory.",
-    )
-    return cast(Command, option(held))
-
-
 def hold_apart(folder: Path, out: Path | None) -> list[str]:
     """Read strangers' files from `folder` and write below `out`, whatever they ask for.
 
-    No module comes from `folder`. Memory and CPU time are limited, unless they are more already.
+    No module comes from `folder`. Memory and CPU time are limited, unless less is allowed already.
     Where the kernel has Landlock, nothing else can be read but what programs and libraries need,
     and nothing else written. All of this lasts, and holds for every process started from here.
 
@@ -101,12 +72,13 @@ def hold_apart(folder: Path, out: Path | None) -> list[str]:
         require_folder(out)
         out.mkdir(parents=True, exist_ok=True)
         _keep_scratch(out)
-    limited = _limit()
     written = [place for place in (out, _cache()) if place is not None]
-    held = _landlocked([here, *_libraries()], written)
-    words = {"no limits of memory and time on this system": limited}
-    words["no Landlock on this system: paths are checked, nothing more"] = held
-    return [word for word, is_there in words.items() if not is_there]
+    lacking = []
+    if not _limit():
+        lacking.append("no limits of memory and time on this system")
+    if not _landlocked([here, *_libraries()], written):
+        lacking.append("no Landlock on this system: paths are checked, nothing more")
+    return lacking
 
 
 def _is_below(place: Path, folder: Path) -> bool:
@@ -191,7 +163,7 @@ def _landlocked(read: Iterable[Path], written: Iterable[Path]) -> bool:
 def _grant(kernel: ctypes.CDLL, rules: int, place: Path, rights: int) -> None:
     """Grant rights below a folder, or those of a file on a file."""
     if not place.is_dir():
-        rights &= OF_FILES | (TRUNCATE if rights & TRUNCATE else 0)
+        rights &= OF_FILES | TRUNCATE
     descriptor = os.open(place, os.O_PATH | os.O_CLOEXEC)
     try:
         rule = _Beneath(rights, descriptor)

@@ -21,10 +21,10 @@ from undeadzone.cli.common import (
     print_blocks,
     say,
     strict_option,
+    untrusted,
     with_schema,
     writable,
 )
-from undeadzone.cli.untrusted import untrusted
 from undeadzone.errors import FileError, Terminated
 
 if TYPE_CHECKING:
