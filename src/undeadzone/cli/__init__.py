@@ -26,6 +26,32 @@ from undeadzone.cli.watch import watch
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
+# What to type, and what it does.
+BLOCKS = {
+    "Start": (
+        ("init mine.toml", "write a scenario to start from"),
+        ("run mine.toml", "simulate plant, sensor, observer and controller"),
+        ("identify log.csv", "find plant and dead zone from a log of a real plant"),
+        ("export mine.toml", "write the observer as C for a microcontroller, FMU, Python or page"),
+    ),
+    "Go on": (
+        ("check mine.toml", "assess the gains: proof, rate, what can be known"),
+        ("design mine.toml", "find gains with a proof: rate against noise"),
+        ("estimate mine.toml log.csv", "let its observer follow a recorded log"),
+        ("ensemble mine.toml", "run it thousands of times with what may vary"),
+    ),
+    "Special": (
+        ("tune mine.toml", "find the gains that do best over such runs"),
+        ("watch mine.toml", "estimate from samples as they come on stdin"),
+        ("arm robot.urdf", "show the arm in a URDF file, and write a scenario for it"),
+    ),
+}
+COMMON = (
+    ("--out DIR", "folder for the files written (made if missing)"),
+    ("--json", "print one JSON object on stdout and nothing else there"),
+    ("--no-figures", "compute only; draw nothing"),
+    ("--untrusted DIR", "strangers made DIR: read it alone, write --out alone"),
+)
 OTHER_NAMES = {"simulate": "run", "sim": "run", "plot": "run", "compare": "arena", "new": "init"}
 
 
@@ -37,6 +63,12 @@ class Commands(click.Group):
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """The command, and its arguments. Raises UsageError."""
         name = args[0]
+        if name == "help":
+            args = [*(args[1:] or [""]), "--help"]
+            if not args[0]:
+                click.echo(ctx.get_help())
+                ctx.exit()
+            name = args[0]
         if name in OTHER_NAMES:
             ctx.fail(f"No such command {name!r}. Did you mean {OTHER_NAMES[name]!r}?")
         if name.endswith(".toml"):
@@ -56,14 +88,17 @@ class Commands(click.Group):
         return None if point is None else point.load()
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Those that other packages register: the tool's own stand above, each with an example."""
-        lines = []
+        """The commands in the order in which they are met, each with what to type."""
+        blocks = dict(BLOCKS)
         for name in _registered():
             command = self.get_command(ctx, name)
-            lines.append((name, command.get_short_help_str(80) if command else ""))
-        if lines:
-            with formatter.section("From other packages"):
+            words = command.get_short_help_str(80) if command else ""
+            blocks["Special"] = (*blocks["Special"], (name, words))
+        for title, lines in blocks.items():
+            with formatter.section(title):
                 formatter.write_dl(lines)
+        with formatter.section("Options of most commands"):
+            formatter.write_dl(COMMON)
 
 
 def _registered() -> dict[str, EntryPoint]:
@@ -74,28 +109,14 @@ def _registered() -> dict[str, EntryPoint]:
 
 
 @click.group(
-    cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100}
+    cls=Commands,
+    epilog="Exit codes: 0 done; 1 it ran, and the answer is no (diverged, not certified, not "
+    "identifiable); 2 bad input; 70 a mistake of undeadzone itself; 130 Ctrl-C; 143 terminated.",
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
 @click.version_option(undeadzone.__version__, "-V", "--version", prog_name="undeadzone")
 def group() -> None:
-    """See through a sensor's dead zone.
-
-    \b
-    undeadzone init mine.toml               write a commented scenario to start from
-    undeadzone run mine.toml                simulate your plant, sensor, observer and controller
-    undeadzone check mine.toml              assess the gains: proof, rate, what can be known
-    undeadzone design mine.toml             find gains with a proof: rate against noise
-    undeadzone ensemble mine.toml           run it thousands of times with what may vary
-    undeadzone tune mine.toml               find the gains that do best over such runs
-    undeadzone identify log.csv             find plant and dead zone from a log of a real plant
-    undeadzone estimate mine.toml log.csv   let its observer follow a recorded log
-    undeadzone watch mine.toml              estimate from samples as they come on stdin
-    undeadzone arm robot.urdf               show the arm in a URDF file, and write a scenario for it
-    undeadzone export mine.toml             write the observer as C for a microcontroller
-
-    Exit codes: 0 done; 1 it ran, and the answer is no (diverged, not certified, not identifiable);
-    2 bad input; 70 a mistake of undeadzone itself; 130 Ctrl-C; 143 terminated.
-    """
+    """See through a sensor's dead zone."""
 
 
 COMMANDS = (
