@@ -26,32 +26,13 @@ from undeadzone.cli.watch import watch
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-# What to type, and what it does.
+# In the order in which they are met.
 BLOCKS = {
-    "Start": (
-        ("init mine.toml", "write a scenario to start from"),
-        ("run mine.toml", "simulate plant, sensor, observer and controller"),
-        ("identify log.csv", "find plant and dead zone from a log of a real plant"),
-        ("export mine.toml", "write the observer as C for a microcontroller, FMU, Python or page"),
-    ),
-    "Go on": (
-        ("check mine.toml", "assess the gains: proof, rate, what can be known"),
-        ("design mine.toml", "find gains with a proof: rate against noise"),
-        ("estimate mine.toml log.csv", "let its observer follow a recorded log"),
-        ("ensemble mine.toml", "run it thousands of times with what may vary"),
-    ),
-    "Special": (
-        ("tune mine.toml", "find the gains that do best over such runs"),
-        ("watch mine.toml", "estimate from samples as they come on stdin"),
-        ("arm robot.urdf", "show the arm in a URDF file, and write a scenario for it"),
-    ),
+    "Start": ("init", "run", "identify", "export"),
+    "Go on": ("check", "design", "estimate", "ensemble"),
+    "Special": ("tune", "watch", "arm"),
 }
-COMMON = (
-    ("--out DIR", "folder for the files written (made if missing)"),
-    ("--json", "print one JSON object on stdout and nothing else there"),
-    ("--no-figures", "compute only; draw nothing"),
-    ("--untrusted DIR", "strangers made DIR: read it alone, write --out alone"),
-)
+OF_MOST = ("out", "as_json", "no_figures", "untrusted")  # options
 OTHER_NAMES = {"simulate": "run", "sim": "run", "plot": "run", "compare": "arena", "new": "init"}
 
 
@@ -89,16 +70,21 @@ class Commands(click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """The commands in the order in which they are met, each with what to type."""
-        blocks = dict(BLOCKS)
-        for name in _registered():
-            command = self.get_command(ctx, name)
-            words = command.get_short_help_str(80) if command else ""
-            blocks["Special"] = (*blocks["Special"], (name, words))
-        for title, lines in blocks.items():
+        blocks = BLOCKS | {"Special": (*BLOCKS["Special"], *_registered())}
+        for title, names in blocks.items():
             with formatter.section(title):
-                formatter.write_dl(lines)
+                formatter.write_dl([self._line(ctx, name) for name in names])
         with formatter.section("Options of most commands"):
-            formatter.write_dl(COMMON)
+            options = [each for each in run.params if each.name in OF_MOST]
+            formatter.write_dl([each.get_help_record(ctx) or ("", "") for each in options])
+
+    def _line(self, ctx: click.Context, name: str) -> tuple[str, str]:
+        """What is typed for a command, and what it does."""
+        command = self.get_command(ctx, name)
+        assert command is not None
+        arguments = [each for each in command.params if isinstance(each, click.Argument)]
+        typed = [name, *(each.make_metavar(ctx) for each in arguments)]
+        return " ".join(typed), command.get_short_help_str(100)
 
 
 def _registered() -> dict[str, EntryPoint]:
@@ -112,7 +98,11 @@ def _registered() -> dict[str, EntryPoint]:
     cls=Commands,
     epilog="Exit codes: 0 done; 1 it ran, and the answer is no (diverged, not certified, not "
     "identifiable); 2 bad input; 70 a mistake of undeadzone itself; 130 Ctrl-C; 143 terminated.",
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    context_settings={
+        "help_option_names": ["-h", "--help"],
+        "max_content_width": 100,
+        "show_default": True,
+    },
 )
 @click.version_option(undeadzone.__version__, "-V", "--version", prog_name="undeadzone")
 def group() -> None:

@@ -42,9 +42,9 @@ def option(name: str, metavar: str | None, words: str, **more: Any) -> Callable[
     return click.option(name, metavar=metavar, help=words, **more)
 
 
-def flag(name: str, words: str) -> Callable[..., Any]:
-    """An option that is given or not."""
-    return click.option(name, is_flag=True, help=words)
+def flag(name: str, words: str, **more: Any) -> Callable[..., Any]:
+    """An option that is given or not; more: what click knows of it besides."""
+    return click.option(name, is_flag=True, help=words, **more)
 
 
 rarely = functools.partial(option, hidden=True)  # `--help-all` shows it, `--help` does not

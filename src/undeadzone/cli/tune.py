@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from undeadzone.scenario.tune_table import Tune
 
 
+STATISTICS = click.Choice(["mean", "median", "p95", "worst"])
+
+
 @click.command(
     epilog="Example: undeadzone tune examples/tune.toml --out tuned "
     "&& undeadzone run tuned/tuned.toml"
@@ -28,14 +31,8 @@ if TYPE_CHECKING:
     multiple=True,
 )
 @option("--metric", "NAME", "What is made small (default: [tune] metric, rms_tracking).")
-@click.option(
-    "--statistic",
-    type=click.Choice(["mean", "median", "p95", "worst"]),
-    help="Of the runs (default: [tune] statistic, mean).",
-)
-@click.option(
-    "--certified", is_flag=True, default=None, help="Keep the observer's gains certified."
-)
+@option("--statistic", None, "Of the runs (default: [tune] statistic, mean).", type=STATISTICS)
+@flag("--certified", "Keep the observer's gains certified.", default=None)
 @option("--runs", "N", "Runs of each candidate (default: [tune] runs, 64).", type=int)
 @option("--budget", "N", "Candidates tried in all (default: [tune] budget, 200).", type=int)
 @option("--seed", "N", "Of the runs and the search (default: [tune] seed).", type=int)
