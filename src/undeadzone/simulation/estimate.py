@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from undeadzone.errors import FileError, InputError
-from undeadzone.interfaces import Estimate, Observer
+from undeadzone.interfaces import Estimate
 from undeadzone.logs.names import Layout, parse_columns
 from undeadzone.logs.samples import Faults, Grid, LogReader, Regular, samples_of_text
 from undeadzone.logs.whole import BINARY, samples_of, samples_of_arrays
@@ -132,7 +132,7 @@ def _smoothed(
 ) -> dict[str, Floats]:
     """The smoothed signals by name; none where the method has no smoother."""
     observer = follower.observer
-    if not isinstance(observer, Observer) or observer.smoothing is None or not regular.t.size:
+    if observer.smoothing is None or not regular.t.size:
         return {}
     smoothed = smooth(follower.model, observer, follower.zone, regular.y, regular.u, progress)
     return {
