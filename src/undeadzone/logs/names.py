@@ -219,8 +219,8 @@ def _layout(
         roles.append(f"{signal} from {', '.join(repr(titles[k].name) for k in columns)}")
     date = None
     if time is not None:
-        dates = [k for name in DATES for k in _same(titles, name)]
-        date = next((k for k in dates if k not in used), None)
+        dated = [k for k, title in enumerate(titles) if title.name.lower() in DATES]
+        date = next((k for k in dated if k not in used), None)
     return Layout(
         time,
         date,
