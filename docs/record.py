@@ -6,6 +6,7 @@ A headless browser of the Chromium family moves the sliders of docs/live.html as
 from __future__ import annotations
 
 import io
+import itertools
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -37,7 +38,7 @@ MOVE: Final = """(() => {
 def values() -> Iterator[tuple[int, float]]:
     """Each slider's place and value, frame by frame."""
     for place, stops in MOVES:
-        for start, end in zip(stops, stops[1:], strict=False):
+        for start, end in itertools.pairwise(stops):
             for value in np.linspace(start, end, STEPS + 1)[1:]:
                 yield place, round(float(value), 3)
 
