@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import stat
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,6 +14,7 @@ import pytest
 from commands import undeadzone
 from undeadzone.errors import FileError
 from undeadzone.exports.folder import MANIFEST, manifest, write_folder
+from undeadzone.support.files import write_text
 from undeadzone.support.own_files import marked, require_own, write_own
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -210,3 +213,15 @@ def test_the_command_export_keeps_an_edited_file(tmp_path: Path) -> None:
     assert undeadzone(*command, "--force").returncode in (0, 1)
     assert source.read_text() != MINE
     assert (tmp_path / "fw" / "my_main.c").read_text() == MINE
+
+
+def test_what_is_no_plain_file_is_never_replaced(tmp_path: Path) -> None:
+    """As the administrator `init /dev/zero --force` put a scenario into the device's place."""
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with pytest.raises(FileError, match="a device, a pipe or a socket, no plain file"):
+        write_text("x", pipe)
+    done = undeadzone("init", pipe, "--force")
+    assert done.returncode == 2
+    assert stat.S_ISFIFO(pipe.stat().st_mode)
+    assert list(tmp_path.iterdir()) == [pipe]

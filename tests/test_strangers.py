@@ -178,7 +178,7 @@ def special(folder: Path) -> dict[Path, str]:
     """Paths that are no plain files, and why they are refused."""
     pipe = folder / "pipe"
     os.mkfifo(pipe)
-    words = "it is a device, a pipe or a socket; only plain files are read"
+    words = "it is a device, a pipe or a socket, no plain file"
     return {pipe: words, Path("/dev/zero"): words, folder: "it is a directory"}
 
 

@@ -34,12 +34,15 @@ def writing(path: Path) -> Iterator[None]:
 def replacing(path: Path) -> Iterator[Path]:
     """A temporary path beside `path` that takes its name once written.
 
-    Nothing is left half-written.
+    Nothing is left half-written. A link of that name is replaced, not what it leads to; a device or
+    a pipe is not.
 
     Raises:
         FileError: the file cannot be written.
     """
     with writing(path):
+        if os.path.lexists(path) and not path.is_symlink():
+            _require_plain(os.lstat(path), None)
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(
             dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix
@@ -154,7 +157,7 @@ def _require_plain(status: os.stat_result, largest: int | None) -> None:
     if stat.S_ISDIR(status.st_mode):
         raise OSError("it is a directory")
     if not stat.S_ISREG(status.st_mode):
-        raise OSError("it is a device, a pipe or a socket; only plain files are read")
+        raise OSError("it is a device, a pipe or a socket, no plain file")
     if largest is not None and status.st_size > largest:
         raise OSError(_too_large(status.st_size, largest))
 
