@@ -54,6 +54,16 @@ def received(y: Any, threshold: Any, limits: Limits | None) -> Reading:
     return Reading(ca.if_else(beyond(y, limits), np.inf, seen), side_read)
 
 
+def known_side(reading: Reading, estimate: Any) -> Any:
+    """The side that a sample tells (p): of a play what its observer made out, else of the reading.
+
+    Args:
+        reading: what was read.
+        estimate: what the observer made of it.
+    """
+    return estimate.contact if estimate.contact.shape[0] else reading.side
+
+
 def exact(reading: Reading, limits: Limits | None) -> Reading:
     """The reading without those at a limit, which are missing to a method that takes no bounds."""
     if limits is None:

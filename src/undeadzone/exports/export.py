@@ -11,6 +11,7 @@ import numpy as np
 
 import undeadzone
 from undeadzone.compile.graph import needed
+from undeadzone.compile.print_c import literal
 from undeadzone.errors import InputError
 from undeadzone.exports import accuracy, compiler, folder, parts, targets
 from undeadzone.exports.code import Code, code, operations
@@ -179,10 +180,8 @@ def replaced_constants(double: Code) -> list[str]:
     limits, texts = np.finfo(np.float32), set()
     for node in needed(itertools.chain(*double.results)):
         size = abs(node.value or 0.0)
-        if size > float(limits.max):
-            texts.add(f"{node.text}: FLT_MAX")
-        if 0 < size < float(limits.tiny):
-            texts.add(f"{node.text}: FLT_MIN")
+        if size > float(limits.max) or 0 < size < float(limits.tiny):
+            texts.add(f"{node.text}: {literal(float(node.text), 'float32')}")
     return sorted(texts)
 
 

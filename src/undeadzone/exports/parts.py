@@ -13,7 +13,7 @@ from undeadzone.ends.sensor import present
 from undeadzone.errors import InputError
 from undeadzone.exports.fields import Field, estimate_fields, state_fields
 from undeadzone.feedforward.targets import Target
-from undeadzone.interfaces import Estimate, Observer, graph_of, received
+from undeadzone.interfaces import Estimate, Observer, graph_of, known_side, received
 from undeadzone.scenario.problem import Problem
 from undeadzone.scenario.schema import Units
 from undeadzone.support import tree
@@ -160,7 +160,7 @@ def _observer(problem: Problem, observer: Observer, params: _Numbers) -> _Traced
     used = ca.if_else(present(u), u, s.held)
     reading = received(y, *params.sensor)
     after, estimate = observer.step(params.observer, s.observer, used, reading)
-    following, out = _ObserverMemory(after, used), (estimate, reading.side)
+    following, out = _ObserverMemory(after, used), (estimate, known_side(reading, estimate))
     shown = _estimated(problem, estimate)
     return _Traced(memory, column, [y, u], following, out, [_u_field(problem)], shown)
 
@@ -188,7 +188,7 @@ def _loop(problem: Problem, observer: Observer, params: _Numbers) -> _Traced:
         undone, u = compensator.step(*parts)
     u = _limited(u, problem.plant.limit)
     after, _ = observer.step(params.observer, s.observer, u, reading)
-    following, out = _LoopMemory(after, moved, undone), (u, estimate, reading.side)
+    following, out = _LoopMemory(after, moved, undone), (u, estimate, known_side(reading, estimate))
     shown = [_u_field(problem), *_estimated(problem, estimate)]
     fields = _target_fields(like, problem.scenario.units)
     return _Traced(memory, column, [y, t_column], following, out, fields, shown)

@@ -14,7 +14,7 @@ from undeadzone.compile.interpret import Stepper
 from undeadzone.ends.actuator import ActuatorModel, believed
 from undeadzone.ends.sensor import Sensor, Zone, present, resolve
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.interfaces import Estimate, Observer, Reading, graph_of, received
+from undeadzone.interfaces import Estimate, Observer, Reading, graph_of, known_side, received
 from undeadzone.observers.parts.actuated import built as behind
 from undeadzone.observers.parts.motion import require_hearer
 from undeadzone.plants import build as plants
@@ -100,8 +100,7 @@ def observer_graph(
     known = symbols(model, observer, sensor)
     used, reading = known.used, known.reading
     after, estimate = observer.step(known.params, known.state, used, reading)
-    side = estimate.contact if estimate.contact.shape[0] else reading.side
-    out = Out(estimate, side, ca.mmin(present(known.w[: model.p])) == 0)
+    out = Out(estimate, known_side(reading, estimate), ca.mmin(present(known.w[: model.p])) == 0)
     function = ca.Function(
         "live",
         [known.s, known.w, known.p],
