@@ -26,10 +26,9 @@ from undeadzone.numerics import gaussian
 from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.observers import Kalman
 from undeadzone.observers.parts import measured_kalman as filtering
-from undeadzone.observers.parts.gaussian_filter import Params
+from undeadzone.observers.parts.gaussian_filter import Params, within_ranges
 from undeadzone.observers.parts.measured_kalman import State
 from undeadzone.observers.parts.prior import build_prior, width_ranges
-from undeadzone.observers.parts.shown_belief import within_ranges
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled

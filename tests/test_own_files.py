@@ -11,7 +11,7 @@ import pytest
 
 from commands import undeadzone
 from undeadzone.errors import FileError
-from undeadzone.exports.folder import MANIFEST, manifest, write_folder
+from undeadzone.exports.targets import MANIFEST, manifest, write_folder
 from undeadzone.support.own_files import marked, require_own, write_own
 
 EXAMPLES = Path(__file__).parents[1] / "examples"

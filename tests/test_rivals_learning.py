@@ -27,8 +27,7 @@ from undeadzone.interfaces import Estimate, Observer, Reading
 from undeadzone.linear.matrices import Matrices
 from undeadzone.linear.riccati import fast_gain
 from undeadzone.observers.parts.gain import injection
-from undeadzone.plants.system import System, sampled
-from undeadzone.plants.time_scales import fastest_pole
+from undeadzone.plants.system import System, fastest_pole, sampled
 from undeadzone.results.run import Run
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.simulation.simulate import prepare, simulate

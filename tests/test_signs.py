@@ -31,9 +31,9 @@ from undeadzone.linear.structure import output_chains, uncontrollable_modes, uno
 from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.numerics.optimise import evolve, pareto
 from undeadzone.observers import Certified
+from undeadzone.observers.parts.gaussian_filter import FAR, clipped
 from undeadzone.observers.parts.judged_filter import log_density
 from undeadzone.observers.parts.prior import build_prior
-from undeadzone.observers.parts.shown_belief import FAR, clipped
 from undeadzone.observers.parts.width_laws import bounded_widths
 from undeadzone.plants.system import sampled
 from undeadzone.signals.exosystem import Random

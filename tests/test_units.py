@@ -18,8 +18,7 @@ from undeadzone.linear.hold import sampled_noise, zoh, zoh_slopes
 from undeadzone.linear.matrices import Matrices, companion
 from undeadzone.observers.parts.prior import build_prior
 from undeadzone.plants.build import system
-from undeadzone.plants.system import sampled
-from undeadzone.plants.time_scales import pace, rates_of_motion, state_units, time_scale
+from undeadzone.plants.system import pace, rates_of_motion, sampled, state_units, time_scale
 from undeadzone.results.scales import plant_scales
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert

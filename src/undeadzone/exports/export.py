@@ -13,10 +13,10 @@ import undeadzone
 from undeadzone.compile.graph import needed
 from undeadzone.compile.print_c import literal
 from undeadzone.errors import InputError
-from undeadzone.exports import accuracy, compiler, folder, parts, targets
+from undeadzone.exports import accuracy, compiler, parts, targets
 from undeadzone.exports.code import Code, code, operations
-from undeadzone.exports.fields import Field, identifier, total
 from undeadzone.exports.page.build import write_page
+from undeadzone.exports.parts import Field, identifier, total
 from undeadzone.exports.source import Labels, Source, source
 from undeadzone.exports.targets import Material
 from undeadzone.exports.vectors import chosen, continued, recorded, reference, selftest
@@ -91,7 +91,7 @@ def export(
         _require_plain(precision, part, tunable, name, check, force)
         return Exported([Path(out)], write_page(scenario, Path(out)))
     prefix = _prefix(name, scenario.title)
-    folder.require_replaceable(Path(out), force)
+    targets.require_replaceable(Path(out), force)
     targets.require_possible(to, prefix)
     problem = resolve_scenario(scenario)
     step = parts.build(problem, part, tuple(tunable))
@@ -106,7 +106,7 @@ def export(
     vectors = reference(printed, chosen(rows[: problem.steps + 1], step.readings))
     tested = selftest(printed, prefix, vectors)
     files = targets.files(to, Material(printed, text, tested, scenario.units, report))
-    written = folder.write_folder(files, Path(out), force)
+    written = targets.write_folder(files, Path(out), force)
     if check and to != "arduino":
         passed, said = compiler.self_tested(text.files(prefix) | {f"{prefix}_test.c": tested})
         report["self_test"] = said

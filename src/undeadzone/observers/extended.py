@@ -24,11 +24,10 @@ from undeadzone.observers.parts.augmented_state import (
     even_units,
     shown_states,
 )
-from undeadzone.observers.parts.claims import GLITCHES, glitch_share
 from undeadzone.observers.parts.gaussian_filter import Augmentation, Params
 from undeadzone.observers.parts.judged_filter import judged
 from undeadzone.observers.parts.measured_kalman import measured_filter
-from undeadzone.observers.parts.prior import Prior, build_prior
+from undeadzone.observers.parts.prior import GLITCHES, Prior, build_prior, glitch_share
 from undeadzone.observers.parts.unknown_inputs import (
     Colour,
     coloured,

@@ -19,8 +19,7 @@ from undeadzone.observers.parts.actuated import built as behind
 from undeadzone.observers.parts.motion import require_hearer
 from undeadzone.plants import build as plants
 from undeadzone.plants.options import Plant
-from undeadzone.plants.system import System, sampled
-from undeadzone.plants.time_scales import pace
+from undeadzone.plants.system import System, pace, sampled
 from undeadzone.scenario.problem import require_visible
 from undeadzone.scenario.time_step import require_bounded_error
 from undeadzone.support import tree

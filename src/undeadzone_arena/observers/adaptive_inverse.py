@@ -16,8 +16,7 @@ from undeadzone.interfaces import Observer
 from undeadzone.observers.parts.gain import hiding, injection
 from undeadzone.observers.parts.motion import heard_by_motion
 from undeadzone.observers.parts.width_laws import bounded_widths
-from undeadzone.plants.system import System
-from undeadzone.plants.time_scales import in_poles
+from undeadzone.plants.system import System, in_poles
 from undeadzone.support.arrays import Array
 from undeadzone_arena.observers.parts.adaptive_laws import gradient, least_squares
 from undeadzone_arena.observers.parts.learned_residual import Compensator, learning

@@ -30,8 +30,13 @@ from undeadzone.observers.parts.augmented_state import (
     joint_prior,
     quarter_period,
 )
-from undeadzone.observers.parts.claims import Doubt, doubt_numbers, glitch_chance, glitch_share
-from undeadzone.observers.parts.prior import sample_time
+from undeadzone.observers.parts.prior import (
+    Doubt,
+    doubt_numbers,
+    glitch_chance,
+    glitch_share,
+    sample_time,
+)
 from undeadzone.observers.parts.recovery import LIMIT, TOO_MANY
 from undeadzone.plants.system import System
 from undeadzone.support.arrays import Array, Floats, nonnegative, scalar

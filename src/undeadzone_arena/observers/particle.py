@@ -27,8 +27,7 @@ from undeadzone.observers.parts.augmented_state import (
     joint_prior,
     read,
 )
-from undeadzone.observers.parts.claims import glitch_reach, glitch_share
-from undeadzone.observers.parts.prior import Prior
+from undeadzone.observers.parts.prior import Prior, glitch_reach, glitch_share
 from undeadzone.observers.parts.recovery import LIMIT
 from undeadzone.plants.system import System
 from undeadzone.support.arrays import Floats, Integers

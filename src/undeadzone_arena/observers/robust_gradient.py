@@ -16,8 +16,7 @@ from undeadzone.errors import InputError, StructureError
 from undeadzone.interfaces import Observer, Reading
 from undeadzone.observers.parts.gain import hiding, injection
 from undeadzone.observers.parts.output_error import State, adapted, output_error
-from undeadzone.plants.system import System
-from undeadzone.plants.time_scales import fastest_pole
+from undeadzone.plants.system import System, fastest_pole
 from undeadzone.support.arrays import Array, Floats, scalar
 
 

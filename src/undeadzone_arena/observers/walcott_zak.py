@@ -15,8 +15,7 @@ from undeadzone.linear.matrices import Matrices, sizes
 from undeadzone.linear.riccati import lyapunov, weight
 from undeadzone.observers.parts.gain import injection
 from undeadzone.observers.parts.output_error import adapted, output_error
-from undeadzone.plants.system import System
-from undeadzone.plants.time_scales import fastest_pole
+from undeadzone.plants.system import System, fastest_pole
 from undeadzone.support.arrays import Array, Floats, listed, nonnegative, vector
 
 

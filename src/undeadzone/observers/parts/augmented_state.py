@@ -16,10 +16,8 @@ from undeadzone.ends import sensor as sensors
 from undeadzone.ends.sensor import Zone
 from undeadzone.interfaces import Estimate, Observer, Reading
 from undeadzone.linear.hold import sampled_noise
-from undeadzone.observers.parts.claims import GLITCHES
-from undeadzone.observers.parts.prior import Prior, build_prior, sample_time, width_ranges
-from undeadzone.plants.system import System
-from undeadzone.plants.time_scales import state_units, time_scale
+from undeadzone.observers.parts.prior import GLITCHES, Prior, build_prior, sample_time, width_ranges
+from undeadzone.plants.system import System, state_units, time_scale
 from undeadzone.support.arrays import Array, Floats, nonnegative, scalar
 
 CROWD = 100  # readings in a quarter period beyond which each is given more noise

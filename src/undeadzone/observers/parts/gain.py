@@ -16,8 +16,7 @@ from undeadzone.errors import InputError, ShapeError
 from undeadzone.linear.matrices import Matrices, sizes
 from undeadzone.linear.poles import observer_gain
 from undeadzone.linear.riccati import fast_gain
-from undeadzone.plants.system import System
-from undeadzone.plants.time_scales import in_poles, mean_pole, moving_poles
+from undeadzone.plants.system import System, in_poles, mean_pole, moving_poles
 from undeadzone.support.arrays import Array, Floats, array, matrix
 
 STRENGTH: Final = 1.0  # C (-A)^-1 L: how far a lasting error moves z^, in that error

@@ -18,9 +18,9 @@ from undeadzone.observers.parts.augmented_state import (
     read,
     shown_states,
 )
-from undeadzone.observers.parts.claims import doubt_numbers, glitch_share
 from undeadzone.observers.parts.gaussian_filter import (
     Params,
+    clipped,
     filter_numbers,
     kept_entries,
     motion,
@@ -28,8 +28,8 @@ from undeadzone.observers.parts.gaussian_filter import (
     white,
 )
 from undeadzone.observers.parts.judged_filter import Member, Step, judged
+from undeadzone.observers.parts.prior import doubt_numbers, glitch_share
 from undeadzone.observers.parts.recovery import Patience, patient, reopened, sound
-from undeadzone.observers.parts.shown_belief import clipped
 from undeadzone.plants.system import System, in_units
 
 Sight = Callable[[Any], Any]
