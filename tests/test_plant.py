@@ -26,7 +26,6 @@ from undeadzone.plants.options import Plant, SecondOrder, TransferFunction
 from undeadzone.plants.system import (
     System,
     fastest_pole,
-    in_poles,
     moving_poles,
     rates_of_motion,
     sampled,
@@ -34,6 +33,7 @@ from undeadzone.plants.system import (
 )
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.arrays import Floats
+from undeadzone_arena.speeds import in_poles
 
 seeds = st.integers(0, 2**32 - 1)
 FREQUENCIES = [0.0, 0.3, 1.0, 7.0, 200.0]

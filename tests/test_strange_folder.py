@@ -21,7 +21,7 @@ from undeadzone.exports.parts import identifier
 from undeadzone.logs import whole
 from undeadzone.scenario.reader import parse, read
 from undeadzone.simulation.simulate import simulate
-from undeadzone.support.processes import SAFE, pool
+from undeadzone_arena.contest.processes import SAFE, pool
 
 COMMAND = [sys.executable, "-P", "-c", "from undeadzone.cli import main; main()"]
 SHORT = """title = "short"

@@ -15,7 +15,7 @@ from undeadzone.linear.hold import zoh
 from undeadzone.linear.matrices import Matrices, balancing, feedback_loops, similar
 from undeadzone.numerics.runge_kutta import rk4_change
 from undeadzone.plants.robots.arm import Arm
-from undeadzone.support.arrays import LARGEST, Floats, scalar
+from undeadzone.support.arrays import LARGEST, Floats
 
 
 class Flat(NamedTuple):
@@ -267,26 +267,6 @@ def fastest_pole(model: System) -> float:
 def mean_pole(model: System) -> float:
     """The geometric mean of `moving_poles` [1/s]."""
     return float(np.exp(np.log(moving_poles(model)).mean()))
-
-
-def in_poles(model: System, key: str, rate: float | None, default: float) -> float:
-    """A rate as the user gives it, or a multiple of the plant's fastest pole.
-
-    Args:
-        model: the plant.
-        key: name of the rate in messages.
-        rate: as the user gives it [1/s], or None.
-        default: the rate in fastest poles [1], in place of None.
-
-    Returns:
-        The rate [1/s].
-
-    Raises:
-        InputError: the rate is no positive number.
-    """
-    if rate is None:
-        return default * fastest_pole(model)
-    return scalar(key, rate, above=0.0)
 
 
 def time_scale(flow: Matrices, Ts: float | None = None) -> float:

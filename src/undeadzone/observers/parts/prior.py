@@ -11,7 +11,6 @@ from undeadzone.ends.gaps import largest_gap
 from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Traits
-from undeadzone.numerics.gaussian import CLIP, TAIL
 from undeadzone.plants.system import System, state_units, time_scale
 from undeadzone.support.arrays import Array, Floats, array, nonnegative, scalar, vector
 
@@ -302,19 +301,6 @@ def doubt_numbers(
 def glitch_reach(prior: Prior) -> Floats:
     """The range over which a wrong reading is evenly spread (p) [z]."""
     return np.asarray(GLITCH_REACH * prior.ranges[:, 1].reshape(2, -1).max(axis=0))
-
-
-def glitch_chance(doubt: Doubt, e: Floats, std: Floats) -> Floats:
-    """The chance that readings with these innovations are glitches (p).
-
-    Args:
-        doubt: numbers of the doubt.
-        e, std: innovations and their standard deviations (p) [z].
-    """
-    r = np.clip(e / std, -CLIP, CLIP)
-    wrong = doubt.glitch - np.log(doubt.reach + TAIL * std)
-    right = -(r**2) / 2 - np.log(2 * np.pi * std**2) / 2
-    return np.asarray(1 / (1 + np.exp(right - wrong)))
 
 
 def glitch_share(claimed: float) -> float:
