@@ -62,17 +62,7 @@ class Censored(Claims, frozen=True, kw_only=True, tag_field="method", tag="censo
 
     def build(self, model: System, sensor: Zone) -> Observer:
         """The filter for a sampled model."""
-        prior = build_prior(
-            model,
-            sensor,
-            self.right,
-            self.left,
-            self.noise,
-            self.x_std,
-            self.drift,
-            wear=WEAR,
-            centre=self.centre,
-        )
+        prior = build_prior(self, model, sensor, wear=WEAR, centre=self.centre)
         Ts = model.Ts
         assert Ts is not None
         assert model.flow is not None

@@ -64,16 +64,7 @@ class Kalman(Options, frozen=True, kw_only=True, tag="kalman"):
                 "observer.method: readings of a jump sensor only bound its widths, which 'kalman' "
                 "cannot use; use 'censored'"
             )
-        prior = build_prior(
-            model,
-            sensor,
-            self.right,
-            self.left,
-            self.noise,
-            self.x_std,
-            self.drift,
-            centre=self.centre,
-        )
+        prior = build_prior(self, model, sensor, centre=self.centre)
         if self.disturbance is None:
             rms = agitation(model, SWING * prior.largest)
         else:

@@ -60,13 +60,9 @@ class Prior(NamedTuple):
 
 
 def build_prior(
+    claims: Any,
     model: System,
     sensor: Zone,
-    right: Array,
-    left: Array | None,
-    noise: Array | None,
-    x_std: Array | None,
-    drift: Array | None,
     *,
     floor: float = FLOOR,
     reach: float = REACH,
@@ -79,14 +75,12 @@ def build_prior(
     A width has the mean of its range, and the standard deviation of a uniform distribution over it.
 
     Args:
+        claims: options with right, left (None: those of right), noise (None: the sensor's, but at
+            least `floor`), x_std (None: what shows as `reach` times the largest width,
+            `state_units`) and drift (None: `wear` times the largest width in 1 / |pole|, which is
+            2 / pi quarter periods), as of `Claims`.
         model: the sampled model.
         sensor: the dead zone.
-        right, left: claimed ranges of d_r, d_l; left None: those of right.
-        noise: rms of a reading [z]; None: the sensor's, but at least `floor`.
-        x_std: standard deviation of x(0); None: what shows as `reach` times the largest width
-            (`state_units`).
-        drift: random walk of the widths [z / sqrt(s)]; None: `wear` times the largest width in
-            1 / |pole|, which is 2 / pi quarter periods.
         floor: least noise, as a share of the claimed range.
         reach: standard deviation of x(0), in largest widths, where none is claimed.
         wear: drift, in largest widths per 1 / sqrt(|pole|), where none is claimed.
@@ -98,19 +92,20 @@ def build_prior(
     """
     Ts = sample_time(model)
     p = model.p
-    ranges = width_ranges(right, left, p)
+    ranges = width_ranges(claims.right, claims.left, p)
     span = ranges[:, 1] - ranges[:, 0]
     largest = max(ranges[:, 1].max(), largest_gap(sensor.play))
-    if noise is None:
+    if claims.noise is None:
         rms = sensor.rms
         least = floor * span.reshape(2, p).max(axis=0)
     else:
-        rms = _claimed_noise(noise, p)
+        rms = _claimed_noise(claims.noise, p)
         least = np.zeros(p)
-    if x_std is None:
+    if claims.x_std is None:
         spread = reach * largest * state_units(model.flow or model.linear, Ts)
     else:
-        spread = nonnegative("observer.x_std", x_std, model.n, "one per state")
+        spread = nonnegative("observer.x_std", claims.x_std, model.n, "one per state")
+    drift = claims.drift
     if drift is None:
         drift = wear * largest * np.sqrt(np.pi / 2 / time_scale(model.flow or model.linear, Ts))
     growth = scalar("observer.drift", drift, least=0.0) ** 2 * Ts

@@ -111,13 +111,9 @@ def joint_prior(
     largest = float(ranges.max())
     floor = defaults.noise * max(1.0, readings / CROWD) ** 0.5
     prior = build_prior(
+        claims,
         model,
         sensor,
-        claims.right,
-        claims.left,
-        claims.noise,
-        claims.x_std,
-        claims.drift,
         floor=floor,
         reach=defaults.x_std,
         wear=defaults.drift,
