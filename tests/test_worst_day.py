@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from benchmarks.worst_day import day, scenario
 
 import undeadzone as uz
 from test_engines import OBSERVERS, small
-from undeadzone.compile.replica import replica
 from undeadzone.exports import accuracy, parts, vectors
-from undeadzone.exports.code import Code, code
+from undeadzone.exports.code import code
 from undeadzone.exports.parts import Step
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
@@ -19,18 +20,6 @@ from undeadzone.support.arrays import Floats
 
 FILTERS = ("kalman", "extended", "censored")
 FLAGS = ("consistent", "refused", "restarts", "side")
-
-
-def along(printed: Code, rows: Floats) -> Floats:
-    """What an export gives along inputs, computed without a compiler."""
-    evaluate, kind = replica(printed.results), printed.kind
-    state, params = printed.step.start.astype(kind), printed.step.defaults.astype(kind)
-    outputs = []
-    with np.errstate(all="ignore"):
-        for row in rows.astype(kind):
-            state, out = evaluate(vectors._entries(state, row, params))
-            outputs.append(out)
-    return np.array(outputs, float)
 
 
 def broken(step: Step, scenario: Scenario) -> Floats:
@@ -44,13 +33,13 @@ def broken(step: Step, scenario: Scenario) -> Floats:
 
 
 @pytest.mark.parametrize("method", FILTERS)
-def test_float_refuses_what_double_refuses(method: str) -> None:
+def test_float_refuses_what_double_refuses(method: str, tmp_path: Path) -> None:
     sensor = {"right": 0.5, "left": 0.3, "noise": 0.01, "range": [-0.8, 1.2]}
     observer = {"method": method} | OBSERVERS[method][1]
     scenario = small("sampled", sensor=sensor, observer=observer)
     step = parts.build(resolve_scenario(scenario))
     rows, places = broken(step, scenario), accuracy.places_of(step.outputs)
-    single, double = (along(code(step, kind), rows) for kind in (True, False))
+    single, double = (accuracy.Compiled(code(step, kind), tmp_path)(rows) for kind in (True, False))
     for flag in FLAGS:
         np.testing.assert_array_equal(single[:, places[flag]], double[:, places[flag]], flag)
     assert double[-1, places["refused"]] > 10
@@ -68,7 +57,7 @@ PLAYS: list[dict[str, Any]] = [
 
 
 @pytest.mark.parametrize("sensor", PLAYS)
-def test_the_side_of_an_export_is_that_of_online(sensor: dict[str, Any]) -> None:
+def test_the_side_of_an_export_is_that_of_online(sensor: dict[str, Any], tmp_path: Path) -> None:
     """Along a random stream, missing readings among it."""
     observer = {"method": "kalman", "right": [0.05, 1.0]}
     scenario = small("sampled", sensor=sensor, observer=observer)
@@ -76,8 +65,29 @@ def test_the_side_of_an_export_is_that_of_online(sensor: dict[str, Any]) -> None
     random = np.random.default_rng(7)
     rows = 0.1 * np.cumsum(random.standard_normal((500, 2)), axis=0)
     rows[random.random(500) < 0.05, 0] = np.nan
-    shown = along(code(step, False), rows)[:, accuracy.places_of(step.outputs)["side"]]
+    shown = accuracy.Compiled(code(step, False), tmp_path)(rows)
+    shown = shown[:, accuracy.places_of(step.outputs)["side"]]
     online = uz.Online(scenario.observer, scenario.plant, scenario.sensor, scenario.simulation.step)
     _, sides = online.update_many(rows[:, :1], rows[:, 1:])
     np.testing.assert_array_equal(shown, sides)
     assert len(np.unique(sides)) > 2
+
+
+DAYS = [
+    ("certified", "range"), ("kalman", "range"), ("kalman", "play"), ("extended", "jump"),
+    ("censored", "play"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("method", "sensor"), DAYS)
+def test_the_worst_day(method: str, sensor: str) -> None:
+    """C in double follows `Online`, and float flags what double flags.
+
+    10,000 samples with missing, wrong, stuck and impossible readings; `python -m benchmarks
+    worst_day` prints all of them.
+    """
+    found = day(scenario(method, sensor))
+    assert not any(found.differing.values()), found.differing
+    assert found.beside < 1e-10
+    assert found.rounded < 1e-2
+    assert (found.refused > 10) == (method != "certified")
