@@ -257,17 +257,16 @@ class Marked(NamedTuple):
     typical: int | None
 
 
-def tornado(sensitivities: Sensitivities, metric: str = MAIN) -> Figure | None:
+def tornado(sensitivities: Sensitivities) -> Figure | None:
     """Partial rank correlation and Sobol indices, the most influential entry on top.
 
     Args:
         sensitivities: of the entries, as in a summary; None is returned if there are none
-        metric: what the entries decide
     """
     if not sensitivities:
         return None
     names = list(sensitivities)[:ROWS]
-    title, height = f"What decides the {words(metric)}", 1.6 + 0.34 * len(names)
+    title, height = f"What decides the {words(MAIN)}", 1.6 + 0.34 * len(names)
     figure, panels = sheet([["rank", "share"]], title, height=height)
     rank, share = panels["rank"], panels["share"]
     _ranks(rank, [sensitivities[name]["partial"] for name in names])
