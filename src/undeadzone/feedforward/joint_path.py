@@ -133,10 +133,8 @@ def require_range(chain: Chain, t: Floats, q: Floats, v: Floats) -> None:
         q: positions (N x joints) [rad or m].
         v: speeds (N x joints) [rad/s or m/s].
     """
-    positions = _Needed(
-        "reference: the path needs a position", "rad or m", chain.joints, OTHER_START
-    )
-    _require_within(positions, t, q, chain.limits)
+    places = _Needed("reference: the path needs a position", "rad or m", chain.joints, OTHER_START)
+    _require_within(places, t, q, chain.limits)
     speeds = _Needed(
         "reference: the path needs a speed", "rad/s or m/s", chain.joints, "slow the path down"
     )
