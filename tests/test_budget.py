@@ -15,13 +15,13 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 36_900, 310
+MOST_CODE, MOST_FILES = 37_150, 310
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
     "(root)": 330,
-    "analysis": 3280,
-    "cli": 1690,
+    "analysis": 3290,
+    "cli": 1750,
     "compensators": 170,
     "compile": 3400,
     "controllers": 680,
@@ -29,19 +29,19 @@ BUDGET = {
     "ensemble": 1970,
     "exports": 1940,
     "feedforward": 370,
-    "identification": 5360,
+    "identification": 5370,
     "linear": 400,
-    "logs": 1060,
+    "logs": 1240,
     "numerics": 640,
-    "observers": 2830,
+    "observers": 2840,
     "plants": 1530,
-    "report": 2920,
+    "report": 2930,
     "results": 890,
     "scenario": 1390,
     "signals": 430,
-    "simulation": 2310,
+    "simulation": 2290,
     "statistics": 265,
-    "support": 810,
+    "support": 815,
     "synthesis": 1030,
     "tuning": 890,
 }

@@ -270,53 +270,6 @@ def require_units(layout: Layout, units: Units, source: str) -> None:
                 )
 
 
-class TextLog:
-    """A CSV log on the steps of a scenario.
-
-    Args:
-        source: the log, for messages.
-        scenario: for its step and its units.
-        follower: of the same scenario.
-        chosen: columns that the user names; see `names.parse_columns`.
-        strict: whether a line that cannot be read is an error.
-    """
-
-    def __init__(
-        self,
-        source: str,
-        scenario: Scenario,
-        follower: Follower,
-        chosen: Mapping[str, str],
-        strict: bool,
-    ) -> None:
-        p, m = follower.model.p, follower.model.m
-        self.reader = LogReader(source, p, m, chosen, strict)
-        self.grid = Grid(scenario.simulation.step, source)
-        self._source, self._units = source, scenario.units
-        self._checked = False
-
-    def feed(self, data: bytes, last: bool) -> Regular:
-        """The samples in the lines that are whole now, one step apart.
-
-        Args:
-            data: the bytes that came in.
-            last: whether no more will come.
-
-        Raises:
-            FileError: the log cannot be what the scenario describes.
-        """
-        samples = self.reader.feed(data, last)
-        layout = self.reader.layout
-        if layout is not None and not self._checked:
-            require_units(layout, self._units, self._source)
-            self._checked = True
-        return self.grid.place(samples, layout is not None and layout.timed)
-
-    def info(self, follower: Follower) -> LogInfo:
-        """What the log comes to. Raises FileError."""
-        return follower.info(self._source, self.reader.layout, self.grid, self.reader.faults)
-
-
 # --- A log that comes in live
 
 
