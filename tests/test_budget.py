@@ -15,7 +15,7 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 37_150, 310
+MOST_CODE, MOST_FILES = 37_250, 310
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
@@ -27,7 +27,7 @@ BUDGET = {
     "controllers": 680,
     "ends": 440,
     "ensemble": 1970,
-    "exports": 1940,
+    "exports": 2020,
     "feedforward": 370,
     "identification": 5370,
     "linear": 400,
