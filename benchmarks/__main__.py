@@ -37,6 +37,7 @@ NAMES = (
     "identify_speed",
     "damaged_logs",
     "firmware",
+    "worst_day",
     "arena_effort",
     "play",
     "play_and_zone",

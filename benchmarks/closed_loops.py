@@ -17,7 +17,7 @@ from benchmarks.markdown import head, row
 from undeadzone.controllers import StateFeedback
 from undeadzone.ends.sensor import Sensor
 from undeadzone.observers import Censored
-from undeadzone.observers.parts.claims import Claims
+from undeadzone.observers.parts.prior import Claims
 from undeadzone.plants.options import Plant
 from undeadzone.scenario.schema import Model, Scenario, Simulation
 from undeadzone.signals.exosystem import Random, Sines, Tone

@@ -19,7 +19,7 @@ from undeadzone.controllers import StateFeedback
 from undeadzone.ends.sensor import Sensor, resolve
 from undeadzone.observers import Censored, Certified, Kalman, Luenberger
 from undeadzone.plants.options import Plant
-from undeadzone.plants.time_scales import pace
+from undeadzone.plants.system import pace
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario, Simulation
 from undeadzone.signals.exosystem import Random, Sine

@@ -30,7 +30,7 @@ from benchmarks.play import (
 from benchmarks.random_loops import Loops, run_loops
 from undeadzone.ends.sensor import Sensor, resolve
 from undeadzone.observers import Kalman
-from undeadzone.plants.time_scales import pace
+from undeadzone.plants.system import pace
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Model
 

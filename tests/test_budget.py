@@ -15,34 +15,34 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 37_500, 340
+MOST_CODE, MOST_FILES = 37_250, 310
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
-    "(root)": 360,
-    "analysis": 3310,
+    "(root)": 330,
+    "analysis": 3290,
     "cli": 1750,
     "compensators": 170,
     "compile": 3400,
     "controllers": 680,
     "ends": 440,
     "ensemble": 1970,
-    "exports": 1960,
+    "exports": 2020,
     "feedforward": 370,
     "identification": 5370,
-    "linear": 410,
+    "linear": 400,
     "logs": 1240,
     "numerics": 640,
-    "observers": 2960,
-    "plants": 1540,
-    "report": 2955,
+    "observers": 2840,
+    "plants": 1530,
+    "report": 2930,
     "results": 890,
     "scenario": 1390,
     "signals": 430,
-    "simulation": 2320,
-    "statistics": 270,
-    "support": 845,
-    "synthesis": 1040,
+    "simulation": 2290,
+    "statistics": 265,
+    "support": 815,
+    "synthesis": 1030,
     "tuning": 890,
 }
 SILENT = {

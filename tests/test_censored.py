@@ -28,9 +28,8 @@ from undeadzone.linear.hold import zoh
 from undeadzone.linear.matrices import Matrices
 from undeadzone.numerics import gaussian
 from undeadzone.observers import Censored, Kalman
-from undeadzone.observers.parts.gaussian_filter import Params
+from undeadzone.observers.parts.gaussian_filter import Params, ambiguous
 from undeadzone.observers.parts.model_bank import mixture_std, weighted_mean, wider_of_two
-from undeadzone.observers.parts.shown_belief import ambiguous
 from undeadzone.observers.parts.unknown_inputs import (
     SMALL,
     coloured,
@@ -41,8 +40,7 @@ from undeadzone.observers.parts.unknown_inputs import (
 )
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
-from undeadzone.plants.system import System, sampled
-from undeadzone.plants.time_scales import time_scale
+from undeadzone.plants.system import System, sampled, time_scale
 from undeadzone.results.run import Run
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.simulation.simulate import prepare, simulate

@@ -28,11 +28,10 @@ from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.arrays import Floats
-from undeadzone.synthesis.candidates import candidate_of, certified
 from undeadzone.synthesis.check import check
 from undeadzone.synthesis.design import design, rounds
 from undeadzone.synthesis.gain_search import Weights
-from undeadzone.synthesis.task import make_task, watched
+from undeadzone.synthesis.task import candidate_of, certified, make_task, watched
 
 SAMPLED = {"time": "sampled", "step": 1e-2}
 COUPLED = {

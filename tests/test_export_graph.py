@@ -23,8 +23,7 @@ from undeadzone.compile.simplify import held
 from undeadzone.errors import InputError
 from undeadzone.exports.accuracy import Compiled
 from undeadzone.exports.code import code, operations, split
-from undeadzone.exports.fields import Field
-from undeadzone.exports.parts import Step
+from undeadzone.exports.parts import Field, Step
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import sampled

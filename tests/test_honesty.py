@@ -22,8 +22,7 @@ from undeadzone.linear.hold import zoh
 from undeadzone.numerics.gaussian import Gaussian, truncate_unless_fake, update_unless_glitch
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
-from undeadzone.plants.system import sampled
-from undeadzone.plants.time_scales import arrival
+from undeadzone.plants.system import arrival, sampled
 from undeadzone.support.arrays import Floats
 
 LOW, HIGH = 0.2, 3.0

@@ -24,8 +24,7 @@ from undeadzone.logs.clock import Clock
 from undeadzone.logs.names import parse_columns
 from undeadzone.logs.samples import KINDS, Samples
 from undeadzone.scenario.reader import read_for_logs
-from undeadzone.simulation.follower import Follower
-from undeadzone.simulation.live_log import LiveLog
+from undeadzone.simulation.follower import Follower, LiveLog
 from undeadzone.simulation.saved_state import load, save
 
 KALMAN = """

@@ -18,9 +18,8 @@ from scenes import scene, slopes
 from undeadzone.numerics.dense_output import Crossing
 from undeadzone.results.run import Run
 from undeadzone.signals import noise
-from undeadzone.simulation.close import entered, exogenous_at
+from undeadzone.simulation.close import Mode, entered, exogenous_at
 from undeadzone.simulation.simulate import simulate
-from undeadzone.simulation.wiring import Mode
 from undeadzone.support.arrays import Floats
 
 A, B, C = np.array([[0.0, 1.0], [-1.0, -2.0]]), np.array([0.0, 1.0]), np.array([1.0, 0.0])

@@ -10,10 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from undeadzone.exports.folder import MANIFEST, manifest, write_folder
 
 from commands import undeadzone
 from undeadzone.errors import FileError
-from undeadzone.exports.folder import MANIFEST, manifest, write_folder
+from undeadzone.exports.targets import MANIFEST, manifest, write_folder
 from undeadzone.support.files import write_text
 from undeadzone.support.own_files import marked, require_own, write_own
 

@@ -631,7 +631,7 @@ def test_solved_and_singular_jacobians() -> None:
 def test_the_equations_of_an_arm_hold_where_it_starts() -> None:
     """Three equations place the tip in space; the joint to spare keeps its part at 0."""
     body, start = spatial(4), np.array([0.3, 0.4, -0.6, 0.2])
-    equations = equations_of(body, body.values, start, "reference")
+    equations = equations_of(body, body.values, start)
     place, J = (part.full() for part in equations.place(start))
     tip = body.tip(body.values, start).full().ravel()
     assert place.ravel() == pytest.approx([*tip / equations.reach, 0.0])

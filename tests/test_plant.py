@@ -23,16 +23,17 @@ from undeadzone.linear.matrices import Matrices
 from undeadzone.plants.build import initial_state, matrices, system
 from undeadzone.plants.interop import from_control, from_scipy, to_control, to_scipy
 from undeadzone.plants.options import Plant, SecondOrder, TransferFunction
-from undeadzone.plants.system import System, sampled
-from undeadzone.plants.time_scales import (
+from undeadzone.plants.system import (
+    System,
     fastest_pole,
-    in_poles,
     moving_poles,
     rates_of_motion,
+    sampled,
     time_scale,
 )
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.arrays import Floats
+from undeadzone_arena.speeds import in_poles
 
 seeds = st.integers(0, 2**32 - 1)
 FREQUENCIES = [0.0, 0.3, 1.0, 7.0, 200.0]

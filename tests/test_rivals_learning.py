@@ -26,9 +26,7 @@ from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Estimate, Observer, Reading
 from undeadzone.linear.matrices import Matrices
 from undeadzone.linear.riccati import fast_gain
-from undeadzone.observers.parts.gain import injection
-from undeadzone.plants.system import System, sampled
-from undeadzone.plants.time_scales import fastest_pole
+from undeadzone.plants.system import System, fastest_pole, sampled
 from undeadzone.results.run import Run
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.simulation.simulate import prepare, simulate
@@ -47,6 +45,7 @@ from undeadzone_arena import (
 )
 from undeadzone_arena.approximators import Basis, gaussians, jumps, monomials
 from undeadzone_arena.controllers.learned_feedback import error_weights, relative_degree
+from undeadzone_arena.speeds import injection
 
 seeds = st.integers(0, 2**32 - 1)
 TWO = linear([[-1.0, 0.5], [-0.5, -2.0]], np.eye(2), [[1.0, 0.0], [0.2, 1.0]])

@@ -25,12 +25,7 @@ from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import COLUMNS, Estimate, InPython, Observer, Reading, Traits, in_python
 from undeadzone.numerics.gaussian import symmetric, triangle
 from undeadzone.observers import Kalman
-from undeadzone.observers.parts.augmented_state import (
-    agitation,
-    even_units,
-    joint_prior,
-    quarter_period,
-)
+from undeadzone.observers.parts.augmented_state import agitation, even_units, quarter_period
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled
@@ -44,6 +39,7 @@ from undeadzone_arena import EKF, UKF, MovingHorizon, ParticleFilter
 from undeadzone_arena.observers import moving_horizon, particle
 from undeadzone_arena.observers.particle import reweighted, systematic
 from undeadzone_arena.observers.parts import window as horizon
+from undeadzone_arena.observers.parts.joint_claims import joint_prior
 from undeadzone_arena.observers.parts.window import Affine, Weights, Window
 
 seeds = st.integers(0, 2**32 - 1)

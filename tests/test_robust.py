@@ -14,16 +14,11 @@ from benchmarks.designs import random_design, random_matrices
 from scipy.linalg import expm
 from scipy.optimize import minimize_scalar
 
+from certificates import project, sector
 from scenes import PAPER_PLANT, scene
 from undeadzone.analysis.certificate.driven import leaking, ultimate_bound
 from undeadzone.analysis.certificate.passivity import certify, certify_dynamics, passive_gain
-from undeadzone.analysis.certificate.robust import (
-    certified_radius,
-    closed_loop,
-    l2_gain,
-    project,
-    sector,
-)
+from undeadzone.analysis.certificate.robust import certified_radius, closed_loop, l2_gain
 from undeadzone.analysis.convergence.falsify import Mode, falsify, generator
 from undeadzone.analysis.error_dynamics import Dynamics, dynamics, pattern
 from undeadzone.errors import InputError, ShapeError

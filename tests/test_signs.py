@@ -31,9 +31,9 @@ from undeadzone.linear.structure import output_chains, uncontrollable_modes, uno
 from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.numerics.optimise import evolve, pareto
 from undeadzone.observers import Certified
+from undeadzone.observers.parts.gaussian_filter import FAR, clipped
 from undeadzone.observers.parts.judged_filter import log_density
-from undeadzone.observers.parts.prior import build_prior
-from undeadzone.observers.parts.shown_belief import FAR, clipped
+from undeadzone.observers.parts.prior import Claims, build_prior
 from undeadzone.observers.parts.width_laws import bounded_widths
 from undeadzone.plants.system import sampled
 from undeadzone.signals.exosystem import Random
@@ -179,7 +179,7 @@ def test_the_least_noise_is_a_share_of_the_wider_range() -> None:
     model = sampled(PAPER_PLANT, 0.01)
     sensor = resolve(Sensor(right=0.5, left=0.5), 1, 0.01)
     for right, left in (([0.0, 1.0], [0.0, 3.0]), ([0.0, 3.0], [0.0, 1.0])):
-        claimed = build_prior(model, sensor, right, left, None, None, None, floor=0.1, wear=0.0)
+        claimed = build_prior(Claims(right=right, left=left), model, sensor, floor=0.1, wear=0.0)
         np.testing.assert_allclose(claimed.R, 0.3**2)
 
 

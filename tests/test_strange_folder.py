@@ -17,11 +17,11 @@ from scipy.io import savemat
 from undeadzone.cli.ending import ended
 from undeadzone.errors import FileError, InputError
 from undeadzone.exports.export import export
-from undeadzone.exports.fields import identifier
+from undeadzone.exports.parts import identifier
 from undeadzone.logs import whole
 from undeadzone.scenario.reader import parse, read
 from undeadzone.simulation.simulate import simulate
-from undeadzone.support.processes import SAFE, pool
+from undeadzone_arena.contest.processes import SAFE, pool
 
 COMMAND = [sys.executable, "-P", "-c", "from undeadzone.cli import main; main()"]
 SHORT = """title = "short"

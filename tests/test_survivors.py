@@ -22,16 +22,11 @@ from undeadzone.errors import StructureError
 from undeadzone.linear import riccati
 from undeadzone.linear.matrices import Matrices
 from undeadzone.linear.poles import place
-from undeadzone.observers.parts.augmented_state import (
-    CROWD,
-    Defaults,
-    JointClaims,
-    agitation,
-    joint_prior,
-)
+from undeadzone.observers.parts.augmented_state import agitation
 from undeadzone.plants.system import sampled
 from undeadzone_arena.observers.parts import learned_residual
 from undeadzone_arena.observers.parts.boxes import cut
+from undeadzone_arena.observers.parts.joint_claims import CROWD, Defaults, JointClaims, joint_prior
 
 
 @pytest.mark.parametrize(("lost", "state"), [("right", "x[0]"), ("left", "x[1]")])

@@ -52,7 +52,7 @@ from .observers import HighGain as HighGain
 from .observers import Kalman as Kalman
 from .observers import Luenberger as Luenberger
 from .observers import Oracle as Oracle
-from .observers.parts.claims import Claims as Claims
+from .observers.parts.prior import Claims as Claims
 from .observers.parts.width_laws import EModification as EModification
 from .observers.parts.width_laws import Gradient as Gradient
 from .observers.parts.width_laws import LeastSquares as LeastSquares

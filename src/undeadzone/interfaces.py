@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.ends.limits import Limits, beyond
-from undeadzone.ends.sensor import Zone, inverse, present, side
+from undeadzone.ends.sensor import inverse, present, side
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.support.arrays import Floats
@@ -52,6 +52,16 @@ def received(y: Any, threshold: Any, limits: Limits | None) -> Reading:
     seen = ca.if_else(beyond(y, limits), np.nan, seen)
     side_read = side(seen, threshold, limits)
     return Reading(ca.if_else(beyond(y, limits), np.inf, seen), side_read)
+
+
+def known_side(reading: Reading, estimate: Any) -> Any:
+    """The side that a sample tells (p): of a play what its observer made out, else of the reading.
+
+    Args:
+        reading: what was read.
+        estimate: what the observer made of it.
+    """
+    return estimate.contact if estimate.contact.shape[0] else reading.side
 
 
 def exact(reading: Reading, limits: Limits | None) -> Reading:
@@ -356,49 +366,6 @@ def estimate(
     """
     inverted = inverse(reading.y, reading.side, right, left, slope, kind)
     return Estimate(x, z, right, left, ca.if_else(present(reading.y), inverted, z), innovation)
-
-
-def numeric_estimate(
-    X: Floats,
-    z: Floats,
-    reading: Reading,
-    sensor: Zone,
-    e: Floats,
-    std: Floats,
-    width_std: Floats,
-    e_std: Floats,
-) -> Estimate:
-    """An `Estimate` of numbers.
-
-    Args:
-        X: [x; d_r; d_l] (n + 2p).
-        z: output z^ (p).
-        reading: what was read.
-        sensor: the dead zone, for its slope and kind.
-        e: innovation (p).
-        std: standard deviations of X (n + 2p).
-        width_std: standard deviations of d_r + d_l (p).
-        e_std: standard deviations of e (p).
-    """
-    ends = [X.size - 2 * z.size, X.size - z.size]
-    x, right, left = np.split(X, ends)
-    x_std, right_std, left_std = np.split(std, ends)
-    inverted = inverse(reading.y, reading.side, right, left, sensor.slope, sensor.kind)
-    none = np.zeros(0)
-    return Estimate(
-        x,
-        z,
-        right,
-        left,
-        np.where(np.isfinite(reading.y), inverted, z),
-        e,
-        x_std,
-        right_std,
-        left_std,
-        width_std,
-        e_std,
-        *[none] * (len(Estimate._fields) - 11),
-    )
 
 
 def in_python(how: InPython, p: int, traits: Traits) -> Observer:

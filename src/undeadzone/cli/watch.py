@@ -32,8 +32,7 @@ from undeadzone.errors import FileError, Terminated
 if TYPE_CHECKING:
     from undeadzone.interfaces import Estimate
     from undeadzone.results.info import LogInfo
-    from undeadzone.simulation.follower import Follower
-    from undeadzone.simulation.live_log import LiveLog
+    from undeadzone.simulation.follower import Follower, LiveLog
     from undeadzone.support.arrays import Floats
 
 BLOCK = 1 << 20  # bytes that are read at once, if as many have come
@@ -82,8 +81,7 @@ def watch(
     """
     from undeadzone.logs.names import parse_columns
     from undeadzone.scenario.reader import read_for_logs
-    from undeadzone.simulation.follower import Follower
-    from undeadzone.simulation.live_log import LiveLog
+    from undeadzone.simulation.follower import Follower, LiveLog
 
     if state is not None:
         writable(state.parent)

@@ -13,12 +13,334 @@ from typing import Final, NamedTuple
 
 import casadi as ca
 
-from undeadzone.compile.block import Block
-from undeadzone.compile.graph import LANES, SHARED, STEADY, STILL, Nodes
+from undeadzone.compile.graph import (
+    LANES,
+    SHARED,
+    STEADY,
+    STILL,
+    Node,
+    Nodes,
+    condition,
+    needed,
+    still,
+    used,
+)
 from undeadzone.compile.lower import Arithmetic, lowered
 from undeadzone.compile.machine import ONE, Form, Machine, Shape
+from undeadzone.compile.print_llvm import Names, Text, entries_of, in_lanes, kept, once, plain
 from undeadzone.compile.promises import Promise
-from undeadzone.compile.schedule import of_graph
+from undeadzone.compile.rare import RareParts
+from undeadzone.compile.schedule import Branch, gathered, of_graph, ordered
+
+_ARGUMENTS: Final = ("work", "exogenous", "params", "own", "outputs")
+_PAGE: Final = 4096  # bytes
+_APART: Final = 256  # numbers between the tables and what else stands on the stack
+_TABLE: Final = 2048  # numbers of a table of a chunk of steps: 16 KB
+_STEPS: Final = 64  # of a chunk, at most
+_FEWEST: Final = 4
+_FOR_EVER: Final = 2**62
+_UNLIKELY: Final = '!0 = !{!"branch_weights", i32 1, i32 100}'
+
+
+class _Table:
+    """Plain numbers that lanes read: a row of them.
+
+    Args:
+        every_use: each use has an entry for itself. LLVM then makes it an operand of the
+            instruction that uses it, where one entry would stand in a register, or be spilled.
+    """
+
+    def __init__(self, every_use: bool) -> None:
+        self.entries: list[Node] = []
+        self._places: dict[Node, int] = {}
+        self._every_use = every_use
+
+    def place(self, node: Node) -> int:
+        """Where a use of a value finds it."""
+        if self._every_use or node not in self._places:
+            self._places[node] = len(self.entries)
+            self.entries.append(node)
+        return self._places[node]
+
+    def fill(self, text: Text, base: str, have: dict[Node, str]) -> None:
+        """Print what keeps the values."""
+        forms: dict[Node, str] = {}
+        for place, node in enumerate(self.entries):
+            if node not in forms:
+                forms[node] = kept(text, node, have[node])
+            text.store(forms[node], text.at(base, place))
+
+
+class Block:
+    """The function `block` on the way to its text.
+
+    Args:
+        shape, form: of the kernel.
+        usual: next, out, flag if there are rare parts.
+        parts: next, flag of each rare part.
+    """
+
+    def __init__(
+        self, shape: Shape, form: Form, usual: list[list[Node]], parts: list[list[list[Node]]]
+    ) -> None:
+        self.shape, self.form = shape, form
+        self.following, self.out = usual[0], usual[1]
+        self.flag = (condition(usual[2][0]) or usual[2][0]) if parts else None
+        self.declared: dict[str, str] = {}
+        self.rare = RareParts(shape, form, parts)
+        self.slots = form.slots and form.lanes > 1
+        self.steady, self.shared = _Table(self.slots), _Table(self.slots)
+        self.groups = range(form.streams)
+        self.results = [*self.following, *self.out, *([self.flag] if self.flag else [])]
+        self.order = ordered(self.results, form.registers)
+        self.still = still(self.order, self.results)
+        self.have: dict[Node, str] = {}  # steady values, plain
+        self.own: list[Names] = []  # of values that lanes compute once
+
+    def printed(self, name: str) -> str:
+        """The text of the module, with a function of that name."""
+        entry = self._text("e")
+        self._steady_values(entry)
+        group, body = self._group(), self._body()
+        steps = max(_FEWEST, min(_STEPS, _TABLE // max(1, len(self.shared.entries))))
+        steps = steps if self.shared.entries else _FOR_EVER
+        tables = self._tables(entry, steps)
+        arguments = ", ".join([f"ptr noalias %{array}" for array in _ARGUMENTS])
+        lines = [
+            *self.rare.functions(self.declared),
+            f"define void @{name}(i64 %steps, i64 %lanes, {arguments}) #0 {{",
+            "entry:",
+            # At a fixed place beside spilled numbers: where a number of the one has the same last
+            # bits of its address as one of the other, the processor takes them for the same.
+            f"  %scratch = alloca {self._place_of(tables)}",
+            *entry.lines,
+            *self._chunk(steps),
+            *group,
+            *self._time(),
+            *body,
+            *self._end(),
+            "}",
+            *self.declared.values(),
+            'attributes #0 = { nounwind "prefer-vector-width"="512" }',
+            *([_UNLIKELY] if self.flag else []),
+        ]
+        return "\n".join(lines)
+
+    def _place_of(self, numbers: int) -> str:
+        """Type and alignment of the array for tables of so many numbers."""
+        if self.form.lanes == 1:
+            return f"[{numbers + 1} x double], align 8"
+        return f"[{numbers + _APART} x double], align {_PAGE}"
+
+    def _text(self, prefix: str) -> Text:
+        """A new part of the function."""
+        return Text(self.form.lanes, self.declared, prefix)
+
+    def _steady_values(self, text: Text) -> None:
+        """Print what is steady, once."""
+        wanted = [*used([*self.still, *self.order], self.results, STEADY), *self.rare.steady]
+        for node in needed(used(self.order, self.results, SHARED)):
+            if node.level == SHARED:
+                wanted += [arg for arg in node.args if arg.level == STEADY]
+        once(text, wanted, self.have, entries_of(text, "params"))
+
+    def _tables(self, text: Text, steps: int) -> int:
+        """Print where tables are, and fill those that are steady; the numbers of all of them."""
+        lanes, streams = self.form.lanes, self.form.streams
+        text.line("%steady = getelementptr double, ptr %scratch, i64 0")
+        at = _rounded(len(self.steady.entries))
+        text.line(f"%table = getelementptr double, ptr %scratch, i64 {at}")
+        at += _rounded(len(self.shared.entries) * steps if self.shared.entries else 0)
+        text.line(f"%rare = getelementptr double, ptr %scratch, i64 {at}")
+        at += _rounded(len(self.rare.steady))
+        for u in range(streams if self.flag else 0):
+            for name, count in self.rare.arrays:
+                text.line(f"%{name}{u} = getelementptr double, ptr %scratch, i64 {at}")
+                at += _rounded(count * lanes)
+        self.steady.fill(text, "%steady", self.have)
+        for place, node in enumerate(self.rare.steady):
+            text.store(kept(text, node, self.have[node]), text.at("%rare", place))
+        text.line("%none = icmp slt i64 %steps, 1")
+        text.line("br i1 %none, label %end, label %chunk")
+        return at
+
+    def _chunk(self, steps: int) -> list[str]:
+        """The loop over chunks of steps and the table of what is shared."""
+        text = self._text("c")
+        text.label("chunk")
+        text.line("%first = phi i64 [0, %entry], [%last, %chunked]")
+        text.line(f"%far = add i64 %first, {steps}")
+        text.line("%short = icmp slt i64 %steps, %far")
+        text.line("%last = select i1 %short, i64 %steps, i64 %far")
+        if self.shared.entries:
+            with text.loop("ahead", "%first", "%last") as ahead:
+                self._ahead(text, ahead.at)
+        text.line("br label %groups")
+        text.label("groups")
+        text.line("br label %group")
+        return text.lines
+
+    def _ahead(self, text: Text, step: str) -> None:
+        """A row of the table of what is shared."""
+        at = text.add(f"mul i64 {step}, {self.shape.sizes[1]}")
+        text.line(f"%pa = getelementptr double, ptr %exogenous, i64 {at}")
+        row = text.add(f"sub i64 {step}, %first")
+        have, place = dict(self.have), text.add(f"mul i64 {row}, {len(self.shared.entries)}")
+        once(text, self.shared.entries, have, entries_of(text, "pa"))
+        self.shared.fill(text, text.at("%table", place), have)
+
+    def _group(self) -> list[str]:
+        """The loop over groups up to that over time."""
+        text = self._text("g")
+        vector, (states, _, _) = text.type("double"), self.shape.sizes
+        text.label("group")
+        text.line("%g = phi i64 [0, %groups], [%g_next, %grouped]")
+        text.line(f"%g_next = add i64 %g, {self.form.lanes * self.form.streams}")
+        for u in self.groups:
+            text.line(f"%g{u} = add i64 %g, {u * self.form.lanes}")
+            _rows(text, "work", f"%g{u}", f"row{u}_", states + len(self.shape.params))
+            for i in range(states):
+                text.line(f"%s{u}_{i}_0 = load {vector}, ptr %row{u}_{i}, align 8")
+            for i in range(len(self.shape.params)):
+                text.line(f"%p{u}_{i} = load {vector}, ptr %row{u}_{states + i}, align 8")
+        sources = [self._still_source(text, u) for u in self.groups]
+        self.own = in_lanes(text, self.still, sources, False)
+        text.line("br label %time")
+        return text.lines
+
+    def _still_source(self, text: Text, u: int) -> Names:
+        """What names a lane's own params, and what all lanes share, ahead of the loop over time."""
+
+        def source(node: Node) -> str:
+            if node.level == STILL:
+                return f"%p{u}_{self.shape.params.index(int(node.text[1:]))}"
+            if self.form.lanes == 1:
+                return self.have[node]
+            one = text.load(text.at("%steady", self.steady.place(node)))
+            return plain(text, node, text.splat(one, "double"), True)
+
+        return source
+
+    def _time(self) -> list[str]:
+        """The head of the loop over time."""
+        text = self._text("h")
+        text.label("time")
+        text.line("%k = phi i64 [%first, %group], [%k_next, %after]")
+        for u in self.groups:
+            for i in range(self.shape.sizes[0]):
+                sources = f"[%s{u}_{i}_0, %group], [%m{u}_{i}, %after]"
+                text.line(f"%s{u}_{i} = phi {text.type('double')} {sources}")
+        text.line("%k_next = add i64 %k, 1")
+        if self.steady.entries:
+            text.line('%sp = call ptr asm "", "=r,0,r"(ptr %steady, i64 %k)')
+        if self.shared.entries:
+            text.line("%kr = sub i64 %k, %first")
+            text.line(f"%kt = mul i64 %kr, {len(self.shared.entries)}")
+            text.line("%sq = getelementptr double, ptr %table, i64 %kt")
+        if self.form.lanes == 1 or self.flag:
+            text.line(f"%kw = mul i64 %k, {self.shape.sizes[1]}")
+            text.line("%w = getelementptr double, ptr %exogenous, i64 %kw")
+        for array, entries in (("own", self.shape.exogenous), ("outputs", self.shape.record)):
+            if not entries:
+                continue
+            text.line(f"%k_{array} = mul i64 %k, {len(entries)}")
+            text.line(f"%j_{array} = mul i64 %k_{array}, %lanes")
+            for u in self.groups:
+                text.line(f"%i_{array}{u} = add i64 %j_{array}, %g{u}")
+                _rows(text, array, f"%i_{array}{u}", f"{array}{u}_", len(entries))
+        return text.lines
+
+    def _body(self) -> list[str]:
+        """A step, and the rare parts' calls."""
+        text = self._text("b")
+        text.block = "time"
+        sources = [self._source(text, u) for u in self.groups]
+        order: list[Node | Branch] = list(self.order)
+        if self.form.branches and self.form.streams == 1:
+            order = gathered(self.order, self.results, self.form.branches)
+        names = in_lanes(text, order, sources, self.slots)
+        vector = text.type("double")
+        for u in self.groups:
+            for i, node in enumerate(self.out):
+                text.store(names[u](node), f"%outputs{u}_{i}", vector=True)
+        merged = [[[names[u](node) for node in self.following] for u in self.groups]]
+        came = [text.block]
+        if self.flag:
+            last, changed = self.rare.called(text, merged[0], self._flags(text, names))
+            came.append(last)
+            merged.append(changed)
+        else:
+            text.line("br label %after")
+        text.label("after")
+        for u in self.groups:
+            for i in range(self.shape.sizes[0]):
+                pairs = zip(merged, came, strict=True)
+                options = ", ".join(f"[{values[u][i]}, %{block}]" for values, block in pairs)
+                text.line(f"%m{u}_{i} = phi {vector} {options}")
+        return text.lines
+
+    def _flags(self, text: Text, names: list[Names]) -> list[str]:
+        """The conditions of the rare parts, for each group."""
+        assert self.flag is not None
+        flags = [name(self.flag) for name in names]
+        if self.flag.kind == "bool":
+            return flags
+        return [text.add(f"fcmp une {text.type('double')} {x}, {text.zero()}") for x in flags]
+
+    def _source(self, text: Text, u: int) -> Names:
+        """What names values of lower levels and inputs of the lanes of a group."""
+        shape = self.shape
+
+        def source(node: Node) -> str:
+            if node.level == STEADY and self.form.lanes == 1:
+                return self.have[node]
+            if node.level == STILL:
+                return self.own[u](node)
+            if node.level < LANES:
+                table, base = (self.steady, "%sp") if node.level == STEADY else (self.shared, "%sq")
+                one = text.load(text.at(base, table.place(node)))
+                return plain(text, node, text.splat(one, "double"), True)
+            place = int(node.text[1:])
+            if node.text[0] == "s":
+                return f"%s{u}_{place}"
+            if place in shape.exogenous:
+                row = shape.exogenous.index(place)
+                return text.load(f"%own{u}_{row}", vector=True)
+            return text.load(text.at("%w", place))
+
+        return source
+
+    def _end(self) -> list[str]:
+        """The ends of all loops."""
+        text = self._text("z")
+        text.line("%done = icmp eq i64 %k_next, %last")
+        text.line("br i1 %done, label %grouped, label %time")
+        text.label("grouped")
+        for u in self.groups:
+            for i in range(self.shape.sizes[0]):
+                text.store(f"%m{u}_{i}", f"%row{u}_{i}", vector=True)
+        text.line("%done_g = icmp sge i64 %g_next, %lanes")
+        text.line("br i1 %done_g, label %chunked, label %group")
+        text.label("chunked")
+        text.line("%more = icmp slt i64 %last, %steps")
+        text.line("br i1 %more, label %chunk, label %end")
+        text.label("end")
+        text.line("ret void")
+        return text.lines
+
+
+def _rows(text: Text, base: str, first: str, name: str, count: int) -> None:
+    """Print the addresses of rows of an array, each `lanes` numbers after the one before."""
+    before = f"ptr %{base}, i64 {first}"
+    for i in range(count):
+        text.line(f"%{name}{i} = getelementptr double, {before}")
+        before = f"ptr %{name}{i}, i64 %lanes"
+
+
+def _rounded(numbers: int) -> int:
+    """So many numbers, as whole lines of the cache."""
+    return -(-numbers // 8) * 8
+
 
 # Of the arguments of a kernel: steps, lanes, and flat arrays.
 KINDS: Final = ("int64", "int64", *["float64*"] * 5)

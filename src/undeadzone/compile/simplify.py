@@ -302,13 +302,22 @@ class Plain:
 
 
 def held(value: float, real: str) -> float:
-    """A number as a type holds it: beyond it the largest one, of float the least normal one."""
+    """A number as a type holds it.
+
+    Infinity is the largest number. Other numbers beyond the type stand in its upper half, in their
+    order, so that comparisons with them and among them mean what they mean in double. Of float,
+    what is too small is the least normal number.
+    """
     if math.isnan(value):
         return value
     limits, size = np.finfo(real), abs(value)
     most, least = float(limits.max), float(limits.tiny)
-    if size > most:
+    if math.isinf(value):
         return math.copysign(most, value)
+    if size > most:
+        place = math.log(size) / math.log(np.finfo(float).max)  # of all numbers of double, 0 to 1
+        size = most / 2 * (1 + place)
+        return math.copysign(float(np.dtype(real).type(size)), value)
     if real == "float32" and 0 < size < least:
         return math.copysign(least, value)
     return float(np.dtype(real).type(value))

@@ -14,8 +14,7 @@ from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
 from undeadzone.linear.poles import state_gain
 from undeadzone.linear.riccati import fast_feedback, feedback, lyapunov, weight
-from undeadzone.plants.system import System
-from undeadzone.plants.time_scales import mean_pole, pace, state_units
+from undeadzone.plants.system import System, mean_pole, pace, state_units
 from undeadzone.support.arrays import Array, Floats, array, matrix, scalar
 
 CHOICES = ("K", "poles", "alpha", "speed")

@@ -215,7 +215,7 @@ def replay(batch: Batch, run: int) -> Run:
     return collect(problem, named(batch.loop, outputs[0]), None, began)
 
 
-def recorded_bands(batch: Batch, runs: int, threads: int | None = None) -> Bands:
+def recorded_bands(batch: Batch, runs: int) -> Bands:
     """The bands of the first `runs` runs."""
     p = batch.problem.plant.p
     positions = [f"z[{i}]" for i in range(p)]
@@ -227,7 +227,7 @@ def recorded_bands(batch: Batch, runs: int, threads: int | None = None) -> Bands
     wanted = [places[name] for name in (*positions, *estimates)]
     values = batch.binding.draw(0, runs, batch.layout.runs)
     every = max(1, len(batch.exogenous) // POINTS)
-    outputs = _recorded(batch, np.arange(runs), values, wanted, every, threads)
+    outputs = _recorded(batch, np.arange(runs), values, wanted, every)
     z, d_hat = outputs[:, :, :p], outputs[:, :, p:]
     t = batch.exogenous[::every, -2]
     params = np.array([batch.binding.packed(row)[1] for row in values])
@@ -239,12 +239,7 @@ def recorded_bands(batch: Batch, runs: int, threads: int | None = None) -> Bands
 
 
 def _recorded(
-    batch: Batch,
-    runs: Integers,
-    values: Floats,
-    outputs: list[int],
-    every: int,
-    threads: int | None = None,
+    batch: Batch, runs: Integers, values: Floats, outputs: list[int], every: int
 ) -> Floats:
     """Some outputs of runs along their states (runs x N x chosen), on CasADi's virtual machine.
 
@@ -254,7 +249,6 @@ def _recorded(
         values: of what varies (runs x columns)
         outputs: the chosen entries of the loop's packed outputs
         every: steps between two records
-        threads: default one per processor
     """
     own = batch.binding.lanes(values)
     start = batch.started(own.states)
@@ -266,7 +260,6 @@ def _recorded(
         batch.own.supply(runs),
         own.params,
         every=every,
-        threads=threads,
     )
     instants = batch.exogenous[::every, :-2].copy()
     params = batch.binding.params.copy()

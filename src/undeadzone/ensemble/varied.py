@@ -17,7 +17,7 @@ from undeadzone.ends.sensor import resolve
 from undeadzone.errors import InputError
 from undeadzone.observers.parts.actuated import built
 from undeadzone.plants.robots.arm import signless
-from undeadzone.plants.time_scales import pace
+from undeadzone.plants.system import pace
 from undeadzone.scenario.address import entries_there, index_of, matching, similar, stem
 from undeadzone.scenario.ensemble_table import (
     POSITIVE,

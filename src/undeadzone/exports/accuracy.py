@@ -13,7 +13,7 @@ import numpy as np
 from undeadzone.compile import interpret
 from undeadzone.exports.code import Code
 from undeadzone.exports.compiler import shared_library, stack_bytes, written
-from undeadzone.exports.fields import Field, places_of, total
+from undeadzone.exports.parts import Field, places_of, total
 from undeadzone.exports.source import Labels, source
 from undeadzone.exports.template import called, filled
 from undeadzone.support.arrays import Floats, finite

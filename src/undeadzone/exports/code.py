@@ -11,8 +11,7 @@ from typing import Final, NamedTuple
 from undeadzone.compile.graph import LANES, Node, Nodes, Results, condition, needed
 from undeadzone.compile.lower import portable
 from undeadzone.compile.print_c import TYPES
-from undeadzone.exports.fields import Field
-from undeadzone.exports.parts import Step
+from undeadzone.exports.parts import Field, Step
 
 _COUNTED: Final = {
     **{"add": "add", "sub": "add", "neg": "negate", "mul": "multiply", "div": "divide"},

@@ -14,12 +14,13 @@ import numpy as np
 import undeadzone
 from undeadzone.catalogue import OBSERVERS
 from undeadzone.compile.graph import needed
+from undeadzone.compile.print_c import literal
 from undeadzone.errors import InputError
-from undeadzone.exports import accuracy, compiler, folder, parts, targets
+from undeadzone.exports import accuracy, compiler, parts, targets
 from undeadzone.exports.boards import fits
 from undeadzone.exports.code import Code, code, operations
-from undeadzone.exports.fields import Field, identifier, total
 from undeadzone.exports.page.build import write_page
+from undeadzone.exports.parts import Field, identifier, total
 from undeadzone.exports.source import Labels, Source, source
 from undeadzone.exports.targets import Material
 from undeadzone.exports.vectors import chosen, continued, recorded, reference, selftest
@@ -95,7 +96,7 @@ def export(
         _require_plain(precision, part, tunable, name, check, force)
         return Exported([Path(out)], write_page(scenario, Path(out)))
     prefix = _prefix(name, scenario.title)
-    folder.require_replaceable(Path(out), force)
+    targets.require_replaceable(Path(out), force)
     targets.require_possible(to, prefix)
     problem = resolve_scenario(scenario)
     step = parts.build(problem, part, tuple(tunable))
@@ -115,7 +116,7 @@ def export(
     vectors = reference(printed, chosen(rows[: problem.steps + 1], step.readings))
     tested = selftest(printed, prefix, vectors)
     files = targets.files(to, Material(printed, text, tested, scenario.units, report))
-    written = folder.write_folder(files, Path(out), force)
+    written = targets.write_folder(files, Path(out), force)
     if check and to != "arduino":
         passed, said = compiler.self_tested(text.files(prefix) | {f"{prefix}_test.c": tested})
         report["self_test"] = said
@@ -215,10 +216,8 @@ def replaced_constants(double: Code) -> list[str]:
     limits, texts = np.finfo(np.float32), set()
     for node in needed(itertools.chain(*double.results)):
         size = abs(node.value or 0.0)
-        if size > float(limits.max):
-            texts.add(f"{node.text}: FLT_MAX")
-        if 0 < size < float(limits.tiny):
-            texts.add(f"{node.text}: FLT_MIN")
+        if size > float(limits.max) or 0 < size < float(limits.tiny):
+            texts.add(f"{node.text}: {literal(float(node.text), 'float32')}")
     return sorted(texts)
 
 

@@ -11,8 +11,7 @@ from undeadzone.compile.graph import Node, Results, condition, needed
 from undeadzone.compile.print_c import INDENT, Body, Names, Style, body, literal
 from undeadzone.compile.simplify import held
 from undeadzone.exports.code import Code
-from undeadzone.exports.fields import Field, members
-from undeadzone.exports.parts import Step
+from undeadzone.exports.parts import Field, Step, members
 from undeadzone.exports.template import filled
 from undeadzone.support.text import one_line
 

@@ -2,17 +2,134 @@
 
 from __future__ import annotations
 
+import json
+import os
+import shutil
+import tempfile
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from undeadzone.exports import folder
+from undeadzone.errors import FileError
 from undeadzone.exports.code import Code
-from undeadzone.exports.fields import Field
 from undeadzone.exports.fmu import package
-from undeadzone.exports.folder import Files
+from undeadzone.exports.parts import Field
 from undeadzone.exports.source import Source
 from undeadzone.exports.template import called, filled
 from undeadzone.scenario.schema import Units
+from undeadzone.support.files import read_text, reason, require_folder
+from undeadzone.support.own_files import CURE, digest, edited
 from undeadzone.support.text import one_line, printable
+
+Files = dict[str, str | bytes]
+GENERATOR = "undeadzone export"
+MANIFEST = "manifest.json"
+
+
+def manifest(report: dict[str, Any]) -> str:
+    """The text of the manifest."""
+    return _text({"generator": GENERATOR} | report)
+
+
+def require_replaceable(out: Path, force: bool = False) -> None:
+    """Raise FileError unless a folder can be written, and is absent, empty or an earlier export.
+
+    Args:
+        out: the folder.
+        force: whether files of the export that were edited are replaced, too, and whether others
+            may be put into any folder.
+    """
+    require_folder(out.absolute().parent)
+    if not out.exists():
+        return
+    if not out.is_dir():
+        raise FileError(f"{out}: is a file; give another folder")
+    if force or not any(out.iterdir()):
+        return
+    written = _written(out)
+    if not written:
+        raise FileError(
+            f"{out}: holds no {MANIFEST} of `{GENERATOR}` as it was written, so it is not "
+            f"replaced; {CURE}"
+        )
+    changed = edited(out, written)
+    if changed:
+        raise FileError(f"{out / changed[0]}: someone edited it; {CURE}")
+
+
+def _written(out: Path) -> dict[str, str]:
+    """The digests of an export's files by path; none where its manifest is not as written."""
+    try:
+        text = read_text(out / MANIFEST)
+        content = json.loads(text)
+        is_whole = text == _text(content) and content["generator"] == GENERATOR
+        written = content["files"]
+        own, written[MANIFEST] = written[MANIFEST], ""
+        if not is_whole or own != digest(_text(content).encode()):
+            return {}
+    except (OSError, ValueError, KeyError, TypeError):
+        return {}
+    return {path: value for path, value in written.items() if path != MANIFEST}
+
+
+def _signed(files: Files) -> Files:
+    """The files with the digest of each in the manifest, its own with nothing in that place."""
+    content = json.loads(files[MANIFEST])
+    content["files"] = {path: digest(_bytes(text)) for path, text in sorted(files.items())}
+    content["files"][MANIFEST] = ""
+    content["files"][MANIFEST] = digest(_text(content).encode())
+    return files | {MANIFEST: _text(content)}
+
+
+def _text(content: dict[str, Any]) -> str:
+    """The text of a manifest."""
+    return json.dumps(content, indent=2) + "\n"
+
+
+def _bytes(content: str | bytes) -> bytes:
+    """What a file holds, in bytes."""
+    return content.encode() if isinstance(content, str) else content
+
+
+def write_folder(files: Files, out: Path, force: bool = False) -> list[Path]:
+    """Write files into a new folder that takes the name `out` once it is whole.
+
+    Args:
+        files: texts and bytes by their paths inside the folder, a manifest among them.
+        out: the folder; of an earlier export there its files are replaced, all others stay.
+        force: whether files in their places are replaced that someone else wrote or edited.
+
+    Returns:
+        The paths written.
+
+    Raises:
+        FileError: it cannot be written, or `out` or a file there is something else.
+    """
+    require_replaceable(out, force)
+    before = _written(out)
+    own = {MANIFEST, *before} - set(edited(out, before))
+    for path in files:
+        if not force and path not in own and (out / path).exists():
+            raise FileError(f"{out / path}: exists already, and someone else wrote it; {CURE}")
+
+    def replaced(folder: str, names: list[str]) -> list[str]:
+        here = Path(folder).relative_to(out)
+        return [name for name in names if (here / name).as_posix() in {*own, *files}]
+
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}-") as name:
+            fresh = Path(name) / "new"
+            for path, content in _signed(files).items():
+                (fresh / path).parent.mkdir(parents=True, exist_ok=True)
+                (fresh / path).write_bytes(_bytes(content))
+            if out.exists():
+                shutil.copytree(out, fresh, symlinks=True, ignore=replaced, dirs_exist_ok=True)
+                os.replace(out, Path(name) / "old")
+            os.replace(fresh, out)
+    except (OSError, ValueError) as error:
+        raise FileError(f"{out}: cannot write: {reason(error)}") from None
+    return [out / path for path in files]
+
 
 # The targets, and the precision that each has by default.
 PRECISION: Final = {
@@ -82,8 +199,8 @@ def files(to: str, material: Material) -> Files:
         unit = package.package(material.printed, code, report, material.units, version)
         content = {f"{name}.fmu": unit}
         around = {"README.md": _installed("fmu", {"name": name, "version": version}, report)}
-    report["files"] = sorted({*content, *around, folder.MANIFEST})
-    return content | around | {folder.MANIFEST: folder.manifest(report)}
+    report["files"] = sorted({*content, *around, MANIFEST})
+    return content | around | {MANIFEST: manifest(report)}
 
 
 def _readme(report: dict[str, Any], build: str = "") -> str:

@@ -12,8 +12,7 @@ from undeadzone.compile import interpret
 from undeadzone.compile.replica import replica
 from undeadzone.errors import InputError
 from undeadzone.exports.code import Code
-from undeadzone.exports.fields import members
-from undeadzone.exports.parts import Step
+from undeadzone.exports.parts import Step, members
 from undeadzone.exports.template import called, filled
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario

@@ -33,7 +33,6 @@ def joint_path(
     duration: float,
     step: float,
     start: Floats,
-    key: str = "reference",
 ) -> Exosystem:
     """The joints' path q, with two derivatives, that moves an arm's tip along a path.
 
@@ -48,7 +47,6 @@ def joint_path(
         duration: duration of the path [s].
         step: between the instants at which the path is checked [s].
         start: joint angles near which it begins, which choose among elbow up and down (N) [rad].
-        key: name of the path in messages.
 
     Raises:
         TrackingError: the tip cannot get there, or a joint meets a singular configuration or its
@@ -56,10 +54,10 @@ def joint_path(
     """
     from scipy.interpolate import CubicHermiteSpline
 
-    equations = equations_of(arm, params, start, key)
+    equations = equations_of(arm, params, start)
     t = np.arange(int(np.ceil(duration / step)) + 2) * step
-    q, v = _checked_nodes(equations, task, t, start, key)
-    require_range(arm.chain, t, q, v, key)
+    q, v = _checked_nodes(equations, task, t, start)
+    require_range(arm.chain, t, q, v)
     nearby = CubicHermiteSpline(t, q, v)
 
     def derivatives(at: Floats) -> Floats:
@@ -67,7 +65,7 @@ def joint_path(
             return np.empty((0, 3, arm.size))
         if at.max() > t[-1]:
             raise TrackingError(
-                f"{key}: the joints' path is known up to t = {t[-1]:g} s, not at {at.max():g} s"
+                f"reference: the joints' path is known up to t = {t[-1]:g} s, not at {at.max():g} s"
             )
         return _refined(equations, task, at, nearby(at))
 
@@ -77,7 +75,7 @@ def joint_path(
 
 
 def _checked_nodes(
-    equations: Equations, task: Exosystem, t: Floats, start: Floats, key: str
+    equations: Equations, task: Exosystem, t: Floats, start: Floats
 ) -> tuple[Floats, Floats]:
     """Positions and speeds (N x joints) at times t [s].
 
@@ -91,14 +89,14 @@ def _checked_nodes(
     if stops.size:
         stop = stops[0]
         before = q[max(stop - 1, 0)]
-        raise _blocked(equations, task, t[stop:], before, bool(missed[stop]), key)
+        raise _blocked(equations, task, t[stop:], before, bool(missed[stop]))
     v = solved(J, equations.goals(task.value(t, 1)))
     step = t[1] - t[0]
     expected = step / 2 * (v[:-1] + v[1:])
     jumps = np.flatnonzero(np.abs(np.diff(q, axis=0) - expected).max(axis=1) > JUMP)
     if jumps.size:
         jump = jumps[0]
-        raise _blocked(equations, task, t[jump:], q[jump], False, key)
+        raise _blocked(equations, task, t[jump:], q[jump], False)
     return q, v
 
 
@@ -126,7 +124,7 @@ def _closes(path: Exosystem, period: float | None, end: float) -> bool:
     return bool(np.ptp(both_ends, axis=0).max() < 1e-6)
 
 
-def require_range(chain: Chain, t: Floats, q: Floats, v: Floats, key: str = "reference") -> None:
+def require_range(chain: Chain, t: Floats, q: Floats, v: Floats) -> None:
     """Raise TrackingError where positions or speeds lie beyond what the joints allow.
 
     Args:
@@ -134,29 +132,27 @@ def require_range(chain: Chain, t: Floats, q: Floats, v: Floats, key: str = "ref
         t: times (N) [s].
         q: positions (N x joints) [rad or m].
         v: speeds (N x joints) [rad/s or m/s].
-        key: name of the path in messages.
     """
-    positions = _Needed(f"{key}: the path needs a position", "rad or m", chain.joints, OTHER_START)
-    _require_within(positions, t, q, chain.limits)
+    places = _Needed("reference: the path needs a position", "rad or m", chain.joints, OTHER_START)
+    _require_within(places, t, q, chain.limits)
     speeds = _Needed(
-        f"{key}: the path needs a speed", "rad/s or m/s", chain.joints, "slow the path down"
+        "reference: the path needs a speed", "rad/s or m/s", chain.joints, "slow the path down"
     )
     _require_within(speeds, t, v, np.outer(chain.speed, [-1, 1]))
 
 
-def require_torque(model: System, path: Exosystem, t: Floats, key: str = "reference") -> None:
+def require_torque(model: System, path: Exosystem, t: Floats) -> None:
     """Raise TrackingError where a path needs more torque than the motors have.
 
     Args:
         model: a continuous model of an arm.
         path: the path of its flat coordinates.
         t: times (N) [s].
-        key: name of the path in messages.
     """
     assert model.arm is not None
     assert model.limit is not None
     torques = _Needed(
-        f"{key}: the path needs a torque",
+        "reference: the path needs a torque",
         "N m or N",
         model.arm.chain.joints,
         "slow the path down, lighten the arm, or raise the limit",
@@ -166,7 +162,7 @@ def require_torque(model: System, path: Exosystem, t: Floats, key: str = "refere
 
 
 def _blocked(
-    equations: Equations, task: Exosystem, t: Floats, before: Floats, missed: bool, key: str
+    equations: Equations, task: Exosystem, t: Floats, before: Floats, missed: bool
 ) -> TrackingError:
     """Why the tip cannot follow the path.
 
@@ -176,7 +172,6 @@ def _blocked(
         t: the times of the path from there on (N) [s].
         before: the last joint angles (joints) [rad].
         missed: whether the equations are not met there.
-        key: name of the path in messages.
     """
     looks = t[np.unique(np.linspace(0, t.size - 1, LOOKS).astype(int))]
     positions = task.value(looks)
@@ -184,18 +179,18 @@ def _blocked(
     worst = int(short.argmax())
     if short[worst] > SHORT * equations.reach:
         return TrackingError(
-            f"{key}: the tip cannot get to ({listed(positions[worst])}) m at "
+            f"reference: the tip cannot get to ({listed(positions[worst])}) m at "
             f"t = {looks[worst]:.4g} s, it comes no nearer than {short[worst]:.3g} m; "
             f"the path leaves the arm's reach at about t = {looks[0]:.4g} s"
         )
     if missed and equations.place.size1_out(0) > equations.tip.size1_out(0):
         return TrackingError(
-            f"{key}: the arm cannot follow beyond t = {t[0]:.4g} s, near q = {listed(before)}, "
+            f"reference: the arm cannot follow beyond t = {t[0]:.4g} s, near q = {listed(before)}, "
             "while it keeps the tip's orientation, or its joints to spare, as where it starts; "
             f"{OTHER_START}"
         )
     return TrackingError(
-        f"{key}: the path meets a singular configuration at about t = {t[0]:.4g} s, "
+        f"reference: the path meets a singular configuration at about t = {t[0]:.4g} s, "
         f"near q = {listed(before)}, where the joints' speeds have no bound, "
         "or it is too fast for steps as long as simulation.step; move it or slow it down"
     )
@@ -267,15 +262,16 @@ class Equations(NamedTuple):
         return np.pad(positions / self.reach, ((0, 0), (0, kept)))
 
 
-def equations_of(arm: Arm, params: Floats, start: Floats, key: str) -> Equations:
+def equations_of(arm: Arm, params: Floats, start: Floats) -> Equations:
     """The equations of an arm that sets out from `start`. Raises TrackingError."""
     q, v = ca.SX.sym("q", arm.size), ca.SX.sym("v", arm.size)
     numbers = ca.SX(params)
     tip = arm.tip(numbers, q)
     if arm.size < tip.numel():
         raise TrackingError(
-            f"{key}.space: an arm with {arm.size} joint{'s' * (arm.size > 1)} cannot move its tip "
-            f"along a path in {tip.numel()} coordinates; give the joints' path (space = 'joint')"
+            f"reference.space: an arm with {arm.size} joint{'s' * (arm.size > 1)} cannot move its "
+            f"tip along a path in {tip.numel()} coordinates; give the joints' path "
+            "(space = 'joint')"
         )
     reach = float(np.linalg.norm(np.diff(arm.points(params, start).full(), axis=0), axis=1).sum())
     place = tip / reach
@@ -288,7 +284,7 @@ def equations_of(arm: Arm, params: Floats, start: Floats, key: str) -> Equations
     _, J = mapped(_with_jacobian(q, place), start[None])
     if singular(J).any():
         raise TrackingError(
-            f"{key}: the arm is singular where the path starts from, q = {listed(start)}: "
+            f"reference: the arm is singular where the path starts from, q = {listed(start)}: "
             "its tip cannot move in every direction there; "
             "let it start from another configuration (plant.x0)"
         )

@@ -123,16 +123,13 @@ def state_gain(
     return place(linear.A, linear.B, _stable_poles(key, poles, linear.A.shape[0], Ts), key)
 
 
-def observer_gain(
-    linear: Matrices, poles: Array, Ts: float | None, key: str = "observer.poles"
-) -> Floats:
+def observer_gain(linear: Matrices, poles: Array, Ts: float | None) -> Floats:
     """L that puts A - L C at continuous-time poles.
 
     Args:
         linear: the model, continuous or sampled.
         poles: n poles [1/s]; those of a sampled model are placed at e^{p Ts}.
         Ts: step of a sampled model [s], and L is per step; None: continuous.
-        key: named in errors.
 
     Returns:
         L (n x p).
@@ -141,6 +138,7 @@ def observer_gain(
         InputError, ShapeError: poles that are none of a stable system.
         StructureError: the poles cannot be placed.
     """
+    key = "observer.poles"
     return place(linear.A.T, linear.C.T, _stable_poles(key, poles, linear.A.shape[0], Ts), key).T
 
 

@@ -9,10 +9,8 @@ from undeadzone.interfaces import Observer
 from undeadzone.observers.censored import Censored
 from undeadzone.observers.certified import Certified
 from undeadzone.observers.high_gain import HighGain
-from undeadzone.observers.parts.claims import Claims
-from undeadzone.observers.parts.prior import width_ranges
-from undeadzone.plants.system import System
-from undeadzone.plants.time_scales import fastest_pole
+from undeadzone.observers.parts.prior import Claims, width_ranges
+from undeadzone.plants.system import System, fastest_pole
 
 # Of `high_gain`, in times and rates of the plant's fastest pole, as the arena's tuning found them.
 EPSILON = 0.25

@@ -15,14 +15,13 @@ from undeadzone.observers.parts.augmented_state import (
     even_units,
     shown_states,
 )
-from undeadzone.observers.parts.claims import Claims, glitch_share
 from undeadzone.observers.parts.further_constants import zones_of
 from undeadzone.observers.parts.gaussian_filter import Params
 from undeadzone.observers.parts.judged_filter import judged
 from undeadzone.observers.parts.measured_kalman import measured_filter
 from undeadzone.observers.parts.model_bank import bank
 from undeadzone.observers.parts.motion import heard_by_motion
-from undeadzone.observers.parts.prior import build_prior, claimed_traits
+from undeadzone.observers.parts.prior import Claims, build_prior, claimed_traits, glitch_share
 from undeadzone.observers.parts.unknown_inputs import (
     coloured,
     correlation_time,
@@ -30,8 +29,7 @@ from undeadzone.observers.parts.unknown_inputs import (
     tolerances,
     unknowns,
 )
-from undeadzone.plants.system import System, in_units
-from undeadzone.plants.time_scales import arrival
+from undeadzone.plants.system import System, arrival, in_units
 from undeadzone.support.arrays import Array, Floats, nonnegative, scalar
 
 OFFSET = 0.25  # bias, in disturbances, unless it is claimed
@@ -64,17 +62,7 @@ class Censored(Claims, frozen=True, kw_only=True, tag_field="method", tag="censo
 
     def build(self, model: System, sensor: Zone) -> Observer:
         """The filter for a sampled model."""
-        prior = build_prior(
-            model,
-            sensor,
-            self.right,
-            self.left,
-            self.noise,
-            self.x_std,
-            self.drift,
-            wear=WEAR,
-            centre=self.centre,
-        )
+        prior = build_prior(self, model, sensor, wear=WEAR, centre=self.centre)
         Ts = model.Ts
         assert Ts is not None
         assert model.flow is not None

@@ -17,18 +17,23 @@ import numpy as np
 from undeadzone.catalogue import Options
 from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError
-from undeadzone.interfaces import Observer, Traits
+from undeadzone.interfaces import Observer
 from undeadzone.observers.parts.augmented_state import (
     counted_prior,
     default_disturbance,
     even_units,
     shown_states,
 )
-from undeadzone.observers.parts.claims import GLITCHES, glitch_share
 from undeadzone.observers.parts.gaussian_filter import Augmentation, Params
 from undeadzone.observers.parts.judged_filter import judged
 from undeadzone.observers.parts.measured_kalman import measured_filter
-from undeadzone.observers.parts.prior import Prior, build_prior
+from undeadzone.observers.parts.prior import (
+    GLITCHES,
+    Prior,
+    build_prior,
+    claimed_traits,
+    glitch_share,
+)
 from undeadzone.observers.parts.unknown_inputs import (
     Colour,
     coloured,
@@ -122,28 +127,14 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
             claimed=self.disturbance is not None,
             careful=self.x_std is None or self.disturbance is None,
         )
-        traits = Traits(
-            adapts=not self.blind,
-            uncertain=tuple(self.uncertain),
-            start_std=None if self.x_std is None else prior.std[: model.n],
-            centre_std=None if prior.centre is None else prior.centre[:, 1],
-        )
+        traits = claimed_traits(prior, self.x_std)
+        traits = traits._replace(adapts=not self.blind, uncertain=tuple(self.uncertain))
         judge = judged(member, even, glitches > 0 and not self.blind, traits)
         return shown_states(judge, units)
 
     def _prior(self, model: System, sensor: Zone) -> Prior:
         """The prior; of a blind filter, widths of 0. Raises InputError, ShapeError."""
-        prior = build_prior(
-            model,
-            sensor,
-            self.right,
-            self.left,
-            self.noise,
-            self.x_std,
-            self.drift,
-            start=self.start,
-            centre=self.centre,
-        )
+        prior = build_prior(self, model, sensor, start=self.start, centre=self.centre)
         if not self.blind:
             return prior
         n, none = model.n, np.zeros(2 * model.p)

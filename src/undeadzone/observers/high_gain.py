@@ -12,8 +12,7 @@ from undeadzone.errors import StepError
 from undeadzone.interfaces import Observer
 from undeadzone.linear.structure import output_chains
 from undeadzone.observers.parts.output_error import adapted, output_error
-from undeadzone.plants.system import System
-from undeadzone.plants.time_scales import fastest_pole
+from undeadzone.plants.system import System, fastest_pole
 from undeadzone.support.arrays import Array, Floats, scalar
 
 

@@ -15,13 +15,12 @@ from undeadzone.observers.parts.augmented_state import (
     even_units,
     shown_states,
 )
-from undeadzone.observers.parts.claims import GLITCHES, glitch_share
 from undeadzone.observers.parts.further_constants import zones_of
 from undeadzone.observers.parts.gaussian_filter import white
 from undeadzone.observers.parts.judged_filter import judged
 from undeadzone.observers.parts.measured_kalman import measured_filter
 from undeadzone.observers.parts.motion import heard_by_motion
-from undeadzone.observers.parts.prior import build_prior, claimed_traits
+from undeadzone.observers.parts.prior import GLITCHES, build_prior, claimed_traits, glitch_share
 from undeadzone.plants.system import System, in_units
 from undeadzone.support.arrays import Array, nonnegative
 
@@ -65,16 +64,7 @@ class Kalman(Options, frozen=True, kw_only=True, tag="kalman"):
                 "observer.method: readings of a jump sensor only bound its widths, which 'kalman' "
                 "cannot use; use 'censored'"
             )
-        prior = build_prior(
-            model,
-            sensor,
-            self.right,
-            self.left,
-            self.noise,
-            self.x_std,
-            self.drift,
-            centre=self.centre,
-        )
+        prior = build_prior(self, model, sensor, centre=self.centre)
         if self.disturbance is None:
             rms = agitation(model, SWING * prior.largest)
         else:

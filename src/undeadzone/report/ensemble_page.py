@@ -14,8 +14,7 @@ import numpy as np
 
 from undeadzone.ensemble.result import MAIN, Ensemble
 from undeadzone.report import html
-from undeadzone.report.ensemble_figures import distributions, over_time, words
-from undeadzone.report.sensitivity_figures import influence, tornado
+from undeadzone.report.ensemble_figures import distributions, influence, over_time, tornado, words
 from undeadzone.results.run import LAST
 from undeadzone.results.sheet import number
 from undeadzone.support.text import label, with_unit

@@ -22,40 +22,6 @@ from undeadzone.support.text import printable
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_CSS: Final = """
-:root { color-scheme: light dark; --text: #1d2129; --soft: #5c6370; --paper: #fdfdfc; \
---line: #dfe2e7; --head: #f1f3f5; --link: #0072b2;
-        --yes: #00704f; --mid: #8a5a00; --no: #b03a00; }
-@media (prefers-color-scheme: dark) { :root { --text: #e4e6ea; --soft: #a0a7b4; --paper: #15181d; \
---line: #343a43; --head: #20252c; --link: #6cb8e6;
-        --yes: #4fc79b; --mid: #e6b450; --no: #ff8a57; } }
-body { margin: 2.5rem auto; max-width: 72rem; padding: 0 1.2rem; background: var(--paper); \
-color: var(--text);
-       font: 16px/1.55 system-ui, sans-serif; }
-h1 { font-size: 1.7rem; line-height: 1.25; margin-bottom: .3rem; overflow-wrap: anywhere; } \
-h2 { font-size: 1.25rem; margin-top: 2.6rem; border-bottom: 1px solid var(--line); }
-p { max-width: 52rem; } .note { color: var(--soft); font-size: .9rem; } a { color: var(--link); }
-nav { font-size: .9rem; margin: .6rem 0 1.4rem; } nav a { margin-right: 1.1rem; } \
-.wide { overflow-x: auto; } \
-table { border-collapse: collapse; font-size: .88rem; margin: 1rem 0; }
-th, td { text-align: left; vertical-align: top; padding: .35rem .7rem; \
-border-bottom: 1px solid var(--line); } th { background: var(--head); }
-td { font-variant-numeric: tabular-nums; } td.number { text-align: right; } \
-td.number, td.whole, td .yes, td .no { white-space: nowrap; }
-.yes { color: var(--yes); font-weight: 600; } .mid { color: var(--mid); font-weight: 600; } \
-.no { color: var(--no); font-weight: 600; }
-sub { line-height: 0; } pre { font-size: .82rem; line-height: 1.4; overflow-x: auto; \
-background: var(--head); padding: .7rem; border-radius: 6px; }
-figure { margin: 1.2rem 0; } \
-img { width: 100%; box-sizing: border-box; background: #fff; border: 1px solid var(--line); \
-border-radius: 6px; }
-figcaption { color: var(--soft); font-size: .9rem; max-width: 52rem; } \
-details { margin: 1rem 0; } summary { cursor: pointer; }
-@media (max-width: 40rem) { body { margin: 1.2rem auto; padding: 0 .8rem; } \
-th, td { padding: .3rem .45rem; } }
-@media print { nav { display: none; } }
-"""  # a line that ends in a backslash goes on in the next
-
 LONG: Final = 40  # characters of an interval at most
 _HAT: Final = "\u0302"
 _TILDE: Final = "\u0303"
@@ -271,7 +237,7 @@ def page(title: str, *parts: Any, origin: Origin | None = None) -> str:
     head = (
         '<meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escaped(title)}</title><style>{_CSS}</style>"
+        f"<title>{escaped(title)}</title><style>\n{_style()}</style>"
     )
     again = [] if origin is None else [_again(origin)]
     below = join([*parts, *again, _LEGEND])
@@ -280,6 +246,11 @@ def page(title: str, *parts: Any, origin: Origin | None = None) -> str:
         f'<!doctype html>\n<html lang="en"><head>{head}</head>\n'
         f"<body>\n{body.text}\n</body></html>\n"
     )
+
+
+def _style() -> str:
+    """The style sheet of a page."""
+    return (Path(__file__).parent / "page.css").read_text(encoding="utf-8")
 
 
 def _contents(below: Html) -> Html:

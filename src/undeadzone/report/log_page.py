@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from undeadzone.observers.parts.claims import CHANCE
 from undeadzone.observers.parts.judged_filter import FAR
+from undeadzone.observers.parts.prior import CHANCE
 from undeadzone.report import html, ink
 from undeadzone.report.run_page import gap_tables
 from undeadzone.report.style import finish, label, shade_gap, shade_zone, sheet, width_lines

@@ -27,6 +27,7 @@ SUFFIXES: Final = (".png", ".pdf", ".svg")
 DPI: Final = 110
 FINE: Final = 200  # of what is no curve in an SVG: thousands of dots
 FLOOR: Final = 1e-16  # least value on a logarithmic axis
+SPANS: Final = 120  # of time, in each of which the largest sample is shown
 LEGEND_ROOM: Final = 0.22  # share of an axis that a legend adds above it
 
 _STYLE: Final[Any] = {
@@ -153,9 +154,7 @@ def shade_gap(axes: Axes, t: Floats, y: Floats, right: float, left: float) -> No
     band.set_label("gap of the play")
 
 
-def plot_magnitude(
-    axes: Axes, t: Floats, values: Floats, colour: str, name: str, bins: int = 120
-) -> None:
+def plot_magnitude(axes: Axes, t: Floats, values: Floats, colour: str, name: str) -> None:
     """Plot |values| on a logarithmic axis: samples faint, the largest in each span of time a line.
 
     What lies far below nearly all of these largest is cut off; single zeros would stretch the axis.
@@ -165,10 +164,9 @@ def plot_magnitude(
         t: instants [s]
         values: a sample for each instant
         colour, name: of the line
-        bins: number of the spans
     """
     size = np.abs(values)
-    starts = np.linspace(0, t.size, min(bins, t.size), endpoint=False).astype(int)
+    starts = np.linspace(0, t.size, min(SPANS, t.size), endpoint=False).astype(int)
     peaks = np.maximum.reduceat(size, starts)
     floor = floor_of(peaks)
     axes.set_yscale("log")

@@ -25,8 +25,7 @@ from undeadzone.observers.parts.motion import require_hearer
 from undeadzone.plants import build as plants
 from undeadzone.plants.options import Plant
 from undeadzone.plants.region import box
-from undeadzone.plants.system import System
-from undeadzone.plants.time_scales import pace
+from undeadzone.plants.system import System, pace
 from undeadzone.scenario.overrun import require_contact
 from undeadzone.scenario.schema import Scenario, Units
 from undeadzone.scenario.time_step import (

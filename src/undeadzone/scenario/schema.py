@@ -24,7 +24,7 @@ from undeadzone.catalogue import (
 from undeadzone.ends.actuator import Actuator, ActuatorModel
 from undeadzone.ends.sensor import Sensor
 from undeadzone.errors import InputError
-from undeadzone.observers.parts.claims import Claims
+from undeadzone.observers.parts.prior import Claims
 from undeadzone.plants.options import Plant
 from undeadzone.plants.region import Region
 from undeadzone.plants.robots.options import ElasticJoint

@@ -15,8 +15,8 @@ import numpy as np
 
 from undeadzone.compile import interpret
 from undeadzone.interfaces import Estimate
-from undeadzone.observers.parts.claims import CHANCE, HISTORY, SPAN
 from undeadzone.observers.parts.judged_filter import FAR, Sums, summed
+from undeadzone.observers.parts.prior import CHANCE, HISTORY, SPAN
 from undeadzone.support.arrays import Floats
 
 MOST_REFUSED: Final = 0.05  # share of the readings, or silences, that may contradict the claims

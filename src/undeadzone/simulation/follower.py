@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from typing import Final
 
 import numpy as np
 
 from undeadzone.errors import FileError
 from undeadzone.interfaces import Estimate, graph_of
-from undeadzone.logs.clock import Clock
+from undeadzone.logs.clock import Clock, Piece
 from undeadzone.logs.names import Layout
 from undeadzone.logs.range_ends import RunningEnds
-from undeadzone.logs.samples import MOST_UNREADABLE, Faults, Grid, Regular
-from undeadzone.plants.time_scales import state_units, time_scale
+from undeadzone.logs.samples import MOST_UNREADABLE, Faults, Grid, LogReader, Regular
+from undeadzone.plants.system import state_units, time_scale
 from undeadzone.results.info import LogInfo
 from undeadzone.results.signals import final, of_estimate
 from undeadzone.scenario.problem import known_actuator, known_sensor, modelled_plant, with_units
@@ -268,3 +268,60 @@ def require_units(layout: Layout, units: Units, source: str) -> None:
                     f"{source}: {signal} is in {unit!r}, but units.{key} of the scenario is "
                     f"{expected!r}: numbers are never converted; bring both to one unit"
                 )
+
+
+# --- A log that comes in live
+
+
+class LiveLog:
+    """A CSV log whose lines come in live: what is wrong with some of them does not end it.
+
+    Args:
+        source: the log, for messages.
+        scenario: for its step and its units.
+        follower: of the same scenario, which takes the samples in.
+        chosen: columns that the user names; see `names.parse_columns`.
+        strict: whether the first fault is an error.
+
+    Attributes:
+        clock: which puts its lines on the steps of the scenario.
+    """
+
+    def __init__(
+        self,
+        source: str,
+        scenario: Scenario,
+        follower: Follower,
+        chosen: Mapping[str, str],
+        strict: bool,
+    ) -> None:
+        p, m = follower.model.p, follower.model.m
+        self.clock = Clock(scenario.simulation.step, source, strict)
+        self._reader = LogReader(source, p, m, chosen, live=True)
+        self._source, self._units = source, scenario.units
+
+    def pieces(self, data: bytes, last: bool) -> Iterator[Piece]:
+        """The samples in the lines that are whole now, so far as they can be judged.
+
+        Args:
+            data: the bytes that came in.
+            last: whether no more will come.
+
+        Raises:
+            FileError: the log cannot be what the scenario describes, or `strict` is set and a line
+                is a fault; after what was good before.
+        """
+        begun = self._reader.layout is not None
+        samples = self._reader.feed(data, last)
+        layout = self._reader.layout
+        if layout is None:
+            return
+        if not begun:
+            require_units(layout, self._units, self._source)
+        for piece in self.clock.place(samples, self._reader.latest, layout.timed, last):
+            if piece.samples.t.size:
+                yield piece
+
+    def info(self, follower: Follower) -> LogInfo:
+        """What the log comes to. Raises FileError."""
+        return follower.info(self._source, self._reader.layout, self.clock, self.clock.faults)

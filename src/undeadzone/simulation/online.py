@@ -14,13 +14,12 @@ from undeadzone.compile.interpret import Stepper
 from undeadzone.ends.actuator import ActuatorModel, believed
 from undeadzone.ends.sensor import Sensor, Zone, present, resolve
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.interfaces import Estimate, Observer, Reading, graph_of, received
+from undeadzone.interfaces import Estimate, Observer, Reading, graph_of, known_side, received
 from undeadzone.observers.parts.actuated import built as behind
 from undeadzone.observers.parts.motion import require_hearer
 from undeadzone.plants import build as plants
 from undeadzone.plants.options import Plant
-from undeadzone.plants.system import System, sampled
-from undeadzone.plants.time_scales import pace
+from undeadzone.plants.system import System, pace, sampled
 from undeadzone.scenario.problem import require_visible
 from undeadzone.scenario.time_step import require_bounded_error
 from undeadzone.support import tree
@@ -100,8 +99,7 @@ def observer_graph(
     known = symbols(model, observer, sensor)
     used, reading = known.used, known.reading
     after, estimate = observer.step(known.params, known.state, used, reading)
-    side = estimate.contact if estimate.contact.shape[0] else reading.side
-    out = Out(estimate, side, ca.mmin(present(known.w[: model.p])) == 0)
+    out = Out(estimate, known_side(reading, estimate), ca.mmin(present(known.w[: model.p])) == 0)
     function = ca.Function(
         "live",
         [known.s, known.w, known.p],

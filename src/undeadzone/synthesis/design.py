@@ -21,8 +21,7 @@ from undeadzone.support.arrays import Floats
 from undeadzone.support.progress import in_notebook
 from undeadzone.synthesis import gain_search
 from undeadzone.synthesis.assessment import determined, knowledge
-from undeadzone.synthesis.candidates import Candidate, candidate_of
-from undeadzone.synthesis.task import make_task
+from undeadzone.synthesis.task import Candidate, candidate_of, make_task
 
 Aim = Literal["knee", "rate"] | gain_search.Weights
 

@@ -15,8 +15,9 @@ from undeadzone.analysis.certificate.passivity import Certificate, certify
 from undeadzone.linear.matrices import Matrices
 from undeadzone.numerics.optimise import evolve, pareto, scalar, undominated
 from undeadzone.support.arrays import Floats
-from undeadzone.synthesis.candidates import (
+from undeadzone.synthesis.task import (
     Candidate,
+    Task,
     box,
     candidate_at,
     candidate_of,
@@ -24,8 +25,8 @@ from undeadzone.synthesis.candidates import (
     point_of,
     score,
     touched,
+    watched,
 )
-from undeadzone.synthesis.task import Task, watched
 
 STARTS: Final = 10  # short searches for the fastest; the best of them is continued
 SHORT: Final = 60  # rounds of each short search

@@ -17,10 +17,9 @@ from undeadzone.errors import InputError
 from undeadzone.linear.hold import sampled_noise
 from undeadzone.linear.matrices import Matrices
 from undeadzone.linear.riccati import fast_gain
-from undeadzone.observers.parts.claims import Claims
+from undeadzone.observers.parts.prior import Claims
 from undeadzone.observers.parts.prior import width_ranges as ranges
-from undeadzone.plants.system import System
-from undeadzone.plants.time_scales import fastest_pole, time_scale
+from undeadzone.plants.system import System, fastest_pole, time_scale
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.support.arrays import Floats

@@ -24,13 +24,13 @@ from undeadzone.simulation.simulate import closed, named
 from undeadzone.support import toml, tree
 from undeadzone.support.answers import Answers
 from undeadzone.support.arrays import Floats
-from undeadzone.support.processes import pool as processes_of
 from undeadzone_arena.contest.entry import entered
 from undeadzone_arena.contest.entry import numbers as built_in
 from undeadzone_arena.contest.leaderboard import FRAME
 from undeadzone_arena.contest.methods import NOTHING, Method, Numbers, catalogue, fitting, require
 from undeadzone_arena.contest.metric import Result, worth
 from undeadzone_arena.contest.prior_knowledge import Setting, situation
+from undeadzone_arena.contest.processes import pool as processes_of
 from undeadzone_arena.contest.scenario_sets import scenarios as scenarios_of
 
 FEW: Final = 8  # trials for which a process is worth starting

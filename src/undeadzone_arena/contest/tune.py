@@ -15,11 +15,11 @@ from undeadzone.numerics.optimise import evolve
 from undeadzone.scenario.schema import Scenario
 from undeadzone.support.answers import Answers
 from undeadzone.support.arrays import Floats
-from undeadzone.support.processes import pool as processes_of
 from undeadzone_arena.contest.leaderboard import CAP, FRAME, regrets
 from undeadzone_arena.contest.methods import Method, catalogue, middle
 from undeadzone_arena.contest.metric import Result
 from undeadzone_arena.contest.prior_knowledge import Setting, situation
+from undeadzone_arena.contest.processes import pool as processes_of
 from undeadzone_arena.contest.trials import problem_of, trial
 from undeadzone_arena.contest.tuned_file import Found, Tuned
 

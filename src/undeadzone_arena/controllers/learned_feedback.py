@@ -19,10 +19,10 @@ from undeadzone.interfaces import Controller, Estimate
 from undeadzone.linear.hold import zoh
 from undeadzone.linear.matrices import Matrices, companion
 from undeadzone.linear.poles import observer_gain
-from undeadzone.plants.system import System
-from undeadzone.plants.time_scales import fastest_pole, in_poles
+from undeadzone.plants.system import System, fastest_pole
 from undeadzone.support.arrays import Array, Floats, listed, positive
 from undeadzone_arena.approximators import Basis
+from undeadzone_arena.speeds import in_poles
 
 
 class FeedbackOptions(Options, frozen=True, kw_only=True):

@@ -13,8 +13,7 @@ import numpy as np
 from undeadzone.catalogue import Options
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
-from undeadzone.plants.system import System
-from undeadzone.plants.time_scales import fastest_pole
+from undeadzone.plants.system import System, fastest_pole
 from undeadzone.support.arrays import Array, Floats, positive, scalar
 from undeadzone_arena.controllers.sliding_mode import surface
 

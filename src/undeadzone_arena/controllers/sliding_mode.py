@@ -16,8 +16,7 @@ from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
 from undeadzone.linear.matrices import Matrices, sizes
 from undeadzone.linear.poles import state_gain
-from undeadzone.plants.system import System
-from undeadzone.plants.time_scales import fastest_pole
+from undeadzone.plants.system import System, fastest_pole
 from undeadzone.support.arrays import Array, Floats, nonnegative, scalar, vector
 
 

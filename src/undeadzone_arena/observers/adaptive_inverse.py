@@ -13,14 +13,13 @@ import numpy as np
 from undeadzone.catalogue import Options
 from undeadzone.ends.sensor import Zone
 from undeadzone.interfaces import Observer
-from undeadzone.observers.parts.gain import hiding, injection
 from undeadzone.observers.parts.motion import heard_by_motion
 from undeadzone.observers.parts.width_laws import bounded_widths
 from undeadzone.plants.system import System
-from undeadzone.plants.time_scales import in_poles
 from undeadzone.support.arrays import Array
 from undeadzone_arena.observers.parts.adaptive_laws import gradient, least_squares
 from undeadzone_arena.observers.parts.learned_residual import Compensator, learning
+from undeadzone_arena.speeds import hiding, in_poles, injection
 
 
 class AdaptiveInverse(Options, frozen=True, kw_only=True, tag="adaptive_inverse"):

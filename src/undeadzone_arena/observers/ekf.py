@@ -14,14 +14,10 @@ from undeadzone.ends.sensor import Zone, branch, zone
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer, no_further
 from undeadzone.numerics.gaussian import Gaussian, Weighed, linearise, predict, update_unless_glitch
-from undeadzone.observers.parts.augmented_state import (
-    Defaults,
-    JointClaims,
-    even_units,
-    joint_prior,
-)
+from undeadzone.observers.parts.augmented_state import even_units
 from undeadzone.observers.parts.gaussian_filter import Params
 from undeadzone.plants.system import System, in_units
+from undeadzone_arena.observers.parts.joint_claims import Defaults, JointClaims, joint_prior
 from undeadzone_arena.observers.parts.joint_filter import Sight, joint_filter
 
 DEFAULTS = Defaults(noise=0.01, drift=0.005, x_std=5.0)

@@ -12,14 +12,13 @@ from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
 from undeadzone.linear.matrices import Matrices, sizes
-from undeadzone.observers.parts.gain import injection
 from undeadzone.observers.parts.prior import FLOOR, width_ranges
-from undeadzone.plants.system import System
-from undeadzone.plants.time_scales import fastest_pole
+from undeadzone.plants.system import System, fastest_pole
 from undeadzone.support.arrays import Array, Floats, nonnegative, scalar
 from undeadzone_arena.observers.parts.boxes import FAR, Bounds, Boxes
 from undeadzone_arena.observers.parts.interval_step import Params, interval
 from undeadzone_arena.observers.parts.modal_form import modes
+from undeadzone_arena.speeds import injection
 
 NOISE = 6.0  # bound that is assumed of a Gaussian noise, in rms
 

@@ -13,29 +13,22 @@ import numpy as np
 
 from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError
-from undeadzone.interfaces import (
-    Estimate,
-    InPython,
-    Observer,
-    Reading,
-    Traits,
-    in_python,
-    numeric_estimate,
-)
+from undeadzone.interfaces import Estimate, InPython, Observer, Reading, Traits, in_python
 from undeadzone.numerics.gaussian import CLIP
-from undeadzone.observers.parts.augmented_state import (
-    Defaults,
-    JointClaims,
-    JointPrior,
-    joint_prior,
-    quarter_period,
-)
-from undeadzone.observers.parts.claims import Doubt, doubt_numbers, glitch_chance, glitch_share
-from undeadzone.observers.parts.prior import sample_time
+from undeadzone.observers.parts.augmented_state import quarter_period
+from undeadzone.observers.parts.prior import Doubt, doubt_numbers, glitch_share, sample_time
 from undeadzone.observers.parts.recovery import LIMIT, TOO_MANY
 from undeadzone.plants.system import System
 from undeadzone.support.arrays import Array, Floats, nonnegative, scalar
 from undeadzone_arena.observers.parts import window as horizon
+from undeadzone_arena.observers.parts.joint_claims import (
+    Defaults,
+    JointClaims,
+    JointPrior,
+    glitch_chance,
+    joint_prior,
+    numeric_estimate,
+)
 from undeadzone_arena.observers.parts.tangents import Tangents, model_tangents
 from undeadzone_arena.observers.parts.window import Weights, Window
 

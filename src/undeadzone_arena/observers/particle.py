@@ -11,27 +11,19 @@ import numpy as np
 
 from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError
-from undeadzone.interfaces import (
-    Estimate,
-    InPython,
-    Observer,
-    Reading,
-    Traits,
-    in_python,
-    numeric_estimate,
-)
-from undeadzone.observers.parts.augmented_state import (
+from undeadzone.interfaces import Estimate, InPython, Observer, Reading, Traits, in_python
+from undeadzone.observers.parts.prior import Prior, glitch_reach, glitch_share
+from undeadzone.observers.parts.recovery import LIMIT
+from undeadzone.plants.system import System
+from undeadzone.support.arrays import Floats, Integers
+from undeadzone_arena.observers.parts.joint_claims import (
     Defaults,
     JointClaims,
     JointPrior,
     joint_prior,
+    numeric_estimate,
     read,
 )
-from undeadzone.observers.parts.claims import glitch_reach, glitch_share
-from undeadzone.observers.parts.prior import Prior
-from undeadzone.observers.parts.recovery import LIMIT
-from undeadzone.plants.system import System
-from undeadzone.support.arrays import Floats, Integers
 
 # A likelihood that few particles meet leaves copies of these few.
 DEFAULTS = Defaults(noise=0.1, drift=0.1, x_std=0.5)

@@ -14,11 +14,10 @@ from undeadzone.catalogue import Options
 from undeadzone.ends.sensor import Zone, indicators
 from undeadzone.errors import InputError, StructureError
 from undeadzone.interfaces import Observer, Reading
-from undeadzone.observers.parts.gain import hiding, injection
 from undeadzone.observers.parts.output_error import State, adapted, output_error
-from undeadzone.plants.system import System
-from undeadzone.plants.time_scales import fastest_pole
+from undeadzone.plants.system import System, fastest_pole
 from undeadzone.support.arrays import Array, Floats, scalar
+from undeadzone_arena.speeds import hiding, injection
 
 
 class RobustGradient(Options, frozen=True, kw_only=True, tag="robust_gradient"):

@@ -16,11 +16,10 @@ from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError, StructureError
 from undeadzone.interfaces import Observer
 from undeadzone.linear.structure import output_chains
-from undeadzone.observers.parts.gain import injection
 from undeadzone.observers.parts.output_error import adapted, output_error
-from undeadzone.plants.system import System
-from undeadzone.plants.time_scales import fastest_pole
+from undeadzone.plants.system import System, fastest_pole
 from undeadzone.support.arrays import Array, Floats, vector
+from undeadzone_arena.speeds import injection
 
 # Gains of the recursive differentiator, from the last derivative up.
 LEVANT = (1.1, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0, 12.0)

@@ -13,11 +13,11 @@ from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
 from undeadzone.numerics.gaussian import Gaussian, Weighed, settle
-from undeadzone.observers.parts.augmented_state import Defaults, JointClaims, joint_prior
 from undeadzone.observers.parts.gaussian_filter import Params
 from undeadzone.plants.system import System
 from undeadzone.support.arrays import scalar
 from undeadzone_arena import unscented
+from undeadzone_arena.observers.parts.joint_claims import Defaults, JointClaims, joint_prior
 from undeadzone_arena.observers.parts.joint_filter import Sight, joint_filter
 
 # With less, points astride an edge soon pin the widths where they are not.

@@ -13,11 +13,10 @@ from undeadzone.errors import InputError, StepError, StructureError
 from undeadzone.interfaces import Observer
 from undeadzone.linear.matrices import Matrices, sizes
 from undeadzone.linear.riccati import lyapunov, weight
-from undeadzone.observers.parts.gain import injection
 from undeadzone.observers.parts.output_error import adapted, output_error
-from undeadzone.plants.system import System
-from undeadzone.plants.time_scales import fastest_pole
+from undeadzone.plants.system import System, fastest_pole
 from undeadzone.support.arrays import Array, Floats, listed, nonnegative, vector
+from undeadzone_arena.speeds import injection
 
 
 class WalcottZak(Options, frozen=True, kw_only=True, tag="walcott_zak"):

@@ -40,7 +40,7 @@ UNITS: Final = {
 
 
 class Point(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Certified gains and what they are worth, see `synthesis.candidates.Scores`.
+    """Certified gains and what they are worth, see `synthesis.task.Scores`.
 
     Attributes:
         L: observer gains (n x p) [1/s].

@@ -27,7 +27,7 @@ from undeadzone.analysis.error_dynamics import (
 )
 from undeadzone.errors import StructureError
 from undeadzone.linear.matrices import Matrices, similar
-from undeadzone.plants.time_scales import state_units
+from undeadzone.plants.system import state_units
 from undeadzone.support.arrays import Floats
 
 

@@ -1,130 +1,23 @@
-"""Joint filters see the dead zone as one function y / m = Dz(z; d_r, d_l) of [x; d_r; d_l].
+"""The state [x; d_r; d_l] of filters: its default disturbance, and the units of its numbers.
 
-They count the states in units that make them alike, and show them in the plant's: in those of time,
-states and their variances may be too far apart for numbers of single precision. The units are
+Filters count the states in units that make them alike, and show them in the plant's: in those of
+time, states and their variances may be too far apart for numbers of single precision. The units are
 powers of two, so that nothing is rounded.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from undeadzone.catalogue import Options
-from undeadzone.ends import sensor as sensors
-from undeadzone.ends.sensor import Zone
 from undeadzone.interfaces import Estimate, Observer, Reading
 from undeadzone.linear.hold import sampled_noise
-from undeadzone.observers.parts.claims import GLITCHES
-from undeadzone.observers.parts.prior import Prior, build_prior, sample_time, width_ranges
-from undeadzone.plants.system import System
-from undeadzone.plants.time_scales import state_units, time_scale
-from undeadzone.support.arrays import Array, Floats, nonnegative, scalar
+from undeadzone.observers.parts.prior import Prior, sample_time
+from undeadzone.plants.system import System, state_units, time_scale
+from undeadzone.support.arrays import Floats
 
-CROWD = 100  # readings in a quarter period beyond which each is given more noise
 SWING = 0.5  # rms, in largest widths, by which a disturbance moves z in a quarter period by default
-
-
-class JointClaims(Options, frozen=True, kw_only=True):
-    """Claims of the rivals of `Kalman`, in its words; what is not claimed follows from `Defaults`.
-
-    Attributes:
-        right, left: claimed ranges [lo, hi] of d_r and d_l, one or one per output [z]; left
-            defaults to that of right.
-        noise: rms of a reading, one or one per output [z]; default the sensor's, but at least the
-            method's share of the claimed range.
-        x_std: standard deviation of x(0) about 0, one or one per state; default the method's
-            multiple of the largest width.
-        disturbance: rms of an input disturbance that is new at every sample, one or one per input
-            [u]; default what moves z by `swing` times the largest width, rms, in a quarter period
-            of the plant (in 50 samples of a chain of integrators).
-        swing: rms, in largest widths, by which the default disturbance moves z.
-        drift: random walk of the widths [z / sqrt(s)]; default the method's multiple of the extent
-            of each range.
-        glitches: probability that a reading is wrong, whatever the sensor promises; 0 takes all
-            readings for right, as published.
-    """
-
-    right: Array
-    left: Array | None = None
-    noise: Array | None = None
-    x_std: Array | None = None
-    disturbance: Array | None = None
-    swing: float = 0.1
-    drift: float | None = None
-    glitches: float = GLITCHES
-
-
-class Defaults(NamedTuple):
-    """What a method assumes where nothing is claimed.
-
-    Of more than `CROWD` readings in a quarter period, each has so much more noise that together
-    they say no more: what is wrong with the model does not average out.
-
-    Attributes:
-        noise: least noise, as a share of the claimed range.
-        drift: drift, in largest widths.
-        x_std: standard deviation of x(0), in largest widths.
-    """
-
-    noise: float
-    drift: float
-    x_std: float
-
-
-class JointPrior(NamedTuple):
-    """What a joint filter starts from.
-
-    Attributes:
-        prior: that of [x; d_r; d_l] and of the sensor.
-        variance: that of the input disturbance (m) [u^2].
-        ranges: claimed ranges of the widths (2p x 2) [z].
-    """
-
-    prior: Prior
-    variance: Floats
-    ranges: Floats
-
-
-def joint_prior(
-    claims: JointClaims, model: System, sensor: Zone, defaults: Defaults, stride: int = 1
-) -> JointPrior:
-    """The prior of a joint filter, with defaults where nothing is claimed.
-
-    Args:
-        claims: the options.
-        model: the sampled model.
-        sensor: the dead zone.
-        defaults: the method's.
-        stride: every how many samples a reading is used.
-
-    Raises:
-        InputError, ShapeError: for a claim that cannot be, or a model in continuous time.
-    """
-    Ts = sample_time(model)
-    readings = quarter_period(model) / (stride * Ts)
-    ranges = width_ranges(claims.right, claims.left, model.p)
-    largest = float(ranges.max())
-    floor = defaults.noise * max(1.0, readings / CROWD) ** 0.5
-    prior = build_prior(
-        model,
-        sensor,
-        claims.right,
-        claims.left,
-        claims.noise,
-        claims.x_std,
-        claims.drift,
-        floor=floor,
-        reach=defaults.x_std,
-        wear=defaults.drift,
-    )
-    swing = scalar("observer.swing", claims.swing, least=0.0)
-    if claims.disturbance is None:
-        rms = agitation(model, swing * largest)
-    else:
-        rms = nonnegative("observer.disturbance", claims.disturbance, model.m, "one per input")
-    return JointPrior(prior, rms**2, ranges)
 
 
 def agitation(model: System, rms: float, span: float | None = None) -> Floats:
@@ -167,13 +60,6 @@ def quarter_period(model: System) -> float:
     """`time_scale` [s] of a sampled model."""
     assert model.flow is not None
     return time_scale(model.flow, model.Ts)
-
-
-def read(kind: str, z: Any, right: Any, left: Any) -> Any:
-    """The reading y / m of z by a sensor of that kind, without noise."""
-    if kind == "jump":
-        return sensors.jump(z, right, left)
-    return sensors.deadzone(z, right, left)
 
 
 def even_units(model: System) -> Floats:

@@ -16,7 +16,6 @@ import numpy as np
 from undeadzone.ends.sensor import LEFT, RIGHT, Zone, present
 from undeadzone.interfaces import Reading
 from undeadzone.numerics.gaussian import Gaussian, Weighed, advance, linearise, predict, symmetric
-from undeadzone.observers.parts.claims import doubt_numbers
 from undeadzone.observers.parts.further_constants import (
     SAME,
     Zones,
@@ -32,10 +31,13 @@ from undeadzone.observers.parts.further_constants import (
 from undeadzone.observers.parts.gaussian_filter import (
     Augmentation,
     Params,
+    Setup,
     filter_numbers,
     kept_entries,
     motion,
+    shown_belief,
     to_estimate,
+    with_unknowns,
 )
 from undeadzone.observers.parts.judged_filter import Member, Step, log_density
 from undeadzone.observers.parts.measured_reading import (
@@ -51,9 +53,8 @@ from undeadzone.observers.parts.measured_reading import (
     use_bounds,
     use_limits,
 )
-from undeadzone.observers.parts.prior import Prior
+from undeadzone.observers.parts.prior import Prior, doubt_numbers
 from undeadzone.observers.parts.recovery import Patience, patient, reopened, sound
-from undeadzone.observers.parts.shown_belief import Setup, shown_belief, with_unknowns
 from undeadzone.observers.parts.smoothing import (
     Moments,
     Smoothing,

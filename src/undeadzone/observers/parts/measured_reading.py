@@ -27,11 +27,9 @@ from undeadzone.numerics.gaussian import (
     update_unless_glitch,
 )
 from undeadzone.observers.parts.further_constants import taken_by_play
-from undeadzone.observers.parts.gaussian_filter import Params, informed
+from undeadzone.observers.parts.gaussian_filter import Params, Setup, informed
 from undeadzone.observers.parts.prior import HELD, SILENT, Prior
-from undeadzone.observers.parts.shown_belief import Setup
-from undeadzone.plants.system import System
-from undeadzone.plants.time_scales import pace
+from undeadzone.plants.system import System, pace
 from undeadzone.support.arrays import Floats
 
 # A silent sensor counts where the belief contradicts it by more than 5 %.

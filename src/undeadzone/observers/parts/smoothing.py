@@ -15,9 +15,14 @@ import casadi as ca
 from undeadzone.interfaces import Estimate, Reading
 from undeadzone.numerics.gaussian import Gaussian, linearise
 from undeadzone.observers.parts.further_constants import entering
-from undeadzone.observers.parts.gaussian_filter import Params, motion, to_estimate
+from undeadzone.observers.parts.gaussian_filter import (
+    Params,
+    Setup,
+    motion,
+    shown_belief,
+    to_estimate,
+)
 from undeadzone.observers.parts.measured_reading import beyond_edge
-from undeadzone.observers.parts.shown_belief import Setup, shown_belief
 
 
 class Moments(NamedTuple):

@@ -18,8 +18,7 @@ from undeadzone.linear.hold import sampled_noise, zoh_slopes
 from undeadzone.linear.matrices import Matrices, similar
 from undeadzone.numerics.gaussian import Gaussian, update
 from undeadzone.observers.parts.gaussian_filter import Augmentation, Params, informed
-from undeadzone.plants.system import System, held, in_units
-from undeadzone.plants.time_scales import state_units, time_scale
+from undeadzone.plants.system import System, held, in_units, state_units, time_scale
 from undeadzone.support.arrays import Floats, scalar
 
 SMALL = 0.01  # bias of a calibrated input, relative to that of another

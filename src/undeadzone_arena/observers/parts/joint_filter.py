@@ -11,16 +11,10 @@ import casadi as ca
 from undeadzone.ends.sensor import Zone, present
 from undeadzone.interfaces import Observer, Reading, no_further
 from undeadzone.numerics.gaussian import Gaussian, Weighed, symmetric, together
-from undeadzone.observers.parts.augmented_state import (
-    JointPrior,
-    counted_prior,
-    even_units,
-    read,
-    shown_states,
-)
-from undeadzone.observers.parts.claims import doubt_numbers, glitch_share
+from undeadzone.observers.parts.augmented_state import counted_prior, even_units, shown_states
 from undeadzone.observers.parts.gaussian_filter import (
     Params,
+    clipped,
     filter_numbers,
     kept_entries,
     motion,
@@ -28,9 +22,10 @@ from undeadzone.observers.parts.gaussian_filter import (
     white,
 )
 from undeadzone.observers.parts.judged_filter import Member, Step, judged
+from undeadzone.observers.parts.prior import doubt_numbers, glitch_share
 from undeadzone.observers.parts.recovery import Patience, patient, reopened, sound
-from undeadzone.observers.parts.shown_belief import clipped
 from undeadzone.plants.system import System, in_units
+from undeadzone_arena.observers.parts.joint_claims import JointPrior, read
 
 Sight = Callable[[Any], Any]
 """From [x; d_r; d_l] to the reading y_i / m_i without noise."""

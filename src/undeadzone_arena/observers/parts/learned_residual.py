@@ -19,12 +19,11 @@ from undeadzone.ends.sensor import Zone, present
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate, Observer, Reading, Traits, exact
 from undeadzone.numerics.gaussian import linearise
-from undeadzone.observers.parts.gain import hiding, injection
 from undeadzone.plants.system import System
-from undeadzone.plants.time_scales import in_poles
 from undeadzone.support.arrays import Array, Floats, positive
 from undeadzone_arena.approximators import Basis
 from undeadzone_arena.observers.parts.adaptive_laws import Law, gradient
+from undeadzone_arena.speeds import hiding, in_poles, injection
 
 
 class Compensator(NamedTuple):

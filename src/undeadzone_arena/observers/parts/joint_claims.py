@@ -1,0 +1,189 @@
+"""What rivals of the tool's filters share: claims and their defaults, readings, estimates.
+
+They see the dead zone as one function y / m = Dz(z; d_r, d_l) of [x; d_r; d_l].
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from undeadzone.catalogue import Options
+from undeadzone.ends import sensor as sensors
+from undeadzone.ends.sensor import Zone, inverse
+from undeadzone.interfaces import Estimate, Reading
+from undeadzone.numerics.gaussian import CLIP, TAIL
+from undeadzone.observers.parts.augmented_state import agitation, quarter_period
+from undeadzone.observers.parts.prior import (
+    GLITCHES,
+    Doubt,
+    Prior,
+    build_prior,
+    sample_time,
+    width_ranges,
+)
+from undeadzone.plants.system import System
+from undeadzone.support.arrays import Array, Floats, nonnegative, scalar
+
+CROWD = 100  # readings in a quarter period beyond which each is given more noise
+
+
+class JointClaims(Options, frozen=True, kw_only=True):
+    """Claims of the rivals of `Kalman`, in its words; what is not claimed follows from `Defaults`.
+
+    Attributes:
+        right, left: claimed ranges [lo, hi] of d_r and d_l, one or one per output [z]; left
+            defaults to that of right.
+        noise: rms of a reading, one or one per output [z]; default the sensor's, but at least the
+            method's share of the claimed range.
+        x_std: standard deviation of x(0) about 0, one or one per state; default the method's
+            multiple of the largest width.
+        disturbance: rms of an input disturbance that is new at every sample, one or one per input
+            [u]; default what moves z by `swing` times the largest width, rms, in a quarter period
+            of the plant (in 50 samples of a chain of integrators).
+        swing: rms, in largest widths, by which the default disturbance moves z.
+        drift: random walk of the widths [z / sqrt(s)]; default the method's multiple of the extent
+            of each range.
+        glitches: probability that a reading is wrong, whatever the sensor promises; 0 takes all
+            readings for right, as published.
+    """
+
+    right: Array
+    left: Array | None = None
+    noise: Array | None = None
+    x_std: Array | None = None
+    disturbance: Array | None = None
+    swing: float = 0.1
+    drift: float | None = None
+    glitches: float = GLITCHES
+
+
+class Defaults(NamedTuple):
+    """What a method assumes where nothing is claimed.
+
+    Of more than `CROWD` readings in a quarter period, each has so much more noise that together
+    they say no more: what is wrong with the model does not average out.
+
+    Attributes:
+        noise: least noise, as a share of the claimed range.
+        drift: drift, in largest widths.
+        x_std: standard deviation of x(0), in largest widths.
+    """
+
+    noise: float
+    drift: float
+    x_std: float
+
+
+class JointPrior(NamedTuple):
+    """What a joint filter starts from.
+
+    Attributes:
+        prior: that of [x; d_r; d_l] and of the sensor.
+        variance: that of the input disturbance (m) [u^2].
+        ranges: claimed ranges of the widths (2p x 2) [z].
+    """
+
+    prior: Prior
+    variance: Floats
+    ranges: Floats
+
+
+def joint_prior(
+    claims: JointClaims, model: System, sensor: Zone, defaults: Defaults, stride: int = 1
+) -> JointPrior:
+    """The prior of a joint filter, with defaults where nothing is claimed.
+
+    Args:
+        claims: the options.
+        model: the sampled model.
+        sensor: the dead zone.
+        defaults: the method's.
+        stride: every how many samples a reading is used.
+
+    Raises:
+        InputError, ShapeError: for a claim that cannot be, or a model in continuous time.
+    """
+    Ts = sample_time(model)
+    readings = quarter_period(model) / (stride * Ts)
+    ranges = width_ranges(claims.right, claims.left, model.p)
+    largest = float(ranges.max())
+    floor = defaults.noise * max(1.0, readings / CROWD) ** 0.5
+    prior = build_prior(
+        claims,
+        model,
+        sensor,
+        floor=floor,
+        reach=defaults.x_std,
+        wear=defaults.drift,
+    )
+    swing = scalar("observer.swing", claims.swing, least=0.0)
+    if claims.disturbance is None:
+        rms = agitation(model, swing * largest)
+    else:
+        rms = nonnegative("observer.disturbance", claims.disturbance, model.m, "one per input")
+    return JointPrior(prior, rms**2, ranges)
+
+
+def read(kind: str, z: Any, right: Any, left: Any) -> Any:
+    """The reading y / m of z by a sensor of that kind, without noise."""
+    if kind == "jump":
+        return sensors.jump(z, right, left)
+    return sensors.deadzone(z, right, left)
+
+
+def numeric_estimate(
+    X: Floats,
+    z: Floats,
+    reading: Reading,
+    sensor: Zone,
+    e: Floats,
+    std: Floats,
+    width_std: Floats,
+    e_std: Floats,
+) -> Estimate:
+    """An `Estimate` of numbers.
+
+    Args:
+        X: [x; d_r; d_l] (n + 2p).
+        z: output z^ (p).
+        reading: what was read.
+        sensor: the dead zone, for its slope and kind.
+        e: innovation (p).
+        std: standard deviations of X (n + 2p).
+        width_std: standard deviations of d_r + d_l (p).
+        e_std: standard deviations of e (p).
+    """
+    ends = [X.size - 2 * z.size, X.size - z.size]
+    x, right, left = np.split(X, ends)
+    x_std, right_std, left_std = np.split(std, ends)
+    inverted = inverse(reading.y, reading.side, right, left, sensor.slope, sensor.kind)
+    none = np.zeros(0)
+    return Estimate(
+        x,
+        z,
+        right,
+        left,
+        np.where(np.isfinite(reading.y), inverted, z),
+        e,
+        x_std,
+        right_std,
+        left_std,
+        width_std,
+        e_std,
+        *[none] * (len(Estimate._fields) - 11),
+    )
+
+
+def glitch_chance(doubt: Doubt, e: Floats, std: Floats) -> Floats:
+    """The chance that readings with these innovations are glitches (p).
+
+    Args:
+        doubt: numbers of the doubt.
+        e, std: innovations and their standard deviations (p) [z].
+    """
+    r = np.clip(e / std, -CLIP, CLIP)
+    wrong = doubt.glitch - np.log(doubt.reach + TAIL * std)
+    right = -(r**2) / 2 - np.log(2 * np.pi * std**2) / 2
+    return np.asarray(1 / (1 + np.exp(right - wrong)))
