@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import os
 import random
@@ -11,9 +12,13 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
+# As the command line does, and before NumPy is imported: matrices here are small.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import undeadzone
 from tools import pytest_terminal_summary as pytest_terminal_summary
 
+gc.set_threshold(100_000)  # as the command line does
 settings.register_profile(
     "shared",
     max_examples=30,  # `python -m fuzz` and `make mutants` look longer
