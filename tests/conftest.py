@@ -28,6 +28,14 @@ settings.register_profile(
 )
 settings.load_profile("shared")
 
+# Files that share what `once.py` makes: with `--dist loadgroup` one process has them.
+TOGETHER = {
+    "test_design_cli": "design",
+    "test_design_synthesis": "design",
+    "test_json": "paper",
+    "test_paper": "paper",
+}
+
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
@@ -50,7 +58,10 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Shuffle files, and the tests of each, which keeps what the tests of a file share."""
+    """Keep the tests of a file in one process; shuffle files, and the tests of each."""
+    for item in items:
+        name = item.path.stem
+        item.add_marker(pytest.mark.xdist_group(TOGETHER.get(name, name)))
     seed = config.getoption("order")
     if seed is None:
         return

@@ -255,8 +255,8 @@ def test_the_same_comes_out_in_whatever_pieces_the_bytes_come(
     data = b"t,y,u\n" + b"".join(lines)
     draw = random.Random(seed)
     whole = fed(lever, data, [], strict)
-    for count in (3, 60):
-        assert fed(lever, data, [draw.randrange(len(data)) for _ in range(count)], strict) == whole
+    cuts = [draw.randrange(len(data)) for _ in range(draw.choice((3, 60)))]
+    assert fed(lever, data, cuts, strict) == whole
     if len(data) < 5000:
         assert fed(lever, data, list(range(len(data))), strict) == whole
 

@@ -58,7 +58,7 @@ def identified(folder: Path) -> list[str]:
 
 def designed(folder: Path) -> list[str]:
     shutil.copy(EXAMPLES / "asymmetric_noise.toml", folder / "mine.toml")
-    return ["design", str(folder / "mine.toml"), "--no-figures"]
+    return ["design", str(folder / "mine.toml"), "--maximise", "rate", "--no-figures"]
 
 
 def tuned(folder: Path) -> list[str]:
