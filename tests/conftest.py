@@ -7,6 +7,7 @@ import hashlib
 import os
 import random
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -55,6 +56,21 @@ def pytest_configure(config: pytest.Config) -> None:
             shutil.rmtree(other, ignore_errors=True)
     own.parent.mkdir(parents=True, exist_ok=True)
     os.environ["UNDEADZONE_CACHE"] = str(own)
+
+
+@pytest.fixture(autouse=True, scope="session")
+def code_of_no_effort(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """What an export compiles to look at its bits is not optimised: that takes ten times as long.
+
+    `test_export.py` and `test_export_emulator.py` show that effort changes no bit.
+    """
+    script = tmp_path_factory.mktemp("compiler") / "cc"
+    script.write_text('#!/bin/sh\nexec gcc "$@" -O0\n')
+    script.chmod(0o755)
+    with pytest.MonkeyPatch.context() as patch:
+        if shutil.which("gcc"):
+            patch.setenv("CC", str(script))
+        yield
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -9,7 +9,6 @@ import re
 import shutil
 import subprocess
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +31,6 @@ FLAGS = ["-std=c99", "-ffp-contract=off", "-fno-math-errno"]
 WARNINGS = [
     "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Werror",
 ]  # fmt: skip
-OPTIMISED = compiler.shared_library
 LEVELS = (["-O0"], ["-O2"], ["-O3", "-march=native"])
 EXPORTED = [
     name for name, (times, _) in OBSERVERS.items() if "sampled" in times and name != "full_state"
@@ -43,13 +41,9 @@ OWN = elementary.FUNCTIONS.keys() - {"fmin", "fmax", "sign", "floor", "ceil"}  #
 
 @pytest.fixture(autouse=True, scope="module")
 def cheaper() -> Iterator[None]:
-    """Runs of 600 steps, and code of no effort, which has the same bits.
-
-    What 100 000 steps of optimised code show is tested once, below.
-    """
+    """Runs of 600 steps: what 100 000 steps of optimised code show is tested once, below."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(export, "STEPS", 600)
-        patch.setattr(accuracy, "shared_library", partial(OPTIMISED, options=("-O0",)))
         yield
 
 
@@ -77,7 +71,7 @@ def certified(**changes: Any) -> Scenario:
 def test_the_options_of_deploy_md_are_those_of_the_function(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(accuracy, "shared_library", OPTIMISED)  # its stack is that of -O1
+    monkeypatch.delenv("CC")  # its stack is that of -O1
     done = uz.export(certified(), to="c", out=tmp_path / "fw", precision="single", part="observer",
                      tunable=("observer.gamma",), name="joint")  # fmt: skip
     assert sorted(path.name for path in done.files) == sorted(
@@ -425,7 +419,7 @@ def test_no_path_of_this_machine_is_in_a_file(joint: Path) -> None:
 def test_the_long_run_of_float(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """100 000 steps of `certified`: the widths stay within 1e-4 (measured: 1.8e-5)."""
     monkeypatch.setattr(export, "STEPS", 100_000)
-    monkeypatch.setattr(accuracy, "shared_library", OPTIMISED)
+    monkeypatch.delenv("CC")
     report = uz.export(certified(), out=tmp_path / "fw", name="joint").report["accuracy"]
     assert report["steps"] >= 100_000
     assert report["machine"] == 0

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.stats import norm, truncnorm
 
-from scenes import PAPER_PLANT, on_numbers, random_plant, scene
+from scenes import PAPER_PLANT, OnNumbers, random_plant, scene
 from undeadzone.ends import sensor
 from undeadzone.ends.sensor import Sensor, Zone, resolve
 from undeadzone.errors import InputError, ShapeError
@@ -237,7 +237,7 @@ def test_where_every_reading_is_active_it_is_the_textbook_filter(
         glitches=0.0,
     )
     observer = options.build(model, zone(p))
-    step, state = on_numbers(observer, model), observer.init(observer.params)
+    step, state = OnNumbers(observer, model), observer.init(observer.params)
     ys, us = rng.choice([-1, 1], (30, p)) * rng.uniform(1, 9, (30, p)), rng.normal(size=(30, m))
     for y, u, (mean, P) in zip(ys, us, textbook(model, options, 0.1, ys, us), strict=True):
         state, estimate = step(state, u, y, np.sign(y))
@@ -268,7 +268,7 @@ def test_without_process_noise_it_is_batch_least_squares(seed: int, n: int) -> N
     A, B, C = model.linear
     options = Kalman(right=[0.5, 2.0], noise=0.1, x_std=2.0, disturbance=0.0, glitches=0.0)
     observer = options.build(model, zone())
-    step, state = on_numbers(observer, model), observer.init(observer.params)
+    step, state = OnNumbers(observer, model), observer.init(observer.params)
     ys, us = rng.choice([-1, 1], 40) * rng.uniform(1, 9, 40), rng.normal(size=40)
     Phi, forced, rows, rest = np.eye(n), np.zeros(n), [], []
     for y, u in zip(ys, us, strict=True):
@@ -293,7 +293,7 @@ def test_sides_that_are_never_read_and_missing_samples_only_predict() -> None:
     observer = Kalman(right=[0.5, 2.0], x_std=2.0, disturbance=0.5, drift=0.1).build(
         MODEL, zone(noise=0.01)
     )
-    step, state = on_numbers(observer, MODEL), observer.init(observer.params)
+    step, state = OnNumbers(observer, MODEL), observer.init(observer.params)
     for y in (NOTHING, 0.0, 0.01, np.inf, -0.01):
         after, estimate = step(state, [0.3], [y], [0.0])
         mean, P = np.asarray(state.filter.mean), covariance(state.filter)
@@ -308,7 +308,7 @@ def test_sides_that_are_never_read_and_missing_samples_only_predict() -> None:
 
 def test_the_estimate_does_not_depend_on_the_input() -> None:
     observer = Kalman(right=[0.5, 2.0]).build(MODEL, zone())
-    step, state = on_numbers(observer, MODEL), observer.init(observer.params)
+    step, state = OnNumbers(observer, MODEL), observer.init(observer.params)
     (first, one), (second, two) = (step(state, [u], [1.0], [1.0]) for u in (-5.0, 5.0))
     assert all(np.array_equal(a, b) for a, b in zip(one, two, strict=True))
     assert not np.array_equal(first.filter.mean, second.filter.mean)
@@ -409,7 +409,7 @@ def test_of_a_chain_of_integrators_only_the_width_becomes_known() -> None:
     where = zone(right=1.3, left=0.6)
     observer = Kalman(right=[0.5, 2.0], x_std=3.0, disturbance=0.0).build(model, where)
     step, state, x = (
-        on_numbers(observer, model),
+        OnNumbers(observer, model),
         observer.init(observer.params),
         np.array([2.0, 0.0]),
     )

@@ -12,6 +12,7 @@ import pytest
 
 import undeadzone as uz
 from commands import undeadzone
+from undeadzone.exports import export
 from undeadzone.identification.models.estimates import positive
 from undeadzone.identification.models.plant import roots, stabilised
 from undeadzone.scenario.reader import parse
@@ -72,7 +73,7 @@ def read_back(answer: Any) -> str:
 @pytest.mark.parametrize(("element", "reading"), CASES)
 def test_a_log_of_a_stable_plant_ends_in_a_scenario(element: str, reading: str) -> None:
     u, y = record(element, reading, integrates=False)
-    answer = uz.identify(t=STEP, u=u, y=y, order=2)
+    answer = uz.identify(t=STEP, u=u, y=y, order=2, delay=0)
     assert answer.verdict == WORDS[element]
     assert answer.width.low - 0.005 <= RIGHT + LEFT <= answer.width.high + 0.005
     assert not read_back(answer)
@@ -81,7 +82,7 @@ def test_a_log_of_a_stable_plant_ends_in_a_scenario(element: str, reading: str) 
 @pytest.mark.parametrize(("element", "reading"), CASES)
 def test_a_log_of_a_motor_ends_in_a_scenario_or_in_words(element: str, reading: str) -> None:
     u, y = record(element, reading, integrates=True)
-    answer = uz.identify(t=STEP, u=u, y=y, order="1-2", integrators=1)
+    answer = uz.identify(t=STEP, u=u, y=y, order="1-2", integrators=1, delay=0)
     if element == "zone":
         assert answer.verdict == "dead_zone"
         assert answer.width.low - 0.005 <= RIGHT + LEFT <= answer.width.high + 0.005
@@ -107,8 +108,11 @@ def test_what_is_not_finite_is_refused_before_its_eigenvalues() -> None:
 
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="no compiler")
 @pytest.mark.parametrize("element", ["zone", "play", "actuator"])
-def test_a_log_ends_in_firmware(element: str, tmp_path: Path) -> None:
+def test_a_log_ends_in_firmware(
+    element: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """As a user goes: each command is the one that the last one named."""
+    monkeypatch.setattr(export, "STEPS", 2000)  # of float beside double: less is refused later
     u, y = record(element, "noise", False)
     table = np.column_stack([STEP * np.arange(y.size), u, y])
     path = tmp_path / "log.csv"

@@ -458,7 +458,7 @@ def test_identify_writes_the_scenario_that_runs(tmp_path: Path) -> None:
     rng, u, z = driven(21)
     gaps, widths = (0.25, 0.15), (0.2, 0.3)
     y = through(z, gaps, widths) + 0.01 * rng.standard_normal(z.size)
-    found = uz.identify(t=STEP, u=u, y=y, order=2)
+    found = uz.identify(t=STEP, u=u, y=y, order=2, delay=0)
     (tmp_path / "both.toml").write_text(found.scenario())
     scenario = uz.read(tmp_path / "both.toml")
     sensor = resolve_scenario(scenario).sensor
