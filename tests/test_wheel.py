@@ -99,8 +99,9 @@ def test_commands_run_from_the_wheel(installed: Path, tmp_path: Path) -> None:
 def test_every_example_comes_from_the_wheel(installed: Path, tmp_path: Path) -> None:
     command = installed / "undeadzone"
     names = json.loads(run(command, "init", "--list", "--json", cwd=tmp_path))["examples"]
-    for name in names:
-        run(command, "init", "--example", name, cwd=tmp_path)
+    each = "from undeadzone.cli import group; import sys; [group.main(['init', '--example', name]"
+    each += ", standalone_mode=False) for name in sys.argv[1:]]"
+    run(installed / "python", "-c", each, *names, cwd=tmp_path)
     written = {path.name: path.read_bytes() for path in tmp_path.glob("*.*")}
     kept = {path.name: path.read_bytes() for path in (ROOT / "examples").glob("*.*")}
     assert written == kept
