@@ -25,8 +25,8 @@ WORDS = {"zone": "dead_zone", "play": "play", "both": "both", "actuator": "input
 CASES = list(itertools.product(WORDS, READINGS))
 
 
-def record(element: str, reading: str, integrates: bool) -> tuple[Floats, Floats]:
-    """u and y of a second-order plant with an element, read in one of three ways."""
+def record(element: str, reading: str, integrates: bool, order: int = 2) -> tuple[Floats, Floats]:
+    """u and y of a plant of order 1 or 2 with an element, read in one of three ways."""
     rng = np.random.default_rng(0)
     u = np.repeat(rng.standard_normal(60), 15)
     acting = zone(u) if element == "actuator" else u
@@ -35,7 +35,8 @@ def record(element: str, reading: str, integrates: bool) -> tuple[Floats, Floats
     for force in acting:
         z.append(x[0])
         for _ in range(10):
-            x = x + STEP / 10 * np.array([x[1], 20 * force - spring * x[0] - 4 * x[1]])
+            v = x[1] if order == 2 else 5 * (force - x[0])
+            x = x + STEP / 10 * np.array([v, 20 * force - spring * x[0] - 4 * x[1]])
     y = np.array(z)
     if element in ("play", "both"):
         y = play(y)
@@ -113,11 +114,11 @@ def test_a_log_ends_in_firmware(
 ) -> None:
     """As a user goes: each command is the one that the last one named."""
     monkeypatch.setattr(export, "STEPS", 2000)  # of float beside double: less is refused later
-    u, y = record(element, "noise", False)
+    u, y = record(element, "noise", False, order=1)
     table = np.column_stack([STEP * np.arange(y.size), u, y])
     path = tmp_path / "log.csv"
     np.savetxt(path, table, delimiter=",", header="t [s],u [V],y [mm]", comments="")
-    found = undeadzone("identify", "log.csv", "--order", "2", "--no-figures", cwd=tmp_path)
+    found = undeadzone("identify", "log.csv", "--order", "1", "--no-figures", cwd=tmp_path)
     assert found.returncode == 0, found.stderr
     *_, last = found.stdout.splitlines()
     assert last.split(maxsplit=1)[0] == "next"

@@ -284,10 +284,10 @@ def mine(tmp_path: Path) -> Path:
 
 def test_arena_tune_is_killed_and_goes_on(mine: Path, tmp_path: Path) -> None:
     """Kill -9 leaves the file with what is done, and --resume ends as if nothing had happened."""
-    tuning = ("--tune", "--budget", "6", "--processes", "1")
+    tuning = ("--tune", "--budget", "4", "--processes", "1")
     whole = arena(mine, tmp_path / "whole", *tuning)
     assert whole.returncode == 0, whole.stderr
-    assert "3 methods x 1 scenario x 6 candidates = 18 runs" in whole.stderr
+    assert "3 methods x 1 scenario x 4 candidates = 12 runs" in whole.stderr
     out = tmp_path / "killed"
     command = [*COMMAND, str(mine), "--methods", METHODS, "--out", str(out), *tuning]
     code, _ = stopped(signal.SIGKILL, out / "tuned.toml.partial", command, tmp_path)

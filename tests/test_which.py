@@ -198,7 +198,7 @@ def test_a_disturbance_is_told_from_noise() -> None:
     assert disturbance_ahead(layout, plant, noise, whole).rms < 0.02
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_the_gap_of_a_play_is_found(seed: int) -> None:
     rng, u, z = driven(10 + seed)
     gaps = tuple(rng.uniform(0.1, 0.4, 2))
