@@ -16,9 +16,10 @@ from undeadzone.analysis.convergence.trajectories import settling
 from undeadzone.analysis.dissipation import Inequality, check
 from undeadzone.analysis.identifiability import nonlinear
 from undeadzone.analysis.identifiability.information import Readings, deviations
-from undeadzone.analysis.side_schedule import recorded
+from undeadzone.analysis.side_schedule import arriving, recorded
 from undeadzone.ends.sensor import Sensor, resolve
 from undeadzone.errors import StructureError
+from undeadzone.interfaces import Estimate
 from undeadzone.linear import riccati
 from undeadzone.linear.matrices import Matrices
 from undeadzone.linear.poles import place
@@ -29,6 +30,7 @@ from undeadzone.observers.parts.augmented_state import (
     agitation,
     joint_prior,
 )
+from undeadzone.observers.parts.judged_filter import LOST, widened
 from undeadzone.plants.system import sampled
 from undeadzone_arena.observers.parts import learned_residual
 from undeadzone_arena.observers.parts.boxes import cut
@@ -65,6 +67,34 @@ def test_a_recorded_side_changes_half_way_between_two_samples() -> None:
     schedule = recorded(z, sensor, 0.1, None)
     np.testing.assert_allclose(schedule.sides[:, 0], [0.0, 1.0, -1.0])
     np.testing.assert_allclose(schedule.spans, [0.25, 0.2, 0.15], rtol=1e-12)
+
+
+def test_a_side_is_lost_by_its_own_readings() -> None:
+    """Of 100 readings on the right and 2 on the left, half are missing."""
+    sides, spans = np.array([[1.0], [0.0], [-1.0]]), np.array([1.0, 0.5, 0.02])
+    schedule = visiting([True], [True])._replace(sides=sides, spans=spans)
+    judged = arriving(schedule, np.array([0.5]), 0.01, spans.sum(), 2)
+    np.testing.assert_array_equal(judged.sides[:, 0], [1.0, 0.0, 0.0])
+
+
+def test_a_filter_that_is_lost_knows_no_more_than_the_prior() -> None:
+    """About what is shown: prior edges at 1 and 2 with deviations 0.3 and 0.4, shown at 1.4, 1.7.
+
+    The two are independent.
+    """
+    doubt = SimpleNamespace(std=np.array([2.0, 2.0, 0.3, 0.4]), most=10.0)
+    q: Any = SimpleNamespace(doubt=doubt, mean=np.array([0.0, 0.0, 1.0, 2.0]))
+    one, none = ca.SX(1.0), ca.SX(0, 1)
+    record: Any = SimpleNamespace(
+        ratio=one, offset=0 * one, share=one * (LOST + 0.1), constant=none, opened=none
+    )
+    blind = Estimate(*[ca.SX(0.0)] * len(Estimate._fields))._replace(
+        right=ca.SX(1.4), left=ca.SX(1.7), x_std=ca.SX([0.0, 0.0])
+    )
+    found = widened(SimpleNamespace(n=2, p=1), q, record, blind)  # type: ignore[arg-type]
+    values = [float(std) for std in (found.right_std, found.left_std, found.width_std)]
+    assert values == pytest.approx([0.5, 0.5, np.sqrt(0.5)], rel=1e-12)
+    assert ca.DM(found.x_std).full()[:, 0] == pytest.approx([2.0, 2.0])
 
 
 def test_errors_may_need_many_passes_to_settle() -> None:
