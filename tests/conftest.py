@@ -33,6 +33,7 @@ settings.load_profile("shared")
 TOGETHER = {
     "test_design_cli": "design",
     "test_design_synthesis": "design",
+    "test_report": "design",
     "test_json": "paper",
     "test_paper": "paper",
 }

@@ -494,7 +494,7 @@ def test_missing_readings_glitches_and_two_records() -> None:
         frames.append(
             pandas.DataFrame(dict(zip(("time [s]", "u [V]", "y [mm]"), parts, strict=True)))
         )
-    both = uz.identify(frames, order=2)
+    both = uz.identify(frames, order=2, delay=0)
     assert both.answer.fit.objective.layout.records == 2
     assert both.right.low <= 0.5 <= both.right.high
     assert both.answer.case.grid.output_unit == "mm"

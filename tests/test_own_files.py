@@ -53,7 +53,7 @@ def identified(folder: Path) -> list[str]:
     y += (y != 0) * 0.01 * np.random.default_rng(0).normal(size=t.size)
     rows = [f"{a:.2f},{b:.6f},{c:.6f}" for a, b, c in zip(t, u, y, strict=True)]
     (folder / "motor.csv").write_text("t,u,y\n" + "\n".join(rows) + "\n")
-    return ["identify", str(folder / "motor.csv"), "--order", "1", "--no-figures"]
+    return ["identify", str(folder / "motor.csv"), "--order", "1", "--delay", "0", "--no-figures"]
 
 
 def designed(folder: Path) -> list[str]:

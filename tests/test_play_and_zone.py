@@ -310,9 +310,9 @@ def test_intervals_hold_over_random_loops(place: str, options: str) -> None:
 
 
 def random_loops(place: str, options: str) -> Loops:
-    """Thirty loops of a family."""
+    """Twenty loops of a family."""
     world, entry = WORLDS[place], bench.ROWS[options]
-    each = [bench.posed(world, "noise 1 %", entry, seed) for seed in range(30)]
+    each = [bench.posed(world, "noise 1 %", entry, seed) for seed in range(20)]
     return run_loops(each, 0.8 * world.duration)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import re
 from pathlib import Path
@@ -335,7 +336,7 @@ def test_commands_take_the_scenario_of_a_play(
     step, u, y = record_of_gears()
     columns = np.column_stack([step * np.arange(y.size), u, y])
     np.savetxt("gears.csv", columns, delimiter=",", header="t [s],u [V],y [mm]", comments="")
-    command = ["identify", "gears.csv", "--order", "2", "--out", "out"]
+    command = ["identify", "gears.csv", "--order", "2", "--delay", "0", "--out", "out"]
     assert group.main(command, standalone_mode=False) == 0  # a scenario that runs
     text = capsys.readouterr().out
     assert "NO: play" in text
@@ -371,6 +372,7 @@ def test_a_play_about_an_offset_says_how_to_take_it_away() -> None:
     assert math.isfinite(free.width.high)
 
 
+@functools.cache
 def valve(seed: int, **more: Any) -> tuple[Any, tuple[float, float]]:
     """What is identified of a plant behind an actuator's dead zone, and the true widths."""
     rng, u, _ = driven(seed)
@@ -378,7 +380,7 @@ def valve(seed: int, **more: Any) -> tuple[Any, tuple[float, float]]:
     passed = np.maximum(u - widths[0], 0.0) + np.minimum(u + widths[1], 0.0)
     z = lfilter(np.append(0.0, B), np.append(1.0, A), passed)
     y = z + disturbed(rng, 0.02) + 0.01 * rng.standard_normal(z.size)
-    return uz.identify(t=STEP, u=u, y=y, order=2, **more), widths
+    return uz.identify(t=STEP, u=u, y=y, order=2, delay=0, **more), widths
 
 
 def test_the_widths_of_an_actuator_are_found() -> None:
