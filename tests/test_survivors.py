@@ -8,6 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from scenes import PAPER_PLANT, linear
 from test_identifiability import visiting
@@ -15,14 +16,16 @@ from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.analysis.convergence.trajectories import settling
 from undeadzone.analysis.dissipation import Inequality, check
 from undeadzone.analysis.identifiability import nonlinear
+from undeadzone.analysis.identifiability.both_ends import both_ends
 from undeadzone.analysis.identifiability.information import Readings, deviations
 from undeadzone.analysis.side_schedule import arriving, recorded
 from undeadzone.ends.sensor import Sensor, resolve
-from undeadzone.errors import StructureError
+from undeadzone.errors import InputError, StructureError
 from undeadzone.interfaces import Estimate
 from undeadzone.linear import riccati
 from undeadzone.linear.matrices import Matrices
 from undeadzone.linear.poles import place
+from undeadzone.numerics.gaussian import TAIL
 from undeadzone.observers.parts.augmented_state import (
     CROWD,
     Defaults,
@@ -30,7 +33,12 @@ from undeadzone.observers.parts.augmented_state import (
     agitation,
     joint_prior,
 )
+from undeadzone.observers.parts.claims import glitch_chance
+from undeadzone.observers.parts.further_constants import against_friction
+from undeadzone.observers.parts.gaussian_filter import _informed_of_gaps as informed_of_gaps
 from undeadzone.observers.parts.judged_filter import LOST, widened
+from undeadzone.observers.parts.prior import _claimed_noise as claimed_noise
+from undeadzone.observers.parts.unknown_inputs import span
 from undeadzone.plants.system import sampled
 from undeadzone_arena.observers.parts import learned_residual
 from undeadzone_arena.observers.parts.boxes import cut
@@ -95,6 +103,64 @@ def test_a_filter_that_is_lost_knows_no_more_than_the_prior() -> None:
     values = [float(std) for std in (found.right_std, found.left_std, found.width_std)]
     assert values == pytest.approx([0.5, 0.5, np.sqrt(0.5)], rel=1e-12)
     assert ca.DM(found.x_std).full()[:, 0] == pytest.approx([2.0, 2.0])
+
+
+def test_a_bias_that_does_nothing_tells_as_much_of_an_actuator() -> None:
+    drive: Any = SimpleNamespace(slope_right=1.0, slope_left=1.0)
+    modes, schedule = np.array([[1.0], [-1.0], [0.0]]), visiting([True], [True])
+    without, with_bias = (
+        both_ends(PAPER_PLANT.linear, schedule, modes, drive, bias)
+        for bias in (None, np.zeros((2, 1)))
+    )
+    assert without.inputs == with_bias.inputs
+    assert without.inputs[0].width
+    assert without.outputs == with_bias.outputs
+
+
+def test_the_chance_of_a_glitch_is_that_of_bayes() -> None:
+    """A reading of a Gaussian, or one that is evenly spread over reach and tails."""
+    e, std, share, reach = np.array([0.3, 2.0]), np.array([0.5, 0.4]), 0.1, 5.0
+    doubt: Any = SimpleNamespace(glitch=np.log(share / (1 - share)), reach=np.full(2, reach))
+    wrong, right = share / (reach + TAIL * std), (1 - share) * norm.pdf(e, scale=std)
+    np.testing.assert_allclose(glitch_chance(doubt, e, std), wrong / (wrong + right), rtol=1e-12)
+
+
+def test_unknown_friction_is_taken_off_what_drives() -> None:
+    """It stands ahead of `after` other unknowns."""
+    sensor: Any = SimpleNamespace(friction_std=np.array([0.1]))
+    X = np.array([1.0, 2.0, 0.5, 7.0])
+    given = against_friction(sensor, 1, lambda X: 10.0, -1.0)(X)
+    assert given == 10.5
+
+
+def test_one_output_without_noise_is_no_claim() -> None:
+    assert claimed_noise([0.1, 0.2], 2).tolist() == [0.1, 0.2]
+    with pytest.raises(InputError, match="must be positive, found 0"):
+        claimed_noise([0.1, 0.0], 2)
+
+
+def test_a_time_is_resolved_from_a_tenth_of_a_sample_on() -> None:
+    for time in (0.101, 0.99e6):
+        assert span("washout", time * 0.02, 0.02) == time * 0.02
+    for time in (0.099, 1.01e6):
+        with pytest.raises(InputError, match=r"between 0\.1 and 1e6 sample times"):
+            span("washout", time * 0.02, 0.02)
+
+
+def test_unknowns_behind_gaps_are_taken_for_told() -> None:
+    """One other unknown, a gap of which half the variance is left, two widths of an actuator."""
+    cov = ca.SX(np.diag([1.0, 3.0, 0.5, 5.0, 6.0]))
+    zones = SimpleNamespace(middle=np.zeros(2))
+    q: Any = SimpleNamespace(gaps=SimpleNamespace(std=np.ones(1)), zones=zones)
+    told = ca.DM(informed_of_gaps(q, cov, 1)).full()[:, 0]
+    np.testing.assert_allclose(told, [1.0, np.sqrt(0.5), 1.0, 1.0])
+
+
+def test_fast_poles_are_placed_as_accurately_as_slow_ones() -> None:
+    K = place(
+        np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]]), np.array([-1e5, -2e5]), "K"
+    )
+    np.testing.assert_allclose(K, [[2e10, 3e5]], rtol=1e-12)
 
 
 def test_errors_may_need_many_passes_to_settle() -> None:
