@@ -9,12 +9,13 @@ import functools
 from collections.abc import Callable
 from typing import Any
 
-import undeadzone_paper
 from undeadzone.analysis.certificate.design_file import Design
 from undeadzone.scenario.schema import Scenario
 from undeadzone.support import toml
 from undeadzone.synthesis.design import Aim
 from undeadzone.synthesis.design import design as search
+from undeadzone_paper import Paper
+from undeadzone_paper import audit as audited
 
 _designs: dict[Any, Design] = {}
 
@@ -35,7 +36,7 @@ def design(
 
 
 @functools.cache
-def audit() -> tuple[undeadzone_paper.Paper, list[int]]:
+def audit() -> tuple[Paper, list[int]]:
     """The paper, audited, and what its progress was told."""
     told: list[int] = []
-    return undeadzone_paper.audit(told.append), told
+    return audited(told.append), told
