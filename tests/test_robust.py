@@ -560,9 +560,9 @@ def least_gain(errors: Dynamics, E: Floats, noise: float) -> float:
     return float(np.exp(min(finer.fun, values[k]) / 2))
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_l2_gains_are_least_within_one_percent(seed: int) -> None:
-    """45 random designs, all seeds together: every second one has noise, the others w."""
+    """30 random designs, all seeds together: every second one has noise, the others w."""
     rng = np.random.default_rng(seed)
     for k in range(15):
         model, gains, gamma, Ts = random_design(rng, int(rng.integers(1, 5)), 1)
