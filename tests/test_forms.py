@@ -140,7 +140,7 @@ def test_random_graphs_mean_the_same_in_every_form(
     assert all(map(identical, found, lanes.run(usual, np.array(states), *nothing)))
 
 
-@pytest.mark.parametrize(("name", "fused"), zip(FORMS, itertools.cycle([False, True])))
+@pytest.mark.parametrize(("name", "fused"), [*zip(FORMS, itertools.cycle([False, True]))])
 def test_a_loop_with_rare_parts_has_the_same_bits_in_every_form(name: str, fused: bool) -> None:
     """19 lanes, of which some change sides alone, some together, and some never."""
     loop, state, exogenous = prepare(resolve_scenario(small()))
