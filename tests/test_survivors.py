@@ -13,6 +13,8 @@ from scipy.stats import norm
 from scenes import PAPER_PLANT, linear
 from test_identifiability import visiting
 from undeadzone.analysis.certificate.passivity import certify
+from undeadzone.analysis.convergence import trajectories
+from undeadzone.analysis.convergence.floquet import spans
 from undeadzone.analysis.convergence.trajectories import settling
 from undeadzone.analysis.dissipation import Inequality, check
 from undeadzone.analysis.identifiability import nonlinear
@@ -161,6 +163,38 @@ def test_fast_poles_are_placed_as_accurately_as_slow_ones() -> None:
         np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]]), np.array([-1e5, -2e5]), "K"
     )
     np.testing.assert_allclose(K, [[2e10, 3e5]], rtol=1e-12)
+
+
+@pytest.mark.parametrize("window", [2, 4])
+def test_a_fair_adversary_takes_each_full_mode_in_every_window(
+    monkeypatch: pytest.MonkeyPatch, window: int
+) -> None:
+    """Though the third mode, which is none, is the one that it likes best."""
+    monkeypatch.setattr(trajectories, "_value", lambda V, errors: np.abs(errors).sum(axis=1))
+    maps = np.array([0.5, 0.6, 1.1])[:, None, None] * np.eye(2)
+    moves = trajectories._Moves(maps, np.array([0, 1]), window)
+    V: Any = None
+    taken = trajectories._adversary(V, np.ones(2), moves, fair=True)
+    for one in taken.reshape(-1, window):
+        assert set(one) >= {0, 1}
+    assert set(trajectories._adversary(V, np.ones(2), moves, fair=False)) == {2}
+
+
+@pytest.mark.parametrize("Ts", [None, 0.02])
+def test_a_pass_lasts_as_long_as_its_schedule(Ts: float | None) -> None:
+    schedule = visiting([True], [True], Ts)
+    errors: Any = SimpleNamespace(A=np.zeros((1, 2, 2)), Ts=Ts, C=np.ones((1, 2)))
+    modes = trajectories._passes(errors, schedule, 2 * schedule.duration)
+    lengths = schedule.spans * (Ts or 1.0)
+    assert [mode.seconds for mode in modes[:6]] == pytest.approx([*lengths, *lengths])
+
+
+def test_what_does_not_move_grows_as_time_and_its_square() -> None:
+    schedule = visiting([True], [True])
+    still = spans(np.zeros((3, 2, 2)), np.eye(2), schedule)
+    for k, t in enumerate(schedule.spans):
+        np.testing.assert_allclose(still.G[k], t * np.eye(2), rtol=1e-12)
+        np.testing.assert_allclose(still.GG[k], t**2 / 2 * np.eye(2), rtol=1e-12)
 
 
 def test_errors_may_need_many_passes_to_settle() -> None:
