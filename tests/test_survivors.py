@@ -27,6 +27,7 @@ from undeadzone.interfaces import Estimate
 from undeadzone.linear import riccati
 from undeadzone.linear.matrices import Matrices
 from undeadzone.linear.poles import place
+from undeadzone.numerics.dense_output import Levels, _crossing
 from undeadzone.numerics.gaussian import TAIL
 from undeadzone.observers.parts.augmented_state import (
     CROWD,
@@ -39,6 +40,7 @@ from undeadzone.observers.parts.claims import glitch_chance
 from undeadzone.observers.parts.further_constants import against_friction
 from undeadzone.observers.parts.gaussian_filter import _informed_of_gaps as informed_of_gaps
 from undeadzone.observers.parts.judged_filter import LOST, widened
+from undeadzone.observers.parts.measured_side import correct_jump
 from undeadzone.observers.parts.prior import _claimed_noise as claimed_noise
 from undeadzone.observers.parts.unknown_inputs import span
 from undeadzone.plants.system import sampled
@@ -163,6 +165,42 @@ def test_fast_poles_are_placed_as_accurately_as_slow_ones() -> None:
         np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]]), np.array([-1e5, -2e5]), "K"
     )
     np.testing.assert_allclose(K, [[2e10, 3e5]], rtol=1e-12)
+
+
+def test_a_filter_whose_claims_are_refuted_gains_the_offset() -> None:
+    """The state that is known worst gains all of it, another one as much as it is unknown."""
+    doubt = SimpleNamespace(std=np.array([2.0, 1.0, 0.3, 0.4]), most=10.0)
+    q: Any = SimpleNamespace(doubt=doubt, mean=np.zeros(4))
+    one, none = ca.SX(1.0), ca.SX(0, 1)
+    record: Any = SimpleNamespace(
+        ratio=16.0 * one, offset=0.3 * one, share=0 * one, constant=none, opened=none
+    )
+    shown = Estimate(*[ca.SX(0.0)] * len(Estimate._fields))._replace(
+        right_std=ca.SX(0.1), x_std=ca.SX([0.0, 0.0])
+    )
+    found = widened(SimpleNamespace(n=2, p=1), q, record, shown)  # type: ignore[arg-type]
+    assert ca.DM(found.x_std).full()[:, 0] == pytest.approx([0.3, 0.15])
+    assert float(found.right_std) == pytest.approx(0.5)  # root of (4 * 0.1)^2 + 0.3^2
+
+
+@pytest.mark.parametrize(
+    ("y", "side", "right", "left"), [(0.8, 1, -0.2, 0), (-0.3, -1, 0, -0.2), (1.4, 1, 0, 0)]
+)
+def test_a_jump_sensor_moves_the_edge_that_its_reading_contradicts(
+    y: float, side: int, right: float, left: float
+) -> None:
+    edges: Any = SimpleNamespace(right=1.0, left=0.5)
+    found = correct_jump(edges, 0.1, y, side, ca.SX(0.0), ca.SX(0.0))
+    assert [float(one) for one in found[:3]] == pytest.approx([y - 0.1, right, left])
+    assert [bool(ca.DM(one)) for one in found[3:]] == [right != 0, left != 0]
+
+
+@pytest.mark.parametrize(("edge", "after"), [(0.0, -1.0), (0.1, 0.0)])
+def test_a_zone_of_no_width_is_crossed_at_once(edge: float, after: float) -> None:
+    levels = Levels((ca.SX(edge),), (ca.SX(-edge),))
+    crossing = _crossing(ca.SX(-1.0), levels, ca.SX(1.0))
+    assert float(crossing[1]) == after
+    assert bool(ca.DM(crossing[0]))
 
 
 @pytest.mark.parametrize("window", [2, 4])
