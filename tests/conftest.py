@@ -47,6 +47,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     """Keep compiled kernels between runs of the tests, while the compiler is the same."""
+    config.addinivalue_line("markers", "xdist_group(name): tests of one process")  # xdist's own
     digest = hashlib.sha256()
     for path in sorted((Path(undeadzone.__file__).parent / "compile").glob("*.py")):
         digest.update(path.read_bytes())
@@ -74,6 +75,7 @@ def code_of_no_effort(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None
         yield
 
 
+@pytest.hookimpl(tryfirst=True)  # ahead of xdist, which reads the groups
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Keep the tests of a file in one process; shuffle files, and the tests of each."""
     for item in items:
