@@ -23,12 +23,13 @@ from undeadzone.analysis.identifiability.information import Readings, deviations
 from undeadzone.analysis.side_schedule import arriving, recorded
 from undeadzone.ends.sensor import Sensor, resolve
 from undeadzone.errors import InputError, StructureError
-from undeadzone.interfaces import Estimate
+from undeadzone.interfaces import Estimate, Reading
 from undeadzone.linear import riccati
 from undeadzone.linear.matrices import Matrices
 from undeadzone.linear.poles import place
 from undeadzone.numerics.dense_output import Levels, _crossing
 from undeadzone.numerics.gaussian import TAIL
+from undeadzone.observers import Kalman
 from undeadzone.observers.parts.augmented_state import (
     CROWD,
     Defaults,
@@ -40,12 +41,16 @@ from undeadzone.observers.parts.claims import glitch_chance
 from undeadzone.observers.parts.further_constants import against_friction
 from undeadzone.observers.parts.gaussian_filter import _informed_of_gaps as informed_of_gaps
 from undeadzone.observers.parts.judged_filter import LOST, widened
+from undeadzone.observers.parts.measured_reading import distrusted
 from undeadzone.observers.parts.measured_side import correct_jump
 from undeadzone.observers.parts.prior import _claimed_noise as claimed_noise
 from undeadzone.observers.parts.unknown_inputs import span
+from undeadzone.observers.parts.width_laws import e_modification_move
 from undeadzone.plants.system import sampled
 from undeadzone_arena.observers.parts import learned_residual
 from undeadzone_arena.observers.parts.boxes import cut
+
+ZONE = resolve(Sensor(right=1.0, left=1.0), 1, 0.01)
 
 
 @pytest.mark.parametrize(("lost", "state"), [("right", "x[0]"), ("left", "x[1]")])
@@ -201,6 +206,21 @@ def test_a_zone_of_no_width_is_crossed_at_once(edge: float, after: float) -> Non
     crossing = _crossing(ca.SX(-1.0), levels, ca.SX(1.0))
     assert float(crossing[1]) == after
     assert bool(ca.DM(crossing[0]))
+
+
+def test_a_leak_grows_with_the_way_from_the_first_width() -> None:
+    edge: Any = SimpleNamespace(drive=2.0, width=3.0, width0=1.0, gamma=4.0)
+    assert float(e_modification_move(0.25, edge)[0]) == 4 * (2 - 0.25 * 2 * (3 - 1))
+
+
+def test_a_reading_beyond_all_numbers_is_trusted_in_nothing() -> None:
+    trusted = distrusted(ca.SX([0.7, 0.7]), Reading(ca.SX([0.9e300, 1.1e300]), ca.SX([1.0, 1.0])))
+    assert ca.DM(trusted).full()[:, 0].tolist() == [0.7, 0.0]
+
+
+def test_no_edge_lies_below_0() -> None:
+    with pytest.raises(InputError, match=r"observer\.right: a range \[lo, hi\] must have 0 <= lo"):
+        Kalman(right=[-1.0, 2.0], left=[0.0, 2.0]).build(sampled(PAPER_PLANT, 0.01), ZONE)
 
 
 @pytest.mark.parametrize("window", [2, 4])
