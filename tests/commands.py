@@ -13,6 +13,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import IO, NamedTuple, NoReturn, TextIO
@@ -91,7 +92,9 @@ def forked(
             thread.join()
     reading, writing = os.pipe()
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
-        pid = os.fork()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # of threads: none of ours is left
+            pid = os.fork()
         if not pid:
             os.close(writing)
             _copy(words, (reading, out.fileno(), err.fileno()), cwd, environment)
