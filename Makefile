@@ -13,10 +13,10 @@ test: .venv/tested            ## everything: format, lint, types, tests, docs
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
-	$(BIN)/pytest -n 2 --dist loadfile
+	$(BIN)/pytest -n 2 --dist loadgroup
 
 test-wheel: .venv/tested      ## the tests against an installed wheel in place of src
-	$(BIN)/python tests/packed.py -n 2 --dist loadfile
+	$(BIN)/python tests/packed.py -n 2 --dist loadgroup
 
 fuzz: .venv/tested            ## random inputs for everything that reads something, FUZZ_SECONDS=600
 	$(BIN)/python -m fuzz --seconds $(FUZZ_SECONDS)
@@ -26,7 +26,7 @@ mutants: .venv/tested         ## do the tests notice a wrong sign? MUTANTS=300 o
 	$(BIN)/python -m mutants run --count $(MUTANTS)
 
 coverage: .venv/tested        ## lines of src that no test runs
-	$(BIN)/pytest -n 2 --dist loadfile --cov=undeadzone --cov-report=term-missing:skip-covered
+	$(BIN)/pytest -n 2 --dist loadgroup --cov=undeadzone --cov-report=term-missing:skip-covered
 
 tools:                        ## what some tests need besides Python: compiler and emulator of a microcontroller, cppcheck, browser
 	sh tests/tools.sh

@@ -29,6 +29,7 @@ def preload(root: Path, tests: Iterable[str]) -> None:
         root: of the repository.
         tests: files, relative to it.
     """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as conftest.py does, which comes later
     sys.path[:0] = [str(root / "tests"), str(root)]
     source = root / "src"
     for path in sorted((source / "undeadzone").rglob("*.py")):

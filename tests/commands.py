@@ -1,6 +1,6 @@
-"""The command line called in this process, as a shell would call it; a start costs half a second.
+"""The command line called in this process, or in a copy of it; a start costs half a second.
 
-`test_untrusted.py` and `test_wheel.py` start them as processes of their own.
+`test_strange_folder.py` and `test_wheel.py` start commands as a shell does.
 """
 
 from __future__ import annotations
@@ -9,10 +9,14 @@ import contextlib
 import io
 import os
 import signal
+import subprocess
 import sys
+import tempfile
+import threading
+import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple, TextIO
+from typing import IO, NamedTuple, NoReturn, TextIO
 
 from undeadzone.cli import group
 from undeadzone.cli.ending import ended
@@ -67,3 +71,64 @@ def _as_a_shell(
         os.environ.update(variables)
         with contextlib.suppress(ValueError):  # not the main thread
             signal.signal(signal.SIGTERM, terminate)
+
+
+def forked(
+    *arguments: object, cwd: Path | None = None, stdin: bytes = b"", **environment: str
+) -> subprocess.CompletedProcess[bytes]:
+    """Run a command in a copy of this process, which ends with it and has streams of its own.
+
+    So a command may give away rights, as `--untrusted` does, and read a pipe, as `watch` does.
+
+    Args:
+        arguments: its words.
+        cwd: folder that it runs in; default: this one.
+        stdin: what it reads.
+        environment: variables that it sees besides.
+    """
+    words = [str(argument) for argument in arguments]
+    for thread in threading.enumerate():
+        if thread.name == "compile":  # a copy of it would hold locks for ever
+            thread.join()
+    reading, writing = os.pipe()
+    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # of threads: none of ours is left
+            pid = os.fork()
+        if not pid:
+            os.close(writing)
+            _copy(words, (reading, out.fileno(), err.fileno()), cwd, environment)
+        os.close(reading)
+        with contextlib.suppress(BrokenPipeError), open(writing, "wb") as given:
+            given.write(stdin)
+        code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+        said = [_whole(stream) for stream in (out, err)]
+    return subprocess.CompletedProcess(words, code, *said)
+
+
+def _copy(
+    words: list[str], streams: tuple[int, int, int], folder: Path | None, more: dict[str, str]
+) -> NoReturn:
+    """What the copy of the process does: the command, on streams given by their numbers."""
+    code = 70
+    try:
+        signal.alarm(120)
+        for number, stream in enumerate(streams):
+            os.dup2(stream, number)
+        sys.stdin = os.fdopen(0, encoding="utf-8", closefd=False)
+        sys.stdout = os.fdopen(1, "w", encoding="utf-8", closefd=False)
+        sys.stderr = os.fdopen(2, "w", 1, encoding="utf-8", closefd=False)
+        sys.argv = ["undeadzone", *words]
+        os.environ.update(more)
+        os.chdir(folder or Path.cwd())
+        code = ended(lambda: group.main(words, standalone_mode=False))
+        sys.stdout.flush()
+        sys.stderr.flush()
+    finally:
+        os._exit(code)
+
+
+def _whole(stream: IO[bytes]) -> bytes:
+    """All that was written into a file."""
+    stream.seek(0)
+    return stream.read()

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import os
 import random
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
 
+# As the command line does, and before NumPy is imported: matrices here are small.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import undeadzone
 from tools import pytest_terminal_summary as pytest_terminal_summary
 
+gc.set_threshold(100_000)  # as the command line does
 settings.register_profile(
     "shared",
     max_examples=30,  # `python -m fuzz` and `make mutants` look longer
@@ -22,6 +28,15 @@ settings.register_profile(
     derandomize=True,
 )
 settings.load_profile("shared")
+
+# Files that share what `once.py` makes: with `--dist loadgroup` one process has them.
+TOGETHER = {
+    "test_design_cli": "design",
+    "test_design_synthesis": "design",
+    "test_report": "design",
+    "test_json": "paper",
+    "test_paper": "paper",
+}
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -32,6 +47,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     """Keep compiled kernels between runs of the tests, while the compiler is the same."""
+    config.addinivalue_line("markers", "xdist_group(name): tests of one process")  # xdist's own
     digest = hashlib.sha256()
     for path in sorted((Path(undeadzone.__file__).parent / "compile").glob("*.py")):
         digest.update(path.read_bytes())
@@ -44,8 +60,27 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ["UNDEADZONE_CACHE"] = str(own)
 
 
+@pytest.fixture(autouse=True, scope="session")
+def code_of_no_effort(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """What an export compiles to look at its bits is not optimised: that takes ten times as long.
+
+    `test_export.py` and `test_export_emulator.py` show that effort changes no bit.
+    """
+    script = tmp_path_factory.mktemp("compiler") / "cc"
+    script.write_text('#!/bin/sh\nexec gcc "$@" -O0\n')
+    script.chmod(0o755)
+    with pytest.MonkeyPatch.context() as patch:
+        if shutil.which("gcc"):
+            patch.setenv("CC", str(script))
+        yield
+
+
+@pytest.hookimpl(tryfirst=True)  # ahead of xdist, which reads the groups
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Shuffle files, and the tests of each, which keeps what the tests of a file share."""
+    """Keep the tests of a file in one process; shuffle files, and the tests of each."""
+    for item in items:
+        name = item.path.stem
+        item.add_marker(pytest.mark.xdist_group(TOGETHER.get(name, name)))
     seed = config.getoption("order")
     if seed is None:
         return

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable
 from typing import Any
 
 import casadi as ca
@@ -79,26 +78,40 @@ def response(plant: Matrices, s: Any) -> Any:
     return C @ np.linalg.solve(np.asarray(s)[..., None, None] * np.eye(A.shape[0]) - A, B)
 
 
-def on_numbers(observer: Observer, model: System) -> Callable[..., tuple[Any, Estimate]]:
+class OnNumbers:
     """An observer's step as a function of numbers.
 
-    It takes (state, u, y, side) and gives (next state or derivative, estimate).
+    Args:
+        observer: a graph.
+        model: the plant that it watches.
     """
-    like = observer.init(observer.params)
-    p, params = tree.symbols(observer.params, "p")
-    s, state = tree.symbols(like, "s")
-    u, y, side = ca.SX.sym("u", model.m), ca.SX.sym("y", model.p), ca.SX.sym("side", model.p)
-    after, estimate = observer.step(params, state, u, Reading(y, side))
-    results = [*(leaf for _, leaf in tree.leaves(after)), *estimate]
-    function = ca.Function("step", [p, s, u, y, side], results)
-    numbers = tree.pack(observer.params)
 
-    def step(state: Any, u: Any, y: Any, side: Any) -> tuple[Any, Estimate]:
-        values = function(numbers, tree.pack(state), u, y, side)
-        parts = iter([value.full().ravel() for value in values])
-        return tree.rebuild(like, parts), Estimate(*parts)
+    def __init__(self, observer: Observer, model: System) -> None:
+        self._like = observer.init(observer.params)
+        p, params = tree.symbols(observer.params, "p")
+        s, state = tree.symbols(self._like, "s")
+        u, y, side = ca.SX.sym("u", model.m), ca.SX.sym("y", model.p), ca.SX.sym("side", model.p)
+        after, estimate = observer.step(params, state, u, Reading(y, side))
+        results = [*(leaf for _, leaf in tree.leaves(after)), *estimate]
+        rows = [ca.vec(ca.densify(ca.SX(result)).T) for result in results]
+        self._ends = np.cumsum([row.numel() for row in rows])[:-1]
+        self._function = ca.Function("step", [p, s, u, y, side], [ca.vertcat(*rows)])
+        # Without a buffer, conversions take longer than the step.
+        self._buffer, self._evaluate = self._function.buffer()
+        self._given = [np.zeros(self._function.numel_in(k)) for k in range(5)]
+        self._given[0][:] = tree.pack(observer.params)
+        self._out = np.zeros(self._function.numel_out(0))
+        for k, values in enumerate(self._given):
+            self._buffer.set_arg(k, memoryview(values))
+        self._buffer.set_res(0, memoryview(self._out))
 
-    return step
+    def __call__(self, state: Any, u: Any, y: Any, side: Any) -> tuple[Any, Estimate]:
+        """(next state or derivative, estimate)."""
+        for place, value in zip(self._given[1:], (tree.pack(state), u, y, side), strict=True):
+            place[:] = np.ravel(value)
+        self._evaluate()
+        parts = iter(np.split(self._out.copy(), self._ends))
+        return tree.rebuild(self._like, parts), Estimate(*parts)
 
 
 def slopes(steps: Any, errors: Any) -> Floats:

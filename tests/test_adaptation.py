@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scenes import PAPER_PLANT, on_numbers, scene
+from scenes import PAPER_PLANT, OnNumbers, scene
 from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.ends import sensor
 from undeadzone.ends.sensor import Sensor, resolve
@@ -70,7 +70,7 @@ def rates(
     observer = Certified(L=gain, gamma=GAMMA, width_max=5.0, adaptation=adaptation).build(
         PAPER_PLANT, ZONE
     )
-    after, estimate = on_numbers(observer, PAPER_PLANT)(state, [0.0], reading(x), [side])
+    after, estimate = OnNumbers(observer, PAPER_PLANT)(state, [0.0], reading(x), [side])
     return after, estimate, PAPER_PLANT.linear.A @ x - after.x
 
 
@@ -103,7 +103,7 @@ def test_least_squares_is_weighted_least_squares(seed: int, forgetting: float) -
     observer = Certified(
         L=[0.0, 0.0], gamma=GAMMA, widths0=0.5, width_max=9.0, adaptation=law
     ).build(SAMPLED, ZONE)
-    step, state, x = on_numbers(observer, SAMPLED), observer.init(observer.params), np.zeros(2)
+    step, state, x = OnNumbers(observer, SAMPLED), observer.init(observer.params), np.zeros(2)
     fade = np.exp(-forgetting * TS)
     weights, values = [1 / (GAMMA * TS)], [0.5]
     for _ in range(40):
@@ -130,7 +130,7 @@ def test_least_squares_gain_in_continuous_time() -> None:
 
 def test_least_squares_gain_is_reset_when_it_has_become_small() -> None:
     observer = Certified(L=L, gamma=GAMMA, adaptation=LeastSquares(reset=0.2)).build(SAMPLED, ZONE)
-    step, state = on_numbers(observer, SAMPLED), observer.init(observer.params)
+    step, state = OnNumbers(observer, SAMPLED), observer.init(observer.params)
     gains = []
     for _ in range(60):
         state, _ = step(state, [0.0], [1.0], [1.0])
@@ -199,7 +199,7 @@ def test_least_squares_with_a_small_gain_has_a_certificate_of_its_own(
     ).build(SAMPLED, ZONE)
     (x_hat, right, left, g, h), x, side = random_state(rng, gained=True)
     g, h = (GAMMA * TS * np.maximum(gain, reset) for gain in (g, h))
-    after, _ = on_numbers(observer, SAMPLED)((x_hat, right, left, g, h), [0.0], reading(x), [side])
+    after, _ = OnNumbers(observer, SAMPLED)((x_hat, right, left, g, h), [0.0], reading(x), [side])
 
     def V(x_error: Floats, d: Floats, gains: Floats) -> float:
         return float(x_error @ P_LEAST_SQUARES @ x_error + ((TRUTH - d) ** 2 / gains).sum())

@@ -405,8 +405,8 @@ def test_unknown_bias_leaves_no_error_of_the_centre_to_report() -> None:
 
 
 def test_processes_give_what_one_process_gives() -> None:
-    grounds = {f"{noise}": small(sensor={"noise": noise}) for noise in (0.01, 0.02, 0.05, 0.1)}
-    names = ["luenberger", "ekf", "adaptive_inverse", "certified"]
+    grounds = {f"{noise}": small(sensor={"noise": noise}) for noise in (0.01, 0.1)}
+    names = ["luenberger", "ekf"]
     alone, together = (
         score(names, grounds, (0, 1), numbers={}, processes=count) for count in (1, 2)
     )
@@ -424,7 +424,7 @@ def test_processes_give_what_one_process_gives() -> None:
 
     assert plain(alone) == plain(together)
     assert (
-        len({r.worth.tracking for r in alone if r.worth is not None and r.method == "ekf"}) == 8
+        len({r.worth.tracking for r in alone if r.worth is not None and r.method == "ekf"}) == 4
     )  # each seed, each scenario
 
 

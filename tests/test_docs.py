@@ -13,6 +13,7 @@ import pytest
 from commands import Done, undeadzone
 from tools import script_of_docs
 from undeadzone.catalogue import CONTROLLERS, OBSERVERS
+from undeadzone.synthesis import gain_search
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -38,6 +39,7 @@ def test_python_blocks_run(
     name: str, code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(gain_search, "ROUNDS", 40)  # of the one block that asks for a front
     exec(compile(code, name, "exec"), {"__name__": "__main__"})
 
 

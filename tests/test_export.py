@@ -8,6 +8,7 @@ import os
 import re
 import shutil
 import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -38,10 +39,20 @@ DRIVEN = [name for name, (times, _) in CONTROLLERS.items() if "sampled" in times
 OWN = elementary.FUNCTIONS.keys() - {"fmin", "fmax", "sign", "floor", "ceil"}  # rounded otherwise
 
 
-@pytest.fixture(autouse=True)
-def shorter(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Runs of 600 steps: what 100 000 steps show is tested once, below."""
-    monkeypatch.setattr(export, "STEPS", 600)
+@pytest.fixture(autouse=True, scope="module")
+def cheaper() -> Iterator[None]:
+    """Runs of 600 steps: what 100 000 steps of optimised code show is tested once, below."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(export, "STEPS", 600)
+        yield
+
+
+@pytest.fixture(scope="module")
+def joint(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the paper's example in float; who changes a file takes a copy."""
+    folder = tmp_path_factory.mktemp("joint") / "fw"
+    uz.export(certified(), out=folder, name="joint")
+    return folder
 
 
 def built(folder: Path, name: str, options: list[str]) -> subprocess.CompletedProcess[str]:
@@ -57,7 +68,10 @@ def certified(**changes: Any) -> Scenario:
     return scene(simulation={"time": "sampled"}, **changes)
 
 
-def test_the_options_of_deploy_md_are_those_of_the_function(tmp_path: Path) -> None:
+def test_the_options_of_deploy_md_are_those_of_the_function(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("CC")  # its stack is that of -O1
     done = uz.export(certified(), to="c", out=tmp_path / "fw", precision="single", part="observer",
                      tunable=("observer.gamma",), name="joint")  # fmt: skip
     assert sorted(path.name for path in done.files) == sorted(
@@ -76,8 +90,9 @@ def test_the_options_of_deploy_md_are_those_of_the_function(tmp_path: Path) -> N
 
 
 CASES = [(observer, precision) for precision in export.PRECISIONS for observer in EXPORTED]
-CASES = [case for case in CASES if case[0] != "auto"]  # here the graph of censored, see below
-IN_FLOAT = ("certified", "kalman", "censored", "extended", "ekf", "adaptive_inverse", "interval")
+# Here auto is the graph of censored; certified and extended are built at every level, see below.
+CASES = [case for case in CASES if case[0] not in ("auto", "certified", "extended")]
+IN_FLOAT = ("kalman", "censored", "ekf", "adaptive_inverse", "interval")
 CASES = [case for case in CASES if case[1] == "double" or case[0] in IN_FLOAT]
 
 
@@ -105,7 +120,7 @@ def test_every_controller(controller: str, tmp_path: Path) -> None:
     done = uz.export(scenario, out=tmp_path / "fw", part="observer+controller", name="c")
     assert done.report["accuracy"]["machine"] <= done.report["accuracy"]["machine_bar"]
     assert not done.report["two_phase"]
-    assert built(tmp_path / "fw", "c", ["-O1", *WARNINGS]).returncode == 0
+    assert built(tmp_path / "fw", "c", ["-O0", *WARNINGS]).returncode == 0
 
 
 @pytest.mark.parametrize("precision", ["single", "double"])
@@ -114,13 +129,15 @@ def test_the_same_bits_at_every_level_of_optimisation(
     method: str, precision: str, tmp_path: Path
 ) -> None:
     scenario = small("sampled", observer={"method": method} | OBSERVERS[method][1])
-    uz.export(scenario, out=tmp_path / "fw", precision=precision, name="o")
+    done = uz.export(scenario, out=tmp_path / "fw", precision=precision, name="o")
+    assert done.report["accuracy"]["machine"] <= done.report["accuracy"]["machine_bar"]
+    assert done.report["refusals"] == []
     for options in LEVELS:
         assert built(tmp_path / "fw", "o", [*options, *WARNINGS]).returncode == 0, options
 
 
-def test_make_builds_the_self_test_and_it_passes(tmp_path: Path) -> None:
-    uz.export(certified(), out=tmp_path / "fw", name="joint")
+def test_make_builds_the_self_test_and_it_passes(joint: Path, tmp_path: Path) -> None:
+    shutil.copytree(joint, tmp_path / "fw")
     subprocess.run(["make", "-s", "-C", str(tmp_path / "fw"), "CC=gcc"], check=True)
     result = subprocess.run([str(tmp_path / "fw" / "joint_test")], capture_output=True, text=True)
     assert (result.returncode, "every bit agrees" in result.stdout) == (0, True)
@@ -247,9 +264,8 @@ def test_a_folder_is_replaced_only_if_it_is_an_export(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "fw"]
 
 
-def test_a_flipped_sign_fails_the_self_test(tmp_path: Path) -> None:
-    out = tmp_path / "fw"
-    uz.export(certified(), out=out, name="joint")
+def test_a_flipped_sign_fails_the_self_test(joint: Path, tmp_path: Path) -> None:
+    out = shutil.copytree(joint, tmp_path / "fw")
     path = out / "joint.c"
     text = path.read_text()
     start, end = text.index("joint_step("), text.index("joint_estimate(")
@@ -259,12 +275,11 @@ def test_a_flipped_sign_fails_the_self_test(tmp_path: Path) -> None:
         place = start + sign + 1
         flipped = "-" if text[place] == "+" else "+"
         path.write_text(text[:place] + flipped + text[place + 1 :])
-        assert built(out, "joint", ["-O1"]).returncode == 1, text[place - 60 : place + 40]
+        assert built(out, "joint", ["-O0"]).returncode == 1, text[place - 60 : place + 40]
 
 
-def test_careless_options_fail_loudly_or_change_nothing(tmp_path: Path) -> None:
-    out = tmp_path / "fw"
-    uz.export(certified(), out=out, name="joint")
+def test_careless_options_fail_loudly_or_change_nothing(joint: Path, tmp_path: Path) -> None:
+    out = shutil.copytree(joint, tmp_path / "fw")
     sources = [str(out / "joint.c"), str(out / "joint_test.c")]
     fast = ["gcc", *FLAGS, "-O2", "-ffast-math", "-o", str(out / "p"), *sources]
     refused = subprocess.run(fast, capture_output=True, text=True)
@@ -384,31 +399,30 @@ extern Port Serial; extern int A0; int analogRead(int); unsigned long micros();
 """
 
 
-def test_the_same_scenario_gives_the_same_files(tmp_path: Path) -> None:
-    for name in ("one", "two"):
-        uz.export(certified(), out=tmp_path / name, name="joint")
+def test_the_same_scenario_gives_the_same_files(joint: Path, tmp_path: Path) -> None:
+    uz.export(certified(), out=tmp_path / "one", name="joint")
     for path in sorted((tmp_path / "one").iterdir()):
-        assert path.read_bytes() == (tmp_path / "two" / path.name).read_bytes(), path.name
+        assert path.read_bytes() == (joint / path.name).read_bytes(), path.name
     changed = uz.export(
         certified(observer={"method": "certified", "gamma": 9.0}),
         out=tmp_path / "one",
         name="joint",
     )
-    other = json.loads((tmp_path / "two" / "manifest.json").read_text())
+    other = json.loads((joint / "manifest.json").read_text())
     assert changed.report["hash"] != other["hash"]
 
 
-def test_no_path_of_this_machine_is_in_a_file(tmp_path: Path) -> None:
-    uz.export(certified(), out=tmp_path / "fw", name="joint")
-    for path in (tmp_path / "fw").iterdir():
+def test_no_path_of_this_machine_is_in_a_file(joint: Path) -> None:
+    for path in joint.iterdir():
         text = path.read_text()
-        assert str(tmp_path) not in text
+        assert str(joint) not in text
         assert os.getcwd() not in text
 
 
 def test_the_long_run_of_float(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """100 000 steps of `certified`: the widths stay within 1e-4 (measured: 1.8e-5)."""
     monkeypatch.setattr(export, "STEPS", 100_000)
+    monkeypatch.delenv("CC")
     report = uz.export(certified(), out=tmp_path / "fw", name="joint").report["accuracy"]
     assert report["steps"] >= 100_000
     assert report["machine"] == 0

@@ -14,7 +14,7 @@ from benchmarks.arm_coverage import PULSES, START, sines, watch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scenes import on_numbers, random_plant, scene
+from scenes import OnNumbers, random_plant, scene
 from undeadzone.compile import interpret
 from undeadzone.ends import sensor
 from undeadzone.ends.sensor import Sensor, Zone, resolve
@@ -132,7 +132,7 @@ def test_on_a_linear_plant_it_is_kalman_and_with_silence_and_disturbance_censore
         twins = Kalman(**common, disturbance=0.0), Extended(**common, **EXACT, silence=False)
     pair = [options.build(model, where) for options in twins]
     steps, states = (
-        [on_numbers(observer, model) for observer in pair],
+        [OnNumbers(observer, model) for observer in pair],
         [observer.init(observer.params) for observer in pair],
     )
     for _ in range(40):
@@ -220,7 +220,7 @@ def test_it_is_the_textbook_extended_filter(blind: bool, seed: int) -> None:
         **SHAKEN,
     )
     observer = options.build(model, where)
-    step, state = on_numbers(observer, model), observer.init(observer.params)
+    step, state = OnNumbers(observer, model), observer.init(observer.params)
     widths = np.zeros(4) if blind else np.array([0.085, 0.085, 0.05, 0.05])
     spans = np.zeros(4) if blind else np.array([0.13, 0.13, 0.1, 0.1]) / np.sqrt(12)
     X, P = (
@@ -280,7 +280,7 @@ def test_joints_that_do_not_touch_are_the_same_separate_as_coupled() -> None:
         Extended(**common, joints=joints).build(model, where) for joints in ("coupled", "separate")
     ]  # type: ignore[arg-type]
     steps, states = (
-        [on_numbers(observer, model) for observer in pair],
+        [OnNumbers(observer, model) for observer in pair],
         [observer.init(observer.params) for observer in pair],
     )
     for k in range(300):

@@ -129,13 +129,19 @@ def test_a_run_says_what_was_refused_and_whether_its_readings_fit() -> None:
 # --- Over random problems
 
 
+@cache
+def read_right() -> tuple[coverage.Problems, glitches.Outcome]:
+    """Forty problems whose readings are right, and what comes of them."""
+    posed = coverage.problems("both edges", glitches.SHAKEN, 2, 40, 4)
+    return posed, glitches.observe(coverage.censored, posed)
+
+
 @pytest.mark.parametrize(
     ("kind", "most"), [("one of 1e299", 1.3), ("five alike", 1.3), ("10 % are 0", 1.6)]
 )
 def test_wrong_readings_cost_next_to_nothing(kind: str, most: float) -> None:
     spoil, _ = glitches.KINDS[kind]
-    posed = coverage.problems("both edges", glitches.SHAKEN, 2, 40, 4)
-    clean = glitches.observe(coverage.censored, posed)
+    posed, clean = read_right()
     wrong = spoil(np.random.default_rng(5), posed.y)
     outcome = glitches.observe(coverage.censored, posed._replace(y=wrong))
     assert np.median(outcome.rms / clean.rms) < 1.05

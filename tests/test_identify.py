@@ -443,7 +443,7 @@ def test_other_maps_are_named() -> None:
     zero = np.where((z > 0.5) | (z < -0.3), z, 0.0)
     cases = {"none": z + noise, "saturation": np.clip(z, -0.5, 0.6) + noise, "jump": zero + noise}
     for verdict, y in cases.items():
-        answer = uz.identify(t=t, u=u, y=y, order=2)
+        answer = uz.identify(t=t, u=u, y=y, order=2, delay=0)
         assert answer.verdict == verdict
         assert answer.width is None
         with pytest.raises(InputError, match="there is no zone"):
@@ -452,16 +452,16 @@ def test_other_maps_are_named() -> None:
 
 def test_edges_that_are_given_or_never_reached() -> None:
     t, u, y, _ = record(seed=7, left=30.0)
-    never = uz.identify(t=t, u=u, y=y, order=2)
+    never = uz.identify(t=t, u=u, y=y, order=2, delay=0)
     assert never.verdict == "unreached"
     assert never.left.low > 0.3
     assert math.isinf(never.left.high)
     assert never.right.low <= 0.5 <= never.right.high
-    one_sided = uz.identify(t=t, u=u, y=y, order=2, left=math.inf)
+    one_sided = uz.identify(t=t, u=u, y=y, order=2, left=math.inf, delay=0)
     assert one_sided.verdict == "dead_zone"
     assert one_sided.left is None
     t, u, y, _ = record(seed=7)
-    known = uz.identify(t=t, u=u, y=y, order=2, right=0.5, place="sensor")
+    known = uz.identify(t=t, u=u, y=y, order=2, right=0.5, place="sensor", delay=0)
     assert known.right == (0.5, 0.5, 0.5)
     assert known.left.low <= 0.3 <= known.left.high
     with pytest.raises(InputError, match="readings lie beyond it"):
@@ -470,9 +470,9 @@ def test_edges_that_are_given_or_never_reached() -> None:
 
 def test_an_offset_widens_the_centre_and_not_the_width() -> None:
     t, u, y, _ = record(seed=8, where="behind")
-    plain = uz.identify(t=t, u=u, y=y, order=2, place="sensor")
-    wide = uz.identify(t=t, u=u, y=y, order=2, place="sensor", offset=0.1)
-    free = uz.identify(t=t, u=u, y=y, order=2, place="sensor", offset="free")
+    plain = uz.identify(t=t, u=u, y=y, order=2, place="sensor", delay=0)
+    wide = uz.identify(t=t, u=u, y=y, order=2, place="sensor", offset=0.1, delay=0)
+    free = uz.identify(t=t, u=u, y=y, order=2, place="sensor", offset="free", delay=0)
     assert wide.width == plain.width
     assert wide.centre.half == pytest.approx(math.hypot(plain.centre.half, 0.2))
     assert math.isinf(free.centre.high)
@@ -485,7 +485,7 @@ def test_missing_readings_glitches_and_two_records() -> None:
     holed = np.where(rng.random(y.size) < 0.2, np.nan, y)
     holed[500] = 40.0
     t2, u2, y2, _ = record(seed=10)
-    one = uz.identify(t=t, u=u, y=holed, order=2, place="sensor")
+    one = uz.identify(t=t, u=u, y=holed, order=2, place="sensor", delay=0)
     assert one.right.low <= 0.5 <= one.right.high
     assert any("missing" in remark for remark in one.answer.remarks)
     pandas = pytest.importorskip("pandas")
@@ -494,7 +494,7 @@ def test_missing_readings_glitches_and_two_records() -> None:
         frames.append(
             pandas.DataFrame(dict(zip(("time [s]", "u [V]", "y [mm]"), parts, strict=True)))
         )
-    both = uz.identify(frames, order=2)
+    both = uz.identify(frames, order=2, delay=0)
     assert both.answer.fit.objective.layout.records == 2
     assert both.right.low <= 0.5 <= both.right.high
     assert both.answer.case.grid.output_unit == "mm"

@@ -87,7 +87,7 @@ def test_scores_of_tied_widths_are_differences(kind: str) -> None:
 
 def test_the_width_of_an_integrating_plant() -> None:
     made = motor(np.random.default_rng(4))
-    answer = uz.identify(t=made.step, u=made.u, y=made.y, integrators=1, order=2)
+    answer = uz.identify(t=made.step, u=made.u, y=made.y, integrators=1, order=2, delay=0)
     width = made.right + made.left
     assert answer.verdict == "dead_zone"
     assert answer.width.low <= width <= answer.width.high
@@ -107,7 +107,7 @@ def test_a_mode_that_rings_for_half_of_the_record_is_found() -> None:
     z /= z.std()
     y = z + 0.02 * rng.standard_normal(z.size)
     y = np.maximum(y - 0.6, 0.0) + np.minimum(y + 0.3, 0.0)
-    answer = uz.identify(t=1.0, u=u, y=y, order=2)
+    answer = uz.identify(t=1.0, u=u, y=y, order=2, delay=0)
     assert answer.verdict == "dead_zone"
     assert answer.right.low <= 0.6 <= answer.right.high
     assert answer.left.low <= 0.3 <= answer.left.high
@@ -199,10 +199,10 @@ def test_an_offset_behind_the_zone_is_named() -> None:
     u, z = driven()
     noise = 0.03 * np.random.default_rng(0).standard_normal(u.size)
     y = 0.1 + dead_zone(z, 0.5, 0.3) + noise
-    answer = uz.identify(t=STEP, u=u, y=y, order=2)
+    answer = uz.identify(t=STEP, u=u, y=y, order=2, delay=0)
     assert answer.verdict == "other"
     assert "constant offset behind the zone" in answer.answer.reasons[0]
-    cured = uz.identify(t=STEP, u=u, y=y, order=2, zero=0.1, place="sensor")
+    cured = uz.identify(t=STEP, u=u, y=y, order=2, zero=0.1, place="sensor", delay=0)
     assert cured.right.low <= 0.5 <= cured.right.high
     with pytest.raises(InputError, match=r"comes back exactly.*--zero 1.25"):
         uz.identify(t=STEP, u=u, y=1.25 + dead_zone(z, 0.5, 0.3), order=2)
@@ -219,7 +219,7 @@ def test_a_spring_that_stiffens_is_named() -> None:
             x += h / 10 * v
         z[k + 1] = x
     z = z / z.std() + 0.02 * rng.standard_normal(800)
-    answer = uz.identify(t=h, u=u, y=dead_zone(z, 0.5, 0.3), order=2)
+    answer = uz.identify(t=h, u=u, y=dead_zone(z, 0.5, 0.3), order=2, delay=0)
     words = [*answer.answer.reasons, *answer.answer.remarks]
     assert any("nonlinear, stiffer" in one for one in words)
 
@@ -231,7 +231,7 @@ def test_an_edge_that_is_hardly_passed_has_its_profile() -> None:
     z /= z.std()
     right = float(np.sort(z)[-15])
     y = dead_zone(z + 0.03 * rng.standard_normal(1200), right, 0.3)
-    answer = uz.identify(t=STEP, u=u, y=y, order=2)
+    answer = uz.identify(t=STEP, u=u, y=y, order=2, delay=0)
     assert answer.answer.excitation.visits[0] == 2
     assert any("profile likelihood" in remark for remark in answer.answer.remarks)
     assert answer.right.low <= right <= answer.right.high
@@ -257,7 +257,7 @@ def test_two_outputs_two_inputs_one_scenario(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     header = "t,u[0],u[1],y[0],y[1]"
     np.savetxt(path, table, delimiter=",", header=header, comments="", fmt="%.9g")
-    options = ["--order", "1-2", "--no-figures", "--json", "--out", str(tmp_path)]
+    options = ["--order", "1-2", "--delay", "0", "--no-figures", "--json", "--out", str(tmp_path)]
     done = CliRunner().invoke(group, ["identify", str(path), *options], standalone_mode=False)
     assert done.return_value == 0
     numbers = json.loads(done.stdout)

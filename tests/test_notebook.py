@@ -30,7 +30,7 @@ s = scene(
     ensemble={"runs": 16, "sensor.right": {"uniform": [0.5, 1.5]}},
     tune={"runs": 2, "held_out": 2, "budget": 4, "observer.gamma": {"between": [1.0, 20.0]}},
 )
-log = uz.simulate(s | {"simulation": {"duration": 20.0}})
+log = uz.simulate(s | {"simulation": {"duration": 8.0}})
 """
 RESULTS = {
     "run": "uz.simulate(s)",

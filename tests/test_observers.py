@@ -13,7 +13,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.linalg import solve_continuous_are
 
-from scenes import PAPER_PLANT, linear, on_numbers, random_plant, scene
+from scenes import PAPER_PLANT, OnNumbers, linear, random_plant, scene
 from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.ends import sensor
 from undeadzone.ends.sensor import Sensor, Zone, resolve
@@ -59,7 +59,7 @@ def test_errors_of_certified_are_exactly_linear_on_every_side(
     where = zone(p, right=rng.uniform(0.5, 2, p), left=rng.uniform(0.5, 2, p), slope=slope)
     gain, gamma = rng.normal(size=(n, p)), rng.uniform(0.1, 5, p)
     observer = Certified(L=gain, gamma=gamma, widths0=1.0).build(model, where)
-    step = on_numbers(observer, model)
+    step = OnNumbers(observer, model)
     A, B, C = model.linear
     keep = 1.0 if in_samples else 0.0
     for _ in range(3):
@@ -116,7 +116,7 @@ def test_V_never_rises_in_sampled_time(seed: int, n: int, silence: bool, narrow:
     built = observer.build(model, where)
     proof = certify(model.linear, built.params.L / Ts, built.params.gamma / Ts, Ts)
     assume(proof.certified)
-    step, state = on_numbers(built, model), built.init(built.params)
+    step, state = OnNumbers(built, model), built.init(built.params)
     values: list[float] = []
     x = rng.normal(size=n) * 2
     for _ in range(60):
@@ -167,7 +167,7 @@ def test_silence_innovation_says_which_edge_is_violated() -> None:
     The violated edge grows.
     """
     where = zone(1, right=1.0, left=1.0, threshold=0.1)
-    step = on_numbers(
+    step = OnNumbers(
         Certified(L=L, gamma=4.0, silence=True, widths0=[0.5, 0.4]).build(PAPER_PLANT, where),
         PAPER_PLANT,
     )
@@ -198,7 +198,7 @@ def test_a_missing_sample_leaves_a_pure_prediction(
     ):
         built = options.build(model, where)
         state = built.init(built.params)._replace(x=np.array([2.0, 1.0]))
-        after, estimate = on_numbers(built, model)(state, 3.0, NOTHING, 0.0)
+        after, estimate = OnNumbers(built, model)(state, 3.0, NOTHING, 0.0)
         assert after.x == pytest.approx(model.linear.A @ [2.0, 1.0] + model.linear.B[:, 0] * 3.0)
         assert estimate.z_inverse == pytest.approx(2.0)
         assert estimate.innovation == pytest.approx(0.0)
@@ -215,7 +215,7 @@ def test_a_jump_sensor_needs_no_width_for_its_estimate() -> None:
     The silence innovation raises them.
     """
     where = zone(1, kind="jump", slope=2.0)
-    step = on_numbers(Certified(L=L, gamma=4.0, widths0=3.0).build(PAPER_PLANT, where), PAPER_PLANT)
+    step = OnNumbers(Certified(L=L, gamma=4.0, widths0=3.0).build(PAPER_PLANT, where), PAPER_PLANT)
     after, estimate = step((np.array([0.5, 0.0]), 3.0, 3.0), 0.0, 5.0, 1.0)
     assert (estimate.innovation, estimate.z_inverse) == (pytest.approx([2.0]), pytest.approx([2.5]))
     assert (after.right, after.left) == (pytest.approx([4 * (2.5 - 3.0)]), pytest.approx([0.0]))
@@ -223,7 +223,7 @@ def test_a_jump_sensor_needs_no_width_for_its_estimate() -> None:
     assert after.right == pytest.approx([0.0])
     after, _ = step((np.array([0.5, 0.0]), 2.0, 3.0), 0.0, -4.0, -1.0)
     assert after.left == pytest.approx([4 * (2.0 - 3.0)])
-    silent = on_numbers(
+    silent = OnNumbers(
         Certified(L=L, gamma=4.0, widths0=3.0, silence=True).build(PAPER_PLANT, where), PAPER_PLANT
     )
     after, estimate = silent((np.array([2.5, 0.0]), 2.0, 3.0), 0.0, 0.0, 0.0)
@@ -307,7 +307,7 @@ def test_a_list_of_gains_needs_one_output_and_a_default_needs_stability() -> Non
 def test_luenberger_takes_the_reading_for_the_output(Ts: float | None) -> None:
     model = PAPER_PLANT if Ts is None else sampled(PAPER_PLANT, Ts)
     where = zone(1, slope=2.0)
-    step = on_numbers(Luenberger(L=L).build(model, where), model)
+    step = OnNumbers(Luenberger(L=L).build(model, where), model)
     after, estimate = step((np.array([0.5, -1.0]),), 3.0, 1.6, 1.0)
     e = 1.6 / 2 - 0.5
     assert after.x == pytest.approx(
@@ -329,7 +329,7 @@ def test_luenbergers_error_decays_at_its_poles(Ts: float | None) -> None:
     model = PAPER_PLANT if Ts is None else sampled(PAPER_PLANT, Ts)
     poles = np.array([-4.0, -10.0]) if Ts is None else np.exp(np.array([-4.0, -10.0]) * Ts)
     gain = np.asarray(control.acker(model.linear.A.T, model.linear.C.T, poles)).reshape(1, 2).T
-    step = on_numbers(
+    step = OnNumbers(
         Luenberger(poles=[-4.0, -10.0]).build(model, zone(1, right=0.0, left=0.0)), model
     )
     x, x_hat = np.array([1.0, 2.0]), np.array([-0.5, 0.3])
@@ -368,7 +368,7 @@ def test_printed_is_the_papers_text_with_its_stand_ins(
     )
     built = options.build(PAPER_PLANT, ZONE)
     x_hat, d, u, y = 3 * rng.normal(size=2), rng.uniform(0.5, 2, 2), rng.normal(), rng.normal()
-    after, estimate = on_numbers(built, PAPER_PLANT)((x_hat, d[0], d[1]), u, y, np.sign(y))
+    after, estimate = OnNumbers(built, PAPER_PLANT)((x_hat, d[0], d[1]), u, y, np.sign(y))
     y_hat = x_hat[0] - np.clip(x_hat[0], -d[1], d[0])
     chi = (1 + np.array([1, -1]) * np.tanh(sharpness * y)) / 2
     rate = -sigma * (y - y_hat) * (C @ P @ gain)[0] * chi * [1, -left_sign]
@@ -392,7 +392,7 @@ def test_estimates_do_not_depend_on_the_input_of_the_moment() -> None:
     """The loop relies on it: the controller needs the estimate before it gives u."""
     for options in (Certified(L=L), Oracle(L=L), Luenberger(L=L), Printed(L=L)):
         built = options.build(PAPER_PLANT, ZONE)
-        step = on_numbers(built, PAPER_PLANT)
+        step = OnNumbers(built, PAPER_PLANT)
         state = built.init(built.params)._replace(x=np.array([0.4, 0.2]))
         for one, other in zip(
             step(state, 1.0, 0.5, 1.0)[1], step(state, -7.0, 0.5, 1.0)[1], strict=True

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from undeadzone.exports.folder import MANIFEST, manifest, write_folder
 
 from commands import undeadzone
 from undeadzone.errors import FileError
@@ -57,12 +56,12 @@ def identified(folder: Path) -> list[str]:
     y += (y != 0) * 0.01 * np.random.default_rng(0).normal(size=t.size)
     rows = [f"{a:.2f},{b:.6f},{c:.6f}" for a, b, c in zip(t, u, y, strict=True)]
     (folder / "motor.csv").write_text("t,u,y\n" + "\n".join(rows) + "\n")
-    return ["identify", str(folder / "motor.csv"), "--order", "1", "--no-figures"]
+    return ["identify", str(folder / "motor.csv"), "--order", "1", "--delay", "0", "--no-figures"]
 
 
 def designed(folder: Path) -> list[str]:
     shutil.copy(EXAMPLES / "asymmetric_noise.toml", folder / "mine.toml")
-    return ["design", str(folder / "mine.toml"), "--no-figures"]
+    return ["design", str(folder / "mine.toml"), "--maximise", "rate", "--no-figures"]
 
 
 def tuned(folder: Path) -> list[str]:

@@ -15,6 +15,7 @@ import msgspec
 import numpy as np
 import pytest
 
+import once
 from undeadzone.controllers import PD
 from undeadzone.linear.riccati import paper_riccati
 from undeadzone.plants.build import matrices, system
@@ -22,7 +23,7 @@ from undeadzone.results.run import Run
 from undeadzone.scenario.reader import read
 from undeadzone.scenario.schema import Scenario, Simulation
 from undeadzone.simulation.simulate import simulate
-from undeadzone_paper import Paper, audit, measures, write
+from undeadzone_paper import Paper, measures, write
 from undeadzone_paper.claim_texts import TEXTS
 from undeadzone_paper.claims import Claim
 from undeadzone_paper.equations import EQUATIONS, FIGURES
@@ -45,13 +46,8 @@ STEADY = 5.0 / (1.0 + 4.0 * np.pi**2)
 
 
 @pytest.fixture(scope="module")
-def told() -> list[int]:
-    return []
-
-
-@pytest.fixture(scope="module")
-def paper(told: list[int]) -> Paper:
-    return audit(told.append)
+def paper() -> Paper:
+    return once.audit()[0]
 
 
 @pytest.fixture(scope="module")
@@ -322,7 +318,8 @@ def test_every_equation_is_placed_where_something_is() -> None:
             assert hasattr(importlib.import_module(module), name), equation.where
 
 
-def test_progress_is_told_of_work_done(told: list[int], paper: Paper) -> None:
+def test_progress_is_told_of_work_done(paper: Paper) -> None:
+    told = once.audit()[1]
     assert sum(told) > len(paper.variants) * DURATION / STEP
     assert min(told) > 0
 

@@ -310,9 +310,9 @@ def test_intervals_hold_over_random_loops(place: str, options: str) -> None:
 
 
 def random_loops(place: str, options: str) -> Loops:
-    """Thirty loops of a family."""
+    """Twenty loops of a family."""
     world, entry = WORLDS[place], bench.ROWS[options]
-    each = [bench.posed(world, "noise 1 %", entry, seed) for seed in range(30)]
+    each = [bench.posed(world, "noise 1 %", entry, seed) for seed in range(20)]
     return run_loops(each, 0.8 * world.duration)
 
 
@@ -458,7 +458,7 @@ def test_identify_writes_the_scenario_that_runs(tmp_path: Path) -> None:
     rng, u, z = driven(21)
     gaps, widths = (0.25, 0.15), (0.2, 0.3)
     y = through(z, gaps, widths) + 0.01 * rng.standard_normal(z.size)
-    found = uz.identify(t=STEP, u=u, y=y, order=2)
+    found = uz.identify(t=STEP, u=u, y=y, order=2, delay=0)
     (tmp_path / "both.toml").write_text(found.scenario())
     scenario = uz.read(tmp_path / "both.toml")
     sensor = resolve_scenario(scenario).sensor

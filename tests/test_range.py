@@ -16,7 +16,7 @@ from scipy.signal import lfilter
 from scipy.stats import norm
 
 import undeadzone as uz
-from scenes import on_numbers, scene
+from scenes import OnNumbers, scene
 from test_engines import OBSERVERS, distance, parts, small
 from undeadzone.analysis.side_schedule import planned
 from undeadzone.cli import group
@@ -274,7 +274,7 @@ def test_a_limit_that_the_estimate_is_beyond_says_nothing(method: str) -> None:
     options = small("sampled", observer={"method": method} | OBSERVERS[method][1]).observer
     model = first_order()
     observer = graph_of(options.build(model, zone()))
-    step = on_numbers(observer, model)
+    step = OnNumbers(observer, model)
     state = observer.init(observer.params)
     for _ in range(600):
         state, beyond = step(state, 5.0, np.nan, 0.0)
@@ -294,7 +294,7 @@ def test_a_limit_that_the_estimate_contradicts_moves_it(method: str) -> None:
     options = small("sampled", observer=table).observer
     model = first_order()
     observer = graph_of(options.build(model, zone()))
-    step = on_numbers(observer, model)
+    step = OnNumbers(observer, model)
     state = observer.init(observer.params)
     for _ in range(600):
         state, _ = step(state, -5.0, np.nan, 0.0)
@@ -319,7 +319,7 @@ def test_a_bound_is_the_conditional_mean_and_variance(method: str, end: float) -
     model = first_order()
     observer = graph_of(options.build(model, sensor))
     y = 0.5 if end > 0 else -0.6
-    after, _ = on_numbers(observer, model)(observer.init(observer.params), 0.0, y, 2 * end)
+    after, _ = OnNumbers(observer, model)(observer.init(observer.params), 0.0, y, 2 * end)
     mean, _ = belief(after)
     x_var, d_var = 0.8**2, 1.8**2 / 12
     R = max(0.01, 1e-3 * 1.8) ** 2
@@ -360,7 +360,7 @@ def test_refused_readings_beyond_the_range_show() -> None:
     model = first_order()
     options = small("sampled", observer={"method": "kalman", "right": [0.1, 1.0]}).observer
     observer = graph_of(options.build(model, zone()))
-    step, state = on_numbers(observer, model), observer.init(observer.params)
+    step, state = OnNumbers(observer, model), observer.init(observer.params)
     for y in (0.3, np.inf, 0.3):
         state, estimate = step(state, 0.0, y, 1.0 if np.isfinite(y) else 0.0)
     assert estimate.refused == 1
@@ -497,10 +497,10 @@ def test_identify_calls_what_needs_no_zone_and_ends_a_saturation() -> None:
     rng = np.random.default_rng(2)
     u = np.repeat(rng.normal(size=60), 15)
     z = lfilter([0.0, 0.05, 0.03], [1.0, -1.6, 0.68], u) + 0.01 * rng.normal(size=u.size)
-    found = uz.identify(t=0.05, u=u, y=np.clip(z, -0.6, 0.7), order=2)
+    found = uz.identify(t=0.05, u=u, y=np.clip(z, -0.6, 0.7), order=2, delay=0)
     assert found.verdict == "saturation"
     assert "[-0.6, 0.7]" in found.summary()["why"][0]
-    assert uz.identify(t=0.05, u=u, y=z, order=2).verdict == "none"
+    assert uz.identify(t=0.05, u=u, y=z, order=2, delay=0).verdict == "none"
 
 
 def test_estimate_asks_for_the_range() -> None:

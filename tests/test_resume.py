@@ -21,6 +21,7 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 from tests.scenes import scene
 
+from commands import Done, undeadzone
 from undeadzone.errors import FileError, InputError, Terminated
 from undeadzone.identification.identify import identify
 from undeadzone.identification.verdict.widths import profile
@@ -248,10 +249,9 @@ COMMAND = [sys.executable, "-c", "from undeadzone.cli import main; main()", "are
 METHODS = "luenberger,high_gain,certified,super_twisting"
 
 
-def arena(scenario: Path, out: Path, *more: str) -> subprocess.CompletedProcess[str]:
+def arena(scenario: Path, out: Path, *more: str) -> Done:
     """The command, to its end."""
-    command = [*COMMAND, str(scenario), "--methods", METHODS, "--out", str(out), *more]
-    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    return undeadzone("arena", scenario, "--methods", METHODS, "--out", out, *more)
 
 
 def stopped(how: int, partial: Path, command: list[str], cwd: Path) -> tuple[int, str]:
@@ -284,10 +284,10 @@ def mine(tmp_path: Path) -> Path:
 
 def test_arena_tune_is_killed_and_goes_on(mine: Path, tmp_path: Path) -> None:
     """Kill -9 leaves the file with what is done, and --resume ends as if nothing had happened."""
-    tuning = ("--tune", "--budget", "6", "--processes", "1")
+    tuning = ("--tune", "--budget", "4", "--processes", "1")
     whole = arena(mine, tmp_path / "whole", *tuning)
     assert whole.returncode == 0, whole.stderr
-    assert "3 methods x 1 scenario x 6 candidates = 18 runs" in whole.stderr
+    assert "3 methods x 1 scenario x 4 candidates = 12 runs" in whole.stderr
     out = tmp_path / "killed"
     command = [*COMMAND, str(mine), "--methods", METHODS, "--out", str(out), *tuning]
     code, _ = stopped(signal.SIGKILL, out / "tuned.toml.partial", command, tmp_path)
@@ -309,9 +309,7 @@ def test_arena_keeps_what_is_done_without_being_asked(mine: Path, tmp_path: Path
     assert code == 130, said
     assert "6 methods x 1 scenario x 2 seeds = 12 runs; less than a minute" in said
     assert "continue with --resume" in said
-    done = subprocess.run(
-        [*command, "--resume"], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
+    done = undeadzone(*command[len(COMMAND) - 1 :], "--resume", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "high_gain" in done.stdout
     assert not partial.parent.exists()

@@ -18,7 +18,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scenes import PAPER_PLANT, linear, random_plant, response, scene, slopes
+from scenes import PAPER_PLANT, OnNumbers, linear, random_plant, response, scene, slopes
 from undeadzone.compile import interpret
 from undeadzone.ends.sensor import Sensor, Zone, deadzone, resolve, side
 from undeadzone.ends.sensor import jump as jump_sensor
@@ -62,19 +62,13 @@ def stepper(
 
     The step is (state, u, y, side) -> (next state or derivative, estimate).
     """
-    like = observer.init(observer.params)
-    p, params = tree.symbols(observer.params, "p")
-    s, state = tree.symbols(like, "s")
-    u, y, where = (ca.SX.sym("v", size) for size in (model.m, model.p, model.p))
-    after, estimate = observer.step(params, state, u, Reading(y, where))
-    function = ca.Function("step", [p, s, u, y, where], [tree.stack(after), *estimate])
-    numbers = tree.pack(observer.params)
+    run = OnNumbers(observer, model)
 
     def step(*values: Any) -> tuple[Floats, Estimate]:
-        parts = [part.full().ravel() for part in function(numbers, *values)]
-        return parts[0], Estimate(*parts[1:])
+        after, estimate = run(*values)
+        return tree.pack(after), estimate
 
-    return tree.pack(like), step
+    return tree.pack(observer.init(observer.params)), step
 
 
 # --- Interval observer

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 import undeadzone_arena.unscented as unscented
-from scenes import PAPER_PLANT, on_numbers, random_plant, scene
+from scenes import PAPER_PLANT, OnNumbers, random_plant, scene
 from undeadzone.ends import sensor
 from undeadzone.ends.sensor import Sensor, Zone, resolve
 from undeadzone.errors import InputError, ShapeError
@@ -112,7 +112,7 @@ def test_the_measured_ekf_is_kalmans_filter_far_from_the_zone(seed: int, n: int,
         EKF(**claims, glitches=0.0, mode="measured").build(model, where),
         Kalman(**claims, glitches=0.0).build(model, where),
     )
-    one, other = on_numbers(ours, model), on_numbers(theirs, model)
+    one, other = OnNumbers(ours, model), OnNumbers(theirs, model)
     s, t = ours.init(ours.params), theirs.init(theirs.params)
     for _ in range(10):
         u, y = rng.normal(size=1), 2 * rng.choice([-1, 1], p) * rng.uniform(3, 9, p)
@@ -146,7 +146,7 @@ def test_filters_on_the_dead_zone_are_kalmans_filter_while_belief_and_readings_s
     mean = np.concatenate([x / even_units(model), s.filter.mean[2:]])
     s = s._replace(filter=s.filter._replace(mean=mean))
     t = t._replace(filter=t.filter._replace(mean=mean))
-    one, other = on_numbers(rival, model), on_numbers(kalman, model)
+    one, other = OnNumbers(rival, model), OnNumbers(kalman, model)
     for _ in range(10):
         z, u = model.linear.C @ x, rng.normal(size=1)
         y = sensor.deadzone(z, where.right, where.left) + 0.1 * rng.normal(size=2)
@@ -177,7 +177,7 @@ def test_the_ukf_agrees_with_filterpy(plant: System) -> None:
         kappa=1.0,
         glitches=0.0,
     ).build(model, zone())
-    step, state = on_numbers(observer, model), observer.init(observer.params)
+    step, state = OnNumbers(observer, model), observer.init(observer.params)
     x, u = ca.SX.sym("x", 2), ca.SX.sym("u")
     move = ca.Function(
         "move", [x, u], [model.move(ca.SX(model.params) if model.nonlinear else model.params, x, u)]
@@ -241,7 +241,7 @@ def test_particles_carry_kalmans_posterior_in_the_linear_case() -> None:
     count, runs = 25, 12
     ys, us = 7.0 + 0.5 * rng.normal(size=count), 10.0 + rng.normal(size=count)
     kalman = Kalman(**claims).build(MODEL, zone())
-    step, state = on_numbers(kalman, MODEL), kalman.init(kalman.params)
+    step, state = OnNumbers(kalman, MODEL), kalman.init(kalman.params)
     for y, u in zip(ys, us, strict=True):
         state, exact = step(state, [u], [y], [1.0])
     particle = ParticleFilter(**claims, particles=3000).build(MODEL, zone())
@@ -501,7 +501,7 @@ def test_an_estimate_inside_its_own_zone_is_deaf() -> None:
     """
     for mode, moves in (("predicted", False), ("measured", True)):
         observer = EKF(right=[0.5, 2.0], mode=mode).build(MODEL, zone())
-        step, state = on_numbers(observer, MODEL), observer.init(observer.params)
+        step, state = OnNumbers(observer, MODEL), observer.init(observer.params)
         _, estimate = step(state, [0.0], [5.0], [1.0])
         assert (np.abs(estimate.z) > 1).all() == moves
         assert estimate.innovation[0] != 0
@@ -510,7 +510,7 @@ def test_an_estimate_inside_its_own_zone_is_deaf() -> None:
 def test_the_pseudo_measurement_pulls_a_contradicted_estimate_to_the_edge() -> None:
     for pseudo, moves in ((True, True), (False, False)):
         observer = EKF(right=[0.5, 2.0], mode="measured", pseudo=pseudo).build(MODEL, zone())
-        step, state = on_numbers(observer, MODEL), observer.init(observer.params)
+        step, state = OnNumbers(observer, MODEL), observer.init(observer.params)
         mean = np.array([4.0, 0.0, 1.25, 1.25])
         state = state._replace(filter=state.filter._replace(mean=mean))
         _, estimate = step(state, [0.0], [0.0], [0.0])
@@ -525,7 +525,7 @@ def test_missing_samples_only_predict_and_the_estimate_does_not_depend_on_the_in
     method: Any,
 ) -> None:
     observer = method(right=[0.5, 2.0], disturbance=0.5).build(MODEL, zone())
-    step, state = on_numbers(observer, MODEL), observer.init(observer.params)
+    step, state = OnNumbers(observer, MODEL), observer.init(observer.params)
     state, _ = step(state, [1.0], [2.0], [1.0])
     after, estimate = step(state, [0.3], [np.nan], [0.0])
     A, B, _ = MODEL.linear
@@ -555,7 +555,7 @@ def test_the_live_loop_is_the_loop() -> None:
     )
     expected, problem = simulate(scenario), resolve_scenario(scenario)
     graph = problem.observer
-    step = on_numbers(graph, problem.model)
+    step = OnNumbers(graph, problem.model)
 
     def correct(s: Any, reading: Reading) -> Any:
         return (s, reading), step(s, np.zeros(1), reading.y, reading.side)[1]

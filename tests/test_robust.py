@@ -63,32 +63,41 @@ def switched(
     d~' = ... + leak Gamma (d0 - d~), d0 = d - d^0; limit: |d~| is clipped to it after each step.
     """
     n, p = errors.L.shape
-    path = [start]
-    maps: dict[tuple[int, ...], tuple[Floats, Floats]] = {}
-    for k in range(steps):
-        key = tuple(int(side) for side in sides[k])
-        if key not in maps:
-            S = pattern(key)
-            active = np.diag(np.abs(key).astype(float))
-            F = generator(errors, Mode(np.ones(1), S, np.ones(p), h))
-            F[n:, n:] -= leak * errors.gamma
-            to_states = np.hstack([E, -errors.L @ active * noise, np.zeros((n, 2 * p))])
-            of_w = np.zeros((2 * p, E.shape[1]))
-            to_widths = np.hstack([of_w, errors.gamma @ S.T * noise, leak * errors.gamma])
-            inputs = np.vstack([to_states, to_widths])
-            if errors.Ts is None:
-                size = len(F)
-                still = np.zeros((inputs.shape[1], size + inputs.shape[1]))
-                both = expm(h * np.block([[F, inputs], [still]]))
-                maps[key] = both[:size, :size], both[:size, size:]
-            else:
-                maps[key] = np.eye(len(F)) + errors.Ts * F, errors.Ts * inputs
-        step, drive = maps[key]
-        after = step @ path[-1] + drive @ np.concatenate([w[k], v[k], np.broadcast_to(d0, 2 * p)])
+    patterns, which = np.unique(np.asarray(sides)[:steps], axis=0, return_inverse=True)
+    maps = [held_map(errors, one, h, E, noise, leak) for one in patterns]
+    moves, drives = (np.stack(each) for each in zip(*maps, strict=True))
+    given = np.hstack([w[:steps], v[:steps], np.broadcast_to(d0, (steps, 2 * p))])
+    which = which.ravel()
+    driven = np.einsum("kij,kj->ki", drives[which], given)
+    path = np.empty((steps + 1, n + 2 * p))
+    path[0] = start
+    for k, move in enumerate(which):
+        after = moves[move] @ path[k] + driven[k]
         if limit is not None:
             after[n:] = np.clip(after[n:], -limit, limit)
-        path.append(after)
-    return np.array(path)
+        path[k + 1] = after
+    return path
+
+
+def held_map(
+    errors: Dynamics, sides: Floats, h: float, E: Floats, noise: Floats, leak: float
+) -> tuple[Floats, Floats]:
+    """What a step on certain sides makes of [x~; d~], and of [w; v; d0] held over it."""
+    n, p = errors.L.shape
+    S = pattern(tuple(sides.astype(int)))
+    active = np.diag(np.abs(sides))
+    F = generator(errors, Mode(np.ones(1), S, np.ones(p), h))
+    F[n:, n:] -= leak * errors.gamma
+    to_states = np.hstack([E, -errors.L @ active * noise, np.zeros((n, 2 * p))])
+    of_w = np.zeros((2 * p, E.shape[1]))
+    to_widths = np.hstack([of_w, errors.gamma @ S.T * noise, leak * errors.gamma])
+    inputs = np.vstack([to_states, to_widths])
+    if errors.Ts is not None:
+        return np.eye(len(F)) + errors.Ts * F, errors.Ts * inputs
+    size = len(F)
+    still = np.zeros((inputs.shape[1], size + inputs.shape[1]))
+    both = expm(h * np.block([[F, inputs], [still]]))
+    return both[:size, :size], both[:size, size:]
 
 
 def held(rng: np.random.Generator, choices: Any, steps: int, hold: int) -> Floats:
@@ -546,9 +555,9 @@ def least_gain(errors: Dynamics, E: Floats, noise: float) -> float:
     return float(np.exp(min(finer.fun, values[k]) / 2))
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_l2_gains_are_least_within_one_percent(seed: int) -> None:
-    """45 random designs, all seeds together: every second one has noise, the others w."""
+    """30 random designs, all seeds together: every second one has noise, the others w."""
     rng = np.random.default_rng(seed)
     for k in range(15):
         model, gains, gamma, Ts = random_design(rng, int(rng.integers(1, 5)), 1)

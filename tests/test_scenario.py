@@ -509,7 +509,7 @@ WRONG: list[tuple[dict[str, Any], type[InputError], str]] = [
         r"a zero of the plant at s = 0\+6.283j lies on the reference's spectrum",
     ),
     (
-        {"plant": PENDULUM | {"h": ["sin(angle)"]}},
+        {"plant": PENDULUM | {"h": ["sin(angle)"]}, "simulation": {"step": 1e-2}},
         TrackingError,
         "the nonlinear plant cannot follow it at t = ",
     ),

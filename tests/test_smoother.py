@@ -161,11 +161,12 @@ def test_the_command_smooths_unless_told_not_to(tmp_path: Path) -> None:
         assert json.loads(result.stdout)["smoothed"] is smoothed
 
 
-@pytest.mark.parametrize("claims", [doubting, from_ranges])
-def test_it_is_better_than_the_filter_and_as_honest(claims: Any) -> None:
-    parts = [part(claims, kind, 2, 11) for kind in ("both edges", "30 % missing")]
-    rms, held = (np.concatenate(both) for both in ([p.rms for p in parts], [p.held for p in parts]))
-    assert (rms[:, 1] <= 1.02 * rms[:, 0]).mean() > 0.9
+@pytest.mark.parametrize(
+    ("claims", "kind"), [(doubting, "both edges"), (from_ranges, "30 % missing")]
+)
+def test_it_is_better_than_the_filter_and_as_honest(claims: Any, kind: str) -> None:
+    rms, held = part(claims, kind, 2, 11)[::-1]
+    assert (rms[:, 1] <= 1.02 * rms[:, 0]).all()
     z, widths = held[:, :, 0].mean(axis=0), held[:, :, 1:].mean(axis=(0, 2))
     assert z[2] > 0.93
     assert abs(widths[2] - widths[1]) < 0.05

@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from commands import forked
 from commands import undeadzone as in_process
 from undeadzone.analysis.certificate.design_file import Design
 from undeadzone.cli.common import json_text, print_blocks
@@ -71,9 +72,7 @@ def steers(text: str) -> bool:
 def undeadzone(
     *arguments: object, stdin: bytes = b"", cwd: Path | None = None
 ) -> subprocess.CompletedProcess[bytes]:
-    return subprocess.run(
-        [*COMMAND, *map(str, arguments)], input=stdin, capture_output=True, timeout=120, cwd=cwd
-    )
+    return forked(*arguments, stdin=stdin, cwd=cwd)
 
 
 def scenario(folder: Path, text: str = SCENARIO, **changes: str) -> Path:

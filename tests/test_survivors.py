@@ -8,25 +8,49 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from scenes import PAPER_PLANT, linear
 from test_identifiability import visiting
 from undeadzone.analysis.certificate.passivity import certify
+from undeadzone.analysis.convergence import trajectories
+from undeadzone.analysis.convergence.floquet import spans
 from undeadzone.analysis.convergence.trajectories import settling
 from undeadzone.analysis.dissipation import Inequality, check
 from undeadzone.analysis.identifiability import nonlinear
+from undeadzone.analysis.identifiability.both_ends import both_ends
 from undeadzone.analysis.identifiability.information import Readings, deviations
-from undeadzone.analysis.side_schedule import recorded
+from undeadzone.analysis.side_schedule import arriving, recorded
 from undeadzone.ends.sensor import Sensor, resolve
-from undeadzone.errors import StructureError
+from undeadzone.errors import InputError, StructureError
+from undeadzone.interfaces import Estimate, Reading
 from undeadzone.linear import riccati
 from undeadzone.linear.matrices import Matrices
 from undeadzone.linear.poles import place
+from undeadzone.numerics.dense_output import Levels, _crossing
+from undeadzone.numerics.gaussian import TAIL
+from undeadzone.observers import Kalman
 from undeadzone.observers.parts.augmented_state import agitation
+from undeadzone.observers.parts.further_constants import against_friction
+from undeadzone.observers.parts.gaussian_filter import _informed_of_gaps as informed_of_gaps
+from undeadzone.observers.parts.judged_filter import LOST, widened
+from undeadzone.observers.parts.measured_reading import distrusted
+from undeadzone.observers.parts.measured_side import correct_jump
+from undeadzone.observers.parts.prior import _claimed_noise as claimed_noise
+from undeadzone.observers.parts.unknown_inputs import span
+from undeadzone.observers.parts.width_laws import e_modification_move
 from undeadzone.plants.system import sampled
 from undeadzone_arena.observers.parts import learned_residual
 from undeadzone_arena.observers.parts.boxes import cut
-from undeadzone_arena.observers.parts.joint_claims import CROWD, Defaults, JointClaims, joint_prior
+from undeadzone_arena.observers.parts.joint_claims import (
+    CROWD,
+    Defaults,
+    JointClaims,
+    glitch_chance,
+    joint_prior,
+)
+
+ZONE = resolve(Sensor(right=1.0, left=1.0), 1, 0.01)
 
 
 @pytest.mark.parametrize(("lost", "state"), [("right", "x[0]"), ("left", "x[1]")])
@@ -60,6 +84,175 @@ def test_a_recorded_side_changes_half_way_between_two_samples() -> None:
     schedule = recorded(z, sensor, 0.1, None)
     np.testing.assert_allclose(schedule.sides[:, 0], [0.0, 1.0, -1.0])
     np.testing.assert_allclose(schedule.spans, [0.25, 0.2, 0.15], rtol=1e-12)
+
+
+def test_a_side_is_lost_by_its_own_readings() -> None:
+    """Of 100 readings on the right and 2 on the left, half are missing."""
+    sides, spans = np.array([[1.0], [0.0], [-1.0]]), np.array([1.0, 0.5, 0.02])
+    schedule = visiting([True], [True])._replace(sides=sides, spans=spans)
+    judged = arriving(schedule, np.array([0.5]), 0.01, spans.sum(), 2)
+    np.testing.assert_array_equal(judged.sides[:, 0], [1.0, 0.0, 0.0])
+
+
+def test_a_filter_that_is_lost_knows_no_more_than_the_prior() -> None:
+    """About what is shown: prior edges at 1 and 2 with deviations 0.3 and 0.4, shown at 1.4, 1.7.
+
+    The two are independent.
+    """
+    doubt = SimpleNamespace(std=np.array([2.0, 2.0, 0.3, 0.4]), most=10.0)
+    q: Any = SimpleNamespace(doubt=doubt, mean=np.array([0.0, 0.0, 1.0, 2.0]))
+    one, none = ca.SX(1.0), ca.SX(0, 1)
+    record: Any = SimpleNamespace(
+        ratio=one, offset=0 * one, share=one * (LOST + 0.1), constant=none, opened=none
+    )
+    blind = Estimate(*[ca.SX(0.0)] * len(Estimate._fields))._replace(
+        right=ca.SX(1.4), left=ca.SX(1.7), x_std=ca.SX([0.0, 0.0])
+    )
+    found = widened(SimpleNamespace(n=2, p=1), q, record, blind)  # type: ignore[arg-type]
+    values = [float(std) for std in (found.right_std, found.left_std, found.width_std)]
+    assert values == pytest.approx([0.5, 0.5, np.sqrt(0.5)], rel=1e-12)
+    assert ca.DM(found.x_std).full()[:, 0] == pytest.approx([2.0, 2.0])
+
+
+def test_a_bias_that_does_nothing_tells_as_much_of_an_actuator() -> None:
+    drive: Any = SimpleNamespace(slope_right=1.0, slope_left=1.0)
+    modes, schedule = np.array([[1.0], [-1.0], [0.0]]), visiting([True], [True])
+    without, with_bias = (
+        both_ends(PAPER_PLANT.linear, schedule, modes, drive, bias)
+        for bias in (None, np.zeros((2, 1)))
+    )
+    assert without.inputs == with_bias.inputs
+    assert without.inputs[0].width
+    assert without.outputs == with_bias.outputs
+
+
+def test_the_chance_of_a_glitch_is_that_of_bayes() -> None:
+    """A reading of a Gaussian, or one that is evenly spread over reach and tails."""
+    e, std, share, reach = np.array([0.3, 2.0]), np.array([0.5, 0.4]), 0.1, 5.0
+    doubt: Any = SimpleNamespace(glitch=np.log(share / (1 - share)), reach=np.full(2, reach))
+    wrong, right = share / (reach + TAIL * std), (1 - share) * norm.pdf(e, scale=std)
+    np.testing.assert_allclose(glitch_chance(doubt, e, std), wrong / (wrong + right), rtol=1e-12)
+
+
+def test_unknown_friction_is_taken_off_what_drives() -> None:
+    """It stands ahead of `after` other unknowns."""
+    sensor: Any = SimpleNamespace(friction_std=np.array([0.1]))
+    X = np.array([1.0, 2.0, 0.5, 7.0])
+    given = against_friction(sensor, 1, lambda X: 10.0, -1.0)(X)
+    assert given == 10.5
+
+
+def test_one_output_without_noise_is_no_claim() -> None:
+    assert claimed_noise([0.1, 0.2], 2).tolist() == [0.1, 0.2]
+    with pytest.raises(InputError, match="must be positive, found 0"):
+        claimed_noise([0.1, 0.0], 2)
+
+
+def test_a_time_is_resolved_from_a_tenth_of_a_sample_on() -> None:
+    for time in (0.101, 0.99e6):
+        assert span("washout", time * 0.02, 0.02) == time * 0.02
+    for time in (0.099, 1.01e6):
+        with pytest.raises(InputError, match=r"between 0\.1 and 1e6 sample times"):
+            span("washout", time * 0.02, 0.02)
+
+
+def test_unknowns_behind_gaps_are_taken_for_told() -> None:
+    """One other unknown, a gap of which half the variance is left, two widths of an actuator."""
+    cov = ca.SX(np.diag([1.0, 3.0, 0.5, 5.0, 6.0]))
+    zones = SimpleNamespace(middle=np.zeros(2))
+    q: Any = SimpleNamespace(gaps=SimpleNamespace(std=np.ones(1)), zones=zones)
+    told = ca.DM(informed_of_gaps(q, cov, 1)).full()[:, 0]
+    np.testing.assert_allclose(told, [1.0, np.sqrt(0.5), 1.0, 1.0])
+
+
+def test_fast_poles_are_placed_as_accurately_as_slow_ones() -> None:
+    K = place(
+        np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]]), np.array([-1e5, -2e5]), "K"
+    )
+    np.testing.assert_allclose(K, [[2e10, 3e5]], rtol=1e-12)
+
+
+def test_a_filter_whose_claims_are_refuted_gains_the_offset() -> None:
+    """The state that is known worst gains all of it, another one as much as it is unknown."""
+    doubt = SimpleNamespace(std=np.array([2.0, 1.0, 0.3, 0.4]), most=10.0)
+    q: Any = SimpleNamespace(doubt=doubt, mean=np.zeros(4))
+    one, none = ca.SX(1.0), ca.SX(0, 1)
+    record: Any = SimpleNamespace(
+        ratio=16.0 * one, offset=0.3 * one, share=0 * one, constant=none, opened=none
+    )
+    shown = Estimate(*[ca.SX(0.0)] * len(Estimate._fields))._replace(
+        right_std=ca.SX(0.1), x_std=ca.SX([0.0, 0.0])
+    )
+    found = widened(SimpleNamespace(n=2, p=1), q, record, shown)  # type: ignore[arg-type]
+    assert ca.DM(found.x_std).full()[:, 0] == pytest.approx([0.3, 0.15])
+    assert float(found.right_std) == pytest.approx(0.5)  # root of (4 * 0.1)^2 + 0.3^2
+
+
+@pytest.mark.parametrize(
+    ("y", "side", "right", "left"), [(0.8, 1, -0.2, 0), (-0.3, -1, 0, -0.2), (1.4, 1, 0, 0)]
+)
+def test_a_jump_sensor_moves_the_edge_that_its_reading_contradicts(
+    y: float, side: int, right: float, left: float
+) -> None:
+    edges: Any = SimpleNamespace(right=1.0, left=0.5)
+    found = correct_jump(edges, 0.1, y, side, ca.SX(0.0), ca.SX(0.0))
+    assert [float(one) for one in found[:3]] == pytest.approx([y - 0.1, right, left])
+    assert [bool(ca.DM(one)) for one in found[3:]] == [right != 0, left != 0]
+
+
+@pytest.mark.parametrize(("edge", "after"), [(0.0, -1.0), (0.1, 0.0)])
+def test_a_zone_of_no_width_is_crossed_at_once(edge: float, after: float) -> None:
+    levels = Levels((ca.SX(edge),), (ca.SX(-edge),))
+    crossing = _crossing(ca.SX(-1.0), levels, ca.SX(1.0))
+    assert float(crossing[1]) == after
+    assert bool(ca.DM(crossing[0]))
+
+
+def test_a_leak_grows_with_the_way_from_the_first_width() -> None:
+    edge: Any = SimpleNamespace(drive=2.0, width=3.0, width0=1.0, gamma=4.0)
+    assert float(e_modification_move(0.25, edge)[0]) == 4 * (2 - 0.25 * 2 * (3 - 1))
+
+
+def test_a_reading_beyond_all_numbers_is_trusted_in_nothing() -> None:
+    trusted = distrusted(ca.SX([0.7, 0.7]), Reading(ca.SX([0.9e300, 1.1e300]), ca.SX([1.0, 1.0])))
+    assert ca.DM(trusted).full()[:, 0].tolist() == [0.7, 0.0]
+
+
+def test_no_edge_lies_below_0() -> None:
+    with pytest.raises(InputError, match=r"observer\.right: a range \[lo, hi\] must have 0 <= lo"):
+        Kalman(right=[-1.0, 2.0], left=[0.0, 2.0]).build(sampled(PAPER_PLANT, 0.01), ZONE)
+
+
+@pytest.mark.parametrize("window", [2, 4])
+def test_a_fair_adversary_takes_each_full_mode_in_every_window(
+    monkeypatch: pytest.MonkeyPatch, window: int
+) -> None:
+    """Though the third mode, which is none, is the one that it likes best."""
+    monkeypatch.setattr(trajectories, "_value", lambda V, errors: np.abs(errors).sum(axis=1))
+    maps = np.array([0.5, 0.6, 1.1])[:, None, None] * np.eye(2)
+    moves = trajectories._Moves(maps, np.array([0, 1]), window)
+    V: Any = None
+    taken = trajectories._adversary(V, np.ones(2), moves, fair=True)
+    for one in taken.reshape(-1, window):
+        assert set(one) >= {0, 1}
+    assert set(trajectories._adversary(V, np.ones(2), moves, fair=False)) == {2}
+
+
+@pytest.mark.parametrize("Ts", [None, 0.02])
+def test_a_pass_lasts_as_long_as_its_schedule(Ts: float | None) -> None:
+    schedule = visiting([True], [True], Ts)
+    errors: Any = SimpleNamespace(A=np.zeros((1, 2, 2)), Ts=Ts, C=np.ones((1, 2)))
+    modes = trajectories._passes(errors, schedule, 2 * schedule.duration)
+    lengths = schedule.spans * (Ts or 1.0)
+    assert [mode.seconds for mode in modes[:6]] == pytest.approx([*lengths, *lengths])
+
+
+def test_what_does_not_move_grows_as_time_and_its_square() -> None:
+    schedule = visiting([True], [True])
+    still = spans(np.zeros((3, 2, 2)), np.eye(2), schedule)
+    for k, t in enumerate(schedule.spans):
+        np.testing.assert_allclose(still.G[k], t * np.eye(2), rtol=1e-12)
+        np.testing.assert_allclose(still.GG[k], t**2 / 2 * np.eye(2), rtol=1e-12)
 
 
 def test_errors_may_need_many_passes_to_settle() -> None:

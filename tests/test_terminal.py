@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import pty
 import re
@@ -14,6 +15,7 @@ from pathlib import Path
 
 import pytest
 
+from commands import undeadzone
 from undeadzone.cli.common import painted
 from undeadzone.cli.identify import identify
 from undeadzone.cli.output import LARGE, wanted_table
@@ -26,13 +28,14 @@ COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 TWO = ["run", "examples/two_outputs.toml", "--no-figures"]
 
 
-def on_terminal(arguments: list[str], columns: int, **variables: str) -> str:
-    """What a command shows on a terminal of so many columns."""
+@functools.cache
+def on_terminal(columns: int, **variables: str) -> str:
+    """What the command `TWO` shows on a terminal of so many columns."""
     ours, its = pty.openpty()
     ioctl(its, termios.TIOCSWINSZ, struct.pack("HHHH", 40, columns, 0, 0))
     plain = {name: value for name, value in os.environ.items() if name not in REMOVED}
     with subprocess.Popen(
-        [*COMMAND, *arguments],
+        [*COMMAND, *TWO],
         stdout=its,
         stderr=subprocess.DEVNULL,
         stdin=its,
@@ -61,7 +64,7 @@ def _read(handle: int) -> bytes:
 
 @pytest.mark.parametrize("columns", [40, 80, 200])
 def test_lines_fit_the_terminal(columns: int) -> None:
-    text = COLOUR.sub("", on_terminal(TWO, columns, TERM="xterm"))
+    text = COLOUR.sub("", on_terminal(columns, TERM="xterm"))
     lines = text.splitlines()
     assert max(map(len, lines)) <= columns
     assert "Two outputs, four widths" in text
@@ -71,14 +74,12 @@ def test_lines_fit_the_terminal(columns: int) -> None:
 
 
 def test_verdicts_have_colours_on_terminals_alone() -> None:
-    assert "\x1b[32m" in on_terminal(TWO, 200, TERM="xterm")
+    assert "\x1b[32m" in on_terminal(200, TERM="xterm")
     for variables in ({"TERM": "xterm", "NO_COLOR": "1"}, {"TERM": "dumb"}):
-        assert "\x1b" not in on_terminal(TWO, 200, **variables)
-    piped = subprocess.run(
-        [*COMMAND, *TWO], cwd=ROOT, capture_output=True, text=True, check=False
-    ).stdout
+        assert "\x1b" not in on_terminal(200, **variables)
+    piped = undeadzone(*TWO, cwd=ROOT).stdout
     assert "\x1b" not in piped
-    assert COLOUR.sub("", on_terminal(TWO, 200, TERM="xterm")) == piped
+    assert COLOUR.sub("", on_terminal(200, TERM="xterm")) == piped
 
 
 def test_what_is_painted() -> None:
@@ -148,12 +149,7 @@ def test_a_long_run_says_what_it_left_out(tmp_path: Path) -> None:
     path.write_text(text.replace("duration = 30.0", "duration = 400.0"))
     for more, files in (([], {"run.npz"}), (["--csv"], {"run.npz", "run.csv"})):
         out = tmp_path / f"out{len(more)}"
-        done = subprocess.run(
-            [*COMMAND, "run", str(path), "--no-figures", "--out", str(out), *more],
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        done = undeadzone("run", path, "--no-figures", "--out", out, *more)
         assert {file.name for file in out.iterdir()} == files
         assert ("--csv writes it" in done.stdout) == (not more)
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from contextlib import suppress
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -23,6 +25,7 @@ from undeadzone.scenario.ensemble_table import Distribution, Vary, decoded, spre
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert, parse
 from undeadzone.signals.exosystem import Random, Sine, Step
+from undeadzone.simulation.loop import Loop
 from undeadzone.simulation.simulate import prepare
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
@@ -62,7 +65,13 @@ def bound(
     entries: dict[str, Any], ensemble: dict[str, Any] | None = None, **changes: Any
 ) -> Binding:
     problem = resolve_scenario(scene(ensemble=(ensemble or {}) | entries, **changes))
-    return bind(problem, prepare(problem)[0])
+    return bind(problem, closed_once(json.dumps(changes)))
+
+
+@cache
+def closed_once(changes: str) -> Loop:
+    """The loop of a scenario with changes: it is the same whatever varies."""
+    return prepare(resolve_scenario(scene(**json.loads(changes))))[0]
 
 
 def uniform(low: float = 0.5, high: float = 1.5, **words: Any) -> dict[str, Any]:

@@ -67,19 +67,23 @@ class Compiled:
         files = source(code, Labels(prefix, "accuracy", "replica")).files(prefix)
         files[f"{prefix}_run.c"] = filled("templates/runner.c", words)
         library = shared_library(written(files, folder), folder / f"{prefix}.so")
-        functions = ctypes.CDLL(str(library))
-        self._run = functions.run
+        self._functions = ctypes.CDLL(str(library))
         self.stack = stack_bytes(folder, prefix)
         self.real = code.kind
         self.state = np.zeros(total(code.structs["state"]), self.real)
         self.outputs = total(code.step.outputs)
-        functions.start(_address(self.state))
+        self.begin()
+
+    def begin(self) -> None:
+        """Set the memory to that of t = 0."""
+        self._functions.start(_address(self.state))
 
     def __call__(self, rows: Floats) -> Floats:
         """The outputs along inputs (N x inputs), as float64 (N x outputs)."""
         given = np.ascontiguousarray(rows, self.real)
         out = np.empty((len(rows), self.outputs), self.real)
-        self._run(ctypes.c_long(len(rows)), _address(given), _address(out), _address(self.state))
+        count = ctypes.c_long(len(rows))
+        self._functions.run(count, _address(given), _address(out), _address(self.state))
         return out.astype(float)
 
 
@@ -115,7 +119,8 @@ def measure(double: Code, single: Code | None, rows: Floats, functions: bool) ->
             return plain
         rounded = Compiled(single, folder)
         plain = plain._replace(stack=rounded.stack)
-        return _beside(plain, Compiled(double, folder), rounded, single, rows)
+        replica.begin()
+        return _beside(plain, replica, rounded, single, rows)
 
 
 def _against_machine(code: Code, replica: Compiled, rows: Floats) -> float:

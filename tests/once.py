@@ -1,0 +1,42 @@
+"""What is expensive and asked for by several files of tests: made once a process.
+
+`conftest.TOGETHER` keeps such files in one process.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+from undeadzone.analysis.certificate.design_file import Design
+from undeadzone.scenario.schema import Scenario
+from undeadzone.support import toml
+from undeadzone.synthesis.design import Aim
+from undeadzone.synthesis.design import design as search
+from undeadzone_paper import Paper
+from undeadzone_paper import audit as audited
+
+_designs: dict[Any, Design] = {}
+
+
+def design(
+    scenario: Scenario,
+    maximise: Aim = "knee",
+    *,
+    margin: float = 0.01,
+    seed: int = 0,
+    progress: Callable[[int], None] | None = None,
+) -> Design:
+    """`undeadzone.design`, the same task once; progress is told of the first."""
+    task = toml.dumps(scenario), maximise, margin, seed
+    if task not in _designs:
+        _designs[task] = search(scenario, maximise, margin=margin, seed=seed, progress=progress)
+    return _designs[task]
+
+
+@functools.cache
+def audit() -> tuple[Paper, list[int]]:
+    """The paper, audited, and what its progress was told."""
+    told: list[int] = []
+    return audited(told.append), told
