@@ -228,8 +228,31 @@ def _with_edges(answer: Answer) -> Answer:
     shown = _shown_jump(answer.case) or _shown(answer, 2.0 if heard else 1.0)
     remarks = [*_late(answer), *_edge_remarks(answer, shown, heard)]
     remarks += _hardly_passed(answer, shown)
+    doubt = _doubt(answer, shown)
+    if doubt:
+        return answer._replace(verdict="undecided", reasons=[doubt])
     word = "unreached" if answer.case.unreached else answer.verdict
     return _showing(answer, shown, remarks)._replace(verdict=word)
+
+
+def _doubt(answer: Answer, shown: Shown) -> str:
+    """Why the widths do not show a zone; empty where they do, or the user knows of it."""
+    free = not _known(answer.options, "right", "left")
+    width = shown["width"]
+    if width is not None and free and width.low <= 0:
+        return (
+            f"the width's interval holds 0: {width.value:.4g} [{width.low:.4g}, {width.high:.4g}]"
+        )
+    for name in ("right", "left"):
+        edge = shown[name]
+        if edge is not None and edge.low == edge.high and not _known(answer.options, name):
+            return f"the {name} edge moves no reading: the fit never found the zone"
+    return ""
+
+
+def _known(options: Options, *sides: str) -> bool:
+    """Whether the user gave these edges."""
+    return all(options.bounds(side)[0] == options.bounds(side)[1] for side in sides)
 
 
 def _showing(answer: Answer, shown: Shown, remarks: list[str]) -> Answer:

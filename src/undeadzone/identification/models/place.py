@@ -100,6 +100,16 @@ def simulate(n: int, m: int, position: bool, exogenous: Floats, numbers: Floats)
 
 # --- The models
 
+# The verdict's word by (sensor, inner, input).
+WORDS = {
+    (False, False, False): "none",
+    (True, False, False): "dead_zone",
+    (False, True, False): "friction",
+    (False, False, True): "input_zone",
+    (True, True, False): "zone_and_friction",
+    (True, False, True): "two_zones",
+}
+
 
 class Shape(NamedTuple):
     """Which parts a model has.
@@ -124,11 +134,15 @@ class Shape(NamedTuple):
     free: int = 0
 
     @property
-    def kind(self) -> str:
-        """Where the zone is: sensor, input, friction, both (sensor and another) or none."""
-        places = {"sensor": self.sensor, "input": self.input, "friction": self.inner}
-        there = [place for place, is_there in places.items() if is_there]
-        return "both" if len(there) > 1 else next(iter(there), "none")
+    def word(self) -> str:
+        """The verdict's word for what is there."""
+        return WORDS[self.sensor, self.inner, self.input]
+
+    def holds(self, other: Shape) -> bool:
+        """Whether another model is this one with some of its numbers 0."""
+        if other.inner and other.position != self.position:
+            return False
+        return all(mine >= theirs for mine, theirs in zip(self[1:], other[1:], strict=True))
 
 
 class PlaceModel:
@@ -142,7 +156,7 @@ class PlaceModel:
         shape: the parts of the model.
     """
 
-    first, last, gain = 12, 40, 1e-3
+    first, last, gain, has_level = 12, 40, 1e-3, True
 
     def __init__(self, simulator: Simulator, shape: Shape) -> None:
         self.name = shape.name
