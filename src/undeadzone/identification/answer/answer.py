@@ -12,6 +12,7 @@ from undeadzone.identification.logs.log import Options
 from undeadzone.identification.models.estimates import DIRECTIONS, Interval, quantile
 from undeadzone.identification.models.kalman import AT_INPUT, NAMES
 from undeadzone.identification.models.kalman_fit import KalmanFit, innovations
+from undeadzone.identification.models.least_squares import CHANCE
 from undeadzone.identification.models.plant import Layout, Simulator
 from undeadzone.identification.models.zone_fit import Fit
 from undeadzone.identification.verdict.orders import (
@@ -19,6 +20,7 @@ from undeadzone.identification.verdict.orders import (
     credible,
     hears_input,
     is_white,
+    loop_chance,
     trained_part,
 )
 from undeadzone.identification.verdict.verdict import Case
@@ -68,6 +70,7 @@ class Answer(NamedTuple):
         right, left, width, centre: (value, low, high) with 95 % intervals, of what the verdict
             names [y], of an input zone [u]; None where the verdict allows no such number.
         remarks: what was done to the log, and what to be careful about.
+        loop: p of what past residuals say of the input, if no loop is closed.
         options: what the user said.
         case: the log, fitted with a zone of the sensor.
         found: what was found of it.
@@ -83,6 +86,7 @@ class Answer(NamedTuple):
     width: Interval | None
     centre: Interval | None
     remarks: list[str]
+    loop: float
     options: Options
     case: Case
     found: Found
@@ -192,11 +196,13 @@ def to_answer(case: Case, found: Found) -> Answer:
     best, orders = next(iter(found.kalman), None), credible(case.fitted.fits)
     widths = find_widths(chosen, orders, case.fitted.alike, best, case.quantum, case.offset)
     edges = widths.right.value, widths.left.value
+    loop = loop_chance(chosen.pairs, case.recorded.u)
     answer = Answer(
         verdict=found.verdict.word,
         reasons=found.verdict.reasons,
         **dict.fromkeys(DIRECTIONS),
-        remarks=[*case.fitted.prepared.remarks, *found.verdict.cautions],
+        remarks=[*case.fitted.prepared.remarks, *found.verdict.cautions, *_loop(loop)],
+        loop=loop,
         options=case.options,
         case=case,
         found=found,
@@ -276,6 +282,17 @@ def _late(answer: Answer) -> list[str]:
         return []
     time = "" if grid.counted else f" ({delay * grid.step:.4g} s)"
     return [f"the input acts {delay} samples late{time}"]
+
+
+def _loop(chance: float) -> list[str]:
+    """That the input answers to the readings, where it does."""
+    if chance > CHANCE:
+        return []
+    return [
+        "the input answers to the readings: the log is of a closed loop. Widths of a sensor's zone"
+        " hold in a loop; those of a play and of the input's zone may be off by more than their"
+        " intervals where a disturbance is strong"
+    ]
 
 
 def _edge_remarks(answer: Answer, shown: Shown, heard: bool) -> list[str]:

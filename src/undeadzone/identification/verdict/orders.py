@@ -24,6 +24,7 @@ BLOCKS = 5  # of held-out samples, spread over a record
 LEAST_BLOCK = 150  # samples of the part that one of them ends
 LAGS = 20
 HEARD = 8  # past inputs, of which one-step residuals should be free
+ANSWERED = 3  # one-step residuals, to which a loop's input answers
 SHARE = 0.05  # of the residual's variance that a curve explains, from which it is real
 
 
@@ -219,16 +220,39 @@ def is_white(value: Floats, use: Flags, lags: int = LAGS) -> bool:
 def hears_input(fit: zone_fit.Fit) -> bool:
     """Whether past inputs explain one-step residuals: a delay, or too few poles."""
     value, use = innovations(fit, fit.objective.data.ok)
-    lagged = []
-    for lag in range(1, HEARD + 1):
-        lagged.append(np.roll(fit.objective.data.u, lag, axis=0))
+    lagged = _lagged(fit.objective.data.u)
     use = use.copy()
     for first in fit.objective.data.start:
         use[first : first + HEARD] = False
     if use.sum() < 20 * HEARD:
         return False
-    _, _, share, chance = explained(np.hstack(lagged)[use], value[use])
+    _, _, share, chance = explained(lagged[use], value[use])
     return (share > 0.03 and chance < 1e-3) or (share > 0.15 and chance < 0.01)
+
+
+def loop_chance(fit: zone_fit.Fit, u: Floats) -> float:
+    """p of what one-step residuals so far say of the input, if it does not answer to readings.
+
+    The reading of a sample comes before its input, which moves the plant in the next one.
+
+    Args:
+        fit: plant and zone.
+        u: the inputs as they were recorded (N x m).
+    """
+    value, use = innovations(fit, fit.objective.data.ok)
+    heard = _lagged(np.where(use, value, 0.0)[:, None], range(ANSWERED))
+    inside = slice(HEARD, None)
+    chances = []
+    for column in u.T:
+        own = _lagged(column[:, None])[inside]
+        left = column[inside] - own @ np.linalg.lstsq(own, column[inside], rcond=1e-10)[0]
+        chances.append(explained(heard[inside], left)[-1])
+    return min(1.0, len(chances) * min(chances))
+
+
+def _lagged(columns: Floats, lags: range = range(1, HEARD + 1)) -> Floats:
+    """The last values of each column (N x lags K)."""
+    return np.hstack([np.roll(columns, lag, axis=0) for lag in lags])
 
 
 def correlation(value: Floats, use: Flags, lags: int) -> Floats:
