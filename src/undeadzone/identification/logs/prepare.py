@@ -115,8 +115,8 @@ def _require_silence_at_zero(grid: Grid) -> None:
     most, next_most = int(order[-1]), int(order[-2])
     value, count = float(values[most]), int(counts[most])
     low, high = np.quantile(y[y != value], [0.05, 0.95]) if count < y.size else (value, value)
-    inside = low < value < high
-    if value != 0 and inside and count > ZEROS * y.size and count > OFTEN * counts[next_most]:
+    returns = low < value < high and runs(grid.ok & (grid.y == value))[0].size > 1
+    if value != 0 and returns and count > ZEROS * y.size and count > OFTEN * counts[next_most]:
         raise InputError(
             f"log: the reading {value:.9g} comes back exactly in {100 * count / y.size:.0f} % of"
             f" the samples: is the sensor silent there, and not at 0? then say --zero {value:.9g}"

@@ -6,13 +6,13 @@ import numpy as np
 
 from undeadzone.identification.logs.grid import Grid
 from undeadzone.logs.range_ends import RangeEnds, range_ends
-from undeadzone.support.arrays import Flags, Floats, runs
+from undeadzone.support.arrays import Flags, runs
 
 SPIKE = 10.0  # times the 99 % quantile of |y|, beyond which few readings are no readings
 RARE = 0.005  # share of the readings that may be dropped as spikes
-LOUD = 2.0  # times the largest usual step, by which readings beside a dropout are beyond silence
-FAST = 0.005  # share of the steps between speaking readings that may be larger than usual
+LOUD = 2.0  # times the steps beside it, by which readings beside a dropout are beyond silence
 DROPPED = 0.1  # share of the readings that may be dropouts
+LASTING = 0.01  # share of the readings that are silent in a row, from which there is a silence
 STUCK = 0.05  # share of the readings that hold one value, from which a sensor may be stuck
 LONGER = 5.0  # times the second longest hold
 MOVING = 0.3  # of its rms, by which the input moves meanwhile
@@ -31,18 +31,14 @@ def usable(grid: Grid, remarks: list[str]) -> tuple[Flags, RangeEnds]:
     ok &= ~_stuck(grid, ok, remarks)
     ends = range_ends(grid.y, ok, grid.quantum)
     at = ends.at(grid.y, ok)
-    if not ends.found or max(_visits(at & (grid.y > 0)), _visits(at & (grid.y < 0))) < VISITS:
+    visits = [runs(at & side)[0].size for side in (grid.y > 0, grid.y < 0)]
+    if not ends.found or max(visits) < VISITS:
         return ok, RangeEnds(-np.inf, np.inf, 0)
     remarks.append(
         f"{ends.number} readings stick at the ends of the range {ends.text}: there they "
         "only bound the output, and are taken as missing"
     )
     return ok & ~at, ends
-
-
-def _visits(at: Flags) -> int:
-    """How many times readings come to an end of their range."""
-    return int(runs(at)[0].size)
 
 
 def _spikes(grid: Grid, remarks: list[str]) -> Flags:
@@ -60,29 +56,33 @@ def _spikes(grid: Grid, remarks: list[str]) -> Flags:
 
 
 def _dropouts(grid: Grid, ok: Flags, remarks: list[str]) -> Flags:
-    """Zeros between two readings so loud that no output gets from them to silence in a step (N).
+    """Zeros between two readings so loud that no output falls silent from there (N).
 
-    The least reading of a jump sensor is its edge, from which it does fall to 0; so what counts is
-    how far the readings are beyond the least one of their side.
+    It would have to move in a step by much more than it does before and after. A jump sensor falls
+    silent from its edge, its least reading; so what counts is how far readings are beyond that.
+    Where no silence lasts, noise leaves no reading at 0 exactly: there every lonely zero is one.
     """
     y, speaks = grid.y, ok & (grid.y != 0)
+    beyond, step = np.zeros(y.size), np.zeros(y.size + 1)
+    for side in (speaks & (y > 0), speaks & (y < 0)):
+        beyond += np.where(side, np.abs(y) - np.abs(y[side]).min(initial=np.inf), 0.0)
+        step[1:-1] += np.where(side[1:] & side[:-1], np.abs(np.diff(y)), 0.0)
+    usual = float(np.median(step[step > 0])) if step.any() else np.inf
     dropped = np.zeros_like(ok)
-    steps = np.abs(np.diff(y))[speaks[1:] & speaks[:-1] & (y[1:] * y[:-1] > 0)]
-    if steps.size < 1 / FAST:
-        return dropped
-    beyond = np.zeros(y.size)
-    for side in (y > 0, y < 0):
-        beyond += np.where(side, np.abs(y) - np.abs(y[speaks & side]).min(initial=np.inf), 0.0)
-    loud = speaks & (beyond > LOUD * float(np.quantile(steps, 1 - FAST)))
     for first, last in zip(*runs(ok & ~speaks), strict=True):
-        inside = first > 0 and last + 1 < y.size
-        if inside and loud[first - 1] and loud[last + 1] and y[first - 1] * y[last + 1] > 0:
-            dropped[first : last + 1] = True
+        before, after = max(first - 1, 0), min(last + 1, y.size - 1)
+        moved = max(usual, abs(y[after] - y[before]), step[before], step[after + 1])
+        loud = min(beyond[before], beyond[after]) > LOUD * moved
+        dropped[first : last + 1] = loud and y[before] * y[after] > 0
+    silent = ok & ~speaks
+    lasts = silent & (np.roll(silent, 1) | np.roll(silent, -1))
+    if not grid.quantum and lasts.sum() <= LASTING * ok.sum():
+        dropped |= silent & ~lasts
     if not 0 < dropped.sum() <= DROPPED * ok.sum():
         return np.zeros_like(ok)
     remarks.append(
-        f"{dropped.sum()} zeros between two loud readings of one sign are dropouts, and taken as"
-        f" missing, the first at {grid.t[dropped][0]:.6g} s"
+        f"{dropped.sum()} zeros that no output explains are dropouts, and taken as missing, the"
+        f" first at {grid.t[dropped][0]:.6g} s"
     )
     return dropped
 
@@ -98,7 +98,7 @@ def _stuck(grid: Grid, ok: Flags, remarks: list[str]) -> Flags:
     longest = int(np.argmax(lengths))
     second = float(np.delete(lengths, longest).max(initial=1.0))
     part = slice(int(first[longest]) - 1, int(last[longest]) + 1)
-    moves = _moved(grid.u[part]) > MOVING * _moved(grid.u)
+    moves = grid.u[part].std(axis=0) > MOVING * grid.u.std(axis=0)
     least = max(STUCK * ok.sum(), LONGER * second)
     if not least <= lengths[longest] < ok.sum() / 2 or not moves.any():
         return stuck
@@ -108,8 +108,3 @@ def _stuck(grid: Grid, ok: Flags, remarks: list[str]) -> Flags:
         f" {grid.t[part.start]:.6g} s on, while the input moves: taken as missing"
     )
     return stuck
-
-
-def _moved(u: Floats) -> Floats:
-    """By how much each input moves (m)."""
-    return np.asarray(u.std(axis=0))

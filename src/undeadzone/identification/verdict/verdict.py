@@ -38,7 +38,6 @@ LARGER = {  # words of models that hold a word's model and more
     "input_zone": ("two_zones",),
     "play": ("both",),
 }
-PLACES = {"dead_zone", "friction", "input_zone", "zone_and_friction", "two_zones"}
 ADVICE = (
     "to tell a sensor's zone from friction, record with an input that reverses within the plant's"
     " slowest time constant (steps or noise of 0.4 to 1.5 times its bandwidth, 50 reversals or"
@@ -199,12 +198,11 @@ def best_of(word: str, models: Sequence[Family]) -> Density:
     return min(named_so, key=lambda one: one.bic / one.value.size)
 
 
-def undecided(odds: dict[str, float], *reasons: str) -> Verdict:
+def undecided(odds: dict[str, float]) -> Verdict:
     """That no name is likely enough, with what could be there."""
-    likely = [MODELS[word] for word, share in odds.items() if share >= UNLIKELY]
-    apart = f"this record cannot tell {' from '.join(likely)}"
-    places = PLACES.intersection(word for word, share in odds.items() if share >= UNLIKELY)
-    return because("undecided", *(reasons or [apart]), *([ADVICE] if len(places) > 1 else []))
+    likely = [word for word, share in odds.items() if share >= UNLIKELY]
+    apart = f"this record cannot tell {' from '.join(MODELS[word] for word in likely)}"
+    return because("undecided", apart, *([ADVICE] if "friction" in likely else []))
 
 
 def _without_zone(case: Case) -> Verdict:

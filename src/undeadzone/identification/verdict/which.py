@@ -162,7 +162,7 @@ def with_play(case: Case, found: Found) -> Found:
     plays = []
     for data in logs:
         fits = fit_play(plant.part_of(data), orders, case.options.integrators)
-        if fits and fits[0].density.value.size == case.rivals["none"].value.size:
+        if fits:
             plays.append((_without_glitches(fits[0]), fits[1:], data))
     if not plays:
         return found
@@ -183,10 +183,8 @@ def _is_asked(case: Case, found: Found, offsets: Offsets, brief: Fit) -> bool:
     if perhaps or offsets.name in ("play", "both"):
         return True
     both = fit_both([brief])  # a lag of the plant may pass for a play
-    if both is None:
-        return False
-    models = {"none": case.rivals["none"], "both": both.density}
-    return odds_of((*found.models, models), excluded(case))["both"] > UNLIKELY
+    models = {"none": case.rivals["none"]} | ({} if both is None else {"both": both.density})
+    return odds_of((*found.models, models), excluded(case)).get("both", 0.0) > UNLIKELY
 
 
 def _without_glitches(fit: PlayFit) -> PlayFit:
@@ -208,8 +206,7 @@ def with_gap(case: Case, found: Found) -> Found:
         found: named a play, or both.
     """
     assert found.plays is not None
-    word, whole = found.verdict.word, found.plays.whole
-    fit = found.plays.fits[word]
+    fit, whole = found.plays.fits[found.verdict.word], found.plays.whole
     gap = find_gap(fit, found.plays.others, case.quantum)
     case.advance(1)
     rms = gap.fit.squares.rms(gap.fit.theta)
@@ -221,8 +218,7 @@ def with_gap(case: Case, found: Found) -> Found:
         return with_gap(case, found) if found.verdict.word in MEMORY else found
     element = of_play(gap, whole, case.offset)
     delay = case.fitted.delay if whole is case.data else 0
-    verdict = _with_offsets(found.verdict, word, offsets)
-    return found._replace(verdict=verdict, element=element, delay=delay)
+    return found._replace(element=element, delay=delay)
 
 
 def _denied(gap: Gap, offsets: Offsets) -> bool:
@@ -236,17 +232,6 @@ def _denied(gap: Gap, offsets: Offsets) -> bool:
 def is_there(interval: Interval) -> bool:
     """Whether a gap is above 0 for certain, and no less than matters."""
     return interval.low > 0 and interval.value > LEAST_GAP
-
-
-def _with_offsets(verdict: Verdict, word: str, offsets: Offsets) -> Verdict:
-    """The verdict on a play, with what the four offsets say beside it."""
-    if word == "both" or offsets.name not in ("dead_zone", "both"):
-        return verdict
-    zone, std = offsets.widths[1], offsets.std[1]
-    return verdict.with_cautions(
-        f"the four offsets of the readings show a dead zone of {zone:.3g} +- {2 * std:.2g} in"
-        " rms of y beside the play: the fit is not perfect"
-    )
 
 
 # --- A play, and perhaps a dead zone after it
