@@ -83,7 +83,8 @@ def test_numbers_cost_and_words_are_left_out() -> None:
     family = densities(np.random.default_rng(3), 0.0, 1e-6)
     more = family["saturation"]._replace(numbers=6)
     odds = odds_of([family | {"cubic": more}])
-    assert odds["other"] / odds["none"] == pytest.approx(1 / 800, rel=1e-2)
+    assert odds["other"] / odds["saturation"] == pytest.approx(1 / 800, rel=1e-2)
+    assert odds["none"] == pytest.approx(2 * odds["saturation"], rel=1e-2)  # two things may be
     assert set(odds_of([family], {"saturation"})) == {"none"}
     assert behind([family])["none"] == pytest.approx(0.0, abs=1e-12)
 
@@ -97,12 +98,12 @@ def test_families_of_other_readings_are_compared_by_what_they_gain() -> None:
 
 
 def test_which_models_hold_which() -> None:
-    sensor, both = Shape("sensor", sensor=True), Shape("both", sensor=True, inner=True, free=1)
+    sensor = Shape("sensor", "dead_zone", sensor=True)
+    both = Shape("both", "zone_and_friction", sensor=True, inner=True, free=1)
     assert both.holds(sensor)
-    assert both.holds(Shape("none"))
+    assert both.holds(Shape("none", "none"))
     assert not sensor.holds(both)
-    assert not both.holds(Shape("friction of a position", inner=True, position=True))
-    assert both.word == "zone_and_friction"
+    assert not both.holds(Shape("at a position", "friction", inner=True, position=True))
 
 
 # --- levels

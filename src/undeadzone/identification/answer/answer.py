@@ -64,8 +64,9 @@ class Answer(NamedTuple):
     """What a log says.
 
     Attributes:
-        verdict: dead_zone, none, saturation, jump, play, both (play and dead zone), friction,
-            input_zone, other, unclear or unreached.
+        verdict: dead_zone, none, operating_point, saturation, jump, play, both (play and dead
+            zone), friction, input_zone, two_zones (input and sensor), other, undecided, unclear or
+            unreached.
         reasons: why, in words.
         right, left, width, centre: (value, low, high) with 95 % intervals, of what the verdict
             names [y], of an input zone [u]; None where the verdict allows no such number.

@@ -18,7 +18,7 @@ from undeadzone.identification.models.estimates import weighing
 from undeadzone.identification.models.least_squares import Density, Fitted, LeastSquares
 from undeadzone.identification.models.likelihood import dead_zone
 from undeadzone.identification.models.plant import Data, Simulator
-from undeadzone.identification.models.zone_fit import Fit, fit_linear
+from undeadzone.identification.models.zone_fit import Fit, about_level, fit_linear
 from undeadzone.support.arrays import Floats, Integers
 
 HALVES = (0.15, 0.5, 1.0)  # of the gap, in rms of y, where climbs begin
@@ -172,7 +172,8 @@ def fit_both(begun: Sequence[PlayFit | Fit]) -> PlayFit | None:
 
 def _gaps(model: PlayModel, linear: Fit) -> list[Floats]:
     """Gaps of several sizes behind a plant somewhat louder than a linear fit's."""
-    return [_begun(model, linear, LOUDER, [half, half, 0.0, 0.0]) for half in HALVES]
+    begun = [[*about_level(linear, half), 0.0, 0.0] for half in HALVES]
+    return [_begun(model, linear, LOUDER, numbers) for numbers in begun]
 
 
 def _begun(model: PlayModel | MapModel, plant: Fit, gain: float, p: Sequence[float]) -> Floats:
@@ -184,7 +185,7 @@ def _begun(model: PlayModel | MapModel, plant: Fit, gain: float, p: Sequence[flo
 
 def _ranked(fits: list[PlayFit | None]) -> list[PlayFit]:
     """The fits that there are, that of least BIC first."""
-    return sorted((one for one in fits if one is not None), key=lambda one: one.density.bic)
+    return sorted((one for one in fits if one is not None), key=lambda one: one.bic)
 
 
 # --- Static maps: (z (N), two numbers p) -> (g (N), dg/dz (N), dg/dp (N x 2))

@@ -207,6 +207,11 @@ class Fitted(NamedTuple, Generic[M]):
         """The plant and the element."""
         return self.squares.model
 
+    @property
+    def bic(self) -> float:
+        """-2 L + p ln N of the numbers that were fitted, by which orders are compared."""
+        return self.squares.density(self.theta).bic
+
 
 # --- What is left, as a curve
 

@@ -100,22 +100,13 @@ def simulate(n: int, m: int, position: bool, exogenous: Floats, numbers: Floats)
 
 # --- The models
 
-# The verdict's word by (sensor, inner, input).
-WORDS = {
-    (False, False, False): "none",
-    (True, False, False): "dead_zone",
-    (False, True, False): "friction",
-    (False, False, True): "input_zone",
-    (True, True, False): "zone_and_friction",
-    (True, False, True): "two_zones",
-}
-
 
 class Shape(NamedTuple):
     """Which parts a model has.
 
     Attributes:
         name: of the model.
+        word: the verdict's for what is there.
         sensor: a zone of the sensor, d_r and d_l.
         inner: friction in the recursion, phi_r and phi_l.
         input: a zone of the input.
@@ -126,6 +117,7 @@ class Shape(NamedTuple):
     """
 
     name: str
+    word: str
     sensor: bool = False
     inner: bool = False
     input: bool = False
@@ -133,16 +125,11 @@ class Shape(NamedTuple):
     sticks: bool = False
     free: int = 0
 
-    @property
-    def word(self) -> str:
-        """The verdict's word for what is there."""
-        return WORDS[self.sensor, self.inner, self.input]
-
     def holds(self, other: Shape) -> bool:
         """Whether another model is this one with some of its numbers 0."""
         if other.inner and other.position != self.position:
             return False
-        return all(mine >= theirs for mine, theirs in zip(self[1:], other[1:], strict=True))
+        return all(mine >= theirs for mine, theirs in zip(self[2:], other[2:], strict=True))
 
 
 class PlaceModel:

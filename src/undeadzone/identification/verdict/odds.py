@@ -5,6 +5,9 @@ log of the same machine another one. So the odds are the mean over logs that mig
 recorded as well (bagged posteriors: Huggins and Miller 2023): the sum of the differences between
 two models' log densities scatters over such logs as its cosines do (I1), whatever the colour of
 what the models leave.
+
+Beforehand a plant without a zone is as likely as all that may be there together, so that the more
+is asked the less is found by chance (Scott and Berger 2010).
 """
 
 from __future__ import annotations
@@ -38,9 +41,11 @@ def odds_of(families: Sequence[Family], excluded: Collection[str] = ()) -> dict[
             word = WORDS.get(name, name)
             if word not in excluded:
                 scores[word] = np.maximum(scores.get(word, -math.inf), drawn)
-    shares = softmax(np.array(list(scores.values())), axis=0).mean(axis=1)
-    order = np.argsort(-shares)
     words = list(scores)
+    prior = [0.0 if word == "none" else -math.log(max(len(words) - 1, 1)) for word in words]
+    table = np.array(list(scores.values())) + np.array(prior)[:, None]
+    shares = softmax(table, axis=0).mean(axis=1)
+    order = np.argsort(-shares)
     return {words[k]: float(shares[k]) for k in order}
 
 

@@ -354,8 +354,6 @@ def judge_no_zone(fit: zone_fit.Fit) -> NoZone:
     robust, naive = float(row @ spread.V @ row), float(row @ spread.naive @ row)
     ratio = 2 * max(best.value - linear.value, 0.0) / max(1.0, robust / max(naive, 1e-300))
     chance = float(chi2.sf(ratio, 1))  # of the width; the level has its number in both
-    if best.right + best.left <= spread.half_width(row):
-        chance = max(chance, 0.05)
     return NoZone(chance, best)
 
 

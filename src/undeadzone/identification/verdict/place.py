@@ -37,23 +37,26 @@ def _fit_all(fit: Fit) -> dict[str, PlaceFit]:
         if fitted is not None:
             fits[shape.name] = fitted
 
-    enter(Shape("none"), starts.none())
-    enter(Shape("sensor", sensor=True), starts.at_sensor())
+    enter(Shape("none", "none"), starts.none())
+    enter(Shape("sensor", "dead_zone", sensor=True), starts.at_sensor())
     if starts.simulator.layout.m == 1:
-        enter(Shape("input", input=True), starts.at_input())
-    enter(Shape("friction", inner=True), starts.friction())
-    enter(Shape("friction of a position", inner=True, position=True), starts.friction())
+        enter(Shape("input", "input_zone", input=True), starts.at_input())
+    enter(Shape("friction", "friction", inner=True), starts.friction())
+    shape = Shape("friction of a position", "friction", inner=True, position=True)
+    enter(shape, starts.friction())
     if starts.n > 1:
-        enter(Shape("friction, free", inner=True, free=starts.n - 1), starts.free(fits))
+        shape = Shape("friction, free", "friction", inner=True, free=starts.n - 1)
+        enter(shape, starts.free(fits))
     for name in ("friction", "friction, free"):
         if name in fits:
             free = fits[name].model.shape.free
-            shape = Shape(f"{name}, sticking", inner=True, sticks=True, free=free)
+            shape = Shape(f"{name}, sticking", "friction", inner=True, sticks=True, free=free)
             enter(shape, starts.sticking(fits[name]))
-            shape = Shape(f"sensor and {name}", sensor=True, inner=True, free=free)
+            together = "zone_and_friction"
+            shape = Shape(f"sensor and {name}", together, sensor=True, inner=True, free=free)
             enter(shape, starts.with_sensor(fits[name]))
     if "input" in fits:
-        shape = Shape("sensor and input", sensor=True, input=True)
+        shape = Shape("sensor and input", "two_zones", sensor=True, input=True)
         enter(shape, starts.with_sensor(fits["input"]))
     return fits
 

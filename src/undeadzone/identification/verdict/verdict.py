@@ -53,8 +53,8 @@ MODELS = {
     "other": "another curve",
     "jump": "a zone with a jump (readings not shifted)",
     "play": "play (gear backlash, hysteresis)",
-    "both": "a play and a dead zone",
-    "play_and_zone": "a play and a dead zone",
+    "both": "a play with a dead zone after it",
+    "play_and_zone": "a play with a dead zone after it",
     "friction": "friction in the plant",
     "input_zone": "a zone of the input",
     "zone_and_friction": "friction beside a dead zone of the sensor",
@@ -130,11 +130,6 @@ def because(word: str, *reasons: str) -> Verdict:
     return Verdict(word, list(reasons), [])
 
 
-def explains_better(name: str, *more: str) -> Verdict:
-    """The verdict that a model explains the log better than a dead zone."""
-    return because(name, f"{MODELS[name]} explains the log better", *more)
-
-
 # --- By the odds
 
 
@@ -167,9 +162,9 @@ def named(case: Case, odds: dict[str, float], models: Sequence[Family]) -> Verdi
         return _without_zone(case)
     if word == "other" or best.strange:
         fully = ", but not fully either" if best.strange else ""
-        return because("other", f"{MODELS[best.name]} explains the log better{fully}")
+        return because("other", f"{MODELS[best.name]} explains the log best{fully}")
     advice = [ADVICE] if word == "friction" else []
-    return explains_better(word, *advice).with_cautions(*cautions)
+    return because(word, f"{MODELS[word]} explains the log best", *advice).with_cautions(*cautions)
 
 
 def _claimed(odds: dict[str, float]) -> str:

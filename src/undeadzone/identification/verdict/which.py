@@ -166,7 +166,7 @@ def with_play(case: Case, found: Found) -> Found:
             plays.append((_without_glitches(fits[0]), fits[1:], data))
     if not plays:
         return found
-    play, others, whole = min(plays, key=lambda one: one[0].density.bic)
+    play, others, whole = min(plays, key=lambda one: one[0].bic)
     begun = [reduced(one.pairs) for one in case.fitted.fits] if whole is case.data else []
     both = fit_both([play, *begun])
     tops = {"play": play} | ({} if both is None else {"both": both})
@@ -340,12 +340,14 @@ def of_input_zone(fits: Sequence[Fit]) -> Element | None:
     tops = []
     for one in fits:
         starts = PlaceStarts(longest_record(one))
-        fitted = fit_place(starts.simulator, Shape("input", input=True), starts.at_input())
+        fitted = fit_place(
+            starts.simulator, Shape("input", "input_zone", input=True), starts.at_input()
+        )
         if fitted is not None:
             tops.append(fitted)
     if not tops:
         return None
-    return _of_input(min(tops, key=lambda one: one.density.bic), fits[0].objective.data)
+    return _of_input(min(tops, key=lambda one: one.bic), fits[0].objective.data)
 
 
 def _of_input(fit: PlaceFit, whole: plant.Data) -> Element:
