@@ -82,7 +82,7 @@ def test_odds_of_two_equal_models_are_even_over_logs() -> None:
 def test_numbers_cost_and_words_are_left_out() -> None:
     family = densities(np.random.default_rng(3), 0.0, 1e-6)
     more = family["saturation"]._replace(numbers=6)
-    odds = odds_of([family | {"cubic": more}])
+    odds = odds_of([family | {"other": more}])
     assert odds["other"] / odds["saturation"] == pytest.approx(1 / 800, rel=1e-2)
     assert odds["none"] == pytest.approx(2 * odds["saturation"], rel=1e-2)  # two things may be
     assert set(odds_of([family], {"saturation"})) == {"none"}
@@ -164,6 +164,13 @@ def test_a_width_that_may_be_0_is_undecided() -> None:
     rng = np.random.default_rng(0)
     y = dead_zone(z, 0.01, 0.01) + 0.3 * rng.standard_normal(z.size)
     assert found(u, y).verdict in ("none", "undecided")
+
+
+def test_readings_that_stick_at_both_ends_are_a_saturation() -> None:
+    rng, u, z = driven(12, 1000)
+    answer = found(u, np.clip(z + 0.02 * rng.standard_normal(z.size), -0.4, 0.5))
+    assert answer.verdict == "saturation"
+    assert "[-0.4, 0.5]" in answer.answer.reasons[0]
 
 
 def test_odds_are_printed_and_sum_to_1() -> None:

@@ -25,7 +25,6 @@ from undeadzone.identification.logs.prepare import Prepared, prepare
 from undeadzone.identification.models.elements import best_of_each, static_rivals
 from undeadzone.identification.models.estimates import KeptClimbs
 from undeadzone.identification.models.kalman_fit import fit_kalman
-from undeadzone.identification.models.least_squares import Density
 from undeadzone.identification.models.likelihood import taken_off
 from undeadzone.identification.models.zone_fit import Fit, longest_record, polished, reduced
 from undeadzone.identification.verdict import orders
@@ -252,8 +251,11 @@ def _fitted(
     if no_zone.fit is not chosen.pairs:
         chosen = chosen._replace(singles=no_zone.fit, pairs=no_zone.fit)
     residuals = orders.residual_map(chosen.singles)
-    fits = [chosen if one.n == chosen.n else one for one in fitted.fits]
-    rivals = _rivals(fitted.prepared, fits)
+    fits = {one.n: one for one in fitted.fits} | {chosen.n: chosen}
+    rivals = {}  # behind plants of each order, on the readings as they are
+    for n, one in fits.items():
+        rivals[n] = static_rivals(_of_readings(fitted.prepared, reduced(one.singles)))
+    suited = min(rivals, key=lambda n: min(one.bic for one in rivals[n].values()))
     advance(1)
     return Case(
         grid=grid,
@@ -265,7 +267,7 @@ def _fitted(
         no_zone=no_zone,
         residuals=residuals,
         rivals=best_of_each(itertools.chain(*(one.values() for one in rivals.values()))),
-        suited=_suited(rivals, fits),
+        suited=fits[suited],
         advance=advance,
     )
 
@@ -275,16 +277,6 @@ def _polished(chosen: orders.OrderFit) -> orders.OrderFit:
     pairs = polished(chosen.pairs)
     singles = pairs if chosen.pairs is chosen.singles else polished(chosen.singles)
     return chosen._replace(singles=singles, pairs=pairs)
-
-
-def _rivals(prepared: Prepared, fits: list[orders.OrderFit]) -> dict[int, dict[str, Density]]:
-    """Static rivals behind plants of each order, on the readings as they are."""
-    return {one.n: static_rivals(_of_readings(prepared, reduced(one.singles))) for one in fits}
-
-
-def _suited(rivals: dict[int, dict[str, Density]], fits: list[orders.OrderFit]) -> orders.OrderFit:
-    """The order behind which a static map explains the readings best."""
-    return min(fits, key=lambda one: min(density.bic for density in rivals[one.n].values()))
 
 
 def _of_readings(prepared: Prepared, fit: Fit) -> Fit:

@@ -71,7 +71,8 @@ class Answer(NamedTuple):
         right, left, width, centre: (value, low, high) with 95 % intervals, of what the verdict
             names [y], of an input zone [u]; None where the verdict allows no such number.
         remarks: what was done to the log, and what to be careful about.
-        loop: p of what past residuals say of the input, if no loop is closed.
+        loop: p of what past residuals say of the input, if no loop is closed; 1 where the plant
+            does not fit, so that they tell nothing.
         options: what the user said.
         case: the log, fitted with a zone of the sensor.
         found: what was found of it.
@@ -197,7 +198,7 @@ def to_answer(case: Case, found: Found) -> Answer:
     best, orders = next(iter(found.kalman), None), credible(case.fitted.fits)
     widths = find_widths(chosen, orders, case.fitted.alike, best, case.quantum, case.offset)
     edges = widths.right.value, widths.left.value
-    loop = loop_chance(chosen.pairs, case.recorded.u)
+    loop = loop_chance(chosen.pairs, case.recorded.u) if chosen.white else 1.0
     answer = Answer(
         verdict=found.verdict.word,
         reasons=found.verdict.reasons,

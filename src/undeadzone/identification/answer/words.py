@@ -8,7 +8,7 @@ import numpy as np
 
 from undeadzone.identification.answer.answer import Answer
 from undeadzone.identification.models.estimates import DIRECTIONS, Interval
-from undeadzone.identification.verdict.odds import WORDS, behind
+from undeadzone.identification.verdict.odds import behind
 from undeadzone.identification.verdict.place import levels_of
 from undeadzone.identification.verdict.verdict import MODELS
 
@@ -305,7 +305,6 @@ def _held_out(answer: Answer, unit: str) -> str:
 def rivals_in_words(answer: Answer) -> list[tuple[str, str, float]]:
     """Every model with its odds in words and how far it is behind, in nats per reading."""
     rows = []
-    for name, nats in sorted(behind(answer.found.models).items(), key=lambda row: row[1]):
-        odds = answer.found.odds.get(WORDS.get(name, name), 0.0)
-        rows.append((MODELS[name], f"{100 * odds:.1f} %", nats))
+    for word, nats in sorted(behind(answer.found.models).items(), key=lambda row: row[1]):
+        rows.append((MODELS[word], f"{100 * answer.found.odds.get(word, 0.0):.1f} %", nats))
     return rows

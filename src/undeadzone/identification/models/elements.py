@@ -261,8 +261,8 @@ class MapModel:
         self.shape = shape
         self.base = simulator.layout.right
         self.free: Integers = np.arange(self.base if shape is linear else self.base + 2)
-        own = name in ("absolute", "dead_zone")  # whose numbers hold a level
-        self.has_level = not own and not simulator.layout.integrators
+        holds = shape is absolute or name == "dead_zone"  # whose own numbers are a level too
+        self.has_level = not holds and not simulator.layout.integrators
 
     def project(self, theta: Floats) -> Floats:
         """Numbers as they are: each pair of them makes sense."""
@@ -294,7 +294,7 @@ def static_rivals(fit: Fit) -> dict[str, Density]:
         fit: plant and zone of the record, where the rivals start.
 
     Returns:
-        Densities by name: none, dead_zone, saturation, absolute, cubic, jump.
+        Densities by the verdict's words: none, dead_zone, saturation, jump, other (|z|, cubic).
     """
     densities = []
     for name, shape, starts in _maps(fit):
@@ -330,8 +330,8 @@ def _maps(fit: Fit) -> list[Begun]:
         ("none", linear, [(plain, 1.0, [0.0, 0.0])]),
         ("dead_zone", shifted, zones),
         ("saturation", saturation, [(plain, 1.2, ends), (plain, 2.0, ends)]),
-        ("absolute", absolute, [(plain, 3.0, [0.0, 0.0]), (fit, 1.0, across)]),
-        ("cubic", cubic, [(plain, 1.0, [0.0, 0.0])]),
+        ("other", absolute, [(plain, 3.0, [0.0, 0.0]), (fit, 1.0, across)]),
+        ("other", cubic, [(plain, 1.0, [0.0, 0.0])]),
     ]
     jumps = [(plain, 1.0, own), (plain, 1.1, mean), (fit, 0.8, own)]
     blurs = [max(part * fit.s, LEAST_BLUR) for part in BLURS]

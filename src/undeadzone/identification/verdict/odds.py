@@ -23,12 +23,11 @@ from undeadzone.identification.models.least_squares import Density
 from undeadzone.support.arrays import Floats
 
 DRAWS = 2000
-WORDS = {"absolute": "other", "cubic": "other", "play_and_zone": "both"}  # where a name is none
-Family = Mapping[str, Density]  # models of the same readings, by name; one of them is "none"
+Family = Mapping[str, Density]  # models of the same readings, by word; one of them is "none"
 
 
 def odds_of(families: Sequence[Family], excluded: Collection[str] = ()) -> dict[str, float]:
-    """The odds of what may be there, largest first; a word's are those of its best model.
+    """The odds of what may be there, by the verdict's words, largest first.
 
     Args:
         families: models of the same readings; the readings of another family may be others.
@@ -37,14 +36,12 @@ def odds_of(families: Sequence[Family], excluded: Collection[str] = ()) -> dict[
     least = min((family["none"] for family in families), key=lambda one: one.value.size)
     scores: dict[str, Floats] = {}
     for family in families:
-        for name, drawn in zip(family, _drawn(family, least).T, strict=True):
-            word = WORDS.get(name, name)
+        for word, drawn in zip(family, _drawn(family, least).T, strict=True):
             if word not in excluded:
                 scores[word] = np.maximum(scores.get(word, -math.inf), drawn)
     words = list(scores)
-    prior = [0.0 if word == "none" else -math.log(max(len(words) - 1, 1)) for word in words]
-    table = np.array(list(scores.values())) + np.array(prior)[:, None]
-    shares = softmax(table, axis=0).mean(axis=1)
+    choice = math.log(max(len(words) - 1, 1)) * (np.array(words) != "none")
+    shares = softmax(np.array(list(scores.values())) - choice[:, None], axis=0).mean(axis=1)
     order = np.argsort(-shares)
     return {words[k]: float(shares[k]) for k in order}
 
@@ -63,14 +60,14 @@ def _drawn(family: Family, least: Density) -> Floats:
 
 
 def behind(families: Sequence[Family]) -> dict[str, float]:
-    """Nats a reading by which each model is behind the best, by name.
+    """Nats a reading by which each model is behind the best, by word.
 
     Args:
         families: as for `odds_of`.
     """
     gained: dict[str, float] = {}
     for family in families:
-        for name, one in family.items():
+        for word, one in family.items():
             gain = (family["none"].bic - one.bic) / (2 * one.value.size)
-            gained[name] = max(gain, gained.get(name, -math.inf))
-    return {name: max(gained.values()) - gain for name, gain in gained.items()}
+            gained[word] = max(gain, gained.get(word, -math.inf))
+    return {word: max(gained.values()) - gain for word, gain in gained.items()}

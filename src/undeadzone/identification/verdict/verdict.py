@@ -19,7 +19,7 @@ from undeadzone.identification.models.plant import Data
 from undeadzone.identification.models.zone_fit import Fit, fit_linear
 from undeadzone.identification.verdict import orders
 from undeadzone.identification.verdict.delays import FittedOrders
-from undeadzone.identification.verdict.odds import WORDS, Family
+from undeadzone.identification.verdict.odds import Family
 from undeadzone.support.arrays import Floats
 
 LEAST = 0.5  # share of the held-out readings that a fit must explain
@@ -48,13 +48,10 @@ MODELS = {
     "dead_zone": "a dead zone of the sensor",
     "none": "a plant without any zone",
     "saturation": "a saturation",
-    "absolute": "an absolute value",
-    "cubic": "a cubic curve",
-    "other": "another curve",
+    "other": "another curve (|z|, cubic)",
     "jump": "a zone with a jump (readings not shifted)",
     "play": "play (gear backlash, hysteresis)",
     "both": "a play with a dead zone after it",
-    "play_and_zone": "a play with a dead zone after it",
     "friction": "friction in the plant",
     "input_zone": "a zone of the input",
     "zone_and_friction": "friction beside a dead zone of the sensor",
@@ -151,10 +148,13 @@ def named(case: Case, odds: dict[str, float], models: Sequence[Family]) -> Verdi
     unclear = _unclear(case, word, best)
     if unclear is not None:
         return unclear
-    more = [one for one in LARGER.get(word, ()) if odds.get(one, 0.0) > UNLIKELY]
+    ends = case.fitted.prepared.ends
+    if ends and word in ("none", "saturation"):
+        return because("saturation", f"readings stick at the ends of the range {ends}")
+    more = list(filter(lambda one: odds.get(one, 0.0) > UNLIKELY, LARGER.get(word, ())))
     sure = sum(odds.get(one, 0.0) for one in (word, *more))
     if sure < LIKELY and not (word == case.options.kind == "play"):
-        return undecided(odds)
+        return _undecided(odds)
     cautions = [f"{MODELS[one]} is not excluded" for one in more]
     if word == "dead_zone":
         return _by_residual(case).with_cautions(*cautions)
@@ -162,7 +162,7 @@ def named(case: Case, odds: dict[str, float], models: Sequence[Family]) -> Verdi
         return _without_zone(case)
     if word == "other" or best.strange:
         fully = ", but not fully either" if best.strange else ""
-        return because("other", f"{MODELS[best.name]} explains the log best{fully}")
+        return because("other", f"{MODELS[word]} explains the log best{fully}")
     advice = [ADVICE] if word == "friction" else []
     return because(word, f"{MODELS[word]} explains the log best", *advice).with_cautions(*cautions)
 
@@ -189,13 +189,13 @@ def _by_jump(case: Case, odds: dict[str, float], models: Sequence[Family]) -> Ve
 
 def best_of(word: str, models: Sequence[Family]) -> Density:
     """The best model of a word, by BIC per reading."""
-    named_so = [one[name] for one in models for name in one if WORDS.get(name, name) == word]
-    return min(named_so, key=lambda one: one.bic / one.value.size)
+    there = filter(None, (family.get(word) for family in models))
+    return min(there, key=lambda one: one.bic / one.value.size)
 
 
-def undecided(odds: dict[str, float]) -> Verdict:
+def _undecided(odds: dict[str, float]) -> Verdict:
     """That no name is likely enough, with what could be there."""
-    likely = [word for word, share in odds.items() if share >= UNLIKELY]
+    likely = list(filter(lambda word: odds[word] >= UNLIKELY, odds))
     apart = f"this record cannot tell {' from '.join(MODELS[word] for word in likely)}"
     return because("undecided", apart, *([ADVICE] if "friction" in likely else []))
 
@@ -204,10 +204,6 @@ def _without_zone(case: Case) -> Verdict:
     """The verdict on readings that a linear plant explains best."""
     y = case.grid.y[case.grid.ok]
     low, high = np.quantile(y, [FEW, 1 - FEW])
-    if case.fitted.prepared.ends:
-        ends = case.fitted.prepared.ends
-        reason = f"readings stick at the ends of the range {ends}, and between them they need no"
-        return because("saturation", f"{reason} zone")
     if low > 0 or high < 0:
         about = f"{float(y.mean()):.4g}"
         reason = (
