@@ -149,7 +149,8 @@ def named(case: Case, odds: dict[str, float], models: Sequence[Family]) -> Verdi
     if unclear is not None:
         return unclear
     ends = case.fitted.prepared.ends
-    if ends and word in ("none", "saturation"):
+    clipped = odds.get("none", 0.0) + odds.get("saturation", 0.0)
+    if ends and word in ("none", "saturation", "other") and clipped > UNLIKELY:
         return because("saturation", f"readings stick at the ends of the range {ends}")
     more = list(filter(lambda one: odds.get(one, 0.0) > UNLIKELY, LARGER.get(word, ())))
     sure = sum(odds.get(one, 0.0) for one in (word, *more))
