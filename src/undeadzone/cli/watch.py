@@ -14,10 +14,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from undeadzone.cli.common import (
+    PATH,
     SCHEMA,
     columns_option,
     confined,
     exit_code,
+    option,
     print_blocks,
     say,
     strict_option,
@@ -35,40 +37,22 @@ if TYPE_CHECKING:
     from undeadzone.support.arrays import Floats
 
 BLOCK = 1 << 20  # bytes that are read at once, if as many have come
+TIME = click.FloatRange(min=0, min_open=True, max=threading.TIMEOUT_MAX)  # [s]
 
 
 @click.command(
     epilog="Example: undeadzone watch mine.toml < samples.csv > estimates.csv; on Windows: "
     "type samples.csv | undeadzone watch mine.toml > estimates.csv"
 )
-@click.argument("scenario", type=click.Path(path_type=Path), metavar="SCENARIO.toml")
+@click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
 @click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON object per sample instead of CSV."
 )
 @columns_option
 @strict_option
-@click.option(
-    "--state",
-    type=click.Path(path_type=Path),
-    default=None,
-    metavar="FILE",
-    help="Keep the observer's state in FILE, and go on from it if it is there.",
-)
-@click.option(
-    "--every",
-    type=click.FloatRange(min=0, min_open=True),
-    default=10.0,
-    show_default=True,
-    metavar="SECONDS",
-    help="How often the state is saved.",
-)
-@click.option(
-    "--heartbeat",
-    type=click.FloatRange(min=0, min_open=True, max=threading.TIMEOUT_MAX),
-    default=None,
-    metavar="SECONDS",
-    help="Say so often on stderr how far it is, samples or none.",
-)
+@option("--state", "FILE", "Keep the observer's state there, and go on from it.", type=PATH)
+@option("--every", "SECONDS", "How often the state is saved.", type=TIME, default=10.0)
+@option("--heartbeat", "SECONDS", "Say on stderr so often how far it is.", type=TIME)
 @untrusted
 @confined
 def watch(

@@ -13,9 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.identification.models import plant
 from undeadzone.identification.models.elements import PlayFit, PlayModel, fit_both, fit_play
-from undeadzone.identification.models.estimates import DIRECTIONS, Interval, best_top, weighing
+from undeadzone.identification.models.estimates import Interval, best_top, weighing
 from undeadzone.identification.models.kalman_fit import KalmanFit
 from undeadzone.identification.models.least_squares import LeastSquares
 from undeadzone.identification.models.likelihood import dead_zone
@@ -316,11 +317,11 @@ def _with_zone(element: Element, gap: Gap, scale: float) -> Element:
 def _sides(gap: Gap, offset: float | None) -> dict[str, Interval | None]:
     """The play's widths [y]; what an offset of the output leaves of its sides and its centre."""
     shown: dict[str, Interval | None] = {}
-    for name in DIRECTIONS:
+    for name, row in DIRECTIONS.items():
         interval = gap.intervals[name]
-        if name != "width":
+        if shift := abs(row[0] - row[1]):  # by which an offset of 1 moves it
             above = interval.high - interval.value
-            half = np.inf if offset is None else float(np.hypot(above, offset))
+            half = np.inf if offset is None else float(np.hypot(above, shift * offset))
             interval = Interval.around(interval.value, half)
         shown[name] = interval.scaled(gap.fit.model.data.y_scale)
     if gap.fit.model.tied:
