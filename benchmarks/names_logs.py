@@ -183,6 +183,6 @@ def _reader(truth: str, widths: Floats, gaps: Floats) -> Callable[[float], float
             return through_zone(z, *widths)
         if truth == "saturation":
             return min(max(z, -1.2 * widths[0] - 0.2), 1.2 * widths[1] + 0.2)
-        return z + 0.4 * z**3 if truth == "cubic" else z
+        return z + 0.4 * min(max(z, -4.0), 4.0) ** 3 if truth == "cubic" else z  # in a loop too
 
     return read

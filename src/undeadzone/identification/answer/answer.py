@@ -246,22 +246,16 @@ def _with_edges(answer: Answer) -> Answer:
 
 def _doubt(answer: Answer, shown: Shown) -> str:
     """Why the widths do not show a zone; empty where they do, or the user knows of it."""
-    free = not _known(answer.options, "right", "left")
     width = shown["width"]
-    if width is not None and free and width.low <= 0:
-        return (
-            f"the width's interval holds 0: {width.value:.4g} [{width.low:.4g}, {width.high:.4g}]"
-        )
+    if width is not None and width.low <= 0 < width.half:
+        interval = f"{width.value:.4g} [{width.low:.4g}, {width.high:.4g}]"
+        return f"the width's interval holds 0: {interval}"
     for name in ("right", "left"):
+        low, high = answer.options.bounds(name)
         edge = shown[name]
-        if edge is not None and edge.low == edge.high and not _known(answer.options, name):
+        if edge is not None and low < high and edge.low == edge.high:
             return f"the {name} edge moves no reading: the fit never found the zone"
     return ""
-
-
-def _known(options: Options, *sides: str) -> bool:
-    """Whether the user gave these edges."""
-    return all(options.bounds(side)[0] == options.bounds(side)[1] for side in sides)
 
 
 def _showing(answer: Answer, shown: Shown, remarks: list[str]) -> Answer:

@@ -221,9 +221,8 @@ def _unclear(case: Case, word: str, best: Density) -> Verdict | None:
     within = 1 - best.rms / float(data.y[data.ok].std())
     share = chosen.share if word in FITTED else within
     if share < LEAST:
-        explained = (
-            f"the best plant explains {100 * max(share, 0.0):.0f} % of the held-out readings"
-        )
+        which = "held-out readings" if word in FITTED else "readings"
+        explained = f"the best plant explains {100 * max(share, 0.0):.0f} % of the {which}"
         if within > LEAST:
             cure = f", and {100 * within:.0f} % of all: it changes, or another input acts"
         else:
