@@ -33,6 +33,7 @@ NAMES = (
     "certificates",
     "arms",
     "identify",
+    "names",
     "identify_known",
     "identify_speed",
     "damaged_logs",

@@ -73,13 +73,11 @@ def outcome_of(family: str, seed: int) -> Outcome:
     assert isinstance(answer, uz.Identified)
     spent = time.process_time() - began
     whole = answer.answer
-    place = whole.found.place
     return {
         "family": family,
         "seed": seed,
         "seconds": round(spent, 2),
         "verdict": answer.verdict,
-        "place": "" if place is None else place.verdict,
         "true_order": made.n,
         "order": answer.order,
         "true": [made.right, made.left],

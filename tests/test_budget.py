@@ -29,7 +29,7 @@ BUDGET = {
     "ensemble": 1970,
     "exports": 2020,
     "feedforward": 370,
-    "identification": 5370,
+    "identification": 5450,
     "linear": 400,
     "logs": 1240,
     "numerics": 640,

@@ -8,6 +8,7 @@ Then it is fitted, judged and measured. What was found in the end is told.
 from __future__ import annotations
 
 import hashlib
+import itertools
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,17 +22,22 @@ from undeadzone.identification.answer.result import Identified, IdentifiedOutput
 from undeadzone.identification.logs.grid import Grid, shortened, to_grid
 from undeadzone.identification.logs.log import Log, Options, log_of_arrays, read_log
 from undeadzone.identification.logs.prepare import Prepared, prepare
-from undeadzone.identification.models.elements import better_rivals, static_rivals
+from undeadzone.identification.models.elements import best_of_each, static_rivals
 from undeadzone.identification.models.estimates import KeptClimbs
 from undeadzone.identification.models.kalman_fit import fit_kalman
-from undeadzone.identification.models.least_squares import Density
 from undeadzone.identification.models.likelihood import taken_off
 from undeadzone.identification.models.zone_fit import Fit, longest_record, polished, reduced
 from undeadzone.identification.verdict import orders
 from undeadzone.identification.verdict.delays import fitted_with_delay, without_unreached
-from undeadzone.identification.verdict.place import find_place, rescued, with_place
-from undeadzone.identification.verdict.verdict import Case, by_maps, unmodelled
-from undeadzone.identification.verdict.which import Found, of_input_zone, with_play
+from undeadzone.identification.verdict.place import find_places
+from undeadzone.identification.verdict.verdict import Case, because, unmodelled
+from undeadzone.identification.verdict.which import (
+    MEMORY,
+    Found,
+    of_input_zone,
+    with_gap,
+    with_play,
+)
 from undeadzone.support.answers import Answers
 from undeadzone.support.progress import in_notebook
 
@@ -73,7 +79,7 @@ def identify(
         right: d_r if known, "0.2,1.0" for bounds, inf for no such edge [y].
         left: the same for d_l.
         offset: rms of a constant offset of the output [y], or "free".
-        held_out: share of the log, at its end, that checks the fit.
+        held_out: share of the log, in blocks over it, that checks the fit.
         noise: "before" the zone, "after" it, or "auto".
         place: "sensor" where the user knows that the zone is there, or "auto".
         kind: "deadzone", "jump" (readings are not shifted), "play" or "auto".
@@ -221,7 +227,7 @@ def identify_output(
         InputError: nothing can be learnt.
     """
     case = _fitted(shortened(grid, options.integrators), options, advance, climbs)
-    found = Found(by_maps(case), case.fitted.delay)
+    found = Found(because("unclear"), case.fitted.delay, (), {}).judged(case, case.rivals)
     if found.verdict.word == "jump" and _shows_edges(case):
         as_jump = msgspec.structs.replace(options, kind="jump")
         return identify_output(case.grid, as_jump, advance, climbs)
@@ -245,7 +251,11 @@ def _fitted(
     if no_zone.fit is not chosen.pairs:
         chosen = chosen._replace(singles=no_zone.fit, pairs=no_zone.fit)
     residuals = orders.residual_map(chosen.singles)
-    rivals = _rivals(fitted.prepared, chosen, fitted.fits)
+    fits = {one.n: one for one in fitted.fits} | {chosen.n: chosen}
+    rivals = {}  # behind plants of each order, on the readings as they are
+    for n, one in fits.items():
+        rivals[n] = static_rivals(_of_readings(fitted.prepared, reduced(one.singles)))
+    suited = min(rivals, key=lambda n: min(one.bic for one in rivals[n].values()))
     advance(1)
     return Case(
         grid=grid,
@@ -256,7 +266,8 @@ def _fitted(
         chosen=chosen,
         no_zone=no_zone,
         residuals=residuals,
-        rivals=rivals,
+        rivals=best_of_each(itertools.chain(*(one.values() for one in rivals.values()))),
+        suited=fits[suited],
         advance=advance,
     )
 
@@ -266,17 +277,6 @@ def _polished(chosen: orders.OrderFit) -> orders.OrderFit:
     pairs = polished(chosen.pairs)
     singles = pairs if chosen.pairs is chosen.singles else polished(chosen.singles)
     return chosen._replace(singles=singles, pairs=pairs)
-
-
-def _rivals(
-    prepared: Prepared, chosen: orders.OrderFit, fits: list[orders.OrderFit]
-) -> dict[str, Density]:
-    """Static rivals, on the readings as they are."""
-    rivals = static_rivals(_of_readings(prepared, reduced(chosen.singles)))
-    if fits[-1].n > chosen.n:  # another map may need more poles than the zone was given
-        larger = static_rivals(_of_readings(prepared, reduced(fits[-1].singles)))
-        rivals = better_rivals(rivals, larger)
-    return rivals
 
 
 def _of_readings(prepared: Prepared, fit: Fit) -> Fit:
@@ -316,23 +316,20 @@ def _with_filter(case: Case, found: Found) -> Found:
 
 def _has_a_place(case: Case, found: Found) -> bool:
     """Whether the place of the zone is asked."""
-    known = case.options.place == "sensor" or case.jumps or found.element is not None
+    known = case.options.place == "sensor" or case.jumps
     return not (known or case.unreached or case.options.integrators)
 
 
 def _with_place(case: Case, found: Found) -> Found:
-    """Where the zone is; what is no zone of the sensor may be friction or one of the input."""
-    place = find_place(longest_record(case.chosen.pairs))
-    if found.verdict.word == "dead_zone":
-        loudest = found.kalman[0].r if found.kalman else 0.0
-        silenced = loudest > max(2 * case.quantum, 0.01)
-        verdict = with_place(found.verdict, place, silenced)
-        return found._replace(verdict=verdict, place=place)
-    one, rivals = longest_record(case.chosen.singles), case.rivals
-    if one is not case.chosen.singles:
-        rivals = static_rivals(one)
-    verdict = rescued(found.verdict, place, rivals)
-    return found if verdict is found.verdict else found._replace(verdict=verdict, place=place)
+    """With models of friction, of a zone of the input, and of two zones."""
+    places = find_places(longest_record(case.suited.pairs))
+    models = {word: one.density for word, one in places.items()}
+    return found._replace(places=places).judged(case, models)
+
+
+def _is_a_play(case: Case, found: Found) -> bool:
+    """Whether a play, or a play and a dead zone, is named."""
+    return found.verdict.word in MEMORY and found.plays is not None
 
 
 def _may_lack_something(case: Case, found: Found) -> bool:
@@ -356,9 +353,10 @@ def _with_actuator(case: Case, found: Found) -> Found:
 
 
 QUESTIONS = (
-    Question("a play, or a play and a dead zone", _without_jump, with_play),
-    Question("noise that falls silent in the zone", _falls_silent, _with_filter),
     Question("friction, or a zone of the input", _has_a_place, _with_place),
+    Question("a play, or a play and a dead zone", _without_jump, with_play),
+    Question("the widths of a play", _is_a_play, with_gap),
+    Question("noise that falls silent in the zone", _falls_silent, _with_filter),
     Question("a spring that bends, or an offset", _may_lack_something, _with_remainder),
     Question("a dead zone of the actuator", _is_at_input, _with_actuator),
 )

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 CAPTIONS = {
-    "overview": "Output z^ of the fitted plant, reading y and the zone with its 95 % bands; the"
-    " last, shaded part checked a fit of the part before it. Below: which side each reading shows.",
+    "overview": "Output z^ of the fitted plant, reading y and the zone with its 95 % bands;"
+    " shaded parts checked a fit of the others. Below: which side each reading shows.",
     "residual_map": "What the zone leaves of the readings, by z^, with 95 % bands: a curve here is"
     " another nonlinearity. Grey: single readings.",
     "residual": "Correlation of the one-step residual, and of it with past inputs, with 95 % bands"
@@ -103,8 +103,7 @@ def identified_page(
             if answer.element is None
             else [html.section("What it is", *html.pick(shown, "element"))]
         ),
-        html.section("Is it a dead zone?", *_rivals(found_log), *html.pick(shown, "residual_map")),
-        *_place(found_log),
+        html.section("What is there?", *_rivals(found_log), *html.pick(shown, "residual_map")),
         *_fits(found_log, shown),
         origin=origin,
     )
@@ -121,7 +120,7 @@ def _fits(found_log: Identified, shown: dict[str, html.Html]) -> list[html.Html]
 
 
 def _rivals(found_log: Identified) -> list[html.Html]:
-    """Static rivals and the residual map in numbers."""
+    """Every model with its odds, and the residual map in numbers."""
     answer = found_log.answer
     residuals = answer.case.residuals
     words = (
@@ -133,28 +132,8 @@ def _rivals(found_log: Identified) -> list[html.Html]:
     )
     rivals = rivals_in_words(answer)
     return [
-        html.table(("what the sensor may be", "behind, nats a sample"), rivals),
+        html.table(("what may be there", "odds", "behind, nats a reading"), rivals),
         html.paragraph(words),
-    ]
-
-
-def _place(found_log: Identified) -> list[html.Html]:
-    """Where the zone is."""
-    place = found_log.answer.found.place
-    if place is None:
-        return []
-    words = (
-        f"λ = {with_interval(place.lam, place.half / HALF_95)} (95 %): 1 is a zone of the sensor, 0"
-        f" friction in the plant. By λ: {place.by_lambda}; by comparing models: {place.by_rivals};"
-        f" together: {place.verdict}."
-    )
-    rows = sorted(place.behind.items(), key=lambda row: row[1])
-    return [
-        html.section(
-            "Where is the zone?",
-            html.paragraph(words),
-            html.table(("place", "behind, nats a sample"), rows),
-        )
     ]
 
 
@@ -207,4 +186,4 @@ def _standing(found_log: Identified, one: OrderFit) -> str:
     """Whether an order was chosen, or could not be."""
     if one.n == found_log.order:
         return "chosen"
-    return "a pole does not settle within the log" if at_limit(one) else ""
+    return "a pole does not settle within the log" if at_limit(one.pairs) else ""

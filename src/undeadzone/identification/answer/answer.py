@@ -13,6 +13,7 @@ from undeadzone.identification.logs.log import Options
 from undeadzone.identification.models.estimates import Interval, quantile
 from undeadzone.identification.models.kalman import AT_INPUT, NAMES
 from undeadzone.identification.models.kalman_fit import KalmanFit, innovations
+from undeadzone.identification.models.least_squares import CHANCE
 from undeadzone.identification.models.plant import Layout, Simulator
 from undeadzone.identification.models.zone_fit import Fit
 from undeadzone.identification.verdict.orders import (
@@ -20,6 +21,7 @@ from undeadzone.identification.verdict.orders import (
     credible,
     hears_input,
     is_white,
+    loop_chance,
     trained_part,
 )
 from undeadzone.identification.verdict.verdict import Case
@@ -63,12 +65,15 @@ class Answer(NamedTuple):
     """What a log says.
 
     Attributes:
-        verdict: dead_zone, none, saturation, jump, play, both (play and dead zone), friction,
-            input_zone, other, unclear or unreached.
+        verdict: dead_zone, none, operating_point, saturation, jump, play, both (play and dead
+            zone), friction, input_zone, two_zones (input and sensor), other, undecided, unclear or
+            unreached.
         reasons: why, in words.
         right, left, width, centre: (value, low, high) with 95 % intervals, of what the verdict
             names [y], of an input zone [u]; None where the verdict allows no such number.
         remarks: what was done to the log, and what to be careful about.
+        loop: p of what past residuals say of the input, if no loop is closed; 1 where the plant
+            does not fit, so that they tell nothing.
         options: what the user said.
         case: the log, fitted with a zone of the sensor.
         found: what was found of it.
@@ -84,6 +89,7 @@ class Answer(NamedTuple):
     width: Interval | None
     centre: Interval | None
     remarks: list[str]
+    loop: float
     options: Options
     case: Case
     found: Found
@@ -193,11 +199,13 @@ def to_answer(case: Case, found: Found) -> Answer:
     best, orders = next(iter(found.kalman), None), credible(case.fitted.fits)
     widths = find_widths(chosen, orders, case.fitted.alike, best, case.quantum, case.offset)
     edges = widths.right.value, widths.left.value
+    loop = loop_chance(chosen.pairs, case.recorded.u) if chosen.white else 1.0
     answer = Answer(
         verdict=found.verdict.word,
         reasons=found.verdict.reasons,
         **dict.fromkeys(DIRECTIONS),
-        remarks=[*case.fitted.prepared.remarks, *found.verdict.cautions],
+        remarks=[*case.fitted.prepared.remarks, *found.verdict.cautions, *_loop(loop)],
+        loop=loop,
         options=case.options,
         case=case,
         found=found,
@@ -229,8 +237,25 @@ def _with_edges(answer: Answer) -> Answer:
     shown = _shown_jump(answer.case) or _shown(answer, 2.0 if heard else 1.0)
     remarks = [*_late(answer), *_edge_remarks(answer, shown, heard)]
     remarks += _hardly_passed(answer, shown)
+    doubt = _doubt(answer, shown)
+    if doubt:
+        return answer._replace(verdict="undecided", reasons=[doubt])
     word = "unreached" if answer.case.unreached else answer.verdict
     return _showing(answer, shown, remarks)._replace(verdict=word)
+
+
+def _doubt(answer: Answer, shown: Shown) -> str:
+    """Why the widths do not show a zone; empty where they do, or the user knows of it."""
+    width = shown["width"]
+    if width is not None and width.low <= 0 < width.half:
+        interval = f"{width.value:.4g} [{width.low:.4g}, {width.high:.4g}]"
+        return f"the width's interval holds 0: {interval}"
+    for name in ("right", "left"):
+        low, high = answer.options.bounds(name)
+        edge = shown[name]
+        if edge is not None and low < high and edge.low == edge.high:
+            return f"the {name} edge moves no reading: the fit never found the zone"
+    return ""
 
 
 def _showing(answer: Answer, shown: Shown, remarks: list[str]) -> Answer:
@@ -254,6 +279,17 @@ def _late(answer: Answer) -> list[str]:
         return []
     time = "" if grid.counted else f" ({delay * grid.step:.4g} s)"
     return [f"the input acts {delay} samples late{time}"]
+
+
+def _loop(chance: float) -> list[str]:
+    """That the input answers to the readings, where it does."""
+    if chance > CHANCE:
+        return []
+    return [
+        "the input answers to the readings: the log is of a closed loop. Widths of a sensor's zone"
+        " hold in a loop; those of a play and of the input's zone may be off by more than their"
+        " intervals where a disturbance is strong"
+    ]
 
 
 def _edge_remarks(answer: Answer, shown: Shown, heard: bool) -> list[str]:

@@ -71,7 +71,7 @@ class Identified:
 
     @property
     def verdict(self) -> str:
-        """One word: dead_zone, none, saturation, jump, play, both, friction, input_zone, ..."""
+        """One word: dead_zone, none, play, both, friction, input_zone, undecided, ..."""
         return self.answer.verdict
 
     @property

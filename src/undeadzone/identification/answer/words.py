@@ -9,7 +9,9 @@ import numpy as np
 from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.identification.answer.answer import Answer
 from undeadzone.identification.models.estimates import Interval
-from undeadzone.identification.verdict.verdict import MODELS, winning_rival
+from undeadzone.identification.verdict.odds import behind
+from undeadzone.identification.verdict.place import levels_of
+from undeadzone.identification.verdict.verdict import MODELS
 from undeadzone.support.text import bracketed
 
 HEADS = {
@@ -22,9 +24,20 @@ HEADS = {
     "both": "NO, not alone: a play and a dead zone",
     "friction": "NO: friction in the plant",
     "input_zone": "NO: a zone of the input",
+    "two_zones": "yes, and not alone: the input has one too",
+    "operating_point": "nothing can be known of a zone",
     "other": "NO: another nonlinearity",
+    "undecided": "undecided",
     "unclear": "nothing can be said",
 }
+SHORT = {
+    "dead_zone": "sensor",
+    "input_zone": "input",
+    "both": "play and sensor",
+    "zone_and_friction": "sensor and friction",
+    "two_zones": "sensor and input",
+}
+LEAST_SHOWN = 0.005  # odds that are worth a word
 AT_ZERO = "  assumes z = 0 at u = 0"
 
 
@@ -55,8 +68,9 @@ def numbers(answer: Answer) -> dict[str, Any]:
         "disturbance": answer.disturbance._asdict(),
         "zone_width": None if answer.element is None else _listed(answer.element.zone),
         "offsets": _offsets(answer),
-        "alternatives": behind_the_best(answer),
-        "place": _place(answer),
+        "odds": answer.found.odds,
+        "alternatives": behind(answer.found.models),
+        "levels": _levels(answer),
         "held_out": {
             "error": chosen.error * answer.scale,
             "fit": chosen.share,
@@ -66,6 +80,7 @@ def numbers(answer: Answer) -> dict[str, Any]:
             {"order": one.n, "bic": one.pairs.bic, "held_out_error": one.error * answer.scale}
             for one in answer.case.fitted.fits
         ],
+        "closed_loop": answer.loop,
         "no_zone": answer.case.no_zone.chance,
         "residual_map": {
             "share": answer.case.residuals.share,
@@ -107,27 +122,11 @@ def _offsets(answer: Answer) -> dict[str, Any] | None:
     return {"name": offsets.name, "play": play, "dead_zone": zone, "rest": rest}
 
 
-def behind_the_best(answer: Answer) -> dict[str, Any]:
-    """Nats per sample by which static rivals and other places are behind the best of their kind."""
-    rivals = answer.case.rivals
-    best = min(one.bic for one in rivals.values())
-    return {name: (one.bic - best) / (2 * one.value.size) for name, one in rivals.items()}
-
-
-def _place(answer: Answer) -> dict[str, Any] | None:
-    """The place of the zone, lambda, and how far other places are behind."""
-    place = answer.found.place
-    if place is None:
-        return None
+def _levels(answer: Answer) -> dict[str, list[float]]:
+    """Friction and the zone of the input, right and left [u]."""
     u_scale = answer.fit.objective.data.u_scale[0]
-    return {
-        "verdict": place.verdict,
-        "lambda": [place.lam, place.lam - place.half, place.lam + place.half],
-        "by_rivals": place.by_rivals,
-        "by_lambda": place.by_lambda,
-        "behind": place.behind,
-        "levels": {name: [u_scale * one for one in two] for name, two in place.levels.items()},
-    }
+    levels = levels_of(answer.found.places)
+    return {word: [float(u_scale * one) for one in two] for word, two in levels.items()}
 
 
 def _stages(answer: Answer) -> dict[str, Any]:
@@ -161,9 +160,7 @@ def in_words(answer: Answer) -> dict[str, Any]:
     lines["dead zone"] = HEADS[answer.verdict] + _certainty(answer)
     if answer.reasons:
         lines["why"] = answer.reasons
-    place = answer.found.place
-    if place is not None:
-        lines["where"] = _where(answer)
+    lines["odds"] = odds_in_words(answer)
     unit = _unit(answer.case.grid.output_unit)
     lines |= _widths(answer)
     lines["disturbance"] = _disturbance(answer, unit)
@@ -261,13 +258,9 @@ def _certainty(answer: Answer) -> str:
     """How sure the zone is."""
     if not answer.zone:
         return ""
-    chance = answer.case.no_zone.chance
-    sure = chance_in_words(chance)
     if answer.fit.objective.kind != "behind":
-        sure = "silence"
-    if winning_rival(answer.case.rivals) is None:
-        return f" ({sure}; no other static map, no play explains it better)"
-    return f" ({sure})"
+        return " (silence)"
+    return f" ({chance_in_words(answer.case.no_zone.chance)})"
 
 
 def chance_in_words(chance: float) -> str:
@@ -275,18 +268,14 @@ def chance_in_words(chance: float) -> str:
     return "p < 0.001" if chance < 1e-3 else f"p = {chance:.2g}"
 
 
-def _where(answer: Answer) -> str:
-    """The place of the zone."""
-    place = answer.found.place
-    assert place is not None
-    text = f"{place.verdict}: lambda {place.lam:.2f} +- {place.half:.2g} (1 sensor, 0 friction)"
-    behind = []
-    for name in ("sensor", "friction", "input"):
-        if name in place.behind and place.behind[name] > 0:
-            behind.append(f"{name} {place.behind[name]:.2g}")
-    if behind:
-        text += "; behind the best, nats a sample: " + ", ".join(behind)
-    return text
+def odds_in_words(answer: Answer) -> str:
+    """What may be there, by how likely it is: sensor 97 %, friction 3 %."""
+    shown = []
+    for word, share in answer.found.odds.items():
+        if share >= LEAST_SHOWN:
+            percent = "> 99" if share > 1 - LEAST_SHOWN else f"{100 * share:.0f}"
+            shown.append(f"{SHORT.get(word, word)} {percent} %")
+    return ", ".join(shown)
 
 
 def _disturbance(answer: Answer, unit: str) -> str:
@@ -307,7 +296,7 @@ def _disturbance(answer: Answer, unit: str) -> str:
 def _held_out(answer: Answer, unit: str) -> str:
     """How the fit does on data that had no part in it."""
     chosen = answer.chosen
-    share = f"last {100 * answer.options.held_out:.0f} %"
+    share = f"{100 * answer.options.held_out:.0f} % in blocks"
     white = "white" if chosen.white else "not white"
     return (
         f"{share}: rms error {chosen.error * answer.scale:.3g}{unit},"
@@ -315,8 +304,9 @@ def _held_out(answer: Answer, unit: str) -> str:
     )
 
 
-def rivals_in_words(answer: Answer) -> list[tuple[str, float]]:
-    """Static rivals by how far they are behind, in nats per sample."""
-    behind = behind_the_best(answer)
-    words = MODELS | {"dead_zone": "a dead zone of the sensor"}
-    return sorted(((words[name], value) for name, value in behind.items()), key=lambda row: row[1])
+def rivals_in_words(answer: Answer) -> list[tuple[str, str, float]]:
+    """Every model with its odds in words and how far it is behind, in nats per reading."""
+    rows = []
+    for word, nats in sorted(behind(answer.found.models).items(), key=lambda row: row[1]):
+        rows.append((MODELS[word], f"{100 * answer.found.odds.get(word, 0.0):.1f} %", nats))
+    return rows

@@ -42,7 +42,7 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
             side) [y]; default: from the log.
         offset: rms of a constant offset of the output [y], or "free": then the width alone has an
             interval; default 0, none.
-        held_out: share of the log, at its end, that checks the fit; default 0.3.
+        held_out: share of the log, in blocks over it, that checks the fit; default 0.3.
         noise: before (ahead of the zone), after, or auto: from exact zeros in the log.
         place: where the zone is: sensor if the user knows, auto to find out.
         kind: deadzone, jump (readings are not shifted), play, or auto: they are told apart.

@@ -16,18 +16,16 @@ import numpy as np
 from undeadzone.errors import InputError
 from undeadzone.identification.logs.grid import Grid
 from undeadzone.identification.logs.log import Options
+from undeadzone.identification.logs.usable import usable
 from undeadzone.identification.models.likelihood import taken_off
 from undeadzone.identification.models.plant import Data
 from undeadzone.identification.models.zone import Limits
-from undeadzone.logs.range_ends import range_ends
 from undeadzone.support.arrays import Flags, Floats, Integers, runs
 
 STRETCH = 250  # samples of an integrating plant that have one state at their start
 PER_NUMBER = 50  # readings needed for each pole, and one more
 ZEROS = 0.01  # share of silent readings that shows noise ahead of the zone
 OFTEN = 5  # times the next reading's count, by which a silence comes back
-SPIKE = 10.0  # times the 99 % quantile of |y|, beyond which few readings are no readings
-RARE = 0.005  # share of the readings that may be dropped as spikes
 FAR_EDGE = 100.0  # rms of y: an edge that is never reached
 SIDES = {"right": 1, "left": -1}
 NEAREST = 20  # passages of an edge whose least readings tell the density there
@@ -88,14 +86,7 @@ def prepare(grid: Grid, options: Options) -> Prepared:
     """
     remarks = list(grid.remarks)
     _require_silence_at_zero(grid)
-    ok = _without_spikes(grid, remarks)
-    ends = range_ends(grid.y, ok, grid.quantum)
-    if ends.found:
-        ok &= ~ends.at(grid.y, ok)
-        remarks.append(
-            f"{ends.number} readings stick at the ends of the range {ends.text}: there they "
-            "only bound the output, and are taken as missing"
-        )
+    ok, ends = usable(grid, remarks)
     y = np.where(ok, grid.y, 0.0)
     threshold = 0.5 * grid.quantum * (1 - 1e-9)
     if options.threshold is not None:
@@ -124,27 +115,12 @@ def _require_silence_at_zero(grid: Grid) -> None:
     most, next_most = int(order[-1]), int(order[-2])
     value, count = float(values[most]), int(counts[most])
     low, high = np.quantile(y[y != value], [0.05, 0.95]) if count < y.size else (value, value)
-    inside = low < value < high
-    if value != 0 and inside and count > ZEROS * y.size and count > OFTEN * counts[next_most]:
+    returns = low < value < high and runs(grid.ok & (grid.y == value))[0].size > 1
+    if value != 0 and returns and count > ZEROS * y.size and count > OFTEN * counts[next_most]:
         raise InputError(
             f"log: the reading {value:.9g} comes back exactly in {100 * count / y.size:.0f} % of"
             f" the samples: is the sensor silent there, and not at 0? then say --zero {value:.9g}"
         )
-
-
-def _without_spikes(grid: Grid, remarks: list[str]) -> Flags:
-    """Which readings count (N): not the few far beyond all others (one would rule every sum)."""
-    ok, size = grid.ok.copy(), np.abs(grid.y)
-    usual = float(np.quantile(size[ok], 0.99))
-    spikes = np.flatnonzero(ok & (size > SPIKE * usual))
-    if usual == 0.0 or not 0 < spikes.size <= max(1, RARE * ok.sum()):
-        return ok
-    ok[spikes] = False
-    remarks.append(
-        f"{spikes.size} readings beyond {SPIKE:g} times the usual size are taken as missing,"
-        f" the first at {grid.t[spikes[0]]:.6g} s"
-    )
-    return ok
 
 
 def _refuse(grid: Grid, y: Floats, side: Integers) -> None:

@@ -8,7 +8,7 @@ sum of both centres shows. A static map reads y = g(z).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 
 import numpy as np
@@ -18,7 +18,7 @@ from undeadzone.identification.models.estimates import weighing
 from undeadzone.identification.models.least_squares import Density, Fitted, LeastSquares
 from undeadzone.identification.models.likelihood import dead_zone
 from undeadzone.identification.models.plant import Data, Simulator
-from undeadzone.identification.models.zone_fit import Fit, fit_linear
+from undeadzone.identification.models.zone_fit import Fit, about_level, fit_linear
 from undeadzone.support.arrays import Floats, Integers
 
 HALVES = (0.15, 0.5, 1.0)  # of the gap, in rms of y, where climbs begin
@@ -39,7 +39,7 @@ class PlayModel:
         zone: whether a dead zone follows; then c_l = c_r.
     """
 
-    first, last, gain = 0, 60, 1e-4
+    first, last, gain, has_level = 0, 60, 1e-4, False  # a level is in c_r - c_l, d_r - d_l or x0
 
     def __init__(self, simulator: Simulator, zone: bool = False) -> None:
         self.name = "play_and_zone" if zone else "play"
@@ -172,7 +172,8 @@ def fit_both(begun: Sequence[PlayFit | Fit]) -> PlayFit | None:
 
 def _gaps(model: PlayModel, linear: Fit) -> list[Floats]:
     """Gaps of several sizes behind a plant somewhat louder than a linear fit's."""
-    return [_begun(model, linear, LOUDER, [half, half, 0.0, 0.0]) for half in HALVES]
+    begun = [[*about_level(linear, half), 0.0, 0.0] for half in HALVES]
+    return [_begun(model, linear, LOUDER, numbers) for numbers in begun]
 
 
 def _begun(model: PlayModel | MapModel, plant: Fit, gain: float, p: Sequence[float]) -> Floats:
@@ -184,7 +185,7 @@ def _begun(model: PlayModel | MapModel, plant: Fit, gain: float, p: Sequence[flo
 
 def _ranked(fits: list[PlayFit | None]) -> list[PlayFit]:
     """The fits that there are, that of least BIC first."""
-    return sorted((one for one in fits if one is not None), key=lambda one: one.density.bic)
+    return sorted((one for one in fits if one is not None), key=lambda one: one.bic)
 
 
 # --- Static maps: (z (N), two numbers p) -> (g (N), dg/dz (N), dg/dp (N x 2))
@@ -214,6 +215,12 @@ def absolute(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
     """|z - p_0| + p_1."""
     sign = np.sign(z - p[0])
     return np.abs(z - p[0]) + p[1], sign, np.column_stack([-sign, np.ones(z.size)])
+
+
+def cubic(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
+    """z + p_0 z^2 + p_1 z^3."""
+    slope = 1.0 + 2 * p[0] * z + 3 * p[1] * z**2
+    return z + p[0] * z**2 + p[1] * z**3, slope, np.column_stack([z**2, z**3])
 
 
 def blurred_zone(blur: float, z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
@@ -254,6 +261,8 @@ class MapModel:
         self.shape = shape
         self.base = simulator.layout.right
         self.free: Integers = np.arange(self.base if shape is linear else self.base + 2)
+        holds = shape is absolute or name == "dead_zone"  # whose own numbers are a level too
+        self.has_level = not holds and not simulator.layout.integrators
 
     def project(self, theta: Floats) -> Floats:
         """Numbers as they are: each pair of them makes sense."""
@@ -285,21 +294,44 @@ def static_rivals(fit: Fit) -> dict[str, Density]:
         fit: plant and zone of the record, where the rivals start.
 
     Returns:
-        Densities by name: dead_zone, none, saturation, absolute, jump, play.
+        Densities by the verdict's words: none, dead_zone, saturation, jump, other (|z|, cubic).
     """
+    densities = []
+    for name, shape, starts in _maps(fit):
+        squares = LeastSquares(MapModel(fit.objective.simulator, name, shape))
+        fitted = squares.best([_begun(squares.model, *start) for start in starts])
+        densities.append(_nothing(squares) if fitted is None else fitted.density)
+    return best_of_each(densities)
+
+
+def best_of_each(densities: Iterable[Density]) -> dict[str, Density]:
+    """The density of least BIC of each name."""
+    best: dict[str, Density] = {}
+    for one in densities:
+        best[one.name] = min(one, best.get(one.name, one), key=lambda density: density.bic)
+    return best
+
+
+# A map, and where its climbs start: a plant, the factor of its gain, the map's numbers.
+Begun = tuple[str, Map, list[tuple[Fit, float, list[float]]]]
+
+
+def _maps(fit: Fit) -> list[Begun]:
+    """The maps, and where they start beside the fit of a dead zone."""
     simulator, is_behind = fit.objective.simulator, fit.objective.kind == "behind"
     plain = fit_linear(simulator, fit.objective.readings.ok)
     own = [max(fit.right, 0.0), max(fit.left, 0.0)]
-    mean = [max(0.5 * (fit.right + fit.left), 0.05)] * 2
+    mean = [max(0.5 * fit.width, 0.05)] * 2
     high, low = (float(np.quantile(simulator.data.y, q)) for q in (0.95, 0.05))
     ends = [max(high, 0.05), max(-low, 0.05)]
     across = [-float(fit.z.std()) / 5, 0.0]
-    # A map, and where its climbs start: a plant, the factor of its gain, the map's numbers.
-    maps: list[tuple[str, Map, list[tuple[Fit, float, list[float]]]]] = [
+    zones = [(fit, 1.0, own), (plain, 1.0, [0.0, 0.0])]
+    maps: list[Begun] = [
         ("none", linear, [(plain, 1.0, [0.0, 0.0])]),
-        ("dead_zone", shifted, [(fit, 1.0, own)]),
+        ("dead_zone", shifted, zones),
         ("saturation", saturation, [(plain, 1.2, ends), (plain, 2.0, ends)]),
-        ("absolute", absolute, [(plain, 3.0, [0.0, 0.0]), (fit, 1.0, across)]),
+        ("other", absolute, [(plain, 3.0, [0.0, 0.0]), (fit, 1.0, across)]),
+        ("other", cubic, [(plain, 1.0, [0.0, 0.0])]),
     ]
     jumps = [(plain, 1.0, own), (plain, 1.1, mean), (fit, 0.8, own)]
     blurs = [max(part * fit.s, LEAST_BLUR) for part in BLURS]
@@ -307,39 +339,10 @@ def static_rivals(fit: Fit) -> dict[str, Density]:
         maps.append(("jump", partial(blurred_jump, blur), jumps))
         if not is_behind:
             maps.append(("dead_zone", partial(blurred_zone, blur), [(fit, 1.0, own)]))
-    rivals: dict[str, Density] = {}
-    for name, shape, starts in maps:
-        model = MapModel(simulator, name, shape)
-        _enter(rivals, LeastSquares(model), [_begun(model, *start) for start in starts])
-    play = PlayModel(simulator)
-    _enter(rivals, LeastSquares(play), _gaps(play, plain))
-    return rivals
+    return maps
 
 
-def _enter(
-    rivals: dict[str, Density],
-    squares: LeastSquares[MapModel] | LeastSquares[PlayModel],
-    starts: list[Floats],
-) -> None:
-    """Enter the density of a fit; of none where no start makes sense, which is the worst."""
-    fitted = squares.best(starts)
-    if fitted is not None:
-        _keep_better(rivals, fitted.density)
-    else:
-        nothing = np.full(squares.data.y.size, -1e3)
-        _keep_better(rivals, Density(squares.model.name, nothing, squares.free.size, math.inf))
-
-
-def _keep_better(rivals: dict[str, Density], density: Density) -> None:
-    """Enter a density where it is the first or the better of its name, by BIC."""
-    name = density.name
-    if name not in rivals or density.bic < rivals[name].bic:
-        rivals[name] = density
-
-
-def better_rivals(first: dict[str, Density], second: dict[str, Density]) -> dict[str, Density]:
-    """The better of each model at two orders, by BIC."""
-    best = dict(first)
-    for density in second.values():
-        _keep_better(best, density)
-    return best
+def _nothing(squares: LeastSquares[MapModel]) -> Density:
+    """The account of a model of which no start makes sense, which is the worst."""
+    worst = np.full(squares.data.y.size, -1e3)
+    return Density(squares.model.name, worst, squares.free.size, math.inf)

@@ -357,10 +357,15 @@ def long_run_covariance(scores: Floats, count: int | None = None) -> tuple[Float
     Returns:
         J (P x P) and K.
     """
+    parts = cosines(scores, count)
+    return len(scores) * (parts.T @ parts) / len(parts), len(parts)
+
+
+def cosines(scores: Floats, count: int | None = None) -> Floats:
+    """The slow parts of scores (K x P), by which their sum scatters; as `long_run_covariance`."""
     size = scores.shape[0]
     number = max(8, min(int(0.4 * size ** (2 / 3)), size // 8)) if count is None else count
-    parts = dct(scores, axis=0, norm="ortho")[1 : number + 1]
-    return size * (parts.T @ parts) / number, number
+    return np.asarray(dct(scores, axis=0, norm="ortho")[1 : number + 1])
 
 
 def sandwich(scores: Floats, hessian: Floats, count: int | None = None) -> Spread:

@@ -17,7 +17,7 @@ from undeadzone.identification.models.plant import Simulator
 from undeadzone.identification.models.zone import FAR
 from undeadzone.support.arrays import Floats, Integers
 
-CLEARLY = 2.0  # Vuong's statistic from which one model beats another
+ROUNDS, STEPS = 2, 10  # of the climb to the best density, each with a correlation of its own
 HATS = 8
 COSINES = 24
 SURE_SHARE = 0.1  # of the residual that a curve explains, from which it is another nonlinearity
@@ -34,6 +34,7 @@ class Model(Protocol):
         free: places of the numbers that are fitted.
         first, last: steps of a climb from every start (0: all go to the end), and to the end.
         gain: two steps in a row that gain less end a climb.
+        has_level: whether a constant beside its readings is fitted: a log may lie about any level.
     """
 
     name: str
@@ -42,6 +43,7 @@ class Model(Protocol):
     first: int
     last: int
     gain: float
+    has_level: bool
 
     def project(self, theta: Floats) -> Floats:
         """Numbers brought back to where they make sense; these may be changed."""
@@ -87,12 +89,14 @@ class LeastSquares(Generic[M]):
 
     Args:
         model: the plant and the element.
+        rho: correlation of residuals over one sample, which is taken out of them.
     """
 
     longest = math.inf
 
-    def __init__(self, model: M) -> None:
+    def __init__(self, model: M, rho: float = 0.0) -> None:
         self.model = model
+        self.rho = rho
         self.data = model.simulator.data
         self.free, self.gain, self.climbs = model.free, model.gain, self.data.climbs
         self._count = int(self.data.ok.sum())
@@ -100,12 +104,18 @@ class LeastSquares(Generic[M]):
     def residual(self, theta: Floats) -> Floats:
         """y less what is expected (N); 0 where a reading is missing."""
         expected = self.model.readings(self.model.output(theta), theta)
-        return (self.data.y - expected) * self.data.ok
+        return self._without_level(self.data.y - expected)
+
+    def _without_level(self, columns: Floats) -> Floats:
+        """Less their mean, which is the best constant; 0 where a reading is missing."""
+        ok = self.data.ok
+        level = columns[ok].mean(axis=0) if self.model.has_level else 0.0
+        return np.where(ok, (columns - level).T, 0.0).T
 
     def rows(self, theta: Floats) -> tuple[Floats, Floats]:
         """Residual (N) and derivatives of the reading by the free numbers (N x free)."""
         expected, slopes = self.model.slopes(theta)
-        return (self.data.y - expected) * self.data.ok, slopes * self.data.ok[:, None]
+        return self._without_level(self.data.y - expected), self._without_level(slopes)
 
     def rms(self, theta: Floats) -> float:
         """rms of what is left of the readings that there are."""
@@ -115,7 +125,7 @@ class LeastSquares(Generic[M]):
         """Minus N / 2 ln of the mean square of the residual; -inf where theta makes no sense."""
         if not self.model.simulator.admissible(theta):
             return -math.inf
-        return self._value_of(self.residual(theta))
+        return self._value_of(self._whitened(self.residual(theta)))
 
     def _value_of(self, e: Floats) -> float:
         """The value of an admissible plant with these residuals (N)."""
@@ -126,9 +136,18 @@ class LeastSquares(Generic[M]):
 
     def quadratic(self, theta: Floats) -> tuple[float, Floats, Floats]:
         """(value, score, Gauss-Newton Hessian) of the free numbers of an admissible plant."""
-        e, rows = self.rows(theta)
+        e, rows = (self._whitened(one) for one in self.rows(theta))
         variance, hessian = self._gauss_newton(e, rows)
         return self._value_of(e), rows.T @ e / variance, hessian
+
+    def _whitened(self, columns: Floats) -> Floats:
+        """Less what the sample before says of them."""
+        if not self.rho:
+            return columns
+        white = columns.copy()
+        white[1:] -= self.rho * columns[:-1]
+        white[0] *= math.sqrt(1 - self.rho**2)
+        return white
 
     def _gauss_newton(self, e: Floats, rows: Floats) -> tuple[float, Floats]:
         """Variance of residuals, and the Hessian of half their squares over it, kept positive."""
@@ -148,21 +167,32 @@ class LeastSquares(Generic[M]):
     def best(self, starts: Sequence[Floats]) -> Fitted[M] | None:
         """The best fit from several starts; None where no start makes sense."""
         top = estimates.best_top(self, starts, self.model.first, self.model.last)
-        return None if top is None else Fitted(self, top.theta, self.density(top.theta))
+        return None if top is None else Fitted(self, top.theta, self.best_density(top.theta))
+
+    def best_density(self, theta: Floats) -> Density:
+        """The model's account of the readings where that is best, near least squares."""
+        first = best = self.density(theta)
+        for _ in range(ROUNDS):
+            whitened = LeastSquares(self.model, self._correlation(self.residual(theta)))
+            theta = estimates.climb(whitened, theta, STEPS).theta
+            best = max(best, self.density(theta), key=lambda one: float(one.value.sum()))
+        return best._replace(rms=first.rms, strange=first.strange)
+
+    def _correlation(self, e: Floats) -> float:
+        """Of residuals over one sample."""
+        return float(np.clip(e[1:] @ e[:-1] / (e[:-1] @ e[:-1] + 1e-30), -0.95, 0.995))
 
     def density(self, theta: Floats) -> Density:
         """The model's account of the readings, residuals taken as first-order Gaussian noise."""
         ok, e = self.data.ok, self.residual(theta)
-        rho = float(e[1:] @ e[:-1] / (e[:-1] @ e[:-1] + 1e-30))
-        rho = float(np.clip(rho, -0.95, 0.995))
-        innovation = e.copy()
-        innovation[1:] -= rho * e[:-1]
-        innovation[0] *= math.sqrt(1 - rho**2)
+        innovation = LeastSquares(self.model, self._correlation(e))._whitened(e)
         variance = float(np.mean(innovation**2)) + 1e-12
         value = -0.5 * innovation**2 / variance - 0.5 * math.log(2 * math.pi * variance)
         rms = float(np.sqrt(np.mean(e**2)))
         strange = is_strange(*curve_over(self.model.output(theta)[ok], e[ok]))
-        return Density(self.model.name, value, self.free.size + 2, rms, strange)
+        return Density(
+            self.model.name, value, self.free.size + self.model.has_level + 2, rms, strange
+        )
 
 
 class Fitted(NamedTuple, Generic[M]):
@@ -177,13 +207,10 @@ class Fitted(NamedTuple, Generic[M]):
         """The plant and the element."""
         return self.squares.model
 
-
-def compare_statistic(first: Density, second: Density) -> float:
-    """Vuong's statistic of one model against another, penalised by BIC; above 2: the first wins."""
-    gap = first.value - second.value
-    penalty = 0.5 * (first.numbers - second.numbers) * math.log(gap.size)
-    covariance, _ = estimates.long_run_covariance(gap[:, None])
-    return (float(gap.sum()) - penalty) / math.sqrt(max(float(covariance[0, 0]), 1e-9))
+    @property
+    def bic(self) -> float:
+        """-2 L + p ln N of the numbers that were fitted, by which orders are compared."""
+        return self.squares.density(self.theta).bic
 
 
 # --- What is left, as a curve

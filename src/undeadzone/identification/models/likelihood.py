@@ -136,19 +136,16 @@ def behind(readings: Readings, z: Floats, noise: Noise, zone: bool = True) -> Te
         readings: the record; sides are not used.
         z: output of the plant (N).
         noise: widths and rms.
-        zone: whether there is a zone at all.
+        zone: whether there is a zone at all; else d_r is what a constant takes off z.
 
     Returns:
         Log densities and derivatives; 0 where a reading is missing.
     """
-    side = np.zeros(z.size)
-    expected = z
-    if zone:
-        side = 1.0 * (z > noise.right) - 1.0 * (z < -noise.left)
-        expected = (z - noise.right * (side > 0) + noise.left * (side < 0)) * (side != 0)
+    side = 1.0 * (z > noise.right) - 1.0 * (z < -noise.left) if zone else np.ones(z.size)
+    expected = (z - noise.right * (side > 0) + noise.left * (side < 0)) * (side != 0)
     e = (readings.y - expected) / noise.s
     slopes = np.zeros((z.size, 6))
-    slopes[:, Z] = e / noise.s * (side != 0) if zone else e / noise.s
+    slopes[:, Z] = e / noise.s * (side != 0)
     slopes[:, RIGHT] = -e / noise.s * (side > 0)
     slopes[:, LEFT] = e / noise.s * (side < 0)
     slopes[:, LOG_S] = e**2 - 1

@@ -106,6 +106,7 @@ class Shape(NamedTuple):
 
     Attributes:
         name: of the model.
+        word: the verdict's for what is there.
         sensor: a zone of the sensor, d_r and d_l.
         inner: friction in the recursion, phi_r and phi_l.
         input: a zone of the input.
@@ -116,6 +117,7 @@ class Shape(NamedTuple):
     """
 
     name: str
+    word: str
     sensor: bool = False
     inner: bool = False
     input: bool = False
@@ -123,12 +125,11 @@ class Shape(NamedTuple):
     sticks: bool = False
     free: int = 0
 
-    @property
-    def kind(self) -> str:
-        """Where the zone is: sensor, input, friction, both (sensor and another) or none."""
-        places = {"sensor": self.sensor, "input": self.input, "friction": self.inner}
-        there = [place for place, is_there in places.items() if is_there]
-        return "both" if len(there) > 1 else next(iter(there), "none")
+    def holds(self, other: Shape) -> bool:
+        """Whether another model is this one with some of its numbers 0."""
+        if other.inner and other.position != self.position:
+            return False
+        return all(mine >= theirs for mine, theirs in zip(self[2:], other[2:], strict=True))
 
 
 class PlaceModel:
@@ -142,7 +143,7 @@ class PlaceModel:
         shape: the parts of the model.
     """
 
-    first, last, gain = 12, 40, 1e-3
+    first, last, gain, has_level = 12, 40, 1e-3, True
 
     def __init__(self, simulator: Simulator, shape: Shape) -> None:
         self.name = shape.name

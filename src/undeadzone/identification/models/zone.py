@@ -21,7 +21,7 @@ class Limits(NamedTuple):
 
     Attributes:
         right, left: least and largest value, in rms of y; equal ones fix a width.
-        zone: whether there is a zone at all.
+        zone: whether there is a zone at all; else minus d_r is the level about which y lies.
         tied: whether d_l = d_r, since z has no zero of its own.
     """
 
@@ -78,7 +78,7 @@ class Objective:
         """Which numbers of theta stay where they are (P)."""
         right = self.layout.right
         fixed = np.zeros(self.layout.size, bool)
-        fixed[right] = not self.limits.zone or self.limits.right[0] == self.limits.right[1]
+        fixed[right] = self.limits.right[0] == self.limits.right[1]
         fixed[right + 1] = not self.limits.zone or self.limits.left[0] == self.limits.left[1]
         fixed[right + 1] |= self.limits.tied
         fixed[right + 3] = self.kind != "pairs"
@@ -251,5 +251,6 @@ class Objective:
         z, noise = self.simulator.z(theta), self.noise(theta)
         if self.kind != "behind":
             return likelihood.residual(self.readings, z, noise.right, noise.left)
-        expected = likelihood.dead_zone(z, noise.right, noise.left) if self.limits.zone else z
-        return self.readings.y - expected
+        if not self.limits.zone:
+            return self.readings.y - z + noise.right
+        return self.readings.y - likelihood.dead_zone(z, noise.right, noise.left)

@@ -47,6 +47,11 @@ class Fit(NamedTuple):
         return float(self.theta[self.objective.layout.right + 1])
 
     @property
+    def width(self) -> float:
+        """d_r + d_l, scaled."""
+        return self.right + self.left
+
+    @property
     def s(self) -> float:
         """rms of what disturbs z, scaled."""
         return math.exp(float(self.theta[self.objective.layout.right + 2]))
@@ -67,7 +72,7 @@ def expected_reading(fit: Fit) -> Floats:
     """E[y | z] (N): of the zone, rounded by noise ahead of it."""
     z, right, left, s = fit.z, fit.right, fit.left, fit.s
     if not fit.objective.limits.zone:
-        return z
+        return z - right
     if fit.objective.kind == "behind":
         return dead_zone(z, right, left)
     return s * (_rounded((z - right) / s) - _rounded((-left - z) / s))
@@ -133,12 +138,15 @@ def polished(fit: Fit) -> Fit:
 
 
 def fit_linear(simulator: Simulator, use: Flags | None = None) -> Fit:
-    """The output-error fit without a zone."""
-    objective = Objective(simulator, "behind", Limits(zone=False), use)
+    """The output-error fit without a zone, about a level: y = z - d_r."""
+    level = (0.0, 0.0) if simulator.layout.integrators else (-math.inf, math.inf)
+    objective = Objective(simulator, "behind", Limits(right=level, zone=False), use)
     theta = np.zeros(objective.layout.size)
     a, b, _ = arx(simulator, None, use)
     theta[objective.layout.a] = stabilised(a)
     theta[objective.layout.b] = b
+    above = simulator.z(theta) - simulator.data.y
+    theta[objective.layout.right] = np.clip(above[objective.readings.ok].mean(), *level)
     theta[objective.layout.right + 2] = math.log(0.5)
     return Fit(objective, *climb(objective, theta, 40))
 
@@ -165,14 +173,21 @@ def starts(objective: Objective) -> list[Floats]:
     sided = start_by_side(objective)
     if sided is not None:
         begun.append(sided)
-    for share in SHARES:
+    silent = float(np.mean(objective.readings.side[use] == 0))
+    of_silence = float(np.quantile(np.abs(linear.z), silent))
+    for share in (*SHARES, *([of_silence] if simulator.data.silent_zeros else [])):
         theta = linear.theta.copy()
         theta[layout.b] *= 1 + 0.9 * share
-        theta[layout.right : layout.right + 2] = share
+        theta[layout.right : layout.right + 2] = about_level(linear, share)
         theta[layout.right + 2] = math.log(0.4)
         theta[layout.right + 3] = 0.0
         begun.append(theta)
     return begun
+
+
+def about_level(linear: Fit, half: float) -> Floats:
+    """d_r and d_l of a zone that begins so wide a side, about the level of a linear fit."""
+    return half + linear.right * np.array([1.0, -1.0])
 
 
 def start_by_side(objective: Objective) -> Floats | None:
@@ -233,6 +248,8 @@ def arx(
         if right.sum() < need or left.sum() < need:
             return np.zeros(free), np.zeros(simulator.lagged.shape[1]), None
         columns += [right[:, None], left[:, None]]
+    else:
+        columns.append(np.ones((y.size, 1)))
     matrix = np.hstack(columns)[whole]
     solution = np.linalg.lstsq(matrix, y[whole], rcond=1e-10)[0]
     levels = solution[-2:] if side is not None else None

@@ -95,7 +95,7 @@ def fitted_with_delay(
     if part is prepared.data:
         return _searched(prepared, options, advance)
     begun = _searched(prepared._replace(data=part), options, advance)
-    if at_limit(best_order(begun.fits)):  # perhaps since the part is short
+    if at_limit(best_order(begun.fits).pairs):  # perhaps since the part is short
         return _searched(prepared, options, advance)
     late = prepared._replace(data=delayed(prepared.data, begun.delay))
     return _fitted(late, options, advance, begun.fits)._replace(delay=begun.delay)

@@ -20,8 +20,11 @@ from undeadzone.identification.models.zone import Limits, Objective
 from undeadzone.support.arrays import Flags, Floats, Integers
 
 CREDIBLE = 1.02  # times the least held-out error: orders that may be right as well
+BLOCKS = 5  # of held-out samples, spread over a record
+LEAST_BLOCK = 150  # samples of the part that one of them ends
 LAGS = 20
 HEARD = 8  # past inputs, of which one-step residuals should be free
+ANSWERED = 3  # one-step residuals, to which a loop's input answers
 SHARE = 0.05  # of the residual's variance that a curve explains, from which it is real
 
 
@@ -62,13 +65,13 @@ def fit_orders(
     integrators: int = 0,
     begun: Sequence[OrderFit] = (),
 ) -> list[OrderFit]:
-    """Every order, fitted to all data and checked on the last part.
+    """Every order, fitted to all data and checked on blocks of them.
 
     Args:
         data: the records.
         orders: the orders to try.
         limits: of the widths.
-        held_out: share of the samples, at the end, that checks.
+        held_out: share of the samples that checks.
         advance: called with 1 after each order.
         integrators: of the plant.
         begun: fits of a part of the log, from where those of all of it start; none: from scratch.
@@ -110,27 +113,29 @@ def _says_something(fit: zone_fit.Fit) -> bool:
 
 
 def trained_part(data: Data, held_out: float) -> Flags:
-    """The samples that are no held-out ones (N): all but the last of each record."""
+    """The samples that are no held-out ones (N): these are the ends of equal parts of a record."""
     train = np.ones(data.y.size, bool)
     for part in data.records():
-        train[part.start + math.ceil((1 - held_out) * (part.stop - part.start)) : part.stop] = False
+        size = part.stop - part.start
+        count = min(BLOCKS, max(1, size // LEAST_BLOCK))
+        train[part] = np.arange(size) * count / size % 1 < 1 - held_out
     return train
 
 
 def best_order(fits: list[OrderFit]) -> OrderFit:
     """The order of least BIC of (L2), those with a pole at the limit of what is allowed last."""
-    inside = [one for one in fits if not at_limit(one)]
+    inside = [one for one in fits if not at_limit(one.pairs)]
     return min(inside or fits, key=lambda one: one.pairs.bic)
 
 
-def at_limit(one: OrderFit) -> bool:
+def at_limit(fit: zone_fit.Fit) -> bool:
     """Whether a pole is as slow as is allowed, so that with x(0) it is an offset or a sine."""
-    return not one.pairs.objective.simulator.admissible(one.pairs.theta, 1.2)
+    return not fit.objective.simulator.admissible(fit.theta, 1.2)
 
 
 def credible(fits: list[OrderFit]) -> list[OrderFit]:
     """The orders whose held-out error is within 2 % of the least."""
-    inside = [one for one in fits if not at_limit(one)] or fits
+    inside = [one for one in fits if not at_limit(one.pairs)] or fits
     least = min(one.error for one in inside)
     return [one for one in inside if one.error <= CREDIBLE * least]
 
@@ -165,7 +170,7 @@ def judged(error: Floats, data: Data, test: Flags, one_step: tuple[Floats, Flags
         one_step: one-step residuals, and where they are known (N, N).
     """
     rms = float(np.sqrt(np.mean(error[test] ** 2)))
-    usual = float(np.sqrt(np.mean(data.y[test] ** 2)))
+    usual = float(data.y[test].std())
     return HeldOut(rms, 1 - rms / max(usual, 1e-12), is_white(*one_step))
 
 
@@ -215,16 +220,39 @@ def is_white(value: Floats, use: Flags, lags: int = LAGS) -> bool:
 def hears_input(fit: zone_fit.Fit) -> bool:
     """Whether past inputs explain one-step residuals: a delay, or too few poles."""
     value, use = innovations(fit, fit.objective.data.ok)
-    lagged = []
-    for lag in range(1, HEARD + 1):
-        lagged.append(np.roll(fit.objective.data.u, lag, axis=0))
+    lagged = _lagged(fit.objective.data.u)
     use = use.copy()
     for first in fit.objective.data.start:
         use[first : first + HEARD] = False
     if use.sum() < 20 * HEARD:
         return False
-    _, _, share, chance = explained(np.hstack(lagged)[use], value[use])
+    _, _, share, chance = explained(lagged[use], value[use])
     return (share > 0.03 and chance < 1e-3) or (share > 0.15 and chance < 0.01)
+
+
+def loop_chance(fit: zone_fit.Fit, u: Floats) -> float:
+    """p of what one-step residuals so far say of the input, if it does not answer to readings.
+
+    The reading of a sample comes before its input, which moves the plant in the next one.
+
+    Args:
+        fit: plant and zone.
+        u: the inputs as they were recorded (N x m).
+    """
+    value, use = innovations(fit, fit.objective.data.ok)
+    heard = _lagged(np.where(use, value, 0.0)[:, None], range(ANSWERED))
+    inside = slice(HEARD, None)
+    chances = []
+    for column in u.T:
+        own = _lagged(column[:, None])[inside]
+        left = column[inside] - own @ np.linalg.lstsq(own, column[inside], rcond=1e-10)[0]
+        chances.append(explained(heard[inside], left)[-1])
+    return min(1.0, len(chances) * min(chances))
+
+
+def _lagged(columns: Floats, lags: range = range(1, HEARD + 1)) -> Floats:
+    """The last values of each column (N x lags K)."""
+    return np.hstack([np.roll(columns, lag, axis=0) for lag in lags])
 
 
 def correlation(value: Floats, use: Flags, lags: int) -> Floats:
@@ -325,16 +353,14 @@ def judge_no_zone(fit: zone_fit.Fit) -> NoZone:
     row = best.objective.direction(1.0, 1.0)
     robust, naive = float(row @ spread.V @ row), float(row @ spread.naive @ row)
     ratio = 2 * max(best.value - linear.value, 0.0) / max(1.0, robust / max(naive, 1e-300))
-    chance = float(chi2.sf(ratio, 2))
-    if best.right + best.left <= spread.half_width(row):
-        chance = max(chance, 0.05)
+    chance = float(chi2.sf(ratio, 1))  # of the width; the level has its number in both
     return NoZone(chance, best)
 
 
 def _from_linear(objective: Objective, linear: zone_fit.Fit, fit: zone_fit.Fit) -> zone_fit.Fit:
     """The fit, or a better one that starts at a small zone."""
     theta = linear.theta.copy()
-    theta[objective.layout.right : objective.layout.right + 2] = 0.05
+    theta[objective.layout.right : objective.layout.right + 2] = zone_fit.about_level(linear, 0.05)
     top = climb(objective, theta, 60)
     better = math.isfinite(top.value) and top.value > fit.value
     return zone_fit.Fit(objective, *top) if better else fit

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -14,28 +14,48 @@ from undeadzone.identification.logs.log import Options
 from undeadzone.identification.logs.prepare import JumpEdge
 from undeadzone.identification.models import least_squares
 from undeadzone.identification.models.estimates import long_run_covariance, quantile
+from undeadzone.identification.models.least_squares import Density
 from undeadzone.identification.models.plant import Data
-from undeadzone.identification.models.zone_fit import Fit
+from undeadzone.identification.models.zone_fit import Fit, fit_linear
 from undeadzone.identification.verdict import orders
 from undeadzone.identification.verdict.delays import FittedOrders
+from undeadzone.identification.verdict.odds import Family
 from undeadzone.support.arrays import Floats
 
 LEAST = 0.5  # share of the held-out readings that a fit must explain
-NO_ZONE = 0.01  # p from which readings need no zone
+LIKELY = 0.8  # odds from which a name is given
+UNLIKELY = 0.05  # odds below which a name is not worth a word
+FEW = 0.005  # of the readings, that may lie across 0 of an operating point
 SPRING = 0.03  # share of the one-step residual from which a spring is named
 WELL_INSIDE = 2.0  # rms of the noise between z^ and an edge
 SURE = 0.999  # level of the interval of an offset that must not hold 0
 RELEVANT = 0.1  # of the residual's rms, below which an offset is no matter
-OTHER = {"absolute": "other"}  # of models, where the verdict's word differs
+AS_LINEAR = ("none", "dead_zone", "jump")  # words under which steps may be taken for a zone
+FITTED = ("none", "dead_zone", "zone_and_friction")  # what the fit of a zone of the sensor holds
+LARGER = {  # words of models that hold a word's model and more
+    "dead_zone": ("zone_and_friction", "two_zones", "both"),
+    "friction": ("zone_and_friction",),
+    "input_zone": ("two_zones",),
+    "play": ("both",),
+}
+ADVICE = (
+    "to tell a sensor's zone from friction, record with an input that reverses within the plant's"
+    " slowest time constant (steps or noise of 0.4 to 1.5 times its bandwidth, 50 reversals or"
+    " more, several amplitudes, the largest well outside the zone), 10 or more samples a time"
+    " constant"
+)
 MODELS = {
-    "dead_zone": "a dead zone (readings shifted)",
+    "dead_zone": "a dead zone of the sensor",
     "none": "a plant without any zone",
     "saturation": "a saturation",
-    "absolute": "an absolute value",
+    "other": "another curve (|z|, cubic)",
     "jump": "a zone with a jump (readings not shifted)",
     "play": "play (gear backlash, hysteresis)",
+    "both": "a play with a dead zone after it",
     "friction": "friction in the plant",
     "input_zone": "a zone of the input",
+    "zone_and_friction": "friction beside a dead zone of the sensor",
+    "two_zones": "a zone of the input beside one of the sensor",
 }
 
 
@@ -51,7 +71,8 @@ class Case(NamedTuple):
         chosen: the order that was chosen.
         no_zone: the test of a zone against none.
         residuals: residual by z^.
-        rivals: static rivals.
+        rivals: static rivals, each behind the plant that suits it.
+        suited: the order behind which one of them explains the log best.
         advance: called with the number of steps just done.
     """
 
@@ -63,7 +84,8 @@ class Case(NamedTuple):
     chosen: orders.OrderFit
     no_zone: orders.NoZone
     residuals: orders.ResidualMap
-    rivals: dict[str, least_squares.Density]
+    rivals: dict[str, Density]
+    suited: orders.OrderFit
     advance: Callable[[int], None]
 
     @property
@@ -105,89 +127,114 @@ def because(word: str, *reasons: str) -> Verdict:
     return Verdict(word, list(reasons), [])
 
 
-def explains_better(name: str, *more: str) -> Verdict:
-    """The verdict that a model explains the log better than a dead zone."""
-    return because(OTHER.get(name, name), f"{MODELS[name]} explains the log better", *more)
+# --- By the odds
 
 
-# --- By static maps
+def named(case: Case, odds: dict[str, float], models: Sequence[Family]) -> Verdict:
+    """The verdict by the odds of all models, or why there is none.
 
-
-def by_maps(case: Case) -> Verdict:
-    """The verdict before a memory or the zone's place is asked.
-
-    Returns:
-        dead_zone or jump, or what it is instead.
+    Args:
+        case: the log, fitted with a zone of the sensor.
+        odds: by word, largest first.
+        models: whose odds they are.
     """
+    word = _claimed(odds)
     if case.jumps:
-        return _by_jump(case)
-    verdict = _by_maps(case)
-    ends = case.fitted.prepared.ends
-    if verdict.word != "none" or not ends:
-        return verdict
-    reason = f"readings stick at the ends of the range {ends}, and between them they need no zone"
-    return because("saturation", reason)
-
-
-def _by_maps(case: Case) -> Verdict:
-    """The verdict by the readings between the ends of their range."""
-    width = case.chosen.pairs.right + case.chosen.pairs.left
-    winner = winning_rival(case.rivals)
-    if 0 < width < 1.5 * case.quantum and winner in (None, "none", "jump"):
+        return _by_jump(case, odds, models)
+    if word in AS_LINEAR and 0 < case.chosen.pairs.width < 1.5 * case.quantum:
         steps = "the readings are rounded to steps that are larger than any zone"
         return because("none", f"{steps} ({case.quantum:.3g})")
-    if winner not in (None, "none") and case.rivals[winner].rms < 1 - LEAST:
-        if case.rivals[winner].strange:
-            better = f"{MODELS[winner]} explains the log better than a dead zone"
-            return because("other", f"{better}, but not fully either")
-        return explains_better(winner)
-    unclear = _unclear(case.chosen)
+    best = best_of(word, models)
+    unclear = _unclear(case, word, best)
     if unclear is not None:
         return unclear
-    if winner == "none":
-        return explains_better("none")
-    if case.no_zone.chance > NO_ZONE:
-        return because("none", f"readings need no zone (p = {case.no_zone.chance:.2g})")
-    return _by_residual(case)
+    ends = case.fitted.prepared.ends
+    clipped = odds.get("none", 0.0) + odds.get("saturation", 0.0)
+    if ends and word in ("none", "saturation", "other") and clipped > UNLIKELY:
+        return because("saturation", f"readings stick at the ends of the range {ends}")
+    more = list(filter(lambda one: odds.get(one, 0.0) > UNLIKELY, LARGER.get(word, ())))
+    sure = sum(odds.get(one, 0.0) for one in (word, *more))
+    if sure < LIKELY and not (word == case.options.kind == "play"):
+        return _undecided(odds)
+    cautions = [f"{MODELS[one]} is not excluded" for one in more]
+    if word == "dead_zone":
+        return _by_residual(case).with_cautions(*cautions)
+    if word == "none":
+        return _without_zone(case)
+    if word == "other" or best.strange:
+        fully = ", but not fully either" if best.strange else ""
+        return because("other", f"{MODELS[word]} explains the log best{fully}")
+    advice = [ADVICE] if word == "friction" else []
+    return because(word, f"{MODELS[word]} explains the log best", *advice).with_cautions(*cautions)
 
 
-def winning_rival(rivals: dict[str, least_squares.Density]) -> str | None:
-    """The static rival that beats the dead zone and every other; None if none does."""
-    best = min(rivals.values(), key=lambda one: one.bic)
-    beats = (
-        best.name != "dead_zone"
-        and least_squares.compare_statistic(best, rivals["dead_zone"]) > least_squares.CLEARLY
-    )
-    return best.name if beats else None
+def _claimed(odds: dict[str, float]) -> str:
+    """The likeliest word; where none is, one that claims less and that larger models hold."""
+    first = next(iter(odds))
+    if first != "zone_and_friction" and odds[first] >= LIKELY:
+        return first
+    for word, more in LARGER.items():
+        held = sum(odds.get(one, 0.0) for one in (word, *more))
+        if held >= LIKELY and (first == "zone_and_friction" or odds.get(word, 0.0) > UNLIKELY):
+            return word
+    return first
 
 
-def _by_jump(case: Case) -> Verdict:
-    """The verdict on a record that was taken for that of a jump sensor.
-
-    Returns:
-        jump, unless another map explains the readings better, or no plant does.
-    """
-    unclear = _unclear(case.chosen)
-    if unclear is not None:
-        return unclear
-    jump = case.rivals["jump"]
-    for name, rival in case.rivals.items():
-        if name != "jump" and least_squares.compare_statistic(rival, jump) > least_squares.CLEARLY:
-            return because("other", f"{MODELS[name]} explains the log better than a jump sensor")
-    verdict = _by_residual(case)
-    return verdict._replace(word="jump") if verdict.word == "dead_zone" else verdict
+def _by_jump(case: Case, odds: dict[str, float], models: Sequence[Family]) -> Verdict:
+    """The verdict on a record that was taken for that of a jump sensor."""
+    word = next(iter(odds))
+    if odds["jump"] < UNLIKELY:
+        return because("other", f"{MODELS[word]} explains the log better than a jump sensor")
+    return _unclear(case, "dead_zone", best_of("jump", models)) or _by_residual(case)
 
 
-def _unclear(chosen: orders.OrderFit) -> Verdict | None:
-    """That nothing can be said, and why; None where something can."""
-    if chosen.share < LEAST:
-        share = f"{100 * max(chosen.share, 0.0):.0f} %"
+def best_of(word: str, models: Sequence[Family]) -> Density:
+    """The best model of a word, by BIC per reading."""
+    there = filter(None, (family.get(word) for family in models))
+    return min(there, key=lambda one: one.bic / one.value.size)
+
+
+def _undecided(odds: dict[str, float]) -> Verdict:
+    """That no name is likely enough, with what could be there."""
+    likely = list(filter(lambda word: odds[word] >= UNLIKELY, odds))
+    apart = f"this record cannot tell {' from '.join(MODELS[word] for word in likely)}"
+    return because("undecided", apart, *([ADVICE] if "friction" in likely else []))
+
+
+def _without_zone(case: Case) -> Verdict:
+    """The verdict on readings that a linear plant explains best."""
+    y = case.grid.y[case.grid.ok]
+    low, high = np.quantile(y, [FEW, 1 - FEW])
+    if low > 0 or high < 0:
+        about = f"{float(y.mean()):.4g}"
         reason = (
-            f"the best plant explains {share} of the held-out readings: are input and output the"
-            " right columns? try more inputs, a higher --order, or a log with less disturbance"
+            f"the log lies about an operating point of {about}: nothing can be known of a zone;"
+            f" --zero {about}, or take it off"
         )
-        return because("unclear", reason)
-    if orders.at_limit(chosen):
+        return because("operating_point", reason)
+    return because("none", f"readings need no zone (p = {case.no_zone.chance:.2g})")
+
+
+def _unclear(case: Case, word: str, best: Density) -> Verdict | None:
+    """That nothing can be said, and why; None where something can."""
+    chosen, data = case.chosen, case.data
+    within = 1 - best.rms / float(data.y[data.ok].std())
+    share = chosen.share if word in FITTED else within
+    if share < LEAST:
+        which = "held-out readings" if word in FITTED else "readings"
+        explained = f"the best plant explains {100 * max(share, 0.0):.0f} % of the {which}"
+        if within > LEAST:
+            cure = f", and {100 * within:.0f} % of all: it changes, or another input acts"
+        else:
+            cure = (
+                ": are input and output the right columns? try more inputs, a higher --order, or a"
+                " log with less disturbance"
+            )
+        return because("unclear", explained + cure)
+    fit = chosen.pairs
+    if word == "none":
+        fit = fit_linear(fit.objective.simulator, fit.objective.readings.ok)
+    if word in FITTED and orders.at_limit(fit):
         reason = (
             "the plant seems to integrate, or to ring longer than the record: its state at the"
             " start and an offset or a sine cannot be told apart; say --integrators 1 if it is the"
@@ -203,7 +250,7 @@ def _by_residual(case: Case) -> Verdict:
     curve = f"a curve over z^ explains {100 * residuals.share:.0f} % of what"
     if least_squares.is_strange(residuals.share, residuals.chance):
         return because("other", f"{curve} a dead zone leaves: another nonlinearity")
-    verdict = because("dead_zone")
+    verdict = because("jump" if case.jumps else "dead_zone")
     if residuals.strange:
         verdict = verdict.with_cautions(f"{curve} the dead zone leaves: the fit is not perfect")
     if residuals.remembers:

@@ -8,7 +8,7 @@ disturbs the plant, as long as u does not answer to it.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -18,25 +18,21 @@ from undeadzone.identification.models import plant
 from undeadzone.identification.models.elements import PlayFit, PlayModel, fit_both, fit_play
 from undeadzone.identification.models.estimates import Interval, best_top, weighing
 from undeadzone.identification.models.kalman_fit import KalmanFit
-from undeadzone.identification.models.least_squares import (
-    CLEARLY,
-    Density,
-    LeastSquares,
-    compare_statistic,
-)
+from undeadzone.identification.models.least_squares import LeastSquares
 from undeadzone.identification.models.likelihood import dead_zone
 from undeadzone.identification.models.motion import Offsets, along, white_noise
 from undeadzone.identification.models.place import PARTS, PlaceFit, PlaceStarts, Shape, fit_place
 from undeadzone.identification.models.play_gap import RUNS, Gap, find_gap
 from undeadzone.identification.models.zone_fit import Fit, longest_record, reduced
 from undeadzone.identification.verdict.delays import GLITCH, RARE
+from undeadzone.identification.verdict.odds import Family, odds_of
 from undeadzone.identification.verdict.orders import HeldOut, judged, one_step, trained_part
-from undeadzone.identification.verdict.place import Place
-from undeadzone.identification.verdict.verdict import LEAST, Case, Verdict, because, explains_better
+from undeadzone.identification.verdict.verdict import UNLIKELY, Case, Verdict, named
 from undeadzone.support.arrays import Floats, Integers
-from undeadzone.support.text import HALF_95
 
 LEAST_GAP = 0.02  # rms of y, below which a gap is no matter
+LEAST_NOISE = 0.01  # rms of y, from which noise that falls silent is told from rounding
+MEMORY = ("play", "both")  # words of what a play explains
 LEAST_ODD = 1e-3  # least rms from which readings are counted as odd, in rms of y
 FINEST = 2e-4  # rms of u: no interval is narrower
 LAST = {"play": 25, "both": 25, "input_zone": 40}  # steps of a climb that checks a fit
@@ -87,24 +83,63 @@ class Element(NamedTuple):
         return self.rms if self.ahead is None else self.ahead.rms
 
 
+class Plays(NamedTuple):
+    """Fits of a play, and of a play and a dead zone, as far as there are any.
+
+    Attributes:
+        fits: by the verdict's word, play or both.
+        others: of a play behind plants of other orders.
+        whole: all records.
+    """
+
+    fits: dict[str, PlayFit]
+    others: list[PlayFit]
+    whole: plant.Data
+
+
 class Found(NamedTuple):
     """What was found of a case so far.
 
     Attributes:
         verdict: so far.
         delay: samples by which the input acts late; of a play in the records as they are none.
+        models: every model that was fitted, those of the same readings together.
+        odds: of what may be there by the verdict's words, largest first.
         offsets: the four offsets along the log, with the element's plant; None: not looked at.
+        plays: with a memory; None: not looked for.
+        places: models of the zone's place by word; empty where that was not asked.
         element: what stands in the place of a sensor's dead zone; None: nothing does.
         kalman: fits of (L3), best first.
-        place: where the zone is; None where that was not asked.
     """
 
     verdict: Verdict
     delay: int
+    models: tuple[Family, ...]
+    odds: dict[str, float]
     offsets: Offsets | None = None
+    plays: Plays | None = None
+    places: dict[str, PlaceFit] = {}
     element: Element | None = None
     kalman: Sequence[KalmanFit] = ()
-    place: Place | None = None
+
+    def judged(self, case: Case, *models: Family, without: Collection[str] = ()) -> Found:
+        """What is found with more models, and perhaps without some words."""
+        every = (*self.models, *models)
+        odds = odds_of(every, {*without, *excluded(case)})
+        return self._replace(models=every, odds=odds, verdict=named(case, odds, every))
+
+
+def excluded(case: Case) -> Collection[str]:
+    """Words that are out of the question: by what the user said, or since noise falls silent."""
+    out = set(MEMORY) if case.options.kind == "deadzone" else set()
+    fit = case.chosen.singles
+    if not case.data.silent_zeros or case.jumps:
+        return out
+    speaks = case.data.ok & (case.data.side != 0)
+    loud = white_noise(fit.objective.residuals(fit.theta), speaks, case.data.start)
+    if loud > max(2 * case.quantum, LEAST_NOISE):  # and only a sensor's zone silences it
+        out |= {"none", "friction", "input_zone", "play", "saturation", "other"}
+    return out
 
 
 # --- Is it a play, or a play and a dead zone?
@@ -114,13 +149,13 @@ def with_play(case: Case, found: Found) -> Found:
     """What is found where a play, or a play and a dead zone, may explain the log better.
 
     Args:
-        case: with static maps that a play has to beat.
-        found: the verdict by these.
+        case: with static maps.
+        found: the odds of these.
     """
     brief = reduced(case.chosen.pairs)
     offsets = along(brief.objective.simulator, brief.theta, brief.s, case.quantum)
     found = found._replace(offsets=offsets)
-    if not _is_asked(case, found.verdict.word, offsets, brief):
+    if not _is_asked(case, found, offsets, brief):
         return found
     logs, orders = [case.data], [one.n for one in case.fitted.fits]
     if case.options.delay == "auto" and case.fitted.delay:  # a play is late, so a delay may be one
@@ -128,34 +163,29 @@ def with_play(case: Case, found: Found) -> Found:
     plays = []
     for data in logs:
         fits = fit_play(plant.part_of(data), orders, case.options.integrators)
-        if fits and fits[0].density.value.size == case.rivals["none"].value.size:
+        if fits:
             plays.append((_without_glitches(fits[0]), fits[1:], data))
     if not plays:
         return found
-    play, others, whole = min(plays, key=lambda one: one[0].density.bic)
+    play, others, whole = min(plays, key=lambda one: one[0].bic)
     begun = [reduced(one.pairs) for one in case.fitted.fits] if whole is case.data else []
-    for fit in _better(case, play, fit_both([play, *begun])):
-        gap = find_gap(fit, others, case.quantum)
-        case.advance(1)
-        rms = gap.fit.squares.rms(gap.fit.theta)
-        offsets = along(gap.fit.model.simulator, gap.theta, rms, case.quantum)
-        found = found._replace(offsets=offsets)
-        if not fit.model.zone or _both_there(gap, offsets):
-            return _with_gap(case, found, gap, offsets, whole)
-    return found
+    both = fit_both([play, *begun])
+    tops = {"play": play} | ({} if both is None else {"both": both})
+    models = {"none": case.rivals["none"]} | {word: one.density for word, one in tops.items()}
+    return found._replace(plays=Plays(tops, others, whole)).judged(case, models)
 
 
-def _is_asked(case: Case, word: str, offsets: Offsets, brief: Fit) -> bool:
+def _is_asked(case: Case, found: Found, offsets: Offsets, brief: Fit) -> bool:
     """Whether a play is looked for: it explains the log, or something with a memory may."""
     kind = case.options.kind
     if kind in ("jump", "deadzone"):
         return False
-    perhaps = word in ("play", "other", "unclear") or kind == "play"
+    perhaps = found.verdict.word in ("other", "unclear", "undecided") or kind == "play"
     if perhaps or offsets.name in ("play", "both"):
         return True
     both = fit_both([brief])  # a lag of the plant may pass for a play
-    least = min(case.rivals["dead_zone"], case.rivals["none"], key=lambda one: one.bic)
-    return both is not None and compare_statistic(both.density, least) > CLEARLY
+    models = {"none": case.rivals["none"]} | ({} if both is None else {"both": both.density})
+    return odds_of((*found.models, models), excluded(case)).get("both", 0.0) > UNLIKELY
 
 
 def _without_glitches(fit: PlayFit) -> PlayFit:
@@ -169,74 +199,40 @@ def _without_glitches(fit: PlayFit) -> PlayFit:
     return LeastSquares(fit.model.along(regular)).best([fit.theta]) or fit
 
 
-def _better(case: Case, play: PlayFit, both: PlayFit | None) -> list[PlayFit]:
-    """Which of play and dead zone, and play, beat every static map, in this order.
+def with_gap(case: Case, found: Found) -> Found:
+    """The widths of a play, and perhaps of a dead zone; without widths above 0 it is none.
 
-    A play that the user knows of need not beat anything, only not be beaten.
+    Args:
+        case: the log.
+        found: named a play, or both.
     """
-    static = [one for name, one in case.rivals.items() if name != "play"]
-    better = []
-    if both is not None:
-        clearly = _ahead(both.density, [play.density, *static]) > CLEARLY
-        if clearly and both.density.rms < 1 - LEAST:
-            better.append(both)
-    explains = not play.density.strange and play.density.rms <= 1 - LEAST
-    least = -CLEARLY if case.options.kind == "play" else CLEARLY
-    if explains and _ahead(play.density, static) > least:
-        better.append(play)
-    return better
+    assert found.plays is not None
+    fit, whole = found.plays.fits[found.verdict.word], found.plays.whole
+    gap = find_gap(fit, found.plays.others, case.quantum)
+    case.advance(1)
+    rms = gap.fit.squares.rms(gap.fit.theta)
+    offsets = along(gap.fit.model.simulator, gap.theta, rms, case.quantum)
+    found = found._replace(offsets=offsets)
+    if _denied(gap, offsets):
+        smaller = {"both"} if fit.model.zone else set(MEMORY)
+        found = found.judged(case, without=smaller)
+        return with_gap(case, found) if found.verdict.word in MEMORY else found
+    element = of_play(gap, whole, case.offset)
+    delay = case.fitted.delay if whole is case.data else 0
+    return found._replace(element=element, delay=delay)
 
 
-def _ahead(density: Density, others: Sequence[Density]) -> float:
-    """Vuong's statistic against the best of others."""
-    return min(compare_statistic(density, other) for other in others)
-
-
-def _both_there(gap: Gap, offsets: Offsets) -> bool:
-    """Whether both widths are above 0 for certain; the four offsets must not deny it."""
-    there = all(is_there(gap.intervals[name]) for name in ("width", "zone"))
-    return there and offsets.name in ("both", "play")
+def _denied(gap: Gap, offsets: Offsets) -> bool:
+    """Whether a width is not above 0 for certain; the four offsets must not deny both of them."""
+    if gap.fit.model.zone:
+        there = all(is_there(gap.intervals[name]) for name in ("width", "zone"))
+        return not there or offsets.name not in ("both", "play")
+    return gap.sure and not is_there(gap.intervals["width"])
 
 
 def is_there(interval: Interval) -> bool:
     """Whether a gap is above 0 for certain, and no less than matters."""
     return interval.low > 0 and interval.value > LEAST_GAP
-
-
-def _with_gap(case: Case, found: Found, gap: Gap, offsets: Offsets, whole: plant.Data) -> Found:
-    """What is found with a play, and perhaps a dead zone, that beats every static map."""
-    if not gap.fit.model.zone and not is_there(gap.intervals["width"]) and gap.sure:
-        return found._replace(verdict=_no_gap(found.verdict, gap))
-    element = of_play(gap, whole, case.offset)
-    delay = case.fitted.delay if whole is case.data else 0
-    return found._replace(verdict=_named(element, offsets), element=element, delay=delay)
-
-
-def _no_gap(verdict: Verdict, gap: Gap) -> Verdict:
-    """A play without a gap is a constant offset, where it is anything."""
-    if verdict.word != "play":
-        return verdict
-    offset = -0.5 * gap.intervals["centre"].value * gap.fit.squares.data.y_scale
-    return because(
-        "other",
-        f"no gap is there, but the readings lie about {offset:.4g} beside the output: a constant"
-        f" offset; take it away by --zero {offset:.4g}",
-    )
-
-
-def _named(element: Element, offsets: Offsets) -> Verdict:
-    """The verdict on a play that was found."""
-    if element.kind == "both":
-        reason = "a play with a dead zone after or ahead of it explains the log better than either"
-        return because("both", reason)
-    verdict = explains_better("play")
-    if offsets.name not in ("dead_zone", "both"):
-        return verdict
-    zone, std = offsets.widths[1], offsets.std[1]
-    return verdict.with_cautions(
-        f"the four offsets of the readings show a dead zone of {zone:.3g} ± {HALF_95 * std:.2g} in"
-        " rms of y beside the play: the fit is not perfect"
-    )
 
 
 # --- A play, and perhaps a dead zone after it
@@ -345,12 +341,14 @@ def of_input_zone(fits: Sequence[Fit]) -> Element | None:
     tops = []
     for one in fits:
         starts = PlaceStarts(longest_record(one))
-        fitted = fit_place(starts.simulator, Shape("input", input=True), starts.at_input())
+        fitted = fit_place(
+            starts.simulator, Shape("input", "input_zone", input=True), starts.at_input()
+        )
         if fitted is not None:
             tops.append(fitted)
     if not tops:
         return None
-    return _of_input(min(tops, key=lambda one: one.density.bic), fits[0].objective.data)
+    return _of_input(min(tops, key=lambda one: one.bic), fits[0].objective.data)
 
 
 def _of_input(fit: PlaceFit, whole: plant.Data) -> Element:
@@ -398,11 +396,11 @@ def _of_input(fit: PlaceFit, whole: plant.Data) -> Element:
 
 
 def held_out_of(element: Element, held_out: float) -> HeldOut:
-    """Error, share and whiteness on the last part of a log, fitted to the part before.
+    """Error, share and whiteness on blocks of a log, fitted to the others.
 
     Args:
         element: a play, or a zone of the input.
-        held_out: share of the samples, at the end, that checks.
+        held_out: share of the samples that checks.
     """
     fit, data = element.fit, element.fit.squares.data
     train = trained_part(data, held_out)

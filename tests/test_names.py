@@ -1,0 +1,266 @@
+"""Right names of logs: odds of one family of models, levels, dropouts, held-out blocks, loops."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+import undeadzone as uz
+from undeadzone.identification.models.elements import MapModel, cubic, linear
+from undeadzone.identification.models.least_squares import Density, LeastSquares
+from undeadzone.identification.models.place import Shape
+from undeadzone.identification.models.plant import Data, Simulator
+from undeadzone.identification.models.zone_fit import fit_linear
+from undeadzone.identification.verdict.odds import behind, odds_of
+from undeadzone.identification.verdict.orders import trained_part
+from undeadzone.support.arrays import Floats
+
+DENOMINATOR = [1.0, -1.6, 0.68]
+STEP = 0.05
+
+
+def dead_zone(z: Floats, right: float, left: float) -> Floats:
+    return np.maximum(z - right, 0.0) + np.minimum(z + left, 0.0)
+
+
+def driven(seed: int, size: int = 700) -> tuple[np.random.Generator, Floats, Floats]:
+    """Random steps u, and the output z of a second-order plant."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.standard_normal(size // 12 + 1), 12)[:size]
+    return rng, u, lfilter([0.0, 0.05, 0.03], DENOMINATOR, u)
+
+
+def logged(u: Floats, y: Floats) -> Data:
+    """A record as it is, without scales."""
+    ok, side = np.ones(y.size, bool), np.sign(y).astype(int)
+    return Data(u[:, None], y, ok, np.zeros(1, int), side, False, np.ones(1), 1.0)
+
+
+def found(u: Floats, y: Floats, **more: object) -> uz.Identified:
+    answer = uz.identify(t=STEP, u=u, y=y, order=2, **more)
+    assert isinstance(answer, uz.Identified)
+    return answer
+
+
+# --- odds
+
+
+def densities(rng: np.random.Generator, lead: float, scatter: float, size: int = 800) -> dict:
+    """A model without a zone, and one that leads it by so many nats in all, with such a scatter."""
+    none = rng.standard_normal(size)
+    gain = rng.standard_normal(size)
+    gain = (gain - gain.mean()) * scatter / np.sqrt(size) + lead / size
+    return {"none": Density("none", none, 4, 1.0), "saturation": Density("s", none + gain, 4, 1.0)}
+
+
+def test_odds_of_models_that_differ_little_are_those_of_their_densities() -> None:
+    odds = odds_of([densities(np.random.default_rng(0), 2.0, 1e-6)])
+    assert list(odds) == ["saturation", "none"]
+    assert odds["saturation"] == pytest.approx(1 / (1 + np.exp(-2.0)), rel=1e-3)
+    assert sum(odds.values()) == pytest.approx(1.0)
+
+
+def test_a_lead_that_may_be_chance_is_none() -> None:
+    """30 nats would be all odds, but logs scatter by as much."""
+    odds = odds_of([densities(np.random.default_rng(1), 30.0, 30.0)])
+    assert 0.75 < odds["saturation"] < 0.92
+    sure = odds_of([densities(np.random.default_rng(1), 30.0, 5.0)])
+    assert sure["saturation"] > 0.999
+
+
+def test_odds_of_two_equal_models_are_even_over_logs() -> None:
+    """The mean over logs is one half, and few of them are sure of either."""
+    rng, first = np.random.default_rng(2), []
+    for _ in range(200):
+        lead = 20 * rng.standard_normal()
+        first.append(odds_of([densities(rng, lead, 20.0)])["saturation"])
+    assert abs(np.mean(first) - 0.5) < 0.06
+    assert np.mean(np.abs(np.array(first) - 0.5) > 0.45) < 0.2
+
+
+def test_numbers_cost_and_words_are_left_out() -> None:
+    family = densities(np.random.default_rng(3), 0.0, 1e-6)
+    more = family["saturation"]._replace(numbers=6)
+    odds = odds_of([family | {"other": more}])
+    assert odds["other"] / odds["saturation"] == pytest.approx(1 / 800, rel=1e-2)
+    assert odds["none"] == pytest.approx(2 * odds["saturation"], rel=1e-2)  # two things may be
+    assert set(odds_of([family], {"saturation"})) == {"none"}
+    assert behind([family])["none"] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_families_of_other_readings_are_compared_by_what_they_gain() -> None:
+    rng = np.random.default_rng(4)
+    long, short = densities(rng, 400.0, 5.0), densities(rng, 40.0, 2.0, 400)
+    places = {"none": short["none"], "friction": short["saturation"]}
+    odds = odds_of([long, places])
+    assert odds["saturation"] > 0.999  # half a nat a reading against a tenth
+
+
+def test_which_models_hold_which() -> None:
+    sensor = Shape("sensor", "dead_zone", sensor=True)
+    both = Shape("both", "zone_and_friction", sensor=True, inner=True, free=1)
+    assert both.holds(sensor)
+    assert both.holds(Shape("none", "none"))
+    assert not sensor.holds(both)
+    assert not both.holds(Shape("at a position", "friction", inner=True, position=True))
+
+
+# --- levels
+
+
+def test_a_level_is_fitted_beside_every_map() -> None:
+    rng, u, z = driven(1)
+    y = 5.0 + z + 0.02 * rng.standard_normal(z.size)
+    simulator = Simulator(logged(u, y), 2)
+    plain = fit_linear(simulator)
+    assert plain.right == pytest.approx(-5.0, abs=0.01)
+    squares = LeastSquares(MapModel(simulator, "none", linear))
+    fitted = squares.best([plain.theta[: squares.model.base + 2]])
+    assert fitted is not None
+    assert fitted.density.rms == pytest.approx(0.02, rel=0.1)
+    assert abs(float(squares.residual(fitted.theta).mean())) < 1e-12
+    assert fitted.density.numbers == squares.free.size + 3
+
+
+@pytest.mark.parametrize("shape", [linear, cubic])
+def test_derivatives_beside_a_level_and_without_correlation(shape) -> None:
+    _, u, z = driven(2, 200)
+    data = logged(u, 3.0 + z)._replace(ok=np.arange(200) % 7 > 0)
+    squares = LeastSquares(MapModel(Simulator(data, 2), "map", shape), 0.6)
+    theta = np.array([-1.5, 0.6, 0.06, 0.02, 0.1, 0.0, 0.05, 0.1])
+    _, score, _ = squares.quadratic(theta)
+    for place, index in enumerate(squares.free):
+        step = 1e-6 * np.eye(theta.size)[index]
+        slope = (squares.value(theta + step) - squares.value(theta - step)) / 2e-6
+        assert score[place] == pytest.approx(slope, rel=1e-4, abs=1e-4)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_log_about_an_operating_point_tells_nothing_of_a_zone(seed: int) -> None:
+    rng, u, z = driven(seed)
+    answer = found(5.0 + u, 5.0 + z + 0.02 * rng.standard_normal(z.size))
+    assert answer.verdict == "operating_point"
+    assert not answer.zone
+    assert answer.width is None
+    assert "--zero" in answer.answer.reasons[0]
+    assert answer.numbers()["odds"]["none"] > 0.9
+
+
+# --- names
+
+
+def test_a_zone_at_both_ends_is_not_sold_as_the_sensors() -> None:
+    rng, u, _ = driven(3, 1200)
+    z = lfilter([0.0, 0.05, 0.03], DENOMINATOR, dead_zone(u, 0.4, 0.3))
+    answer = found(u, dead_zone(z, 0.3, 0.4) + 0.01 * rng.standard_normal(z.size))
+    assert answer.verdict == "two_zones"
+    assert answer.right is None
+    assert answer.numbers()["levels"]["two_zones"] == pytest.approx([0.4, 0.3], abs=0.08)
+
+
+def test_a_width_that_may_be_0_is_undecided() -> None:
+    _, u, z = driven(4, 400)
+    rng = np.random.default_rng(0)
+    y = dead_zone(z, 0.01, 0.01) + 0.3 * rng.standard_normal(z.size)
+    assert found(u, y).verdict in ("none", "undecided")
+
+
+def test_readings_that_stick_at_both_ends_are_a_saturation() -> None:
+    rng, u, z = driven(12, 1000)
+    answer = found(u, np.clip(z + 0.02 * rng.standard_normal(z.size), -0.4, 0.5))
+    assert answer.verdict == "saturation"
+    assert "[-0.4, 0.5]" in answer.answer.reasons[0]
+
+
+def test_odds_are_printed_and_sum_to_1() -> None:
+    rng, u, z = driven(5)
+    answer = found(u, dead_zone(z, 0.4, 0.3) + 0.02 * rng.standard_normal(z.size))
+    assert answer.verdict == "dead_zone"
+    assert answer.summary()["odds"].startswith("sensor ")
+    odds = answer.numbers()["odds"]
+    assert sum(odds.values()) == pytest.approx(1.0)
+    assert next(iter(odds)) == "dead_zone"
+
+
+# --- readings that are none
+
+
+def test_dropouts_to_0_are_missing_and_counted() -> None:
+    rng, u, z = driven(6, 1000)
+    y = dead_zone(z, 0.4, 0.3) + 0.02 * rng.standard_normal(z.size)
+    dropped = rng.random(z.size) < 0.02
+    answer = found(u, np.where(dropped, 0.0, y), place="sensor")
+    assert answer.right.low <= 0.4 <= answer.right.high
+    assert answer.left.low <= 0.3 <= answer.left.high
+    assert any("dropouts" in remark for remark in answer.answer.remarks)
+
+
+def test_a_jump_sensor_does_not_drop_out() -> None:
+    rng, u, z = driven(7, 700)
+    z = z + 0.03 * rng.standard_normal(z.size)
+    answer = found(u, np.where((z > 0.5) | (z < -0.3), z, 0.0))
+    assert answer.verdict == "jump"
+    assert not any("dropouts" in remark for remark in answer.answer.remarks)
+
+
+def test_a_stuck_reading_is_missing_and_counted() -> None:
+    rng, u, z = driven(8, 900)
+    y = dead_zone(z, 0.4, 0.3) + 0.02 * rng.standard_normal(z.size)
+    y[400:490] = y[400]
+    answer = found(u, y, place="sensor")
+    assert any("stuck" in remark for remark in answer.answer.remarks)
+    assert answer.right.low <= 0.4 <= answer.right.high
+
+
+def test_one_hold_at_an_extreme_is_no_end_of_the_range() -> None:
+    rng, u, z = driven(9, 700)
+    y = z + 0.005 * rng.standard_normal(z.size)
+    top = int(np.argmax(y))
+    y[top : top + 14] = y[top]
+    remarks = found(u, y).answer.remarks
+    assert not any("ends of the range" in remark for remark in remarks)
+
+
+# --- checks
+
+
+def test_held_out_samples_are_blocks_over_every_record() -> None:
+    _, u, z = driven(10, 1000)
+    data = logged(u, z)._replace(start=np.array([0, 800]))
+    held = ~trained_part(data, 0.3)
+    assert np.count_nonzero(np.diff(held[:800].astype(int)) > 0) == 5
+    assert held[:800].mean() == pytest.approx(0.3, abs=0.01)
+    assert held[800:].mean() == pytest.approx(0.3, abs=0.01)
+
+
+def test_a_pause_at_the_end_is_no_reason_to_ask_about_columns() -> None:
+    rng, u, _ = driven(11, 900)
+    u[600:] = 0.0
+    z = lfilter([0.0, 0.05, 0.03], DENOMINATOR, u)
+    answer = found(u, dead_zone(z + 0.03 * rng.standard_normal(900), 0.4, 0.3))
+    assert answer.verdict == "dead_zone"
+    assert answer.right.low <= 0.4 <= answer.right.high
+
+
+def in_a_loop(seed: int, gain: float) -> tuple[Floats, Floats]:
+    """u = 2 r - gain y, and y behind a zone of 0.2."""
+    rng = np.random.default_rng(seed)
+    r = np.repeat(rng.standard_normal(84), 12)[:1000]
+    e = 0.1 * rng.standard_normal(1000)
+    u, y, z = np.zeros(1000), np.zeros(1000), np.zeros(1000)
+    for k in range(1000):
+        if k > 1:
+            z[k] = 1.6 * z[k - 1] - 0.68 * z[k - 2] + 0.05 * u[k - 1] + 0.03 * u[k - 2]
+        y[k] = dead_zone(z[k] + e[k], 0.2, 0.2)
+        u[k] = 2 * r[k] - gain * y[k]
+    return u, y
+
+
+@pytest.mark.parametrize("gain", [0.0, 2.0])
+def test_a_closed_loop_is_heard(gain: float) -> None:
+    answer = found(*in_a_loop(0, gain), place="sensor")
+    closed = any("closed loop" in remark for remark in answer.answer.remarks)
+    assert closed == (gain > 0)
+    assert (answer.numbers()["closed_loop"] < 1e-3) == (gain > 0)
+    assert answer.right.low <= 0.2 <= answer.right.high
