@@ -14,10 +14,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from undeadzone.cli.common import (
+    PATH,
     SCHEMA,
     columns_option,
     confined,
     exit_code,
+    option,
     print_blocks,
     say,
     strict_option,
@@ -26,6 +28,7 @@ from undeadzone.cli.common import (
     writable,
 )
 from undeadzone.errors import FileError, Terminated
+from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
     from undeadzone.interfaces import Estimate
@@ -35,39 +38,38 @@ if TYPE_CHECKING:
     from undeadzone.support.arrays import Floats
 
 BLOCK = 1 << 20  # bytes that are read at once, if as many have come
+ABOVE_ZERO = click.FloatRange(min=0, min_open=True, max=threading.TIMEOUT_MAX)
 
 
 @click.command(
     epilog="Example: undeadzone watch mine.toml < samples.csv > estimates.csv; on Windows: "
     "type samples.csv | undeadzone watch mine.toml > estimates.csv"
 )
-@click.argument("scenario", type=click.Path(path_type=Path), metavar="SCENARIO.toml")
+@click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
 @click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON object per sample instead of CSV."
 )
 @columns_option
 @strict_option
-@click.option(
+@option(
     "--state",
-    type=click.Path(path_type=Path),
-    default=None,
-    metavar="FILE",
-    help="Keep the observer's state in FILE, and go on from it if it is there.",
+    "FILE",
+    "Keep the observer's state in FILE, and go on from it if it is there.",
+    type=PATH,
 )
-@click.option(
+@option(
     "--every",
-    type=click.FloatRange(min=0, min_open=True),
+    "SECONDS",
+    "How often the state is saved.",
+    type=ABOVE_ZERO,
     default=10.0,
     show_default=True,
-    metavar="SECONDS",
-    help="How often the state is saved.",
 )
-@click.option(
+@option(
     "--heartbeat",
-    type=click.FloatRange(min=0, min_open=True, max=threading.TIMEOUT_MAX),
-    default=None,
-    metavar="SECONDS",
-    help="Say so often on stderr how far it is, samples or none.",
+    "SECONDS",
+    "Say so often on stderr how far it is, samples or none.",
+    type=ABOVE_ZERO,
 )
 @untrusted
 @confined
@@ -104,7 +106,8 @@ def watch(
     if state is not None:
         writable(state.parent)
     watched = read_for_logs(scenario, confine)
-    follower = Follower(watched, live=True)
+    with progress("watching", None, of=watched.observer):
+        follower = Follower(watched, live=True)
     log = LiveLog("stdin", watched, follower, parse_columns(columns), strict)
     if sys.stdin is None:
         raise FileError("stdin: it is closed; give lines of readings and inputs")
