@@ -25,6 +25,9 @@ NAMES: Final = (
     "scenarios",
     "commands",
     "streams",
+    "splits",
+    "identify_logs",
+    "arms",
     "engines",
 )
 SHOWN: Final = 5  # cases of one complaint that are named

@@ -14,6 +14,8 @@ LOGS = ("watch", "estimate")  # their table is on stderr, and a missing reading 
 
 def complaint(case: Case, end: End) -> str:
     """What is wrong with an end; empty if nothing is."""
+    if end.left:
+        return end.left
     if end.native:
         return "a library wrote past Python"
     if end.code not in (0, 1, 2):

@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.io import savemat
+from tests.traps import COMMAND, SHORT, TRAP, TRAPS
 
-from test_strange_folder import COMMAND, SHORT, TRAP, TRAPS, ran
+from test_strange_folder import ran
 from undeadzone.cli.untrusted import _landlocked
 from undeadzone.errors import InputError
 from undeadzone.scenario.reader import read
