@@ -28,6 +28,7 @@ NAMES: Final = (
     "splits",
     "identify_logs",
     "arms",
+    "folders",
     "engines",
 )
 SHOWN: Final = 5  # cases of one complaint that are named

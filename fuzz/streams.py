@@ -83,7 +83,7 @@ def written(draw: random.Random, rows: list[list[float]], head: str) -> bytes:
     """Rows as a file of some dialect."""
     separator = next((mark for mark in ";\t" if mark in head), draw.choice((",", ",", ";", " ")))
     end = draw.choice(("\n", "\n", "\r\n", "\r"))
-    lines = [head] if head else []
+    lines = [head.replace(",", separator) if draw.random() < 0.8 else head] if head else []
     for row in rows:
         cells = [repr(value) if value == value else draw.choice(("", "nan", "NA")) for value in row]
         if separator == ";" and draw.random() < 0.5:

@@ -134,6 +134,17 @@ def test_sliding_mode_refuses_more_inputs_than_states() -> None:
         )
 
 
+@pytest.mark.parametrize("column", ["y", "u"])
+def test_a_column_whose_squares_vanish_identifies_nothing(column: str) -> None:
+    scale = {"y": 1.0, "u": 1.0} | {column: 1e-200}
+    rows = [f"{0.02 * k:.2f},{scale['y'] * (k % 7 - 3)},{scale['u'] * (k % 5)}" for k in range(150)]
+    log = "\n".join(["t,y,u", *rows]).encode()
+    case = Case("", {"log.csv": log}, ["identify", "log.csv", "--no-figures", "--out", "out"])
+    end = perform(case)
+    assert end.code == 2, end.err
+    assert "vanish once squared; use another unit" in end.err
+
+
 def test_what_is_printed_past_python_is_seen() -> None:
     case = Case("loud", {}, call=lambda folder: os.write(1, b"loud"))
     assert perform(case).native == "loud"

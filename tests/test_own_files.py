@@ -67,6 +67,13 @@ def tuned(folder: Path) -> list[str]:
     return ["tune", str(folder / "mine.toml"), "--no-figures", "--budget", "4"]
 
 
+def arena_tuned(folder: Path) -> list[str]:
+    text = (EXAMPLES / "asymmetric_noise.toml").read_text()
+    (folder / "mine.toml").write_text(text.replace("duration = 30.0", "duration = 2.0"))
+    few = ["--methods", "adaptive_inverse", "--budget", "4", "--processes", "1"]
+    return ["arena", str(folder / "mine.toml"), "--tune", *few]
+
+
 def arm(folder: Path) -> list[str]:
     return ["arm", str(EXAMPLES / "ur5.urdf")]
 
@@ -79,6 +86,7 @@ WRITERS = [
     (identified, "motor.toml", True),
     (designed, "design.toml", True),
     (tuned, "tuned.toml", True),
+    (arena_tuned, "tuned.toml", True),
     (arm, "ur5.toml", False),
     (started, "scenario.toml", False),
 ]
@@ -115,6 +123,23 @@ def test_identify_replaces_its_own_scenario(tmp_path: Path) -> None:
     assert undeadzone(*command).returncode == 0
     assert (tmp_path / "motor.toml").read_text() == first
     assert undeadzone("run", tmp_path / "motor.toml", "--no-figures").returncode in (0, 1)
+
+
+def test_an_edited_page_stays(tmp_path: Path) -> None:
+    """And the page itself works: no other byte of it depends on the digest."""
+    out = tmp_path / "live.html"
+    command = ["export", str(EXAMPLES / "live.toml"), "--to", "page", "--out", str(out)]
+    assert undeadzone(*command).returncode == 0
+    whole = out.read_text()
+    assert undeadzone(*command).returncode == 0
+    assert out.read_text() == whole
+    out.write_text(whole.replace("</style>", "p { color: red }</style>"))
+    refused = undeadzone(*command)
+    assert refused.returncode == 2
+    assert "live.html: exists already" in refused.stderr
+    assert "--force" in refused.stderr
+    assert undeadzone(*command, "--force").returncode == 0
+    assert out.read_text() == whole
 
 
 # --- Folders of exports
@@ -159,6 +184,17 @@ def test_an_edited_export_is_refused(tmp_path: Path) -> None:
         assert held(out) == {"joint.c": "2", "joint.h": "2"}
     (out / "joint.h").unlink()
     export(out, "joint.c", "joint.h")  # what is gone is no loss
+
+
+def test_a_link_in_an_export_leads_nowhere_else(tmp_path: Path) -> None:
+    out, home = tmp_path / "fw", tmp_path / "home"
+    home.mkdir()
+    export(out, "joint.c")
+    (out / "examples").symlink_to(home)
+    with pytest.raises(FileError, match="a link leads elsewhere"):
+        export(out, "joint.c", "examples/a.ino", force=True)
+    assert not list(home.iterdir())
+    assert held(out) == {"joint.c": "1"}
 
 
 def test_a_file_in_the_place_of_a_new_one_is_refused(tmp_path: Path) -> None:

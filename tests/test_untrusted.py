@@ -171,3 +171,13 @@ def test_a_page_and_a_state_are_written_beside_themselves(folder: Path, tmp_path
     assert done.returncode in (0, 1), done.stderr
     assert state.is_file()
     assert len(done.stdout.splitlines()) == 3
+
+
+def test_an_export_is_written_and_replaced(folder: Path, tmp_path: Path) -> None:
+    """Where nothing but --out may be written, its own parent included."""
+    out = tmp_path / "firmware"
+    for _ in range(2):
+        made = ran(folder, "export", "./-rf.toml", "--untrusted", ".", "--out", str(out))
+        assert made.returncode in (0, 1), made.stderr
+    assert (out / "manifest.json").is_file()
+    assert not [path for path in out.iterdir() if path.name.startswith(".")]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from functools import reduce, wraps
 from pathlib import Path
@@ -131,6 +132,7 @@ def prepare_figures() -> None:
     from undeadzone.report.style import own_settings
 
     own_settings()
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # a cache of fonts that is not kept
 
 
 def named_files(written: Sequence[Path]) -> dict[str, Any]:

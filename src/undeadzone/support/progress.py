@@ -51,9 +51,7 @@ def in_notebook(
 
 
 @contextmanager
-def on_terminal(
-    what: str, total: int | None, unit: str | None = None, of: Any = None
-) -> Iterator[Advance]:
+def on_terminal(what: str, total: int | None, unit: str = "", of: Any = None) -> Iterator[Advance]:
     """The same for a command: a bar on stderr, if that is a terminal and not a notebook's.
 
     Arguments as of `in_notebook`; of: the observer that is set up first.
@@ -154,8 +152,7 @@ class _Terminal:
             progress.TextColumn("{task.fields[rate]}"),
             progress.TimeRemainingColumn(),
         )
-        console = Console(stderr=True)
-        self._bar = progress.Progress(*columns, console=console, transient=True)
+        self._bar = progress.Progress(*columns, console=Console(stderr=True), transient=True)
         self._bar.start()
         self._task = self._bar.add_task(what, total=total, rate="")
 
