@@ -29,6 +29,10 @@ CASES = {
     "scenarios": 100,
     "commands": 12,
     "streams": 15,
+    "splits": 5,
+    "identify_logs": 12,
+    "arms": 30,
+    "folders": 8,
     "engines": 4,
 }
 

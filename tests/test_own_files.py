@@ -142,6 +142,20 @@ def test_an_edited_page_stays(tmp_path: Path) -> None:
     assert out.read_text() == whole
 
 
+def test_a_scenario_in_the_place_of_a_log_stays(tmp_path: Path) -> None:
+    """By whatever path it is named, and with columns named too."""
+    path = tmp_path / "motor.toml"
+    path.write_text(MINE)
+    for more in ([], ["--columns", "t=1,y=2,u=3"], ["--force"], ["--out", str(tmp_path / "out")]):
+        refused = undeadzone("identify", "motor.toml", *more, cwd=tmp_path)
+        assert refused.returncode == 2
+        assert "motor.toml: this is a scenario, no log" in refused.stderr
+        assert path.read_text() == MINE
+    log = tmp_path / "motor"
+    log.write_text("t,u,y\n")
+    assert "exists already" in undeadzone("identify", "motor", cwd=tmp_path).stderr
+
+
 # --- Folders of exports
 
 REPORT = {"title": "a joint"}
