@@ -20,7 +20,7 @@ test-wheel: .venv/tested      ## the tests against an installed wheel in place o
 
 wheel: .venv/tested           ## a wheel in dist/, and its bill of materials (CycloneDX)
 	rm -rf dist
-	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir dist .
+	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-build-isolation --no-deps --wheel-dir dist .
 	$(BIN)/python -m supply sbom dist/*.whl
 
 fuzz: .venv/tested            ## random inputs for everything that reads something, FUZZ_SECONDS=600

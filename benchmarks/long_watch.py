@@ -34,7 +34,7 @@ STEP = 0.01
 BLOCK = 10_000  # lines that are written at once
 
 
-def table(lines: int = 1_000_000) -> str:
+def table(lines: int = 10_000_000) -> str:
     """Rate and memory of one watch."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "lever.toml"

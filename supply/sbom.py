@@ -21,6 +21,7 @@ from supply import hashes
 from supply.parts import needed, normal, pinned
 
 VERSION: Final = "1.6"
+LICENCE: Final = "License :: "
 
 
 def write(wheel: Path) -> Path:
@@ -88,11 +89,12 @@ def _licences(owner: Distribution) -> list[dict[str, Any]]:
     about = owner.metadata
     if about["License-Expression"]:
         return [{"expression": about["License-Expression"]}]
-    named = [line for line in about.get_all("Classifier", []) if line.startswith("License ::")]
-    words = [line.rsplit(" :: ", 1)[1] for line in named] or (about["License"] or "").split("\n")[
-        :1
+    first = (about["License"] or "").split("\n")[0]
+    classes = [
+        line.rsplit(" :: ", 1)[1] for line in about.get_all("Classifier", []) if LICENCE in line
     ]
-    return [{"license": {"name": word}} for word in words if word]
+    words = [first] if first else [word for word in classes if word != "OSI Approved"]
+    return [{"license": {"name": word}} for word in words]
 
 
 def _refs(requirements: Any, versions: dict[str, str], among: Any = None) -> list[str]:
