@@ -89,12 +89,13 @@ def _licences(owner: Distribution) -> list[dict[str, Any]]:
     about = owner.metadata
     if about["License-Expression"]:
         return [{"expression": about["License-Expression"]}]
-    first = (about["License"] or "").split("\n")[0]
-    classes = [
+    every = [
         line.rsplit(" :: ", 1)[1] for line in about.get_all("Classifier", []) if LICENCE in line
     ]
-    words = [first] if first else [word for word in classes if word != "OSI Approved"]
-    return [{"license": {"name": word}} for word in words]
+    named = [word for word in every if word != "OSI Approved"]
+    return [
+        {"license": {"name": word}} for word in named or (about["License"] or "").split("\n")[:1]
+    ]
 
 
 def _refs(requirements: Any, versions: dict[str, str], among: Any = None) -> list[str]:

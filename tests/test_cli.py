@@ -407,6 +407,16 @@ def test_a_long_set_up_is_shown_before_the_first_step(monkeypatch: pytest.Monkey
         assert "simulating" in terminal.getvalue()
 
 
+def test_a_step_that_came_early_is_shown_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And the next one may take long."""
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setattr(progress, "PATIENCE", 0.2)
+    with progress.on_terminal("simulating", 10) as advance:
+        advance(4)
+        assert shown(terminal, "4/10")
+
+
 def test_a_short_command_shows_no_bar(monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)

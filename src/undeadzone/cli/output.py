@@ -131,8 +131,8 @@ def prepare_figures() -> None:
     """Let figures look the same in every folder; called before the first is drawn."""
     from undeadzone.report.style import own_settings
 
-    own_settings()
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # a cache of fonts that is not kept
+    own_settings()
 
 
 def named_files(written: Sequence[Path]) -> dict[str, Any]:
