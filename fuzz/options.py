@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from typing import Any
+from typing import Any, Literal
 
 import click
 
@@ -38,7 +38,8 @@ def case(draw: random.Random) -> Case:
     if draw.random() < 0.1:
         draw.shuffle(words)
     stdin = draw.choice((b"", LOG, b"\xff\xfe", b"nonsense\n"))
-    return Case(str(command.name), FILES, [str(command.name), *words], stdin)
+    apart: Literal["", "forked"] = "forked" if "--untrusted" in words else ""  # it lasts
+    return Case(str(command.name), FILES, [str(command.name), *words], stdin, apart=apart)
 
 
 def _argument(draw: random.Random, command: Any, parameter: Any) -> list[str]:
@@ -51,7 +52,7 @@ def _argument(draw: random.Random, command: Any, parameter: Any) -> list[str]:
     if parameter.is_flag:
         return [option]
     if draw.random() < 0.05:
-        return [option]
+        return [option, "--nonsense"]  # its value, or missing
     return [option, _word(draw, parameter.type)]
 
 
