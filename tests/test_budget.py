@@ -15,13 +15,13 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 37_300, 340
+MOST_CODE, MOST_FILES = 37_500, 340
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
     "(root)": 360,
-    "analysis": 3300,
-    "cli": 1690,
+    "analysis": 3310,
+    "cli": 1750,
     "compensators": 170,
     "compile": 3400,
     "controllers": 680,
@@ -29,19 +29,19 @@ BUDGET = {
     "ensemble": 1970,
     "exports": 1960,
     "feedforward": 370,
-    "identification": 5360,
+    "identification": 5370,
     "linear": 410,
-    "logs": 1060,
+    "logs": 1240,
     "numerics": 640,
-    "observers": 2950,
+    "observers": 2960,
     "plants": 1540,
-    "report": 2950,
+    "report": 2955,
     "results": 890,
     "scenario": 1390,
     "signals": 430,
     "simulation": 2320,
     "statistics": 270,
-    "support": 840,
+    "support": 845,
     "synthesis": 1040,
     "tuning": 890,
 }

@@ -9,8 +9,10 @@ import signal
 import subprocess
 import sys
 import time
+import tomllib
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
 
@@ -25,7 +27,7 @@ COMMAND = [sys.executable, "-c", "from undeadzone.cli import main; main()"]
 
 @pytest.fixture
 def scenario(tmp_path: Path) -> Path:
-    assert undeadzone("init", tmp_path / "mine.toml").returncode == 0
+    assert undeadzone("init", "--full", tmp_path / "mine.toml").returncode == 0
     path = tmp_path / "mine.toml"
     path.write_text(path.read_text().replace("duration = 20.0 ", "duration = 6.0 "))
     return path
@@ -37,7 +39,9 @@ def certified(scenario: Path) -> Path:
     text = scenario.read_text()
     for old, new in (
         ('method = "auto" ', "# "),
-        ("right = [0.0, 3.0] ", "# "),
+        ("right = [0.0, 2.0] ", "# "),
+        ("disturbance = 0.2 ", "# "),
+        ("bias = 0.0 ", "# "),
         ('# method = "certified"', 'method = "certified"'),
         ("# L = [1.0, 1.5] ", "L = [1.0, 1.5] "),
         ("# gamma = 10.0 ", "gamma = 10.0 "),
@@ -60,7 +64,33 @@ def test_version_and_help() -> None:
         assert "undeadzone" in shown.stdout
         assert "Example" in shown.stdout or command == []
     listed = undeadzone("--help").stdout
-    assert [name for name in group.commands if f"  undeadzone {name} " not in listed] == []
+    assert [name for name in group.commands if f"\n  {name} " not in listed] == []
+    assert undeadzone("help").stdout == listed
+    assert undeadzone("help", "watch").stdout == undeadzone("watch", "--help").stdout
+    assert undeadzone("help", "wacth").returncode == 2
+
+
+def test_the_short_template_has_25_lines_and_runs_as_the_full_one(tmp_path: Path) -> None:
+    for name, words in (("short", []), ("full", ["--full"])):
+        assert undeadzone("init", tmp_path / f"{name}.toml", *words).returncode == 0
+    short = (tmp_path / "short.toml").read_text()
+    lines = [line for line in short.split("\n") if line and not line.startswith("#")]
+    assert len(lines) == 25
+    texts = [tomllib.loads((tmp_path / f"{name}.toml").read_text()) for name in ("short", "full")]
+    assert texts[0] == texts[1]
+
+
+def test_a_rare_option_stands_in_the_whole_help_alone() -> None:
+    usual, whole = (
+        undeadzone("identify", "--help").stdout,
+        undeadzone("identify", "--help-all").stdout,
+    )
+    assert "--integrators" not in usual
+    assert {line.split()[0] for line in usual.splitlines() if line.startswith("  --")} <= set(
+        whole.split()
+    )
+    every = [each for each in group.commands["identify"].params if isinstance(each, click.Option)]
+    assert [each.name for each in every if not each.help or each.opts[0] not in whole] == []
 
 
 @pytest.mark.parametrize(("option", "code"), [("--version", 0), ("--nonsense", 2)])
@@ -203,7 +233,7 @@ def test_wrong_input_is_one_clear_line(
 
 def test_reference_that_cannot_be_followed(certified: Path) -> None:
     text = certified.read_text()
-    numerator, denominator = [1.0, 0.0, 39.47841760435743], [1.0, 3.0, 3.0, 1.0]
+    numerator, denominator = [1.0, 0.0, 1.5791367041742974], [1.0, 3.0, 3.0, 1.0]
     plant = f"transfer_function = {{ numerator = {numerator}, denominator = {denominator} }}\n"
     start = text.index("A = [[0.0")
     text = text[:start] + plant + "#" + text[text.index("# Other forms") :]
@@ -213,7 +243,7 @@ def test_reference_that_cannot_be_followed(certified: Path) -> None:
     done = undeadzone("run", certified)
     assert done.returncode == 2
     assert "zero of the plant" in done.stderr
-    assert "6.283j" in done.stderr
+    assert "1.257j" in done.stderr
 
 
 def test_out_is_a_file(scenario: Path) -> None:

@@ -75,8 +75,8 @@ def test_an_observer_without_gain_follows_its_model_alone() -> None:
     )
     (share,) = listening(resolve_scenario(scenario), None)
     assert share == pytest.approx(0.0, abs=0.01)
-    assert in_words([share]).startswith("ON TRUST")
-    assert not in_words([0.9, None]).startswith("ON TRUST")
+    assert in_words([share]).startswith("OPEN LOOP")
+    assert not in_words([0.9, None]).startswith("OPEN LOOP")
 
 
 def test_an_output_at_rest_tells_nothing_of_listening() -> None:

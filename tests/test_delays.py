@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from undeadzone.identification.models.estimates import DIRECTIONS
+from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.identification.models.plant import Data, delayed
 from undeadzone.identification.models.zone import Limits
 from undeadzone.identification.verdict.delays import _late, alike, better_delay, refined_delay

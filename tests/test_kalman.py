@@ -528,9 +528,12 @@ def test_continuous_time_is_refused_with_what_to_do() -> None:
 
 
 def test_widths_within_their_ranges_have_the_mean_of_a_cut_gaussian() -> None:
-    """Independent widths: each has the mean of a truncated normal; the covariance stays."""
+    """Independent widths: each has the mean of a truncated normal; the covariance stays.
+
+    But where a width drifted so long that it deviates by more than its range allows.
+    """
     ranges = np.array([[0.5, 1.2], [0.0, 0.4]])
-    mean, std = np.array([3.0, 1.3, 0.3]), np.array([1.0, 0.4, 0.2])
+    mean, std = np.array([3.0, 1.3, 0.3]), np.array([1.0, 0.4, 0.1])
     params = Params(*[None] * len(Params._fields))._replace(ranges=ranges)
 
     def shown(mean: Any, cov: Any) -> list[Any]:
@@ -541,7 +544,8 @@ def test_widths_within_their_ranges_have_the_mean_of_a_cut_gaussian() -> None:
     a, b = (ranges.T - mean[1:]) / std[1:]
     expected = truncnorm.mean(a, b, loc=mean[1:], scale=std[1:])
     assert cut_mean[:, 0] == pytest.approx([3.0, *expected])
-    assert (cov == np.diag(std**2)).all()
+    most = (ranges[0, 1] - ranges[0, 0]) / np.sqrt(12)
+    assert cov == pytest.approx(np.diag(np.array([1.0, most, 0.1]) ** 2), rel=1e-9)
     chances = norm.cdf(b) - norm.cdf(a)
     assert log_chance[0, 0] == pytest.approx(np.log(chances).sum())
 
@@ -552,7 +556,7 @@ def test_a_prior_is_uniform_over_its_ranges() -> None:
     assert prior.mean.tolist() == [0.0, 0.0, 1.25, 0.5]
     assert prior.std == pytest.approx([10.0, 10.0, 1.5 / np.sqrt(12), 1.0 / np.sqrt(12)])
     assert pytest.approx([0.01]) == prior.R
-    assert prior.drift == pytest.approx(np.full(2, 0.02**2 * TS))
+    assert prior.drift == pytest.approx([0.015**2 * TS, 0.01**2 * TS])
 
 
 def test_the_left_widths_have_the_ranges_of_the_right_ones_by_default() -> None:

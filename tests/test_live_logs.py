@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from tests.live import KALMAN, STEP, WRONG_LINES, Watched, fed, line, regular, stream
 from tests.test_strangers import COMMAND
 
+from undeadzone.cli.common import SCHEMA
 from undeadzone.errors import FileError
 from undeadzone.logs.clock import Clock
 from undeadzone.logs.samples import KINDS, Samples
@@ -122,7 +123,7 @@ def test_lines_that_are_no_text_are_counted(lever: Path) -> None:
     kinds = {"zero_bytes": 1, "too_long": 1, "values": 1, "number": 1, "no_time": 1}
     assert ended["faults"] == kinds
     assert ended["unreadable"] == 5
-    assert ended["schema"] == 1
+    assert ended["schema"] == SCHEMA
     assert [json.loads(row)["t"] for row in done.stdout.splitlines()] == pytest.approx(regular(40))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +17,8 @@ from undeadzone.logs.names import (
     parse_columns,
     split_unit,
 )
-from undeadzone.logs.samples import Grid, LogReader, Samples
+from undeadzone.logs.samples import Grid, LogReader, Samples, samples_of_text
+from undeadzone.logs.stamps import stamps_of
 from undeadzone.logs.text import Text, dialect_of
 
 
@@ -32,6 +34,7 @@ def titles(text: str) -> list:
         ("u[0]", "u[0]", ""),
         ("u[0] [1]", "u[0]", "1"),
         ("y [1]", "y", "1"),
+        ("target pos (1)", "target pos (1)", ""),
         (' "t [ms]" ', "t", "ms"),
         ("y", "y", ""),
     ],
@@ -149,8 +152,76 @@ def test_a_block_read_at_once_is_what_its_lines_are_one_by_one() -> None:
     assert (whole.unreadable, single.unreadable) == (0, 1)
 
 
+FOREIGN = [  # header, times of two lines .25 s apart, or the second after midnight
+    ("timestamp", "2026-11-21T18:53:06Z", "2026-11-21T18:53:06.25Z"),
+    ("timestamp", "2026-11-21 23:59:59.875", "2026-11-22 00:00:00.125"),
+    ("time", "2026-11-21T19:53:06+01:00", "2026-11-21T18:53:06.250Z"),
+    ("datetime", "21.11.2026 18:53:06", "21.11.2026 18:53:06.25"),
+    ("datetime", "11/21/2026 6:53:06 PM", "11/21/2026 6:53:06.25 PM"),
+    ("datetime", "21/11/2026 18:53:06", "21/11/2026 18:53:06.25"),
+    ("date;time", "2026-11-21;18:53:06", "2026-11-21;18:53:06.25"),
+    ("time", "23:59:59.875", "00:00:00.125"),
+    ("time", "18:53:06,75", "18:53:07,00"),
+    ("timestamp", "1795287186.5", "1795287186.75"),
+    ("timestamp", "1795287186500", "1795287186750"),
+    ("timestamp", "1795287186500000", "1795287186750000"),
+    ("timestamp", "1795287186500000000", "1795287186750000000"),
+    ("t [ms]", "500", "750"),
+]
+
+
+@pytest.mark.parametrize(("header", "one", "two"), FOREIGN)
+@pytest.mark.parametrize("is_newest_first", [False, True])
+@pytest.mark.parametrize("is_live", [False, True])
+def test_times_as_loggers_write_them(
+    header: str, one: str, two: str, is_newest_first: bool, is_live: bool, tmp_path: Path
+) -> None:
+    lines = [f"{one};1;2", f"{two};3;4"]
+    if is_newest_first and (is_live or (header == "time" and two.startswith("00"))):
+        return  # a stream has one order; midnight backwards is a log of one day
+    text = "\n".join([f"{header};y;u", *(lines[::-1] if is_newest_first else lines)]) + "\n"
+    path = tmp_path / "log.csv"
+    path.write_text(text)
+    reader = LogReader("log", 1, 1, {}, live=is_live)
+    samples = samples_of_text(reader, path, 10_000, 10)
+    assert reader.unreadable == 0
+    assert np.diff(samples.t) == pytest.approx([0.25], abs=1e-6)
+    assert samples.y[:, 0].tolist() == [1.0, 3.0]
+    assert samples.u[:, 0].tolist() == [2.0, 4.0]
+
+
+@pytest.mark.parametrize(
+    ("date", "seconds"),
+    [("1970-01-02", 86_400.0), ("2000-03-01T00:00:01", 951_868_801.0), ("2026-02-30", None)],
+)
+def test_dates_count_from_1970(date: str, seconds: float | None) -> None:
+    found = stamps_of([date])
+    assert found is not None
+    assert found.seconds(date) == seconds
+
+
+def test_what_nothing_tells_is_refused() -> None:
+    with pytest.raises(
+        FileError, match=r"line 2: nothing tells which number of '3/4/2026 1:00:00'"
+    ):
+        LogReader("log", 1, 1, {}).feed(b"t,y,u\n3/4/2026 1:00:00,1,2\n", last=True)
+    for odd in ("12:60:00", "24:00:00", "13:00:00 PM", "3 o'clock", "2026-13-01", "18:53"):
+        reader = LogReader("log", 1, 1, {})
+        samples = reader.feed(f"t,y,u\n18:52:00,1,2\n{odd},1,2\n".encode(), last=True)
+        assert (samples.t.size, reader.unreadable) == (2, 0 if odd == "18:53" else 1), odd
+
+
+def test_a_glitch_in_a_log_of_numbers_is_no_time_of_day() -> None:
+    reader = LogReader("log", 1, 1, {})
+    samples = reader.feed(b"t,y,u\n0,1,2\n12:00:01,1,2\n2,1,2\n", last=True)
+    assert reader.unreadable == 1
+    assert samples.t[[0, 2]].tolist() == [0.0, 2.0]
+
+
 def test_what_is_no_text() -> None:
     with pytest.raises(FileError, match="not CSV text"):
+        Text("log").feed(b"PK\x02\x04\0\0")
+    with pytest.raises(FileError, match="an Excel workbook, or another archive: save it as CSV"):
         Text("log").feed(b"PK\x03\x04\0\0")
     with pytest.raises(FileError, match="not CSV text"):
         Text("log").feed(b"1" * 100_000)

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from click.testing import CliRunner
 
 import undeadzone as uz
 from undeadzone.cli import group
@@ -41,10 +40,10 @@ PARTS: dict[str, Any] = {
         ('time = "sampled"', 'time = "discrete"', "write sampled"),
         ("right = 1.0 ", "upper = 1.0 ", "sensor.right"),
         ("right = 1.0 ", "d_r = 1.0 ", "write right"),
-        ("left = 1.0 ", "left = -1.0 ", "it is a width, from 0 to the edge on that side"),
+        ("left = 0.6 ", "left = -1.0 ", "it is a width, from 0 to the edge on that side"),
         ('method = "auto"', 'method = "UKF"', "did you mean 'ukf'?"),
         ('method = "state_feedback"', 'method = "PID"', "did you mean 'pid'?"),
-        ("alpha = 10.0 ", "Kp = 10.0 ", "unknown key"),
+        ("# alpha = 10.0 ", "Kp = 10.0 ", "unknown key"),
         (NOISE, "noise = 0,01 ", "write a decimal point, 0.01"),
         (NOISE, "noise = .01 ", "write a digit on both sides of the point"),
         (NOISE, "noise = 1/100 ", "write the number itself"),
@@ -159,15 +158,9 @@ def test_a_sample_of_another_size_is_refused() -> None:
     assert online.samples == 0
 
 
-def test_help_lists_every_command() -> None:
-    shown = CliRunner().invoke(group, ["--help"]).output
-    for name in group.commands:
-        assert f"undeadzone {name} " in shown
-
-
 def test_a_claim_that_excludes_the_truth_is_called_false() -> None:
     """Shown were 0.5 and an interval that excludes 1.0: plausible, and wrong."""
-    text = TEMPLATE.replace("right = [0.0, 3.0]", "right = [0.0, 0.5]\nleft = [0.2, 3.0]")
+    text = TEMPLATE.replace("right = [0.0, 2.0]", "right = [0.0, 0.5]\nleft = [0.2, 3.0]")
     run = uz.simulate(parse(text) | {"simulation": {"duration": 3.0}})
     assert not run.fully_identifiable
     (verdict,) = run.info.identifiable

@@ -125,10 +125,10 @@ def test_signals_are_attributes_also_of_a_copy() -> None:
 
 def test_a_row_is_said_once_for_all() -> None:
     right, left, both = sheet.gaps((0.25, 0.5), (0.01, 0.02), 0.015, "rad", (0.24, 0.51))
-    assert right.words == "0.250 ± 0.010 rad (true 0.24)"
-    assert left.cell == "0.500 ± 0.020"
+    assert right.words == "0.250 [0.230, 0.270] rad (true 0.24)"
+    assert left.cell == "0.500 [0.461, 0.539]"
     assert both.head == "c_r^ + c_l^ [rad]"
-    assert sheet.in_text([both]) == {"gap_right + gap_left": "0.750 ± 0.015 rad (true 0.75)"}
+    assert sheet.in_text([both]) == {"gap_right + gap_left": "0.750 [0.721, 0.779] rad (true 0.75)"}
     rms = sheet.Row(
         "rms z - r", "rms of z − r", 0.123456, key="rms", form=".4g", note=" (last 2 s)"
     )

@@ -11,7 +11,7 @@ import pytest
 import undeadzone as uz
 from scenes import scene
 from undeadzone.support import shown
-from undeadzone.support.text import with_deviation
+from undeadzone.support.text import with_interval
 
 FOLDER = Path(__file__).parents[1] / "docs/tutorials"
 SCRIPTS = sorted(FOLDER.glob("*.py"))
@@ -64,14 +64,14 @@ def test_blocks_are_aligned_and_escaped() -> None:
 @pytest.mark.parametrize(
     ("value", "std", "words"),
     [
-        (0.977645, 0.16, "0.98 ± 0.16"),
-        (0.0502802, 0.00086, "0.05028 ± 0.00086"),
-        (12.3456, 3.2, "12.3 ± 3.2"),
-        (1234.0, 210.0, "1234 ± 2.1e+02"),
-        (0.5, 0.0, "0.5 ± 0"),
-        (None, 0.1, "nan ± 0.1"),
-        (1.0, None, "1 ± nan"),
+        (0.977645, 0.16, "0.98 [0.66, 1.29]"),
+        (0.0502802, 0.00086, "0.05028 [0.04859, 0.05197]"),
+        (12.3456, 3.2, "12.3 [6.1, 18.6]"),
+        (1234.0, 210.0, "1234 [822.4, 1646]"),
+        (0.5, 0.0, "0.5"),
+        (None, 0.1, "nan (no interval)"),
+        (1.0, None, "1 (no interval)"),
     ],
 )
-def test_a_deviation_decides_the_digits(value: float, std: float, words: str) -> None:
-    assert with_deviation(value, std) == words
+def test_the_deviation_decides_an_intervals_digits(value: float, std: float, words: str) -> None:
+    assert with_interval(value, std) == words

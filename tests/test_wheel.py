@@ -121,7 +121,7 @@ def test_every_dependency_has_a_purpose() -> None:
         assert f"| {name} | {sizes.PURPOSE[name]} |" in page
 
 
-def test_the_version_stands_in_one_place(wheel: Path) -> None:
+def test_the_version_is_the_same_everywhere(wheel: Path) -> None:
     found = []
     tree = ast.parse((ROOT / "src/undeadzone/__init__.py").read_text(encoding="utf-8"))
     for node in tree.body:
@@ -131,7 +131,11 @@ def test_the_version_stands_in_one_place(wheel: Path) -> None:
     assert email.message_from_string(text_in(wheel, "METADATA"))["Version"] == version
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert "version" not in project
-    assert "\nversion:" not in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    (released,) = re.findall(r'^date-released: "(.*)"$', citation, re.M)
+    assert re.findall(r"^version: (.*)$", citation, re.M) == [version]
+    changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert changes.startswith(f"# Changelog\n\n## {version} ({released})\n")
 
 
 def test_a_package_index_shows_no_link_that_leads_nowhere(wheel: Path) -> None:

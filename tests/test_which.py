@@ -209,7 +209,7 @@ def test_the_gap_of_a_play_is_found(seed: int) -> None:
     assert not found.zone
     assert found.width.low <= sum(gaps) <= found.width.high
     assert found.width.half < 0.1
-    assert found.centre.low <= (gaps[0] - gaps[1]) / 2 <= found.centre.high
+    assert found.centre.low <= gaps[0] - gaps[1] <= found.centre.high
     assert found.numbers()["offsets"]["name"] == "play"
     assert found.numbers()["zone_width"] is None
     states = found.states()

@@ -26,6 +26,13 @@ from undeadzone.cli.watch import watch
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
+# In the order in which they are met.
+BLOCKS = {
+    "Start": ("init", "run", "identify", "export"),
+    "Go on": ("check", "design", "estimate", "ensemble"),
+    "Special": ("tune", "watch", "arm"),
+}
+OF_MOST = ("out", "as_json", "no_figures", "untrusted")  # options
 OTHER_NAMES = {"simulate": "run", "sim": "run", "plot": "run", "compare": "arena", "new": "init"}
 
 
@@ -37,6 +44,12 @@ class Commands(click.Group):
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """The command, and its arguments. Raises UsageError."""
         name = args[0]
+        if name == "help":
+            args = [*(args[1:] or [""]), "--help"]
+            if not args[0]:
+                click.echo(ctx.get_help())
+                ctx.exit()
+            name = args[0]
         if name in OTHER_NAMES:
             ctx.fail(f"No such command {name!r}. Did you mean {OTHER_NAMES[name]!r}?")
         if name.endswith(".toml"):
@@ -56,14 +69,22 @@ class Commands(click.Group):
         return None if point is None else point.load()
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Those that other packages register: the tool's own stand above, each with an example."""
-        lines = []
-        for name in _registered():
-            command = self.get_command(ctx, name)
-            lines.append((name, command.get_short_help_str(80) if command else ""))
-        if lines:
-            with formatter.section("From other packages"):
-                formatter.write_dl(lines)
+        """The commands in the order in which they are met, each with what to type."""
+        blocks = BLOCKS | {"Special": (*BLOCKS["Special"], *_registered())}
+        for title, names in blocks.items():
+            with formatter.section(title):
+                formatter.write_dl([self._line(ctx, name) for name in names])
+        with formatter.section("Options of most commands"):
+            options = [each for each in run.params if each.name in OF_MOST]
+            formatter.write_dl([each.get_help_record(ctx) or ("", "") for each in options])
+
+    def _line(self, ctx: click.Context, name: str) -> tuple[str, str]:
+        """What is typed for a command, and what it does."""
+        command = self.get_command(ctx, name)
+        assert command is not None
+        arguments = [each for each in command.params if isinstance(each, click.Argument)]
+        typed = [name, *(each.make_metavar(ctx) for each in arguments)]
+        return " ".join(typed), command.get_short_help_str(100)
 
 
 def _registered() -> dict[str, EntryPoint]:
@@ -74,28 +95,18 @@ def _registered() -> dict[str, EntryPoint]:
 
 
 @click.group(
-    cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100}
+    cls=Commands,
+    epilog="Exit codes: 0 done; 1 it ran, and the answer is no (diverged, not certified, not "
+    "identifiable); 2 bad input; 70 a mistake of undeadzone itself; 130 Ctrl-C; 143 terminated.",
+    context_settings={
+        "help_option_names": ["-h", "--help"],
+        "max_content_width": 100,
+        "show_default": True,
+    },
 )
 @click.version_option(undeadzone.__version__, "-V", "--version", prog_name="undeadzone")
 def group() -> None:
-    """See through a sensor's dead zone.
-
-    \b
-    undeadzone init mine.toml               write a commented scenario to start from
-    undeadzone run mine.toml                simulate your plant, sensor, observer and controller
-    undeadzone check mine.toml              assess the gains: proof, rate, what can be known
-    undeadzone design mine.toml             find gains with a proof: rate against noise
-    undeadzone ensemble mine.toml           run it thousands of times with what may vary
-    undeadzone tune mine.toml               find the gains that do best over such runs
-    undeadzone identify log.csv             find plant and dead zone from a log of a real plant
-    undeadzone estimate mine.toml log.csv   let its observer follow a recorded log
-    undeadzone watch mine.toml              estimate from samples as they come on stdin
-    undeadzone arm robot.urdf               show the arm in a URDF file, and write a scenario for it
-    undeadzone export mine.toml             write the observer as C for a microcontroller
-
-    Exit codes: 0 done; 1 it ran, and the answer is no (diverged, not certified, not identifiable);
-    2 bad input; 70 a mistake of undeadzone itself; 130 Ctrl-C; 143 terminated.
-    """
+    """See through a sensor's dead zone."""
 
 
 COMMANDS = (

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from undeadzone.cli.common import PATH, confined, json_text, origin, untrusted, with_schema
-from undeadzone.cli.output import Output, common
+from undeadzone.cli.output import Output, common, named_files, to_type
 from undeadzone.support.progress import on_terminal as progress
 
 
@@ -53,5 +53,13 @@ def check(scenario: Path, output: Output, confine: Path | None) -> int:
             written += write_gains(
                 result.assessment, attempts, folder, origin=origin(scenario, seed)
             )
-    output.show(result.summary, result.blocks, written)
+    last = named_files(written) | _next(scenario, result.summary()["certified"])
+    output.show(result.summary, result.blocks, written, last)
     return 0 if result.affirmed else 1
+
+
+def _next(path: Path, certified: bool | None) -> dict[str, str]:
+    """What to type after a verdict; certified: None of an observer without constant gains."""
+    if certified is False:
+        return to_type(f"undeadzone design {path} searches gains that have a proof")
+    return to_type(f"undeadzone ensemble {path} varies what may vary", f"undeadzone export {path}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 import json
 import os
@@ -25,28 +26,52 @@ if TYPE_CHECKING:
     from undeadzone.results.info import LogInfo
 
 Command = TypeVar("Command", bound=Callable[..., Any])
-SCHEMA = 1  # of JSON: raised when a key goes or changes its meaning; keys may be added
-COLOURS = {"yes": "green", "ON TRUST": "yellow"}  # of verdicts; of others red
+SCHEMA = 2  # of JSON: raised when a key goes or changes its meaning; keys may be added
+COLOURS = {"yes": "green", "OPEN LOOP": "yellow"}  # of verdicts; of others red
 # Where a cell begins, or after what is judged: right yes, left NO.
 VERDICT = re.compile(
     r"(?:(?<=  )|(?<=: )|(?<=right )|(?<=left )|(?<=width )|(?<=centre ))"
-    r"(?:yes|NO|ON TRUST|LEFT|never settles|at the end of its range)\b"
+    r"(?:yes|NO|OPEN LOOP|LEFT|never settles|at the end of its range)\b"
     r"|^(?:DIVERGED|NOT EXACT|REFUSED|NO)\b"
 )
 PATH = click.Path(path_type=Path)
 
 
-def option(name: str, metavar: str, words: str, **more: Any) -> Callable[..., Any]:
+def option(name: str, metavar: str | None, words: str, **more: Any) -> Callable[..., Any]:
     """An option that takes a value; more: what click knows of it besides."""
     return click.option(name, metavar=metavar, help=words, **more)
 
 
-def flag(name: str, words: str) -> Callable[..., Any]:
-    """An option that is given or not."""
-    return click.option(name, is_flag=True, help=words)
+def flag(name: str, words: str, **more: Any) -> Callable[..., Any]:
+    """An option that is given or not; more: what click knows of it besides."""
+    return click.option(name, is_flag=True, help=words, **more)
+
+
+rarely = functools.partial(option, hidden=True)  # `--help-all` shows it, `--help` does not
+
+
+def _all_options(context: click.Context, _: click.Parameter, asked: bool) -> None:
+    """Print the help with every option, and end."""
+    if not asked:
+        return
+    shown = copy.copy(context.command)
+    shown.params = [copy.copy(each) for each in shown.params]
+    for each in shown.params:
+        if isinstance(each, click.Option):
+            each.hidden = False
+    click.echo(shown.get_help(context))
+    context.exit()
 
 
 # Options that several commands have
+help_all = click.option(
+    "--help-all",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_all_options,
+    help="Show this message with the options that are rarely needed, and exit.",
+)
 confined = option(
     "--confine",
     "DIR",

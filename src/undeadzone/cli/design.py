@@ -39,36 +39,24 @@ def powers(
     return numbers
 
 
+AIMS = click.Choice(["knee", "rate"])
+COUNT = click.IntRange(min=0)
+
+
 @click.command(
     epilog="Example: undeadzone design examples/paper_5sin.toml --out mine, then look at "
     "mine/report.html"
 )
 @click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
-@click.option(
-    "--maximise",
-    type=click.Choice(["knee", "rate"]),
-    help="The knee of the front of rate, disturbance and noise (default), or the rate alone.",
-)
+@option("--maximise", None, "The knee of the front (default), or the rate alone.", type=AIMS)
 @option(
     "--weights",
     "D,M,N",
     "Instead: maximise rate / (disturbance^D mismatch^M noise^N).",
     callback=powers,
 )
-@click.option(
-    "--margin",
-    type=float,
-    default=0.01,
-    show_default=True,
-    help="Least margin of the certificate, between 0 and 1.",
-)
-@click.option(
-    "--seed",
-    type=click.IntRange(min=0),
-    default=0,
-    show_default=True,
-    help="Of the search: the same seed gives the same gains.",
-)
+@option("--margin", None, "Least margin of the certificate, between 0 and 1.", default=0.01)
+@option("--seed", None, "Of the search: the same seed, the same gains.", default=0, type=COUNT)
 @force_option
 @untrusted
 @confined
@@ -127,9 +115,8 @@ def design(
         result = search(planned, aim, margin=margin, seed=seed, progress=advance)
         designed = with_gains(planned, result)
         judged = assess_gains(designed)
-    written: list[Path] = []
-    if folder is not None:
-        written = _written(result, designed, folder, output.figures, origin(scenario, seed))
+    page = output.figures, origin(scenario, seed)
+    written = [] if folder is None else _written(result, designed, folder, *page)
     output.show(
         lambda: _numbers(result, judged),
         lambda: _words(result, judged),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -15,8 +16,11 @@ from undeadzone.cli.common import (
     strict_option,
     untrusted,
 )
-from undeadzone.cli.output import Output, common, csv_option, named_files, wanted_table
+from undeadzone.cli.output import Output, common, csv_option, named_files, to_type, wanted_table
 from undeadzone.support.progress import on_terminal as progress
+
+if TYPE_CHECKING:
+    from undeadzone.results.estimation import Estimation
 
 
 @click.command(epilog="Example: undeadzone estimate mine.toml log.csv --columns y=angle,u=voltage")
@@ -63,6 +67,13 @@ def estimate(
     tables, left_out = wanted_table(as_csv, result.table_size, "estimate.csv")
     if folder is not None:
         written = write_estimation(result, folder, output.figures, tables, origin(scenario))
-    last = named_files(written) | left_out if written else {}
+    last = (named_files(written) | left_out if written else {}) | _next(scenario, log, result)
     output.show(result.summary, result.blocks, written, last)
     return exit_code(result.info)
+
+
+def _next(scenario: Path, log: Path, result: Estimation) -> dict[str, str]:
+    """What to type after a log: firmware where it fits, else a model that does."""
+    if result.info.consistent is False:
+        return to_type(f"undeadzone identify {log} finds a plant and a zone that fit")
+    return to_type(f"undeadzone export {scenario}")

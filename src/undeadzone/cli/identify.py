@@ -11,8 +11,10 @@ from undeadzone.cli.common import (
     columns_option,
     flag,
     force_option,
+    help_all,
     option,
     origin,
+    rarely,
     strict_option,
     untrusted,
     writable,
@@ -26,26 +28,32 @@ if TYPE_CHECKING:
     Answers = Identified | IdentifiedOutputs
 
 
+KINDS = click.Choice(["auto", "deadzone", "jump", "play"])
+NOISES = click.Choice(["auto", "before", "after"])
+PLACES = click.Choice(["auto", "sensor"])
+
+
 @click.command(epilog="Example: undeadzone identify log.csv && undeadzone run log.toml")
 @click.argument(
     "logs", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="LOG [LOG ...]"
 )
-@click.option("--order", default="1-4", help="Poles of the plant: 2, or a range to choose from.")
-@click.option("--right", help="d_r: known (0.5), within bounds (0.2,1) or inf.")
-@click.option("--left", help="d_l: known (0.5), within bounds (0.2,1) or inf.")
-@click.option("--offset", default="0", help="rms of a constant output offset, or free.")
-@click.option("--held-out", default=0.3, help="Share of the log, at its end, that checks.")
-@click.option("--noise", type=click.Choice(["auto", "before", "after"]), default="auto")
-@click.option("--place", type=click.Choice(["auto", "sensor"]), default="auto")
-@click.option("--kind", type=click.Choice(["auto", "deadzone", "jump", "play"]), default="auto")
-@click.option("--delay", default="auto", help="Samples by which the recording delays the input.")
-@click.option("--zero", default=0.0, help="What the sensor reads inside its zone.")
-@click.option("--integrators", default=0, help="Poles of the plant at 0: 1 for a motor's position.")
-@click.option("--threshold", type=float, help="|y| up to which y is silent.")
-@option("--resample", "STEP", "Step [s] to put on.", type=float)
 @columns_option
+@option("--kind", None, "What stands at the output; auto finds out.", type=KINDS, default="auto")
+@option("--order", "N|LOW-HIGH", "Poles of the plant, or a range to choose from.", default="1-4")
+@option("--right", "WIDTH", "d_r: known (0.5), within bounds (0.2,1) or inf (no such edge).")
+@option("--left", "WIDTH", "d_l: known (0.5), within bounds (0.2,1) or inf (no such edge).")
+@option("--zero", "READING", "What the sensor reads inside its zone.", default=0.0)
+@rarely("--integrators", None, "Poles of the plant at 0: 1 for a motor's position.", default=0)
+@rarely("--offset", "RMS|free", "Of a constant offset of the output.", default="0")
+@rarely("--held-out", None, "Share of the log, at its end, that checks.", default=0.3)
+@rarely("--noise", None, "Whether noise is added ahead of the zone.", type=NOISES, default="auto")
+@rarely("--place", None, "sensor: ask no more where the zone is.", type=PLACES, default="auto")
+@rarely("--delay", "N", "Samples by which the recording delays the input.", default="auto")
+@rarely("--threshold", "|y|", "Up to which y is silent.", type=float)
+@rarely("--resample", "STEP", "Step [s] to put the samples on.", type=float)
 @strict_option
 @flag("--resume", "Continue where it was stopped, from DIR/identify.json.partial.")
+@help_all
 @force_option
 @untrusted
 @common

@@ -6,6 +6,7 @@ The examples that come with the package: scenarios, the files that they name, an
 from __future__ import annotations
 
 import difflib
+import re
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,7 +15,7 @@ from typing import Any, Final
 import click
 
 import undeadzone
-from undeadzone.cli.common import PATH, force_option, option, print_blocks, print_json, say
+from undeadzone.cli.common import PATH, flag, force_option, option, print_blocks, print_json, say
 from undeadzone.cli.output import Output, common
 from undeadzone.errors import InputError
 from undeadzone.support.files import read_text, write_text
@@ -30,25 +31,28 @@ OTHERS: Final = {
 @option(
     "--example", "NAME", "Write an example, with the files that it names, in place of the template."
 )
+@flag("--full", "Write the template with all its remarks and alternatives, 80 lines.")
 @click.option("--list", "as_list", is_flag=True, help="List the examples and write nothing.")
 @force_option
 @common
 def init(
     file: Path | None,
     example: str | None,
+    full: bool,
     as_list: bool,
     force: bool,
     output: Output,
 ) -> int:
-    """Write a commented scenario to FILE (default: scenario.toml), ready to run and to change.
+    """Write a scenario of 25 lines to FILE (default: scenario.toml), ready to run and to change.
 
-    With --example two_link write that example (default FILE: two_link.toml); --list shows all.
+    With --full it says what else could stand there. With --example two_link write that example
+    (default FILE: two_link.toml); --list shows all.
     """
     from undeadzone.support.own_files import require_own
 
     if as_list:
         return _listed(output.as_json)
-    texts = _texts(file, example, output.out or Path())
+    texts = _texts(file, example, full, output.out or Path())
     for path in texts:
         require_own(path, force)
     for path, text in texts.items():  # they are for the user to edit: without a mark
@@ -73,13 +77,14 @@ def _listed(as_json: bool) -> int:
     return 0
 
 
-def _texts(file: Path | None, example: str | None, folder: Path) -> dict[Path, str]:
+def _texts(file: Path | None, example: str | None, full: bool, folder: Path) -> dict[Path, str]:
     """What is to be written, by path: the scenario first, then the files that it names."""
     if example is None:
         from importlib.resources import files
 
         template = files("undeadzone").joinpath("template.toml").read_text(encoding="utf-8")
-        return {folder / (file or "scenario.toml"): template}
+        text = template if full else _short(template)
+        return {folder / (file or "scenario.toml"): text}
 
     first, *named = files_of(example)
     target = folder / (file or first.name)
@@ -87,6 +92,14 @@ def _texts(file: Path | None, example: str | None, folder: Path) -> dict[Path, s
     for path in named:
         texts[target.parent / path.name] = path.read_text(encoding="utf-8")
     return texts
+
+
+def _short(template: str) -> str:
+    """A template without its remarks and alternatives, but for what it says at its top."""
+    head, _, _ = template.partition("\n\n")[0].partition("title")
+    lines = [line for line in template.split("\n") if not line.startswith("#")]
+    text = re.sub(r"\n{3,}", "\n\n", "\n".join(lines))
+    return f"{head}# More keys and alternatives: undeadzone init --full, docs/keys.md.\n{text}"
 
 
 def _next(path: Path) -> str:

@@ -135,6 +135,11 @@ def prepare_figures() -> None:
     own_settings()
 
 
+def to_type(*words: str) -> dict[str, str]:
+    """The line that says what to type next, for `print_blocks`; each command with its purpose."""
+    return {"next": "; ".join(words)}
+
+
 def named_files(written: Sequence[Path]) -> dict[str, Any]:
     """The line that names the files written, for `print_blocks`; nothing where there are none."""
     return {"written": ", ".join(map(str, written))} if written else {}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
@@ -14,14 +14,18 @@ from undeadzone.cli.output import (
     csv_option,
     named_files,
     prepare_figures,
+    to_type,
     wanted_table,
 )
 from undeadzone.support.progress import on_terminal as progress
+from undeadzone.support.text import HALF_95
 
 if TYPE_CHECKING:
     from undeadzone.results.run import Run
     from undeadzone.scenario.schema import Scenario
 
+WIDE: Final = 0.2  # half of an interval, in widths: what narrows it is said
+CLAIMS: Final = ("disturbance", "bias", "centre")  # that narrow most, the usual first
 OF_ENSEMBLE = (".npz", ".parquet")  # files that hold runs, no scenario
 
 
@@ -87,15 +91,39 @@ def run(
     if animation is not None:
         written.append(_film(result, rival, animation))
     files = named_files(written) | (left_out if folder is not None else {})
+    known = result.fully_identifiable or not result.adapts
+    is_good = result.diverged_at is None and not result.inexact and known
+    follow = {} if replay is not None else _next(scenario, result, is_good, confine)
     output.show(
         lambda: _numbers(result, rival, replay, deviation),
         result.blocks,
         written,
-        _compared(rival) | _replay_in_words(deviation) | files,
+        _compared(rival) | _replay_in_words(deviation) | files | follow,
     )
-    known = result.fully_identifiable or not result.adapts
-    sound = result.diverged_at is None and not result.inexact
-    return 0 if sound and known else 1
+    return 0 if is_good else 1
+
+
+def _next(path: Path, run: Run, is_good: bool, confine: Path | None) -> dict[str, str]:
+    """What to type after a run: what narrows wide intervals comes first."""
+    import numpy as np
+
+    check = f"undeadzone check {path} says what can be known"
+    if not is_good:
+        return to_type(check)
+    if run.d_std is None or (HALF_95 * run.d_std[-1] <= WIDE * np.abs(run.d_hat[-1])).all():
+        return to_type(check, f"undeadzone export {path}")
+    open_claims = _not_claimed(path, confine)
+    if not open_claims:
+        return to_type(check)
+    return to_type(f"narrower intervals: claim observer.{', '.join(open_claims)} if known", check)
+
+
+def _not_claimed(path: Path, confine: Path | None) -> list[str]:
+    """Claims that the observer of a scenario could be told and is not."""
+    from undeadzone.scenario.reader import read
+
+    observer = read(path, confine).observer
+    return [name for name in CLAIMS if getattr(observer, name, "no such claim") is None]
 
 
 def _simulated(path: Path, animated: bool, confine: Path | None) -> tuple[Run, Run | None]:

@@ -8,12 +8,15 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from undeadzone.cli.common import PATH, confined, flag, force_option, option, origin, untrusted
-from undeadzone.cli.output import Output, common, partial_file
+from undeadzone.cli.output import Output, common, named_files, partial_file, to_type
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
     from undeadzone.scenario.schema import Scenario
     from undeadzone.scenario.tune_table import Tune
+
+
+STATISTICS = click.Choice(["mean", "median", "p95", "worst"])
 
 
 @click.command(
@@ -28,14 +31,8 @@ if TYPE_CHECKING:
     multiple=True,
 )
 @option("--metric", "NAME", "What is made small (default: [tune] metric, rms_tracking).")
-@click.option(
-    "--statistic",
-    type=click.Choice(["mean", "median", "p95", "worst"]),
-    help="Of the runs (default: [tune] statistic, mean).",
-)
-@click.option(
-    "--certified", is_flag=True, default=None, help="Keep the observer's gains certified."
-)
+@option("--statistic", None, "Of the runs (default: [tune] statistic, mean).", type=STATISTICS)
+@flag("--certified", "Keep the observer's gains certified.", default=None)
 @option("--runs", "N", "Runs of each candidate (default: [tune] runs, 64).", type=int)
 @option("--budget", "N", "Candidates tried in all (default: [tune] budget, 200).", type=int)
 @option("--seed", "N", "Of the runs and the search (default: [tune] seed).", type=int)
@@ -92,7 +89,10 @@ def tune(
         from undeadzone.report.tune_page import write_tuned
 
         written += write_tuned(result, folder, origin(scenario, result.seed))
-    output.show(result.summary, lambda: [in_words(result.summary())], written)
+    last = named_files(written)
+    if written:
+        last |= to_type(f"undeadzone run {written[0]}")
+    output.show(result.summary, lambda: [in_words(result.summary())], written, last)
     return 0 if result.improved and result.certified else 1
 
 

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from undeadzone.support.arrays import Floats
 
 BLOCK = 1 << 20  # bytes that are read at once, if as many have come
-ABOVE_ZERO = click.FloatRange(min=0, min_open=True, max=threading.TIMEOUT_MAX)
+TIME = click.FloatRange(min=0, min_open=True, max=threading.TIMEOUT_MAX)  # [s]
 
 
 @click.command(
@@ -51,26 +51,9 @@ ABOVE_ZERO = click.FloatRange(min=0, min_open=True, max=threading.TIMEOUT_MAX)
 )
 @columns_option
 @strict_option
-@option(
-    "--state",
-    "FILE",
-    "Keep the observer's state in FILE, and go on from it if it is there.",
-    type=PATH,
-)
-@option(
-    "--every",
-    "SECONDS",
-    "How often the state is saved.",
-    type=ABOVE_ZERO,
-    default=10.0,
-    show_default=True,
-)
-@option(
-    "--heartbeat",
-    "SECONDS",
-    "Say so often on stderr how far it is, samples or none.",
-    type=ABOVE_ZERO,
-)
+@option("--state", "FILE", "Keep the observer's state there, and go on from it.", type=PATH)
+@option("--every", "SECONDS", "How often the state is saved.", type=TIME, default=10.0)
+@option("--heartbeat", "SECONDS", "Say on stderr so often how far it is.", type=TIME)
 @untrusted
 @confined
 def watch(

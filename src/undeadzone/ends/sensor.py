@@ -19,6 +19,8 @@ from undeadzone.errors import InputError
 from undeadzone.support.arrays import Array, Floats, nonnegative, scalar, vector
 
 RIGHT, LEFT = 1.0, -1.0  # sides; 0 is silent, twice a side is at the limit of its readings
+# Weights of d_r and d_l, or of c_r and c_l, in what is told of a pair of widths.
+DIRECTIONS = {"right": (1.0, 0.0), "left": (0.0, 1.0), "width": (1.0, 1.0), "centre": (1.0, -1.0)}
 FALSE_ALARMS = 0.01  # rate at which noise may exceed a default threshold, in poles of the plant
 
 

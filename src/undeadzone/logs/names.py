@@ -30,7 +30,12 @@ SECONDS: Final = {
     "h": 3600.0,
 }
 COUNTS: Final = ("sample", "samples")
-TIMES: Final = ("t", "time", "times", "zeit", "temps", "tiempo", "timestamp", "seconds", "sec")
+TIMES: Final = (
+    *("t", "time", "times", "zeit", "temps", "tiempo", "timestamp", "seconds", "sec"),
+    *("datetime", "date_time", "date time", "date/time", "clock", "uhrzeit", "heure", "hora"),
+    *("date", "datum", "fecha"),
+)
+DATES: Final = ("date", "datum", "fecha", "day")  # beside a column of times of day
 READINGS: Final = ("y", "output", "out", "reading", "measured", "measurement")
 INPUTS: Final = ("u", "input", "in", "command", "control")
 INDEXED: Final = re.compile(r"^(.*?)[\[_(]?(\d+)[\])]?$")
@@ -55,7 +60,7 @@ class Title(NamedTuple):
 def split_unit(text: str) -> Title:
     """Name and unit of a header: `speed [rad/s]` or `speed (rad/s)`.
 
-    An index is no unit: `u[0]`. A 1 after a space is: `u[0] [1]` has no dimension.
+    An index is no unit: `u[0]`, `pos (1)`. `[1]` after a space is: `u[0] [1]` has no dimension.
     """
     title = text.strip().strip("\"'").strip()
     for opening, closing in (("[", "]"), ("(", ")")):
@@ -63,7 +68,7 @@ def split_unit(text: str) -> Title:
         if start <= 0 or not title.endswith(closing):
             continue
         inside = title[start + 1 : -1].strip()
-        of_no_dimension = inside == "1" and title[start - 1] == " "
+        of_no_dimension = inside == "1" and opening == "[" and title[start - 1] == " "
         if of_no_dimension or not inside.isdigit():
             return Title(title[:start].strip(), inside)
     return Title(title, "")
@@ -94,6 +99,7 @@ class Layout(NamedTuple):
 
     Attributes:
         time: number of the column of times; None: there are none.
+        date: number of the column of dates, where times of day have one of their own.
         readings: numbers of the columns of the readings (p).
         inputs: numbers of the columns of the inputs (m).
         seconds: length of a unit of time [s]; None where times count samples.
@@ -103,6 +109,7 @@ class Layout(NamedTuple):
     """
 
     time: int | None
+    date: int | None
     readings: list[int]
     inputs: list[int]
     seconds: float | None
@@ -210,8 +217,13 @@ def _layout(
     roles = [] if time is None else [f"t from {titles[time].name!r}"]
     for signal, columns in (("y", readings), ("u", inputs)):
         roles.append(f"{signal} from {', '.join(repr(titles[k].name) for k in columns)}")
+    date = None
+    if time is not None:
+        dated = [k for k, title in enumerate(titles) if title.name.lower() in DATES]
+        date = next((k for k in dated if k not in used), None)
     return Layout(
         time,
+        date,
         readings,
         inputs,
         seconds,

@@ -5,7 +5,9 @@ Other steps are refused, gaps become missing samples.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -13,11 +15,13 @@ import numpy.typing as npt
 
 from undeadzone.errors import FileError
 from undeadzone.logs.names import Layout, layout_of_numbers, layout_of_titles
+from undeadzone.logs.stamps import Stamps, is_ambiguous, over_midnight, since_1970, stamps_of
 from undeadzone.logs.text import (
     LARGEST,
     LONGEST_LINE,
     Dialect,
     Text,
+    blocks_of,
     dialect_of,
     flaw,
     is_content,
@@ -145,6 +149,9 @@ class LogReader:
         self._text = Text(source)
         self._dialect: Dialect | None = None
         self._first: list[tuple[int, str]] = []  # lines that wait for the dialect to be known
+        self._stamps: Stamps | None = None  # how times are written that are no numbers
+        self._plain_times = False  # whether they are numbers
+        self._latest_time = math.nan  # [s], days counted, where times are of day
         self._count = 0  # lines read
 
     @property
@@ -222,16 +229,55 @@ class LogReader:
     ) -> Samples:
         """The samples in these lines."""
         values = _at_once([line for _, line in numbered], dialect, layout)
-        if values is None:
+        if values is not None:
+            self._plain_times = self._plain_times or bool(np.isfinite(values[:, 0]).any())
+        else:
+            if self._stamps is None and not self._plain_times:
+                self._learn_stamps(numbered, dialect, layout)
             values = self._one_by_one(numbered, dialect, layout)
         values[np.isinf(values)] = np.nan
         first = 0 if layout.time is None else 1
         t = values[:, 0] if first else np.full(len(values), np.nan)
-        if first and layout.seconds is not None:
-            t = t * layout.seconds
+        t = self._in_seconds(t, layout) if first else t
         end = first + len(layout.readings)
         lines = np.array([number for number, _ in numbered], np.int64)
         return Samples(t, values[:, first:end], values[:, end:], lines)
+
+    def _in_seconds(self, t: Floats, layout: Layout) -> Floats:
+        """Times as the log has them, in seconds; sample numbers stay as they are."""
+        if layout.seconds is None:
+            return t
+        if self._stamps is None:
+            return since_1970(t) if layout.seconds == 1.0 else t * layout.seconds
+        if not self._stamps.dated and np.isfinite(t).any():
+            t = over_midnight(t, self._latest_time)
+            self._latest_time = float(t[np.isfinite(t)][-1])
+        return t
+
+    def _learn_stamps(
+        self, numbered: list[tuple[int, str]], dialect: Dialect, layout: Layout
+    ) -> None:
+        """Learn from the first time that can be read how times are written. Raises FileError."""
+        for k, (number, line) in enumerate(numbered):
+            cells = dialect.cells(line)
+            if len(cells) != dialect.width or layout.time is None:
+                continue
+            value = dialect.number(cells[layout.time])
+            if value is not None and math.isfinite(value):
+                self._plain_times = True
+                return
+            text = _stamp(cells, layout)
+            if stamps_of([text]) is None:
+                continue
+            others = [] if self._live else [dialect.cells(line) for _, line in numbered[k:]]
+            whole = [_stamp(cells, layout) for cells in others if len(cells) == dialect.width]
+            self._stamps = stamps_of([text, *whole])
+            if self._stamps is not None and is_ambiguous(text, self._stamps):
+                raise FileError(
+                    f"{self._source}, line {number}: nothing tells which number of {text!r} is the "
+                    "month; write dates as 2026-04-03"
+                )
+            return
 
     def _one_by_one(
         self, numbered: list[tuple[int, str]], dialect: Dialect, layout: Layout
@@ -245,9 +291,15 @@ class LogReader:
                 self.faults.add(fault)
                 self.latest.append(fault)
             else:
-                cells = dialect.cells(line)
-                values[row] = [dialect.number(cells[k]) for k in layout.columns]
+                values[row] = self._numbers(dialect.cells(line), dialect, layout)
         return values
+
+    def _numbers(self, cells: list[str], dialect: Dialect, layout: Layout) -> list[float | None]:
+        """The numbers in the columns that are used; None where a cell holds none."""
+        found = [dialect.number(cells[k]) for k in layout.columns]
+        if self._stamps is not None:
+            found[0] = self._stamps.seconds(_stamp(cells, layout))
+        return found
 
     def _problem(self, line: str, dialect: Dialect) -> tuple[str, str]:
         """Why a line cannot be read, as kind and words; empty if it can."""
@@ -257,10 +309,51 @@ class LogReader:
         cells = dialect.cells(line)
         if len(cells) != dialect.width:
             return "values", f"expected {dialect.width} values, found {len(cells)}"
-        for k in self.layout.columns if self.layout else ():
-            if dialect.number(cells[k]) is None:
+        if self.layout is None:
+            return "", ""
+        found = self._numbers(cells, dialect, self.layout)
+        for k, value in zip(self.layout.columns, found, strict=True):
+            if value is None:
                 return "number", f"expected a number or nothing, found {cells[k]!r:.40}"
         return "", ""
+
+
+def _stamp(cells: list[str], layout: Layout) -> str:
+    """The text of a line's time, behind its date where that stands in another column."""
+    assert layout.time is not None
+    time = cells[layout.time]
+    return time if layout.date is None else f"{cells[layout.date]} {time}"
+
+
+def samples_of_text(reader: LogReader, path: Path, largest: int, most: float) -> Samples:
+    """All samples of a CSV file, the oldest first.
+
+    Args:
+        reader: that has read nothing yet; afterwards it says what could not be read.
+        path: of the file.
+        largest: size of the file [bytes] beyond which it is refused.
+        most: samples beyond which no more are read.
+
+    Raises:
+        FileError: as `LogReader.feed`, or it cannot be read.
+    """
+    blocks, count = [], 0
+    for data, last in blocks_of(path, largest):
+        blocks.append(reader.feed(data, last))
+        count += blocks[-1].t.size
+        if count > most:
+            break
+    held = [block for block in blocks if block.t.size] or blocks[-1:]
+    t, y, u, lines = (np.concatenate(parts) for parts in zip(*held, strict=True))
+    return oldest_first(Samples(t, y, u, lines))
+
+
+def oldest_first(samples: Samples) -> Samples:
+    """Samples in the order of time, where the log has the newest first throughout."""
+    t = samples.t[np.isfinite(samples.t)]
+    if t.size < 2 or not (np.diff(t) < 0).all():
+        return samples
+    return Samples(samples.t[::-1], samples.y[::-1], samples.u[::-1], samples.lines[::-1])
 
 
 def counted_lines(count: int) -> str:

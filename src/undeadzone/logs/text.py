@@ -19,6 +19,7 @@ from undeadzone.support.files import LARGEST_RUN, reason, require_plain
 BLOCK: Final = 1 << 22  # bytes of a file that are read at once
 LONGEST_LINE: Final = 65_536  # characters of a line; a longer one is no line of numbers
 _MARKS: Final = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+_ZIP: Final = b"PK\3\4"  # how an archive begins, as .xlsx and .ods are
 REMARKS: Final = ("#", "%", "//")
 # What stands in a cell whose number is missing.
 MISSING: Final = frozenset(
@@ -107,6 +108,11 @@ class Text:
             if len(data) < 2 and not last:
                 self._mark = data
                 return ""
+            if data[:4] == _ZIP:
+                raise FileError(
+                    f"{self._source}: not CSV text but an Excel workbook, or another archive: save "
+                    "it as CSV"
+                )
             is_wide = data[:2] in _MARKS
             make = codecs.getincrementaldecoder("utf-16" if is_wide else "utf-8-sig")
             self._decoder = make("replace" if is_wide else "surrogateescape")

@@ -16,7 +16,8 @@ import numpy as np
 
 from undeadzone.errors import FileError, InputError
 from undeadzone.logs.names import Column, Layout, Title, layout_of_titles, numbers, split_unit
-from undeadzone.logs.samples import Samples
+from undeadzone.logs.samples import Samples, oldest_first
+from undeadzone.logs.stamps import since_1970
 from undeadzone.logs.text import LARGEST
 from undeadzone.support.arrays import Floats
 from undeadzone.support.files import (
@@ -62,10 +63,11 @@ def samples_of(
             raise FileError(f"{source}: {titles[k].name!r} has not as many rows as the readings")
     t = np.full(length, np.nan)
     if layout.time is not None:
-        t = columns[layout.time].values * (layout.seconds or 1.0)
+        t = columns[layout.time].values
+        t = since_1970(t) if layout.seconds == 1.0 else t * (layout.seconds or 1.0)
     y = np.column_stack([columns[k].values for k in layout.readings])
     u = np.column_stack([columns[k].values for k in layout.inputs])
-    return _usable(t, y, u), layout
+    return oldest_first(_usable(t, y, u)), layout
 
 
 def samples_of_arrays(t: Any, y: Any, u: Any, p: int, m: int, step: float) -> Samples:

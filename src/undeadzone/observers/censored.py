@@ -35,7 +35,7 @@ from undeadzone.plants.time_scales import arrival
 from undeadzone.support.arrays import Array, Floats, nonnegative, scalar
 
 OFFSET = 0.25  # bias, in disturbances, unless it is claimed
-WEAR = 0.0025  # drift, in largest widths per 1 / sqrt(|pole|), unless it is claimed
+WEAR = 0.0025  # drift, in extents of the range per 1 / sqrt(|pole|), unless it is claimed
 FALL = 4.0  # from one level of the disturbance to the next, if it is claimed
 DOUBTED = 3  # levels from which on one lies above the claim
 LARGEST, LEAST = 4.0, 0.125  # level of the disturbance, in its default, if it is not
@@ -46,7 +46,7 @@ class Censored(Claims, frozen=True, kw_only=True, tag_field="method", tag="censo
 
     Sampled time. Defaults doubt: the disturbance moves z by half of the largest width, rms, in a
     quarter period and the delay of the further poles, the bias is a quarter of it, widths walk by a
-    400th of the largest in 1 / |pole|; 0 is a claim.
+    400th of their ranges' extent in 1 / |pole|; 0 is a claim.
 
     Attributes:
         washout_time: time constant of a washout that takes the constant part from the disturbance

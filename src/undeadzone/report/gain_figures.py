@@ -13,10 +13,11 @@ from undeadzone.analysis.certificate.weights import margin
 from undeadzone.analysis.convergence.falsify import Mode, generator
 from undeadzone.analysis.convergence.floquet import rates
 from undeadzone.analysis.error_dynamics import Dynamics, delta, growth, pattern
-from undeadzone.analysis.identifiability.linear import DIRECTIONS
+from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.report import ink
 from undeadzone.report.style import axis_label, finish, sheet
 from undeadzone.support.arrays import Floats
+from undeadzone.support.text import HALF_95
 from undeadzone.synthesis.assessment import Assessment, Gains
 
 if TYPE_CHECKING:
@@ -27,7 +28,6 @@ FACTORS: Final = np.linspace(0.0, 3.0, 1501)  # times the gains
 CHOSEN: Final = 500  # where the factor is 1
 EVERY: Final = 25  # of the factors: where rates are shown
 NAMES: Final = {"gamma": r"$\gamma$", "L": "$L$"}
-NORMAL: Final = 1.959964  # standard deviations of a 95 % interval
 ELLIPSE: Final = 2.447747  # of a 95 % ellipse
 PRICES: Final = (("noise", "disturbance"), ("disturbance", "noise"))
 LABELS: Final = {
@@ -325,7 +325,7 @@ def _strip(axes: Axes, known: Knowledge, truth: Floats, floor: Floats) -> None:
     region = np.maximum(beyond_right, beyond_left)  # negative inside
     if direction is not None:
         g = np.array(DIRECTIONS[direction])
-        half = NORMAL * known.std[direction]
+        half = HALF_95 * known.std[direction]
         distance = np.abs(g[0] * (x - truth[0]) + g[1] * (y - truth[1]))
         region = np.maximum(region, distance - max(half, 0.004 * size))
         words = f"95 %: {direction} ± {half:.2g}"

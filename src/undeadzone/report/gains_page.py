@@ -14,12 +14,12 @@ import numpy as np
 
 from undeadzone.analysis.certificate.design_file import Design, Knowledge
 from undeadzone.analysis.certificate.passivity import Certificate
-from undeadzone.analysis.identifiability.linear import DIRECTIONS
+from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.report import html
 from undeadzone.report.gain_figures import ellipses, front, root_locus
 from undeadzone.report.proof_figures import courses, nyquist
 from undeadzone.support.arrays import listed
-from undeadzone.support.text import counted, label
+from undeadzone.support.text import HALF_95, counted, label
 from undeadzone.synthesis.assessment import Assessment, Attacks, Gains
 
 if TYPE_CHECKING:
@@ -319,7 +319,7 @@ def knowledge_section(of: Assessment) -> list[html.Html]:
         rows.append((i, *(_known(known, name) for name in DIRECTIONS)))
     question = (
         "Whether an optimal estimator can know it, and its "
-        f"{label('standard deviation', unit)} after {duration:g} s at the scenario's noise:"
+        f"{label('95 % interval', unit)} after {duration:g} s at the scenario's noise:"
     )
     head = ("output", "d_r", "d_l", "width d_r + d_l", "centre d_r − d_l")
     parts = [html.paragraph(question), html.table(head, rows)]
@@ -335,8 +335,8 @@ def knowledge_section(of: Assessment) -> list[html.Html]:
 
 
 def _known(known: Knowledge, name: str) -> html.Html:
-    """Whether a direction can be known, with its deviation if that is."""
-    yes = f"± {known.std[name]:.2g}" if name in known.std else "yes"
+    """Whether a direction can be known, with half of its interval if that is."""
+    yes = f"± {HALF_95 * known.std[name]:.2g}" if name in known.std else "yes"
     return html.tag("span", *html.yes_no(getattr(known, name), yes))
 
 

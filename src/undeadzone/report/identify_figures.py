@@ -15,6 +15,7 @@ from undeadzone.identification.verdict.orders import correlation, innovations, t
 from undeadzone.identification.verdict.widths import profile
 from undeadzone.report import ink
 from undeadzone.report.style import finish, label, plain, sheet
+from undeadzone.support.text import HALF_95
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -169,7 +170,7 @@ def _hidden(found_log: Identified) -> Figure:
     part = _shown(found_log, MOST_AT_END)
     figure, panels = sheet([["z"]], "The hidden output", height=3.2)
     axes = panels["z"]
-    t, z, band = states.t[part], states.z[part], 1.96 * states.z_std[part]
+    t, z, band = states.t[part], states.z[part], HALF_95 * states.z_std[part]
     _zone_bands(axes, found_log)
     axes.fill_between(t, z - band, z + band, color=ink.ESTIMATE, alpha=0.25, linewidth=0)
     axes.plot(t, z, color=ink.ESTIMATE, label=r"$\hat z$ with 95 % band")
@@ -190,7 +191,7 @@ def _residual_map(found_log: Identified) -> Figure:
     left = (fit.objective.readings.y - expected_reading(fit)) * scale
     _dots(axes, (fit.z * scale)[ok], left[ok], ink.ZONE)
     x, curve = residuals.centres * scale, residuals.curve * scale
-    band = 1.96 * residuals.std * scale
+    band = HALF_95 * residuals.std * scale
     axes.fill_between(x, curve - band, curve + band, color=ink.PRINTED, alpha=0.25, linewidth=0)
     axes.plot(x, curve, color=ink.PRINTED, label="mean residual, 95 %")
     unit = _unit(found_log)
@@ -226,7 +227,7 @@ def _residual(found_log: Identified) -> Figure:
     else:
         value, use = innovations(fit, data.ok)
     figure, panels = sheet([["auto", "cross"]], "Is the one-step residual white?", height=2.8)
-    band = 1.96 / math.sqrt(max(int(use.sum()), 1))
+    band = HALF_95 / math.sqrt(max(int(use.sum()), 1))
     lags = np.arange(1, LAGS + 1)
     _stems(panels["auto"], lags, correlation(value, use, LAGS), band)
     finish(panels["auto"], "Residual with itself", "correlation", "lag [samples]", legend=0)
@@ -234,7 +235,7 @@ def _residual(found_log: Identified) -> Figure:
     centred = (value - value[use].mean()) * use
     power = math.sqrt(float(centred @ centred) * float(u @ u)) + 1e-300
     cross = [float(centred[lag:] @ u[: u.size - lag]) / power for lag in lags]
-    _stems(panels["cross"], lags, np.array(cross), 1.96 / math.sqrt(u.size))
+    _stems(panels["cross"], lags, np.array(cross), HALF_95 / math.sqrt(u.size))
     finish(panels["cross"], "Residual with past input", "correlation", "lag [samples]", legend=0)
     return figure
 

@@ -11,7 +11,7 @@ from undeadzone.identification.answer.words import HEADS, rivals_in_words
 from undeadzone.identification.verdict.orders import OrderFit, at_limit
 from undeadzone.report import html
 from undeadzone.report.identify_figures import figures
-from undeadzone.support.text import label, with_deviation
+from undeadzone.support.text import HALF_95, label, with_interval
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -144,7 +144,7 @@ def _place(found_log: Identified) -> list[html.Html]:
     if place is None:
         return []
     words = (
-        f"λ = {with_deviation(place.lam, place.half)} (95 %): 1 is a zone of the sensor, 0"
+        f"λ = {with_interval(place.lam, place.half / HALF_95)} (95 %): 1 is a zone of the sensor, 0"
         f" friction in the plant. By λ: {place.by_lambda}; by comparing models: {place.by_rivals};"
         f" together: {place.verdict}."
     )
@@ -176,10 +176,11 @@ def _stages(found_log: Identified) -> html.Html:
         halves = answer.widths.halves[name]
         cells = []
         for edge, value in (("right", right), ("left", left)):
-            cells.append(with_deviation(value * answer.scale, halves[edge] * answer.scale))
+            std = halves[edge] * answer.scale / HALF_95
+            cells.append(with_interval(value * answer.scale, std))
         rows.append((names[name], *cells))
     unit = answer.case.grid.output_unit
-    heads = [label(f"{edge} ± half of 95 %", unit) for edge in ("d_r", "d_l")]
+    heads = [label(edge, unit) for edge in ("d_r", "d_l")]
     return html.table(("likelihood of", *heads), rows)
 
 

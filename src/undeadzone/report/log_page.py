@@ -184,7 +184,7 @@ def _mark_missing(axes: Axes, result: Estimation, i: int) -> None:
 
 
 def _draw_widths(axes: Axes, result: Estimation, i: int, of: str, shown: slice) -> None:
-    """The estimated widths of output i, with two standard deviations."""
+    """The estimated widths of output i, with 95 % intervals."""
     t = result.t[shown]
     columns = slice(2 * i, 2 * i + 2)
     widths = result.d_hat[shown, columns]
@@ -198,7 +198,7 @@ def _draw_widths(axes: Axes, result: Estimation, i: int, of: str, shown: slice) 
     room = 0.3 * (high - low) + 1e-12
     if np.isfinite(room):
         axes.set_ylim(low - room, high + room)
-    band = " and two standard deviations" if result.d_std is not None else ""
+    band = ", 95 % intervals" if result.d_std is not None else ""
     finish(axes, f"Widths{of}{band}", label("d", result.unit("d_hat")))
 
 

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from undeadzone.analysis.identifiability.linear import DIRECTIONS
+from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.report import html
 from undeadzone.report.run_figures import overview, phase, tip
 from undeadzone.results.run import Run, actuators, errors, gaps, parameters, widths
@@ -18,7 +18,7 @@ _VARIABLE: Final = "The observer has no constant gains; its options stand in the
 CAPTIONS: Final = {
     "tip": "The tip against its path, its distance from it, and the torques.",
     "phase": "Position and velocity of each joint, truth and estimate, over its dead zone.",
-    "figure": "Output, reading and estimate; errors; widths, in bands of two standard deviations, "
+    "figure": "Output, reading and estimate; errors; widths, in bands of 95 %, "
     "against the truth; command and widths of actuators that are estimated; reading over output, "
     "and gaps, of plays that are estimated; the Lyapunov function where there is one.",
 }

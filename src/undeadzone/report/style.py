@@ -16,8 +16,8 @@ from undeadzone.errors import FileError
 from undeadzone.report import ink
 from undeadzone.support.arrays import Floats
 from undeadzone.support.files import replacing
+from undeadzone.support.text import HALF_95, printable
 from undeadzone.support.text import label as label
-from undeadzone.support.text import printable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -56,7 +56,6 @@ _STYLE: Final[Any] = {
     "figure.titlesize": 11.0,
     "figure.titleweight": "bold",
 }
-BAND = 2  # standard deviations on either side
 
 
 def own_settings() -> None:
@@ -214,7 +213,7 @@ def image(figure: Figure, kind: str) -> bytes:
 
 
 def width_lines(axes: Axes, t: Floats, widths: Floats, std: Floats | None, letter: str) -> None:
-    """A right and a left width, each in a band of two standard deviations.
+    """A right and a left width, each with its 95 % intervals.
 
     The band does not stretch the axis: at first it is wide.
 
@@ -232,6 +231,6 @@ def width_lines(axes: Axes, t: Floats, widths: Floats, std: Floats | None, lette
         return
     limits = axes.get_ylim()
     for k, (_, colour) in enumerate(sides):
-        low, high = widths[:, k] - BAND * std[:, k], widths[:, k] + BAND * std[:, k]
+        low, high = widths[:, k] - HALF_95 * std[:, k], widths[:, k] + HALF_95 * std[:, k]
         axes.fill_between(t, low, high, color=colour, alpha=0.18, linewidth=0)
     axes.set_ylim(*limits)

@@ -22,8 +22,10 @@ def in_words(shares: Sequence[float | None]) -> str:
         shares: of each output; None where it cannot be told.
     """
     each = ", ".join(map(_percent, shares))
-    words = f"z^ follows {each} of a z that is {100 * LARGER:.0f} % larger than the model says"
-    return f"ON TRUST of the model: {words}" if on_trust(shares) else words
+    if_larger = f"were z {100 * LARGER:.0f} % larger than the model's, z^ would pick up"
+    if on_trust(shares):
+        return f"OPEN LOOP: {if_larger} only {each} of that"
+    return f"yes: {if_larger} {each} of that"
 
 
 def _percent(share: float | None) -> str:

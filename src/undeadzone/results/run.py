@@ -10,7 +10,8 @@ from typing import Any, ClassVar, Final
 
 import numpy as np
 
-from undeadzone.analysis.identifiability.linear import DIRECTIONS, yes_no
+from undeadzone.analysis.identifiability.linear import yes_no
+from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.results import files, sheet
 from undeadzone.results.info import Info
 from undeadzone.results.listening import in_words as listening_in_words

@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
-from undeadzone.support.text import label, with_deviation, with_unit
+from undeadzone.support.text import label, with_interval, with_unit
 
 
 class Row(NamedTuple):
@@ -40,10 +40,10 @@ class Row(NamedTuple):
 
     @property
     def found(self) -> str:
-        """The value, with its deviation where that is known; nan where there is none."""
+        """The value, with its 95 % interval where that is known; nan where there is none."""
         if self.std is None:
             return number(_finite(self.value), self.form)
-        return with_deviation(_finite(self.value), _finite(self.std))
+        return with_interval(_finite(self.value), _finite(self.std))
 
     @property
     def words(self) -> str:
@@ -53,8 +53,8 @@ class Row(NamedTuple):
 
     @property
     def cell(self) -> Any:
-        """The value as a page has it: a number, or words where its deviation is known."""
-        return self.value if self.std is None else with_deviation(self.value, self.std)
+        """The value as a page has it: a number, or words where its interval is known."""
+        return self.value if self.std is None else with_interval(self.value, self.std)
 
     @property
     def head(self) -> str:

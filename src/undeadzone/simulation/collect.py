@@ -9,9 +9,10 @@ import numpy as np
 
 import undeadzone
 from undeadzone.analysis.certificate.passivity import Certificate, certify
-from undeadzone.analysis.identifiability.linear import DIRECTIONS, Verdict
+from undeadzone.analysis.identifiability.linear import Verdict
 from undeadzone.analysis.side_schedule import Schedule, recorded
 from undeadzone.ends.play import levels
+from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import flat_targets
 from undeadzone.plants.robots.arm import evaluate_rows

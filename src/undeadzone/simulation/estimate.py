@@ -7,22 +7,20 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
 from undeadzone.errors import FileError, InputError
-from undeadzone.interfaces import Estimate, Observer
-from undeadzone.logs.names import parse_columns
-from undeadzone.logs.samples import Grid, Regular
-from undeadzone.logs.text import blocks_of
+from undeadzone.interfaces import Estimate
+from undeadzone.logs.names import Layout, parse_columns
+from undeadzone.logs.samples import Faults, Grid, LogReader, Regular, samples_of_text
 from undeadzone.logs.whole import BINARY, samples_of, samples_of_arrays
 from undeadzone.results.estimation import Estimation
 from undeadzone.results.info import LogInfo
 from undeadzone.results.signals import LOG, Signals, of_estimate
 from undeadzone.scenario.reader import read_for_logs
 from undeadzone.scenario.schema import Scenario
-from undeadzone.simulation.follower import Follower, TextLog, require_units
+from undeadzone.simulation.follower import Follower, require_units
 from undeadzone.simulation.smoother import smooth
 from undeadzone.support.arrays import Array, Floats
+from undeadzone.support.files import LARGEST_RUN
 from undeadzone.support.progress import in_notebook
 
 LARGEST_LOG: Final = 20_000_000  # samples; beyond this the memory of most machines
@@ -101,31 +99,23 @@ def _of_log(
 ) -> tuple[Regular, Known]:
     """Samples from a file or a DataFrame, one step apart."""
     is_path = isinstance(log, str | os.PathLike)
-    if is_path and Path(log).suffix.lower() not in BINARY:
-        text = TextLog(str(log), scenario, follower, chosen, strict)
-        regular = _read_text(Path(log), text)
-        return _limited(regular, str(log)), lambda: text.info(follower)
     if not is_path and not (hasattr(log, "columns") and hasattr(log, "index")):
         raise InputError(f"estimate: expected a path or a DataFrame, found {type(log).__name__}")
     source = str(log) if is_path else "DataFrame"
-    model = follower.model
-    samples, layout = samples_of(Path(log) if is_path else log, model.p, model.m, chosen, source)
-    require_units(layout, scenario.units, source)
+    p, m = follower.model.p, follower.model.m
+    layout: Layout | None
+    faults: Faults | None = None
+    if is_path and Path(log).suffix.lower() not in BINARY:
+        reader = LogReader(source, p, m, chosen, strict)
+        samples = samples_of_text(reader, Path(log), LARGEST_RUN, LARGEST_LOG)
+        layout, faults = reader.layout, reader.faults
+    else:
+        samples, layout = samples_of(Path(log) if is_path else log, p, m, chosen, source)
+    if layout is not None:
+        require_units(layout, scenario.units, source)
     grid = Grid(scenario.simulation.step, source)
-    regular = grid.place(samples, layout.timed)
-    return _limited(regular, source), lambda: follower.info(source, layout, grid)
-
-
-def _read_text(path: Path, text: TextLog) -> Regular:
-    """All samples of a CSV file, one step apart. Raises FileError."""
-    blocks = []
-    count = 0
-    for data, last in blocks_of(path):
-        blocks.append(text.feed(data, last))
-        count += blocks[-1].t.size
-        if count > LARGEST_LOG:
-            break
-    return Regular(*[np.concatenate(parts) for parts in zip(*blocks, strict=True)])
+    regular = grid.place(samples, layout is not None and layout.timed)
+    return _limited(regular, source), lambda: follower.info(source, layout, grid, faults)
 
 
 def _limited(regular: Regular, source: str) -> Regular:
@@ -142,7 +132,7 @@ def _smoothed(
 ) -> dict[str, Floats]:
     """The smoothed signals by name; none where the method has no smoother."""
     observer = follower.observer
-    if not isinstance(observer, Observer) or observer.smoothing is None or not regular.t.size:
+    if observer.smoothing is None or not regular.t.size:
         return {}
     smoothed = smooth(follower.model, observer, follower.zone, regular.y, regular.u, progress)
     return {

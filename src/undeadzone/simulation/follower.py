@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -12,7 +12,7 @@ from undeadzone.interfaces import Estimate, graph_of
 from undeadzone.logs.clock import Clock
 from undeadzone.logs.names import Layout
 from undeadzone.logs.range_ends import RunningEnds
-from undeadzone.logs.samples import MOST_UNREADABLE, Faults, Grid, LogReader, Regular
+from undeadzone.logs.samples import MOST_UNREADABLE, Faults, Grid, Regular
 from undeadzone.plants.time_scales import state_units, time_scale
 from undeadzone.results.info import LogInfo
 from undeadzone.results.signals import final, of_estimate
@@ -268,50 +268,3 @@ def require_units(layout: Layout, units: Units, source: str) -> None:
                     f"{source}: {signal} is in {unit!r}, but units.{key} of the scenario is "
                     f"{expected!r}: numbers are never converted; bring both to one unit"
                 )
-
-
-class TextLog:
-    """A CSV log on the steps of a scenario.
-
-    Args:
-        source: the log, for messages.
-        scenario: for its step and its units.
-        follower: of the same scenario.
-        chosen: columns that the user names; see `names.parse_columns`.
-        strict: whether a line that cannot be read is an error.
-    """
-
-    def __init__(
-        self,
-        source: str,
-        scenario: Scenario,
-        follower: Follower,
-        chosen: Mapping[str, str],
-        strict: bool,
-    ) -> None:
-        p, m = follower.model.p, follower.model.m
-        self.reader = LogReader(source, p, m, chosen, strict)
-        self.grid = Grid(scenario.simulation.step, source)
-        self._source, self._units = source, scenario.units
-        self._checked = False
-
-    def feed(self, data: bytes, last: bool) -> Regular:
-        """The samples in the lines that are whole now, one step apart.
-
-        Args:
-            data: the bytes that came in.
-            last: whether no more will come.
-
-        Raises:
-            FileError: the log cannot be what the scenario describes.
-        """
-        samples = self.reader.feed(data, last)
-        layout = self.reader.layout
-        if layout is not None and not self._checked:
-            require_units(layout, self._units, self._source)
-            self._checked = True
-        return self.grid.place(samples, layout is not None and layout.timed)
-
-    def info(self, follower: Follower) -> LogInfo:
-        """What the log comes to. Raises FileError."""
-        return follower.info(self._source, self.reader.layout, self.grid, self.reader.faults)

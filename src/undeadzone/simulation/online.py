@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
 import casadi as ca
 import numpy as np
@@ -196,7 +196,8 @@ class Online:
         where: Out = tree.slices(shapes)
         self._where = where
         self.latest = Estimate(*[self._out[part] for part in where.estimate])
-        self._entries, self._last = self._w.data, self._out.data
+        self._entries = cast("memoryview[float]", self._w.data)
+        self._last = self._out.data
         self._is_single = (self.model.p, self.model.m) == (1, 1)
         self._graph, self._start, self._params = graph, state, params
         self.restart()
@@ -242,7 +243,7 @@ class Online:
         out = self._out.copy()
         return Estimate(*[out[part] for part in self._where.estimate])
 
-    def update_into(self, y: Array, u: Array) -> None:
+    def update_into(self, y: Array | float, u: Array | float) -> None:
         """Take one sample in; `latest` then holds the estimate, and nothing is copied.
 
         Args:

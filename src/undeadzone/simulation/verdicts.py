@@ -20,10 +20,11 @@ from undeadzone.analysis.identifiability.information import (
     Readings,
     deviations,
 )
-from undeadzone.analysis.identifiability.linear import DIRECTIONS, Verdict, unknown_bias, verdicts
+from undeadzone.analysis.identifiability.linear import Verdict, unknown_bias, verdicts
 from undeadzone.analysis.identifiability.play_and_zone import Told, told_of_both
 from undeadzone.analysis.side_schedule import Schedule, reading_levels
 from undeadzone.ends.gaps import gaps_of
+from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.interfaces import Traits
 from undeadzone.observers.parts.prior import width_ranges
 from undeadzone.plants.system import System

@@ -9,6 +9,7 @@ from typing import Final
 # Controls, invisible formats (which also turn the direction of writing), half characters, line and
 # paragraph separators.
 UNPRINTABLE: Final = ("Cc", "Cf", "Cs", "Zl", "Zp")
+HALF_95: Final = 1.959964  # standard deviations in half of a 95 % interval
 
 
 def printable(text: str) -> str:
@@ -38,14 +39,26 @@ def counted(number: int, what: str) -> str:
     return f"{number:,} {what}{'s' * (number != 1)}"
 
 
-def with_deviation(value: float | None, std: float | None) -> str:
-    """A value and its standard deviation to two digits, the value to the same place."""
-    if value is None or std is None or not math.isfinite(value) or not 0 < std < math.inf:
-        return f"{_short(value)} ± {_short(std)}"
-    place = 1 - math.floor(math.log10(std))
-    if place < 0 or abs(value) < 1e-4 or place > 12:
-        return f"{value:.4g} ± {std:.2g}"
-    return f"{value:.{place}f} ± {std:.{place}f}"
+def with_interval(value: float | None, std: float | None) -> str:
+    """A value and its 95 % interval, to the place of the second digit of its deviation.
+
+    Args:
+        value: the number; None: there is none.
+        std: its standard deviation; None: not known.
+    """
+    if value is None or std is None or not math.isfinite(value):
+        return f"{_short(value)} (no interval)"
+    half = HALF_95 * std
+    if std == 0.0:
+        return _short(value)
+    place = 1 - math.floor(math.log10(std)) if std < math.inf else -1
+    form = ".4g" if place < 0 or abs(value) < 1e-4 or place > 12 else f".{place}f"
+    return bracketed(value, value - half, value + half, form)
+
+
+def bracketed(value: float, low: float, high: float, form: str) -> str:
+    """A value and its interval: 0.98 [0.55, 1.41]; `form` as `format` takes it."""
+    return f"{value:{form}} [{low:{form}}, {high:{form}}]"
 
 
 def _short(value: float | None) -> str:

@@ -24,10 +24,11 @@ from undeadzone.analysis.convergence.trajectories import (
 )
 from undeadzone.analysis.error_dynamics import Dynamics, Storage
 from undeadzone.analysis.identifiability.edges import Cure, reaching
-from undeadzone.analysis.identifiability.linear import DIRECTIONS, cures, invisible
+from undeadzone.analysis.identifiability.linear import cures, invisible
 from undeadzone.analysis.identifiability.play_and_zone import states_told
 from undeadzone.analysis.side_schedule import Schedule, arriving, planned, recorded
 from undeadzone.controllers.state_feedback import StateFeedback
+from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.errors import StructureError
 from undeadzone.results.run import Run
 from undeadzone.scenario.problem import Problem, constant_gains

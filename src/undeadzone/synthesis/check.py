@@ -12,7 +12,7 @@ from undeadzone.analysis.certificate.design_file import Knowledge
 from undeadzone.analysis.certificate.passivity import Certificate
 from undeadzone.analysis.certificate.polytopic import certify_on
 from undeadzone.analysis.certificate.robust import l2_gain
-from undeadzone.analysis.identifiability.linear import DIRECTIONS
+from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.plants.region import Box, box
 from undeadzone.results.run import Run
 from undeadzone.results.signals import output_names

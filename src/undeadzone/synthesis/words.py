@@ -6,11 +6,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from undeadzone.analysis.certificate.design_file import in_words_of_margin, plain
-from undeadzone.analysis.identifiability.linear import DIRECTIONS, yes_no
+from undeadzone.analysis.identifiability.linear import yes_no
+from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.results.listening import in_words as share_in_words
 from undeadzone.scenario.schema import Scenario
 from undeadzone.support.shown import Block, Rows
-from undeadzone.support.text import label, with_unit
+from undeadzone.support.text import HALF_95, label, with_unit
 
 REFUSED: Final = "not certified: "  # before the reason, where `check.summary` gives it
 
@@ -27,7 +28,7 @@ def in_words(summary: Mapping[str, Any], scenario: Scenario, names: Sequence[str
     if len(names) == 1:
         return [shown]
     duration = scenario.simulation.duration
-    note = label(f"±: std at best after {duration:g} s", scenario.units.output)
+    note = label(f"±: 95 % at best after {duration:g} s", scenario.units.output)
     return [shown, rows(summary, names), note]
 
 
@@ -72,7 +73,7 @@ def _known(verdict: Mapping[str, bool], std: Mapping[str, float | None], name: s
     if not verdict[name]:
         return "NO"
     value = std.get(name)
-    return "yes" if value is None else f"yes, ± {value:.2g}"
+    return "yes" if value is None else f"yes, ± {HALF_95 * value:.2g}"
 
 
 def _proof(summary: Mapping[str, Any], scenario: Scenario) -> dict[str, str]:
@@ -162,9 +163,9 @@ def _knowledge(summary: Mapping[str, Any], scenario: Scenario) -> dict[str, str]
     if isinstance(verdict, list):
         return {}
     shown = {"identifiable": yes_no(verdict)}
-    known = [f"{name} {value:.2g}" for name, value in std.items() if value is not None]
+    known = [f"{name} ± {HALF_95 * v:.2g}" for name, v in std.items() if v is not None]
     if known:
         duration = scenario.simulation.duration
         words = with_unit(", ".join(known), scenario.units.output)
-        shown["expected std"] = f"{words} after {duration:g} s at best"
+        shown["known to"] = f"{words} (95 %) after {duration:g} s at best"
     return shown

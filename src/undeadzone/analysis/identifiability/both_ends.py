@@ -11,9 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.analysis.identifiability.linear import DIRECTIONS, Verdict, invisible
+from undeadzone.analysis.identifiability.linear import Verdict, invisible
 from undeadzone.analysis.side_schedule import Schedule
 from undeadzone.ends.actuator import Drive, through_zone
+from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.linear.matrices import Matrices
 from undeadzone.support.arrays import Floats
 

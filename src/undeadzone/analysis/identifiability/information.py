@@ -253,5 +253,6 @@ def _inverse(information: Floats) -> Floats:
     tiny = np.finfo(float).tiny
     unit = np.sqrt(np.maximum(np.diag(information), tiny))
     scale = np.outer(unit, unit)
-    values, vectors = np.linalg.eigh(information / scale)
+    with np.errstate(over="ignore"):  # a direction of no information at all
+        values, vectors = np.linalg.eigh(information / scale)
     return np.asarray((vectors / np.maximum(values, tiny)) @ vectors.T / scale)

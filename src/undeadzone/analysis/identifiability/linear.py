@@ -16,6 +16,7 @@ from undeadzone.analysis.identifiability.edges import MARGIN as MARGIN
 from undeadzone.analysis.identifiability.edges import Cure as Cure
 from undeadzone.analysis.identifiability.edges import rarely_exact, reaching, unreached
 from undeadzone.analysis.side_schedule import Schedule
+from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.linear.matrices import Matrices, sizes
 from undeadzone.signals.exosystem import (
     Disturbance,
@@ -34,7 +35,6 @@ TOLERANCE = 1e-11
 CONSTANT = 0.01  # of samples' size, above which their mean counts as a constant
 MEAN = 4096  # points of that mean
 PRESENT = 1e-7  # see `Invisible`
-DIRECTIONS = {"right": (1.0, 0.0), "left": (0.0, 1.0), "width": (1.0, 1.0), "centre": (1.0, -1.0)}
 
 
 class Invisible(NamedTuple):

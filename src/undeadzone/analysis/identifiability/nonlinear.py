@@ -24,7 +24,7 @@ from undeadzone.analysis.identifiability.edges import (
 from undeadzone.analysis.identifiability.information import EXACT
 from undeadzone.analysis.identifiability.linearised_run import LinearisedRun, linearised, symmetric
 from undeadzone.analysis.side_schedule import reading, reading_levels, recorded
-from undeadzone.ends.sensor import Zone
+from undeadzone.ends.sensor import DIRECTIONS, Zone
 from undeadzone.plants.system import System
 from undeadzone.support.arrays import Floats, Integers
 
@@ -91,7 +91,7 @@ def verdicts_along(
             *vague(std, most, right, left),
             *rarely_exact(schedule, i),
         )
-        enough = {name: std[name] <= most[name] for name in linear.DIRECTIONS}
+        enough = {name: std[name] <= most[name] for name in DIRECTIONS}
         judged.append(linear.Verdict(**enough, reasons=reasons, std=std))
     return judged
 

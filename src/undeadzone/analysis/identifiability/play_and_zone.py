@@ -12,8 +12,9 @@ import numpy as np
 
 from undeadzone.analysis.identifiability.edges import unreached
 from undeadzone.analysis.identifiability.information import EXACT, SMALLEST, Readings, deviations
-from undeadzone.analysis.identifiability.linear import DIRECTIONS, Verdict, invisible
+from undeadzone.analysis.identifiability.linear import Verdict, invisible
 from undeadzone.analysis.side_schedule import Schedule
+from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.linear.matrices import Matrices
 from undeadzone.support.arrays import Floats
 

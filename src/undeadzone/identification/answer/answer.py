@@ -7,9 +7,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.errors import InputError
 from undeadzone.identification.logs.log import Options
-from undeadzone.identification.models.estimates import DIRECTIONS, Interval, quantile
+from undeadzone.identification.models.estimates import Interval, quantile
 from undeadzone.identification.models.kalman import AT_INPUT, NAMES
 from undeadzone.identification.models.kalman_fit import KalmanFit, innovations
 from undeadzone.identification.models.plant import Layout, Simulator
@@ -322,8 +323,8 @@ def _shown_jump(case: Case) -> Shown:
         sides.append(Interval(edge.value * scale, low, high))
     right, left = sides
     width = Interval(right.value + left.value, right.low + left.low, right.high + left.high)
-    twice = Interval(right.value - left.value, right.low - left.high, right.high - left.low)
-    return {"right": right, "left": left, "width": width, "centre": twice.scaled(0.5)}
+    centre = Interval(right.value - left.value, right.low - left.high, right.high - left.low)
+    return {"right": right, "left": left, "width": width, "centre": centre}
 
 
 def _shown(answer: Answer, wider: float) -> Shown:

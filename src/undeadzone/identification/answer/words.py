@@ -6,9 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.identification.answer.answer import Answer
-from undeadzone.identification.models.estimates import DIRECTIONS, Interval
+from undeadzone.identification.models.estimates import Interval
 from undeadzone.identification.verdict.verdict import MODELS, winning_rival
+from undeadzone.support.text import bracketed
 
 HEADS = {
     "dead_zone": "yes",
@@ -214,7 +216,7 @@ def _in_words(interval: Interval, unit: str) -> str:
         return f"{value:.6g}{unit}  (given)"
     digits = max(0, int(np.ceil(-np.log10(max(high - low, 1e-300)))) + 2)
     digits = min(digits, 12)
-    return f"{value:.{digits}f}{unit}  [{low:.{digits}f}, {high:.{digits}f}]"
+    return f"{bracketed(value, low, high, f'.{digits}f')}{unit}"
 
 
 def _record(answer: Answer) -> str:

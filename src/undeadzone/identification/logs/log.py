@@ -16,8 +16,13 @@ import numpy as np
 
 from undeadzone.errors import FileError, InputError
 from undeadzone.logs.names import Layout, Title, layout_of_titles, numbers, parse_columns
-from undeadzone.logs.samples import MOST_UNREADABLE, LogReader, Samples, counted_lines
-from undeadzone.logs.text import blocks_of
+from undeadzone.logs.samples import (
+    MOST_UNREADABLE,
+    LogReader,
+    Samples,
+    counted_lines,
+    samples_of_text,
+)
 from undeadzone.logs.whole import BINARY, samples_of
 from undeadzone.support.arrays import LARGEST, Floats
 from undeadzone.support.files import LARGEST_TABLE
@@ -288,11 +293,9 @@ def _of_text(
 ) -> tuple[Samples, Layout]:
     """The samples of a CSV file, without lines that cannot be read. Raises FileError."""
     reader = LogReader(str(path), None, None, chosen, strict)
-    blocks = [reader.feed(data, last) for data, last in blocks_of(path, LARGEST_TABLE)]
-    whole = [block for block in blocks if block.t.size]
-    if reader.layout is None or not whole:
+    samples = samples_of_text(reader, path, LARGEST_TABLE, math.inf)
+    if reader.layout is None or not samples.t.size:
         raise FileError(f"{path}: holds no samples")
-    samples = Samples(*[np.concatenate(parts) for parts in zip(*whole, strict=True)])
     if reader.unreadable:
         samples = _readable(samples, reader, path)
         remarks.append(

@@ -22,8 +22,6 @@ from undeadzone.support.arrays import Floats, Integers
 
 GAUSSIAN = 2 / 3  # of the fourth power of a Gaussian: what 3 s^4 holds beyond s^4
 LEAST_KEPT = 0.05  # share of a variance below which nothing is left of it
-# Weights of d_r and d_l, or of c_r and c_l.
-DIRECTIONS = {"right": (1.0, 0.0), "left": (0.0, 1.0), "width": (1.0, 1.0), "centre": (0.5, -0.5)}
 
 # --- The climb
 

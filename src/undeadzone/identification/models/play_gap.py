@@ -23,9 +23,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.identification.models import motion
 from undeadzone.identification.models.elements import PlayFit, PlayModel
-from undeadzone.identification.models.estimates import DIRECTIONS, Interval, climb, quantile
+from undeadzone.identification.models.estimates import Interval, climb, quantile
 from undeadzone.identification.models.kalman import AT_INPUT, AT_OUTPUT, QUIETEST, KalmanObjective
 from undeadzone.identification.models.kalman_fit import MODELS, KalmanFit
 from undeadzone.identification.models.least_squares import Fitted, LeastSquares

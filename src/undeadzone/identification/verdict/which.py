@@ -13,9 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.identification.models import plant
 from undeadzone.identification.models.elements import PlayFit, PlayModel, fit_both, fit_play
-from undeadzone.identification.models.estimates import DIRECTIONS, Interval, best_top, weighing
+from undeadzone.identification.models.estimates import Interval, best_top, weighing
 from undeadzone.identification.models.kalman_fit import KalmanFit
 from undeadzone.identification.models.least_squares import (
     CLEARLY,
@@ -33,6 +34,7 @@ from undeadzone.identification.verdict.orders import HeldOut, judged, one_step, 
 from undeadzone.identification.verdict.place import Place
 from undeadzone.identification.verdict.verdict import LEAST, Case, Verdict, because, explains_better
 from undeadzone.support.arrays import Floats, Integers
+from undeadzone.support.text import HALF_95
 
 LEAST_GAP = 0.02  # rms of y, below which a gap is no matter
 LEAST_ODD = 1e-3  # least rms from which readings are counted as odd, in rms of y
@@ -214,7 +216,7 @@ def _no_gap(verdict: Verdict, gap: Gap) -> Verdict:
     """A play without a gap is a constant offset, where it is anything."""
     if verdict.word != "play":
         return verdict
-    offset = -gap.intervals["centre"].value * gap.fit.squares.data.y_scale
+    offset = -0.5 * gap.intervals["centre"].value * gap.fit.squares.data.y_scale
     return because(
         "other",
         f"no gap is there, but the readings lie about {offset:.4g} beside the output: a constant"
@@ -232,7 +234,7 @@ def _named(element: Element, offsets: Offsets) -> Verdict:
         return verdict
     zone, std = offsets.widths[1], offsets.std[1]
     return verdict.with_cautions(
-        f"the four offsets of the readings show a dead zone of {zone:.3g} +- {2 * std:.2g} in"
+        f"the four offsets of the readings show a dead zone of {zone:.3g} ± {HALF_95 * std:.2g} in"
         " rms of y beside the play: the fit is not perfect"
     )
 
@@ -319,11 +321,11 @@ def _with_zone(element: Element, gap: Gap, scale: float) -> Element:
 def _sides(gap: Gap, offset: float | None) -> dict[str, Interval | None]:
     """The play's widths [y]; what an offset of the output leaves of its sides and its centre."""
     shown: dict[str, Interval | None] = {}
-    for name in DIRECTIONS:
+    for name, row in DIRECTIONS.items():
         interval = gap.intervals[name]
-        if name != "width":
+        if shift := abs(row[0] - row[1]):  # by which an offset of 1 moves it
             above = interval.high - interval.value
-            half = np.inf if offset is None else float(np.hypot(above, offset))
+            half = np.inf if offset is None else float(np.hypot(above, shift * offset))
             interval = Interval.around(interval.value, half)
         shown[name] = interval.scaled(gap.fit.model.data.y_scale)
     if gap.fit.model.tied:

@@ -9,7 +9,8 @@ import numpy as np
 from scipy.stats import chi2
 from scipy.stats import f as fisher
 
-from undeadzone.identification.models.estimates import DIRECTIONS, Interval, climb
+from undeadzone.ends.sensor import DIRECTIONS
+from undeadzone.identification.models.estimates import Interval, climb
 from undeadzone.identification.models.kalman_fit import KalmanFit
 from undeadzone.identification.models.likelihood import Noise, Readings, singles
 from undeadzone.identification.models.zone import Limits, Objective
@@ -87,8 +88,8 @@ def find_widths(
             half = max(half, gap, 0.0 if last == "L3" else _gap(stages, row, "L3"))
             half = math.hypot(half, _hidden(name, others, chosen))
             half = math.hypot(half, 0.5 * quantum)
-        if name != "width":
-            half = math.inf if offset is None else math.hypot(half, offset)
+        if shift := abs(row[0] - row[1]):  # by which an offset of 1 moves it
+            half = math.inf if offset is None else math.hypot(half, shift * offset)
         intervals[name] = Interval.around(float(np.dot(row, stages[last])), half)
         for other in alike:
             gap = _difference(row, other, chosen)

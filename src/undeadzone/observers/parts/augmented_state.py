@@ -40,8 +40,8 @@ class JointClaims(Options, frozen=True, kw_only=True):
             [u]; default what moves z by `swing` times the largest width, rms, in a quarter period
             of the plant (in 50 samples of a chain of integrators).
         swing: rms, in largest widths, by which the default disturbance moves z.
-        drift: random walk of the widths [z / sqrt(s)]; default the method's multiple of the largest
-            width.
+        drift: random walk of the widths [z / sqrt(s)]; default the method's multiple of the extent
+            of each range.
         glitches: probability that a reading is wrong, whatever the sensor promises; 0 takes all
             readings for right, as published.
     """

@@ -124,8 +124,8 @@ class Claims(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         noise: rms of a reading on an active side, one or one per output [z]; default the sensor's.
         x_std: standard deviation of x(0) about 0, one or one per state; default what shows
             in z as five times the largest width.
-        drift: random walk of the widths [z / sqrt(s)]; default a 400th of the largest width in
-            1 / |pole| of the plant.
+        drift: random walk of the widths [z / sqrt(s)]; default a 400th of the range's extent
+            in 1 / |pole| of the plant.
         disturbance: rms that a coloured input disturbance may have, one or one per input [u];
             default what moves z by half of the largest width, rms, in a quarter period of the
             plant and 1 / |pole| for each further pole.

@@ -35,6 +35,7 @@ from undeadzone.ends.sensor import Zone, offset
 from undeadzone.interfaces import Estimate, Reading
 from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.observers.parts.gaussian_filter import Augmentation
+from undeadzone.observers.parts.prior import Prior
 from undeadzone.support.arrays import Floats
 
 SAME = 20.0  # steps for which an error of the side keeps its sign, and counts that much more
@@ -89,12 +90,12 @@ class Gaps(NamedTuple):
     drift: Floats
 
 
-def numbers_of(sensor: Zone, drift: Floats) -> Gaps | None:
+def numbers_of(sensor: Zone, prior: Prior) -> Gaps | None:
     """The numbers of a filter about the play ahead of the zone; None: there is none.
 
     Args:
         sensor: as the filter takes it.
-        drift: variance that the widths of the zone gain each step (2p) [z^2].
+        prior: of the zone's widths, whose drift is the gaps' too.
     """
     if sensor.play is None:
         return None
@@ -102,7 +103,9 @@ def numbers_of(sensor: Zone, drift: Floats) -> Gaps | None:
     ranges = sensor.play.ranges
     if ranges is None:
         return Gaps(middle, np.empty((0, 2)), np.empty(0), np.empty(0))
-    return Gaps(middle, ranges, np.diff(ranges, axis=1).ravel() / np.sqrt(12), drift)
+    span = np.diff(ranges, axis=1).ravel()
+    drift = prior.worn * span**2 if prior.worn else prior.drift
+    return Gaps(middle, ranges, span / np.sqrt(12), drift)
 
 
 def with_gaps(inner: Augmentation, gaps: Gaps | None) -> Augmentation:

@@ -102,7 +102,7 @@ def measured_filter(
     zones: Zones | None = None,
 ) -> Member:
     """The filter; `Setup`, `Params` and `doubt_numbers` explain the arguments."""
-    gaps = numbers_of(sensor, prior.drift)
+    gaps = numbers_of(sensor, prior)
     augmentation = with_gaps(with_friction(augmentation, sensor), gaps)
     augmentation = with_widths(augmentation, zones)
     entries = kept_entries(model, augmentation)

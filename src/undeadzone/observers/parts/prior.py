@@ -29,6 +29,7 @@ class Prior(NamedTuple):
         R: variance of a reading on an active side (p) [z^2].
         gate: |y| that is surely not silent (p) [y].
         drift: variance that the widths gain each step (2p) [z^2].
+        worn: the same in squares of a range's extent; 0 where a drift is claimed.
         ranges: claimed ranges of all d_r, then of all d_l (2p x 2) [z].
         centre: mean and standard deviation of each d_r - d_l (p x 2) [z]; None: nothing but what
             the ranges say.
@@ -40,6 +41,7 @@ class Prior(NamedTuple):
     R: Floats
     gate: Floats
     drift: Floats
+    worn: float
     ranges: Floats
     centre: Floats | None = None
     largest: float = 0.0
@@ -85,11 +87,12 @@ def build_prior(
         noise: rms of a reading [z]; None: the sensor's, but at least `floor`.
         x_std: standard deviation of x(0); None: what shows as `reach` times the largest width
             (`state_units`).
-        drift: random walk of the widths [z / sqrt(s)]; None: `wear` times the largest width in
-            1 / |pole|, which is 2 / pi quarter periods.
+        drift: random walk of the widths [z / sqrt(s)]; None: `wear` times the extent of each range
+            in 1 / |pole|, which is 2 / pi quarter periods: who claims a narrow range claims that
+            the width stays in it.
         floor: least noise, as a share of the claimed range.
         reach: standard deviation of x(0), in largest widths, where none is claimed.
-        wear: drift, in largest widths per 1 / sqrt(|pole|), where none is claimed.
+        wear: drift, in extents of the range per 1 / sqrt(|pole|), where none is claimed.
         start: mean of x(0), one number or one per state.
         centre: claimed range of d_r - d_l, or its value; None: nothing is claimed.
 
@@ -111,16 +114,18 @@ def build_prior(
         spread = reach * largest * state_units(model.flow or model.linear, Ts)
     else:
         spread = nonnegative("observer.x_std", x_std, model.n, "one per state")
+    worn = 0.0
     if drift is None:
-        drift = wear * largest * np.sqrt(np.pi / 2 / time_scale(model.flow or model.linear, Ts))
-    growth = scalar("observer.drift", drift, least=0.0) ** 2 * Ts
+        worn = wear**2 * np.pi / 2 * Ts / time_scale(model.flow or model.linear, Ts)
+    growth = scalar("observer.drift", 0.0 if drift is None else drift, least=0.0) ** 2 * Ts
     x0 = vector("observer.start", start, model.n, "one per state")
     return Prior(
         mean=np.concatenate([x0, ranges.mean(axis=1)]),
         std=np.concatenate([spread, span / np.sqrt(12)]),
         R=np.maximum(rms, least) ** 2,
         gate=silence_gate(sensor, rms),
-        drift=np.full(2 * p, growth),
+        drift=growth + worn * span**2,
+        worn=worn,
         ranges=ranges,
         centre=None if centre is None else _centres(centre, ranges, p),
         largest=largest,

@@ -12,6 +12,7 @@ from undeadzone.numerics.gaussian import Gaussian, from_upper, truncate_to
 from undeadzone.observers.parts.gaussian_filter import Augmentation, Params
 from undeadzone.plants.system import System
 
+ROUNDING = 1e-12  # of a variance
 FAR = 4.5  # standard deviations beyond its range from which a width refutes its claims
 
 
@@ -150,7 +151,7 @@ def within_ranges(q: Params, n: int, belief: Gaussian) -> tuple[Gaussian, Any]:
     """The belief with the mean that it has if every width lies in its claimed range.
 
     The covariance stays: that of a Gaussian cut where it was matched to a uniform distribution
-    would claim too much.
+    would claim too much. But no width is less known than its range says, however long it drifted.
 
     Returns:
         (belief, the log of the chance that every width lies in its range).
@@ -160,7 +161,17 @@ def within_ranges(q: Params, n: int, belief: Gaussian) -> tuple[Gaussian, Any]:
     for i in range(q.ranges.shape[0]):
         cut, chance = truncate_to(cut, n + i, q.ranges[i, 0], q.ranges[i, 1])
         log_chance += chance
-    return Gaussian(cut.mean, belief.cov), log_chance
+    return Gaussian(cut.mean, _no_wider(q, n, belief.cov)), log_chance
+
+
+def _no_wider(q: Params, n: int, cov: Any) -> Any:
+    """A covariance whose widths deviate by no more than a uniform distribution over their range."""
+    count = q.ranges.shape[0]
+    most = (1 + ROUNDING) * (q.ranges[:, 1] - q.ranges[:, 0]) ** 2 / 12
+    variances = ca.diag(cov)[n : n + count]
+    shrunk = ca.if_else(variances > most, ca.sqrt(most / variances), 1.0)
+    scale = ca.vertcat(ca.SX.ones(n), shrunk, ca.SX.ones(cov.shape[0] - n - count))
+    return cov * (scale @ scale.T)
 
 
 def with_unknowns(

@@ -1,0 +1,144 @@
+"""Times as people and loggers write them: ISO 8601, dates, times of day, seconds since 1970.
+
+Numbers in a unit of time are none of these: see `names.SECONDS`.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable
+from datetime import date
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from undeadzone.support.arrays import Floats
+
+DAY: Final = 86_400.0  # [s]
+NOON: Final = 12  # [h]
+FIRST_DAY: Final = date(1970, 1, 1).toordinal()
+# Times without a unit that are at least so large count parts of a second since 1970, of this length
+# [s].
+SINCE_1970: Final = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
+_DATE: Final = r"(?P<a>\d{1,4})(?P<dot>[-./])(?P<b>\d{1,2})(?P=dot)(?P<c>\d{1,4})"
+_CLOCK: Final = (
+    r"(?P<h>\d{1,2}):(?P<min>\d{2})(?::(?P<s>\d{2}(?:[.,]\d+)?))?\s*(?P<half>[AaPp][Mm])?"
+    r"\s*(?P<zone>[Zz]|[-+]\d{2}:?\d{2})?"
+)
+STAMP: Final = re.compile(rf"(?:{_DATE})?(?:(?:^|[Tt ]\s*){_CLOCK})?")
+
+
+class Stamps(NamedTuple):
+    """How the times of a log are written.
+
+    Attributes:
+        dated: whether with a date; else they are times of day.
+        day_first: whether 3/4/2026 is in April; None: nothing tells, and no such date is read.
+    """
+
+    dated: bool
+    day_first: bool | None
+
+    def seconds(self, text: str) -> float | None:
+        """A time [s], since 1970 or since midnight; None where it cannot be read.
+
+        Args:
+            text: date and time of day as written; what has no zone counts as UTC.
+        """
+        found = STAMP.fullmatch(text.strip())
+        if found is None or not found[0] or (found["a"] is not None) != self.dated:
+            return None
+        day = _day(found, self.day_first) if self.dated else 0
+        of_day = _of_day(found)
+        return None if day is None or of_day is None else day * DAY + of_day
+
+
+def stamps_of(texts: Iterable[str]) -> Stamps | None:
+    """How times are written; None where they are none that can be read.
+
+    Args:
+        texts: the first ones.
+    """
+    found = [STAMP.fullmatch(text.strip()) for text in texts]
+    first = next((one for one in found if one is not None and one[0]), None)
+    if first is None:
+        return None
+    day_first = None
+    for one in found:
+        if one is not None and one["a"] is not None and max(int(one["a"]), int(one["b"])) > NOON:
+            day_first = int(one["a"]) > NOON
+    return Stamps(first["a"] is not None, day_first)
+
+
+def is_ambiguous(text: str, stamps: Stamps) -> bool:
+    """Whether a date does not say which number is the month, as 3/4/2026."""
+    found = STAMP.fullmatch(text.strip())
+    if found is None or found["a"] is None or stamps.day_first is not None:
+        return False
+    return found["dot"] != "." and len(found["a"]) < 4
+
+
+def since_1970(t: Floats) -> Floats:
+    """Times without a unit [s]: as large as ms, us or ns since 1970 are, they are these."""
+    out = np.array(t)
+    for least, length in reversed(SINCE_1970):
+        out[np.abs(t) >= least] = t[np.abs(t) >= least] * length
+    return out
+
+
+def over_midnight(t: Floats, before: float) -> Floats:
+    """Times of day that go on after midnight [s].
+
+    Args:
+        t: times of day (N) [s]; NaN where one is missing.
+        before: the last time before these [s], days counted; NaN: there is none.
+    """
+    out = np.array(t)
+    days = 0.0 if math.isnan(before) else math.floor(before / DAY)
+    for k in np.flatnonzero(np.isfinite(t)):
+        if t[k] + days * DAY < before - DAY / 2:
+            days += 1
+        out[k] = before = t[k] + days * DAY
+    return out
+
+
+def _day(found: re.Match[str], day_first: bool | None) -> int | None:
+    """Days since 1970; None where there is no such day, or which it is cannot be told."""
+    a, b, c = found["a"], found["b"], found["c"]
+    if len(a) == 4:
+        year, month, day = a, b, c
+    elif found["dot"] == "." or day_first:
+        year, month, day = c, b, a
+    elif day_first is None:
+        return None
+    else:
+        year, month, day = c, a, b
+    try:
+        return date(int(year), int(month), int(day)).toordinal() - FIRST_DAY
+    except ValueError:
+        return None
+
+
+def _of_day(found: re.Match[str]) -> float | None:
+    """Seconds since midnight, UTC where a zone is named; None where there is no such time."""
+    if found["h"] is None:
+        return 0.0
+    hour, minute = int(found["h"]), int(found["min"])
+    second = float((found["s"] or "0").replace(",", "."))
+    if found["half"]:
+        if not 1 <= hour <= NOON:
+            return None
+        hour = hour % NOON + (NOON if found["half"].lower() == "pm" else 0)
+    if hour > 23 or minute > 59 or second >= 61:
+        return None
+    return 3600.0 * hour + 60.0 * minute + second - _zone(found["zone"])
+
+
+def _zone(text: str | None) -> float:
+    """How far a zone's clocks are ahead of UTC [s]."""
+    if text is None or text in "Zz":
+        return 0.0
+    digits = text[1:].replace(":", "")
+    ahead = 3600.0 * int(digits[:2]) + 60.0 * int(digits[2:])
+    return -ahead if text[0] == "-" else ahead
