@@ -23,6 +23,7 @@ from undeadzone.catalogue import OBSERVERS
 from undeadzone.cli import group
 from undeadzone.ensemble.binding import bind, drawn
 from undeadzone.errors import FileError, InputError
+from undeadzone.observers.luenberger import Luenberger
 from undeadzone.scenario.ensemble_table import Vary
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import read
@@ -34,7 +35,7 @@ from undeadzone.support import toml
 from undeadzone_arena.contest import leaderboard
 from undeadzone_arena.contest import tune as tuning
 from undeadzone_arena.contest import tuned_file as tuned
-from undeadzone_arena.contest.contest import run_contest
+from undeadzone_arena.contest.contest import arena, run_contest
 from undeadzone_arena.contest.entry import entered, numbers
 from undeadzone_arena.contest.leaderboard import CAP, bounded, intervals, regrets
 from undeadzone_arena.contest.methods import METHODS, catalogue, fitting, middle
@@ -745,3 +746,23 @@ def test_the_page_shows_the_numbers_of_the_contest() -> None:
         assert worth.diverged or np.sqrt(np.mean((trace.z - trace.r)[tail] ** 2)) == pytest.approx(
             worth.tracking, rel=1e-9
         )
+
+
+class Stubborn(Luenberger, frozen=True, kw_only=True, tag="stubborn"):
+    """An observer of a user's own, that no package registers."""
+
+
+def test_an_observer_of_ones_own_enters_without_being_installed(tmp_path: Path) -> None:
+    mine = Stubborn(L=[[4.0], [4.0]])
+    contest = arena([small()], {"mine": mine}, methods=["certified"], seeds=[0, 1])
+    places = {row.method: row for row in contest.rows}
+    assert {"mine", "certified", "informed"} <= places.keys()
+    assert places["mine"].not_applicable == 0
+    (title,) = contest.scenarios
+    assert contest.scenario("mine", title).observer == mine
+    assert contest.replay("mine", title)[1].z.size > 100
+    contest.save(tmp_path / "results.json")
+    kept = json.loads((tmp_path / "results.json").read_text())
+    assert {row["method"] for row in kept["results"]} >= {"mine", "certified"}
+    with pytest.raises(InputError, match="'kalman' is in the catalogue"):
+        arena([small()], {"kalman": mine})

@@ -459,3 +459,24 @@ def test_exported_C_has_the_bits_of_lanes_and_of_a_live_step(observer: str, tmp_
     if not elementary.called(printed.results) & OWN:
         stepper = live.CompiledStepper(function, step.start, step.defaults)
         np.testing.assert_array_equal(stepper.run(rows), in_c)
+
+
+SLOW = {"time": "sampled", "step": 0.01, "duration": 2.0}
+
+
+def test_boards_say_what_fits_and_what_would(tmp_path: Path) -> None:
+    slow = scene(simulation=SLOW)
+    small = uz.export(slow, out=tmp_path / "small").report
+    assert all(board["fits"] for board in small["boards"])
+    assert "leaner" not in small
+    observer = {"method": "auto", "right": [0.0, 2.0]}
+    large = uz.export(scene(simulation=SLOW, observer=observer), out=tmp_path / "large").report
+    of = {board["board"]: board for board in large["boards"]}
+    assert of["Arduino Uno"]["why"] == "flash, memory, time"
+    assert of["Cortex-M4F (STM32F4)"]["fits"]
+    assert "Arduino Uno" in large["leaner"]["certified"]
+    double = uz.export(slow, out=tmp_path / "double", precision="double").report
+    told = {board["board"]: board["why"] for board in double["boards"]}
+    assert told["Arduino Uno"] == "its double is single"
+    assert told["ESP32"] == ""
+    assert "boards" not in uz.export(slow, "python", out=tmp_path / "module").report

@@ -119,3 +119,18 @@ def test_make_size_tells_the_flash_of_a_cortex_m4f(tmp_path: Path) -> None:
     assert sizes["data"] == sizes["bss"] == "0"
     assert sizes["filename"] == "joint_target.o"
     assert "make size" in (tmp_path / "fw" / "README.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_flash_that_is_estimated_is_near_what_the_compiler_makes(
+    name: str, tmp_path: Path
+) -> None:
+    report = uz.export(case(name), out=tmp_path / "fw", name="o").report
+    (estimated,) = [each["flash"] for each in report["boards"] if "M4F" in each["board"]]
+    options = [*CORE, "-std=c99", "-Os", "-ffp-contract=off", "-ffunction-sections"]
+    command = ["arm-none-eabi-gcc", *options, "-c", "-o", "o.o", "fw/o.c"]
+    subprocess.run(command, cwd=tmp_path, check=True)
+    sizes = ["arm-none-eabi-size", "-A", "o.o"]
+    shown = subprocess.run(sizes, cwd=tmp_path, capture_output=True, text=True, check=True).stdout
+    (step,) = re.findall(r"^\.text\.o_step\s+(\d+)", shown, re.M)
+    assert 0.7 * int(step) <= estimated <= 1.5 * int(step) + 4_000

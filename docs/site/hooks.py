@@ -37,7 +37,9 @@ FIRST = {
         "install.md",
         "tour.md",
         "command_line.md",
+        "keys.md",
         "which.md",
+        "compare.md",
         "glossary.md",
         "faq.md",
     ],
@@ -54,7 +56,7 @@ FIRST = {
     "Logs": ["identify.md", "watch.md", "filters.md"],
     "Studies": ["simulation.md", "ensemble.md", "tune.md", "arena.md", "robots.md"],
     "Elsewhere": ["export.md", "security.md"],
-    "Reference": ["scenario.md", "decisions.md"],
+    "Reference": ["scenario.md", "versions.md", "decisions.md"],
 }
 TRY = """# Try it
 

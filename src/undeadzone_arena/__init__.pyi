@@ -1,4 +1,6 @@
 from .compensators.adaptive_inverse import AdaptiveZoneInverse as AdaptiveZoneInverse
+from .contest.contest import Contest as Contest
+from .contest.contest import arena as arena
 from .controllers.fuzzy_feedback import FuzzyFeedback as FuzzyFeedback
 from .controllers.gravity_pd import GravityPD as GravityPD
 from .controllers.rbf_feedback import RBFFeedback as RBFFeedback

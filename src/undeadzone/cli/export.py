@@ -74,6 +74,7 @@ def export(
     a folder that is no export, is refused without --force.
     `--to page` writes one HTML file in which the whole loop runs in a browser, with sliders.
     """
+    from undeadzone.exports.boards import Fit, table
     from undeadzone.exports.export import export as run
     from undeadzone.scenario.reader import read
 
@@ -91,6 +92,8 @@ def export(
     else:
         words = _page_in_words if to == "page" else _in_words
         blocks: list[Block] = [words(result.report, files)]
+        if "boards" in result.report:
+            blocks.append(table([Fit(**row) for row in result.report["boards"]]))
         if check and result.report["accuracy"] is not None:
             blocks.append(_table(result.report["accuracy"]))
         print_blocks(blocks)
@@ -111,12 +114,20 @@ def _in_words(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
         pairs["self-test"] = report["self_test"]
     if report["refusals"]:
         pairs["REFUSED"] = report["refusals"]
+    if report.get("leaner"):
+        pairs["leaner"] = [_leaner(*each) for each in report["leaner"].items()]
     pairs["written"] = files or "nothing; --out DIR keeps the files"
     if any(name.endswith("Makefile") for name in files):
         pairs["next"] = (
             f"make -C {Path(files[0]).parent} runs the self-test; README.md has the rest"
         )
     return pairs
+
+
+def _leaner(method: str, boards: list[str]) -> str:
+    """An observer that takes less, and where it fits."""
+    where = ", ".join(boards) or "none of these boards"
+    return f'observer.method = "{method}" fits {where}'
 
 
 def _page_in_words(report: dict[str, Any], files: list[str]) -> dict[str, Any]:

@@ -62,8 +62,8 @@ def run(
     it diverged, half the step changes it by more than 1 %, or its widths cannot be identified.
 
     undeadzone run DIR/runs.npz --replay NUMBER shows a run of an ensemble in the same way (default
-    folder: run-NUMBER-results), computed again with its own numbers and noise, and says whether it
-    met them to the last bit.
+    folder: run-NUMBER-results), computed again with its own numbers and noise, and reports whether
+    every bit agrees.
     """
     if animation is not None:
         prepare_figures()

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import itertools
 import re
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 
 import undeadzone
+from undeadzone.catalogue import OBSERVERS
 from undeadzone.compile.graph import needed
 from undeadzone.errors import InputError
 from undeadzone.exports import accuracy, compiler, folder, parts, targets
+from undeadzone.exports.boards import fits
 from undeadzone.exports.code import Code, code, operations
 from undeadzone.exports.fields import Field, identifier, total
 from undeadzone.exports.page.build import write_page
@@ -24,6 +28,7 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.support.arrays import Floats
 
 PRECISIONS = ("single", "double")
+FIRMWARE = ("c", "arduino")  # targets whose boards matter
 STEPS = 100_000  # of the comparison of float with double, at least
 NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
 
@@ -102,6 +107,11 @@ def export(
     report = _report(printed, text, labels, tunable)
     report["replaced_constants"] = replaced_constants(double) if printed.single else []
     report |= _measured(double, printed, text, rows)
+    if to in FIRMWARE:
+        found = fits(report)
+        report["boards"] = [fit._asdict() for fit in found]
+        if not all(fit.fits for fit in found):
+            report["leaner"] = _leaner(scenario, part, printed.single)
     vectors = reference(printed, chosen(rows[: problem.steps + 1], step.readings))
     tested = selftest(printed, prefix, vectors)
     files = targets.files(to, Material(printed, text, tested, scenario.units, report))
@@ -154,9 +164,6 @@ def _report(
 ) -> dict[str, Any]:
     """What is known of an export before anything runs."""
     step = printed.step
-    bytes_each = 4 if printed.single else 8
-    structs: dict[str, list[Field]] = {"params": []} | printed.structs
-    sizes = {name: bytes_each * total(structs[name]) for name in ("state", "in", "out", "params")}
     return {
         "name": labels.prefix,
         "title": labels.title,
@@ -167,10 +174,39 @@ def _report(
         "step": step.Ts,
         "tunable": list(tunable),
         "two_phase": printed.phases is not None,
-        "sizes": sizes,
+        "sizes": _sizes(printed),
         "operations": operations(printed.results),
         "functions": text.functions,
     }
+
+
+def _leaner(scenario: Scenario, part: str, is_single: bool) -> dict[str, list[str]]:
+    """Observers of fewer operations that the scenario could have, and the boards that they fit."""
+    own = scenario.observer
+    claims = {name: getattr(own, name) for name in ("right", "left") if hasattr(own, name)}
+    found = {}
+    choices: tuple[tuple[str, dict[str, Any]], ...] = (("kalman", claims), ("certified", {}))
+    for tag, options in choices:
+        if own.__struct_config__.tag == tag:
+            break
+        with suppress(InputError, TypeError):  # the scenario cannot have it
+            other = msgspec.structs.replace(scenario, observer=OBSERVERS.made(tag, **options))
+            printed = code(parts.build(resolve_scenario(other), part, ()), single=is_single)
+            costs = {
+                "precision": "single" if is_single else "double",
+                "step": scenario.simulation.step,
+                "sizes": _sizes(printed),
+                "operations": operations(printed.results),
+            }
+            found[tag] = [fit.board for fit in fits(costs) if fit.fits]
+    return found
+
+
+def _sizes(printed: Code) -> dict[str, int]:
+    """The bytes of the structs of C."""
+    structs: dict[str, list[Field]] = {"params": []} | printed.structs
+    each = 4 if printed.single else 8
+    return {name: each * total(structs[name]) for name in ("state", "in", "out", "params")}
 
 
 def replaced_constants(double: Code) -> list[str]:

@@ -179,8 +179,8 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         disturbance: a signal added to the input; default: none.
         tracked: the outputs that follow the reference, counted from 0; default: the first
             min(inputs, outputs).
-        behind_play: rate w at which z is led across the gap of a play where the reference turns, so
-            that what is behind the play (y / m) follows it in place of z [1/s]; default: z follows.
+        behind_play: speed of crossing the gap of a play when the reference reverses; makes the load
+            (y / m) follow the reference in place of z [1/s]; default: z follows.
         units: names of units for labels and columns; default: 1, of an arm rad, N m and rad/s.
         ensemble: distributions of the numbers that vary among many runs.
         tune: the numbers that `undeadzone tune` may change, and to what end.

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from undeadzone.report.plot import Drawing
 
 import undeadzone
+from undeadzone.errors import InputError
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.loop import Outputs
@@ -25,7 +26,7 @@ from undeadzone.support.arrays import finite
 from undeadzone.support.files import write_text
 from undeadzone.support.progress import in_notebook
 from undeadzone.support.shown import Block
-from undeadzone_arena.contest.entry import entered
+from undeadzone_arena.contest.entry import entered, numbers
 from undeadzone_arena.contest.leaderboard import (
     CAP,
     NAIVE,
@@ -36,9 +37,18 @@ from undeadzone_arena.contest.leaderboard import (
     leaderboard,
     regrets,
 )
-from undeadzone_arena.contest.methods import NOTHING, Numbers, catalogue
+from undeadzone_arena.contest.methods import (
+    NOTHING,
+    RECOMMENDED,
+    Method,
+    Numbers,
+    catalogue,
+    of_options,
+    require,
+)
 from undeadzone_arena.contest.metric import TAIL, Result
 from undeadzone_arena.contest.prior_knowledge import situation
+from undeadzone_arena.contest.scenario_sets import scenarios as held_out
 from undeadzone_arena.contest.trials import problem_of, score, signals
 from undeadzone_arena.contest.words import in_words
 
@@ -68,6 +78,7 @@ class Contest(NamedTuple):
         numbers: of the knobs, by method.
         results: one for each run.
         rows: the leaderboard.
+        own: methods of one's own, that the catalogue does not hold, by name.
     """
 
     scenarios: Mapping[str, Scenario]
@@ -75,6 +86,7 @@ class Contest(NamedTuple):
     numbers: Numbers
     results: list[Result]
     rows: list[Row]
+    own: Mapping[str, Method] = NOTHING
 
     @property
     def contestants(self) -> list[Row]:
@@ -85,14 +97,15 @@ class Contest(NamedTuple):
         """A scenario with a method in the place of its observer, its knobs as they were here.
 
         Args:
-            method: name in the catalogue.
+            method: name in the catalogue, or of one's own.
             title: name of the scenario.
 
         Raises:
             InputError: or a subclass, where the method is not applicable.
         """
         numbers = self.numbers.get(method, NOTHING)
-        return entered(catalogue()[method], situation(self.scenarios[title]), numbers)
+        known = {**catalogue(), **self.own}
+        return entered(known[method], situation(self.scenarios[title]), numbers)
 
     def replay(self, method: str, title: str) -> tuple[Problem, Outputs]:
         """A run again, with the first seed, and all its signals.
@@ -189,8 +202,53 @@ def _json_file(value: Any, path: Path) -> Path:
     return write_text(json.dumps(value, indent=1, allow_nan=False), path)
 
 
+def arena(
+    scenarios: Mapping[str, Scenario] | Sequence[Scenario] | None = None,
+    also: Mapping[str, Any] | None = None,
+    *,
+    methods: Sequence[str] | None = None,
+    seeds: Sequence[int] = (0, 1, 2),
+    processes: int | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> Contest:
+    """Let methods run against each other, your own among them (docs/arena.md).
+
+    Args:
+        scenarios: by name, or in a list, whose titles name them; None: those that the arena holds
+            out. Each method takes the place of their observer.
+        also: options of your own observers by name, `{"mine": Mine()}`; what is not given there is
+            filled with what the scenario declares, as for every method.
+        methods: names in the catalogue; None: all that fit, or with `also` the recommended ones.
+        seeds: of the runs of each method on each scenario.
+        processes: at once; None: one per processor, and one alone with `also`.
+        progress: called with the number of runs just done; None: a bar in a notebook.
+
+    Returns:
+        The contest; `uz.plot(contest)` draws it, `contest.save("results.json")` keeps it.
+
+    Raises:
+        InputError: there is no such method, or a name of your own is one of the catalogue's.
+    """
+    if scenarios is None:
+        grounds: Mapping[str, Scenario] = held_out("held_out")
+    elif isinstance(scenarios, Mapping):
+        grounds = scenarios
+    else:
+        grounds = {scenario.title: scenario for scenario in scenarios}
+    own = {name: of_options(options) for name, options in (also or {}).items()}
+    known = catalogue()
+    for name in own:
+        if name in known:
+            raise InputError(f"also: {name!r} is in the catalogue; give your method another name")
+    names = methods if methods is not None else (RECOMMENDED if own else None)
+    entries: Sequence[str] | Mapping[str, Method] | None = names
+    if own:
+        entries = {name: known[require(name)] for name in names or ()} | own
+    return run_contest(entries, grounds, seeds, numbers(), processes, progress)
+
+
 def run_contest(
-    methods: Sequence[str] | None,
+    methods: Sequence[str] | Mapping[str, Method] | None,
     scenarios: Mapping[str, Scenario],
     seeds: Sequence[int],
     numbers: Numbers,
@@ -202,7 +260,7 @@ def run_contest(
     """Let methods run against each other on scenarios.
 
     Args:
-        methods: names in the catalogue; None: all.
+        methods: names in the catalogue, or methods by name; None: all.
         scenarios: by name.
         seeds: of the runs of each method on each scenario.
         numbers: of the knobs, by method.
@@ -225,4 +283,6 @@ def run_contest(
             with kept.kept():
                 results = compete(kept=kept)
     references = {name for name, method in catalogue().items() if method.reference}
-    return Contest(scenarios, tuple(seeds), numbers, results, leaderboard(results, references))
+    rows = leaderboard(results, references)
+    own = methods if isinstance(methods, Mapping) else NOTHING
+    return Contest(scenarios, tuple(seeds), numbers, results, rows, own)

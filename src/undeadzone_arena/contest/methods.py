@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Mapping
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
+import msgspec
 import numpy as np
 
 from undeadzone.analysis.certificate.passivity import certify, passive_gain
@@ -128,6 +129,7 @@ def _bounded(prior: PriorKnowledge, knobs: Knobs) -> Options:
     return {"observer.disturbance": SURELY * math.hypot(prior.disturbance_rms, prior.bias)}
 
 
+RECOMMENDED: Final = ("auto", "censored", "kalman", "certified")
 NAIVE: Final = 2.0  # poles of the naive observer, in those of the closed loop
 SURELY: Final = 3.0  # bound of a disturbance, in its rms
 
@@ -278,6 +280,16 @@ def catalogue() -> dict[str, Method]:
         if observer not in used:
             every[str(observer.__struct_config__.tag)] = Method(observer)
     return every
+
+
+def of_options(options: Any) -> Method:
+    """An observer of one's own as a method: what its options say is fixed, the rest is declared."""
+    fixed = {}
+    for field in msgspec.structs.fields(options):
+        value = getattr(options, field.name)
+        if field.required or value is not field.default:
+            fixed[f"observer.{field.name}"] = value
+    return Method(type(options), fixed=fixed)
 
 
 def fitting(scenarios: Iterable[Scenario]) -> list[str]:
