@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -40,6 +41,18 @@ def test_a_link_is_someone_elses(tmp_path: Path) -> None:
     (tmp_path / "link").symlink_to(tmp_path / "nowhere")
     with pytest.raises(FileError, match="exists already"):
         require_own(tmp_path / "link")
+
+
+def test_what_is_no_plain_file_is_never_replaced(tmp_path: Path) -> None:
+    """A device of the computer least of all, whoever runs the command."""
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to("pipe")
+    for name in ("pipe", "link"):
+        refused = undeadzone("init", name, "--force", cwd=tmp_path)
+        assert refused.returncode == 2
+        assert "cannot write: it is a device, a pipe or a socket" in refused.stderr
+    assert (tmp_path / "pipe").is_fifo()
+    assert (tmp_path / "link").is_symlink()
 
 
 def identified(folder: Path) -> list[str]:

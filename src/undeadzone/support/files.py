@@ -40,10 +40,10 @@ def replacing(path: Path) -> Iterator[Path]:
         FileError: the file cannot be written.
     """
     with writing(path):
+        if path.exists():  # a device or a pipe is never replaced
+            require_plain(path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(
-            dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix
-        )
+        handle, name = tempfile.mkstemp(path.suffix, f".{path.stem}-", path.parent)
         os.close(handle)
     try:
         yield Path(name)
