@@ -4,7 +4,7 @@ BIN = .venv/bin
 FUZZ_SECONDS ?= 600
 MUTANTS ?= 300
 
-.PHONY: paper test test-wheel tools bench docs fuzz mutants coverage clean
+.PHONY: paper test test-wheel wheel tools bench docs fuzz mutants coverage clean
 
 paper: .venv/installed        ## install, run the paper's example, write figures 3-8 and the report to paper-results/
 	$(BIN)/undeadzone paper --out paper-results
@@ -17,6 +17,11 @@ test: .venv/tested            ## everything: format, lint, types, tests, docs
 
 test-wheel: .venv/tested      ## the tests against an installed wheel in place of src
 	$(BIN)/python tests/packed.py -n 2 --dist loadgroup
+
+wheel: .venv/tested           ## a wheel in dist/, and its bill of materials (CycloneDX)
+	rm -rf dist
+	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-build-isolation --no-deps --wheel-dir dist .
+	$(BIN)/python -m supply sbom dist/*.whl
 
 fuzz: .venv/tested            ## random inputs for everything that reads something, FUZZ_SECONDS=600
 	$(BIN)/python -m fuzz --seconds $(FUZZ_SECONDS)
@@ -39,7 +44,7 @@ docs: .venv/documented         ## the documentation site, in site/
 	$(BIN)/mkdocs build --strict
 
 clean:
-	rm -rf .venv site *-results *-check *-design *-ensemble *-tune *-identify .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv site dist *-results *-check *-design *-ensemble *-tune *-identify .pytest_cache .mypy_cache .ruff_cache .hypothesis
 
 .venv/installed: pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv

@@ -14,6 +14,7 @@ from pathlib import Path
 NAMES = (
     "cold_start",
     "live_step",
+    "long_watch",
     "accuracy",
     "engines",
     "kernels",

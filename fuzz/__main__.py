@@ -25,6 +25,10 @@ NAMES: Final = (
     "scenarios",
     "commands",
     "streams",
+    "splits",
+    "identify_logs",
+    "arms",
+    "folders",
     "engines",
 )
 SHOWN: Final = 5  # cases of one complaint that are named

@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 
 class Case(NamedTuple):
@@ -17,6 +17,10 @@ class Case(NamedTuple):
         command: words of a command line; None: `call` is run.
         stdin: of the command.
         call: takes the folder; it may raise errors of undeadzone alone.
+        made: puts into the folder what is no plain file.
+        inside: of the folder, where the command runs.
+        apart: whether it runs in a process of its own: "forked" from this one, or "started".
+        judged: takes the folder once the case has ended; what is wrong with what it left.
     """
 
     kind: str
@@ -24,6 +28,10 @@ class Case(NamedTuple):
     command: Sequence[str] | None = None
     stdin: bytes = b""
     call: Callable[[Path], object] | None = None
+    made: Callable[[Path], None] | None = None
+    inside: str = "."
+    apart: Literal["", "forked", "started"] = ""
+    judged: Callable[[Path, End], str] | None = None
 
 
 class End(NamedTuple):
@@ -34,12 +42,14 @@ class End(NamedTuple):
         out: what it printed on stdout.
         err: what it printed on stderr.
         native: what libraries wrote past Python.
+        left: what is wrong with what it left in its folder.
     """
 
     code: int
     out: str
     err: str
     native: str = ""
+    left: str = ""
 
 
 Maker = Callable[[random.Random], Case]

@@ -9,11 +9,14 @@ from collections.abc import Sequence
 from fuzz.case import Case, End
 
 NOT_A_NUMBER = re.compile(r"(?<![\w.])[-+]?(?:nan|inf)(?![\w.])", re.IGNORECASE)
+ANNOUNCED = "arena: "  # how many runs there are, before them
 LOGS = ("watch", "estimate")  # their table is on stderr, and a missing reading is NaN
 
 
 def complaint(case: Case, end: End) -> str:
     """What is wrong with an end; empty if nothing is."""
+    if end.left:
+        return end.left
     if end.native:
         return "a library wrote past Python"
     if end.code not in (0, 1, 2):
@@ -38,7 +41,8 @@ def _of_refusal(case: Case, end: End) -> str:
 def _of_result(command: Sequence[str], end: End) -> str:
     """What is wrong with a result."""
     streaming = any(word in command for word in LOGS)
-    if end.err and not streaming:
+    words = [line for line in end.err.splitlines() if not line.startswith(ANNOUNCED)]
+    if words and not streaming:
         return "words on stderr beside a result"
     if "--json" in command and "--help" not in command:
         return _of_json(end.out, "watch" in command)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import random
-from typing import Any
+from pathlib import Path
+from typing import Any, Literal
 
 import click
 
@@ -24,6 +26,8 @@ LOG = b"t,y,u\n0,0,0\n0.01,0.1,1\n0.02,0.2,1\n"
 FILES = {NAME: text(SMALL), "log.csv": LOG, "empty": b"", "bad.toml": b"[plant]\nA = 1\n"}
 # What runs for long if nothing is wrong with it is given something that is.
 LONG = ("paper", "arena", "design", "tune", "ensemble")
+# A command may write what an option names: none leads out of the folder, least of all to a device.
+INSIDE = [text for text in TEXTS if "/" not in text]
 WORDS = ("1", "0", "3", "kalman,certified", "observer.gamma=0.1:10:log", "y=1", "out", "x,y", "-")
 
 
@@ -38,7 +42,15 @@ def case(draw: random.Random) -> Case:
     if draw.random() < 0.1:
         draw.shuffle(words)
     stdin = draw.choice((b"", LOG, b"\xff\xfe", b"nonsense\n"))
-    return Case(str(command.name), FILES, [str(command.name), *words], stdin)
+    apart: Literal["", "forked"] = "forked" if "--untrusted" in words else ""  # it lasts
+    return Case(
+        str(command.name), FILES, [str(command.name), *words], stdin, None, _pipe, ".", apart
+    )
+
+
+def _pipe(folder: Path) -> None:
+    """A pipe, which is never read to its end."""
+    os.mkfifo(folder / "pipe")
 
 
 def _argument(draw: random.Random, command: Any, parameter: Any) -> list[str]:
@@ -51,7 +63,7 @@ def _argument(draw: random.Random, command: Any, parameter: Any) -> list[str]:
     if parameter.is_flag:
         return [option]
     if draw.random() < 0.05:
-        return [option]
+        return [option, "--nonsense"]  # its value, or missing
     return [option, _word(draw, parameter.type)]
 
 
@@ -59,7 +71,7 @@ def _path(draw: random.Random, name: str) -> str:
     """A file that is right, or not."""
     if draw.random() < 0.6:
         return "log.csv" if name == "log" else NAME
-    return draw.choice(("bad.toml", "missing", "empty", "log.csv", ".", "/dev/zero", "", NAME))
+    return draw.choice(("bad.toml", "missing", "empty", "log.csv", ".", "pipe", "", NAME))
 
 
 def _word(draw: random.Random, kind: Any) -> str:
@@ -68,7 +80,7 @@ def _word(draw: random.Random, kind: Any) -> str:
     if isinstance(kind, click.Choice) and act:
         return str(draw.choice(kind.choices))
     if act == 0:
-        return draw.choice(TEXTS).replace("\0", "")
+        return draw.choice(INSIDE)
     if act == 1:
         return str(number(draw))
     return draw.choice(WORDS)

@@ -1,10 +1,13 @@
-"""A case run in this process: streams, folder and descriptors are its own."""
+"""A case run: streams, folder and descriptors are its own, and its process, if it asks for one."""
 
 from __future__ import annotations
 
 import functools
 import io
+import json
 import os
+import signal
+import subprocess
 import sys
 import tempfile
 import traceback
@@ -12,6 +15,9 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Final
+
+from tests.traps import COMMAND
 
 from fuzz.case import Case, End
 from undeadzone.cli import group
@@ -19,15 +25,62 @@ from undeadzone.cli.ending import ended
 from undeadzone.errors import UndeadzoneError
 from undeadzone.support.text import printable
 
+LONGEST: Final = 120  # [s] of the clock that a process of its own may take
+
 
 def perform(case: Case) -> End:
     """Run a case in an empty folder."""
     with tempfile.TemporaryDirectory() as name, _inside(Path(name)) as folder:
         for file, content in case.files.items():
+            (folder / file).parent.mkdir(parents=True, exist_ok=True)
             (folder / file).write_bytes(content)
-        with _native() as written:
-            end = _called(case, folder) if case.command is None else _commanded(case)
-        return end._replace(native=written.getvalue())
+        if case.made is not None:
+            case.made(folder)
+        with _native() as written, _inside(folder / case.inside):
+            end = _ended(case, folder)
+        left = "" if case.judged is None else case.judged(folder, end)
+        return end._replace(native=written.getvalue(), left=left)
+
+
+def _ended(case: Case, folder: Path) -> End:
+    """The end of a case."""
+    if case.command is None:
+        return _called(case, folder)
+    return {"": _commanded, "forked": _forked, "started": _started}[case.apart](case)
+
+
+def _started(case: Case) -> End:
+    """The end of a command that a shell starts."""
+    done = subprocess.run(
+        [*COMMAND, *(case.command or ())], input=case.stdin, capture_output=True, timeout=LONGEST
+    )
+    return _without_remarks(End(done.returncode, done.stdout.decode(), done.stderr.decode()))
+
+
+def _forked(case: Case) -> End:
+    """The end of a command in a process that begins as this one is; what it gives up is its own."""
+    with tempfile.TemporaryFile() as file:
+        pid = os.fork()
+        if not pid:
+            signal.alarm(LONGEST)
+            try:
+                file.write(json.dumps(_commanded(case)).encode())
+                file.flush()
+            finally:
+                os._exit(0)
+        _, status = os.waitpid(pid, 0)
+        file.seek(0)
+        told = file.read()
+    if not told:
+        return End(-os.waitstatus_to_exitcode(status), "", "it died, or took too long")
+    return _without_remarks(End(*json.loads(told)))
+
+
+def _without_remarks(end: End) -> End:
+    """An end without the lines that say what a system lacks."""
+    lines = end.err.splitlines(keepends=True)
+    kept = [line for line in lines if not line.startswith("untrusted: ")]
+    return end._replace(err="".join(kept))
 
 
 def _called(case: Case, folder: Path) -> End:

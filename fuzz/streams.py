@@ -32,10 +32,7 @@ HEADS: Final = ("t,y,u", "time [s];y [1];u [1]", "t\ty\tu", "u,t,y", "", "", "t,
 def case(draw: random.Random) -> Case:
     """A log, mostly readable, for one of the observers."""
     observer = draw.choice(OBSERVERS[:3] if draw.random() < 0.7 else OBSERVERS)
-    rows = _rows(draw)
-    head = draw.choice(HEADS)
-    data = _written(draw, rows, head)
-    kind = "rows"
+    kind, data = "rows", log(draw)
     if draw.random() < 0.4:
         kind, data = "bytes", bent(draw, data)
     options = [word for word in ("--strict", "--json") if draw.random() < 0.3]
@@ -46,6 +43,13 @@ def case(draw: random.Random) -> Case:
         return Case(kind, {NAME: scenario}, ["watch", NAME, *options], data)
     files = {NAME: scenario, "log.csv": data}
     return Case(kind, files, ["estimate", NAME, "log.csv", "--no-figures", *options])
+
+
+def log(draw: random.Random) -> bytes:
+    """A log of some dialect."""
+    rows = _rows(draw)
+    head = draw.choice(HEADS)
+    return written(draw, rows, head)
 
 
 def _rows(draw: random.Random) -> list[list[float]]:
@@ -75,11 +79,11 @@ def _rows(draw: random.Random) -> list[list[float]]:
     return rows
 
 
-def _written(draw: random.Random, rows: list[list[float]], head: str) -> bytes:
+def written(draw: random.Random, rows: list[list[float]], head: str) -> bytes:
     """Rows as a file of some dialect."""
     separator = next((mark for mark in ";\t" if mark in head), draw.choice((",", ",", ";", " ")))
     end = draw.choice(("\n", "\n", "\r\n", "\r"))
-    lines = [head] if head else []
+    lines = [head.replace(",", separator) if draw.random() < 0.8 else head] if head else []
     for row in rows:
         cells = [repr(value) if value == value else draw.choice(("", "nan", "NA")) for value in row]
         if separator == ";" and draw.random() < 0.5:

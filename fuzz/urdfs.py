@@ -29,7 +29,7 @@ def case(draw: random.Random) -> Case:
     """A changed file; one in five is made a plant."""
     small = draw.random() < 0.5
     base = SMALL if small else ARM
-    kind, content = "structure", _changed(draw, base)
+    kind, content = "structure", changed(draw, base)
     if draw.random() < 0.35:
         kind, content = "bytes", bent(draw, base)
     build = small and draw.random() < 0.2
@@ -45,7 +45,7 @@ def _read(build: bool, folder: Path) -> None:
         system(Plant(arm=URDF(path=str(folder / NAME)), x0=None))
 
 
-def _changed(draw: random.Random, content: bytes) -> bytes:
+def changed(draw: random.Random, content: bytes) -> bytes:
     """A file with one to three elements or attributes changed."""
     root = ElementTree.fromstring(content)
     for _ in range(draw.choice((1, 1, 2, 3))):

@@ -19,12 +19,13 @@ SOURCES = ("pyproject.toml", "README.md", "CHANGELOG.md", "LICENSE", "CITATION.c
 QUIET = ["--quiet", "--disable-pip-version-check", "--no-index", "--no-deps"]
 
 
-def run(*words: str | Path, cwd: Path) -> str:
-    """What a command prints. It must not fail, and sees no checkout."""
+def run(*words: str | Path, cwd: Path, **variables: str) -> str:
+    """What a command prints. It must not fail, and sees no checkout, but variables."""
+    around = {"PATH": "/usr/bin:/bin", "HOME": str(cwd), "OMP_NUM_THREADS": "1"}
     done = subprocess.run(
         [str(word) for word in words],
         cwd=cwd,
-        env={"PATH": "/usr/bin:/bin", "HOME": str(cwd), "OMP_NUM_THREADS": "1"},
+        env=around | variables,
         capture_output=True,
         text=True,
         timeout=300,
@@ -33,17 +34,22 @@ def run(*words: str | Path, cwd: Path) -> str:
     return done.stdout
 
 
-def wheel(folder: Path) -> Path:
-    """The wheel, built in a folder from a copy of what it is made of."""
+def copied(folder: Path) -> Path:
+    """A copy, in a folder, of what a wheel is made of."""
     source = folder / "undeadzone"
     unwanted = shutil.ignore_patterns("__pycache__", "*.egg-info")
     for name in ("src", "examples"):
         shutil.copytree(ROOT / name, source / name, ignore=unwanted)
     for name in SOURCES:
         shutil.copy(ROOT / name, source / name)
-    build = ["wheel", *QUIET, "--no-build-isolation", "--wheel-dir", folder, "."]
-    run(sys.executable, "-m", "pip", *build, cwd=source)
-    (path,) = folder.glob("*.whl")
+    return source
+
+
+def wheel(source: Path, **variables: str) -> Path:
+    """The wheel of a copy, built beside it."""
+    build = ["wheel", *QUIET, "--no-build-isolation", "--wheel-dir", source.parent, "."]
+    run(sys.executable, "-m", "pip", *build, cwd=source, **variables)
+    (path,) = source.parent.glob("*.whl")
     return path
 
 
@@ -64,7 +70,7 @@ def environment(packed: Path, folder: Path) -> Path:
 def main() -> int:
     """Run pytest on this checkout's tests with the wheel in place of src."""
     with tempfile.TemporaryDirectory() as folder:
-        programs = environment(wheel(Path(folder)), Path(folder) / "venv")
+        programs = environment(wheel(copied(Path(folder))), Path(folder) / "venv")
         others = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
         where = [programs / "python", "-c", "import undeadzone; print(undeadzone.__file__)"]
         print("testing", run(*where, cwd=Path(folder)), end="", flush=True)  # noqa: T201

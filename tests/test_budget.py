@@ -15,13 +15,13 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 37_250, 310
+MOST_CODE, MOST_FILES = 37_300, 310
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
     "(root)": 330,
     "analysis": 3290,
-    "cli": 1750,
+    "cli": 1760,
     "compensators": 170,
     "compile": 3400,
     "controllers": 680,
@@ -33,15 +33,15 @@ BUDGET = {
     "linear": 400,
     "logs": 1240,
     "numerics": 640,
-    "observers": 2840,
+    "observers": 2830,
     "plants": 1530,
-    "report": 2930,
+    "report": 2900,
     "results": 890,
     "scenario": 1390,
     "signals": 430,
-    "simulation": 2290,
+    "simulation": 2280,
     "statistics": 265,
-    "support": 815,
+    "support": 820,
     "synthesis": 1030,
     "tuning": 890,
 }

@@ -437,6 +437,16 @@ def test_a_long_set_up_is_shown_before_the_first_step(monkeypatch: pytest.Monkey
         assert "simulating" in terminal.getvalue()
 
 
+def test_a_step_that_came_early_is_shown_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And the next one may take long."""
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setattr(progress, "PATIENCE", 0.2)
+    with progress.on_terminal("simulating", 10) as advance:
+        advance(4)
+        assert shown(terminal, "4/10")
+
+
 def test_a_short_command_shows_no_bar(monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
@@ -444,3 +454,43 @@ def test_a_short_command_shows_no_bar(monkeypatch: pytest.MonkeyPatch) -> None:
     with progress.on_terminal("simulating", 10) as advance:
         advance(10)
     assert terminal.getvalue() == ""
+
+
+SLOW = """title = "slow"
+plant = { A = [[-1.0, 1.0], [0.0, -2.0]], B = [[0.0], [2.0]], C = [[1.0, 0.0]] }
+sensor = { right = 0.4, left = 0.3, noise = 0.01 }
+reference = { kind = "sine", amplitude = 2.0, frequency = 1.0 }
+observer = { method = "kalman", right = [0.1, 1.0], left = [0.1, 1.0] }
+controller = { method = "state_feedback", poles = [-6.0, -7.0] }
+simulation = { duration = 0.2, step = 1e-2, time = "sampled" }
+ensemble = { runs = 2, "sensor.right" = { uniform = [0.3, 0.5] } }
+tune = { budget = 4, runs = 2, held_out = 2, "observer.noise" = { between = [0.1, 1.0] } }
+"""
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["run", "slow.toml", "--no-figures"],
+        ["check", "slow.toml", "--no-figures"],
+        ["estimate", "slow.toml", "log.csv", "--no-figures"],
+        ["watch", "slow.toml"],
+        ["ensemble", "slow.toml", "--no-figures"],
+        ["tune", "slow.toml", "--no-figures"],
+        ["export", "slow.toml"],
+    ],
+)
+def test_every_command_says_what_it_sets_up(
+    words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Filters of high order, and of arms, take long before their first step."""
+    terminal, log = Terminal(), "t,y,u\n0,0,0\n0.01,0,1\n0.02,0,1\n"
+    (tmp_path / "slow.toml").write_text(SLOW)
+    (tmp_path / "log.csv").write_text(log)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(log.encode())))
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setattr(progress, "PATIENCE", 0.0)
+    monkeypatch.delenv(progress.OF_KERNEL, raising=False)
+    assert group.main(words, standalone_mode=False) in (0, 1)
+    assert "setting up kalman" in terminal.getvalue()

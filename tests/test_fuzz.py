@@ -29,6 +29,10 @@ CASES = {
     "scenarios": 100,
     "commands": 12,
     "streams": 15,
+    "splits": 5,
+    "identify_logs": 12,
+    "arms": 30,
+    "folders": 8,
     "engines": 4,
 }
 
@@ -132,6 +136,17 @@ def test_sliding_mode_refuses_more_inputs_than_states() -> None:
         resolve_scenario(
             scene(plant=plant, observer={"method": "certified"}, controller=SLIDING, tracked=[0])
         )
+
+
+@pytest.mark.parametrize("column", ["y", "u"])
+def test_a_column_whose_squares_vanish_identifies_nothing(column: str) -> None:
+    scale = {"y": 1.0, "u": 1.0} | {column: 1e-200}
+    rows = [f"{0.02 * k:.2f},{scale['y'] * (k % 7 - 3)},{scale['u'] * (k % 5)}" for k in range(150)]
+    log = "\n".join(["t,y,u", *rows]).encode()
+    case = Case("", {"log.csv": log}, ["identify", "log.csv", "--no-figures", "--out", "out"])
+    end = perform(case)
+    assert end.code == 2, end.err
+    assert "vanish once squared; use another unit" in end.err
 
 
 def test_what_is_printed_past_python_is_seen() -> None:

@@ -2,47 +2,27 @@
 
 from __future__ import annotations
 
-import io
 import json
 import os
 import random
 import signal
 import subprocess
 import time
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.live import KALMAN, STEP, WRONG_LINES, Watched, fed, line, regular, stream
 from tests.test_strangers import COMMAND
 
 from commands import forked
 from undeadzone.cli.common import SCHEMA
 from undeadzone.errors import FileError
 from undeadzone.logs.clock import Clock
-from undeadzone.logs.names import parse_columns
 from undeadzone.logs.samples import KINDS, Samples
-from undeadzone.scenario.reader import read_for_logs
-from undeadzone.simulation.follower import Follower, LiveLog
 from undeadzone.simulation.saved_state import load, save
-
-KALMAN = """
-title = "A lever"
-[plant]
-A = [[0, 1], [-1, -2]]
-B = [[0], [1]]
-C = [[1, 0]]
-[sensor]
-noise = 0.02
-[observer]
-method = "kalman"
-right = [0.0, 2.0]
-[simulation]
-step = 0.01
-"""
-STEP = 0.01
 
 
 @pytest.fixture(scope="module")
@@ -52,59 +32,8 @@ def lever(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def line(t: float) -> bytes:
-    """A sample at a time [s]; what it holds depends on that."""
-    return b"%.9g,%.6f,%.6f\n" % (t, np.sin(3 * t), np.cos(2 * t))
-
-
-def stream(times: list[float]) -> bytes:
-    return b"t,y,u\n" + b"".join(map(line, times))
-
-
-def regular(count: int, first: float = 0.0) -> list[float]:
-    return [round(first + STEP * k, 9) for k in range(count)]
-
-
 def watch(*arguments: object, stdin: bytes) -> subprocess.CompletedProcess[bytes]:
     return forked("watch", *arguments, stdin=stdin)
-
-
-class Watched:
-    """What a watch gives: rows of estimates, then what the log comes to or the message."""
-
-    def __init__(self, path: Path, strict: bool = False) -> None:
-        scenario = read_for_logs(path)
-        self.follower = Follower(scenario, live=True)
-        self.log = LiveLog("log", scenario, self.follower, parse_columns(None), strict)
-        self.parts = {"follower": self.follower, "clock": self.log.clock}
-        self.out = io.BytesIO()
-
-    def feed(self, data: bytes, last: bool = False) -> None:
-        for begins, samples in self.log.pieces(data, last):
-            if begins:
-                self.follower.restart()
-            estimate, sides, _ = self.follower.follow(samples)
-            self.out.write(np.column_stack([samples.t, *estimate, sides]).tobytes())
-
-    def ended(self) -> tuple[bytes, str]:
-        try:
-            self.feed(b"", last=True)
-            said = repr(self.log.info(self.follower))
-        except FileError as error:
-            said = str(error)
-        return self.out.getvalue(), said
-
-
-def fed(path: Path, data: bytes, cuts: list[int], strict: bool = False) -> tuple[bytes, str]:
-    """What a watch gives of bytes that come cut."""
-    watched = Watched(path, strict)
-    ends = [0, *sorted(cuts), len(data)]
-    try:
-        for start, end in pairwise(ends):
-            watched.feed(data[start:end])
-    except FileError as error:
-        return watched.out.getvalue(), str(error)
-    return watched.ended()
 
 
 # --- What a line is
@@ -218,26 +147,7 @@ def test_after_a_jump_the_observer_is_as_new(lever: Path) -> None:
 
 # --- Pieces of the bytes
 
-FAULTS = st.sampled_from(
-    [
-        b"",
-        b"words\n",
-        b"1,2\n",
-        b"\0,\0\n",
-        b"\xff\xfe\n",
-        b",1,2\n",
-        b"1e12,1,2\n",
-        b"-5,1,2\n",
-        b"0.005,1,2\n",
-        b"0.4,1,1e400\n",
-        b"# a remark\r",
-        b"8" * 70_000 + b"\n",
-        line(0.1),
-        line(0.9),
-        line(1e4),
-        line(7.0) + line(7.01) + line(7.02),
-    ]
-)
+FAULTS = st.sampled_from(WRONG_LINES)
 
 
 @settings(max_examples=20)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import stat
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,7 +13,6 @@ import pytest
 from commands import undeadzone
 from undeadzone.errors import FileError
 from undeadzone.exports.targets import MANIFEST, manifest, write_folder
-from undeadzone.support.files import write_text
 from undeadzone.support.own_files import marked, require_own, write_own
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -45,6 +43,18 @@ def test_a_link_is_someone_elses(tmp_path: Path) -> None:
         require_own(tmp_path / "link")
 
 
+def test_what_is_no_plain_file_is_never_replaced(tmp_path: Path) -> None:
+    """A device of the computer least of all, whoever runs the command."""
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to("pipe")
+    for name in ("pipe", "link"):
+        refused = undeadzone("init", name, "--force", cwd=tmp_path)
+        assert refused.returncode == 2
+        assert "cannot write: it is a device, a pipe or a socket" in refused.stderr
+    assert (tmp_path / "pipe").is_fifo()
+    assert (tmp_path / "link").is_symlink()
+
+
 def identified(folder: Path) -> list[str]:
     """A command that writes NAME.toml, and so on."""
     t = 0.01 * np.arange(1500)
@@ -70,6 +80,13 @@ def tuned(folder: Path) -> list[str]:
     return ["tune", str(folder / "mine.toml"), "--no-figures", "--budget", "4"]
 
 
+def arena_tuned(folder: Path) -> list[str]:
+    text = (EXAMPLES / "asymmetric_noise.toml").read_text()
+    (folder / "mine.toml").write_text(text.replace("duration = 30.0", "duration = 2.0"))
+    few = ["--methods", "adaptive_inverse", "--budget", "4", "--processes", "1"]
+    return ["arena", str(folder / "mine.toml"), "--tune", *few]
+
+
 def arm(folder: Path) -> list[str]:
     return ["arm", str(EXAMPLES / "ur5.urdf")]
 
@@ -82,6 +99,7 @@ WRITERS = [
     (identified, "motor.toml", True),
     (designed, "design.toml", True),
     (tuned, "tuned.toml", True),
+    (arena_tuned, "tuned.toml", True),
     (arm, "ur5.toml", False),
     (started, "scenario.toml", False),
 ]
@@ -118,6 +136,37 @@ def test_identify_replaces_its_own_scenario(tmp_path: Path) -> None:
     assert undeadzone(*command).returncode == 0
     assert (tmp_path / "motor.toml").read_text() == first
     assert undeadzone("run", tmp_path / "motor.toml", "--no-figures").returncode in (0, 1)
+
+
+def test_an_edited_page_stays(tmp_path: Path) -> None:
+    """And the page itself works: no other byte of it depends on the digest."""
+    out = tmp_path / "live.html"
+    command = ["export", str(EXAMPLES / "live.toml"), "--to", "page", "--out", str(out)]
+    assert undeadzone(*command).returncode == 0
+    whole = out.read_text()
+    assert undeadzone(*command).returncode == 0
+    assert out.read_text() == whole
+    out.write_text(whole.replace("</style>", "p { color: red }</style>"))
+    refused = undeadzone(*command)
+    assert refused.returncode == 2
+    assert "live.html: exists already" in refused.stderr
+    assert "--force" in refused.stderr
+    assert undeadzone(*command, "--force").returncode == 0
+    assert out.read_text() == whole
+
+
+def test_a_scenario_in_the_place_of_a_log_stays(tmp_path: Path) -> None:
+    """By whatever path it is named, and with columns named too."""
+    path = tmp_path / "motor.toml"
+    path.write_text(MINE)
+    for more in ([], ["--columns", "t=1,y=2,u=3"], ["--force"], ["--out", str(tmp_path / "out")]):
+        refused = undeadzone("identify", "motor.toml", *more, cwd=tmp_path)
+        assert refused.returncode == 2
+        assert "motor.toml: this is a scenario, no log" in refused.stderr
+        assert path.read_text() == MINE
+    log = tmp_path / "motor"
+    log.write_text("t,u,y\n")
+    assert "exists already" in undeadzone("identify", "motor", cwd=tmp_path).stderr
 
 
 # --- Folders of exports
@@ -162,6 +211,17 @@ def test_an_edited_export_is_refused(tmp_path: Path) -> None:
         assert held(out) == {"joint.c": "2", "joint.h": "2"}
     (out / "joint.h").unlink()
     export(out, "joint.c", "joint.h")  # what is gone is no loss
+
+
+def test_a_link_in_an_export_leads_nowhere_else(tmp_path: Path) -> None:
+    out, home = tmp_path / "fw", tmp_path / "home"
+    home.mkdir()
+    export(out, "joint.c")
+    (out / "examples").symlink_to(home)
+    with pytest.raises(FileError, match="a link leads elsewhere"):
+        export(out, "joint.c", "examples/a.ino", force=True)
+    assert not list(home.iterdir())
+    assert held(out) == {"joint.c": "1"}
 
 
 def test_a_file_in_the_place_of_a_new_one_is_refused(tmp_path: Path) -> None:
@@ -213,15 +273,3 @@ def test_the_command_export_keeps_an_edited_file(tmp_path: Path) -> None:
     assert undeadzone(*command, "--force").returncode in (0, 1)
     assert source.read_text() != MINE
     assert (tmp_path / "fw" / "my_main.c").read_text() == MINE
-
-
-def test_what_is_no_plain_file_is_never_replaced(tmp_path: Path) -> None:
-    """As the administrator `init /dev/zero --force` put a scenario into the device's place."""
-    pipe = tmp_path / "pipe"
-    os.mkfifo(pipe)
-    with pytest.raises(FileError, match="a device, a pipe or a socket, no plain file"):
-        write_text("x", pipe)
-    done = undeadzone("init", pipe, "--force")
-    assert done.returncode == 2
-    assert stat.S_ISFIFO(pipe.stat().st_mode)
-    assert list(tmp_path.iterdir()) == [pipe]

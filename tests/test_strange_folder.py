@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.io import savemat
+from tests.traps import COMMAND, SHORT, TRAP, TRAPS
 
 from undeadzone.cli.ending import ended
 from undeadzone.errors import FileError, InputError
@@ -22,18 +23,6 @@ from undeadzone.logs import whole
 from undeadzone.scenario.reader import parse, read
 from undeadzone.simulation.simulate import simulate
 from undeadzone_arena.contest.processes import SAFE, pool
-
-COMMAND = [sys.executable, "-P", "-c", "from undeadzone.cli import main; main()"]
-SHORT = """title = "short"
-plant = { A = [[-1.0]], B = [[1.0]], C = [[1.0]] }
-sensor = { right = 0.4, left = 0.3 }
-reference = { kind = "sine", amplitude = 2.0, frequency = 1.0 }
-observer = { method = "kalman", right = [0.1, 1.0] }
-controller = { method = "state_feedback", poles = [-6.0] }
-simulation = { duration = 0.2, step = 1e-2, time = "sampled" }
-"""
-TRAP = 'open("RAN", "w").close()\n'
-TRAPS = ("pickle", "socket", "struct", "random", "numpy", "undeadzone_arena", "sitecustomize")
 
 
 @pytest.fixture

@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.io import savemat
+from tests.traps import SHORT, TRAP, TRAPS
 
 from commands import forked
-from test_strange_folder import SHORT, TRAP, TRAPS, ran
+from test_strange_folder import ran
 from undeadzone.cli.untrusted import _landlocked
 from undeadzone.errors import InputError
 from undeadzone.scenario.reader import read
@@ -177,3 +178,22 @@ def test_a_page_and_a_state_are_written_beside_themselves(folder: Path, tmp_path
     assert done.returncode in (0, 1), done.stderr
     assert state.is_file()
     assert len(done.stdout.splitlines()) == 3
+
+
+def test_fonts_that_are_listed_nowhere_cost_no_words(folder: Path, tmp_path: Path) -> None:
+    """Matplotlib keeps a list of them, in a folder that may not be written here."""
+    words = ("run", "./-rf.toml", "--untrusted", ".", "--out", str(tmp_path / "results"))
+    done = ran(folder, *words, MPLCONFIGDIR=str(tmp_path / "none"))
+    assert done.returncode == 1
+    assert not [line for line in done.stderr.splitlines() if not line.startswith("untrusted: ")]
+    assert (tmp_path / "results" / "figure.svg").is_file()
+
+
+def test_an_export_is_written_and_replaced(folder: Path, tmp_path: Path) -> None:
+    """Where nothing but --out may be written, its own parent included."""
+    out = tmp_path / "firmware"
+    for place in (str(out), "../firmware"):
+        made = ran(folder, "export", "./-rf.toml", "--untrusted", ".", "--out", place)
+        assert made.returncode in (0, 1), made.stderr
+    assert (out / "manifest.json").is_file()
+    assert not [path for path in out.iterdir() if path.name.startswith(".")]

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import ast
 import email
+import hashlib
 import json
+import os
 import re
 import tomllib
 import zipfile
 from pathlib import Path
 
 import pytest
+from supply import hashes, parts, sbom, sizes
 
-from packed import ROOT, environment, run
+from packed import ROOT, copied, environment, run
 from packed import wheel as built
 
 LARGEST = 1_200_000  # [bytes]; 10^6 were asked, KNOWN_GAPS.md
@@ -23,7 +26,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The wheel of this checkout, built elsewhere."""
     pytest.importorskip("hatchling")
     pytest.importorskip("hatch_fancy_pypi_readme")
-    return built(tmp_path_factory.mktemp("wheels"))
+    return built(copied(tmp_path_factory.mktemp("wheels")))
 
 
 @pytest.fixture(scope="module")
@@ -50,6 +53,72 @@ def test_the_wheel_holds_every_file_of_the_package_and_the_examples(wheel: Path)
 
 def test_the_wheel_is_small(wheel: Path) -> None:
     assert wheel.stat().st_size < LARGEST
+
+
+def test_the_same_source_gives_the_same_bytes(wheel: Path, tmp_path: Path) -> None:
+    """Whatever the folder, its times and modes, who may read new files, language and time zone."""
+    before = os.umask(0o077)
+    try:
+        source = copied(tmp_path / "a folder" / "deeper")
+        for path in source.rglob("*"):
+            os.utime(path, (1e9, 1.2e9))
+            path.chmod(0o700 if path.is_dir() else 0o600)
+        again = built(source, LC_ALL="tr_TR.UTF-8", TZ="Asia/Kathmandu", PYTHONHASHSEED="7")
+    finally:
+        os.umask(before)
+    assert again.name == wheel.name
+    assert again.read_bytes() == wheel.read_bytes()
+
+
+# --- What comes with it
+
+
+def test_hashes_are_of_the_versions_that_are_tested() -> None:
+    """Every name of constraints.txt has one, and the file for users is what the wheel brings."""
+    everything, runtime = hashes.read(hashes.EVERYTHING), hashes.read(hashes.RUNTIME)
+    assert {name: version for name, (version, _) in everything.items()} == parts.pinned()
+    assert runtime == {name: everything[name] for name in parts.needed()}
+    for _, values in everything.values():
+        assert values
+        assert all(re.fullmatch("[0-9a-f]{64}", value) for value in values)
+    for path in (hashes.EVERYTHING, hashes.RUNTIME):
+        assert not re.search(r"://|/|find-links|index", path.read_text(encoding="utf-8"))
+
+
+def test_the_bill_of_materials_is_complete_and_the_same_again(wheel: Path) -> None:
+    path = sbom.write(wheel)
+    content = path.read_bytes()
+    bill = json.loads(content)
+    assert sbom.write(wheel).read_bytes() == content
+    assert (bill["bomFormat"], bill["specVersion"], bill["version"]) == ("CycloneDX", "1.6", 1)
+    assert re.fullmatch(r"urn:uuid:[0-9a-f-]{36}", bill["serialNumber"])
+    whole = bill["metadata"]["component"]
+    assert whole["hashes"][0]["content"] == hashlib.sha256(wheel.read_bytes()).hexdigest()
+    versions, required = parts.pinned(), parts.needed()
+    assert [part["name"] for part in bill["components"]] == list(required)
+    for part in bill["components"]:
+        assert part["type"] == "library"
+        assert part["purl"] == f"pkg:pypi/{part['name']}@{versions[part['name']]}"
+        assert part["hashes"][0]["alg"] == "SHA-256"
+        assert part["licenses"]
+    refs = {part["bom-ref"] for part in (*bill["components"], whole)}
+    assert {entry["ref"] for entry in bill["dependencies"]} == refs
+    assert {ref for entry in bill["dependencies"] for ref in entry["dependsOn"]} <= refs
+    reached, ends = set(), [whole["bom-ref"]]
+    depends = {entry["ref"]: entry["dependsOn"] for entry in bill["dependencies"]}
+    while ends:
+        reached.add(ends.pop())
+        ends += [ref for known in reached for ref in depends[known] if ref not in reached]
+    assert reached == refs
+
+
+def test_every_dependency_has_a_purpose() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    direct = {parts.normal(re.split("[<>=]", text)[0]) for text in project["dependencies"]}
+    assert sizes.PURPOSE.keys() == direct
+    page = (ROOT / "docs/install.md").read_text(encoding="utf-8")
+    for name in direct:
+        assert f"| {name} | {sizes.PURPOSE[name]} |" in page
 
 
 def test_the_version_is_the_same_everywhere(wheel: Path) -> None:

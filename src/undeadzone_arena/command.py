@@ -10,6 +10,7 @@ import click
 
 from undeadzone.cli.common import (
     confined,
+    force_option,
     origin,
     print_blocks,
     print_json,
@@ -102,6 +103,7 @@ FOLDER = Path("arena-results")
     is_flag=True,
     help="Continue what was stopped, from DIR/results.json.partial or tuned.toml.partial.",
 )
+@force_option
 @untrusted
 @confined
 def arena(
@@ -117,6 +119,7 @@ def arena(
     tuned: Path | None,
     processes: int | None,
     resume: bool,
+    force: bool,
     confine: Path | None,
 ) -> int:
     """Compare methods: each in the place of the scenario's observer, told only what is declared.
@@ -127,6 +130,7 @@ def arena(
     and about how long they take. What is done is kept in DIR meanwhile: after Ctrl-C, kill or a
     crash --resume goes on. See docs/arena.md.
     """
+    from undeadzone.support.own_files import require_own
     from undeadzone_arena.contest.scenario_sets import SETS, from_files
     from undeadzone_arena.contest.scenario_sets import scenarios as built_in
 
@@ -138,7 +142,7 @@ def arena(
     folder = out or FOLDER
     writes = tuning or html or out is not None
     if tuning:
-        writable(folder)
+        require_own(writable(folder) / "tuned.toml", force)
         return _tune(names, own or built_in(tuned_on), budget, processes, folder, as_json, resume)
     keep = folder / "results.json.partial" if _keeps(folder, writes) else None
     grounds = own or built_in(held_out)

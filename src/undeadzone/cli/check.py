@@ -38,8 +38,9 @@ def check(scenario: Path, output: Output, confine: Path | None) -> int:
 
     folder = output.folder(f"{scenario.stem}-check")
     written = []
-    with progress("judging", None) as advance:
-        result = checked(assess(resolve_scenario(read(scenario, confine)), listen=True))
+    judged = read(scenario, confine)
+    with progress("judging", None, of=judged.observer) as advance:
+        result = checked(assess(resolve_scenario(judged), listen=True))
         if folder is not None:
             text = json_text(with_schema(result.summary()))
             written.append(write_text(text + "\n", folder / "check.json"))

@@ -113,11 +113,10 @@ def design(
     aim: Any = (maximise or "knee") if weights is None else Weights(*weights)
     with progress("designing", rounds(aim)) as advance:
         result = search(planned, aim, margin=margin, seed=seed, progress=advance)
-    designed = with_gains(planned, result)
-    judged = assess_gains(designed)
-    written: list[Path] = []
-    if folder is not None:
-        written = _written(result, designed, folder, output.figures, origin(scenario, seed))
+        designed = with_gains(planned, result)
+        judged = assess_gains(designed)
+    page = output.figures, origin(scenario, seed)
+    written = [] if folder is None else _written(result, designed, folder, *page)
     output.show(
         lambda: _numbers(result, judged),
         lambda: _words(result, judged),

@@ -67,7 +67,7 @@ def ensemble(
     total = varied.ensemble.runs if varied.ensemble else None
     folder = writable(output.out or Path(f"{scenario.stem}-ensemble"))
     path = folder / ("runs.parquet" if parquet else "runs.npz")
-    with progress("running", total, "runs") as advance:
+    with progress("running", total, "runs", of=varied.observer) as advance:
         result = run_ensemble(
             varied, path, resume=resume, workers=workers, cluster=cluster, progress=advance
         )

@@ -59,7 +59,7 @@ def estimate(
 
     folder = output.folder(f"{log.stem}-estimate")
     watched = read_for_logs(scenario, confine)
-    with progress("estimating", None) as advance:
+    with progress("estimating", None, of=watched.observer) as advance:
         result = estimated(
             watched, log, columns=columns, strict=strict, smoothing=not causal, progress=advance
         )

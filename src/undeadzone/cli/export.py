@@ -84,7 +84,7 @@ def export(
     with tempfile.TemporaryDirectory() as scratch:
         kept = out if out is not None or check else Path("firmware")
         folder = Path(scratch) / "firmware" if kept is None else kept
-        with progress("exporting", None):
+        with progress("exporting", None, of=problem.observer):
             result = run(problem, to, folder, precision, part, tunable, name, check, force)
     files = [] if kept is None else [str(path) for path in result.files]
     if as_json:

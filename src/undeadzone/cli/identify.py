@@ -77,13 +77,14 @@ def identify(
     """
     from undeadzone.identification.answer.result import WRITTEN
     from undeadzone.identification.identify import identify as identified
+    from undeadzone.logs.names import require_table
     from undeadzone.support.own_files import require_own
 
     first = logs[0]
     folder = output.folder(f"{first.stem}-identify")
     path = writable(output.out or Path()) / f"{first.stem}.toml"
-    if path.name != first.name:  # a scenario in the log's place is named as such below
-        require_own(path, force)
+    require_table(str(first))
+    require_own(path, force)
     keep = partial_file(folder, "identify.json", resume)
     with progress("identifying", None) as advance:
         names = [str(path) for path in logs]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from functools import reduce, wraps
 from pathlib import Path
@@ -130,6 +131,7 @@ def prepare_figures() -> None:
     """Let figures look the same in every folder; called before the first is drawn."""
     from undeadzone.report.style import own_settings
 
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # a cache of fonts that is not kept
     own_settings()
 
 

@@ -78,7 +78,8 @@ def run(
     if replay is None:
         result, rival = _simulated(scenario, animation is not None, confine)
     else:
-        result, deviation = _replayed(scenario, replay, confine)
+        with progress("replaying", None):
+            result, deviation = _replayed(scenario, replay, confine)
     given = origin(scenario if replay is None else None, result.info.seed)
     again = given if given.scenario else given._replace(scenario=result.info.scenario)
     tables, left_out = wanted_table(as_csv, result.table_size, "run.csv")
@@ -144,13 +145,13 @@ def _simulated(path: Path, animated: bool, confine: Path | None) -> tuple[Run, R
             "number"
         )
     scenario = read(path, confine)
-    if scenario.ensemble is not None:
-        from undeadzone.ensemble.binding import require_bound
-
-        require_bound(scenario)
     if animated and scenario.plant.arm is None:
         raise InputError("animation: this plant is no arm; leave the option out")
-    with progress("simulating", _steps(scenario)) as advance:
+    with progress("simulating", _steps(scenario), of=scenario.observer) as advance:
+        if scenario.ensemble is not None:
+            from undeadzone.ensemble.binding import require_bound
+
+            require_bound(scenario)
         result = heard(scenario, advance)
         return (result, None) if scenario.compare is None else beside(scenario, result, advance)
 

@@ -80,7 +80,7 @@ def tune(
         require_own(folder / "tuned.toml", force)
     wanted = _wanted(tuned, over, changes)
     keep = partial_file(folder, "tuned.toml", resume)
-    with progress("tuning", wanted.budget, "candidates") as advance:
+    with progress("tuning", wanted.budget, "candidates", of=tuned.observer) as advance:
         result = search(tuned, wanted, progress=advance, keep=keep, resume=resume)
     written = [] if folder is None else [result.save(folder / "tuned.toml")]
     if keep is not None:

@@ -88,7 +88,7 @@ def _is_below(place: Path, folder: Path) -> bool:
 
 def _keep_scratch(out: Path) -> None:
     """Put temporary files below `out`; they go when the process ends."""
-    scratch = tempfile.mkdtemp(dir=out, prefix=".scratch-")
+    scratch = tempfile.mkdtemp(dir=out.absolute(), prefix=".scratch-")
     atexit.register(shutil.rmtree, scratch, ignore_errors=True)
     tempfile.tempdir = os.environ["TMPDIR"] = scratch
 

@@ -28,6 +28,7 @@ from undeadzone.cli.common import (
     writable,
 )
 from undeadzone.errors import FileError, Terminated
+from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
     from undeadzone.interfaces import Estimate
@@ -86,7 +87,8 @@ def watch(
     if state is not None:
         writable(state.parent)
     watched = read_for_logs(scenario, confine)
-    follower = Follower(watched, live=True)
+    with progress("watching", None, of=watched.observer):
+        follower = Follower(watched, live=True)
     log = LiveLog("stdin", watched, follower, parse_columns(columns), strict)
     if sys.stdin is None:
         raise FileError("stdin: it is closed; give lines of readings and inputs")

@@ -78,8 +78,8 @@ def export(
         tunable: numbers that stay parameters of the code, such as "observer.gamma".
         name: what every symbol begins with; default: made of the scenario's title.
         check: also build the self-test with this computer's compiler and run it (not for Arduino).
-        force: replace files in the folder that someone else wrote or edited, where they are in the
-            way; other files stay all the same.
+        force: replace files that someone else wrote or edited, where they are in the way; other
+            files stay all the same.
 
     Returns:
         The files, and a report. Accuracy is measured where there is a C compiler; single
@@ -93,8 +93,8 @@ def export(
     precision = targets.PRECISION[to] if precision is None else precision
     _require("precision", precision, PRECISIONS)
     if to == "page":
-        _require_plain(precision, part, tunable, name, check, force)
-        return Exported([Path(out)], write_page(scenario, Path(out)))
+        _require_plain(precision, part, tunable, name, check)
+        return Exported([Path(out)], write_page(scenario, Path(out), force))
     prefix = _prefix(name, scenario.title)
     targets.require_replaceable(Path(out), force)
     targets.require_possible(to, prefix)
@@ -132,7 +132,7 @@ def _require(key: str, value: str, known: tuple[str, ...]) -> None:
 
 
 def _require_plain(
-    precision: str, part: str, tunable: tuple[str, ...], name: str | None, check: bool, force: bool
+    precision: str, part: str, tunable: tuple[str, ...], name: str | None, check: bool
 ) -> None:
     """Raise InputError for an option that means nothing to a page."""
     options = {
@@ -141,7 +141,6 @@ def _require_plain(
         "tunable": tunable,
         "name": name,
         "check": check,
-        "force": force,
     }
     for key, value in options.items():
         if value:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import tempfile
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -16,7 +15,7 @@ from undeadzone.exports.parts import Field
 from undeadzone.exports.source import Source
 from undeadzone.exports.template import called, filled
 from undeadzone.scenario.schema import Units
-from undeadzone.support.files import read_text, reason, require_folder
+from undeadzone.support.files import read_text, require_folder, writing
 from undeadzone.support.own_files import CURE, digest, edited
 from undeadzone.support.text import one_line, printable
 
@@ -38,12 +37,12 @@ def require_replaceable(out: Path, force: bool = False) -> None:
         force: whether files of the export that were edited are replaced, too, and whether others
             may be put into any folder.
     """
-    require_folder(out.absolute().parent)
+    if out.exists() and not out.is_dir():
+        raise FileError(f"{out}: is a file; give another folder")
+    require_folder(out)
     if not out.exists():
         return
-    if not out.is_dir():
-        raise FileError(f"{out}: is a file; give another folder")
-    if force or not any(out.iterdir()):
+    if force or all(path.name.startswith(".") for path in out.iterdir()):
         return
     written = _written(out)
     if not written:
@@ -91,7 +90,7 @@ def _bytes(content: str | bytes) -> bytes:
 
 
 def write_folder(files: Files, out: Path, force: bool = False) -> list[Path]:
-    """Write files into a new folder that takes the name `out` once it is whole.
+    """Write files into a folder; each takes its place once all are written beside.
 
     Args:
         files: texts and bytes by their paths inside the folder, a manifest among them.
@@ -108,30 +107,25 @@ def write_folder(files: Files, out: Path, force: bool = False) -> list[Path]:
     before = _written(out)
     own = {MANIFEST, *before} - set(edited(out, before))
     for path in files:
+        if (out / path).parent.resolve() != out.resolve() / Path(path).parent:
+            raise FileError(f"{out / path}: a link leads elsewhere; give another folder")
         if not force and path not in own and (out / path).exists():
             raise FileError(f"{out / path}: exists already, and someone else wrote it; {CURE}")
-
-    def replaced(folder: str, names: list[str]) -> list[str]:
-        here = Path(folder).relative_to(out)
-        return [name for name in names if (here / name).as_posix() in {*own, *files}]
-
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}-") as name:
-            fresh = Path(name) / "new"
+    with writing(out):
+        out.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=out, prefix=".fresh-") as name:
+            fresh = Path(name)
             for path, content in _signed(files).items():
                 (fresh / path).parent.mkdir(parents=True, exist_ok=True)
                 (fresh / path).write_bytes(_bytes(content))
-            if out.exists():
-                shutil.copytree(out, fresh, symlinks=True, ignore=replaced, dirs_exist_ok=True)
-                os.replace(out, Path(name) / "old")
-            os.replace(fresh, out)
-    except (OSError, ValueError) as error:
-        raise FileError(f"{out}: cannot write: {reason(error)}") from None
+            for path in own - files.keys():
+                (out / path).unlink(missing_ok=True)
+            for path in sorted(files, key=MANIFEST.__eq__):  # the manifest last
+                (out / path).parent.mkdir(parents=True, exist_ok=True)
+                os.replace(fresh / path, out / path)
     return [out / path for path in files]
 
 
-# The targets, and the precision that each has by default.
 PRECISION: Final = {
     "c": "single",
     "arduino": "single",

@@ -300,12 +300,17 @@ def _signals(
                 f"{source}: expected {count} of {signal}, the log has {len(columns)}: "
                 f"{_listed([titles[k] for k in columns])}; say which by --columns {wanted[0]}=NAME"
             )
-    if source.endswith(".toml"):
-        raise FileError(f"{source}: this is a scenario, no log; the log is a table with t, u, y")
+    require_table(source)
     raise FileError(
         f"{source}: no name says which column holds {signal}; there are {_listed(titles)}"
         f"{_near(titles, usual)}; say which by --columns {_to_be_named(titles, chosen)}"
     )
+
+
+def require_table(source: str) -> None:
+    """Raise FileError for the path of a scenario, which is no log."""
+    if source.endswith(".toml"):
+        raise FileError(f"{source}: this is a scenario, no log; the log is a table with t, u, y")
 
 
 def _to_be_named(titles: Sequence[Title], chosen: Mapping[str, str]) -> str:

@@ -460,9 +460,7 @@ class Grid:
         off = np.abs(intervals - steps * self._step)
         bad = np.flatnonzero((steps < 1) | (off > JITTER * self._step) | (steps > LONGEST))
         if not bad.size and steps.sum() > LONGEST + MOST * t.size:
-            raise FileError(
-                f"{self._source}: consists of gaps: {steps.sum():.0f} steps are missing"
-            )
+            raise FileError(f"{self._source}: consists of gaps: {steps.sum():.0f} missing steps")
         if bad.size:
             k = int(bad[0])
             raise FileError(

@@ -41,12 +41,10 @@ def replacing(path: Path) -> Iterator[Path]:
         FileError: the file cannot be written.
     """
     with writing(path):
-        if os.path.lexists(path) and not path.is_symlink():
-            _require_plain(os.lstat(path), None)
+        if path.exists():  # a device or a pipe is never replaced
+            require_plain(path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(
-            dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix
-        )
+        handle, name = tempfile.mkstemp(path.suffix, f".{path.stem}-", path.parent)
         os.close(handle)
     try:
         yield Path(name)
@@ -73,9 +71,10 @@ def read_bytes(path: str | os.PathLike[str], largest: int = LARGEST_TEXT) -> byt
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     with open(os.open(path, flags), "rb") as file:
         _require_plain(os.fstat(file.fileno()), largest)
-        content = file.read(largest + 1)
-    if len(content) > largest:  # it grows, or the system does not know its size
-        raise OSError(_too_large(len(content), largest))
+        most = min(largest, os.fstat(file.fileno()).st_size + LARGEST_TEXT)  # memory asked for
+        content = file.read(most + 1)
+    if len(content) > most:  # it grows, or the system does not know its size
+        raise OSError(_too_large(len(content), most))
     return content
 
 

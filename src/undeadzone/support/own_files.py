@@ -1,6 +1,6 @@
 """What a command may replace: texts and folders that undeadzone wrote and nobody edited since.
 
-A text of its own begins with a remark that holds a digest of the rest. A folder of its own has a
+A text of its own holds a remark with a digest of all the rest. A folder of its own has a
 manifest that holds a digest of every file. All else is the user's: it stays, unless --force is set.
 """
 
@@ -16,8 +16,8 @@ from undeadzone.errors import FileError
 from undeadzone.support.files import LARGEST_RUN, read_bytes, write_text
 
 CURE: Final = "choose another name or --out, or replace it with --force"
-_HEAD: Final = "# undeadzone wrote this file, and replaces it until someone edits it: "
-_LINE: Final = re.compile(re.escape(_HEAD) + "([0-9a-f]{64})\n")
+REMARK: Final = "undeadzone wrote this file, and replaces it until someone edits it: "
+_SIGNED: Final = re.compile(re.escape(REMARK) + "([0-9a-f]{64})")
 
 
 def marked(text: str) -> str:
@@ -26,11 +26,21 @@ def marked(text: str) -> str:
     Args:
         text: of the file.
     """
-    return f"{_HEAD}{digest(text.encode())}\n{text}"
+    return signed(f"# {REMARK}\n{text}")
+
+
+def signed(text: str) -> str:
+    """A text that holds REMARK, with its digest behind that.
+
+    Args:
+        text: of the file.
+    """
+    before, after = text.split(REMARK, 1)
+    return f"{before}{REMARK}{digest(text.encode())}{after}"
 
 
 def require_own(path: Path, force: bool = False) -> None:
-    """Raise FileError for a file that is not as undeadzone wrote it (`marked`).
+    """Raise FileError for a file that is not as undeadzone wrote it (`signed`).
 
     Called before a long computation, whose result would be lost otherwise.
 
@@ -38,8 +48,8 @@ def require_own(path: Path, force: bool = False) -> None:
         path: of the file, which need not exist.
         force: whether it may be replaced all the same.
     """
-    if not force and (path.exists() or path.is_symlink()) and not _is_own(path):
-        raise FileError(f"{path}: exists already, and someone else wrote or edited it; {CURE}")
+    if not force and (path.exists() or path.is_symlink()) and not is_own(path):
+        raise FileError(f"{path}: exists already, as someone else left it: not replaced; {CURE}")
 
 
 def write_own(text: str, path: Path, force: bool = False) -> Path:
@@ -69,14 +79,14 @@ def digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-def _is_own(path: Path) -> bool:
+def is_own(path: Path) -> bool:
     """Whether a text is as undeadzone wrote it; line ends do not count."""
     try:
         text = read_bytes(path).decode().replace("\r\n", "\n")
     except (OSError, ValueError):
         return False
-    head = _LINE.match(text)
-    return head is not None and head[1] == digest(text[head.end() :].encode())
+    found = _SIGNED.search(text)
+    return found is not None and signed(text.replace(found[1], "", 1)) == text
 
 
 def _is_as_written(path: Path, written: str) -> bool:

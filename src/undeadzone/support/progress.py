@@ -51,15 +51,16 @@ def in_notebook(
 
 
 @contextmanager
-def on_terminal(what: str, total: int | None, unit: str | None = None) -> Iterator[Advance]:
+def on_terminal(what: str, total: int | None, unit: str = "", of: Any = None) -> Iterator[Advance]:
     """The same for a command: a bar on stderr, if that is a terminal and not a notebook's.
 
-    Arguments as of `in_notebook`.
+    Arguments as of `in_notebook`; of: the observer that is set up first.
     """
     if not sys.stderr.isatty() or OF_KERNEL in os.environ:
         yield silent
         return
-    with _shown(_Terminal(), what, total, unit) as advance:
+    first = SETTING_UP if of is None else f"{SETTING_UP} {of.__struct_config__.tag}"
+    with _shown(_Terminal(), what, total, unit, first) as advance:
         yield advance
 
 
@@ -81,27 +82,30 @@ class _Place(Protocol):
 
 
 @contextmanager
-def _shown(place: _Place, what: str, total: int | None, unit: str | None) -> Iterator[Advance]:
+def _shown(
+    place: _Place, what: str, total: int | None, unit: str | None, first: str = SETTING_UP
+) -> Iterator[Advance]:
     """A bar that appears once PATIENCE has passed; steps may be counted from several threads.
 
-    Until the first step it says that something is set up.
+    Until the first step it says what is set up.
     """
     began, lock = time.monotonic(), threading.Lock()
     seen = 0
-    over = False
+    settled = False  # drawn by a step, or over
 
     def begin() -> None:
         with lock:
-            if not over and not seen:
-                place.draw(SETTING_UP, 0, total, "")
+            if not settled:
+                place.draw(what if seen else first, seen, total, "")
 
     def advance(done: int) -> None:
-        nonlocal seen
+        nonlocal seen, settled
         with lock:
             seen += done
             elapsed = time.monotonic() - began
             if elapsed > PATIENCE:
                 rate = f"{seen / elapsed:,.0f} {unit}/s" if unit else ""
+                settled = True
                 place.draw(what, seen, total, rate)
 
     timer = threading.Timer(PATIENCE, begin)
@@ -112,7 +116,7 @@ def _shown(place: _Place, what: str, total: int | None, unit: str | None) -> Ite
     finally:
         timer.cancel()
         with lock:
-            over = True
+            settled = True
             place.clear()
 
 
@@ -138,23 +142,17 @@ class _Terminal:
 
     def _start(self, what: str, total: int | None) -> None:
         """Draw the bar."""
+        from rich import progress
         from rich.console import Console
-        from rich.progress import (
-            BarColumn,
-            MofNCompleteColumn,
-            Progress,
-            TextColumn,
-            TimeRemainingColumn,
-        )
 
         columns = (
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[rate]}"),
-            TimeRemainingColumn(),
+            progress.TextColumn("{task.description}"),
+            progress.BarColumn(),
+            progress.MofNCompleteColumn(),
+            progress.TextColumn("{task.fields[rate]}"),
+            progress.TimeRemainingColumn(),
         )
-        self._bar = Progress(*columns, console=Console(stderr=True), transient=True)
+        self._bar = progress.Progress(*columns, console=Console(stderr=True), transient=True)
         self._bar.start()
         self._task = self._bar.add_task(what, total=total, rate="")
 

@@ -240,7 +240,7 @@ def arena(
     for name in own:
         if name in known:
             raise InputError(f"also: {name!r} is in the catalogue; give your method another name")
-    names = methods if methods is not None else (RECOMMENDED if own else None)
+    names = RECOMMENDED if methods is None and own else methods
     entries: Sequence[str] | Mapping[str, Method] | None = names
     if own:
         entries = {name: known[require(name)] for name in names or ()} | own

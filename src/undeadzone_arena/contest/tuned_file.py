@@ -9,6 +9,7 @@ import msgspec
 from undeadzone.errors import FileError
 from undeadzone.support import toml
 from undeadzone.support.files import read_bytes, reason, write_text
+from undeadzone.support.own_files import is_own, marked
 
 HEAD = (
     "# Written by undeadzone arena --tune. Knobs are counted in the units that "
@@ -53,11 +54,12 @@ class Tuned(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 def save(tuned: Tuned, path: Path) -> Path:
     """Write the numbers. Raises FileError.
 
-    Of methods that were not tuned now, those already in the file stay.
+    Of methods that were not tuned now, those already in the file stay, unless someone edited it.
     """
-    kept = load(path).methods if path.is_file() else {}
+    kept = load(path).methods if is_own(path) else {}
     methods = dict(sorted((kept | tuned.methods).items()))
-    return write_text(HEAD + toml.dumps(msgspec.structs.replace(tuned, methods=methods)), path)
+    text = HEAD + toml.dumps(msgspec.structs.replace(tuned, methods=methods))
+    return write_text(marked(text), path)
 
 
 def load(path: Path) -> Tuned:

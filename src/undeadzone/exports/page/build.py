@@ -16,7 +16,7 @@ import undeadzone
 from undeadzone.compile import print_wasm
 from undeadzone.compile.graph import Results, needed
 from undeadzone.compile.lower import portable
-from undeadzone.errors import FileError, InputError
+from undeadzone.errors import InputError
 from undeadzone.exports.code import operations
 from undeadzone.exports.page import sliders
 from undeadzone.exports.template import filled, text_of
@@ -31,6 +31,7 @@ from undeadzone.simulation.simulate import closed
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 from undeadzone.support.files import write_text
+from undeadzone.support.own_files import REMARK, require_own, signed
 from undeadzone.support.text import printable
 
 SAMPLES = 512  # of a period, for a Fourier series
@@ -173,12 +174,13 @@ class Page(NamedTuple):
     report: dict[str, Any]
 
 
-def write_page(scenario: Scenario, out: Path) -> dict[str, Any]:
+def write_page(scenario: Scenario, out: Path, force: bool = False) -> dict[str, Any]:
     """Write the page of a scenario.
 
     Args:
         scenario: a linear scenario, sampled or continuous.
         out: the HTML file; an earlier page there is replaced.
+        force: whether any file there is.
 
     Returns:
         What the page costs.
@@ -187,7 +189,7 @@ def write_page(scenario: Scenario, out: Path) -> dict[str, Any]:
         InputError: a scenario that the page cannot show.
         FileError: the file is something else, or cannot be written.
     """
-    _require_replaceable(out)
+    require_own(out, force)
     page = build(scenario)
     write_text(page.text, out)
     return page.report
@@ -209,7 +211,7 @@ def build(scenario: Scenario) -> Page:
     code, memory = _code(loop)
     data = _data(problem, loop, memory)
     data["wasm"] = base64.b64encode(code).decode()
-    text = framed(scenario.title, data)
+    text = signed(framed(scenario.title, data | {"remark": REMARK}))
     report = {
         "title": scenario.title,
         "version": undeadzone.__version__,
@@ -372,25 +374,7 @@ def _note(problem: Problem) -> str:
     return text + "Errors are rms over the second half of the run."
 
 
-def _require_replaceable(out: Path) -> None:
-    """Raise FileError unless a file is absent or an earlier page."""
-    if not out.exists():
-        return
-    ours = False
-    if out.is_file():
-        with out.open(encoding="utf-8", errors="replace") as file:
-            ours = MARK in file.read(2000)
-    if not ours:
-        raise FileError(
-            f"{out}: is no page of `undeadzone export`, so it is not replaced; "
-            "give another file or remove this one"
-        )
-
-
 # --- The HTML around the data: its own script and style, and a policy that allows nothing else
-
-
-MARK = '<meta name="generator" content="undeadzone export">'
 
 
 def framed(title: str, data: dict[str, Any]) -> str:

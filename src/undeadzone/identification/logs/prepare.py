@@ -25,6 +25,7 @@ from undeadzone.support.arrays import Flags, Floats, Integers, runs
 STRETCH = 250  # samples of an integrating plant that have one state at their start
 PER_NUMBER = 50  # readings needed for each pole, and one more
 ZEROS = 0.01  # share of silent readings that shows noise ahead of the zone
+LEAST = 1e-100  # of the largest value of a column, whose square must not vanish
 OFTEN = 5  # times the next reading's count, by which a silence comes back
 FAR_EDGE = 100.0  # rms of y: an edge that is never reached
 SIDES = {"right": 1, "left": -1}
@@ -82,7 +83,7 @@ def prepare(grid: Grid, options: Options) -> Prepared:
 
     Raises:
         InputError: a log from which nothing can be learnt: too short, a constant input, a reading
-            that never changes or is silent throughout.
+            that never changes or is silent throughout, or vanishes once squared.
     """
     remarks = list(grid.remarks)
     _require_silence_at_zero(grid)
@@ -135,9 +136,10 @@ def _refuse(grid: Grid, y: Floats, side: Integers) -> None:
         InputError: what is lacking.
     """
     if y.size < PER_NUMBER * 2:
-        raise InputError(
-            f"log: {y.size} readings are too few; a plant of order 1 needs {2 * PER_NUMBER}"
-        )
+        raise InputError(f"log: {y.size} readings are too few; order 1 needs {2 * PER_NUMBER}")
+    for size in (*np.abs(grid.u).max(axis=0, initial=0.0), np.abs(y).max()):
+        if 0 < size < LEAST:
+            raise InputError(f"log: values of {size:.3g} vanish once squared; use another unit")
     moves = grid.u.std(axis=0) > 1e-12 * np.abs(grid.u).max(axis=0, initial=0.0)
     if not moves.any():
         raise InputError("log: the input is constant: nothing can be learnt about the plant")
@@ -145,10 +147,7 @@ def _refuse(grid: Grid, y: Floats, side: Integers) -> None:
         name = grid.inputs[int(np.argmin(moves))]
         raise InputError(f"log: input {name!r} is constant; leave it out by --columns")
     if not side.any():
-        raise InputError(
-            "log: the sensor never speaks: every reading is silent, so nothing can be known;"
-            " record with a larger input"
-        )
+        raise InputError("log: the sensor never speaks, all is silent; record with a larger input")
     if np.ptp(y) <= 1e-12 * np.abs(y).max():
         raise InputError("log: the reading never changes: nothing can be known from it")
 

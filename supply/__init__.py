@@ -1,0 +1,1 @@
+"""What undeadzone is made of: `python -m supply hashes`, `sbom WHEEL` and `sizes`."""

@@ -1,0 +1,58 @@
+"""What an installation takes: each distribution, what brings it, what it is for."""
+
+from __future__ import annotations
+
+from importlib.metadata import Distribution
+from typing import Final
+
+from benchmarks.markdown import head, row
+from packaging.requirements import Requirement
+
+from supply.parts import PROJECT, needed, normal
+
+PURPOSE: Final = {
+    "casadi": "graphs of plants, observers and loops, their derivatives and C",
+    "clarabel": "semidefinite programs: certificates, gains",
+    "click": "the command line",
+    "cmaes": "searches without derivatives: `tune`, the arena",
+    "lazy-loader": "`import undeadzone` loads what is used",
+    "llvmlite": "graphs compiled to machine code: ensembles, live observers",
+    "matplotlib": "figures",
+    "msgspec": "scenario files read and checked, TOML and JSON",
+    "numpy": "arrays",
+    "rich": "bars of progress",
+    "scipy": "Riccati equations, optimisers, distributions, `.mat` files",
+    "tomli-w": "TOML written",
+}
+
+
+def table() -> str:
+    """Sizes by direct dependency: its own, and what it alone brings."""
+    every = needed()
+    sizes = {name: _size(each) for name, each in every.items()}
+    direct = sorted(normal(Requirement(text).name) for text in PROJECT["dependencies"])
+    rows = []
+    for name in sorted(direct, key=sizes.__getitem__, reverse=True):
+        others = _without(name)
+        alone = sorted(every.keys() - needed(others).keys() - {name})
+        more = sum(sizes[each] for each in alone)
+        own = "needed by others too" if name in needed(others) else ", ".join(alone)
+        cells = (name, PURPOSE[name], f"{sizes[name]:.1f}", f"{more:.1f}", own)
+        rows.append(row(*cells))
+    without = sum(sizes[name] for name in needed(_without("matplotlib")))
+    total = sum(sizes.values())
+    words = [f"All {len(every)}: {total:.0f} MB. Without figures (Matplotlib): {without:.0f} MB."]
+    title = head("needs", "for", "MB", "brings MB", "which nothing else needs")
+    return "\n".join([*title, *rows, "", *words])
+
+
+def _without(name: str) -> list[str]:
+    """The requirements but for one."""
+    return [text for text in PROJECT["dependencies"] if normal(Requirement(text).name) != name]
+
+
+def _size(owner: Distribution) -> float:
+    """What the files of a distribution take [MB], those included that pip compiles."""
+    places = [owner.locate_file(file) for file in owner.files or ()]
+    sizes = [place.stat().st_size for place in places if place.exists()]  # type: ignore[attr-defined]
+    return sum(sizes) / 1e6
