@@ -189,8 +189,14 @@ def test_fonts_that_are_listed_nowhere_cost_no_words(folder: Path, tmp_path: Pat
     assert (tmp_path / "results" / "figure.svg").is_file()
 
 
-def test_an_export_is_written_and_replaced(folder: Path, tmp_path: Path) -> None:
+def test_an_export_is_written_and_replaced(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Where nothing but --out may be written, its own parent included."""
+    refused = ran(folder, "export", "./-rf.toml", "--untrusted", ".", "--out", str(tmp_path / "no"))
+    assert refused.returncode == 2  # CC of the tests stands where nothing may be run
+    assert "the C compiler cannot be run" in refused.stderr
+    monkeypatch.delenv("CC")
     out = tmp_path / "firmware"
     for place in (str(out), "../firmware"):
         made = ran(folder, "export", "./-rf.toml", "--untrusted", ".", "--out", place)

@@ -9,6 +9,7 @@ import tempfile
 from pathlib import Path
 
 from undeadzone.errors import InputError
+from undeadzone.support.files import reason
 
 FLAGS = ("-std=c99", "-ffp-contract=off", "-fno-math-errno")
 NAMES = ("cc", "gcc", "clang")
@@ -59,12 +60,20 @@ def shared_library(sources: list[Path], out: Path, options: tuple[str, ...] = ("
     every = [*FLAGS, *options, "-fPIC", "-shared", "-o", str(out.absolute())]
     for extra in (["-fstack-usage"], []):  # a compiler that does not know the first gets none
         line = [command, *extra, *every, *files, "-lm"]
-        finish = subprocess.run(line, capture_output=True, text=True, cwd=folder)
+        finish = _called(line, folder)
         if finish.returncode == 0:
             break
     if finish.returncode:
         raise InputError(f"{command} refuses the exported code: {finish.stderr.strip()[:500]}")
     return out
+
+
+def _called(line: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
+    """A compiler, run in a folder. Raises InputError where it cannot be run at all."""
+    try:
+        return subprocess.run(line, capture_output=True, text=True, cwd=folder)
+    except OSError as error:
+        raise InputError(f"{line[0]}: the C compiler cannot be run: {reason(error)}") from None
 
 
 def stack_bytes(folder: Path, prefix: str) -> int | None:
@@ -101,7 +110,7 @@ def self_tested(files: dict[str, str]) -> tuple[bool, str]:
     with tempfile.TemporaryDirectory() as name:
         sources = [path.name for path in written(files, Path(name))]
         make = [command, *FLAGS, "-O2", "-o", "tested", *sources, "-lm"]
-        built = subprocess.run(make, capture_output=True, text=True, cwd=name)
+        built = _called(make, Path(name))
         if built.returncode:
             return False, built.stderr.strip()[:500]
         done = subprocess.run([str(Path(name, "tested"))], capture_output=True, text=True)
