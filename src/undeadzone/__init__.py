@@ -1,7 +1,9 @@
 """Adaptive observers that see through a sensor's dead zone.
 
 The public names stand in `__init__.pyi`; each is imported when it is first used. Options of methods
-that other packages register are found by the name of their class, too.
+that other packages register are found by the name of their class, too. `dir` and completion show
+what a first hour needs; the other names are there as well, and in `observers`, `controllers`,
+`compensators`, `signals` and `plants`.
 """
 
 from typing import Any
@@ -9,7 +11,19 @@ from typing import Any
 import lazy_loader
 
 __version__ = "0.1.0"
-_own, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_own, _, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_SHOWN = """
+Plant Model Sensor Actuator Scenario Simulation Units Sine Step Trapezoid Random
+Auto Censored Certified Extended Kalman StateFeedback LQR PID ComputedTorque
+read simulate compare identify estimate check design tune run_ensemble replay_run export plot
+from_control from_scipy Online Run Estimation Identified InputError UndeadzoneError
+observers controllers compensators signals plants
+"""
+
+
+def __dir__() -> list[str]:
+    """The names that a first hour needs, and the rooms of the others."""
+    return [*_SHOWN.split(), "__version__", "__doc__"]
 
 
 def __getattr__(name: str) -> Any:

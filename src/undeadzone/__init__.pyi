@@ -1,3 +1,8 @@
+from . import compensators as compensators
+from . import controllers as controllers
+from . import observers as observers
+from . import plants as plants
+from . import signals as signals
 from .analysis.certificate.design_file import Design as Design
 from .analysis.certificate.driven import Ultimate as Ultimate
 from .analysis.certificate.driven import ultimate_bound as ultimate_bound

@@ -1,1 +1,8 @@
-"""Plants as pure functions, linear, by formulas, or robot arms."""
+"""Plants as pure functions, linear, by formulas, or robot arms.
+
+The names stand in `__init__.pyi`.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,1 +1,8 @@
-"""References, disturbances, paths and noise."""
+"""References, disturbances, paths and noise.
+
+The names stand in `__init__.pyi`.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

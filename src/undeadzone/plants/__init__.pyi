@@ -1,0 +1,14 @@
+from .interop import from_control as from_control
+from .interop import from_scipy as from_scipy
+from .interop import to_control as to_control
+from .interop import to_scipy as to_scipy
+from .options import Plant as Plant
+from .options import SecondOrder as SecondOrder
+from .options import TransferFunction as TransferFunction
+from .region import Box as Box
+from .region import Region as Region
+from .robots.options import URDF as URDF
+from .robots.options import ElasticJoint as ElasticJoint
+from .robots.options import OneLink as OneLink
+from .robots.options import TwoLink as TwoLink
+from .system import System as System

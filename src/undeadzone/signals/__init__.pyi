@@ -1,0 +1,10 @@
+from .exosystem import Random as Random
+from .exosystem import Samples as Samples
+from .exosystem import Sine as Sine
+from .exosystem import Sines as Sines
+from .exosystem import Step as Step
+from .exosystem import Tone as Tone
+from .exosystem import Trapezoid as Trapezoid
+from .paths import Circle as Circle
+from .paths import FigureEight as FigureEight
+from .paths import Quintic as Quintic
