@@ -87,14 +87,16 @@ def _component(name: str, version: str, summary: str) -> dict[str, Any]:
 def _licences(owner: Distribution) -> list[dict[str, Any]]:
     """The licence of a distribution, as it names it: an expression, or words."""
     about = owner.metadata
-    if about["License-Expression"]:
-        return [{"expression": about["License-Expression"]}]
+    expression = about.get("License-Expression")
+    if expression:
+        return [{"expression": expression}]
     every = [
         line.rsplit(" :: ", 1)[1] for line in about.get_all("Classifier", []) if LICENCE in line
     ]
     named = [word for word in every if word != "OSI Approved"]
     return [
-        {"license": {"name": word}} for word in named or (about["License"] or "").split("\n")[:1]
+        {"license": {"name": word}}
+        for word in named or (about.get("License") or "").split("\n")[:1]
     ]
 
 

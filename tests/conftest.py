@@ -9,6 +9,7 @@ import random
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -18,6 +19,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import undeadzone
 from tools import pytest_terminal_summary as pytest_terminal_summary
+from undeadzone.ensemble import journal
 
 gc.set_threshold(100_000)  # as the command line does
 settings.register_profile(
@@ -94,3 +96,19 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for tests in order:
         draw.shuffle(tests)
         items.extend(tests)
+
+
+@pytest.fixture
+def closed_stores(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Files of ensembles that a test opens and leaves, as a process does that is killed."""
+    opened: list[journal.Store] = []
+    start = journal.start
+
+    def kept(*arguments: Any, **more: Any) -> journal.Store:
+        opened.append(start(*arguments, **more))
+        return opened[-1]
+
+    monkeypatch.setattr(journal, "start", kept)
+    yield
+    for store in opened:
+        store.close()

@@ -621,7 +621,16 @@ def test_the_template_leaves_certified_a_gain_that_is_certified(tmp_path: Path) 
     """Sampled at 100 Hz the tuned multiple is too large: it was run, and diverged."""
     text = (ROOT / "src/undeadzone/template.toml").read_text(encoding="utf-8")
     path = tmp_path / "mine.toml"
-    path.write_text(text.replace("duration = 20.0 ", "duration = 5.0 "), encoding="utf-8")
+    for old, new in (
+        ("duration = 20.0 ", "duration = 5.0 "),
+        ("frequency = 0.2 ", "frequency = 1.0 "),
+        ("left = 0.6 ", "left = 1.0 "),
+        ("right = [0.0, 2.0] ", "right = [0.0, 3.0] "),
+        ("# alpha = 10.0 ", "alpha = 10.0 "),
+    ):
+        assert old in text
+        text = text.replace(old, new, 1)
+    path.write_text(text, encoding="utf-8")
     done = json.loads(run(path, "--methods", "certified", "--seeds", "1", "--json").stdout)
     (row,) = [row for row in done["leaderboard"] if row["method"] == "certified"]
     assert row["median_regret"] < 0.1

@@ -23,6 +23,8 @@ from tests.jobs import sines
 from undeadzone.ensemble import dask_cluster, job, journal, run_blocks
 from undeadzone.errors import ClusterError, InputError
 
+pytestmark = pytest.mark.usefixtures("closed_stores")
+
 ROOT = Path(__file__).parents[1]
 
 

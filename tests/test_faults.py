@@ -71,6 +71,7 @@ def test_kill_9_of_a_command_with_workers_leaves_no_process_and_changes_no_bit(
             time.sleep(0.01)
     run_blocks.run(make, path, resume=True).close()
     assert path.read_bytes() == whole.path.read_bytes()
+    whole.close()
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs Linux's /proc")

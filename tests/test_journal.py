@@ -23,6 +23,8 @@ from undeadzone.ensemble import journal, run_blocks
 from undeadzone.ensemble.journal import Store
 from undeadzone.errors import FileError, InputError, ShapeError
 
+pytestmark = pytest.mark.usefixtures("closed_stores")
+
 ROOT = Path(__file__).parents[1]
 
 

@@ -25,6 +25,7 @@ HALVES = (0.15, 0.5, 1.0)  # of the gap, in rms of y, where climbs begin
 LOUDER = 1.1  # the gain behind a play is larger than a linear fit's
 BLURS = (1.0, 0.3, 0.1)  # of what disturbs z: rms of noise ahead of a map
 LEAST_BLUR = 0.02
+BREAKS = 2  # numbers that two edges cost besides where a map breaks (Zhang and Siegmund 2007)
 BLUR_BEHIND = 0.03  # where noise is behind the zone
 ROOT = math.sqrt(2 * math.pi)
 
@@ -300,7 +301,9 @@ def static_rivals(fit: Fit) -> dict[str, Density]:
     for name, shape, starts in _maps(fit):
         squares = LeastSquares(MapModel(fit.objective.simulator, name, shape))
         fitted = squares.best([_begun(squares.model, *start) for start in starts])
-        densities.append(_nothing(squares) if fitted is None else fitted.density)
+        density = _nothing(squares) if fitted is None else fitted.density
+        breaks = BREAKS if name == "jump" else 0
+        densities.append(density._replace(numbers=density.numbers + breaks))
     return best_of_each(densities)
 
 
