@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: BSD-3-Clause */
 /* The functions of FMI 2.0 for co-simulation around the exported step. */
 #include "fmi2.h"
 #include "fmu.h"

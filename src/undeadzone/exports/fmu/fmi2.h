@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: BSD-3-Clause */
 /* What this FMU exports of FMI 2.0 for co-simulation: types and functions, as the standard of the
    Modelica Association (fmi-standard.org) defines them. */
 #ifndef FMI2_H

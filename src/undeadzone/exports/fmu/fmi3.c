@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: BSD-3-Clause */
 /* The functions of FMI 3.0 for co-simulation around the exported step. */
 #include "fmi3.h"
 #include "fmu.h"

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: BSD-3-Clause */
 /* What this FMU exports of FMI 3.0 for co-simulation: types and functions, as the standard of the
    Modelica Association (fmi-standard.org) defines them. */
 #ifndef FMI3_H

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: BSD-3-Clause */
 /* What the FMUs of both versions share: one instance, its variables by reference, and its time. */
 #ifndef FMU_H
 #define FMU_H

@@ -1,8 +1,9 @@
 /* @title@: @part@, @real@.
-   Written by undeadzone @version@; do not edit. */
+   Written by undeadzone @version@; do not edit.
+   SPDX-License-Identifier: BSD-3-Clause */
 
-#if defined(__FAST_MATH__)
-#error "compile without -ffast-math: it changes what this code computes"
+#if defined(__FAST_MATH__) || defined(__ASSOCIATIVE_MATH__)
+#error "compile without -ffast-math, -fassociative-math: it changes what this code computes"
 #endif
 #if defined(__FLT_EVAL_METHOD__) && (__FLT_EVAL_METHOD__ == 2)
 #error "this compiler computes in long double (x87); use -msse2 -mfpmath=sse"

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: BSD-3-Clause
 // Reads a sensor on A0 at the sample time and prints what lies behind its dead zone.
 #include <@name@.h>
 

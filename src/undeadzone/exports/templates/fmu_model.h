@@ -1,4 +1,5 @@
-/* What fmu.h needs to know of @name@; written by undeadzone @version@, do not edit. */
+/* What fmu.h needs to know of @name@; written by undeadzone @version@, do not edit.
+   SPDX-License-Identifier: BSD-3-Clause */
 #ifndef FMU_MODEL_H
 #define FMU_MODEL_H
 

@@ -2,6 +2,7 @@
  * @file @name@.h
  * @title@: @part@, @real@.
  * Written by undeadzone @version@; do not edit.
+ * SPDX-License-Identifier: BSD-3-Clause
  */
 #ifndef @upper@_H
 #define @upper@_H

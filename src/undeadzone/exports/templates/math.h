@@ -1,5 +1,6 @@
 /* Elementary functions of @name@, the same bits on every processor.
-   Written by undeadzone @version@; do not edit. */
+   Written by undeadzone @version@; do not edit.
+   SPDX-License-Identifier: BSD-3-Clause */
 #ifndef @upper@_MATH_H
 #define @upper@_MATH_H
 

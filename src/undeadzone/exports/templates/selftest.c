@@ -1,6 +1,7 @@
 /* Self-test of @name@: reference vectors as bits.
    Exit code 0: every bit agrees; 1: not.
-   Written by undeadzone @version@; do not edit. */
+   Written by undeadzone @version@; do not edit.
+   SPDX-License-Identifier: BSD-3-Clause */
 #include "@name@.h"
 #include <inttypes.h>
 #include <stddef.h>
