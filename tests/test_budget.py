@@ -19,7 +19,7 @@ MOST_CODE, MOST_FILES = 37_300, 310
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
-    "(root)": 330,
+    "(root)": 340,
     "analysis": 3290,
     "cli": 1760,
     "compensators": 170,

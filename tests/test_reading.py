@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import inspect
 import re
 from pathlib import Path
 
@@ -115,8 +116,7 @@ def unsaid(name: str) -> set[str]:
         return set()
     code = found.__code__
     arguments = code.co_varnames[: code.co_argcount + code.co_kwonlyargcount]
-    doc = "\n".join(line.removeprefix("    ") for line in (found.__doc__ or "").splitlines())
-    return set(arguments) - explained(doc, "Args")
+    return set(arguments) - explained(inspect.getdoc(found) or "", "Args")
 
 
 def test_public_functions_explain_their_arguments() -> None:
