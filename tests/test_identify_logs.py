@@ -266,6 +266,8 @@ def test_the_command_writes_a_scenario_that_runs(
     assert {"order", "alternatives", "held_out"} <= answer.keys()
     page = (tmp_path / "log-identify" / "report.html").read_text(encoding="utf-8")
     assert page.count("<img") == 5
+    answered = page.index("How it was decided</h2>")
+    assert page.index("odds") < page.index("d_right") < answered < page.index("held out<")
     assert answer["order"] == 2
     problem = read(tmp_path / "log.toml")
     assert problem.simulation.step == 0.05

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -27,6 +28,10 @@ CAPTIONS = {
     " printed interval is shaded. Under a coloured disturbance it is wider than the curve alone.",
     "hidden": "z^ with its 95 % band against the reading: inside the zone it is the product.",
 }
+
+# Lines that stand on the first screen, at most so many; the others say how it was decided.
+FIRST = re.compile(r"[bcd]_(right|left)|([bcd] )?width|odds|plant|note")
+MOST = 6
 
 OF_ELEMENT = {  # in place of these
     "overview": "Output z^ of the fitted plant, what is read of it, and the reading y at the end of"
@@ -80,10 +85,12 @@ def identified_page(
     head = html.paragraph(
         html.tag("span", f"Dead zone of the sensor: {HEADS[found_log.verdict]}", good)
     )
-    rows = []
+    first: list[tuple[str, str]] = []
+    rest: list[tuple[str, str]] = []
     for name, value in found_log.summary().items():
         for text in value if isinstance(value, list) else [value]:
-            rows.append((name, text))
+            leads = FIRST.fullmatch(name) is not None and len(first) < MOST
+            (first if leads else rest).append((name, text))
     captions = CAPTIONS if answer.element is None else CAPTIONS | OF_ELEMENT
     shown = html.pictures(images, captions)
     return html.page(
@@ -91,7 +98,7 @@ def identified_page(
         head,
         *map(html.paragraph, answer.reasons),
         html.section(
-            "The answer", html.table(("what", "value"), rows), *html.pick(shown, "overview")
+            "The answer", html.table(("what", "value"), first), *html.pick(shown, "overview")
         ),
         *(
             [html.section("Hidden output", *html.pick(shown, "hidden"))]
@@ -103,7 +110,12 @@ def identified_page(
             if answer.element is None
             else [html.section("What it is", *html.pick(shown, "element"))]
         ),
-        html.section("What is there?", *_rivals(found_log), *html.pick(shown, "residual_map")),
+        html.section(
+            "How it was decided",
+            html.table(("what", "value"), rest),
+            *_rivals(found_log),
+            *html.pick(shown, "residual_map"),
+        ),
         *_fits(found_log, shown),
         origin=origin,
     )
