@@ -35,7 +35,7 @@ BUDGET = {
     "numerics": 640,
     "observers": 2830,
     "plants": 1530,
-    "report": 2900,
+    "report": 2910,
     "results": 890,
     "scenario": 1390,
     "signals": 430,

@@ -107,23 +107,18 @@ def _next(path: Path, run: Run, is_good: bool, confine: Path | None) -> dict[str
     """What to type after a run: what narrows wide intervals comes first."""
     import numpy as np
 
+    from undeadzone.scenario.reader import read
+
     check = f"undeadzone check {path} says what can be known"
     if not is_good:
         return to_type(check)
     if run.d_std is None or (HALF_95 * run.d_std[-1] <= WIDE * np.abs(run.d_hat[-1])).all():
         return to_type(check, f"undeadzone export {path}")
-    open_claims = _not_claimed(path, confine)
+    observer = read(path, confine).observer
+    open_claims = [name for name in CLAIMS if getattr(observer, name, "no such claim") is None]
     if not open_claims:
         return to_type(check)
     return to_type(f"narrower intervals: claim observer.{', '.join(open_claims)} if known", check)
-
-
-def _not_claimed(path: Path, confine: Path | None) -> list[str]:
-    """Claims that the observer of a scenario could be told and is not."""
-    from undeadzone.scenario.reader import read
-
-    observer = read(path, confine).observer
-    return [name for name in CLAIMS if getattr(observer, name, "no such claim") is None]
 
 
 def _simulated(path: Path, animated: bool, confine: Path | None) -> tuple[Run, Run | None]:

@@ -18,9 +18,13 @@ _VARIABLE: Final = "The observer has no constant gains; its options stand in the
 CAPTIONS: Final = {
     "tip": "The tip against its path, its distance from it, and the torques.",
     "phase": "Position and velocity of each joint, truth and estimate, over its dead zone.",
-    "figure": "Output, reading and estimate; errors; widths, in bands of 95 %, "
-    "against the truth; command and widths of actuators that are estimated; reading over output, "
-    "and gaps, of plays that are estimated; the Lyapunov function where there is one.",
+    "figure": "Output, reading and estimate; errors; widths with 95 % bands against the truth",
+}
+# What else the figure shows, where a run has this signal.
+FURTHER: Final = {
+    "b_hat": "command and widths of the actuator",
+    "c_hat": "reading over output, and gaps of the play",
+    "V": "the Lyapunov function",
 }
 
 
@@ -42,7 +46,9 @@ def run_page(
     for name, verdict in zip(run.outputs, run.info.identifiable, strict=True):
         where = f"Output {name}: " if len(run.outputs) > 1 else ""
         reasons += [f"{where}{reason}." for reason in verdict["reasons"]]
-    shown = html.pick(html.pictures(images, CAPTIONS), *CAPTIONS)
+    more = [words for name, words in FURTHER.items() if getattr(run, name) is not None]
+    captions = CAPTIONS | {"figure": "; ".join([CAPTIONS["figure"], *more]) + "."}
+    shown = html.pick(html.pictures(images, captions), *captions)
     return html.page(
         run.info.title,
         _verdict(run),
