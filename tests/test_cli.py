@@ -494,3 +494,14 @@ def test_every_command_says_what_it_sets_up(
     monkeypatch.delenv(progress.OF_KERNEL, raising=False)
     assert group.main(words, standalone_mode=False) in (0, 1)
     assert "setting up kalman" in terminal.getvalue()
+
+
+def test_what_is_to_be_typed_next_works(tmp_path: Path) -> None:
+    """From the first command on, each that another names ends without a complaint."""
+    assert undeadzone("init", "mine.toml", cwd=tmp_path).returncode == 0
+    for command in ("run", "check"):
+        done = undeadzone(command, "mine.toml", "--no-figures", cwd=tmp_path)
+        (told,) = [line for line in done.stdout.splitlines() if line.startswith("next ")]
+        for words in re.findall(r"undeadzone (\w+) mine\.toml", told):
+            follow = ["--out", "fw"] if words == "export" else ["--no-figures"]
+            assert undeadzone(words, "mine.toml", *follow, cwd=tmp_path).returncode == 0, words

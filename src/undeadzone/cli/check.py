@@ -48,18 +48,18 @@ def check(scenario: Path, output: Output, confine: Path | None) -> int:
             from undeadzone.report.gains_page import write_gains
 
             attempts = attack(result.assessment)
-            seed = result.scenario.simulation.seed
+            again = origin(scenario, judged.simulation.seed)
             advance(1)
-            written += write_gains(
-                result.assessment, attempts, folder, origin=origin(scenario, seed)
-            )
-    last = named_files(written) | _next(scenario, result.summary()["certified"])
+            written += write_gains(result.assessment, attempts, folder, origin=again)
+    certified, varies = result.summary()["certified"], judged.ensemble is not None
+    last = named_files(written) | _next(scenario, certified, varies)
     output.show(result.summary, result.blocks, written, last)
     return 0 if result.affirmed else 1
 
 
-def _next(path: Path, certified: bool | None) -> dict[str, str]:
+def _next(path: Path, certified: bool | None, varies: bool) -> dict[str, str]:
     """What to type after a verdict; certified: None of an observer without constant gains."""
     if certified is False:
         return to_type(f"undeadzone design {path} searches gains that have a proof")
-    return to_type(f"undeadzone ensemble {path} varies what may vary", f"undeadzone export {path}")
+    ensemble = [f"undeadzone ensemble {path} varies what may vary"] * varies
+    return to_type(*ensemble, f"undeadzone export {path}")

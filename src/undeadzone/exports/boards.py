@@ -105,4 +105,4 @@ def table(found: list[Fit]) -> list[tuple[str, ...]]:
 
 def _time(seconds: float) -> str:
     """A time in ms, or in microseconds."""
-    return f"{1e3 * seconds:.2g} ms" if seconds >= 1e-3 else f"{1e6 * seconds:.2g} us"
+    return f"{1e3 * seconds:.3g} ms" if seconds >= 1e-3 else f"{1e6 * seconds:.3g} us"
