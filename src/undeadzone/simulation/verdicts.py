@@ -12,24 +12,22 @@ import numpy as np
 
 from undeadzone.analysis.identifiability.beforehand import beforehand
 from undeadzone.analysis.identifiability.both_ends import both_ends, modes_visited
+from undeadzone.analysis.identifiability.disturbance import unknown_bias, unknown_inputs
 from undeadzone.analysis.identifiability.edges import MARGIN, largest_deviations, vague
 from undeadzone.analysis.identifiability.information import (
     EXACT,
     SMALLEST,
-    Colour,
     Readings,
     deviations,
 )
-from undeadzone.analysis.identifiability.linear import Verdict, unknown_bias, verdicts
+from undeadzone.analysis.identifiability.linear import Verdict, verdicts
 from undeadzone.analysis.identifiability.play_and_zone import Told, told_of_both
 from undeadzone.analysis.side_schedule import Schedule, reading_levels
 from undeadzone.ends.gaps import gaps_of
 from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.interfaces import Traits
 from undeadzone.observers.parts.prior import width_ranges
-from undeadzone.plants.system import System
 from undeadzone.scenario.problem import Problem
-from undeadzone.signals.exosystem import Random
 from undeadzone.simulation.loop import Outputs
 from undeadzone.support.arrays import Floats
 
@@ -91,7 +89,8 @@ def verdicts_of_both(problem: Problem, schedule: Schedule, arrive: Floats) -> li
 
 def readings_of(problem: Problem, schedule: Schedule, arrive: Floats) -> Readings:
     """What tells of the widths; arguments as of `linear_verdicts`."""
-    simulation, traits, model = problem.scenario.simulation, problem.observer.traits, problem.model
+    simulation, disturbance = problem.scenario.simulation, problem.scenario.disturbance
+    traits, model = problem.observer.traits, problem.model
     least = EXACT * float(schedule.levels.max(initial=0.0)) or SMALLEST
     told = beforehand(model.n, model.p, traits.start_std, traits.centre_std, least)
     return Readings(
@@ -100,7 +99,7 @@ def readings_of(problem: Problem, schedule: Schedule, arrive: Floats) -> Reading
         duration=simulation.duration,
         arrive=arrive,
         bias=constant_inputs(problem, model.linear.B),
-        colour=_colour(model, problem.scenario.disturbance),
+        colour=unknown_inputs(disturbance, model.linear.B, simulation.duration),
         told=told if len(told) else None,
         gaps_known=gaps_known(problem),
     )
@@ -188,17 +187,6 @@ def constant_inputs(problem: Problem, B: Floats) -> Floats | None:
     """
     scenario = problem.scenario
     return unknown_bias(scenario.disturbance, B, scenario.simulation.duration)
-
-
-def _colour(model: System, disturbance: object) -> Colour | None:
-    """A random disturbance with its correlation time; None where there is none."""
-    if not isinstance(disturbance, Random):
-        return None
-    rms = np.broadcast_to(np.asarray(disturbance.rms, float), model.m)
-    acts = rms > 0
-    if not acts.any():
-        return None
-    return Colour(model.linear.B[:, acts], rms[acts], disturbance.correlation_time)
 
 
 def with_false_claims(problem: Problem, verdicts: Sequence[Verdict]) -> list[Verdict]:
