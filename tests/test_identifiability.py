@@ -464,7 +464,7 @@ def test_a_run_says_what_its_constant_disturbance_hides() -> None:
         (verdict,) = simulate(
             scene(disturbance=disturbance, simulation={"duration": 4.0})
         ).info.identifiable
-        assert set(verdict) == {"right", "left", "width", "centre", "reasons", "std"}
+        assert set(verdict) == {"right", "left", "width", "centre", "reasons", "std", "second"}
         assert (verdict["width"], verdict["centre"]) == (True, not hides)
 
 

@@ -17,11 +17,13 @@ from undeadzone.analysis.identifiability.edges import MARGIN, largest_deviations
 from undeadzone.analysis.identifiability.information import (
     EXACT,
     SMALLEST,
+    Deviations,
     Readings,
     deviations,
 )
 from undeadzone.analysis.identifiability.linear import Verdict, verdicts
 from undeadzone.analysis.identifiability.play_and_zone import Told, told_of_both
+from undeadzone.analysis.identifiability.second_truth import farthest, second_truth
 from undeadzone.analysis.side_schedule import Schedule, reading_levels
 from undeadzone.ends.gaps import gaps_of
 from undeadzone.ends.sensor import DIRECTIONS
@@ -62,11 +64,29 @@ def linear_verdicts(problem: Problem, schedule: Schedule, arrive: Floats) -> lis
 def _with_deviations(problem: Problem, schedule: Schedule, readings: Readings) -> list[Verdict]:
     """Verdicts with the deviations of the widths, from the readings and what is told."""
     linear, bias, told = problem.model.linear, readings.bias, readings.told
-    expected = deviations(linear, schedule, readings).widths
+    expected = deviations(linear, schedule, readings)
     judged = []
     for i, verdict in enumerate(verdicts(linear, schedule, bias, told=told)):
-        judged.append(as_far_as_known(problem, schedule, verdict, i, expected[i]))
+        known = as_far_as_known(problem, schedule, verdict, i, expected.widths[i])
+        judged.append(known._replace(second=_second(problem, expected, readings, i)))
     return judged
+
+
+def _second(
+    problem: Problem, expected: Deviations, readings: Readings, i: int
+) -> dict[str, Any] | None:
+    """Another truth of output i with the same readings."""
+    linear, size = problem.model.linear, expected.hidden.scale.size
+    n = linear.A.shape[0]
+    widths = np.array([problem.sensor.right[i], problem.sensor.left[i]])
+    enters = np.zeros((n, size))  # of each unknown into x'
+    if readings.colour is not None:
+        enters[:, n : expected.hidden.n] = readings.colour.B
+    if readings.bias is not None:
+        enters[:, size - readings.bias.shape[1] :] = readings.bias
+    constants = np.linalg.lstsq(linear.B, enters, rcond=None)[0]
+    change = farthest(expected.hidden, expected.covariance, i, widths)
+    return second_truth(change, expected.hidden.n + 2 * i, widths, np.eye(n, size), constants)
 
 
 def verdicts_of_both(problem: Problem, schedule: Schedule, arrive: Floats) -> list[Told]:
@@ -134,7 +154,9 @@ def as_far_as_known(
     negligible = NEGLIGIBLE * swing
     largest = largest_deviations(right, left, swing)
     most = {name: max(value, negligible) for name, value in largest.items()}
-    known = {name: getattr(verdict, name) and std[name] <= most[name] for name in DIRECTIONS}
+    known: dict[str, Any] = {
+        name: getattr(verdict, name) and std[name] <= most[name] for name in DIRECTIONS
+    }
     reasons = (*verdict.reasons, *vague(std, most, right, left))
     return Verdict(**known, reasons=reasons, std=std)
 
@@ -235,7 +257,9 @@ def _with_false_gaps(problem: Problem, verdict: Verdict, i: int) -> Verdict:
     if ((low - slack <= true) & (true <= high + slack))[:, i].all():
         return verdict
     reason = f"a false claim: model.play excludes the gaps of the sensor, {true[:, i].tolist()}"
-    return Verdict(False, False, False, False, (*verdict.reasons, reason), verdict.std)
+    return verdict._replace(
+        right=False, left=False, width=False, centre=False, reasons=(*verdict.reasons, reason)
+    )
 
 
 def with_cures(problem: Problem, verdicts: Sequence[Verdict], z: Floats) -> list[Verdict]:

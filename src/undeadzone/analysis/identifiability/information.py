@@ -11,7 +11,7 @@ import numpy as np
 
 from undeadzone.analysis.error_dynamics import pattern
 from undeadzone.analysis.identifiability.disturbance import Colour
-from undeadzone.analysis.identifiability.linear import invisible
+from undeadzone.analysis.identifiability.linear import Invisible, invisible
 from undeadzone.analysis.side_schedule import Schedule, merged
 from undeadzone.linear.matrices import Matrices
 from undeadzone.support.arrays import Floats
@@ -43,12 +43,14 @@ class Deviations(NamedTuple):
         states: of x(0) (n).
         covariance: of [x(0); d; beta], its unidentifiable part left out (n + 2p + b square).
         information: the inverse, whole.
+        hidden: what no reading shows of them.
     """
 
     widths: list[dict[str, float]]
     states: Floats
     covariance: Floats
     information: Floats
+    hidden: Invisible
 
 
 class Readings(NamedTuple):
@@ -118,7 +120,7 @@ def deviations(linear: Matrices, schedule: Schedule, readings: Readings) -> Devi
     for i in range(n):
         if hidden.state(i):
             states[i] = np.sqrt(covariance[i, i])
-    return Deviations(widths, states, covariance, fisher)
+    return Deviations(widths, states, covariance, fisher, hidden)
 
 
 def _coloured(

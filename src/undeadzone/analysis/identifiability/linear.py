@@ -7,7 +7,7 @@ output, beta a constant input bias. What stays unknown is a subspace, kept as an
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -107,6 +107,7 @@ class Verdict(NamedTuple):
         reasons: why not, for each 'no', in words.
         std: the deviation that an optimal estimator reaches of each, by name, where noise is taken
             into account.
+        second: another truth with these readings (`second_truth`); None: not looked for.
     """
 
     right: bool
@@ -115,6 +116,7 @@ class Verdict(NamedTuple):
     centre: bool
     reasons: tuple[str, ...]
     std: dict[str, float] | None = None
+    second: dict[str, Any] | None = None
 
 
 def invisible(
@@ -142,7 +144,7 @@ def invisible(
     A, C = delta(linear, Ts), linear.C
     n, p = A.shape[0], C.shape[0]
     constant = np.zeros((n, 0)) if bias is None else bias
-    B = np.stack([constant] if drives is None else drives)
+    B = np.stack([constant] if drives is None else drives) / (Ts or 1.0)
     # Units in which states, then rates, outputs and inputs, are of order 1.
     state = 1 / sizes(A.T, C.T)
     A, C, B = A / state[:, None] * state, C * state, B / state[:, None]
@@ -187,7 +189,7 @@ def verdicts(
     judged = []
     for i in range(visited.shape[0]):
         confounded = {} if told is not None else _confounded(linear, schedule, bias, i)
-        known = {name: hidden.width(i, name) for name in DIRECTIONS}
+        known: dict[str, Any] = {name: hidden.width(i, name) for name in DIRECTIONS}
         remark = rarely_exact(schedule, i)
         reasons = (*unreached(schedule, visited, i), *confounded, *remark)
         judged.append(Verdict(**known, reasons=reasons, std=None))
