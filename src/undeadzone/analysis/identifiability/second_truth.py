@@ -85,8 +85,9 @@ def in_words(truths: Sequence[Mapping[str, Any] | None]) -> list[str]:
 
 def _numbers(values: Sequence[float]) -> str:
     """One number, or several in brackets; what is nearly 0 beside the largest is 0."""
-    largest = max(map(abs, values))
-    texts = [f"{value if abs(value) > NEAR * largest else 0.0:.3g}" for value in values]
+    given = np.array(values)
+    given[np.abs(given) < NEAR * np.abs(given).max()] = 0.0
+    texts = [f"{value:.3g}" for value in given]
     return texts[0] if len(texts) == 1 else f"[{', '.join(texts)}]"
 
 
