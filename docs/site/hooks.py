@@ -49,6 +49,7 @@ FIRST = {
         "play.md",
         "actuator.md",
         "observer.md",
+        "paper.md",
         "identifiability.md",
         "adaptation.md",
     ],
