@@ -49,8 +49,11 @@ def _print(claims: list[Claim], summary: dict[str, Any], written: list[Path]) ->
     """Print the claims and what was measured."""
     from rich.console import Console
 
+    from undeadzone_paper.claims import counted
+
     console = Console()
     console.print(_table(claims))
+    console.print(counted(claims), highlight=False)
     printed, repaired = summary["printed"], summary["repaired"]
     console.print(
         f"As printed: max |z| = {printed['max_abs_z']:.4g} over the last 4 s, max |y| = "
