@@ -136,11 +136,7 @@ def _distributions(result: Ensemble, summary: Mapping[str, Any]) -> list[html.Ht
     )
     first = [(row[0], *row[2:4]) for row in rows[: html.MOST]]  # median and 95 %
     every = html.table(("", *COLUMNS.values(), "largest"), rows)
-    return [
-        html.table(("", "median", "95 %"), first),
-        every,
-        html.paragraph(note, "note"),
-    ]
+    return [html.table(("", "median", "95 %"), first), every, html.paragraph(note, "note")]
 
 
 def _distribution(

@@ -101,9 +101,10 @@ def _numbers_tables(run: Run, rival: Run | None) -> tuple[html.Html, html.Html]:
 def _numbers(run: Run) -> dict[str, Any]:
     """The numbers of a run, in words, those that a user asks for first."""
     numbers: dict[str, Any] = on_page(errors(run))
-    of_one_output = widths(run, 0) if len(run.outputs) == 1 else []
-    for row in (*of_one_output, *parameters(run)):
-        numbers[row.title] = row.words
+    for i, name in enumerate(run.outputs):
+        of = f", {_output(name)}" if len(run.outputs) > 1 else ""
+        numbers |= {f"{row.title}{of}": row.words for row in widths(run, i)}
+    numbers |= {row.title: row.words for row in parameters(run)}
     rise = "largest rise of V above an earlier value, relative to its largest"
     return numbers | {
         "share of silent samples": run.silent_fraction,
