@@ -84,6 +84,7 @@ def write_report(
     caption = "Each reading of the plant with the reference acting as a force, from rest."
     text = page(
         "Output deadzone: the paper's example, as printed and repaired",
+        paragraph(counted(paper.claims)),
         paragraph(intro, "note"),
         _outcome(paper),
         section("The paper's claims", *_claims(paper)),
@@ -137,7 +138,7 @@ def _claims(paper: Paper) -> list[Html]:
         quoted = f"\u201c{text.words}\u201d, {text.where}"
         rows.append((text.claim, quoted, claim.measured, verdict, text.why))
     return [
-        paragraph(f"{counted(paper.claims)} {HOW}"),
+        paragraph(HOW),
         table(("claim", "in the paper", "measured", "verdict", "why"), rows),
     ]
 

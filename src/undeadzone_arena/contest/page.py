@@ -32,7 +32,8 @@ if TYPE_CHECKING:
 CAPTIONS: Final = {
     "leaderboard": "Dots: median over the scenarios; squares: the worst of them; bars: 95 % "
     "intervals. Grey names are lines to compare with.",
-    "scenarios": "Mean over the seeds.",
+    "scenarios": "Regrets, the mean over the seeds: blue is good, red is bad, a dash: not "
+    "applicable.",
     "trajectories": "The best, the worst that never diverged, the paper's as printed, the naive "
     "observer.",
     "cost": "Measured on the virtual machine, or in Python where a method computes there.",
