@@ -116,7 +116,7 @@ class Kept:
 
     def __init__(self, path: Path | None, every: float, follower: Follower, log: LiveLog) -> None:
         self._path, self._every = path, every
-        self._parts = {"follower": follower, "clock": log.clock}
+        self._parts = {"follower": follower, "clock": log.clock, "reader": log.reader}
         self._digest = follower.digest
         self._saved = time.monotonic()
         if path is not None and path.exists():

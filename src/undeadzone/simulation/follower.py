@@ -285,6 +285,7 @@ class LiveLog:
 
     Attributes:
         clock: which puts its lines on the steps of the scenario.
+        reader: of its lines.
     """
 
     def __init__(
@@ -297,7 +298,7 @@ class LiveLog:
     ) -> None:
         p, m = follower.model.p, follower.model.m
         self.clock = Clock(scenario.simulation.step, source, strict)
-        self._reader = LogReader(source, p, m, chosen, live=True)
+        self.reader = LogReader(source, p, m, chosen, live=True)
         self._source, self._units = source, scenario.units
 
     def pieces(self, data: bytes, last: bool) -> Iterator[Piece]:
@@ -311,17 +312,17 @@ class LiveLog:
             FileError: the log cannot be what the scenario describes, or `strict` is set and a line
                 is a fault; after what was good before.
         """
-        begun = self._reader.layout is not None
-        samples = self._reader.feed(data, last)
-        layout = self._reader.layout
+        begun = self.reader.layout is not None
+        samples = self.reader.feed(data, last)
+        layout = self.reader.layout
         if layout is None:
             return
         if not begun:
             require_units(layout, self._units, self._source)
-        for piece in self.clock.place(samples, self._reader.latest, layout.timed, last):
+        for piece in self.clock.place(samples, self.reader.latest, layout.timed, last):
             if piece.samples.t.size:
                 yield piece
 
     def info(self, follower: Follower) -> LogInfo:
         """What the log comes to. Raises FileError."""
-        return follower.info(self._source, self._reader.layout, self.clock, self.clock.faults)
+        return follower.info(self._source, self.reader.layout, self.clock, self.clock.faults)
