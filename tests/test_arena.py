@@ -780,8 +780,9 @@ def test_an_observer_of_ones_own_enters_without_being_installed(tmp_path: Path) 
 
 def test_a_method_that_does_not_apply_says_why() -> None:
     """Of one or a few in full; of many their names."""
-    nothing: list[Any] = [1.0] * (len(leaderboard.Row._fields) - 2)
-    refused = [leaderboard.Row(name, False, *nothing) for name in ("a", "b", "c", "d")]
+    others = dict.fromkeys(leaderboard.Row.__annotations__, 1.0)
+    row: Any = leaderboard.Row
+    refused = [row(**others | {"method": name, "reference": False}) for name in "abcd"]
     reasons = {row.method: f"{row.method} needs poles" for row in refused}
     told = in_words(refused[:1], 1, 1, reasons)
     assert "not applicable: a: a needs poles" in told
