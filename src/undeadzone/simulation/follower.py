@@ -65,10 +65,14 @@ class Follower:
         if live:
             graph_of(built)
         self.observer = built
-        self.samples = 0
         self._scenario = with_units(scenario, self.model)
         self._numeric = built.python
         self._online = None if self._numeric else Online(*parts, actuator=actuator)
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin with another log: nothing of an earlier one is left."""
+        self.samples = 0
         self._tests: list[Consistency] | None = None
         self._own: Own | None = None
         # Of sides: right, left, silent, at a limit of the range.
@@ -79,6 +83,7 @@ class Follower:
         self._diverged = False
         self._last: Estimate | None = None
         if self._online is not None:
+            self._online.restart()
             self._make_tests(self._online.latest)
 
     @property

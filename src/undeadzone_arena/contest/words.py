@@ -48,7 +48,7 @@ def in_words(
     else:
         blocks.append(f"not applicable (--json says why): {', '.join(refused)}")
     on = f"{counted(scenarios, 'scenario')}, {counted(seeds, 'run')} each"
-    blocks.append(f"{on}; - : line to compare with; 95 % intervals in ()")
+    blocks.append(f"{on}; - : line to compare with; 95 % intervals in []")
     return blocks
 
 
@@ -70,7 +70,7 @@ def _cells(place: str, row: Row) -> tuple[str, ...]:
 
 def _regret(value: float, interval: tuple[float, float]) -> str:
     """A regret and its interval."""
-    return f"{value:.3f} ({interval[0]:.3f} to {interval[1]:.3f})"
+    return f"{value:.3f} [{interval[0]:.3f}, {interval[1]:.3f}]"
 
 
 def _share(value: float) -> str:
