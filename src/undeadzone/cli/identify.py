@@ -116,7 +116,7 @@ def identify(
             reached = chained(path, first, chain, options["columns"], options["strict"])
         written, is_done = written + reached.files, reached.passed
         why, further = why | reached.words, {"chain": reached.numbers}
-        follow = {"next": f"make -C {chain / 'firmware'} runs the self-test"}
+        follow = {"next": f"make -C {chain / 'firmware'} builds the self-test"}
     output.show(
         lambda: answer.numbers() | further,
         answer.blocks,
