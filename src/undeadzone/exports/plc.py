@@ -1,0 +1,403 @@
+"""An export as Structured Text of IEC 61131-3: functions, function blocks and the self-test."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+import undeadzone
+from undeadzone.compile import elementary, print_st
+from undeadzone.compile.graph import Node
+from undeadzone.compile.print_c import INDENT, Local, Style, lines_of, wrapped
+from undeadzone.compile.print_st import TYPES, Function, initial, literal
+from undeadzone.exports.code import Code
+from undeadzone.exports.parts import members
+from undeadzone.exports.source import Labels, meanings
+from undeadzone.exports.vectors import Vectors
+from undeadzone.support.text import one_line
+
+STATEMENTS: Final = 1000  # of one function block; what has more is divided
+INPUTS, OUTPUTS, LOCALS = "VAR_INPUT", "VAR_OUTPUT", "VAR"
+
+
+class Variable(NamedTuple):
+    """A variable.
+
+    Attributes:
+        name: what it is called.
+        kind: its type.
+        meaning: what it is; empty: its name says it.
+        start: its value at first, of an array that of each entry; empty: that of its type.
+    """
+
+    name: str
+    kind: str
+    meaning: str = ""
+    start: tuple[str, ...] = ()
+
+    @property
+    def is_array(self) -> bool:
+        """Whether it holds several values."""
+        return len(self.start) > 1
+
+
+class Unit(NamedTuple):
+    """A program organisation unit.
+
+    Attributes:
+        keyword: FUNCTION, FUNCTION_BLOCK or PROGRAM.
+        name: what it is called.
+        meaning: what it does.
+        variables: by their sections.
+        lines: its statements.
+        returns: the type of a function; empty of others.
+    """
+
+    keyword: str
+    name: str
+    meaning: str
+    variables: dict[str, list[Variable]]
+    lines: list[str]
+    returns: str = ""
+
+
+class Exported(NamedTuple):
+    """The units of an export.
+
+    Attributes:
+        units: functions and blocks, each after those that it uses; the last is the observer.
+        test: the program that compares with the reference.
+    """
+
+    units: list[Unit]
+    test: Unit
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """How many blocks, and lines of statements."""
+        blocks = [unit for unit in self.units if unit.keyword == "FUNCTION_BLOCK"]
+        return {"blocks": len(blocks), "lines": sum(len(unit.lines) for unit in self.units)}
+
+
+def exported(code: Code, labels: Labels, vectors: Vectors) -> Exported:
+    """An export as units.
+
+    Args:
+        code: what is printed.
+        labels: the words that its files share.
+        vectors: the reference vectors of the self-test.
+
+    Raises:
+        InputError: an operation that the language has not.
+    """
+    style = print_st.style_of(code.kind, labels.prefix)
+    block = _Block(code, labels, style)
+    functions = []
+    for name in elementary.needed(block.called, code.kind, bitless=True):
+        functions.append(_function(print_st.function(name, style), style))
+    blocks = block.units()
+    return Exported([*functions, *blocks], _test(code, labels, vectors, blocks[-1]))
+
+
+def _function(function: Function, style: Style) -> Unit:
+    """An elementary function."""
+    given = [Variable(name, style.real) for name in function.inputs]
+    own = [Variable(local.name, TYPES[local.node.kind]) for local in function.locals]
+    lines = [*lines_of(function.locals), *wrapped(f"{function.name} := {function.result};")]
+    variables = {INPUTS: given, LOCALS: own}
+    return Unit("FUNCTION", function.name, function.meaning, variables, lines, style.real)
+
+
+def distinct(wanted: list[str]) -> list[str]:
+    """Names, of which no two differ by capitals alone: the language takes them for one."""
+    taken: set[str] = set()
+    names = []
+    for base in wanted:
+        name, count = base, 2
+        while name.lower() in taken:
+            name, count = f"{base}_{count}", count + 1
+        taken.add(name.lower())
+        names.append(name)
+    return names
+
+
+class _Block:
+    """The observer's function block, whole or in parts.
+
+    Args:
+        code: what is printed.
+        labels: the words that its files share.
+        style: how numbers and functions are written.
+    """
+
+    def __init__(self, code: Code, labels: Labels, style: Style) -> None:
+        self.code, self.labels, self.style = code, labels, style
+        step, real = code.step, style.real
+        fields = (step.inputs, step.outputs, step.params)
+        names = [[f"{name}_{k}" for name, k in members(field)] for field in fields]
+        names += [[f"{name}_was_{k}" for name, k in members(step.state)]]
+        names += [[f"missing_{k}" for k in range(step.readings)]]
+        names += [[f"read_{k}" for k in range(step.readings)]]
+        names += [[f"next_{name}_{k}" for name, k in members(step.state)]]
+        places = list(itertools.accumulate(map(len, names), initial=0))
+        flat = distinct(list(itertools.chain(*names)))
+        named = [flat[start:end] for start, end in itertools.pairwise(places)]
+        self.inputs, self.outputs, self.params, self.states = named[:4]
+        self.missing, self.read, self.following = named[4:]
+        given = [*self.read, *self.inputs[step.readings :]]
+        entries = {f"s{k}": name for k, name in enumerate(self.states)}
+        entries |= {f"w{k}": name for k, name in enumerate(given)}
+        self.entries = entries | {f"p{k}": name for k, name in enumerate(self.params)}
+        labelled = meanings(code.results, step, 1)
+        for nodes, wanted in zip(code.results, (self.following, self.outputs), strict=True):
+            for node, name in zip(nodes, wanted, strict=True):
+                if node.args:
+                    labelled[node] = name
+        self.locals, self._expressions = print_st.body(code.results, style, self.entries, labelled)
+        self.held = self._expressions.names
+        self.real = real
+
+    @property
+    def called(self) -> set[str]:
+        """The functions that it calls."""
+        return self._expressions.functions
+
+    def units(self) -> list[Unit]:
+        """The parts, if there are any, and the block."""
+        name = f"fb_{self.labels.prefix}"
+        parts = [self.locals]
+        if len(self.locals) > STATEMENTS:
+            starts = range(0, len(self.locals), STATEMENTS)
+            parts = [self.locals[start : start + STATEMENTS] for start in starts]
+        own, lines, units = self.locals, lines_of(self.locals), []
+        if len(parts) > 1:
+            units = [self._part(parts, k, f"{name}_part_{k + 1}") for k in range(len(parts))]
+            own = [local for local in self.locals if local.node in self._passed(parts)]
+            lines = list(itertools.chain(*[_call(unit) for unit in units]))
+        return [*units, self._whole(name, own, units, lines)]
+
+    def _passed(self, parts: list[list[Local]]) -> set[Node]:
+        """The nodes that one part computes and another, or the block, reads."""
+        passed = set(itertools.chain(*self.code.results))
+        for part in parts:
+            inside = {local.node for local in part}
+            for local in part:
+                passed.update(set(print_st.reads(local, self.held)) - inside)
+        return passed
+
+    def _part(self, parts: list[list[Local]], place: int, name: str) -> Unit:
+        """A part of the block."""
+        inside, passed = {local.node for local in parts[place]}, self._passed(parts)
+        needed: dict[str, Node] = {}
+        for local in parts[place]:
+            for node in print_st.reads(local, self.held):
+                if node not in inside:
+                    needed[self._called(node)] = node
+        given = [Variable(text, TYPES[node.kind]) for text, node in needed.items()]
+        variables: dict[str, list[Variable]] = {INPUTS: given, OUTPUTS: [], LOCALS: []}
+        for local in parts[place]:
+            section = OUTPUTS if local.node in passed else LOCALS
+            variables[section].append(_declared(local))
+        meaning = f"Part {place + 1} of {len(parts)}: the block calls it."
+        return Unit("FUNCTION_BLOCK", name, meaning, variables, lines_of(parts[place]))
+
+    def _called(self, node: Node) -> str:
+        """What a local or an input is called."""
+        return self.held[node] if node in self.held else self.entries[node.text]
+
+    def _whole(self, name: str, own: list[Local], parts: list[Unit], lines: list[str]) -> Unit:
+        """The block that is called."""
+        shown = set(self.outputs)
+        held = [_declared(local) for local in own if local.name not in shown]
+        held += [Variable(f"part_{k + 1}", part.name) for k, part in enumerate(parts)]
+        read = [Variable(text, self.real) for text in self.read]
+        copied, stored = self._stored()
+        held += [Variable(text, self.real) for text in copied]
+        variables = {
+            INPUTS: self._inputs(),
+            OUTPUTS: self._fields(self.outputs, self.code.step.outputs),
+            LOCALS: [*self._states(), *read, *held],
+        }
+        values = zip(self.states, self.code.step.start.tolist(), strict=True)
+        start = [f"{each} := {literal(value, self.code.kind)};" for each, value in values]
+        text = [*_if("reset", start), *self._readings(), *lines, *self._shown()]
+        text += [f"{INDENT}{each} := {source};" for each, source in copied.items()]
+        text += _if("NOT hold", stored)
+        step = self.code.step.Ts
+        meaning = f"{one_line(self.labels.title)}: {self.labels.part}, every {step:g} s."
+        return Unit("FUNCTION_BLOCK", name, meaning, variables, text)
+
+    def _inputs(self) -> list[Variable]:
+        """The inputs of the block."""
+        step = self.code.step
+        missing = [
+            Variable(text, "BOOL", f"TRUE: there is no reading {k}")
+            for k, text in enumerate(self.missing)
+        ]
+        starts = [initial(value, self.code.kind) for value in step.defaults.tolist()]
+        tuned = self._fields(self.params, step.params)
+        given = [each._replace(start=(text,)) for each, text in zip(tuned, starts, strict=True)]
+        return [
+            Variable("reset", "BOOL", "TRUE: start anew with this sample"),
+            Variable("hold", "BOOL", "TRUE: show the estimate, remember nothing; call again"),
+            *self._fields(self.inputs, step.inputs),
+            *missing,
+            *given,
+        ]
+
+    def _fields(self, names: list[str], fields: list[Any]) -> list[Variable]:
+        """Variables of the numbers of fields."""
+        texts = itertools.chain(*[[field.meaning] * field.size for field in fields])
+        return [Variable(name, self.real, text) for name, text in zip(names, texts, strict=True)]
+
+    def _states(self) -> list[Variable]:
+        """The memory, with its values at first."""
+        values = self.code.step.start.tolist()
+        starts = [initial(value, self.code.kind) for value in values]
+        known = self._fields(self.states, self.code.step.state)
+        return [each._replace(start=(text,)) for each, text in zip(known, starts, strict=True)]
+
+    def _readings(self) -> list[str]:
+        """Statements that make one that is missing too large to be there."""
+        lines = []
+        for missing, read, y in zip(self.missing, self.read, self.inputs, strict=False):
+            lines += [f"{INDENT}{read} := {y};"]
+            lines += _if(missing, print_st.assigned(read, np.inf, self.code.kind))
+        return lines
+
+    def _shown(self) -> list[str]:
+        """Assignments to outputs that no local of their name fills."""
+        lines = []
+        for node, name in zip(self.code.results[1], self.outputs, strict=True):
+            text = self._expressions.text(node).text
+            if text != name:
+                lines += wrapped(f"{name} := {text};")
+        return lines
+
+    def _stored(self) -> tuple[dict[str, str], list[str]]:
+        """(copies of states that others take over, assignments to the memory)."""
+        copied, stored = {}, []
+        for node, state, name in zip(
+            self.code.results[0], self.states, self.following, strict=True
+        ):
+            text = self._expressions.text(node).text
+            if text in self.states and text != state:
+                copied[name], text = text, name
+            if text != state:
+                stored.append(f"{state} := {text};")
+        return copied, stored
+
+
+def _declared(local: Local) -> Variable:
+    """The variable of a local."""
+    return Variable(local.name, TYPES[local.node.kind])
+
+
+def _call(part: Unit) -> list[str]:
+    """A call of a part, and what it gives."""
+    instance = part.name[part.name.rindex("part_") :]
+    given = ", ".join(f"{each.name} := {each.name}" for each in part.variables[INPUTS])
+    lines = wrapped(f"{instance}({given});")
+    lines += [f"{INDENT}{each.name} := {instance}.{each.name};" for each in part.variables[OUTPUTS]]
+    return lines
+
+
+def _if(truth: str, statements: list[str]) -> list[str]:
+    """Statements under a truth."""
+    inner = [wrapped(statement, 2 * INDENT) for statement in statements]
+    return [f"{INDENT}IF {truth} THEN", *itertools.chain(*inner), f"{INDENT}END_IF;"]
+
+
+def _test(code: Code, labels: Labels, vectors: Vectors, block: Unit) -> Unit:
+    """The self-test: one sample a cycle, each output compared with its reference."""
+    samples, kind = len(vectors.states), code.kind
+    given, expected = vectors.inputs.view(kind), vectors.outputs.view(kind)
+    names = [each.name for each in block.variables[INPUTS] if each.kind != "BOOL"]
+    arguments, checks, tables = [], [], []
+    for k, name in enumerate(names[: given.shape[1]]):
+        values, absent = np.nan_to_num(given[:, k]), np.isnan(given[:, k])
+        tables.append(_table(f"given_{name}", values, kind))
+        arguments.append(f"{name} := given_{name}[sample]")
+        if absent.any():
+            truths = tuple("TRUE" if each else "FALSE" for each in absent)
+            tables.append(Variable(f"no_{name}", f"ARRAY [0..{samples - 1}] OF BOOL", "", truths))
+            arguments.append(f"missing_{k} := no_{name}[sample]")
+    for k, each in enumerate(block.variables[OUTPUTS]):
+        tables.append(_table(f"expected_{each.name}", expected[:, k], kind))
+        wrong = f"block.{each.name} <> expected_{each.name}[sample]"
+        checks.append(f"IF {wrong} THEN failures := failures + 1; END_IF;")
+    calls = [f"block(hold := {truth}, {', '.join(arguments)});" for truth in ("TRUE", "FALSE")]
+    told = [
+        Variable("done", "BOOL", f"TRUE after {samples} cycles"),
+        Variable("passed", "BOOL", "TRUE then: every output agrees with its reference"),
+        Variable("failures", "INT", "outputs that differ"),
+    ]
+    own = [Variable("sample", "INT", "the next one"), Variable("block", block.name), *tables]
+    lines = [
+        *_if(f"sample < {samples}", [*calls, *checks, "sample := sample + 1;"]),
+        f"{INDENT}done := sample = {samples};",
+        f"{INDENT}passed := done AND (failures = 0);",
+    ]
+    meaning = f"Self-test of {block.name}, one sample a cycle: done, then passed."
+    return Unit("PROGRAM", f"{labels.prefix}_test", meaning, {OUTPUTS: told, LOCALS: own}, lines)
+
+
+def _table(name: str, values: Any, kind: str) -> Variable:
+    """An array of numbers."""
+    texts = tuple(initial(value, kind) for value in values.tolist())
+    return Variable(name, f"ARRAY [0..{len(texts) - 1}] OF {TYPES[kind]}", "", texts)
+
+
+# --- As text
+
+
+def text_of(units: list[Unit], labels: Labels, code: Code) -> str:
+    """The text of a file.
+
+    Args:
+        units: what it holds.
+        labels: the words that the files share.
+        code: what is printed.
+    """
+    head = [
+        f"{labels.prefix}: {labels.part}, {TYPES[code.kind]}; hash {code.hash}.",
+        f"Written by undeadzone {undeadzone.__version__}; do not edit.",
+        "SPDX-License-Identifier: BSD-3-Clause",
+    ]
+    lines = [_remark("\n   ".join(head))]
+    for unit in units:
+        lines += ["", _remark(_plain(unit.meaning)), *_unit(unit)]
+    return "\n".join([*lines, ""])
+
+
+def _unit(unit: Unit) -> list[str]:
+    """The lines of a unit."""
+    returned = f" : {unit.returns}" if unit.returns else ""
+    lines = [f"{unit.keyword} {unit.name}{returned}"]
+    for section, variables in unit.variables.items():
+        if variables:
+            lines += [section, *itertools.chain(*map(_declaration, variables)), "END_VAR"]
+    return [*lines, *unit.lines, f"END_{unit.keyword}"]
+
+
+def _declaration(variable: Variable) -> list[str]:
+    """The lines of a declaration."""
+    start = ", ".join(variable.start)
+    given = f" := [{start}]" if variable.is_array else f" := {start}"
+    lines = wrapped(f"{variable.name} : {variable.kind}{given if variable.start else ''};")
+    if variable.meaning:
+        lines[-1] += f" {_remark(_plain(variable.meaning))}"
+    return lines
+
+
+def _plain(text: str) -> str:
+    """A text that may stand in a comment, which nothing in it ends; ASCII, as editors are old."""
+    line = one_line(text).encode("ascii", "replace").decode()
+    return line.replace("*)", "* )").replace("(*", "( *")
+
+
+def _remark(text: str) -> str:
+    """A comment."""
+    return f"(* {text} *)"
