@@ -7,7 +7,6 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-import undeadzone
 from undeadzone.compile import elementary, print_st
 from undeadzone.compile.graph import Node
 from undeadzone.compile.print_c import INDENT, Local, Style, lines_of, wrapped
@@ -167,45 +166,45 @@ class _Block:
     def units(self) -> list[Unit]:
         """The parts, if there are any, and the block."""
         name = f"fb_{self.labels.prefix}"
-        parts = [self.locals]
-        if len(self.locals) > STATEMENTS:
-            starts = range(0, len(self.locals), STATEMENTS)
-            parts = [self.locals[start : start + STATEMENTS] for start in starts]
-        own, lines, units = self.locals, lines_of(self.locals), []
-        if len(parts) > 1:
-            units = [self._part(parts, k, f"{name}_part_{k + 1}") for k in range(len(parts))]
-            own = [local for local in self.locals if local.node in self._passed(parts)]
-            lines = list(itertools.chain(*[_call(unit) for unit in units]))
-        return [*units, self._whole(name, own, units, lines)]
-
-    def _passed(self, parts: list[list[Local]]) -> set[Node]:
-        """The nodes that one part computes and another, or the block, reads."""
-        passed = set(itertools.chain(*self.code.results))
-        for part in parts:
+        if len(self.locals) <= STATEMENTS:
+            return [self._whole(name, self.locals, [], lines_of(self.locals))]
+        shared = set(itertools.chain(*self.code.results))
+        parts = []
+        for start in range(0, len(self.locals), STATEMENTS):
+            part = self.locals[start : start + STATEMENTS]
             inside = {local.node for local in part}
-            for local in part:
-                passed.update(set(print_st.reads(local, self.held)) - inside)
-        return passed
+            read = itertools.chain(*[print_st.reads(local, self.held) for local in part])
+            given = {node: None for node in read if node not in inside}
+            shared.update(given)
+            parts.append((part, given))
+        units = []
+        for place, (part, given) in enumerate(parts):
+            meaning = f"Part {place + 1} of {len(parts)}: the block calls it."
+            variables = self._of_part(part, list(given), shared)
+            unit = (f"{name}_part_{place + 1}", meaning, variables, lines_of(part))
+            units.append(Unit("FUNCTION_BLOCK", *unit))
+        own = [local for local in self.locals if local.node in shared]
+        calls = list(itertools.chain(*map(_call, units)))
+        return [*units, self._whole(name, own, units, calls)]
 
-    def _part(self, parts: list[list[Local]], place: int, name: str) -> Unit:
-        """A part of the block."""
-        inside, passed = {local.node for local in parts[place]}, self._passed(parts)
-        needed: dict[str, Node] = {}
-        for local in parts[place]:
-            for node in print_st.reads(local, self.held):
-                if node not in inside:
-                    needed[self._called(node)] = node
-        given = [Variable(text, TYPES[node.kind]) for text, node in needed.items()]
-        variables: dict[str, list[Variable]] = {INPUTS: given, OUTPUTS: [], LOCALS: []}
-        for local in parts[place]:
-            section = OUTPUTS if local.node in passed else LOCALS
+    def _of_part(
+        self, part: list[Local], given: list[Node], shared: set[Node]
+    ) -> dict[str, list[Variable]]:
+        """The variables of a part.
+
+        Args:
+            part: what it computes.
+            given: what it reads.
+            shared: what is read outside of the part that computes it.
+        """
+        names = [self.held.get(node) or self.entries[node.text] for node in given]
+        variables: dict[str, list[Variable]] = {INPUTS: [], OUTPUTS: [], LOCALS: []}
+        for node, name in zip(given, names, strict=True):
+            variables[INPUTS].append(Variable(name, TYPES[node.kind]))
+        for local in part:
+            section = OUTPUTS if local.node in shared else LOCALS
             variables[section].append(_declared(local))
-        meaning = f"Part {place + 1} of {len(parts)}: the block calls it."
-        return Unit("FUNCTION_BLOCK", name, meaning, variables, lines_of(parts[place]))
-
-    def _called(self, node: Node) -> str:
-        """What a local or an input is called."""
-        return self.held[node] if node in self.held else self.entries[node.text]
+        return variables
 
     def _whole(self, name: str, own: list[Local], parts: list[Unit], lines: list[str]) -> Unit:
         """The block that is called."""
@@ -348,56 +347,3 @@ def _table(name: str, values: Any, kind: str) -> Variable:
     """An array of numbers."""
     texts = tuple(initial(value, kind) for value in values.tolist())
     return Variable(name, f"ARRAY [0..{len(texts) - 1}] OF {TYPES[kind]}", "", texts)
-
-
-# --- As text
-
-
-def text_of(units: list[Unit], labels: Labels, code: Code) -> str:
-    """The text of a file.
-
-    Args:
-        units: what it holds.
-        labels: the words that the files share.
-        code: what is printed.
-    """
-    head = [
-        f"{labels.prefix}: {labels.part}, {TYPES[code.kind]}; hash {code.hash}.",
-        f"Written by undeadzone {undeadzone.__version__}; do not edit.",
-        "SPDX-License-Identifier: BSD-3-Clause",
-    ]
-    lines = [_remark("\n   ".join(head))]
-    for unit in units:
-        lines += ["", _remark(_plain(unit.meaning)), *_unit(unit)]
-    return "\n".join([*lines, ""])
-
-
-def _unit(unit: Unit) -> list[str]:
-    """The lines of a unit."""
-    returned = f" : {unit.returns}" if unit.returns else ""
-    lines = [f"{unit.keyword} {unit.name}{returned}"]
-    for section, variables in unit.variables.items():
-        if variables:
-            lines += [section, *itertools.chain(*map(_declaration, variables)), "END_VAR"]
-    return [*lines, *unit.lines, f"END_{unit.keyword}"]
-
-
-def _declaration(variable: Variable) -> list[str]:
-    """The lines of a declaration."""
-    start = ", ".join(variable.start)
-    given = f" := [{start}]" if variable.is_array else f" := {start}"
-    lines = wrapped(f"{variable.name} : {variable.kind}{given if variable.start else ''};")
-    if variable.meaning:
-        lines[-1] += f" {_remark(_plain(variable.meaning))}"
-    return lines
-
-
-def _plain(text: str) -> str:
-    """A text that may stand in a comment, which nothing in it ends; ASCII, as editors are old."""
-    line = one_line(text).encode("ascii", "replace").decode()
-    return line.replace("*)", "* )").replace("(*", "( *")
-
-
-def _remark(text: str) -> str:
-    """A comment."""
-    return f"(* {text} *)"

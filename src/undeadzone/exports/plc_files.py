@@ -1,0 +1,146 @@
+"""Units of Structured Text as files: as text, and as XML of PLCopen (TC6, version 2.01)."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Final
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
+
+import undeadzone
+from undeadzone.compile.print_c import wrapped
+from undeadzone.compile.print_st import TYPES
+from undeadzone.exports.code import Code
+from undeadzone.exports.plc import Unit, Variable
+from undeadzone.exports.source import Labels
+from undeadzone.support.text import one_line
+
+SCHEMA: Final = "http://www.plcopen.org/xml/tc6_0201"
+_XHTML: Final = "http://www.w3.org/1999/xhtml"
+_MADE: Final = "2000-01-01T00:00:00"  # the same bytes at each export
+_SECTIONS: Final = {"VAR_INPUT": "inputVars", "VAR_OUTPUT": "outputVars", "VAR": "localVars"}
+_KINDS: Final = {"FUNCTION": "function", "FUNCTION_BLOCK": "functionBlock", "PROGRAM": "program"}
+
+
+def text_of(units: list[Unit], labels: Labels, code: Code) -> str:
+    """The text of a file.
+
+    Args:
+        units: what it holds.
+        labels: the words that the files share.
+        code: what is printed.
+    """
+    head = [
+        f"{labels.prefix}: {labels.part}, {TYPES[code.kind]}; hash {code.hash}.",
+        f"Written by undeadzone {undeadzone.__version__}; do not edit.",
+        "SPDX-License-Identifier: BSD-3-Clause",
+    ]
+    lines = [_remark("\n   ".join(head))]
+    for unit in units:
+        lines += ["", _remark(_plain(unit.meaning)), *_unit(unit)]
+    return "\n".join([*lines, ""])
+
+
+def _unit(unit: Unit) -> list[str]:
+    """The lines of a unit."""
+    returned = f" : {unit.returns}" if unit.returns else ""
+    lines = [f"{unit.keyword} {unit.name}{returned}"]
+    for section, variables in unit.variables.items():
+        if variables:
+            lines += [section, *itertools.chain(*map(_declaration, variables)), "END_VAR"]
+    return [*lines, *unit.lines, f"END_{unit.keyword}"]
+
+
+def _declaration(variable: Variable) -> list[str]:
+    """The lines of a declaration."""
+    start = ", ".join(variable.start)
+    given = f" := [{start}]" if variable.is_array else f" := {start}"
+    lines = wrapped(f"{variable.name} : {variable.kind}{given if variable.start else ''};")
+    if variable.meaning:
+        lines[-1] += f" {_remark(_plain(variable.meaning))}"
+    return lines
+
+
+def _plain(text: str) -> str:
+    """A text that may stand in a comment, which nothing in it ends; ASCII, as editors are old."""
+    line = one_line(text).encode("ascii", "replace").decode()
+    return line.replace("*)", "* )").replace("(*", "( *")
+
+
+def _remark(text: str) -> str:
+    """A comment."""
+    return f"(* {text} *)"
+
+
+# --- As XML
+
+
+def xml_of(units: list[Unit], labels: Labels, code: Code) -> str:
+    """The text of a file that development systems import.
+
+    Args:
+        units: what it holds.
+        labels: the words that the files share.
+        code: what is printed.
+    """
+    root = Element("project", {"xmlns": SCHEMA})
+    words = {"productName": "undeadzone export", "productVersion": undeadzone.__version__}
+    maker = {"companyName": "undeadzone", "creationDateTime": _MADE}
+    SubElement(root, "fileHeader", maker | words, contentDescription=f"hash {code.hash}")
+    header = SubElement(root, "contentHeader", name=labels.prefix, modificationDateTime=_MADE)
+    information = SubElement(header, "coordinateInfo")
+    for language in ("fbd", "ld", "sfc"):
+        SubElement(SubElement(information, language), "scaling", x="1", y="1")
+    types = SubElement(root, "types")
+    SubElement(types, "dataTypes")
+    pous = SubElement(types, "pous")
+    for unit in units:
+        _pou(pous, unit)
+    SubElement(SubElement(root, "instances"), "configurations")
+    ElementTree.indent(root, " ")
+    return '<?xml version="1.0" encoding="utf-8"?>\n' + ElementTree.tostring(root, "unicode") + "\n"
+
+
+def _pou(pous: Element, unit: Unit) -> None:
+    """Add a unit."""
+    pou = SubElement(pous, "pou", name=unit.name, pouType=_KINDS[unit.keyword])
+    interface = SubElement(pou, "interface")
+    if unit.returns:
+        SubElement(SubElement(interface, "returnType"), unit.returns)
+    for section, variables in unit.variables.items():
+        if variables:
+            group = SubElement(interface, _SECTIONS[section])
+            for variable in variables:
+                _variable(group, variable)
+    _words(interface, "documentation", unit.meaning)
+    body = SubElement(pou, "body")
+    _words(body, "ST", "\n".join(unit.lines))
+
+
+def _variable(group: Element, variable: Variable) -> None:
+    """Add a variable."""
+    declared = SubElement(group, "variable", name=variable.name)
+    kind = SubElement(declared, "type")
+    if variable.is_array:
+        array = SubElement(kind, "array")
+        SubElement(array, "dimension", lower="0", upper=str(len(variable.start) - 1))
+        kind = SubElement(array, "baseType")
+    name = variable.kind.rpartition(" ")[2]
+    if name in (*TYPES.values(), "INT"):
+        SubElement(kind, name)
+    else:
+        SubElement(kind, "derived", name=name)
+    if variable.start:
+        value = SubElement(declared, "initialValue")
+        if variable.is_array:
+            value = SubElement(value, "arrayValue")
+        for text in variable.start:
+            entry = SubElement(value, "value") if variable.is_array else value
+            SubElement(entry, "simpleValue", value=text)
+    if variable.meaning:
+        _words(declared, "documentation", variable.meaning)
+
+
+def _words(parent: Element, tag: str, text: str) -> None:
+    """Add a text."""
+    SubElement(SubElement(parent, tag), "xhtml", xmlns=_XHTML).text = text
