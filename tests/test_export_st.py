@@ -6,7 +6,7 @@ import functools
 import re
 import shutil
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from structured_text import Reader
-from test_engines import OBSERVERS, PENDULUM, TWO_OUTPUTS, small
+from test_engines import CONTROLLERS, OBSERVERS, PENDULUM, TWO_OUTPUTS, small
 from test_export import EXPORTED
 from tools import require
 from undeadzone.compile import elementary
@@ -90,10 +90,13 @@ def corrupted(rows: Any, seed: int) -> Any:
 @functools.cache
 def run_of(plant: str = "") -> Any:
     """The inputs along a run of one of the plants, corrupted."""
-    plants = {"": {}, "two": {"plant": TWO_OUTPUTS}}
-    scenario = observer("certified", **plants[plant])
+    changes = {"plant": TWO_OUTPUTS, "observer": {"method": "certified", "gamma": 5.0}}
+    scenario = small("sampled", **changes) if plant == "two" else observer("certified")
     problem = continued(scenario, SAMPLES)
     return corrupted(recorded(problem, parts.build(problem)), 7)
+
+
+DOMAINS = {"log1p": "x > -1", "pow": "x > 0", "acosh": "x >= 1", "atanh": "x > -1 && x < 1"}
 
 
 DRIVER = """
@@ -144,23 +147,26 @@ def by_c(made: Made, rows: Any, folder: Path) -> Any:
     return driven('#include <string.h>\n#include "o.c"\n', made, rows, folder, declared, step)
 
 
-def in_c(made: Made, name: str, real: str) -> tuple[str, str]:
-    """Statements that start and step an instance of the block; `real` makes a field of a name."""
+def step_of(made: Made, call: str, form: str, letters: Callable[[str], str]) -> str:
+    """Statements that step an instance of the block; `form` and `letters` make a field of a name."""
     block = made.units[-1].variables
     inputs = [each.name for each in block["VAR_INPUT"] if each.kind != "BOOL"]
     shown = [each.name for each in block["VAR_OUTPUT"]]
     shown += [each.name for each in block["VAR"] if each.start]
     count = sum(field.size for field in made.code.step.inputs)
-    lines = [f"{real.format(text)} = row[{k}];" for k, text in enumerate(inputs[:count])]
-    lines.append(name)
-    lines += [f"seen[{k}] = {real.format(text)};" for k, text in enumerate(shown)]
-    return "", "\n".join(lines)
+
+    def member(name: str) -> str:
+        return f"block.{form.format(letters(name))}"
+
+    lines = [f"{member(name)} = row[{k}];" for k, name in enumerate(inputs[:count])]
+    lines.append(call)
+    lines += [f"seen[{k}] = {member(name)};" for k, name in enumerate(shown)]
+    return "\n".join(lines)
 
 
 def by_reader(made: Made, rows: Any, folder: Path, wide: str = "") -> Any:
     """Outputs and memory of the Structured Text, as the reader's C has them."""
-    _, step = in_c(made, "fb_o_body(&block);", "block.{}")
-    step = re.sub(r"block\.(\w+)", lambda match: f"block.{match[1].lower()}", step)
+    step = step_of(made, "fb_o_body(&block);", "{}", str.lower)
     start = "static fb_o block; fb_o_init(&block);"
     return driven(Reader(made.blocks, wide).c(), made, rows, folder, start, step)
 
@@ -174,8 +180,7 @@ def by_iec2c(made: Made, rows: Any, folder: Path) -> Any:
     command = [found, "-I", library, "-T", folder, folder / "u.st"]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    _, step = in_c(made, "FB_O_body__(&block);", "block.{}")
-    step = re.sub(r"block\.(\w+)", lambda match: f"block.{match[1].upper()}.value", step)
+    step = step_of(made, "FB_O_body__(&block);", "{}.value", str.upper)
     text = '#include "POUS.h"\n#include "POUS.c"\nTIME __CURRENT_TIME; BOOL __DEBUG;\n'
     include = f"-I{library / 'C'}"
     start = "static FB_O block; FB_O_init__(&block, 0);"
@@ -189,11 +194,176 @@ def assert_same_bits(first: Any, second: Any) -> None:
     assert not differ.any(), (np.argwhere(differ)[:5], first[differ][:5], second[differ][:5])
 
 
-@pytest.mark.parametrize("single", [True, False], ids=["REAL", "LREAL"])
+PRECISIONS = pytest.mark.parametrize("single", [True, False], ids=["REAL", "LREAL"])
+
+
+@PRECISIONS
 @pytest.mark.parametrize("method", [name for name in EXPORTED if name != "auto"])
 def test_every_observer_has_the_bits_of_the_c(method: str, single: bool, tmp_path: Path) -> None:
+    """Outputs and memory along 10,000 corrupted samples; by the true compiler, where there is one."""
     each, rows = made(observer(method), single), run_of()
     expected = by_c(each, rows, tmp_path)
     assert_same_bits(by_reader(each, rows, tmp_path), expected)
     if shutil.which("iec2c"):
         assert_same_bits(by_iec2c(each, rows, tmp_path), expected)
+
+
+@PRECISIONS
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"sensor": {"kind": "jump", "noise": 0.05}},
+        {"sensor": {"range": [-3.0, 3.0]}},
+        {"plant": TWO_OUTPUTS, "observer": {"method": "certified", "gamma": 5.0}},
+        {"plant": PENDULUM, "observer": {"method": "certified", "L": [1.0, 0.0]},
+         "reference": {"kind": "sine", "amplitude": 1.0, "frequency": 0.5},
+         "simulation": {"duration": 3.0, "step": 1e-2, "substeps": 1}},
+    ],
+    ids=["jump", "range", "two outputs", "nonlinear"],
+)  # fmt: skip
+def test_every_kind_of_plant_and_sensor(
+    changes: dict[str, Any], single: bool, tmp_path: Path
+) -> None:
+    each = made(small("sampled", **changes), single)
+    rows = run_of("two" if changes.get("plant") is TWO_OUTPUTS else "")
+    assert_same_bits(by_reader(each, rows, tmp_path), by_c(each, rows, tmp_path))
+
+
+@pytest.mark.parametrize("controller", ["state_feedback", "pid"])
+def test_with_its_controller_and_tunable_numbers(controller: str, tmp_path: Path) -> None:
+    options = {"method": controller} | CONTROLLERS[controller][1]
+    tunable = ("observer.gamma", "sensor.threshold")
+    scenario = small("sampled", controller=options)
+    each = made(scenario, True, "observer+controller", tunable=tunable)
+    problem = resolve_scenario(scenario)
+    rows = corrupted(recorded(problem, each.code.step), 3)
+    assert_same_bits(by_reader(each, rows, tmp_path), by_c(each, rows, tmp_path))
+    assert "observer_gamma_0 : REAL := 0." in each.blocks
+
+
+@pytest.mark.parametrize("wide", ["double", "long double"])
+@pytest.mark.parametrize("method", ["certified", "kalman"])
+def test_real_has_floats_bits_where_expressions_are_wider(
+    method: str, wide: str, tmp_path: Path
+) -> None:
+    """Compilers that keep products of REAL in LREAL or in 80 bits round where a value is stored."""
+    each, rows = made(observer(method), True), run_of()
+    assert_same_bits(by_reader(each, rows, tmp_path, wide), by_c(each, rows, tmp_path))
+
+
+@pytest.mark.parametrize("method", ["certified", "kalman"])
+def test_readings_that_are_marked_missing_stop_no_plc(method: str, tmp_path: Path) -> None:
+    """No operation is invalid and none divides by zero, so that no exception is raised."""
+    problem = resolve_scenario(observer(method))
+    rows = recorded(problem, parts.build(problem))
+    rows[::10, 0] = 3e38  # what `missing` makes of a reading
+    each = made(observer(method), True)
+    text = f"#include <fenv.h>\n{Reader(each.blocks).c()}"
+    step = step_of(each, "fb_o_body(&block);", "{}", str.lower)
+    step += "if (fetestexcept(FE_INVALID | FE_DIVBYZERO)) { return 1; }"
+    start = "static fb_o block; fb_o_init(&block);"
+    seen = driven(text, each, rows, tmp_path, start, step)
+    assert len(seen) == len(rows)
+
+
+def selftested(text: str, folder: Path, cycles: int) -> tuple[int, ...]:
+    """(done, passed, failures) of the self-test's program after some cycles."""
+    main = f"""
+    #include <stdio.h>
+    int main(void) {{
+        static o_test test; o_test_init(&test);
+        for (int k = 0; k < {cycles}; k++) {{ o_test_body(&test); }}
+        return printf("%d %d %d", test.done, test.passed, test.failures) < 0;
+    }}
+    """
+    (folder / "t.c").write_text(Reader(text).c() + main)
+    program = folder / "t"
+    subprocess.run(["gcc", *FLAGS, "-o", program, folder / "t.c", "-lm"], check=True)
+    said = subprocess.run([program], capture_output=True, text=True, check=True).stdout
+    return tuple(map(int, said.split()))
+
+
+@PRECISIONS
+def test_the_self_test_passes_and_notices_every_sign(single: bool, tmp_path: Path) -> None:
+    each = made(observer("certified"), single)
+    samples = len(chosen(np.zeros((200, 2)), 1))
+    assert selftested(each.blocks + each.test, tmp_path, samples - 1)[:2] == (0, 0)
+    assert selftested(each.blocks + each.test, tmp_path, samples + 5) == (1, 1, 0)
+    signs = [match.start() + 1 for match in re.finditer(r" [+-] ", each.blocks)]
+    assert len(signs) > 8
+    for place in signs:
+        flipped = "-" if each.blocks[place] == "+" else "+"
+        text = each.blocks[:place] + flipped + each.blocks[place + 1 :]
+        assert selftested(text + each.test, tmp_path, samples)[1] == 0, each.blocks[place - 40 :][:80]
+
+
+def test_reset_starts_anew_and_hold_remembers_nothing(tmp_path: Path) -> None:
+    each, rows = made(observer("kalman"), True), run_of()[:200]
+    expected = by_c(each, np.vstack([rows, rows]), tmp_path)
+    expected = np.vstack([expected[:200], by_c(each, rows, tmp_path)])
+    step = step_of(each, "block.hold = 1; fb_o_body(&block); block.hold = 0; fb_o_body(&block);",
+                   "{}", str.lower)  # fmt: skip
+    step = f"static int k; block.reset = k++ == 200; {step}"
+    step = step.replace("block.hold = 0;", "block.hold = 0; block.reset = k == 201;")
+    start = "static fb_o block; fb_o_init(&block);"
+    text = Reader(each.blocks).c()
+    assert_same_bits(
+        driven(text, each, np.vstack([rows, rows]), tmp_path, start, step), expected
+    )
+
+
+@PRECISIONS
+def test_elementary_functions_have_the_bits_of_the_c(single: bool, tmp_path: Path) -> None:
+    """Without bits of numbers: by exact products and sums."""
+    kind, real = ("float32", "float") if single else ("float64", "double")
+    random, limits = np.random.default_rng(1), np.finfo(kind)
+    powers = random.uniform(np.log2(limits.smallest_subnormal) + 1, np.log2(limits.max), 3000)
+    values = [2.0**powers, -(2.0**powers), random.uniform(-100, 100, 3000), np.arange(-40.0, 40.0)]
+    edges = [0.0, -0.0, np.inf, -np.inf, float(limits.max), float(limits.smallest_subnormal), 7999.0]
+    np.concatenate([*values, edges]).astype(kind).tofile(tmp_path / "values")
+    names = list(elementary.FUNCTIONS)
+    style = style_of(kind, "o")
+    units = [plc.function_unit(name, style) for name in elementary.BITLESS]
+    labels, printed = LABELS, made(observer("certified"), single).code
+    text = Reader(plc_files.text_of(units, labels, printed)).c()
+    theirs = "\n".join(functions(names, set(names), Style(kind, "c")))
+    calls = []
+    for name in names:
+        second = ", y" if len(elementary.formula(name, kind).inputs) == 2 else ""
+        call = f'check("{name}", o_{name}(x{second}), c_{name}(x{second}), x, y);'
+        calls.append(f"if ({DOMAINS.get(name, '1')}) {{ {call} }}")
+    main = f"""
+    #include <stdio.h>
+    #include <stdbool.h>
+    #include <stdint.h>
+    #include <string.h>
+    #include <float.h>
+    {theirs}
+    static int wrong;
+    static {real} seen({real} a) {{
+        const {real} most = {"FLT_MAX" if single else "DBL_MAX"};
+        return isnan(a) ? most : (a > most ? most : (a < -most ? -most : a));
+    }}
+    static void check(const char *name, {real} a, {real} b, {real} x, {real} y) {{
+        a = seen(a); b = seen(b);
+        if (memcmp(&a, &b, sizeof a)) {{
+            wrong++;
+            if (wrong < 20) printf("%s(%a, %a) = %a, not %a\\n", name, x, y, a, b);
+        }}
+    }}
+    int main(void) {{
+        static {real} all[20000];
+        FILE *from = fopen("values", "rb");
+        const size_t count = fread(all, sizeof all[0], 20000, from);
+        for (size_t k = 0; k < count; k++) {{
+            const {real} x = all[k], y = all[(k * 37 + 11) % count];
+            {" ".join(calls)}
+        }}
+        return wrong != 0 || count < 9000;
+    }}
+    """
+    (tmp_path / "f.c").write_text(text + main)
+    program = tmp_path / "f"
+    subprocess.run(["gcc", *FLAGS, "-o", program, tmp_path / "f.c", "-lm"], check=True)
+    done = subprocess.run([program], capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 0, done.stdout

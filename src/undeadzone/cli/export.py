@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @click.command(epilog="Example: undeadzone export mine.toml --to c --out firmware --check")
 @click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
-@option("--to", "WHAT", "c (default), arduino, fmu2, fmu3, python or page.", default="c")
+@option("--to", "WHAT", "c (default), arduino, st, fmu2, fmu3, python or page.", default="c")
 @option(
     "--out",
     "DIR",
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     "(default: live.html).",
     type=PATH,
 )
-@option("--precision", "P", "single (default of c and arduino) or double (default of the others).")
+@option("--precision", "P", "single (default of c, arduino and st) or double (default of the others).")
 @option("--part", "PART", "observer (default) or observer+controller.", default="observer")
 @option(
     "--tunable",
@@ -66,9 +66,9 @@ def export(
 ) -> int:
     """Write a scenario's observer, and its controller if asked, so that it runs elsewhere.
 
-    As C99 for firmware, as an FMU for Simulink, Modelica and others, or as a Python module. A
-    folder of C holds the code, a self-test with reference vectors as bits, build files, README and
-    manifest. Single precision is run beside double along the scenario's own run.
+    As C99 for firmware, as Structured Text (st) for a PLC, as an FMU for Simulink, Modelica and
+    others, or as a Python module. A folder of C holds the code, a self-test with reference vectors
+    as bits, build files, README and manifest. Single precision is run beside double along the scenario's own run.
     Exit code 1: the self-test or the accuracy fails; the files are written all the same.
     Of an earlier export in the folder its files are replaced, others stay; one that was edited, or
     a folder that is no export, is refused without --force.

@@ -168,7 +168,8 @@ def exp(m: Maths, x: Any) -> Any:
 
 def expm1(m: Maths, x: Any) -> Any:
     """e^x - 1, from half of it."""
-    n, part = raised(m, m.select(x < -50.0, -50.0, m.select(x > m.c.most, m.c.most, x)))
+    most = (m.c.bias + 1.25) * math.log(2)  # infinite, by the largest n that has a power
+    n, part = raised(m, m.select(x < -50.0, -50.0, m.select(x > most, most, x)))
     half = power(m, n + (m.c.shift - 1.0))
     return 2.0 * m.fma(half, part, half - 0.5)
 

@@ -34,7 +34,7 @@ _SIGNS: Final = {
 _OF_TRUTHS: Final = {"and": "&&", "or": "||", "ne": "!="}
 _SUMS: Final = ("+", "-")
 _ALIKE: Final = ("*", "&&", "||", "AND", "OR")  # go without parentheses in their own operands
-_BREAKS: Final = ("+", "-", "*", "/", "?", ":", "=", ":=", *_ALIKE[1:])
+_BREAKS: Final = ("+", "-", "*", "/", "?", ":", "=", *_ALIKE[1:])
 
 
 class Grammar(NamedTuple):

@@ -23,13 +23,14 @@ from undeadzone.exports.page.build import write_page
 from undeadzone.exports.parts import Field, identifier, total
 from undeadzone.exports.source import Labels, Source, source
 from undeadzone.exports.targets import Material
-from undeadzone.exports.vectors import chosen, continued, recorded, reference, selftest
+from undeadzone.exports.vectors import chosen, continued, recorded, reference
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.support.arrays import Floats
 
 PRECISIONS = ("single", "double")
 FIRMWARE = ("c", "arduino")  # targets whose boards matter
+ELSEWHERE = ("arduino", "st")  # targets whose self-test runs on the target alone
 STEPS = 100_000  # of the comparison of float with double, at least
 NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
 
@@ -68,16 +69,17 @@ def export(
 
     Args:
         scenario: a scenario with simulation.time = "sampled".
-        to: "c"; "arduino" for a library of the Arduino IDE; "fmu2" or "fmu3" for an FMU for
-            co-simulation; "python" for a module that needs no undeadzone;
+        to: "c"; "arduino" for a library of the Arduino IDE; "st" for Structured Text of
+            IEC 61131-3; "fmu2" or "fmu3" for an FMU for co-simulation; "python" for a module that needs no undeadzone;
             "page" for one HTML file in which the scenario's loop runs.
         out: folder for the files, or the HTML file; replaced if it is an earlier export. Other
             files in the folder stay.
-        precision: "single" for float, or "double"; default: double but for "c" and "arduino".
+        precision: "single" for float, or "double"; default: double but for "c", "arduino" and "st".
         part: "observer", or "observer+controller".
         tunable: numbers that stay parameters of the code, such as "observer.gamma".
         name: what every symbol begins with; default: made of the scenario's title.
-        check: also build the self-test with this computer's compiler and run it (not for Arduino).
+        check: also build the self-test with this computer's compiler and run it (not for Arduino
+            and Structured Text, whose self-tests run there).
         force: replace files that someone else wrote or edited, where they are in the way; other
             files stay all the same.
 
@@ -114,11 +116,11 @@ def export(
         if not all(fit.fits for fit in found):
             report["leaner"] = _leaner(scenario, part, printed.single)
     vectors = reference(printed, chosen(rows[: problem.steps + 1], step.readings))
-    tested = selftest(printed, prefix, vectors)
-    files = targets.files(to, Material(printed, text, tested, scenario.units, report))
+    material = Material(printed, text, vectors, scenario.units, report)
+    files = targets.files(to, material)
     written = targets.write_folder(files, Path(out), force)
-    if check and to != "arduino":
-        passed, said = compiler.self_tested(text.files(prefix) | {f"{prefix}_test.c": tested})
+    if check and to not in ELSEWHERE:
+        passed, said = compiler.self_tested(material.c_files)
         report["self_test"] = said
         if not passed:
             report["refusals"] = [*report["refusals"], f"the self-test fails: {said}"]

@@ -10,7 +10,7 @@ import numpy as np
 from undeadzone.compile import elementary, print_st
 from undeadzone.compile.graph import Node
 from undeadzone.compile.print_c import INDENT, Local, Style, lines_of, wrapped
-from undeadzone.compile.print_st import TYPES, Function, initial, literal
+from undeadzone.compile.print_st import TYPES, initial, literal
 from undeadzone.exports.code import Code
 from undeadzone.exports.parts import members
 from undeadzone.exports.source import Labels, meanings
@@ -93,15 +93,20 @@ def exported(code: Code, labels: Labels, vectors: Vectors) -> Exported:
     """
     style = print_st.style_of(code.kind, labels.prefix)
     block = _Block(code, labels, style)
-    functions = []
-    for name in elementary.needed(block.called, code.kind, bitless=True):
-        functions.append(_function(print_st.function(name, style), style))
+    names = elementary.needed(block.called, code.kind, bitless=True)
+    functions = [function_unit(name, style) for name in names]
     blocks = block.units()
     return Exported([*functions, *blocks], _test(code, labels, vectors, blocks[-1]))
 
 
-def _function(function: Function, style: Style) -> Unit:
-    """An elementary function."""
+def function_unit(name: str, style: Style) -> Unit:
+    """An elementary function.
+
+    Args:
+        name: one of `elementary.BITLESS`.
+        style: how numbers and functions are written.
+    """
+    function = print_st.function(name, style)
     given = [Variable(name, style.real) for name in function.inputs]
     own = [Variable(local.name, TYPES[local.node.kind]) for local in function.locals]
     lines = [*lines_of(function.locals), *wrapped(f"{function.name} := {function.result};")]
