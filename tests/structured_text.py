@@ -11,21 +11,20 @@ import re
 from dataclasses import dataclass, field
 
 # Keywords, types and standard functions and blocks, which no name may be (tables 1, 10, 22 to 37).
-RESERVED = frozenset(
-    """
-    abs acos action add and any any_bit any_date any_int any_num any_real array asin at atan bool by
-    byte case concat configuration constant cos ctd ctu ctud date date_and_time delete dint div do
-    dt dword else elsif en end_action end_case end_configuration end_for end_function
-    end_function_block end_if end_program end_repeat end_resource end_step end_struct
-    end_transition end_type end_var end_while eno eq exit exp expt f_edge f_trig false find for from
-    function function_block ge gt if initial_step insert int ld le left len limit lint ln log lreal
-    lt lword max mid min mod move mul mux ne non_retain not of on or priority program r_edge r_trig
-    read_only read_write real repeat replace resource retain return right rol ror rs sel sema shl
-    shr sin single sint sqrt sr st step string struct sub tan task then time time_of_day to tod tof
-    ton tp transition true trunc type udint uint ulint until usint var var_access var_config
-    var_external var_global var_in_out var_input var_output var_temp while with word wstring xor
-    """.split()
-)
+WORDS = """
+abs acos action add and any any_bit any_date any_int any_num any_real array asin at atan bool by
+byte case concat configuration constant cos ctd ctu ctud date date_and_time delete dint div do dt
+dword else elsif en end_action end_case end_configuration end_for end_function end_function_block
+end_if end_program end_repeat end_resource end_step end_struct end_transition end_type end_var
+end_while eno eq exit exp expt f_edge f_trig false find for from function function_block ge gt if
+initial_step insert int ld le left len limit lint ln log lreal lt lword max mid min mod move mul mux
+ne non_retain not of on or priority program r_edge r_trig read_only read_write real repeat replace
+resource retain return right rol ror rs sel sema shl shr sin single sint sqrt sr st step string
+struct sub tan task then time time_of_day to tod tof ton tp transition true trunc type udint uint
+ulint until usint var var_access var_config var_external var_global var_in_out var_input var_output
+var_temp while with word wstring xor
+"""
+RESERVED = frozenset(WORDS.split())
 TYPES = {"REAL": "float", "LREAL": "double", "BOOL": "_Bool", "INT": "short"}
 REALS = ("REAL", "LREAL")
 TOKEN = re.compile(

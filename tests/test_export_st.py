@@ -1,8 +1,9 @@
-"""`--to st`: Structured Text gives the C's bits, by a reader of the standard's grammar and by iec2c."""
+"""`--to st`: the bits of the C, by a reader of the standard's grammar and by iec2c."""
 
 from __future__ import annotations
 
 import functools
+import importlib.util
 import re
 import shutil
 import subprocess
@@ -13,13 +14,16 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from structured_text import Reader
+import undeadzone as uz
+from structured_text import Reader, Refused
 from test_engines import CONTROLLERS, OBSERVERS, PENDULUM, TWO_OUTPUTS, small
 from test_export import EXPORTED
 from tools import require
-from undeadzone.compile import elementary
-from undeadzone.compile.print_c import Style, functions
-from undeadzone.compile.print_st import style_of
+from undeadzone.compile import bitless, elementary
+from undeadzone.compile.graph import Nodes
+from undeadzone.compile.print_c import Expressions, Style, functions
+from undeadzone.compile.print_st import assigned, style_of
+from undeadzone.errors import InputError
 from undeadzone.exports import export, parts, plc, plc_files
 from undeadzone.exports.code import Code, code
 from undeadzone.exports.source import Labels, source
@@ -116,7 +120,9 @@ int main(int count, char **words) {{
 """
 
 
-def driven(text: str, made: Made, rows: Any, folder: Path, start: str, step: str, *more: str) -> Any:
+def driven(
+    text: str, made: Made, rows: Any, folder: Path, start: str, step: str, *more: str
+) -> Any:
     """Outputs and memory along rows, by a program of C; NaN, which ST has not, as the largest."""
     printed = made.code
     shown = printed.step.start.size + sum(field.size for field in printed.step.outputs)
@@ -148,7 +154,7 @@ def by_c(made: Made, rows: Any, folder: Path) -> Any:
 
 
 def step_of(made: Made, call: str, form: str, letters: Callable[[str], str]) -> str:
-    """Statements that step an instance of the block; `form` and `letters` make a field of a name."""
+    """Statements that step an instance; `form` and `letters` make a field of a name."""
     block = made.units[-1].variables
     inputs = [each.name for each in block["VAR_INPUT"] if each.kind != "BOOL"]
     shown = [each.name for each in block["VAR_OUTPUT"]]
@@ -200,7 +206,7 @@ PRECISIONS = pytest.mark.parametrize("single", [True, False], ids=["REAL", "LREA
 @PRECISIONS
 @pytest.mark.parametrize("method", [name for name in EXPORTED if name != "auto"])
 def test_every_observer_has_the_bits_of_the_c(method: str, single: bool, tmp_path: Path) -> None:
-    """Outputs and memory along 10,000 corrupted samples; by the true compiler, where there is one."""
+    """Outputs and memory along 10,000 corrupted samples; by iec2c, too, where it is."""
     each, rows = made(observer(method), single), run_of()
     expected = by_c(each, rows, tmp_path)
     assert_same_bits(by_reader(each, rows, tmp_path), expected)
@@ -294,7 +300,9 @@ def test_the_self_test_passes_and_notices_every_sign(single: bool, tmp_path: Pat
     for place in signs:
         flipped = "-" if each.blocks[place] == "+" else "+"
         text = each.blocks[:place] + flipped + each.blocks[place + 1 :]
-        assert selftested(text + each.test, tmp_path, samples)[1] == 0, each.blocks[place - 40 :][:80]
+        assert selftested(text + each.test, tmp_path, samples)[1] == 0, each.blocks[place - 40 :][
+            :80
+        ]
 
 
 def test_reset_starts_anew_and_hold_remembers_nothing(tmp_path: Path) -> None:
@@ -307,9 +315,7 @@ def test_reset_starts_anew_and_hold_remembers_nothing(tmp_path: Path) -> None:
     step = step.replace("block.hold = 0;", "block.hold = 0; block.reset = k == 201;")
     start = "static fb_o block; fb_o_init(&block);"
     text = Reader(each.blocks).c()
-    assert_same_bits(
-        driven(text, each, np.vstack([rows, rows]), tmp_path, start, step), expected
-    )
+    assert_same_bits(driven(text, each, np.vstack([rows, rows]), tmp_path, start, step), expected)
 
 
 @PRECISIONS
@@ -319,11 +325,19 @@ def test_elementary_functions_have_the_bits_of_the_c(single: bool, tmp_path: Pat
     random, limits = np.random.default_rng(1), np.finfo(kind)
     powers = random.uniform(np.log2(limits.smallest_subnormal) + 1, np.log2(limits.max), 3000)
     values = [2.0**powers, -(2.0**powers), random.uniform(-100, 100, 3000), np.arange(-40.0, 40.0)]
-    edges = [0.0, -0.0, np.inf, -np.inf, float(limits.max), float(limits.smallest_subnormal), 7999.0]
+    edges = [
+        0.0,
+        -0.0,
+        np.inf,
+        -np.inf,
+        float(limits.max),
+        float(limits.smallest_subnormal),
+        7999.0,
+    ]
     np.concatenate([*values, edges]).astype(kind).tofile(tmp_path / "values")
     names = list(elementary.FUNCTIONS)
     style = style_of(kind, "o")
-    units = [plc.function_unit(name, style) for name in elementary.BITLESS]
+    units = [plc.function_unit(name, style) for name in bitless.OWN.functions]
     labels, printed = LABELS, made(observer("certified"), single).code
     text = Reader(plc_files.text_of(units, labels, printed)).c()
     theirs = "\n".join(functions(names, set(names), Style(kind, "c")))
@@ -367,3 +381,106 @@ def test_elementary_functions_have_the_bits_of_the_c(single: bool, tmp_path: Pat
     subprocess.run(["gcc", *FLAGS, "-o", program, tmp_path / "f.c", "-lm"], check=True)
     done = subprocess.run([program], capture_output=True, text=True, cwd=tmp_path)
     assert done.returncode == 0, done.stdout
+
+
+def test_the_folder_has_text_xml_and_a_self_test(tmp_path: Path) -> None:
+    done = uz.export(observer("certified"), "st", tmp_path / "plc", name="left", check=True)
+    assert done.passed
+    assert done.report["precision"] == "single"
+    assert done.report["structured_text"]["blocks"] == 1
+    assert {path.name for path in done.files} == {
+        "left.st", "left_test.st", "left.xml", "README.md", "manifest.json",
+    }  # fmt: skip
+    text = "".join((tmp_path / "plc" / name).read_text() for name in ("left.st", "left_test.st"))
+    assert set(Reader(text).units) == {"fb_left", "left_test"}
+    readme = (tmp_path / "plc" / "README.md").read_text()
+    assert "fb_left" in readme
+    assert "`done` is TRUE" in readme
+    again = uz.export(observer("certified"), "st", tmp_path / "again", name="left")
+    for first, second in zip(done.files, again.files, strict=True):
+        assert first.read_bytes() == second.read_bytes()
+
+
+@pytest.mark.parametrize("method", ["certified", "censored"])
+def test_the_xml_is_plcopens_and_holds_the_text(method: str, tmp_path: Path) -> None:
+    """Each element, attribute and type is of the schema; the statements are those of the text."""
+    require("plc", [name for name in ("plcopen", "xsdata") if not importlib.util.find_spec(name)])
+    from plcopen import Project
+    from xsdata.formats.dataclass.parsers import XmlParser
+    from xsdata.formats.dataclass.parsers.config import ParserConfig
+
+    uz.export(observer(method), "st", tmp_path, name="o")
+    strict = ParserConfig(
+        fail_on_unknown_properties=True,
+        fail_on_unknown_attributes=True,
+        fail_on_converter_warnings=True,
+    )
+    project = XmlParser(config=strict).from_path(tmp_path / "o.xml", Project)
+    pous = {pou.name: pou for pou in project.types.pous.pou}
+    text = (tmp_path / "o.st").read_text() + (tmp_path / "o_test.st").read_text()
+    units = Reader(text).units
+    assert list(pous) == [unit.name for unit in units.values()]
+    for name, pou in pous.items():
+        statements = pou.body[0].st.w3_org_1999_xhtml_element.text
+        assert f"{statements}\nEND_" in text
+        unit = units[name.lower()]
+        groups = [*pou.interface.input_vars, *pou.interface.output_vars, *pou.interface.local_vars]
+        declared = [each.name.lower() for group in groups for each in group.variable]
+        assert declared == [key for key in unit.variables if key != name.lower()]
+    assert len([name for name in pous if "_part_" in name]) == (6 if method == "censored" else 0)
+
+
+def test_a_grammar_of_others_reads_the_text(tmp_path: Path) -> None:
+    """That of blark, for TwinCAT."""
+    require("plc", [] if importlib.util.find_spec("blark") else ["blark"])
+    from blark.parse import parse_source_code
+
+    each = made(observer("certified"), True)
+    names = [plc.function_unit(name, style_of("float32", "o")) for name in ("fabs", "fmax")]
+    text = plc_files.text_of(names, LABELS, each.code) + each.blocks
+    parsed = parse_source_code(text)
+    assert parsed.exception is None
+    assert len(parsed.transform().items) == 3
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("v", "end_if"),
+        ("REAL#", "LREAL#"),
+        ("read_0 := y_0;", "y_0 := read_0;"),
+        ("x_was_0 : REAL", "X_0 : REAL"),
+        ("IF NOT hold", "IF hold - 1"),
+        ("END_FUNCTION_BLOCK", "END_PROGRAM"),
+        ("(u_0 < ", "(SIN(u_0) < "),
+        (" AND ", " && "),
+    ],
+)
+def test_the_reader_refuses_what_the_standard_does_not_know(before: str, after: str) -> None:
+    text = made(observer("certified"), True).blocks
+    assert before in text
+    with pytest.raises(Refused):
+        Reader(text.replace(before, after, 1) if before != "v" else text.replace("v7 ", "mod "))
+
+
+def test_no_two_names_differ_by_capitals_alone() -> None:
+    assert plc.distinct(["W_0", "w_0", "x_0", "W_0"]) == ["W_0", "w_0_2", "x_0", "W_0_3"]
+
+
+def test_what_the_language_lacks_is_refused() -> None:
+    node = Nodes().made("call", Nodes().constant(1.0), Nodes().constant(2.0), text="fmod")
+    with pytest.raises(InputError, match="Structured Text has no function fmod"):
+        Expressions(style_of("float64", "o"), {}).text(node)
+
+
+def test_numbers_mean_their_bits() -> None:
+    values = [0.1, -0.0, 1e-300, 1e300, 5e-324, 1.7976931348623157e308, 123456789.0, 3.5e38]
+    for value in values:
+        found = None
+        for line in assigned("v", value, "float64"):
+            numbers = [float(text) for text in re.findall(r"LREAL#([-\d.E+]+)", line)]
+            assert all(1.1e-38 < number < 3.5e38 for number in numbers if number)
+            found = numbers[0] if found is None else found * numbers[0]
+        sign = -1.0 if "= -" in assigned("v", value, "float64")[0] else 1.0
+        assert found is not None
+        assert np.float64(sign * found).tobytes() == np.float64(value).tobytes()

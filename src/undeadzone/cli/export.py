@@ -34,7 +34,9 @@ if TYPE_CHECKING:
     "(default: live.html).",
     type=PATH,
 )
-@option("--precision", "P", "single (default of c, arduino and st) or double (default of the others).")
+@option(
+    "--precision", "P", "single (default of c, arduino and st) or double (default of the others)."
+)
 @option("--part", "PART", "observer (default) or observer+controller.", default="observer")
 @option(
     "--tunable",

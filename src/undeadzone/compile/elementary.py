@@ -15,6 +15,7 @@ import functools
 import inspect
 import math
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
 from undeadzone.compile.coefficients import DOUBLE, SINGLE, Numbers
@@ -29,7 +30,7 @@ class Maths:
         nodes: where nodes are made.
         numbers: of the arithmetic.
         inline: whether the functions here stand in each other's place, and are not called.
-        bitless: whether the language shows no bits of a number, as in `BITLESS`.
+        bitless: whether the language shows no bits of a number, see `bitless`.
     """
 
     def __init__(
@@ -347,108 +348,6 @@ FUNCTIONS: Final[dict[str, Callable[..., Any]]] = {
 }
 """By C's names, in an order in which each calls earlier ones only."""
 
-# --- The same where a language shows no bits of a number: exact products and sums in their place
-
-
-def positive(m: Maths, x: Any) -> Any:
-    """The number without its sign."""
-    return m.select(0.0 < x, x, 0.0 - x)
-
-
-def with_sign(m: Maths, x: Any, y: Any) -> Any:
-    """|x| with the sign of y; only where x is 0, too, does a 0 have one."""
-    a = abs(x)
-    zero = (a == 0.0) & (y == 0.0)
-    return m.select(zero, y, m.select(y < 0.0, -a, a))
-
-
-def steps(m: Maths) -> tuple[float, ...]:
-    """Exponents whose sums are all those of numbers, largest first."""
-    return (120.0,) * (m.c.bias // 120) + (64.0, 32.0, 16.0, 8.0, 4.0, 2.0, 1.0, 1.0)
-
-
-def two_to(m: Maths, x: Any) -> Any:
-    """2^x of a whole number x."""
-    left: Any = abs(x)
-    value: Any = 1.0
-    for step in steps(m):
-        more = left >= step
-        left = m.select(more, left - step, left)
-        value = m.select(more, value * 2.0**step, value)
-    return m.select(x < 0.0, 1.0 / value, value)
-
-
-def scaled(m: Maths, x: Any) -> Any:
-    """n and 2^-n x, which lies in [edge, 2 edge), edge^2 = 1/2."""
-    edge = math.sqrt(0.5)
-    n: Any = 0.0
-    for step in steps(m):
-        large = x >= edge * 2.0**step
-        x, n = m.select(large, x * 2.0**-step, x), m.select(large, n + step, n)
-    for step in steps(m):
-        small = x < edge * 2.0 ** (1.0 - step)
-        x, n = m.select(small, x * 2.0**step, x), m.select(small, n - step, n)
-    return n, x
-
-
-def exponent(m: Maths, x: Any) -> Any:
-    """n of x = 2^n f, sqrt(1/2) <= f < sqrt(2)."""
-    return scaled(m, x)[0]
-
-
-def fraction(m: Maths, x: Any) -> Any:
-    """f of x = 2^n f, sqrt(1/2) <= f < sqrt(2)."""
-    return scaled(m, x)[1]
-
-
-def quarter(m: Maths, n: Any) -> Any:
-    """n modulo 4 of a whole number that is not negative."""
-    return n - 4.0 * (((0.25 * n - 0.375) + m.c.shift) - m.c.shift)
-
-
-def odd(m: Maths, value: Any, x: Any) -> Any:
-    """The value of an odd function at |x|, as it is at x."""
-    return m.select(0.0 < x, value, m.select(x < 0.0, -value, x))
-
-
-def sine(m: Maths, x: Any) -> Any:
-    """Sine; 0 of |x| above 8000 (float) or 1e5 (double)."""
-    along, across, n = turned(m, x)
-    q = quarter(m, n)
-    value = m.select((q == 1.0) | (q == 3.0), across, along)
-    return odd(m, m.select(q > 1.5, -value, value), x)
-
-
-def cosine(m: Maths, x: Any) -> Any:
-    """Cosine; 1 of |x| above 8000 (float) or 1e5 (double)."""
-    along, across, n = turned(m, x)
-    q = quarter(m, n)
-    value = m.select((q == 1.0) | (q == 3.0), along, across)
-    return m.select((q > 0.5) & (q < 2.5), -value, value)
-
-
-def tangent(m: Maths, x: Any) -> Any:
-    """Tangent; 0 of |x| above 8000 (float) or 1e5 (double)."""
-    along, across, n = turned(m, x)
-    q = quarter(m, n)
-    crossed = (q == 1.0) | (q == 3.0)
-    value = m.select(crossed, across, along) / m.select(crossed, along, across)
-    return odd(m, m.select(crossed, -value, value), x)
-
-
-BITLESS: Final[dict[str, Callable[..., Any]]] = {
-    "fabs": positive,
-    "copysign": with_sign,
-    "power": two_to,
-    "exponent": exponent,
-    "fraction": fraction,
-    **FUNCTIONS,
-    "sin": sine,
-    "cos": cosine,
-    "tan": tangent,
-}
-"""All functions of a language that shows no bits of a number, in such an order, too."""
-
 LANES_OWN: Final = ("sin", "cos", "exp", "log", "erf", "tanh")
 """Those that take the C library's place in fused lanes."""
 
@@ -467,21 +366,31 @@ class Formula(NamedTuple):
     calls: set[str]
 
 
-def functions_of(bitless: bool) -> dict[str, Callable[..., Any]]:
-    """All functions, where a language shows the bits of a number, or none of them."""
-    return BITLESS if bitless else FUNCTIONS
+@dataclass(frozen=True, eq=False)
+class Own:
+    """The functions of a language.
+
+    Attributes:
+        functions: by their names, in an order in which each calls earlier ones only.
+        bitless: whether it shows no bits of a number.
+    """
+
+    functions: dict[str, Callable[..., Any]]
+    bitless: bool
+
+
+OF_WORDS: Final = Own(FUNCTIONS, bitless=False)
 
 
 @functools.cache
-def formula(name: str, kind: str, bitless: bool = False) -> Formula:
+def formula(name: str, kind: str, own: Own = OF_WORDS) -> Formula:
     """A function in float32 or float64, without fused operations."""
-    functions = functions_of(bitless)
-    function, nodes = functions[name], Nodes()
+    function, nodes = own.functions[name], Nodes()
     inputs = list(inspect.signature(function).parameters)[1:]
     arguments = [Value(nodes, nodes.input(text, LANES, kind)) for text in inputs]
     numbers = SINGLE if kind == SINGLE.kind else DOUBLE
-    result: Node = function(Maths(nodes, numbers, bitless=bitless), *arguments).node
-    return Formula(inputs, result, called([[result]]) & functions.keys())
+    result: Node = function(Maths(nodes, numbers, bitless=own.bitless), *arguments).node
+    return Formula(inputs, result, called([[result]]) & own.functions.keys())
 
 
 def called(results: Results) -> set[str]:
@@ -499,12 +408,11 @@ def inlined(nodes: Nodes, numbers: Numbers, names: Iterable[str]) -> dict[str, C
     return {name: written(name) for name in names}
 
 
-def needed(names: set[str], kind: str = DOUBLE.kind, bitless: bool = False) -> list[str]:
+def needed(names: set[str], kind: str = DOUBLE.kind, own: Own = OF_WORDS) -> list[str]:
     """The functions and those that they call, each after those that it calls."""
-    functions = functions_of(bitless)
-    closed = names & functions.keys()
+    closed = names & own.functions.keys()
     while True:
-        more = closed.union(*[formula(name, kind, bitless).calls for name in closed])
+        more = closed.union(*[formula(name, kind, own).calls for name in closed])
         if more == closed:
-            return [name for name in functions if name in closed]
+            return [name for name in own.functions if name in closed]
         closed = more

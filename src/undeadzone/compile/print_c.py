@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from undeadzone.compile.elementary import FUNCTIONS, formula, functions_of
+from undeadzone.compile.elementary import FUNCTIONS, OF_WORDS, Own, formula
 from undeadzone.compile.graph import Node, Results, needed, uses
 from undeadzone.compile.simplify import held
 
@@ -45,7 +45,7 @@ class Grammar(NamedTuple):
         signs: of instructions on numbers and words.
         of_truths: of instructions on truths.
         turned: what stands before a truth that is turned.
-        bitless: whether it shows no bits of a number.
+        own: functions that an export brings along.
         constant: what is written down for a constant.
         library: the name of a function that every compiler has, in a type of numbers.
         apart: of nodes in order, those that a local holds, however they are used.
@@ -56,7 +56,7 @@ class Grammar(NamedTuple):
     signs: dict[str, str]
     of_truths: dict[str, str]
     turned: str
-    bitless: bool
+    own: Own
     constant: Callable[[Node], Text]
     library: Callable[[str, str], str]
     apart: Callable[[list[Node]], set[Node]]
@@ -180,7 +180,7 @@ class Expressions:
     def _function(self, node: Node) -> str:
         """The name of a function; if it is the export's own, it is noted as used."""
         name, language = node.text or ("number" if node.is_real else "bits"), self.style.language
-        if node.op == "call" and name not in functions_of(language.bitless):  # exact by IEEE 754
+        if node.op == "call" and name not in language.own.functions:  # exact by IEEE 754
             return language.library(name, self.style.kind)
         self.functions.add(name)
         return f"{self.style.prefix}_{name}"
@@ -259,9 +259,7 @@ class Local(NamedTuple):
     lines: list[str]
 
 
-def locals_of(
-    results: Results, expressions: Expressions, labels: dict[Node, str]
-) -> list[Local]:
+def locals_of(results: Results, expressions: Expressions, labels: dict[Node, str]) -> list[Local]:
     """The locals, each after those that it needs; `expressions` knows their names from then on.
 
     Args:
@@ -333,7 +331,7 @@ def _library(name: str, kind: str) -> str:
 
 
 C: Final = Grammar(
-    TYPES, _SIGNS, _OF_TRUTHS, "!", False, _constant, _library, apart=_apart, statement=_declared
+    TYPES, _SIGNS, _OF_TRUTHS, "!", OF_WORDS, _constant, _library, apart=_apart, statement=_declared
 )
 
 # --- Elementary functions

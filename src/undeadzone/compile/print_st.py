@@ -13,7 +13,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from undeadzone.compile.elementary import BITLESS, formula
+from undeadzone.compile.bitless import OWN
+from undeadzone.compile.elementary import formula
 from undeadzone.compile.graph import Node, Results
 from undeadzone.compile.print_c import (
     INDENT,
@@ -71,13 +72,13 @@ def function(name: str, style: Style) -> Function:
     """An elementary function.
 
     Args:
-        name: one of `elementary.BITLESS`.
+        name: one of `bitless.OWN`.
         style: how numbers and functions are written.
     """
-    shape = formula(name, style.kind, bitless=True)
+    shape = formula(name, style.kind, OWN)
     expressions = Expressions(style, {text: text for text in shape.inputs})
     found = locals_of([[shape.result]], expressions, {})
-    meaning = str(BITLESS[name].__doc__).strip()
+    meaning = str(OWN.functions[name].__doc__).strip()
     result = expressions.text(shape.result).text
     return Function(f"{style.prefix}_{name}", shape.inputs, meaning, found, result)
 
@@ -178,7 +179,7 @@ def _statement(name: str, node: Node, expressions: Expressions) -> list[str]:
 
 
 ST: Final = Grammar(
-    TYPES, _SIGNS, _OF_TRUTHS, "NOT ", True, _constant, _library, apart=_apart, statement=_statement
+    TYPES, _SIGNS, _OF_TRUTHS, "NOT ", OWN, _constant, _library, apart=_apart, statement=_statement
 )
 
 

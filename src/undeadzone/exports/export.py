@@ -70,8 +70,8 @@ def export(
     Args:
         scenario: a scenario with simulation.time = "sampled".
         to: "c"; "arduino" for a library of the Arduino IDE; "st" for Structured Text of
-            IEC 61131-3; "fmu2" or "fmu3" for an FMU for co-simulation; "python" for a module that needs no undeadzone;
-            "page" for one HTML file in which the scenario's loop runs.
+            IEC 61131-3; "fmu2" or "fmu3" for an FMU for co-simulation; "python" for a module that
+            needs no undeadzone; "page" for one HTML file in which the scenario's loop runs.
         out: folder for the files, or the HTML file; replaced if it is an earlier export. Other
             files in the folder stay.
         precision: "single" for float, or "double"; default: double but for "c", "arduino" and "st".
@@ -79,7 +79,7 @@ def export(
         tunable: numbers that stay parameters of the code, such as "observer.gamma".
         name: what every symbol begins with; default: made of the scenario's title.
         check: also build the self-test with this computer's compiler and run it (not for Arduino
-            and Structured Text, whose self-tests run there).
+            and Structured Text).
         force: replace files that someone else wrote or edited, where they are in the way; other
             files stay all the same.
 

@@ -7,7 +7,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from undeadzone.compile import elementary, print_st
+from undeadzone.compile import bitless, elementary, print_st
 from undeadzone.compile.graph import Node
 from undeadzone.compile.print_c import INDENT, Local, Style, lines_of, wrapped
 from undeadzone.compile.print_st import TYPES, initial, literal
@@ -93,7 +93,7 @@ def exported(code: Code, labels: Labels, vectors: Vectors) -> Exported:
     """
     style = print_st.style_of(code.kind, labels.prefix)
     block = _Block(code, labels, style)
-    names = elementary.needed(block.called, code.kind, bitless=True)
+    names = elementary.needed(block.called, code.kind, bitless.OWN)
     functions = [function_unit(name, style) for name in names]
     blocks = block.units()
     return Exported([*functions, *blocks], _test(code, labels, vectors, blocks[-1]))
@@ -103,7 +103,7 @@ def function_unit(name: str, style: Style) -> Unit:
     """An elementary function.
 
     Args:
-        name: one of `elementary.BITLESS`.
+        name: one of `bitless.OWN`.
         style: how numbers and functions are written.
     """
     function = print_st.function(name, style)
@@ -325,7 +325,7 @@ def _test(code: Code, labels: Labels, vectors: Vectors, block: Unit) -> Unit:
         tables.append(_table(f"given_{name}", values, kind))
         arguments.append(f"{name} := given_{name}[sample]")
         if absent.any():
-            truths = tuple("TRUE" if each else "FALSE" for each in absent)
+            truths = tuple(str(each).upper() for each in absent.tolist())
             tables.append(Variable(f"no_{name}", f"ARRAY [0..{samples - 1}] OF BOOL", "", truths))
             arguments.append(f"missing_{k} := no_{name}[sample]")
     for k, each in enumerate(block.variables[OUTPUTS]):

@@ -267,14 +267,18 @@ def _st_files(material: Material) -> tuple[Files, dict[str, str]]:
         f"{name}_test.st": plc_files.text_of([made.test], labels, printed),
         f"{name}.xml": plc_files.xml_of([*made.units, made.test], labels, printed),
     }
-    words = _words(report) | made.sizes | {
-        "type": "REAL" if printed.single else "LREAL",
-        "samples": len(material.vectors.states),
-        "argument": f"{printed.step.inputs[1].name}_0",
-        "parted": made.sizes["blocks"] > 1,
-        "single": printed.single,
-        "double": not printed.single,
-    }
+    words = (
+        _words(report)
+        | made.sizes
+        | {
+            "type": "REAL" if printed.single else "LREAL",
+            "samples": len(material.vectors.states),
+            "argument": f"{printed.step.inputs[1].name}_0",
+            "parted": made.sizes["blocks"] > 1,
+            "single": printed.single,
+            "double": not printed.single,
+        }
+    )
     return content, {"README.md": filled("templates/st.md", words)}
 
 
