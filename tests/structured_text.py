@@ -140,9 +140,10 @@ class Reader:
         return kind
 
     def read_variable(self, unit: Unit, section: str) -> None:
-        name = self.new_name()
-        if name.lower() in (*unit.variables, *self.units):
-            raise Refused(f"{name}: twice in {unit.name}")
+        names = [self.new_name()]
+        while self.at(","):
+            self.next()
+            names.append(self.new_name())
         self.expect(":")
         size = 0
         if self.at("ARRAY"):
@@ -159,12 +160,15 @@ class Reader:
                 raise Refused(f"{kind} is no function block")
         else:
             kind = self.elementary()
-        variable = Variable(name, kind, section, size)
+        start = []
         if self.at(":="):
             self.next()
-            variable.start = self.start_of(variable)
+            start = self.start_of(Variable("", kind, section, size))
         self.expect(";")
-        unit.variables[name.lower()] = variable
+        for name in names:
+            if name.lower() in (*unit.variables, *self.units):
+                raise Refused(f"{name}: twice in {unit.name}")
+            unit.variables[name.lower()] = Variable(name, kind, section, size, start)
 
     def start_of(self, variable: Variable) -> list[str]:
         if not variable.size:

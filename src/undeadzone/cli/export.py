@@ -70,7 +70,8 @@ def export(
 
     As C99 for firmware, as Structured Text (st) for a PLC, as an FMU for Simulink, Modelica and
     others, or as a Python module. A folder of C holds the code, a self-test with reference vectors
-    as bits, build files, README and manifest. Single precision is run beside double along the scenario's own run.
+    as bits, build files, README and manifest. Single precision is run beside double along the
+    scenario's own run.
     Exit code 1: the self-test or the accuracy fails; the files are written all the same.
     Of an earlier export in the folder its files are replaced, others stay; one that was edited, or
     a folder that is no export, is refused without --force.

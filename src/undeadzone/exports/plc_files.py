@@ -47,18 +47,25 @@ def _unit(unit: Unit) -> list[str]:
     lines = [f"{unit.keyword} {unit.name}{returned}"]
     for section, variables in unit.variables.items():
         if variables:
-            lines += [section, *itertools.chain(*map(_declaration, variables)), "END_VAR"]
+            alike = itertools.groupby(variables, _declared)
+            declared = [_declaration(list(group), text) for text, group in alike]
+            lines += [section, *itertools.chain(*declared), "END_VAR"]
     return [*lines, *unit.lines, f"END_{unit.keyword}"]
 
 
-def _declaration(variable: Variable) -> list[str]:
-    """The lines of a declaration."""
+def _declared(variable: Variable) -> tuple[str, str]:
+    """Type and value at first of a variable, and its meaning as a comment."""
     start = ", ".join(variable.start)
     given = f" := [{start}]" if variable.is_array else f" := {start}"
-    lines = wrapped(f"{variable.name} : {variable.kind}{given if variable.start else ''};")
-    if variable.meaning:
-        lines[-1] += f" {_remark(_plain(variable.meaning))}"
-    return lines
+    remark = f" {_remark(_plain(variable.meaning))}" if variable.meaning else ""
+    return f"{variable.kind}{given if variable.start else ''};", remark
+
+
+def _declaration(variables: list[Variable], declared: tuple[str, str]) -> list[str]:
+    """The lines of a declaration of variables that differ by their names."""
+    kind, remark = declared
+    *lines, last = wrapped(f"{', '.join(each.name for each in variables)} : {kind}")
+    return [*lines, last + remark]
 
 
 def _plain(text: str) -> str:
