@@ -19,6 +19,7 @@ from undeadzone.cli.common import (
     untrusted,
 )
 from undeadzone.support.progress import on_terminal as progress
+from undeadzone.support.text import counted
 
 if TYPE_CHECKING:
     from undeadzone.support.shown import Block
@@ -113,6 +114,9 @@ def _in_words(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
         "sizes": f"state {sizes['state']}, in {sizes['in']}, out {sizes['out']} bytes",
         "operations": ", ".join(counts) or "none",
     }
+    if "structured_text" in report:
+        size = report["structured_text"]
+        pairs["text"] = f"{counted(size['blocks'], 'block')}, {counted(size['lines'], 'line')}"
     if "self_test" in report:
         pairs["self-test"] = report["self_test"]
     if report["refusals"]:

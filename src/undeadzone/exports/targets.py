@@ -260,25 +260,22 @@ def _st_files(material: Material) -> tuple[Files, dict[str, str]]:
     """(the Structured Text, its README) by name; the report gets its sizes."""
     report, labels, printed = material.report, material.labels, material.printed
     made = plc.exported(printed, labels, material.vectors)
-    report["structured_text"] = made.sizes
-    name = labels.prefix
+    name, text = labels.prefix, plc_files.text_of(made.units, labels, printed)
+    report["structured_text"] = {"blocks": made.blocks, "lines": text.count("\n")}
     content: Files = {
-        f"{name}.st": plc_files.text_of(made.units, labels, printed),
+        f"{name}.st": text,
         f"{name}_test.st": plc_files.text_of([made.test], labels, printed),
         f"{name}.xml": plc_files.xml_of([*made.units, made.test], labels, printed),
     }
-    words = (
-        _words(report)
-        | made.sizes
-        | {
-            "type": "REAL" if printed.single else "LREAL",
-            "samples": len(material.vectors.states),
-            "argument": f"{printed.step.inputs[1].name}_0",
-            "parted": made.sizes["blocks"] > 1,
-            "single": printed.single,
-            "double": not printed.single,
-        }
-    )
+    words = _words(report) | {
+        "blocks": made.blocks,
+        "type": "REAL" if printed.single else "LREAL",
+        "samples": len(material.vectors.states),
+        "argument": f"{printed.step.inputs[1].name}_0",
+        "parted": made.blocks > 1,
+        "single": printed.single,
+        "double": not printed.single,
+    }
     return content, {"README.md": filled("templates/st.md", words)}
 
 
