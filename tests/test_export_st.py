@@ -22,7 +22,7 @@ from tools import require
 from undeadzone.compile import bitless, elementary
 from undeadzone.compile.graph import Nodes
 from undeadzone.compile.print_c import Expressions, Style, functions
-from undeadzone.compile.print_st import assigned, style_of
+from undeadzone.compile.print_st import ST, assigned
 from undeadzone.errors import InputError
 from undeadzone.exports import export, parts, plc, plc_files
 from undeadzone.exports.code import Code, code
@@ -342,7 +342,7 @@ def test_elementary_functions_have_the_bits_of_the_c(single: bool, tmp_path: Pat
     ]
     np.concatenate([*values, edges]).astype(kind).tofile(tmp_path / "values")
     names = list(elementary.FUNCTIONS)
-    style = style_of(kind, "o")
+    style = Style(kind, "o", ST)
     units = [plc.function_unit(name, style) for name in bitless.OWN.functions]
     labels, printed = LABELS, made(observer("certified"), single).code
     text = Reader(plc_files.text_of(units, labels, printed)).c()
@@ -442,7 +442,7 @@ def test_a_grammar_of_others_reads_the_text(tmp_path: Path) -> None:
     from blark.parse import parse_source_code
 
     each = made(observer("certified"), True)
-    names = [plc.function_unit(name, style_of("float32", "o")) for name in ("fabs", "fmax")]
+    names = [plc.function_unit(name, Style("float32", "o", ST)) for name in ("fabs", "fmax")]
     text = plc_files.text_of(names, LABELS, each.code) + each.blocks
     parsed = parse_source_code(text)
     assert parsed.exception is None
@@ -476,7 +476,7 @@ def test_no_two_names_differ_by_capitals_alone() -> None:
 def test_what_the_language_lacks_is_refused() -> None:
     node = Nodes().made("call", Nodes().constant(1.0), Nodes().constant(2.0), text="fmod")
     with pytest.raises(InputError, match="Structured Text has no function fmod"):
-        Expressions(style_of("float64", "o"), {}).text(node)
+        Expressions(Style("float64", "o", ST), {}).text(node)
 
 
 def test_numbers_mean_their_bits() -> None:

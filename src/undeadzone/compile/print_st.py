@@ -9,24 +9,13 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
 from undeadzone.compile.bitless import OWN
-from undeadzone.compile.elementary import formula
-from undeadzone.compile.graph import Node, Results
-from undeadzone.compile.print_c import (
-    INDENT,
-    WIDTH,
-    Expressions,
-    Grammar,
-    Local,
-    Style,
-    Text,
-    locals_of,
-    wrapped,
-)
+from undeadzone.compile.graph import Node
+from undeadzone.compile.print_c import INDENT, WIDTH, Expressions, Grammar, Local, Text, wrapped
 from undeadzone.errors import InputError
 
 TYPES: Final = {"float64": "LREAL", "float32": "REAL", "bool": "BOOL"}
@@ -38,49 +27,6 @@ _OF_TRUTHS: Final = {"and": "AND", "or": "OR", "ne": "XOR"}
 _ROUNDED: Final = ("add", "sub", "mul", "div", "call")
 _LIMITS: Final = np.finfo(np.float32)  # beyond them some compilers read no LREAL, such as matiec
 _SCALE: Final = 2.0**120
-
-
-class Function(NamedTuple):
-    """A function as text.
-
-    Attributes:
-        name: what it is called.
-        inputs: names of its arguments.
-        meaning: what it computes.
-        locals: what it computes on the way.
-        result: its value.
-    """
-
-    name: str
-    inputs: list[str]
-    meaning: str
-    locals: list[Local]
-    result: str
-
-
-def style_of(kind: str, prefix: str) -> Style:
-    """How Structured Text is written.
-
-    Args:
-        kind: NumPy's name of the type of numbers.
-        prefix: what the names of functions begin with.
-    """
-    return Style(kind, prefix, ST)
-
-
-def function(name: str, style: Style) -> Function:
-    """An elementary function.
-
-    Args:
-        name: one of `bitless.OWN`.
-        style: how numbers and functions are written.
-    """
-    shape = formula(name, style.kind, OWN)
-    expressions = Expressions(style, {text: text for text in shape.inputs})
-    found = locals_of([[shape.result]], expressions, {})
-    meaning = str(OWN.functions[name].__doc__).strip()
-    result = expressions.text(shape.result).text
-    return Function(f"{style.prefix}_{name}", shape.inputs, meaning, found, result)
 
 
 def literal(value: float, kind: str) -> str:
@@ -199,18 +145,3 @@ def reads(local: Local, held: dict[Node, str]) -> list[Node]:
         else:
             waiting.extend(reversed(node.args))
     return list(found)
-
-
-def body(
-    results: Results, style: Style, inputs: dict[str, str], labels: dict[Node, str]
-) -> tuple[list[Local], Expressions]:
-    """The locals that results need, and the expressions that know their names.
-
-    Args:
-        results: the nodes.
-        style: how numbers and functions are written.
-        inputs: what each input is called, by its name.
-        labels: names of some nodes, which then have a local.
-    """
-    expressions = Expressions(style, inputs)
-    return locals_of(results, expressions, labels), expressions

@@ -3,18 +3,28 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterable
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from undeadzone.compile import bitless, elementary, print_st
+from undeadzone.compile import bitless, elementary
 from undeadzone.compile.graph import Node
-from undeadzone.compile.print_c import INDENT, Local, Style, lines_of, wrapped
-from undeadzone.compile.print_st import TYPES, initial, literal
+from undeadzone.compile.print_c import (
+    INDENT,
+    Expressions,
+    Local,
+    Style,
+    lines_of,
+    locals_of,
+    wrapped,
+)
+from undeadzone.compile.print_st import ST, TYPES, assigned, initial, reads
 from undeadzone.exports.code import Code
-from undeadzone.exports.parts import members
+from undeadzone.exports.parts import Field, members
 from undeadzone.exports.source import Labels, meanings
 from undeadzone.exports.vectors import Vectors
+from undeadzone.support.arrays import Floats
 from undeadzone.support.text import one_line
 
 STATEMENTS: Final = 1000  # of one function block; what has more is divided
@@ -90,7 +100,7 @@ def exported(code: Code, labels: Labels, vectors: Vectors) -> Exported:
     Raises:
         InputError: an operation that the language has not.
     """
-    style = print_st.style_of(code.kind, labels.prefix)
+    style = Style(code.kind, labels.prefix, ST)
     block = _Block(code, labels, style)
     names = elementary.needed(block.called, code.kind, bitless.OWN)
     functions = [function_unit(name, style) for name in names]
@@ -105,12 +115,15 @@ def function_unit(name: str, style: Style) -> Unit:
         name: one of `bitless.OWN`.
         style: how numbers and functions are written.
     """
-    function = print_st.function(name, style)
-    given = [Variable(name, style.real) for name in function.inputs]
-    own = [Variable(local.name, TYPES[local.node.kind]) for local in function.locals]
-    lines = [*lines_of(function.locals), *wrapped(f"{function.name} := {function.result};")]
-    variables = {INPUTS: given, LOCALS: own}
-    return Unit("FUNCTION", function.name, function.meaning, variables, lines, style.real)
+    shape = elementary.formula(name, style.kind, bitless.OWN)
+    expressions = Expressions(style, {text: text for text in shape.inputs})
+    found = locals_of([[shape.result]], expressions, {})
+    called = f"{style.prefix}_{name}"
+    result = wrapped(f"{called} := {expressions.text(shape.result).text};")
+    given = [Variable(text, style.real) for text in shape.inputs]
+    variables = {INPUTS: given, LOCALS: list(map(_declared, found))}
+    meaning = str(bitless.OWN.functions[name].__doc__).strip()
+    return Unit("FUNCTION", called, meaning, variables, [*lines_of(found), *result], style.real)
 
 
 def distinct(wanted: list[str]) -> list[str]:
@@ -158,7 +171,8 @@ class _Block:
             for node, name in zip(nodes, wanted, strict=True):
                 if node.args:
                     labelled[node] = name
-        self.locals, self._expressions = print_st.body(code.results, style, self.entries, labelled)
+        self._expressions = Expressions(style, self.entries)
+        self.locals = locals_of(code.results, self._expressions, labelled)
         self.held = self._expressions.names
         self.real = real
 
@@ -177,7 +191,7 @@ class _Block:
         for start in range(0, len(self.locals), STATEMENTS):
             part = self.locals[start : start + STATEMENTS]
             inside = {local.node for local in part}
-            read = itertools.chain(*[print_st.reads(local, self.held) for local in part])
+            read = itertools.chain(*[reads(local, self.held) for local in part])
             given = {node: None for node in read if node not in inside}
             shared.update(given)
             parts.append((part, given))
@@ -212,7 +226,7 @@ class _Block:
 
     def _whole(self, name: str, own: list[Local], parts: list[Unit], lines: list[str]) -> Unit:
         """The block that is called."""
-        shown = set(self.outputs)
+        shown, step = set(self.outputs), self.code.step
         held = [_declared(local) for local in own if local.name not in shown]
         held += [Variable(f"part_{k + 1}", part.name) for k, part in enumerate(parts)]
         read = [Variable(text, self.real) for text in self.read]
@@ -220,16 +234,15 @@ class _Block:
         held += [Variable(text, self.real) for text in copied]
         variables = {
             INPUTS: self._inputs(),
-            OUTPUTS: self._fields(self.outputs, self.code.step.outputs),
-            LOCALS: [*self._states(), *read, *held],
+            OUTPUTS: self._fields(self.outputs, step.outputs),
+            LOCALS: [*self._started(self.states, step.state, step.start), *read, *held],
         }
-        values = zip(self.states, self.code.step.start.tolist(), strict=True)
-        start = [f"{each} := {literal(value, self.code.kind)};" for each, value in values]
+        states = zip(self.states, step.start.tolist(), strict=True)
+        start = itertools.chain(*[assigned(*each, self.code.kind) for each in states])
         text = [*_if("reset", start), *self._readings(), *lines, *self._shown()]
         text += [f"{INDENT}{each} := {source};" for each, source in copied.items()]
         text += _if("NOT hold", stored)
-        step = self.code.step.Ts
-        meaning = f"{one_line(self.labels.title)}: {self.labels.part}, every {step:g} s."
+        meaning = f"{one_line(self.labels.title)}: {self.labels.part}, every {step.Ts:g} s."
         return Unit("FUNCTION_BLOCK", name, meaning, variables, text)
 
     def _inputs(self) -> list[Variable]:
@@ -239,35 +252,31 @@ class _Block:
             Variable(text, "BOOL", f"TRUE: there is no reading {k}")
             for k, text in enumerate(self.missing)
         ]
-        starts = [initial(value, self.code.kind) for value in step.defaults.tolist()]
-        tuned = self._fields(self.params, step.params)
-        given = [each._replace(start=(text,)) for each, text in zip(tuned, starts, strict=True)]
         return [
             Variable("reset", "BOOL", "TRUE: start anew with this sample"),
             Variable("hold", "BOOL", "TRUE: show the estimate, remember nothing; call again"),
             *self._fields(self.inputs, step.inputs),
             *missing,
-            *given,
+            *self._started(self.params, step.params, step.defaults),
         ]
 
-    def _fields(self, names: list[str], fields: list[Any]) -> list[Variable]:
+    def _fields(self, names: list[str], fields: list[Field]) -> list[Variable]:
         """Variables of the numbers of fields."""
         texts = itertools.chain(*[[field.meaning] * field.size for field in fields])
         return [Variable(name, self.real, text) for name, text in zip(names, texts, strict=True)]
 
-    def _states(self) -> list[Variable]:
-        """The memory, with its values at first."""
-        values = self.code.step.start.tolist()
-        starts = [initial(value, self.code.kind) for value in values]
-        known = self._fields(self.states, self.code.step.state)
-        return [each._replace(start=(text,)) for each, text in zip(known, starts, strict=True)]
+    def _started(self, names: list[str], fields: list[Field], values: Floats) -> list[Variable]:
+        """Variables of the numbers of fields, with their values at first."""
+        starts = [(initial(value, self.code.kind),) for value in values.tolist()]
+        known = zip(self._fields(names, fields), starts, strict=True)
+        return [each._replace(start=start) for each, start in known]
 
     def _readings(self) -> list[str]:
         """Statements that make one that is missing too large to be there."""
         lines = []
         for missing, read, y in zip(self.missing, self.read, self.inputs, strict=False):
             lines += [f"{INDENT}{read} := {y};"]
-            lines += _if(missing, print_st.assigned(read, np.inf, self.code.kind))
+            lines += _if(missing, assigned(read, np.inf, self.code.kind))
         return lines
 
     def _shown(self) -> list[str]:
@@ -307,7 +316,7 @@ def _call(part: Unit) -> list[str]:
     return lines
 
 
-def _if(truth: str, statements: list[str]) -> list[str]:
+def _if(truth: str, statements: Iterable[str]) -> list[str]:
     """Statements under a truth."""
     inner = [wrapped(statement, 2 * INDENT) for statement in statements]
     return [f"{INDENT}IF {truth} THEN", *itertools.chain(*inner), f"{INDENT}END_IF;"]

@@ -13,11 +13,10 @@ from undeadzone.compile.print_st import TYPES
 from undeadzone.exports.code import Code
 from undeadzone.exports.plc import Unit, Variable
 from undeadzone.exports.source import Labels
+from undeadzone.exports.template import filled
 from undeadzone.support.text import one_line
 
-SCHEMA: Final = "http://www.plcopen.org/xml/tc6_0201"
 _XHTML: Final = "http://www.w3.org/1999/xhtml"
-_MADE: Final = "2000-01-01T00:00:00"  # the same bytes at each export
 _SECTIONS: Final = {"VAR_INPUT": "inputVars", "VAR_OUTPUT": "outputVars", "VAR": "localVars"}
 _KINDS: Final = {"FUNCTION": "function", "FUNCTION_BLOCK": "functionBlock", "PROGRAM": "program"}
 
@@ -90,22 +89,17 @@ def xml_of(units: list[Unit], labels: Labels, code: Code) -> str:
         labels: the words that the files share.
         code: what is printed.
     """
-    root = Element("project", {"xmlns": SCHEMA})
-    words = {"productName": "undeadzone export", "productVersion": undeadzone.__version__}
-    maker = {"companyName": "undeadzone", "creationDateTime": _MADE}
-    SubElement(root, "fileHeader", maker | words, contentDescription=f"hash {code.hash}")
-    header = SubElement(root, "contentHeader", name=labels.prefix, modificationDateTime=_MADE)
-    information = SubElement(header, "coordinateInfo")
-    for language in ("fbd", "ld", "sfc"):
-        SubElement(SubElement(information, language), "scaling", x="1", y="1")
-    types = SubElement(root, "types")
-    SubElement(types, "dataTypes")
-    pous = SubElement(types, "pous")
+    pous = Element("pous")
     for unit in units:
         _pou(pous, unit)
-    SubElement(SubElement(root, "instances"), "configurations")
-    ElementTree.indent(root, " ")
-    return '<?xml version="1.0" encoding="utf-8"?>\n' + ElementTree.tostring(root, "unicode") + "\n"
+    ElementTree.indent(pous, " ")
+    words = {
+        "name": labels.prefix,
+        "version": undeadzone.__version__,
+        "hash": code.hash,
+        "pous": ElementTree.tostring(pous, "unicode"),
+    }
+    return filled("templates/plcopen.xml", words)
 
 
 def _pou(pous: Element, unit: Unit) -> None:
