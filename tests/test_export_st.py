@@ -226,12 +226,14 @@ def test_the_compiler_matiec_gives_the_same_bits(method: str, single: bool, tmp_
     [
         {"sensor": {"kind": "jump", "noise": 0.05}},
         {"sensor": {"range": [-3.0, 3.0]}},
+        {"sensor": {"play": [0.2, 0.2]},
+         "observer": {"method": "kalman"} | OBSERVERS["kalman"][1]},
         {"plant": TWO_OUTPUTS, "observer": {"method": "certified", "gamma": 5.0}},
         {"plant": PENDULUM, "observer": {"method": "certified", "L": [1.0, 0.0]},
          "reference": {"kind": "sine", "amplitude": 1.0, "frequency": 0.5},
          "simulation": {"duration": 3.0, "step": 1e-2, "substeps": 1}},
     ],
-    ids=["jump", "range", "two outputs", "nonlinear"],
+    ids=["jump", "range", "play", "two outputs", "nonlinear"],
 )  # fmt: skip
 def test_every_kind_of_plant_and_sensor(
     changes: dict[str, Any], single: bool, tmp_path: Path

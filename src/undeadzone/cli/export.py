@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @click.command(epilog="Example: undeadzone export mine.toml --to c --out firmware --check")
 @click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
-@option("--to", "WHAT", "c (default), arduino, st, fmu2, fmu3, python or page.", default="c")
+@option("--to", "WHAT", "c (default), arduino, fmu2, fmu3, python, st or page.", default="c")
 @option(
     "--out",
     "DIR",

@@ -131,10 +131,10 @@ def write_folder(files: Files, out: Path, force: bool = False) -> list[Path]:
 PRECISION: Final = {
     "c": "single",
     "arduino": "single",
-    "st": "single",
     "fmu2": "double",
     "fmu3": "double",
     "python": "double",
+    "st": "single",
     "page": "double",
 }
 VERSIONS: Final = {"fmu2": 2, "fmu3": 3}  # of FMI
