@@ -30,8 +30,10 @@ from undeadzone.scenario.schema import Scenario
 
 FLAGS = ["-std=c99", "-ffp-contract=off", "-fno-math-errno"]
 WARNINGS = [
-    "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Werror",
+    "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wdouble-promotion", "-Wshadow",
+    "-Wfloat-equal", "-Werror",
 ]  # fmt: skip
+SUFFIXES = (".c", ".h", ".ino", ".py", ".txt", ".st")
 LEVELS = (["-O0"], ["-O2"], ["-O3", "-march=native"])
 EXPORTED = [
     name for name, (times, _) in OBSERVERS.items() if "sampled" in times and name != "full_state"
@@ -415,14 +417,28 @@ def test_the_same_scenario_gives_the_same_files(joint: Path, tmp_path: Path) -> 
     assert changed.report["hash"] != other["hash"]
 
 
-@pytest.mark.parametrize("to", ["c", "arduino", "fmu2", "python"])
+def test_the_header_names_units_and_the_version(tmp_path: Path) -> None:
+    units = {"output": "mm", "input": "V", "state": ["mm", "mm/s"]}
+    uz.export(certified(units=units), out=tmp_path / "fw", name="joint")
+    text = (tmp_path / "fw" / "joint.h").read_text()
+    assert f'#define JOINT_VERSION "{uz.__version__}"' in text
+    for words in (
+        "float x[2]; /**< estimated state [mm, mm/s] */",
+        "float right[1]; /**< estimated right width [mm] */",
+        "float held[1]; /**< the last finite input [V] */",
+        "float y[1]; /**< readings of the sensor; one that is not finite is missing [mm] */",
+    ):
+        assert words in text
+
+
+@pytest.mark.parametrize("to", ["c", "arduino", "fmu2", "python", "st"])
 def test_every_file_of_code_names_its_licence(to: str, tmp_path: Path) -> None:
     uz.export(certified(), to, out=tmp_path / "out", name="joint")
     texts = {path: path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file()}
     for package in (tmp_path / "out").rglob("*.fmu"):
         with zipfile.ZipFile(package) as archive:
             texts = {Path(name): archive.read(name) for name in archive.namelist()}
-    code = [path for path in texts if path.suffix in (".c", ".h", ".ino", ".py", ".txt")]
+    code = [path for path in texts if path.suffix in SUFFIXES]
     assert code
     assert [
         path for path in code if b"SPDX-License-Identifier: BSD-3-Clause" not in texts[path]

@@ -404,6 +404,7 @@ def test_the_folder_has_text_xml_and_a_self_test(tmp_path: Path) -> None:
     readme = (tmp_path / "plc" / "README.md").read_text()
     assert "fb_left" in readme
     assert "`done` is TRUE" in readme
+    assert "SPDX-License-Identifier" in (tmp_path / "plc" / "left.xml").read_text()
     again = uz.export(observer("certified"), "st", tmp_path / "again", name="left")
     for first, second in zip(done.files, again.files, strict=True):
         assert first.read_bytes() == second.read_bytes()
