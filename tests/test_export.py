@@ -381,7 +381,8 @@ def test_an_arduino_library_has_its_layout(tmp_path: Path) -> None:
     files = {str(path.relative_to(tmp_path / "lib")) for path in done.files}
     assert files == {
         "library.properties", "src/joint.h", "src/joint.c",
-        "examples/joint_example/joint_example.ino", "README.md", "manifest.json",
+        "examples/joint_example/joint_example.ino", "examples/joint_test/joint_test.ino",
+        "examples/joint_test/joint_test.c", "README.md", "manifest.json",
     }  # fmt: skip
     sketch = tmp_path / "sketch.cpp"
     text = (tmp_path / "lib" / "examples" / "joint_example" / "joint_example.ino").read_text()
@@ -399,9 +400,34 @@ def test_an_arduino_library_has_its_layout(tmp_path: Path) -> None:
 
 
 ARDUINO = """
-struct Port { void begin(long); void println(float); };
+struct Port { void begin(long); void println(float); void println(const char *);
+              operator bool() const { return true; } };
 extern Port Serial; extern int A0; int analogRead(int); unsigned long micros();
 """
+PORT = """
+#include <cstdio>
+Port Serial;
+void Port::begin(long) {}
+void Port::println(const char *text) { puts(text); }
+int main() { setup(); return 0; }
+"""
+
+
+def test_an_arduino_sketch_runs_the_self_test(tmp_path: Path) -> None:
+    lib = tmp_path / "lib"
+    uz.export(certified(), to="arduino", out=lib, name="joint")
+    example = lib / "examples" / "joint_test"
+    sketch = tmp_path / "sketch.cpp"
+    sketch.write_text(ARDUINO + (example / "joint_test.ino").read_text() + PORT)
+    sources = [lib / "src" / "joint.c", example / "joint_test.c"]
+    include = ["-I", lib / "src"]
+    for source in sources:
+        command = ["gcc", *FLAGS, *WARNINGS, "-DARDUINO=1", *include, "-c", source]
+        subprocess.run(command, check=True, cwd=tmp_path)
+    objects = [tmp_path / "joint.o", tmp_path / "joint_test.o"]
+    subprocess.run(["g++", *include, "-o", tmp_path / "p", sketch, *objects], check=True)
+    said = subprocess.run([tmp_path / "p"], capture_output=True, text=True, check=True).stdout
+    assert "joint_test: every bit agrees" in said.splitlines()
 
 
 def test_the_same_scenario_gives_the_same_files(joint: Path, tmp_path: Path) -> None:

@@ -196,6 +196,8 @@ def files(to: str, material: Material) -> Files:
     content: Files = dict(code)
     if to == "arduino":
         content = {f"src/{path}": text for path, text in code.items()}
+        test = f"{name}_test.c"
+        content[f"examples/{name}_test/{test}"] = material.c_files[test]
         around = _arduino_files(report)
     elif to == "c":
         content = dict(material.c_files)
@@ -248,10 +250,14 @@ def _arduino_files(report: dict[str, Any]) -> dict[str, str]:
     """The texts around the C of an Arduino library, by name."""
     name = report["name"]
     words = _words(report) | {"upper": name.upper(), "title": one_line(str(report["title"]))}
-    build = "Copy this folder into the libraries folder of the Arduino IDE."
+    build = (
+        "Copy this folder into the libraries folder of the Arduino IDE. The example\n"
+        f"{name}_test runs the self-test on the board and prints its verdict."
+    )
     return {
         "library.properties": filled("templates/library.properties", words),
         f"examples/{name}_example/{name}_example.ino": filled("templates/example.ino", words),
+        f"examples/{name}_test/{name}_test.ino": filled("templates/selftest.ino", words),
         "README.md": _readme(report, build),
     }
 
