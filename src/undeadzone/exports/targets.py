@@ -232,7 +232,8 @@ def _words(report: dict[str, Any]) -> dict[str, Any]:
     """What stands for the words of the texts."""
     counts = ", ".join(f"{count} {word}" for word, count in report["operations"].items())
     shown = {"shown_title": printable(report["title"]), "seconds": f"{report['step']:g}"}
-    return report | called(report["name"], bool(report["tunable"])) | shown | {"counts": counts}
+    shown |= {"counts": counts, "upper": report["name"].upper()}
+    return report | called(report["name"], bool(report["tunable"])) | shown
 
 
 def _build_files(report: dict[str, Any], math: bool) -> dict[str, str]:
@@ -249,7 +250,7 @@ def _build_files(report: dict[str, Any], math: bool) -> dict[str, str]:
 def _arduino_files(report: dict[str, Any]) -> dict[str, str]:
     """The texts around the C of an Arduino library, by name."""
     name = report["name"]
-    words = _words(report) | {"upper": name.upper(), "title": one_line(str(report["title"]))}
+    words = _words(report) | {"title": one_line(str(report["title"]))}
     build = (
         "Copy this folder into the libraries folder of the Arduino IDE. The example\n"
         f"{name}_test runs the self-test on the board and prints its verdict."
