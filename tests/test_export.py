@@ -548,6 +548,10 @@ def test_boards_say_what_fits_and_what_would(tmp_path: Path) -> None:
     assert of["Arduino Uno"]["why"] == "flash, memory, time"
     assert of["Cortex-M4F (STM32F4)"]["fits"]
     assert "Arduino Uno" in large["leaner"]["certified"]
+    assert large["runs"].keys() == {"auto", "kalman", "certified"}
+    assert all(0 < run["rms"] < 10 for run in large["runs"].values())
+    assert large["runs"]["certified"]["coverage"] is None
+    assert 0 <= large["runs"]["auto"]["coverage"] <= 1
     double = uz.export(slow, out=tmp_path / "double", precision="double").report
     told = {board["board"]: board["why"] for board in double["boards"]}
     assert told["Arduino Uno"] == "its double is single"

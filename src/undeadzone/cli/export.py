@@ -123,6 +123,7 @@ def _in_words(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
         pairs["REFUSED"] = report["refusals"]
     if report.get("leaner"):
         pairs["leaner"] = [_leaner(*each) for each in report["leaner"].items()]
+        pairs["along the run"] = [_along(*each) for each in report["runs"].items()]
     pairs["written"] = files or "nothing; --out DIR keeps the files"
     if any(name.endswith("Makefile") for name in files):
         pairs["next"] = (
@@ -135,6 +136,14 @@ def _leaner(method: str, boards: list[str]) -> str:
     """An observer that takes less, and where it fits."""
     where = ", ".join(boards) or "none of these boards"
     return f'observer.method = "{method}" fits {where}'
+
+
+def _along(method: str, run: dict[str, float | None]) -> str:
+    """What an observer did along the scenario's own run, over its last 2 s."""
+    rms, coverage = run["rms"], run["coverage"]
+    error = "diverges" if rms is None else f"rms z - z^ {rms:.3g}"
+    inside = "none" if coverage is None else f"{100 * coverage:.0f} % hold the width"
+    return f"{method}: {error}, intervals: {inside}"
 
 
 def _page_in_words(report: dict[str, Any], files: list[str]) -> dict[str, Any]:

@@ -26,7 +26,9 @@ from undeadzone.exports.targets import Material
 from undeadzone.exports.vectors import chosen, continued, recorded, reference
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
-from undeadzone.support.arrays import Floats
+from undeadzone.simulation.simulate import simulate
+from undeadzone.support.arrays import Floats, finite
+from undeadzone.support.text import HALF_95
 
 PRECISIONS = ("single", "double")
 FIRMWARE = ("c", "arduino")  # targets whose boards matter
@@ -114,7 +116,9 @@ def export(
         found = fits(report)
         report["boards"] = [fit._asdict() for fit in found]
         if not all(fit.fits for fit in found):
-            report["leaner"] = _leaner(scenario, part, printed.single)
+            report["leaner"], leaner = _leaner(scenario, part, printed.single)
+            everyone = {scenario.observer.__struct_config__.tag: scenario} | leaner
+            report["runs"] = {tag: _along(other) for tag, other in everyone.items()}
     vectors = reference(printed, chosen(rows[: problem.steps + 1], step.readings))
     material = Material(printed, text, vectors, scenario.units, report)
     files = targets.files(to, material)
@@ -183,11 +187,13 @@ def _report(
     }
 
 
-def _leaner(scenario: Scenario, part: str, is_single: bool) -> dict[str, list[str]]:
-    """Observers of fewer operations that the scenario could have, and the boards that they fit."""
+def _leaner(
+    scenario: Scenario, part: str, is_single: bool
+) -> tuple[dict[str, list[str]], dict[str, Scenario]]:
+    """(boards that observers of fewer operations fit, the scenario with each), by their tags."""
     own = scenario.observer
     claims = {name: getattr(own, name) for name in ("right", "left") if hasattr(own, name)}
-    found = {}
+    found, scenarios = {}, {}
     choices: tuple[tuple[str, dict[str, Any]], ...] = (("kalman", claims), ("certified", {}))
     for tag, options in choices:
         if own.__struct_config__.tag == tag:
@@ -202,7 +208,18 @@ def _leaner(scenario: Scenario, part: str, is_single: bool) -> dict[str, list[st
                 "operations": operations(printed.results),
             }
             found[tag] = [fit.board for fit in fits(costs) if fit.fits]
-    return found
+            scenarios[tag] = other
+    return found, scenarios
+
+
+def _along(scenario: Scenario) -> dict[str, float | None]:
+    """What an observer does along the run: rms of z - z^, and how often widths were covered."""
+    run = simulate(scenario, check_step=False)
+    covered = None
+    if run.d_std is not None:
+        inside = np.abs(np.ravel(run.info.widths) - run.d_hat) <= HALF_95 * run.d_std
+        covered = float(inside[run.last].mean())
+    return {"rms": finite(run.rms_estimation), "coverage": covered}
 
 
 def _sizes(printed: Code) -> dict[str, int]:
