@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ from undeadzone.cli.common import (
     option,
     print_blocks,
     print_json,
+    say,
     untrusted,
 )
 from undeadzone.support.progress import on_terminal as progress
@@ -89,7 +91,8 @@ def export(
         kept = out if out is not None or check else Path("firmware")
         folder = Path(scratch) / "firmware" if kept is None else kept
         with progress("exporting", None, of=problem.observer):
-            result = run(problem, to, folder, precision, part, tunable, name, check, force)
+            options = (precision, part, tunable, name, check, force)
+            result = run(problem, to, folder, *options, told=partial(say, err=True))
     files = [] if kept is None else [str(path) for path in result.files]
     if as_json:
         print_json(result.report | {"written": files})

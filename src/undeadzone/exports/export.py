@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -33,6 +34,7 @@ from undeadzone.support.text import HALF_95
 PRECISIONS = ("single", "double")
 FIRMWARE = ("c", "arduino")  # targets whose boards matter
 ELSEWHERE = ("arduino", "st")  # targets whose self-test runs on the target alone
+MANY = 20_000  # operations of a step, whose code a compiler takes a minute for
 STEPS = 100_000  # of the comparison of float with double, at least
 NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
 
@@ -66,6 +68,7 @@ def export(
     name: str | None = None,
     check: bool = False,
     force: bool = False,
+    told: Callable[[str], object] | None = None,
 ) -> Exported:
     """Write a scenario's observer as C99 that runs without a library.
 
@@ -84,6 +87,7 @@ def export(
             and Structured Text).
         force: replace files that someone else wrote or edited, where they are in the way; other
             files stay all the same.
+        told: called with a sentence before something that takes minutes begins.
 
     Returns:
         The files, and a report. Accuracy is measured where there is a C compiler; single
@@ -107,6 +111,9 @@ def export(
     double = code(step, single=False)
     printed = code(step, single=True) if precision == "single" else double
     labels = Labels(prefix, scenario.title, part)
+    count = sum(operations(printed.results).values())
+    if told is not None and count > MANY:
+        told(_minutes(count))
     text = source(printed, labels)
     rows = recorded(continued(scenario, STEPS), step)
     report = _report(printed, text, labels, tunable)
@@ -129,6 +136,14 @@ def export(
         if not passed:
             report["refusals"] = [*report["refusals"], f"the self-test fails: {said}"]
     return Exported(written, report)
+
+
+def _minutes(count: int) -> str:
+    """What many operations take, and what would take less."""
+    return (
+        f"{count:,} operations a sample: about {count // 100:,} kB of code, for which a compiler "
+        'takes minutes; observer.method = "kalman" or "certified" takes less'
+    )
 
 
 def _require(key: str, value: str, known: tuple[str, ...]) -> None:
