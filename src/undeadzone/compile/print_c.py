@@ -63,30 +63,6 @@ class Grammar(NamedTuple):
     statement: Callable[[str, Node, Expressions], list[str]]
 
 
-class Style(NamedTuple):
-    """How numbers and functions are written.
-
-    Attributes:
-        kind: NumPy's name of the type of numbers.
-        prefix: what the names of the export's own functions begin with.
-        grammar: of the language; None: C.
-    """
-
-    kind: str
-    prefix: str
-    grammar: Grammar | None = None
-
-    @property
-    def language(self) -> Grammar:
-        """The grammar."""
-        return C if self.grammar is None else self.grammar
-
-    @property
-    def real(self) -> str:
-        """The type of a number."""
-        return self.language.types[self.kind]
-
-
 class Text(NamedTuple):
     """An expression.
 
@@ -333,6 +309,26 @@ def _library(name: str, kind: str) -> str:
 C: Final = Grammar(
     TYPES, _SIGNS, _OF_TRUTHS, "!", OF_WORDS, _constant, _library, apart=_apart, statement=_declared
 )
+
+
+class Style(NamedTuple):
+    """How numbers and functions are written.
+
+    Attributes:
+        kind: NumPy's name of the type of numbers.
+        prefix: what the names of the export's own functions begin with.
+        language: its grammar.
+    """
+
+    kind: str
+    prefix: str
+    language: Grammar = C
+
+    @property
+    def real(self) -> str:
+        """The type of a number."""
+        return self.language.types[self.kind]
+
 
 # --- Elementary functions
 

@@ -162,8 +162,8 @@ LEADS = {
 }
 
 FLAT = (
-    " At an end of its range the reading stays flat: there it only says that the truth lies at least "
-    "as far out."
+    " At an end of its range the reading stays flat: there it only says that the truth lies at "
+    "least as far out."
 )
 
 
