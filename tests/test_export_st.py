@@ -10,6 +10,7 @@ import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -493,3 +494,14 @@ def test_numbers_mean_their_bits() -> None:
         sign = -1.0 if "= -" in assigned("v", value, "float64")[0] else 1.0
         assert found is not None
         assert np.float64(sign * found).tobytes() == np.float64(value).tobytes()
+
+
+def test_titles_and_units_of_strangers_stay_comments(tmp_path: Path) -> None:
+    wild = "*) END_VAR (* ]]> </xhtml> \ufffe $N \u00b0"
+    scenario = observer("certified", title=wild, units={"output": wild, "state": wild})
+    uz.export(scenario, "st", tmp_path, name="o")
+    text = (tmp_path / "o.st").read_text() + (tmp_path / "o_test.st").read_text()
+    assert text.isascii()
+    assert list(Reader(text).units) == ["fb_o", "o_test"]
+    root = ElementTree.parse(tmp_path / "o.xml").getroot()
+    assert len(list(root.iter("{http://www.plcopen.org/xml/tc6_0201}pou"))) == 2

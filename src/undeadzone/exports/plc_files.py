@@ -113,7 +113,7 @@ def _pou(pous: Element, unit: Unit) -> None:
             group = SubElement(interface, _SECTIONS[section])
             for variable in variables:
                 _variable(group, variable)
-    _words(interface, "documentation", unit.meaning)
+    _words(interface, "documentation", _plain(unit.meaning))
     body = SubElement(pou, "body")
     _words(body, "ST", "\n".join(unit.lines))
 
@@ -139,7 +139,7 @@ def _variable(group: Element, variable: Variable) -> None:
             entry = SubElement(value, "value") if variable.is_array else value
             SubElement(entry, "simpleValue", value=text)
     if variable.meaning:
-        _words(declared, "documentation", variable.meaning)
+        _words(declared, "documentation", _plain(variable.meaning))
 
 
 def _words(parent: Element, tag: str, text: str) -> None:
