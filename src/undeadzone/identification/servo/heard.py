@@ -14,6 +14,9 @@ from undeadzone.support.arrays import Flags, Floats, Integers
 FEWEST = 20  # changes of readings that are worth a look
 TURNING = 0.2  # share of changes that turn back, from which they are noise
 MOVING = 0.005  # share of readings equal to the one before, below which exact ones are noise
+EXACT = 1e-9  # of the range, by which two readings differ
+COARSER = 1e-6  # of the range, from which a quantum matters
+ODD = 0.1  # quanta by which a change may differ from a multiple
 REACH = 3.0  # of a Schmitt trigger, in standard deviations of the noise
 
 
@@ -64,15 +67,16 @@ class Heard(NamedTuple):
         begun[at[np.append(True, np.diff(record) > 0)[: at.size]]] = True
         return begun
 
-    @property
-    def signals(self) -> Floats:
-        """Inputs of the kernel (N x inputs)."""
+    def signals(self, free: bool) -> Floats:
+        """Inputs of the kernel (N x inputs); with z forgotten at reversals, or not."""
         starts = np.zeros(self.u.size)
         starts[self.start] = 1.0
         late = np.column_stack([shifted(self.u, self.start, 1 + j) for j in range(LATEST + 1)])
+        counted = self.counted(free)
         if not self.ticks:
-            return np.column_stack([late, self.y, self.ok, starts])
-        return np.column_stack([late, self.side, self.boundary, self.turns, self.first, starts])
+            return np.column_stack([late, self.y, self.ok, starts, counted])
+        ticks = [self.side, self.boundary, self.turns, self.first]
+        return np.column_stack([late, *ticks, starts, counted])
 
     def counted(self, free: bool) -> Flags:
         """The samples whose prediction errors count (N)."""
@@ -109,9 +113,7 @@ def shifted(u: Floats, start: Integers, samples: int) -> Floats:
     return u[np.maximum(np.arange(u.size) - samples, first)]
 
 
-def heard(
-    u: Floats, y: Floats, ok: Flags, start: Integers, step: float, quantum: float
-) -> Heard | None:
+def heard(u: Floats, y: Floats, ok: Flags, start: Integers, step: float) -> Heard | None:
     """A log as the predictor hears it; None where nothing moves.
 
     Args:
@@ -120,7 +122,6 @@ def heard(
         ok: whether there is a reading (N).
         start: first sample of each record (R).
         step: sample time [s].
-        quantum: smallest common spacing of the readings; 0: none.
     """
     u_scale, y_scale = float(np.std(u)), float(np.std(y[ok]))
     if not (u_scale > 0 and y_scale > 0):
@@ -131,7 +132,7 @@ def heard(
     at = np.flatnonzero(side)
     if at.size < FEWEST:
         return None
-    spacing = quantum / y_scale
+    spacing = encoder_of(held[ok])
     none = np.zeros(y.size, int)
     log = Heard(
         step, u / u_scale, held, ok, start, True, spacing, none, held, u_scale, y_scale
@@ -141,6 +142,22 @@ def heard(
     if turning < TURNING and exact_enough:
         return log._replace(side=side, boundary=held - side * spacing / 2)
     return log._replace(ticks=False, quantum=0.0)
+
+
+def encoder_of(y: Floats) -> float:
+    """The quantum of which every change of readings is a multiple (N); 0 where there is none."""
+    values = np.unique(y)
+    range_of = float(values[-1] - values[0])
+    spacing = np.diff(values)
+    spacing = spacing[spacing > EXACT * range_of]
+    if not spacing.size:
+        return 0.0
+    quantum = float(spacing.min())
+    moves = values - values[0]
+    counts = np.round(moves / quantum)
+    quantum = float(moves @ counts / (counts @ counts))
+    odd = np.abs(moves / quantum - np.round(moves / quantum))
+    return quantum if odd.max() < ODD and quantum > COARSER * range_of else 0.0
 
 
 def filled(y: Floats, ok: Flags) -> Floats:

@@ -2,7 +2,7 @@
 
 The prediction errors (S3) are Student's of 6 degrees of freedom, so that a tick that was missed
 costs little. Every start has lanes of its own for its derivatives, and its trials are damped in
-eight ways at once.
+six ways at once.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 from undeadzone.compile import lanes
 from undeadzone.identification.servo import predictor, sampled
 from undeadzone.identification.servo.heard import Heard
+from undeadzone.identification.servo.predictor import DEGREES
 from undeadzone.identification.servo.sampled import (
     DAMPING,
     DELAY,
@@ -32,8 +33,7 @@ from undeadzone.identification.servo.sampled import (
 )
 from undeadzone.support.arrays import Flags, Floats, Integers
 
-DEGREES = 6.0  # of freedom of an error
-DAMPINGS = np.array([1e-6, 1e-3, 1e-2, 0.1, 0.5, 3.0, 30.0, 1000.0])
+DAMPINGS = np.array([1e-6, 1e-2, 0.1, 1.0, 30.0, 1000.0])
 CAREFUL = 1.2  # weight of an error in the Hessian at most
 OF_SPREAD = 1.6  # curvature of ln S: 2 nu / (nu + 3), a little more
 DEAR = 2.5  # nats of BIC a number, in ln N: errors of ticks are not independent
@@ -106,35 +106,24 @@ class Likelihood:
     def __init__(self, log: Heard, free: bool = False) -> None:
         self.log, self.free = log, free
         self.used = np.flatnonzero(log.counted(free))
-        self.signals = log.signals
-        self.kernel = predictor.ticks() if log.ticks else predictor.noise()
-        self.spent = 0
+        self.signals = log.signals(free)
+        self.kernel = predictor.ticks if log.ticks else predictor.noise
 
     def run(self, theta: Floats, lag: bool) -> Floats:
-        """What the predictor sees (L x N x outputs) with numbers (L x P)."""
+        """What the predictor sees (L x N x `predictor.SEEN`) with numbers (L x P)."""
+        return self._run(self.kernel(), theta, lag)[0]
+
+    def _run(self, kernel: lanes.Kernel, theta: Floats, lag: bool) -> tuple[Floats, Floats]:
+        """Outputs and final states of a kernel."""
         log = self.log
         rows = sampled.lanes_of(theta, log.step, log.quantum, log.ticks, self.free, lag)
-        shape = self.kernel.shape
-        self.spent += len(rows) * len(self.signals)
-        seen, _ = lanes.run(
-            self.kernel,
-            np.zeros((len(rows), shape.sizes[0])),
-            self.signals,
-            np.zeros(shape.sizes[2]),
-            lane_params=rows,
-            threads=1,
-        )
-        return seen
-
-    def errors(self, theta: Floats, lag: bool) -> tuple[Floats, Floats]:
-        """Errors and logs of their deviations (L x n each) with numbers (L x P)."""
-        seen = self.run(theta, lag)[:, self.used]
-        with np.errstate(invalid="ignore", divide="ignore"):
-            return seen[:, :, 0], 0.5 * np.log(seen[:, :, 1])
+        states, _, numbers = kernel.shape.sizes
+        at_first, none = np.zeros(states), np.zeros(numbers)
+        return lanes.run(kernel, at_first, self.signals, none, lane_params=rows, threads=1)
 
     def values(self, theta: Floats, lag: bool) -> Floats:
         """The log likelihoods of numbers (L x P)."""
-        return densities(*self.errors(theta, lag)).sum(axis=1)
+        return self._run(self.kernel("sums"), theta, lag)[1][:, -1]
 
     def slopes(self, points: Floats, free: Sequence[Integers], lag: bool) -> list[Slopes]:
         """Errors and derivatives at points (M x P) by the free numbers of each."""
@@ -143,15 +132,16 @@ class Likelihood:
             moves = np.zeros((places.size, theta.size))
             moves[np.arange(places.size), places] = steps_of(theta)[places]
             rows += [theta[None], theta + moves, theta - moves]
-        e, log_s = self.errors(np.concatenate(rows), lag)
+        seen, _ = self._run(self.kernel("errors"), np.concatenate(rows), lag)
         found, row = [], 0
         for theta, places in zip(points, free, strict=True):
             count = places.size
-            more = slice(row + 1, row + 1 + count)
-            less = slice(row + 1 + count, row + 1 + 2 * count)
-            twice = 2 * steps_of(theta)[places][:, None]
-            de, dlog = (e[more] - e[less]) / twice, (log_s[more] - log_s[less]) / twice
-            found.append(Slopes(e[row], log_s[row], de.T, dlog.T))
+            own = seen[row : row + 1 + 2 * count].take(self.used, axis=1)
+            twice = 2 * steps_of(theta)[places][:, None, None]
+            slope = (own[1 : 1 + count] - own[1 + count :]) / twice
+            e, log_s = np.ascontiguousarray(own[0].T)
+            de, dlog = np.ascontiguousarray(slope.transpose(2, 1, 0))
+            found.append(Slopes(e, log_s, de, dlog))
             row += 1 + 2 * count
         return found
 
@@ -229,14 +219,6 @@ class Likelihood:
         """BIC, with numbers that are dear."""
         count = one.structure.free(self.log.ticks, self.free).size
         return -2 * one.value + DEAR * count * math.log(max(self.used.size, 2))
-
-
-def densities(e: Floats, log_s: Floats) -> Floats:
-    """Student's log densities of errors, less a constant."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        squares = e**2 * np.exp(-2 * log_s)
-        found = -log_s - (DEGREES + 1) / 2 * np.log1p(squares / DEGREES)
-    return np.where(np.isfinite(found), found, -1e6)
 
 
 def scores(slopes: Slopes) -> Floats:

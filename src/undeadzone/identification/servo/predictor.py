@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 
@@ -44,10 +44,12 @@ OTHERS = ("friction", "offset", "gap", "rms", "quantum", "step", "first_v", "fir
 NUMBERS = (*PLANT, *OTHERS)  # then the weights of u(t), u(t - 1), ...
 MEAN = 4  # z, v, d, i
 TRIANGLE = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))  # of the covariance of z, v, d
-SEEN = ("error", "variance", "z", "v")  # what a kernel records of each sample
+SEEN = ("error", "log_s", "z", "v")  # what a kernel tells of each sample
+DEGREES = 6.0  # of freedom of an error
+WORST = -1e6  # log density of an error that is no number
 
 
-class _Lane:
+class Lane:
     """The numbers of a lane, by name."""
 
     def __init__(self, numbers: Any) -> None:
@@ -59,12 +61,19 @@ class _Lane:
         raise AttributeError(name)
 
 
-def _moved(lane: _Lane, x: list[Any], u: Any) -> tuple[list[Any], Any]:
-    """The mean a sample later, and whether it came to rest."""
+def moved(lane: Lane, x: list[Any], u: Any, torque: Any) -> tuple[list[Any], Any]:
+    """The mean a sample later, and whether it came to rest.
+
+    Args:
+        lane: its numbers.
+        x: z, v, d, i.
+        u: the input that acts.
+        torque: that acts besides, in units of the input.
+    """
     z, v, d, i = x
-    push = lane.a10 * z + lane.a12 * d + lane.a13 * i + lane.bv * u + lane.fv * lane.offset
+    push = lane.a10 * z + lane.a12 * d + lane.a13 * i + lane.bv * u + lane.fv * torque
     rolled = lane.a00 * z + lane.a01 * v + lane.a02 * d + lane.a03 * i + lane.bz * u
-    rolled = rolled + lane.fz * lane.offset
+    rolled = rolled + lane.fz * torque
     # a spring at rest pulls by k z, which the rows of v and z hold as a10 and a00 - 1
     brake = ca.fabs(lane.fv) * lane.friction
     sign = ca.if_else(v == 0, ca.sign(push), ca.sign(v))
@@ -84,7 +93,7 @@ def _moved(lane: _Lane, x: list[Any], u: Any) -> tuple[list[Any], Any]:
     return [new_z, new_v, lane.a22 * d, lane.a33 * i + lane.bi * u], rests
 
 
-def _spread(lane: _Lane, P: Any, rests: Any) -> Any:
+def _spread(lane: Lane, P: Any, rests: Any) -> Any:
     """The covariance of z, v, d a sample later, and the matrix that carried it."""
     deviation = ca.sqrt(ca.fmax(P[1, 1], 0.0))
     kept = ca.fmax(1 - ca.fabs(lane.fv) * lane.friction / ca.fmax(deviation, 1e-300), 0.0)
@@ -106,7 +115,7 @@ def _spread(lane: _Lane, P: Any, rests: Any) -> Any:
     return F @ P @ F.T + Q, F
 
 
-def _late(lane: _Lane, inputs: Any) -> Any:
+def _late(lane: Lane, inputs: Any) -> Any:
     """What acts, of the inputs of the last samples."""
     return ca.dot(lane.taps, inputs)
 
@@ -125,28 +134,61 @@ def _upper(P: Any) -> list[Any]:
     return [P[row, column] for row, column in TRIANGLE]
 
 
-def _first(lane: _Lane, variance: Any) -> Any:
+def _first(lane: Lane, variance: Any) -> Any:
     """The covariance of z, v, d at the start of a record."""
     return ca.diag(ca.vertcat(variance, lane.first_v, lane.first_d))
 
 
+def density(error: Any, log_s: Any) -> Any:
+    """Student's log density of an error, less a constant."""
+    squares = (error * ca.exp(-log_s)) ** 2
+    found = -log_s - (DEGREES + 1) / 2 * ca.log1p(squares / DEGREES)
+    return ca.if_else(ca.fabs(found) < -WORST, found, WORST)
+
+
+def _compiled(name: str, state: Any, signals: Any, numbers: Any, out: _Out, what: str) -> Any:
+    """A kernel that tells all, errors, or the sum of their log densities alone."""
+    if what != "sums":
+        seen = out.seen if what == "all" else out.seen[:2]
+        step = ca.Function(name, [state, signals, numbers], [out.following, seen])
+        return lanes.build(step, params=range(numbers.shape[0]), width=WIDTH, fused=True)
+    total = ca.SX.sym("total")
+    added = total + ca.if_else(out.counts != 0, density(out.seen[0], out.seen[1]), 0.0)
+    whole = ca.vertcat(state, total), signals, numbers
+    step = ca.Function(name, [*whole], [ca.vertcat(out.following, added), ca.SX(0, 1)])
+    return lanes.build(step, params=range(numbers.shape[0]), width=WIDTH, fused=True)
+
+
+class _Out(NamedTuple):
+    """The next state, `SEEN`, and whether the error counts."""
+
+    following: Any
+    seen: Any
+    counts: Any
+
+
 @cache
-def ticks() -> lanes.Kernel:
+def ticks(what: str = "all") -> lanes.Kernel:
     """The predictor of ticks.
+
+    Args:
+        what: it tells: all of `SEEN`, errors (the first two), or sums: log densities are added
+            up in the last state, and nothing is recorded.
 
     Returns:
         A kernel whose inputs are u(t), u(t - 1), ..., the side of a tick or 0, its boundary, whether
-        it is a reversal, whether it is the first of a record, whether a record starts; whose lanes
+        it is a reversal, whether it is the first of a record, whether a record starts, and whether
+        its error counts; whose lanes
         differ in `NUMBERS` and in how late the input acts. Errors are of ticks alone; a free one
         forgets z at a reversal, so that nothing is heard of the gap.
     """
     state = ca.SX.sym("s", MEAN + len(TRIANGLE))
-    signals = ca.SX.sym("w", LATEST + 1 + 5)
+    signals = ca.SX.sym("w", LATEST + 1 + 6)
     numbers = ca.SX.sym("p", len(NUMBERS) + LATEST + 1)
-    lane = _Lane(numbers)
-    side, boundary, turns, first, starts = ca.vertsplit(signals[LATEST + 1 :])
+    lane = Lane(numbers)
+    side, boundary, turns, first, starts, counts = ca.vertsplit(signals[LATEST + 1 :])
     inputs = signals[: LATEST + 1]
-    x, rests = _moved(lane, ca.vertsplit(state[:MEAN]), _late(lane, inputs))
+    x, rests = moved(lane, ca.vertsplit(state[:MEAN]), _late(lane, inputs), lane.offset)
     P, _ = _spread(lane, _symmetric(ca.vertsplit(state[MEAN:])), rests)
     x = [ca.if_else(starts, 0.0, one) for one in x]
     P = ca.if_else(starts, _first(lane, 0.0), P)
@@ -159,7 +201,7 @@ def ticks() -> lanes.Kernel:
     S = P[0, 0] + R
     error = at - x[0]
     gain = [ca.if_else(side != 0, P[k, 0] / S, 0.0) for k in range(3)]
-    seen = ca.vertcat(error, S, x[0], x[1])
+    seen = ca.vertcat(error, 0.5 * ca.log(S), x[0], x[1])
     heard = [x[k] + gain[k] * error for k in range(3)]
     left = ca.if_else(side != 0, R / S, 1.0)
     after = P - ca.vertcat(*gain) @ P[0, :]
@@ -170,25 +212,28 @@ def ticks() -> lanes.Kernel:
     against = ca.logic_and(side != 0, heard[1] * side <= 0)
     heard[1] = ca.if_else(against, side * SLOWEST, heard[1])
     following = ca.vertcat(*heard, x[3], *_upper(P))
-    step = ca.Function("ticks", [state, signals, numbers], [following, seen])
-    return lanes.build(step, params=range(numbers.shape[0]), width=WIDTH, fused=True)
+    return _compiled("ticks", state, signals, numbers, _Out(following, seen, counts), what)
 
 
 @cache
-def noise() -> lanes.Kernel:
+def noise(what: str = "all") -> lanes.Kernel:
     """The predictor of noisy readings.
+
+    Args:
+        what: it tells: all of `SEEN`, errors (the first two), or sums: log densities are added
+            up in the last state, and nothing is recorded.
 
     Returns:
         A kernel whose inputs are u(t), u(t - 1), ..., the reading, whether there is one, whether a
-        record starts; whose lanes differ in `NUMBERS` and in how late the input acts.
+        record starts, and whether its error counts; whose lanes differ in `NUMBERS` and in how late the input acts.
     """
     state = ca.SX.sym("s", MEAN + len(TRIANGLE) + 5)
-    signals = ca.SX.sym("w", LATEST + 1 + 3)
+    signals = ca.SX.sym("w", LATEST + 1 + 4)
     numbers = ca.SX.sym("p", len(NUMBERS) + LATEST + 1)
-    lane = _Lane(numbers)
-    reading, there, starts = ca.vertsplit(signals[LATEST + 1 :])
+    lane = Lane(numbers)
+    reading, there, starts, counts = ca.vertsplit(signals[LATEST + 1 :])
     inputs = signals[: LATEST + 1]
-    x, rests = _moved(lane, ca.vertsplit(state[:MEAN]), _late(lane, inputs))
+    x, rests = moved(lane, ca.vertsplit(state[:MEAN]), _late(lane, inputs), lane.offset)
     upper = ca.vertsplit(state[MEAN : MEAN + len(TRIANGLE)])
     P, F = _spread(lane, _symmetric(upper), rests)
     level, of_level = state[MEAN + len(TRIANGLE)], state[MEAN + len(TRIANGLE) + 1 :]
@@ -210,7 +255,7 @@ def noise() -> lanes.Kernel:
     S = own + R
     error = reading - level
     heard = ca.logic_and(there, ca.logic_not(starts))
-    seen = ca.vertcat(error, S, x[0], x[1])
+    seen = ca.vertcat(error, 0.5 * ca.log(S), x[0], x[1])
     gain = ca.if_else(heard, with_level / S, ca.SX.zeros(3))
     gain_own = ca.if_else(heard, own / S, 0.0)
     after = [x[k] + gain[k] * error for k in range(3)]
@@ -219,8 +264,7 @@ def noise() -> lanes.Kernel:
         *after, x[3], *_upper(P), level + gain_own * error,
         with_level - gain * own, own - gain_own * own,
     )  # fmt: skip
-    step = ca.Function("noise", [state, signals, numbers], [following, seen])
-    return lanes.build(step, params=range(numbers.shape[0]), width=WIDTH, fused=True)
+    return _compiled("noise", state, signals, numbers, _Out(following, seen, counts), what)
 
 
 def _through_play(mean: Any, variance: Any, half: Any) -> tuple[Any, Any, Any]:

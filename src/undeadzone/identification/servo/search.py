@@ -35,13 +35,13 @@ from undeadzone.identification.servo.sampled import (
 from undeadzone.support.arrays import Floats
 
 MOST = 3000  # samples of a search
-POLES = 6  # rates of damping where climbs begin
-SPRINGS = (0.1, 1.0, 10.0)  # in squared rates of damping
+POLES = 5  # rates of damping where climbs begin
+SPRINGS = (0.1, 3.0)  # in squared rates of damping
 FRICTIONS = (0.02, 0.15)  # rms of the input
 DELAYS = (0.5, 3.0)  # samples
 TORQUES = (0.3, 0.05)  # rms of the input
 FIRST, THEN, LAST = 4, 6, 12  # steps of climbs
-KEPT = 8  # climbs of a structure that go on
+KEPT = 4  # climbs of a structure that go on
 ROUNDS = 4  # in which parts are added or taken away
 WINDOWS = 60  # over which motion is compared
 MEMORY = 0.5  # least gap, in quanta, where climbs begin
@@ -102,11 +102,11 @@ def starts(log: Heard) -> list[Servo]:
     found = []
     motor, sprung = Structure(frozenset({"friction"})), Structure(frozenset({"friction", "spring"}))
     for rate, late in itertools.product(rates, DELAYS):
-        for friction in FRICTIONS:
+        for friction, share in zip(FRICTIONS, SPRINGS, strict=True):
             found.append(_begun(log, motor, rate, 0.0, friction, late))
-            for share in SPRINGS:
-                found.append(_begun(log, sprung, rate, share * rate**2, friction, late))
-        found.append(_begun(log, Structure(frozenset(), lag=True), rate, 0.0, 0.0, late))
+            found.append(_begun(log, sprung, rate, share * rate**2, FRICTIONS[0], late))
+    for rate in rates:
+        found.append(_begun(log, Structure(frozenset(), lag=True), rate, 0.0, 0.0, DELAYS[0]))
     return found
 
 
