@@ -16,6 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.signal import lfilter
 
+from undeadzone.identification.servo.crossings import crossings_of
 from undeadzone.identification.servo.heard import REACH, Heard, noise_of, shifted, triggered
 from undeadzone.identification.servo.likelihood import PARTS, Likelihood, Servo, Structure
 from undeadzone.identification.servo.sampled import (
@@ -45,7 +46,8 @@ KEPT = 4  # climbs of a structure that go on
 ROUNDS = 4  # in which parts are added or taken away
 WINDOWS = 60  # over which motion is compared
 MEMORY = 0.5  # least gap, in quanta, where climbs begin
-REACHED = 6.0  # of BIC, within which a structure may be the true one
+ALTERNATIVES = 6  # structures that are climbed with all samples
+REACHED = 30.0  # of BIC, within which a structure may be the true one
 
 
 def searched(log: Heard) -> list[Servo]:
@@ -148,17 +150,9 @@ def _changed(one: Servo, place: int, value: float) -> Servo:
 # --- The gap
 
 
-def crossings(log: Heard, one: Servo, free: bool = False) -> tuple[Floats, Floats]:
-    """The samples of reversals, and the gap that each shows (m, m), scaled."""
-    seen = Likelihood(log, free).run(one.theta[None], one.structure.lag)[0]
-    at = np.flatnonzero(log.turns)
-    return at, one.theta[GAP] - log.side[at] * seen[at, 0]
-
-
 def _gapped(log: Heard, ticked: Heard, one: Servo) -> Servo:
     """A servo with the median of the gaps of its reversals."""
-    _, gaps = crossings(ticked, one, free=True)
-    gap = float(np.median(gaps)) if gaps.size else 0.0
+    gap = crossings_of(ticked, one, free=True).median / ticked.y_scale
     theta = one.theta.copy()
     theta[GAP] = max(gap, MEMORY * log.quantum, 1e-4)
     if not log.ticks:
@@ -192,7 +186,7 @@ def with_gap(log: Heard, begun: Sequence[Servo]) -> list[Servo]:
             break
     ranked = sorted(fits.values(), key=likelihood.bic)
     most = likelihood.bic(ranked[0]) + REACHED
-    return [one for one in ranked if likelihood.bic(one) <= most]
+    return [one for one in ranked if likelihood.bic(one) <= most][:ALTERNATIVES]
 
 
 def _kept(
