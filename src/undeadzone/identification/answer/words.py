@@ -248,9 +248,10 @@ def _plant(answer: Answer) -> str:
     unit = "" if unit == "1/1" else f" {unit}"
     gains = ", ".join(f"{gain:.4g}" for gain in answer.gain)
     kind = "DC gain"
-    if answer.options.integrators:
-        kind = "gain of the rate" if answer.options.integrators == 1 else "gain of the acceleration"
-        unit += " 1/s" if answer.options.integrators == 1 else " 1/s^2"
+    integrators = answer.plant[0].layout.integrators
+    if integrators:
+        kind = "gain of the rate" if integrators == 1 else "gain of the acceleration"
+        unit += " 1/s" if integrators == 1 else " 1/s^2"
     return f"order {answer.order} (BIC), poles {', '.join(shown)} {rate}, {kind} {gains}{unit}"
 
 

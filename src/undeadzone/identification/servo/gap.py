@@ -12,12 +12,14 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import expit
 
 from undeadzone.identification.models.estimates import Interval, quantile, sandwich
 from undeadzone.identification.servo.crossings import Crossings, crossings_of
 from undeadzone.identification.servo.feedback import is_closed
-from undeadzone.identification.servo.heard import Heard, heard, noise_of, shifted, triggered
+from undeadzone.identification.servo.heard import Heard, noise_of, shifted, triggered
 from undeadzone.identification.servo.likelihood import (
+    DEAR,
     Likelihood,
     Servo,
     Slopes,
@@ -26,8 +28,8 @@ from undeadzone.identification.servo.likelihood import (
 )
 from undeadzone.identification.servo.sampled import GAP
 from undeadzone.identification.servo.search import searched
-from undeadzone.identification.servo.simulated import refitted, simulated
-from undeadzone.support.arrays import Flags, Floats
+from undeadzone.identification.servo.simulated import STEPS, refitted, simulated
+from undeadzone.support.arrays import Flags, Floats, Integers
 
 REVERSALS = 10  # crossings that a gap is read off, at least
 WIDER = 1.25  # than by errors that are independent of what else is fitted
@@ -55,6 +57,7 @@ class ServoGap(NamedTuple):
         reversals: of the readings.
         closed: whether the input answers to the readings.
         covariance: of the servo's free numbers.
+        gained: nats of the log likelihood by which the gap is better than none.
         reasons: why no gap is given; empty where one is.
     """
 
@@ -65,12 +68,44 @@ class ServoGap(NamedTuple):
     reversals: int
     closed: bool
     covariance: Floats
+    gained: float
     reasons: tuple[str, ...]
 
     @property
     def is_given(self) -> bool:
         """Whether there is a gap, above 0 for certain."""
         return not self.reasons
+
+    @property
+    def odds(self) -> float:
+        """Of a gap against none, by BIC."""
+        used = max(int(np.count_nonzero(self.log.counted(False))), 2)
+        return float(expit(self.gained - 0.5 * DEAR * math.log(used)))
+
+    def trained(self, among: Flags) -> Servo:
+        """The servo fitted to some samples (N) alone."""
+        return Likelihood(self.log, among=among).climbed([self.servo], STEPS)[0]
+
+    def expected(self, one: Servo) -> tuple[Floats, Floats, Integers]:
+        """z as it is predicted, what is read of it, and the contact then (N each), scaled."""
+        log = self.log
+        z = Likelihood(log).run(one.theta[None], one.structure.lag)[0][:, 2]
+        half = float(one.theta[GAP]) / 2
+        before = shifted(log.y, log.start, 1)
+        readings = np.maximum(np.minimum(before, z + half), z - half)
+        if log.quantum:
+            readings = log.quantum * np.round(readings / log.quantum)
+        return z, readings, np.sign(readings - before).astype(int)
+
+    def errors(self, one: Servo) -> Floats:
+        """Errors that count, in their deviations (n)."""
+        slopes = _slopes(self.log, one)
+        return slopes.e * np.exp(-slopes.log_s)
+
+    @property
+    def trends(self) -> list[str]:
+        """What the gap changes with, in words; noise makes trends of its own."""
+        return self.crossings.trends() if self.log.ticks else []
 
 
 def servo_gap(log: Heard | None) -> ServoGap | None:
@@ -97,16 +132,17 @@ def servo_gap(log: Heard | None) -> ServoGap | None:
         reversals=spread.reversals,
         closed=is_closed(log),
         covariance=spread.covariance,
+        gained=best.value - _without(log, best),
         reasons=(),
     )
     return found._replace(reasons=_doubts(found, spread, slopes, gaps))
 
 
-def of_record(
-    u: Floats, y: Floats, ok: Flags, start: Floats, step: float
-) -> ServoGap | None:
-    """`servo_gap` of a record (N each) with a step [s]."""
-    return servo_gap(heard(u, y, ok, np.asarray(start, int), step))
+def _without(log: Heard, one: Servo) -> float:
+    """The log likelihood of a servo without a gap."""
+    theta = one.theta.copy()
+    theta[GAP] = 0.0
+    return Likelihood(log).climbed([one._replace(theta=theta)], STEPS, (GAP,))[0].value
 
 
 def _slopes(log: Heard, one: Servo) -> Slopes:

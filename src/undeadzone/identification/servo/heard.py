@@ -67,12 +67,11 @@ class Heard(NamedTuple):
         begun[at[np.append(True, np.diff(record) > 0)[: at.size]]] = True
         return begun
 
-    def signals(self, free: bool) -> Floats:
-        """Inputs of the kernel (N x inputs); with z forgotten at reversals, or not."""
+    def signals(self, counted: Flags) -> Floats:
+        """Inputs of the kernel (N x inputs), with the samples whose errors count (N)."""
         starts = np.zeros(self.u.size)
         starts[self.start] = 1.0
         late = np.column_stack([shifted(self.u, self.start, 1 + j) for j in range(LATEST + 1)])
-        counted = self.counted(free)
         if not self.ticks:
             return np.column_stack([late, self.y, self.ok, starts, counted])
         ticks = [self.side, self.boundary, self.turns, self.first]

@@ -101,12 +101,14 @@ class Likelihood:
     Args:
         log: as the predictor hears it.
         free: whether z is forgotten at each reversal, so that no gap is assumed.
+        among: the samples whose errors may count (N); None: all.
     """
 
-    def __init__(self, log: Heard, free: bool = False) -> None:
+    def __init__(self, log: Heard, free: bool = False, among: Flags | None = None) -> None:
         self.log, self.free = log, free
-        self.used = np.flatnonzero(log.counted(free))
-        self.signals = log.signals(free)
+        counted = log.counted(free) if among is None else log.counted(free) & among
+        self.used = np.flatnonzero(counted)
+        self.signals = log.signals(counted)
         self.kernel = predictor.ticks if log.ticks else predictor.noise
 
     def run(self, theta: Floats, lag: bool) -> Floats:
@@ -280,9 +282,3 @@ def bounded(theta: Floats, log: Heard) -> Floats:
     own[DELAY] = np.clip(own[DELAY], 0.0, predictor.LATEST - 1e-6)
     return own
 
-
-def flags(places: Integers, size: int) -> Flags:
-    """Whether each sample is among places (N)."""
-    found = np.zeros(size, bool)
-    found[places] = True
-    return found

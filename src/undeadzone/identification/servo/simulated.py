@@ -61,7 +61,7 @@ def simulated(log: Heard, one: Servo, runs: int = RUNS) -> list[Heard]:
     white = math.sqrt(1 - keep * keep) * draw.standard_normal((size, runs))
     torque += math.exp(theta[SLOW]) * lfilter([1.0], [1.0, -keep], white, axis=0)
     rows = sampled.lanes_of(theta[None], log.step, log.quantum, log.ticks, False, one.structure.lag)
-    signals = np.column_stack([log.signals(False)[:, : LATEST + 1], np.zeros((size, 3))])
+    signals = np.column_stack([log.signals(log.ok)[:, : LATEST + 1], np.zeros((size, 3))])
     signals[log.start, LATEST + 1] = log.y[log.start]
     signals[log.start, LATEST + 2] = 1.0
     levels, _ = lanes.run(
