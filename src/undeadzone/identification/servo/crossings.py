@@ -126,10 +126,10 @@ def crossings_of(log: Heard, one: Servo, free: bool = False) -> Crossings:
     side, scale = ticked.side[at], log.y_scale
     return Crossings(
         at=at,
-        time=at * log.step,
+        time=at * log.seconds,
         side=side,
-        speed=seen[at, 3] * scale,
-        duration=(at - before) * log.step,
+        speed=seen[at, 3] * scale * (log.step / log.seconds),
+        duration=(at - before) * log.seconds,
         y=log.y[at] * scale,
         gap=(theta[GAP] - side * seen[at, 0] - wider) * scale,
     )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import f as fisher
 
-from undeadzone.identification.servo.heard import Heard
 from undeadzone.support.arrays import Flags, Floats
 
 LAGS = 10  # samples of the past that are taken out
@@ -18,13 +17,14 @@ CHANCE = 1e-6
 STILL = 0.5  # share of changes that are 0, from which u is a list of steps
 
 
-def is_closed(log: Heard) -> bool:
+def is_closed(u: Floats, y: Floats) -> bool:
     """Whether changes of u are explained by changes of y that came just before.
 
     Args:
-        log: as the predictor hears it.
+        u: inputs (N).
+        y: readings (N).
     """
-    du, dy = np.diff(log.u), np.diff(log.y)
+    du, dy = np.diff(u), np.diff(y)
     rows = np.arange(LAGS, du.size)
     if rows.size < 10 * LAGS or np.mean(du == 0) > STILL:
         return False

@@ -16,7 +16,6 @@ from scipy.special import expit
 
 from undeadzone.identification.models.estimates import Interval, quantile, sandwich
 from undeadzone.identification.servo.crossings import Crossings, crossings_of
-from undeadzone.identification.servo.feedback import is_closed
 from undeadzone.identification.servo.heard import Heard, noise_of, shifted, triggered
 from undeadzone.identification.servo.likelihood import (
     DEAR,
@@ -55,7 +54,6 @@ class ServoGap(NamedTuple):
         gap: with its interval [y].
         crossings: one after another.
         reversals: of the readings.
-        closed: whether the input answers to the readings.
         covariance: of the servo's free numbers.
         gained: nats of the log likelihood by which the gap is better than none.
         reasons: why no gap is given; empty where one is.
@@ -66,7 +64,6 @@ class ServoGap(NamedTuple):
     gap: Interval
     crossings: Crossings
     reversals: int
-    closed: bool
     covariance: Floats
     gained: float
     reasons: tuple[str, ...]
@@ -130,7 +127,6 @@ def servo_gap(log: Heard | None) -> ServoGap | None:
         gap=gap.scaled(log.y_scale),
         crossings=crossings,
         reversals=spread.reversals,
-        closed=is_closed(log),
         covariance=spread.covariance,
         gained=best.value - _without(log, best),
         reasons=(),

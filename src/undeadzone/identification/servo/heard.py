@@ -8,9 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.identification.models.motion import white_noise
+from undeadzone.identification.servo.feedback import is_closed
 from undeadzone.identification.servo.predictor import LATEST
 from undeadzone.support.arrays import Flags, Floats, Integers
 
+USUAL = (5e-4, 0.05)  # of a servo [s]; other samples take as long as those in between
 FEWEST = 20  # changes of readings that are worth a look
 TURNING = 0.2  # share of changes that turn back, from which they are noise
 MOVING = 0.005  # share of readings equal to the one before, below which exact ones are noise
@@ -24,7 +26,8 @@ class Heard(NamedTuple):
     """A log, scaled, as signals of the predictor.
 
     Attributes:
-        step: sample time [s].
+        step: sample time in the predictor's unit, in which rates lie about 1 to 100.
+        seconds: sample time [s].
         u: inputs (N), rms 1.
         y: readings from the first one on (N), rms 1.
         ok: whether there is a reading (N).
@@ -34,9 +37,11 @@ class Heard(NamedTuple):
         side: of each tick, 0 where none is (N).
         boundary: that a tick passed (N).
         u_scale, y_scale: what u and y were divided by.
+        closed: whether the input answers to the readings.
     """
 
     step: float
+    seconds: float
     u: Floats
     y: Floats
     ok: Flags
@@ -47,6 +52,7 @@ class Heard(NamedTuple):
     boundary: Floats
     u_scale: float
     y_scale: float
+    closed: bool
 
     @property
     def turns(self) -> Flags:
@@ -71,7 +77,7 @@ class Heard(NamedTuple):
         """Inputs of the kernel (N x inputs), with the samples whose errors count (N)."""
         starts = np.zeros(self.u.size)
         starts[self.start] = 1.0
-        late = np.column_stack([shifted(self.u, self.start, 1 + j) for j in range(LATEST + 1)])
+        late = np.column_stack([shifted(self.u, self.start, j) for j in range(LATEST + 1)])
         if not self.ticks:
             return np.column_stack([late, self.y, self.ok, starts, counted])
         ticks = [self.side, self.boundary, self.turns, self.first]
@@ -134,8 +140,20 @@ def heard(u: Floats, y: Floats, ok: Flags, start: Integers, step: float) -> Hear
     spacing = encoder_of(held[ok])
     none = np.zeros(y.size, int)
     log = Heard(
-        step, u / u_scale, held, ok, start, True, spacing, none, held, u_scale, y_scale
-    )  # fmt: skip
+        step=step if USUAL[0] <= step <= USUAL[1] else math.sqrt(USUAL[0] * USUAL[1]),
+        seconds=step,
+        u=u / u_scale,
+        y=held,
+        ok=ok,
+        start=start,
+        ticks=True,
+        quantum=spacing,
+        side=none,
+        boundary=held,
+        u_scale=u_scale,
+        y_scale=y_scale,
+        closed=is_closed(u, held),
+    )
     turning = float(np.mean(side[at[1:]] != side[at[:-1]]))
     exact_enough = spacing > 0 or at.size < (1 - MOVING) * y.size
     if turning < TURNING and exact_enough:

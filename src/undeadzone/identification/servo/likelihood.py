@@ -20,6 +20,7 @@ from undeadzone.identification.servo.predictor import DEGREES
 from undeadzone.identification.servo.sampled import (
     DAMPING,
     DELAY,
+    EARLIEST,
     FRICTION,
     GAIN,
     GAP,
@@ -279,6 +280,7 @@ def bounded(theta: Floats, log: Heard) -> Floats:
             own[place] = np.clip(own[place], low, high)
     own[FRICTION] = max(own[FRICTION], 0.0)
     own[GAP] = max(own[GAP], 1e-7)
-    own[DELAY] = np.clip(own[DELAY], 0.0, predictor.LATEST - 1e-6)
+    earliest = 0.0 if log.closed else EARLIEST  # in a loop u answers to the reading of its sample
+    own[DELAY] = np.clip(own[DELAY], earliest, predictor.LATEST + EARLIEST - 1e-6)
     return own
 

@@ -14,6 +14,7 @@ NAMES = ("damping", "gain", "pole", "spring", "friction", "offset", "gap", "torq
 NAMES += ("slow", "delay")
 DAMPING, GAIN, POLE, SPRING, FRICTION, OFFSET, GAP, TORQUE, NOISE, SLOW, DELAY = range(11)
 SLOW_TIME = 0.5  # correlation time of the slow torque [s]
+EARLIEST = -1  # delay of a log whose input was recorded after it had acted [samples]
 COARSEST = 0.05  # of a step of the series, in rates
 TERMS = 5  # of the series
 FINEST = 2e-5  # rms of the readings: quantum of exact ones
@@ -110,7 +111,7 @@ def lanes_of(theta: Floats, step: float, quantum: float, ticks: bool, free: bool
     rows[:, place["first_v"]] = AT_FIRST**2 * (theta[:, GAIN] ** 2 / np.exp(2 * theta[:, DAMPING]))
     rows[:, place["first_d"]] = slow
     rows[:, place["free"]] = float(free)
-    late = np.clip(theta[:, DELAY], 0.0, LATEST)
+    late = np.clip(theta[:, DELAY] - EARLIEST, 0.0, LATEST)
     whole = np.minimum(late.astype(int), LATEST - 1)
     each = np.arange(len(theta))
     rows[each, len(NUMBERS) + whole] = 1 - (late - whole)

@@ -23,7 +23,7 @@ from undeadzone.identification.servo.heard import Heard, heard, noise_of, shifte
 from undeadzone.identification.servo.likelihood import Servo
 from undeadzone.identification.servo.sampled import DELAY, GAIN, discretised
 from undeadzone.identification.verdict.verdict import LEAST, LIKELY, Case, Verdict, best_of, because
-from undeadzone.identification.verdict.which import MEMORY, Element, Found
+from undeadzone.identification.verdict.which import EVEN, MEMORY, Element, Found
 from undeadzone.support.arrays import Floats
 
 POSSIBLE = ("none", "play", "friction", "other", "unclear", "undecided")  # that it may replace
@@ -64,13 +64,18 @@ def _falls_silent(log: Heard, grid: Grid) -> bool:
 
 def told(options: Options, found: ServoGap) -> Options:
     """Options of the fit beside a servo, whose plant is known: of first order, its delay alone."""
-    late = late_of(options) + round(found.servo.theta[DELAY])
+    late = late_of(options) + lateness(found)
     return msgspec.structs.replace(options, order="1", integrators=0, delay=str(late))
 
 
 def late_of(options: Options) -> int:
     """Samples by which the user said that the input is late."""
     return 0 if options.delay == "auto" else int(options.delay)
+
+
+def lateness(found: ServoGap) -> int:
+    """Samples by which a servo's input acts late."""
+    return max(round(float(found.servo.theta[DELAY])), 0)
 
 
 def order_of(servo: Servo) -> int:
@@ -132,7 +137,7 @@ def named_servo(case: Case, servo: ServoGap, found: Found) -> Found:
     word = "play" if servo.odds > LIKELY else "undecided"
     verdict = Verdict(word, [in_words(servo)], _cautions(servo))
     element = element_of(case, servo)
-    late = late_of(case.options) + round(servo.servo.theta[DELAY])
+    late = late_of(case.options) + lateness(servo)
     return found._replace(verdict=verdict, odds=odds, element=element, delay=late)
 
 
@@ -158,7 +163,7 @@ def _cautions(servo: ServoGap) -> list[str]:
         " as far as the load is felt (rho c >> q, rho the load's share of the inertia): ask where"
         " the encoder is"
     ]
-    if servo.closed:
+    if servo.log.closed:
         cautions.append(
             "the input answers to the readings: a loop is closed; the gap holds in it, since each"
             " error is that of one prediction"
@@ -174,7 +179,7 @@ def element_of(case: Case, servo: ServoGap) -> Element:
         servo: with its gap.
     """
     grid, data, one = case.grid, case.data, servo.servo
-    late = late_of(case.options) + round(one.theta[DELAY])
+    late = late_of(case.options) + lateness(servo)
     u = shifted(grid.u[:, 0], grid.start, late)
     own = data._replace(
         u=u[:, None] / data.u_scale,
@@ -184,7 +189,8 @@ def element_of(case: Case, servo: ServoGap) -> Element:
         side=np.zeros(grid.y.size, int),
         climbs=None,
     )
-    simulator = plant.Simulator(own, order_of(one), integrators_of(one))
+    free = integrators_of(one)
+    simulator = plant.Simulator(own, order_of(one), free)
     layout = simulator.layout
     count = layout.b.stop
     theta = np.zeros(layout.size)
@@ -212,7 +218,7 @@ def element_of(case: Case, servo: ServoGap) -> Element:
         noise=0.0 if servo.log.ticks else noise_of(servo.log) * servo.log.y_scale / data.y_scale,
         degrees=max(servo.reversals - 1, 2),
         rms=math.sqrt(float(np.mean(left**2))),
-        remarks=["the centre of the gap is not known, and both sides are half of the width"],
+        remarks=[f"z of an integrating plant has no zero of its own: {EVEN}" if free else EVEN],
     )
 
 

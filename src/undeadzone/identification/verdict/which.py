@@ -36,6 +36,7 @@ LEAST_NOISE = 0.01  # rms of y, from which noise that falls silent is told from 
 MEMORY = ("play", "both")  # words of what a play explains
 LEAST_ODD = 1e-3  # least rms from which readings are counted as odd, in rms of y
 FINEST = 2e-4  # rms of u: no interval is narrower
+EVEN = "the centre of the gap is not known, and both sides are half of the width"
 LAST = {"play": 25, "both": 25, "input_zone": 40}  # steps of a climb that checks a fit
 
 
@@ -274,10 +275,7 @@ def of_play(gap: Gap, whole: plant.Data, offset: float | None) -> Element:
     else:
         element = element._replace(widths=_sides(gap, offset))
     if model.simulator.layout.integrators:
-        element.remarks.append(
-            "z of an integrating plant has no zero of its own: the centre of the gap is not known,"
-            " and both sides are half of the width"
-        )
+        element.remarks.append(f"z of an integrating plant has no zero of its own: {EVEN}")
     return element
 
 
