@@ -25,7 +25,7 @@ from undeadzone.identification.servo.likelihood import (
     newton,
     scores,
 )
-from undeadzone.identification.servo.sampled import GAP
+from undeadzone.identification.servo.sampled import DAMPING, GAIN, GAP, OFFSET, SPRING
 from undeadzone.identification.servo.search import searched
 from undeadzone.identification.servo.simulated import STEPS, refitted, simulated
 from undeadzone.support.arrays import Flags, Floats, Integers
@@ -37,10 +37,12 @@ DEGREES = 60  # of freedom at most
 DISAGREES = 4.0  # standard errors by which crossings may say another gap
 TICKS = 0.5  # quanta by which they may besides
 NOISES = 2.0  # rms of the noise by which they may besides
+CLOSE = 0.02  # of the gap, by which they may in any case
 LOOKED = 4  # simulated logs whose crossings are looked at
 SCATTERS = 0.5  # of the gap, by which no simulated log's may differ
 HEAVY = 40.0  # kurtosis of errors that are no servo's
 HEARS = 0.04  # share of the errors of noisy readings that past inputs may explain
+MOVED = 1e-5  # of a number, for derivatives
 LAGS = 8  # of these inputs
 CORRELATED = 0.25  # errors of noisy readings one after another
 
@@ -134,6 +136,38 @@ def servo_gap(log: Heard | None) -> ServoGap | None:
     return found._replace(reasons=_doubts(found, spread, slopes, gaps))
 
 
+def centre_of(found: ServoGap, level: float) -> Interval | None:
+    """Half the centre c_r - c_l of a gap, if z = 0 at u = 0 [y]; None of an integrating plant.
+
+    Args:
+        found: the gap.
+        level: the first reading [y].
+    """
+    log, one = found.log, found.servo
+    rest = _rest(one)
+    if rest is None:
+        return None
+    free = one.structure.free(log.ticks, False)
+    slopes = np.zeros(free.size)
+    for column, place in enumerate(free):
+        move = np.zeros(one.theta.size)
+        move[place] = MOVED
+        more = _rest(one._replace(theta=one.theta + move))
+        slopes[column] = ((more or 0.0) - rest) / MOVED
+    error = math.sqrt(max(float(slopes @ found.covariance @ slopes), 0.0))
+    half = WIDER * quantile(float(np.clip(found.reversals - 1, 2, DEGREES))) * error
+    return Interval.around(-rest * log.y_scale - level, half * log.y_scale)
+
+
+def _rest(one: Servo) -> float | None:
+    """Where z rests at u = 0, from the first reading on; None of an integrating plant."""
+    theta, structure = one.theta, one.structure
+    if not structure.lag and "spring" not in structure.parts:
+        return None
+    stiffness = math.exp(theta[DAMPING] if structure.lag else theta[SPRING])
+    return float(theta[GAIN] * theta[OFFSET]) / stiffness
+
+
 def _without(log: Heard, one: Servo) -> float:
     """The log likelihood of a servo without a gap."""
     theta = one.theta.copy()
@@ -205,7 +239,7 @@ def _doubts(
         reasons.append(f"a gap of the play, if there is one, is below {gap.high:.3g}")
     fitted = float(found.servo.theta[GAP]) * log.y_scale
     margin = TICKS * log.quantum if log.ticks else NOISES * noise_of(log)
-    allowed = DISAGREES * spread.error * log.y_scale + margin * log.y_scale
+    allowed = (DISAGREES * spread.error + margin) * log.y_scale + CLOSE * fitted
     if abs(crossings.median - fitted) > allowed:
         reasons.append(
             f"the crossings one by one say a gap of {crossings.median:.4g}, all together"

@@ -246,7 +246,7 @@ def noise(what: str = "all") -> lanes.Kernel:
     own = ca.if_else(starts, R, own)
     with_level = ca.if_else(starts, ca.vertcat(R, 0.0, 0.0), with_level)
     apart = ca.fmax(P[0, 0] - 2 * with_level[0] + own, 1e-300)
-    mean, slope, rest = _through_play(x[0] - level, apart, lane.gap / 2)
+    mean, slope, rest = through_play(x[0] - level, apart, lane.gap / 2)
     slope, rest, mean = (ca.if_else(starts, 0.0, one) for one in (slope, rest, mean))
     level = level + mean
     own = (1 - slope) ** 2 * own + 2 * slope * (1 - slope) * with_level[0]
@@ -267,8 +267,16 @@ def noise(what: str = "all") -> lanes.Kernel:
     return _compiled("noise", state, signals, numbers, _Out(following, seen, counts), what)
 
 
-def _through_play(mean: Any, variance: Any, half: Any) -> tuple[Any, Any, Any]:
-    """Mean, slope and the rest of the variance of a dead zone of a Gaussian."""
+def through_play(mean: Any, variance: Any, half: Any) -> tuple[Any, Any, Any]:
+    """What a dead zone makes of a Gaussian, on CasADi expressions.
+
+    Args:
+        mean, variance: of the Gaussian.
+        half: half the zone.
+
+    Returns:
+        The mean, the slope, and what of the variance the slope does not explain.
+    """
     s = ca.sqrt(variance)
     a, b = (mean - half) / s, (-half - mean) / s
     mass_a, mass_b = _normal(a), _normal(b)

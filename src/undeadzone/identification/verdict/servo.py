@@ -13,21 +13,22 @@ import math
 import msgspec
 import numpy as np
 
-from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.identification.logs.grid import Grid
 from undeadzone.identification.logs.log import Options
+from undeadzone.identification.logs.prepare import OFTEN
 from undeadzone.identification.models import plant
 from undeadzone.identification.models.estimates import Interval
-from undeadzone.identification.servo.gap import ServoGap, servo_gap
+from undeadzone.identification.servo.gap import ServoGap, centre_of, servo_gap
 from undeadzone.identification.servo.heard import Heard, heard, noise_of, shifted
 from undeadzone.identification.servo.likelihood import Servo
-from undeadzone.identification.servo.sampled import DELAY, GAIN, discretised
+from undeadzone.identification.servo.sampled import DELAY, FRICTION, GAIN, discretised
 from undeadzone.identification.verdict.verdict import LEAST, LIKELY, Case, Verdict, best_of, because
 from undeadzone.identification.verdict.which import EVEN, MEMORY, Element, Found
 from undeadzone.support.arrays import Floats
 
 POSSIBLE = ("none", "play", "friction", "other", "unclear", "undecided")  # that it may replace
 EXPLAINED = ("play", "none", "friction")  # words that stand where their fit is good
+FEW_RETURNS = 3
 MOVED = 1e-4  # of a number, for derivatives of the sampled plant
 
 
@@ -49,17 +50,19 @@ def heard_of(grid: Grid, options: Options) -> Heard | None:
 def servo_of_ticks(grid: Grid, options: Options) -> ServoGap | None:
     """What a log of ticks says of a servo; None of other logs."""
     log = heard_of(grid, options)
-    if log is None or not log.ticks or _falls_silent(log, grid):
+    if log is None or not log.ticks or _falls_silent(grid):
         return None
     return servo_gap(log)
 
 
-def _falls_silent(log: Heard, grid: Grid) -> bool:
-    """Whether readings come back to rest at 0 from both sides again and again: a sensor's zone."""
-    known = grid.y[grid.ok]
-    at_rest = np.flatnonzero(np.diff(1 * (known == 0)) > 0)
-    turned = int(np.count_nonzero(log.turns))
-    return at_rest.size > 3 and at_rest.size > 0.3 * turned
+def _falls_silent(grid: Grid) -> bool:
+    """Whether readings come back to 0 far more often than to any other value: a sensor's zone."""
+    y = grid.y[grid.ok]
+    values, counts = np.unique(y, return_counts=True)
+    silent = int(np.count_nonzero(y == 0))
+    others = int(counts[values != 0].max(initial=1))
+    returns = int(np.count_nonzero(np.diff(1 * (y == 0)) > 0))
+    return returns > FEW_RETURNS and silent > OFTEN * others
 
 
 def told(options: Options, found: ServoGap) -> Options:
@@ -199,10 +202,6 @@ def element_of(case: Case, servo: ServoGap) -> Element:
     z, readings, side = servo.expected(one)
     of_log, level = servo.log.y_scale / data.y_scale, float(own.y[own.ok][0])
     z, readings = z * of_log + level, readings * of_log + level
-    width = servo.gap
-    half = Interval(width.value / 2, width.low / 2, width.high / 2)
-    widths: dict[str, Interval | None] = dict.fromkeys(DIRECTIONS)
-    widths |= {"right": half, "left": half, "width": width}
     left = (own.y - readings)[own.ok]
     return Element(
         kind="play",
@@ -213,13 +212,27 @@ def element_of(case: Case, servo: ServoGap) -> Element:
         z=z,
         readings=readings,
         side=side,
-        widths=widths,
+        widths=_widths(case, servo),
         ahead=None,
         noise=0.0 if servo.log.ticks else noise_of(servo.log) * servo.log.y_scale / data.y_scale,
         degrees=max(servo.reversals - 1, 2),
         rms=math.sqrt(float(np.mean(left**2))),
-        remarks=[f"z of an integrating plant has no zero of its own: {EVEN}" if free else EVEN],
+        remarks=[f"z of an integrating plant has no zero of its own: {EVEN}"] if free else [],
     )
+
+
+def _widths(case: Case, servo: ServoGap) -> dict[str, Interval | None]:
+    """The play's widths [y]; what an offset of the output leaves of its sides and its centre."""
+    width, even = servo.gap, servo.gap.scaled(0.5)
+    centre = centre_of(servo, float(case.grid.y[case.grid.ok][0]))
+    if centre is None:
+        return {"right": even, "left": even, "width": width, "centre": None}
+    offset = math.inf if case.offset is None else case.offset * case.data.y_scale
+    centre = Interval.around(centre.value, math.hypot(centre.half, offset))
+    half = math.hypot(even.half, centre.half)
+    right = Interval.around(even.value + centre.value, half)
+    left = Interval.around(even.value - centre.value, half)
+    return {"right": right, "left": left, "width": width, "centre": centre.scaled(2.0)}
 
 
 def sampled_plant(servo: ServoGap, theta: Floats, scale: float) -> Floats:
