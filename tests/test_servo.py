@@ -17,11 +17,12 @@ from benchmarks.servo_logs import Servo, input_at_random, random_log, recorded
 from undeadzone.cli import group
 from undeadzone.identification.servo import predictor
 from undeadzone.identification.servo.crossings import Crossings, crossings_of
+from undeadzone.identification.servo.feedback import is_closed
 from undeadzone.identification.servo.gap import ServoGap, servo_gap
 from undeadzone.identification.servo.heard import Heard, encoder_of, heard
 from undeadzone.identification.servo.likelihood import Likelihood
 from undeadzone.identification.servo.likelihood import Servo as Fitted
-from undeadzone.identification.servo.sampled import FRICTION, GAP
+from undeadzone.identification.servo.sampled import FRICTION
 from undeadzone.identification.servo.search import neighbours
 from undeadzone.scenario.reader import parse
 from undeadzone.support.arrays import Floats
@@ -129,11 +130,10 @@ def test_friction_that_is_left_out_shows_in_the_crossings(
     assert "friction" in found.servo.structure.parts
     assert found.servo.theta[FRICTION] * log.u_scale == pytest.approx(0.3, rel=0.15)
     structure = found.servo.structure._replace(parts=frozenset())
-    bare = Likelihood(log).climbed([found.servo._replace(structure=structure)], 40)[0]
-    wrong = bare.theta[GAP] * log.y_scale
-    median = crossings_of(log, bare).median
-    assert abs(wrong - 0.03) > 2 * abs(found.gap.value - 0.03)
-    assert abs(median - wrong) > 0.001 or crossings_of(log, bare).trends()
+    theta = structure.of(found.servo.theta)
+    bare = crossings_of(log, Fitted(structure, theta, 0.0))
+    assert bare.scatter > 2 * found.crossings.scatter
+    assert bare.trends() or abs(bare.median - 0.03) > 3 * bare.error
 
 
 def test_a_part_that_is_added_never_costs_likelihood(with_friction: tuple[Heard, ServoGap]) -> None:
@@ -148,7 +148,7 @@ def test_a_part_that_is_added_never_costs_likelihood(with_friction: tuple[Heard,
         parts = top.structure.parts
         tops[parts] = max(top.value, tops.get(parts, -math.inf))
     assert tops
-    assert min(tops.values()) > found.servo.value - 1.0
+    assert min(tops.values()) > found.servo.value - 2.0  # a pole cannot be infinitely fast
 
 
 def test_a_record_that_is_cut_in_motion_says_the_same(
@@ -201,10 +201,9 @@ def test_a_loop_is_heard() -> None:
     right, loops = 0, 0
     for seed in range(30):
         log = random_log(900 + seed, 2000)
-        found = heard(log.u, log.y, np.ones(log.y.size, bool), START, log.step)
-        assert found is not None
-        assert log.closed or not found.closed
-        right, loops = right + found.closed, loops + log.closed
+        found = is_closed(log.u, log.y)
+        assert log.closed or not found
+        right, loops = right + found, loops + log.closed
     assert right >= 0.7 * loops
 
 

@@ -41,6 +41,7 @@ CLOSE = 0.02  # of the gap, by which they may in any case
 LOOKED = 4  # simulated logs whose crossings are looked at
 SCATTERS = 0.5  # of the gap, by which no simulated log's may differ
 HEAVY = 40.0  # kurtosis of errors that are no servo's
+FAR = 8.0  # deviations beyond which one error is
 HEARS = 0.04  # share of the errors of noisy readings that past inputs may explain
 MOVED = 1e-5  # of a number, for derivatives
 LAGS = 8  # of these inputs
@@ -239,7 +240,8 @@ def _doubts(
         reasons.append(f"a gap of the play, if there is one, is below {gap.high:.3g}")
     fitted = float(found.servo.theta[GAP]) * log.y_scale
     margin = TICKS * log.quantum if log.ticks else NOISES * noise_of(log)
-    allowed = (DISAGREES * spread.error + margin) * log.y_scale + CLOSE * fitted
+    error = math.hypot(spread.error * log.y_scale, crossings.error)
+    allowed = DISAGREES * error + margin * log.y_scale + CLOSE * fitted
     if abs(crossings.median - fitted) > allowed:
         reasons.append(
             f"the crossings one by one say a gap of {crossings.median:.4g}, all together"
@@ -256,7 +258,7 @@ def _odd_errors(log: Heard, slopes: Slopes) -> list[str]:
     r = r - r.mean()
     power = float(r @ r) + 1e-300
     reasons = []
-    if r.size * float(np.sum(r**4)) > HEAVY * power**2:
+    if np.abs(r).max() > FAR and r.size * float(np.sum(r**4)) > HEAVY * power**2:
         reasons.append("a few readings are far from what any servo does")
     if log.ticks:
         return reasons

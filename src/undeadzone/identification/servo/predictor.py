@@ -12,8 +12,8 @@ its boundary B where the level was:
 
     e = B + s (c + w) / 2 - z^,   w = min(|v^| dt, q),   variance  P_zz + w^2 / 12 + (q / 10)^2  (S3)
 
-Between two ticks nothing is heard. A tick is a stopping time, so the errors' mean is 0 whenever it
-comes.
+Where the motor turned within the sample, B + s c / 2 is its peak, and z has fallen back since. Between
+two ticks nothing is heard. A tick is a stopping time, so the errors' mean is 0 whenever it comes.
 
 **Noise.** What is passed on is a level l with a Gaussian's moments of its own: l+ = l + Dz(z+ - l),
 with the mean, the slope and the rest of the variance of a dead zone Dz of a Gaussian.
@@ -194,8 +194,11 @@ def ticks(what: str = "all") -> lanes.Kernel:
     P = ca.if_else(starts, _first(lane, 0.0), P)
     swept = ca.fmin(ca.fabs(x[1]) * lane.step, lane.quantum)
     swept = ca.fmax(swept, SURE * lane.quantum)
-    R = swept**2 / 12 + lane.rms**2
-    at = boundary + side * (swept + lane.gap) / 2
+    turned = ca.logic_and(state[1] * side > 0, x[1] * side < 0)
+    slower = ca.fabs(x[1]) + ca.fabs(state[1])  # within the sample, past a peak
+    fallen = ca.if_else(turned, 0.5 * x[1] ** 2 * lane.step / ca.fmax(slower, 1e-300), 0.0)
+    R = swept**2 / 12 + lane.rms**2 + fallen**2
+    at = boundary + side * ((swept + lane.gap) / 2 - fallen)
     forgets = ca.logic_or(first, ca.logic_and(turns, lane.free))
     P[0, 0] = P[0, 0] + ca.if_else(ca.logic_and(side != 0, forgets), UNKNOWN, 0.0)
     S = P[0, 0] + R
@@ -210,6 +213,7 @@ def ticks(what: str = "all") -> lanes.Kernel:
         after[k, 0] = left * P[0, k]
     P = after
     against = ca.logic_and(side != 0, heard[1] * side <= 0)
+    against = ca.logic_and(against, ca.logic_not(turned))
     heard[1] = ca.if_else(against, side * SLOWEST, heard[1])
     following = ca.vertcat(*heard, x[3], *_upper(P))
     return _compiled("ticks", state, signals, numbers, _Out(following, seen, counts), what)

@@ -17,7 +17,7 @@ SLOW_TIME = 0.5  # correlation time of the slow torque [s]
 EARLIEST = -1  # delay of a log whose input was recorded after it had acted [samples]
 COARSEST = 0.05  # of a step of the series, in rates
 TERMS = 5  # of the series
-FINEST = 2e-5  # rms of the readings: quantum of exact ones
+FINEST = 1e-4  # rms of the readings: quantum of exact ones
 AT_FIRST = 2.0  # standard deviation of v at first, in speeds that an input of 1 gives in a while
 
 
