@@ -38,6 +38,8 @@ DISAGREES = 4.0  # standard errors by which crossings may say another gap
 TICKS = 0.5  # quanta by which they may besides
 NOISES = 2.0  # rms of the noise by which they may besides
 CLOSE = 0.02  # of the gap, by which they may in any case
+WIDEST = 0.5  # of the gap: half of an interval that is an answer
+SETTLES = 3.0  # time constants of a log, below which a lag is an integrator
 LOOKED = 4  # simulated logs whose crossings are looked at
 SCATTERS = 0.5  # of the gap, by which no simulated log's may differ
 HEAVY = 40.0  # kurtosis of errors that are no servo's
@@ -75,6 +77,14 @@ class ServoGap(NamedTuple):
     def is_given(self) -> bool:
         """Whether there is a gap, above 0 for certain."""
         return not self.reasons
+
+    @property
+    def integrates(self) -> bool:
+        """Whether nothing pulls z back to where it was, or nothing that this log could show."""
+        one = self.servo
+        if not one.structure.lag:
+            return "spring" not in one.structure.parts
+        return math.exp(one.theta[DAMPING]) * self.log.step * self.log.u.size < SETTLES
 
     @property
     def odds(self) -> float:
@@ -145,27 +155,25 @@ def centre_of(found: ServoGap, level: float) -> Interval | None:
         level: the first reading [y].
     """
     log, one = found.log, found.servo
-    rest = _rest(one)
-    if rest is None:
+    if found.integrates:
         return None
+    rest = _rest(one)
     free = one.structure.free(log.ticks, False)
     slopes = np.zeros(free.size)
     for column, place in enumerate(free):
         move = np.zeros(one.theta.size)
         move[place] = MOVED
         more = _rest(one._replace(theta=one.theta + move))
-        slopes[column] = ((more or 0.0) - rest) / MOVED
+        slopes[column] = (more - rest) / MOVED
     error = math.sqrt(max(float(slopes @ found.covariance @ slopes), 0.0))
     half = WIDER * quantile(float(np.clip(found.reversals - 1, 2, DEGREES))) * error
     return Interval.around(-rest * log.y_scale - level, half * log.y_scale)
 
 
-def _rest(one: Servo) -> float | None:
-    """Where z rests at u = 0, from the first reading on; None of an integrating plant."""
-    theta, structure = one.theta, one.structure
-    if not structure.lag and "spring" not in structure.parts:
-        return None
-    stiffness = math.exp(theta[DAMPING] if structure.lag else theta[SPRING])
+def _rest(one: Servo) -> float:
+    """Where z rests at u = 0, from the first reading on."""
+    theta = one.theta
+    stiffness = math.exp(theta[DAMPING] if one.structure.lag else theta[SPRING])
     return float(theta[GAIN] * theta[OFFSET]) / stiffness
 
 
@@ -238,6 +246,11 @@ def _doubts(
         )
     if gap.low <= 0:
         reasons.append(f"a gap of the play, if there is one, is below {gap.high:.3g}")
+    elif gap.half > WIDEST * gap.value:
+        reasons.append(
+            f"the gap lies between {gap.low:.3g} and {gap.high:.3g}, which is hardly known; record"
+            " for longer, or with more reversals"
+        )
     fitted = float(found.servo.theta[GAP]) * log.y_scale
     margin = TICKS * log.quantum if log.ticks else NOISES * noise_of(log)
     error = math.hypot(spread.error * log.y_scale, crossings.error)

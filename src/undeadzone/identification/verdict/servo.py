@@ -86,11 +86,6 @@ def order_of(servo: Servo) -> int:
     return (1 if servo.structure.lag else 2) + ("pole" in servo.structure.parts)
 
 
-def integrators_of(servo: Servo) -> int:
-    """How many of them are integrators."""
-    return int(not servo.structure.lag and "spring" not in servo.structure.parts)
-
-
 # --- What is found
 
 
@@ -192,7 +187,7 @@ def element_of(case: Case, servo: ServoGap) -> Element:
         side=np.zeros(grid.y.size, int),
         climbs=None,
     )
-    free = integrators_of(one)
+    free = int(servo.integrates)
     simulator = plant.Simulator(own, order_of(one), free)
     layout = simulator.layout
     count = layout.b.stop
@@ -256,7 +251,7 @@ def sampled_plant(servo: ServoGap, theta: Floats, scale: float) -> Floats:
         markov.append(state[0])
         state = F @ state
     numerator = np.convolve(whole, markov)[: len(places)]
-    if integrators_of(one):
+    if servo.integrates:
         nearest = int(np.argmin(np.abs(poles - 1)))
         whole = np.real(np.poly(np.delete(poles, nearest)))
     in_units = log.y_scale / log.u_scale * scale
