@@ -73,7 +73,10 @@ def outcome_of(log: Recorded) -> Outcome:
     error, half, held = math.nan, math.nan, False
     if found is not None and given:
         error = found.gap.value / log.servo.gap - 1
-        half, held = found.gap.half / log.servo.gap, found.gap.low <= log.servo.gap <= found.gap.high
+        half, held = (
+            found.gap.half / log.servo.gap,
+            found.gap.low <= log.servo.gap <= found.gap.high,
+        )
     return Outcome(
         family=family,
         closed=log.closed,
@@ -186,8 +189,9 @@ def table() -> str:
         f"{count} logs at commit {commit()}, seeds from {first}: motors of a damping of 2 to 30 1/s"
         " with friction (60 %, to .2 of the input's rms), a spring (25 %), an electrical pole"
         " (20 %), 100 Hz to 1 kHz, 1,000 to 12,000 samples, inputs 0 to 3 samples late, torques to"
-        " .1, a loop in 40 %; gaps of .001 to .1 of the travel, encoders of .5 to 50 ticks a gap, in"
-        " 22 % noise instead. Nothing is told. Half: half the 95 % interval; CPU: for 4,000 samples.",
+        " .1, a loop in 40 %; gaps of .001 to .1 of the travel, encoders of .5 to 50 ticks a gap,"
+        " in 22 % noise instead. Nothing is told. Half: half the 95 % interval; CPU: for 4,000"
+        " samples.",
         "",
         *predictor(count, first),
         "",

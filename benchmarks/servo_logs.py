@@ -80,8 +80,8 @@ def kernel() -> lanes.Kernel:
     z, v, current, level, before, slope = ca.vertsplit(state[:6])
     late = ca.vertsplit(state[6:])
     command, torque, noise = ca.vertsplit(signals)
-    damping, gain, spring, pole, friction, gap, quantum, delay, kp, kd, closed, step = (
-        ca.vertsplit(p)
+    damping, gain, spring, pole, friction, gap, quantum, delay, kp, kd, closed, step = ca.vertsplit(
+        p
     )
     y = level + noise
     y = ca.if_else(quantum > 0, quantum * ca.floor(y / ca.fmax(quantum, 1e-12) + 0.5), y)

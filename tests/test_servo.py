@@ -9,11 +9,11 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
+from benchmarks.servo_logs import Servo, input_at_random, random_log, recorded
 from scipy.signal import lfilter
 from scipy.stats import norm
 
 import undeadzone as uz
-from benchmarks.servo_logs import Servo, input_at_random, random_log, recorded
 from undeadzone.cli import group
 from undeadzone.identification.servo import predictor
 from undeadzone.identification.servo.crossings import Crossings, crossings_of
@@ -268,7 +268,9 @@ def test_a_log_ends_in_a_scenario_and_a_page(
 
 def test_motors_and_lags_climb_side_by_side(with_friction: tuple[Heard, ServoGap]) -> None:
     log, found = with_friction
-    lag = Fitted(found.servo.structure._replace(parts=frozenset(), lag=True), found.servo.theta, 0.0)
+    lag = Fitted(
+        found.servo.structure._replace(parts=frozenset(), lag=True), found.servo.theta, 0.0
+    )
     tops = Likelihood(log).climbed([lag, found.servo], 2)
     assert [top.structure.lag for top in tops] == [True, False]
     assert tops[1].value >= found.servo.value - 1e-6

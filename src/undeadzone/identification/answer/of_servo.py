@@ -73,7 +73,7 @@ def crossing_columns(answer: Answer) -> dict[str, Floats]:
     crossings = servo.crossings
     return {
         "t": answer.case.grid.t[crossings.at],
-        "side": crossings.side,
+        "side": crossings.side.astype(float),
         "speed": crossings.speed,
         "duration": crossings.duration,
         "y": crossings.y + float(answer.case.grid.y[answer.case.grid.ok][0]),

@@ -233,9 +233,7 @@ def _unbiased(crossings: Crossings, logs: list[Heard], one: Servo) -> Crossings:
     return crossings._replace(gap=crossings.gap - shift) if math.isfinite(shift) else crossings
 
 
-def _doubts(
-    found: ServoGap, spread: _Spread, slopes: Slopes, gaps: Floats
-) -> tuple[str, ...]:
+def _doubts(found: ServoGap, spread: _Spread, slopes: Slopes, gaps: Floats) -> tuple[str, ...]:
     """Why no gap is given."""
     log, gap, crossings = found.log, found.gap, found.crossings
     reasons = []

@@ -283,4 +283,3 @@ def bounded(theta: Floats, log: Heard) -> Floats:
     earliest = 0.0 if log.closed else EARLIEST  # in a loop u answers to the reading of its sample
     own[DELAY] = np.clip(own[DELAY], earliest, predictor.LATEST + EARLIEST - 1e-6)
     return own
-

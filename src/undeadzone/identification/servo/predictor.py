@@ -4,16 +4,17 @@ A motor, its slow torque d and its current i, in physical coordinates, sampled e
 
     z' = v,   v' = -p v - k z + g (i - f sign v + o + d + w),   i' = p_e (u(t - delay) - i)    (S1)
 
-**Friction** takes g f dt a sample from v and lets it rest at 0 where what drives it is less. At rest
-the spread of v loses as much, and no torque enters once it is 0.                              (S2)
+**Friction** takes g f dt a sample from v and lets it rest at 0 where what drives it is less. At
+rest the spread of v loses as much, and no torque enters once it is 0.                         (S2)
 
 **Ticks.** Of an encoder, or of exact readings, each change is a tick. Its side s says the contact,
 its boundary B where the level was:
 
-    e = B + s (c + w) / 2 - z^,   w = min(|v^| dt, q),   variance  P_zz + w^2 / 12 + (q / 10)^2  (S3)
+    e = B + s (c + w) / 2 - z^,  w = min(|v^| dt, q),  variance P_zz + w^2 / 12 + (q / 10)^2   (S3)
 
-Where the motor turned within the sample, B + s c / 2 is its peak, and z has fallen back since. Between
-two ticks nothing is heard. A tick is a stopping time, so the errors' mean is 0 whenever it comes.
+Where the motor turned within the sample, B + s c / 2 is its peak, and z has fallen back since.
+Between two ticks nothing is heard. A tick is a stopping time, so the errors' mean is 0 whenever it
+comes.
 
 **Noise.** What is passed on is a level l with a Gaussian's moments of its own: l+ = l + Dz(z+ - l),
 with the mean, the slope and the rest of the variance of a dead zone Dz of a Gaussian.
@@ -50,15 +51,15 @@ WORST = -1e6  # log density of an error that is no number
 
 
 class Lane:
-    """The numbers of a lane, by name."""
+    """The numbers of a lane by their names in `NUMBERS`, and the weights of its inputs."""
 
     def __init__(self, numbers: Any) -> None:
-        for place, name in enumerate(NUMBERS):
-            setattr(self, name, numbers[place])
+        self._named = {name: numbers[place] for place, name in enumerate(NUMBERS)}
         self.taps = numbers[len(NUMBERS) :]
 
     def __getattr__(self, name: str) -> Any:
-        raise AttributeError(name)
+        """A number."""
+        return self._named[name]
 
 
 def moved(lane: Lane, x: list[Any], u: Any, torque: Any) -> tuple[list[Any], Any]:
@@ -74,7 +75,6 @@ def moved(lane: Lane, x: list[Any], u: Any, torque: Any) -> tuple[list[Any], Any
     push = lane.a10 * z + lane.a12 * d + lane.a13 * i + lane.bv * u + lane.fv * torque
     rolled = lane.a00 * z + lane.a01 * v + lane.a02 * d + lane.a03 * i + lane.bz * u
     rolled = rolled + lane.fz * torque
-    # a spring at rest pulls by k z, which the rows of v and z hold as a10 and a00 - 1
     brake = ca.fabs(lane.fv) * lane.friction
     sign = ca.if_else(v == 0, ca.sign(push), ca.sign(v))
     ahead = lane.a11 * v + push - sign * brake
@@ -115,11 +115,6 @@ def _spread(lane: Lane, P: Any, rests: Any) -> Any:
     return F @ P @ F.T + Q, F
 
 
-def _late(lane: Lane, inputs: Any) -> Any:
-    """What acts, of the inputs of the last samples."""
-    return ca.dot(lane.taps, inputs)
-
-
 def _symmetric(entries: list[Any]) -> Any:
     """A covariance of z, v, d from its upper part."""
     P = ca.SX(3, 3)
@@ -139,8 +134,21 @@ def _first(lane: Lane, variance: Any) -> Any:
     return ca.diag(ca.vertcat(variance, lane.first_v, lane.first_d))
 
 
+class _Out(NamedTuple):
+    """The next state, `SEEN`, and whether the error counts."""
+
+    following: Any
+    seen: Any
+    counts: Any
+
+
 def density(error: Any, log_s: Any) -> Any:
-    """Student's log density of an error, less a constant."""
+    """Student's log density of an error on CasADi expressions, less a constant.
+
+    Args:
+        error: of a prediction.
+        log_s: logarithm of its standard deviation.
+    """
     squares = (error * ca.exp(-log_s)) ** 2
     found = -log_s - (DEGREES + 1) / 2 * ca.log1p(squares / DEGREES)
     return ca.if_else(ca.fabs(found) < -WORST, found, WORST)
@@ -159,14 +167,6 @@ def _compiled(name: str, state: Any, signals: Any, numbers: Any, out: _Out, what
     return lanes.build(step, params=range(numbers.shape[0]), width=WIDTH, fused=True)
 
 
-class _Out(NamedTuple):
-    """The next state, `SEEN`, and whether the error counts."""
-
-    following: Any
-    seen: Any
-    counts: Any
-
-
 @cache
 def ticks(what: str = "all") -> lanes.Kernel:
     """The predictor of ticks.
@@ -176,11 +176,11 @@ def ticks(what: str = "all") -> lanes.Kernel:
             up in the last state, and nothing is recorded.
 
     Returns:
-        A kernel whose inputs are u(t), u(t - 1), ..., the side of a tick or 0, its boundary, whether
-        it is a reversal, whether it is the first of a record, whether a record starts, and whether
-        its error counts; whose lanes
-        differ in `NUMBERS` and in how late the input acts. Errors are of ticks alone; a free one
-        forgets z at a reversal, so that nothing is heard of the gap.
+        A kernel whose inputs are u(t), u(t - 1), ..., the side of a tick or 0, its boundary,
+        whether it is a reversal, whether it is the first of a record, whether a record starts, and
+        whether its error counts; whose lanes differ in `NUMBERS` and in how late the input acts.
+        Errors are of ticks alone; a free one forgets z at a reversal, so that nothing is heard of
+        the gap.
     """
     state = ca.SX.sym("s", MEAN + len(TRIANGLE))
     signals = ca.SX.sym("w", LATEST + 1 + 6)
@@ -188,7 +188,7 @@ def ticks(what: str = "all") -> lanes.Kernel:
     lane = Lane(numbers)
     side, boundary, turns, first, starts, counts = ca.vertsplit(signals[LATEST + 1 :])
     inputs = signals[: LATEST + 1]
-    x, rests = moved(lane, ca.vertsplit(state[:MEAN]), _late(lane, inputs), lane.offset)
+    x, rests = moved(lane, ca.vertsplit(state[:MEAN]), ca.dot(lane.taps, inputs), lane.offset)
     P, _ = _spread(lane, _symmetric(ca.vertsplit(state[MEAN:])), rests)
     x = [ca.if_else(starts, 0.0, one) for one in x]
     P = ca.if_else(starts, _first(lane, 0.0), P)
@@ -229,7 +229,8 @@ def noise(what: str = "all") -> lanes.Kernel:
 
     Returns:
         A kernel whose inputs are u(t), u(t - 1), ..., the reading, whether there is one, whether a
-        record starts, and whether its error counts; whose lanes differ in `NUMBERS` and in how late the input acts.
+        record starts, and whether its error counts; whose lanes differ in `NUMBERS` and in how
+        late the input acts.
     """
     state = ca.SX.sym("s", MEAN + len(TRIANGLE) + 5)
     signals = ca.SX.sym("w", LATEST + 1 + 4)
@@ -237,7 +238,7 @@ def noise(what: str = "all") -> lanes.Kernel:
     lane = Lane(numbers)
     reading, there, starts, counts = ca.vertsplit(signals[LATEST + 1 :])
     inputs = signals[: LATEST + 1]
-    x, rests = moved(lane, ca.vertsplit(state[:MEAN]), _late(lane, inputs), lane.offset)
+    x, rests = moved(lane, ca.vertsplit(state[:MEAN]), ca.dot(lane.taps, inputs), lane.offset)
     upper = ca.vertsplit(state[MEAN : MEAN + len(TRIANGLE)])
     P, F = _spread(lane, _symmetric(upper), rests)
     level, of_level = state[MEAN + len(TRIANGLE)], state[MEAN + len(TRIANGLE) + 1 :]
@@ -293,8 +294,10 @@ def through_play(mean: Any, variance: Any, half: Any) -> tuple[Any, Any, Any]:
 
 
 def _normal(x: Any) -> Any:
+    """Phi(x) on CasADi expressions."""
     return 0.5 * (1 + ca.erf(ca.fmin(ca.fmax(x, -8.0), 8.0) / math.sqrt(2)))
 
 
 def _density(x: Any) -> Any:
+    """phi(x) on CasADi expressions."""
     return ca.exp(-0.5 * ca.fmin(x * x, 100.0)) / math.sqrt(2 * math.pi)

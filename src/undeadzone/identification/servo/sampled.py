@@ -10,8 +10,10 @@ from undeadzone.identification.servo.predictor import LATEST, NUMBERS, SURE
 from undeadzone.support.arrays import Floats
 
 # ln p, g, ln p_e, ln k, f, o, c, ln of the rms of white torque, of noise, of slow torque, delay
-NAMES = ("damping", "gain", "pole", "spring", "friction", "offset", "gap", "torque", "noise")
-NAMES += ("slow", "delay")
+NAMES = (
+    *("damping", "gain", "pole", "spring", "friction", "offset", "gap"),
+    *("torque", "noise", "slow", "delay"),
+)
 DAMPING, GAIN, POLE, SPRING, FRICTION, OFFSET, GAP, TORQUE, NOISE, SLOW, DELAY = range(11)
 SLOW_TIME = 0.5  # correlation time of the slow torque [s]
 EARLIEST = -1  # delay of a log whose input was recorded after it had acted [samples]
@@ -75,7 +77,9 @@ def discretised(theta: Floats, step: float, lag: bool) -> tuple[Floats, Floats, 
     return E[:, :4, :4], E[:, :4, 4:], Q
 
 
-def lanes_of(theta: Floats, step: float, quantum: float, ticks: bool, free: bool, lag: bool) -> Floats:
+def lanes_of(
+    theta: Floats, step: float, quantum: float, ticks: bool, free: bool, lag: bool
+) -> Floats:
     """The numbers of the predictor's lanes (L x numbers).
 
     Args:

@@ -21,8 +21,8 @@ from undeadzone.identification.models.estimates import Interval
 from undeadzone.identification.servo.gap import ServoGap, centre_of, servo_gap
 from undeadzone.identification.servo.heard import Heard, heard, noise_of, shifted
 from undeadzone.identification.servo.likelihood import Servo
-from undeadzone.identification.servo.sampled import DELAY, FRICTION, GAIN, discretised
-from undeadzone.identification.verdict.verdict import LEAST, LIKELY, Case, Verdict, best_of, because
+from undeadzone.identification.servo.sampled import DELAY, GAIN, discretised
+from undeadzone.identification.verdict.verdict import LEAST, LIKELY, Case, Verdict, because, best_of
 from undeadzone.identification.verdict.which import EVEN, MEMORY, Element, Found
 from undeadzone.support.arrays import Floats
 
@@ -115,10 +115,12 @@ def with_servo(case: Case, found: Found) -> Found:
         return found
     if servo.is_given:
         return named_servo(case, servo, found)
-    doubted = found.verdict.word in MEMORY and not case.options.integrators
-    if doubted or found.verdict.word not in (*MEMORY, *EXPLAINED):
-        return found
-    if found.verdict.word == "none" and _share(case, found) >= LEAST:
+    word = found.verdict.word
+    if word in MEMORY:
+        stays = not case.options.integrators  # by least squares, or ticks of another plant
+    else:
+        stays = word not in EXPLAINED or _share(case, found) >= LEAST
+    if stays:
         return found
     return found._replace(verdict=because("undecided", *servo.reasons), plays=None)
 
