@@ -30,6 +30,7 @@ from undeadzone.identification.servo.search import searched
 from undeadzone.identification.servo.simulated import STEPS, refitted, simulated
 from undeadzone.support.arrays import Flags, Floats, Integers
 
+LONGEST = 20_000  # samples that are fitted
 REVERSALS = 10  # crossings that a gap is read off, at least
 WIDER = 1.25  # than by errors that are independent of what else is fitted
 FLOOR = 0.05  # quanta, by which a gap is uncertain at least
@@ -124,27 +125,30 @@ def servo_gap(log: Heard | None) -> ServoGap | None:
     Args:
         log: as `heard.heard` gives it.
     """
-    tops = [] if log is None else searched(log)
-    if log is None or not tops:
+    if log is None:
+        return None
+    part = log.part(LONGEST)
+    tops = searched(part)
+    if not tops:
         return None
     best = tops[0]
-    slopes = _slopes(log, best)
-    spread = _Spread(log, best, slopes)
-    logs = simulated(log, best)
+    slopes = _slopes(part, best)
+    spread = _Spread(part, best, slopes)
+    logs = simulated(part, best)
     gaps = refitted(logs, best)
-    gap = _corrected(log, best, spread, gaps, [one.theta[GAP] for one in tops])
-    crossings = _unbiased(crossings_of(log, best), logs, best)
+    gap = _corrected(part, best, spread, gaps, [one.theta[GAP] for one in tops])
     found = ServoGap(
         log=log,
         servo=best,
         gap=gap.scaled(log.y_scale),
-        crossings=crossings,
+        crossings=_unbiased(crossings_of(log, best), logs, best),
         reversals=spread.reversals,
         covariance=spread.covariance,
-        gained=best.value - _without(log, best),
+        gained=best.value - _without(part, best),
         reasons=(),
     )
-    return found._replace(reasons=_doubts(found, spread, slopes, gaps))
+    doubts = _doubts(found, spread, gaps)
+    return found._replace(reasons=(*doubts, *_odd_errors(part, slopes)))
 
 
 def centre_of(found: ServoGap, level: float) -> Interval | None:
@@ -233,8 +237,8 @@ def _unbiased(crossings: Crossings, logs: list[Heard], one: Servo) -> Crossings:
     return crossings._replace(gap=crossings.gap - shift) if math.isfinite(shift) else crossings
 
 
-def _doubts(found: ServoGap, spread: _Spread, slopes: Slopes, gaps: Floats) -> tuple[str, ...]:
-    """Why no gap is given."""
+def _doubts(found: ServoGap, spread: _Spread, gaps: Floats) -> list[str]:
+    """Why the gap itself is not given."""
     log, gap, crossings = found.log, found.gap, found.crossings
     reasons = []
     if found.reversals < REVERSALS:
@@ -260,7 +264,7 @@ def _doubts(found: ServoGap, spread: _Spread, slopes: Slopes, gaps: Floats) -> t
         )
     if np.max(np.abs(gaps * log.y_scale - fitted)) > SCATTERS * fitted:
         reasons.append("logs simulated with the fit do not lead back to its gap")
-    return (*reasons, *_odd_errors(log, slopes))
+    return reasons
 
 
 def _odd_errors(log: Heard, slopes: Slopes) -> list[str]:
