@@ -119,7 +119,7 @@ def _in_words(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
     pairs["written"] = files or "nothing; --out DIR keeps the files"
     if any(name.endswith("Makefile") for name in files):
         pairs["next"] = (
-            f"make -C {Path(files[0]).parent} runs the self-test; README.md has the rest"
+            f"make -C {Path(files[0]).parent} builds the self-test; README.md has the rest"
         )
     return pairs
 
