@@ -47,6 +47,7 @@ NAMES = (
     "behind_play",
     "both_ends",
     "which",
+    "servo",
 )
 HEAD = (
     "# Results\n\nWritten by `make bench`. "

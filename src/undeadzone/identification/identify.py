@@ -27,9 +27,17 @@ from undeadzone.identification.models.estimates import KeptClimbs
 from undeadzone.identification.models.kalman_fit import fit_kalman
 from undeadzone.identification.models.likelihood import taken_off
 from undeadzone.identification.models.zone_fit import Fit, longest_record, polished, reduced
+from undeadzone.identification.servo.gap import ServoGap
 from undeadzone.identification.verdict import orders
 from undeadzone.identification.verdict.delays import fitted_with_delay, without_unreached
 from undeadzone.identification.verdict.place import find_places
+from undeadzone.identification.verdict.servo import (
+    may_be_servo,
+    named_servo,
+    servo_of_ticks,
+    told,
+    with_servo,
+)
 from undeadzone.identification.verdict.verdict import Case, because, unmodelled
 from undeadzone.identification.verdict.which import (
     MEMORY,
@@ -226,6 +234,10 @@ def identify_output(
     Raises:
         InputError: nothing can be learnt.
     """
+    servo = servo_of_ticks(grid, options)
+    if servo is not None and servo.is_given:
+        advance(1)
+        return _of_servo(grid, options, advance, climbs, servo)
     case = _fitted(shortened(grid, options.integrators), options, advance, climbs)
     found = Found(because("unclear"), case.fitted.delay, (), {}).judged(case, case.rivals)
     if found.verdict.word == "jump" and _shows_edges(case):
@@ -236,6 +248,20 @@ def identify_output(
             found = question.found(case, found)
             advance(1)
     return Identified(to_answer(case, found))
+
+
+def _of_servo(
+    grid: Grid,
+    options: Options,
+    advance: Callable[[int], None],
+    climbs: KeptClimbs | None,
+    servo: ServoGap,
+) -> Identified:
+    """The answer of a servo behind a play, beside a fit of its order. Raises InputError."""
+    case = _fitted(grid, told(options, servo), advance, climbs)
+    case = case._replace(options=options)
+    found = Found(because("unclear"), case.fitted.delay, (), {}).judged(case, case.rivals)
+    return Identified(to_answer(case, named_servo(case, servo, found)))
 
 
 def _fitted(
@@ -329,7 +355,7 @@ def _with_place(case: Case, found: Found) -> Found:
 
 def _is_a_play(case: Case, found: Found) -> bool:
     """Whether a play, or a play and a dead zone, is named."""
-    return found.verdict.word in MEMORY and found.plays is not None
+    return found.element is None and found.verdict.word in MEMORY and found.plays is not None
 
 
 def _may_lack_something(case: Case, found: Found) -> bool:
@@ -355,6 +381,7 @@ def _with_actuator(case: Case, found: Found) -> Found:
 QUESTIONS = (
     Question("friction, or a zone of the input", _has_a_place, _with_place),
     Question("a play, or a play and a dead zone", _without_jump, with_play),
+    Question("a servo behind a play", may_be_servo, with_servo),
     Question("the widths of a play", _is_a_play, with_gap),
     Question("noise that falls silent in the zone", _falls_silent, _with_filter),
     Question("a spring that bends, or an offset", _may_lack_something, _with_remainder),

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from undeadzone.identification.answer.of_servo import crossing_columns
 from undeadzone.identification.answer.result import Identified
 from undeadzone.identification.models.kalman_fit import innovations as filtered
 from undeadzone.identification.models.plant import MANY
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from undeadzone.identification.verdict.which import Element
     from undeadzone.support.arrays import Floats, Integers
 
+WITHIN = 0.9  # of the crossings that a figure is sure to show
 MAPS = {"jump": "jump sensor"}  # by verdict, what the fitted sensor is called
 LAGS = 25
 POINTS = 9  # of a profile
@@ -43,14 +45,17 @@ def figures(found_log: Identified) -> dict[str, Figure]:
 
     Returns:
         Figures by name: overview, residual_map, residual, and where there is a zone hidden and, of
-        a log that is not long, profiles; of a play, or of an input zone, overview and element.
+        a log that is not long, profiles; of a play, or of an input zone, overview and element, and
+        of a servo crossings.
     """
     element = found_log.answer.element
     if element is not None:
-        return {
+        shown = {
             "overview": _over_time(found_log, element),
             "element": _by_output(found_log, element),
         }
+        columns = crossing_columns(found_log.answer)
+        return shown | ({"crossings": _crossings(found_log, columns)} if columns else {})
     drawn = {
         "overview": overview(found_log),
         "residual_map": _residual_map(found_log),
@@ -305,6 +310,26 @@ def _by_output(found_log: Identified, element: Element) -> Figure:
     residual = (answer.fit.objective.data.y - element.readings) * scale
     _dots(axes, x[grid.ok], residual[grid.ok], ink.READING, "readings")
     finish(axes, title, label("y - E[y]", unit), x_label)
+    return figure
+
+
+def _crossings(found_log: Identified, columns: dict[str, Floats]) -> Figure:
+    """The gap at each crossing, by time, by y and by duration; the printed interval is shaded."""
+    unit, width = _unit(found_log), found_log.width
+    figure, panels = sheet([["t", "y", "duration"]], "The gap at each crossing", height=3.0)
+    places = {"t": _time(found_log), "y": label("y", unit), "duration": "duration [s]"}
+    middle = float(np.median(columns["gap"]))
+    reach = float(np.quantile(np.abs(columns["gap"] - middle), WITHIN))
+    for name, x_label in places.items():
+        axes = panels[name]
+        if width is not None:
+            axes.axhspan(width.low, width.high, color=ink.ZONE, alpha=0.3, linewidth=0)
+            reach = max(reach, width.half)
+        for side, colour, word in ((1, ink.ESTIMATE, "to the right"), (-1, ink.OTHER, "left")):
+            own = columns["side"] == side
+            axes.plot(columns[name][own], columns["gap"][own], ".", color=colour, label=word)
+        axes.set_ylim(middle - 2 * reach, middle + 2 * reach)
+        finish(axes, f"By {name}", label("gap", unit), x_label)
     return figure
 
 

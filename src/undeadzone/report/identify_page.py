@@ -7,6 +7,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from undeadzone.identification.answer.of_servo import crossing_columns
 from undeadzone.identification.answer.result import Identified
 from undeadzone.identification.answer.words import HEADS, rivals_in_words
 from undeadzone.identification.verdict.orders import OrderFit, at_limit
@@ -37,6 +40,8 @@ OF_ELEMENT = {  # in place of these
     " the log. Below: in which contact the play is, or on which side of its zone the input.",
     "element": "Left: readings by z^, and the path that the fitted element takes. Right: what it"
     " leaves of the readings; a curve there is something that it does not hold.",
+    "crossings": "The gap that each reversal shows, with the printed interval shaded. A trend with"
+    " duration is friction that is not fully held; one with y is a worn or an eccentric gear.",
 }
 
 
@@ -101,6 +106,7 @@ def identified_page(
         ),
         html.section("Hidden output", *html.pick(shown, "hidden")),
         html.section("What it is", *html.pick(shown, "element")),
+        *_crossings(found_log, shown),
         html.section(
             "How it was decided",
             html.table(("what", "value"), rest),
@@ -110,6 +116,21 @@ def identified_page(
         *_fits(found_log, shown),
         origin=origin,
     )
+
+
+def _crossings(found_log: Identified, shown: dict[str, html.Html]) -> list[html.Html]:
+    """Every crossing of a servo's gap; nothing without a servo."""
+    columns = crossing_columns(found_log.answer)
+    if not columns:
+        return []
+    columns = columns | {"side": np.where(columns["side"] > 0, "right", "left")}
+    heads = ("t [s]", "to the", "speed", "duration [s]", "y", "gap")
+    rows = zip(*(column.tolist() for column in columns.values()), strict=True)
+    return [
+        html.section(
+            "The gap at each crossing", *html.pick(shown, "crossings"), html.table(heads, rows)
+        )
+    ]
 
 
 def _fits(found_log: Identified, shown: dict[str, html.Html]) -> list[html.Html]:

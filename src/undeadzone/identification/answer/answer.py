@@ -146,7 +146,7 @@ class Answer(NamedTuple):
         """DC gain from each input (m) [y/u]; with integrators, of the rates."""
         simulator, theta = self.plant
         gain = simulator.gain(theta) * self.case.data.y_scale / self.case.data.u_scale
-        return np.asarray(gain / self.case.grid.step**self.options.integrators)
+        return np.asarray(gain / self.case.grid.step**simulator.layout.integrators)
 
     @property
     def plant_numbers(self) -> tuple[Layout, Floats, Floats, Floats]:

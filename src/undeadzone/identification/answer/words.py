@@ -8,6 +8,7 @@ import numpy as np
 
 from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.identification.answer.answer import Answer
+from undeadzone.identification.answer.of_servo import crossings_in_words, servo_numbers
 from undeadzone.identification.models.estimates import Interval
 from undeadzone.identification.verdict.odds import behind
 from undeadzone.identification.verdict.place import levels_of
@@ -71,6 +72,7 @@ def numbers(answer: Answer) -> dict[str, Any]:
         "odds": answer.found.odds,
         "alternatives": behind(answer.found.models),
         "levels": _levels(answer),
+        "servo": servo_numbers(answer),
         "held_out": {
             "error": chosen.error * answer.scale,
             "fit": chosen.share,
@@ -163,6 +165,9 @@ def in_words(answer: Answer) -> dict[str, Any]:
     lines["odds"] = odds_in_words(answer)
     unit = _unit(answer.case.grid.output_unit)
     lines |= _widths(answer)
+    crossings = crossings_in_words(answer, unit)
+    if crossings:
+        lines["crossings"] = crossings
     lines["disturbance"] = _disturbance(answer, unit)
     lines["held out"] = _held_out(answer, unit)
     if answer.remarks:
@@ -248,9 +253,10 @@ def _plant(answer: Answer) -> str:
     unit = "" if unit == "1/1" else f" {unit}"
     gains = ", ".join(f"{gain:.4g}" for gain in answer.gain)
     kind = "DC gain"
-    if answer.options.integrators:
-        kind = "gain of the rate" if answer.options.integrators == 1 else "gain of the acceleration"
-        unit += " 1/s" if answer.options.integrators == 1 else " 1/s^2"
+    integrators = answer.plant[0].layout.integrators
+    if integrators:
+        kind = "gain of the rate" if integrators == 1 else "gain of the acceleration"
+        unit += " 1/s" if integrators == 1 else " 1/s^2"
     return f"order {answer.order} (BIC), poles {', '.join(shown)} {rate}, {kind} {gains}{unit}"
 
 

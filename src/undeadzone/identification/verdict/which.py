@@ -24,6 +24,7 @@ from undeadzone.identification.models.motion import Offsets, along, white_noise
 from undeadzone.identification.models.place import PARTS, PlaceFit, PlaceStarts, Shape, fit_place
 from undeadzone.identification.models.play_gap import RUNS, Gap, find_gap
 from undeadzone.identification.models.zone_fit import Fit, longest_record, reduced
+from undeadzone.identification.servo.gap import ServoGap
 from undeadzone.identification.verdict.delays import GLITCH, RARE
 from undeadzone.identification.verdict.odds import Family, odds_of
 from undeadzone.identification.verdict.orders import HeldOut, judged, one_step, trained_part
@@ -35,6 +36,7 @@ LEAST_NOISE = 0.01  # rms of y, from which noise that falls silent is told from 
 MEMORY = ("play", "both")  # words of what a play explains
 LEAST_ODD = 1e-3  # least rms from which readings are counted as odd, in rms of y
 FINEST = 2e-4  # rms of u: no interval is narrower
+EVEN = "the centre of the gap is not known, and both sides are half of the width"
 LAST = {"play": 25, "both": 25, "input_zone": 40}  # steps of a climb that checks a fit
 
 
@@ -61,7 +63,7 @@ class Element(NamedTuple):
     """
 
     kind: str
-    fit: PlayFit | PlaceFit
+    fit: PlayFit | PlaceFit | ServoGap
     simulator: plant.Simulator
     theta: Floats
     V: Floats
@@ -273,10 +275,7 @@ def of_play(gap: Gap, whole: plant.Data, offset: float | None) -> Element:
     else:
         element = element._replace(widths=_sides(gap, offset))
     if model.simulator.layout.integrators:
-        element.remarks.append(
-            "z of an integrating plant has no zero of its own: the centre of the gap is not known,"
-            " and both sides are half of the width"
-        )
+        element.remarks.append(f"z of an integrating plant has no zero of its own: {EVEN}")
     return element
 
 
@@ -402,6 +401,8 @@ def held_out_of(element: Element, held_out: float) -> HeldOut:
         element: a play, or a zone of the input.
         held_out: share of the samples that checks.
     """
+    if isinstance(element.fit, ServoGap):
+        return _held_out_of_servo(element, element.fit, held_out)
     fit, data = element.fit, element.fit.squares.data
     train = trained_part(data, held_out)
     trained = LeastSquares(fit.model.along(data._replace(ok=data.ok & train, climbs=None)))
@@ -410,3 +411,15 @@ def held_out_of(element: Element, held_out: float) -> HeldOut:
     test = data.ok & ~train
     e = fit.squares.residual(theta)
     return judged(e, data, test, one_step(e, test, test, data.start))
+
+
+def _held_out_of_servo(element: Element, gap: ServoGap, held_out: float) -> HeldOut:
+    """The same of a servo's predictor, which hears every reading up to the one before."""
+    data, log = element.simulator.data, gap.log
+    test = data.ok & ~trained_part(data, held_out)
+    one = gap.trained(~test)
+    readings = gap.expected(one)[1] * (log.y_scale / data.y_scale) + data.y[data.ok][0]
+    counted, ends = log.counted(False), np.zeros(1, int)
+    r = gap.errors(one)
+    errors = one_step(r, test[counted], np.ones(r.size, bool), ends)
+    return judged(readings - data.y, data, test, errors)

@@ -1,0 +1,1 @@
+"""A servo behind gear play: predictor, likelihood, search, crossings, gap with its interval."""

@@ -1,0 +1,288 @@
+"""The gap of a servo's play with its interval, and when none is given.
+
+The interval is as wide as the widest of what the log itself says (scores in cosines, sample by
+sample, and between reversals) and of what twelve logs simulated with the fit say; these also take
+off a bias. It reaches to the gaps of other structures that may be the true one. Where the crossings
+say another gap, or the errors are none of a servo's, no gap is given.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import expit
+
+from undeadzone.identification.models.estimates import Interval, quantile, sandwich
+from undeadzone.identification.servo.crossings import Crossings, crossings_of
+from undeadzone.identification.servo.heard import Heard, noise_of, shifted, triggered
+from undeadzone.identification.servo.likelihood import (
+    DEAR,
+    Likelihood,
+    Servo,
+    Slopes,
+    newton,
+    scores,
+)
+from undeadzone.identification.servo.sampled import DAMPING, GAIN, GAP, OFFSET, SPRING
+from undeadzone.identification.servo.search import searched
+from undeadzone.identification.servo.simulated import STEPS, refitted, simulated
+from undeadzone.support.arrays import Flags, Floats, Integers
+
+LONGEST = 20_000  # samples that are fitted
+REVERSALS = 10  # crossings that a gap is read off, at least
+WIDER = 1.25  # than by errors that are independent of what else is fitted
+FLOOR = 0.05  # quanta, by which a gap is uncertain at least
+DEGREES = 60  # of freedom at most
+DISAGREES = 4.0  # standard errors by which crossings may say another gap
+TICKS = 0.5  # quanta by which they may besides
+NOISES = 2.0  # rms of the noise by which they may besides
+CLOSE = 0.02  # of the gap, by which they may in any case
+WIDEST = 0.5  # of the gap: half of an interval that is an answer
+SETTLES = 3.0  # time constants of a log, below which a lag is an integrator
+LOOKED = 4  # simulated logs whose crossings are looked at
+SCATTERS = 0.5  # of the gap, by which no simulated log's may differ
+HEAVY = 40.0  # kurtosis of errors that are no servo's
+FAR = 8.0  # deviations beyond which one error is
+HEARS = 0.04  # share of the errors of noisy readings that past inputs may explain
+MOVED = 1e-5  # of a number, for derivatives
+LAGS = 8  # of these inputs
+CORRELATED = 0.25  # errors of noisy readings one after another
+
+
+class ServoGap(NamedTuple):
+    """What a servo's log says of its gap.
+
+    Attributes:
+        log: as the predictor hears it.
+        servo: the likeliest one.
+        gap: with its interval [y].
+        crossings: one after another.
+        reversals: of the readings.
+        covariance: of the servo's free numbers.
+        gained: nats of the log likelihood by which the gap is better than none.
+        reasons: why no gap is given; empty where one is.
+    """
+
+    log: Heard
+    servo: Servo
+    gap: Interval
+    crossings: Crossings
+    reversals: int
+    covariance: Floats
+    gained: float
+    reasons: tuple[str, ...]
+
+    @property
+    def is_given(self) -> bool:
+        """Whether there is a gap, above 0 for certain."""
+        return not self.reasons
+
+    @property
+    def integrates(self) -> bool:
+        """Whether nothing pulls z back to where it was, or nothing that this log could show."""
+        one = self.servo
+        if not one.structure.lag:
+            return "spring" not in one.structure.parts
+        return math.exp(one.theta[DAMPING]) * self.log.step * self.log.u.size < SETTLES
+
+    @property
+    def odds(self) -> float:
+        """Of a gap against none, by BIC."""
+        used = max(int(np.count_nonzero(self.log.counted(False))), 2)
+        return float(expit(self.gained - 0.5 * DEAR * math.log(used)))
+
+    def trained(self, among: Flags) -> Servo:
+        """The servo fitted to some samples (N) alone."""
+        return Likelihood(self.log, among=among).climbed([self.servo], STEPS)[0]
+
+    def expected(self, one: Servo) -> tuple[Floats, Floats, Integers]:
+        """z as it is predicted, what is read of it, and the contact then (N each), scaled."""
+        log = self.log
+        z = Likelihood(log).run(one.theta[None], one.structure.lag)[0][:, 2]
+        half = float(one.theta[GAP]) / 2
+        before = shifted(log.y, log.start, 1)
+        readings = np.maximum(np.minimum(before, z + half), z - half)
+        if log.quantum:
+            readings = log.quantum * np.round(readings / log.quantum)
+        return z, readings, np.sign(readings - before).astype(int)
+
+    def errors(self, one: Servo) -> Floats:
+        """Errors that count, in their deviations (n)."""
+        slopes = _slopes(self.log, one)
+        return slopes.e * np.exp(-slopes.log_s)
+
+    @property
+    def trends(self) -> list[str]:
+        """What the gap changes with, in words; noise makes trends of its own."""
+        return self.crossings.trends() if self.log.ticks else []
+
+
+def servo_gap(log: Heard | None) -> ServoGap | None:
+    """The gap of a servo's log; None where nothing moves, or no servo fits.
+
+    Args:
+        log: as `heard.heard` gives it.
+    """
+    if log is None:
+        return None
+    part = log.part(LONGEST)
+    tops = searched(part)
+    if not tops:
+        return None
+    best = tops[0]
+    slopes = _slopes(part, best)
+    spread = _Spread(part, best, slopes)
+    logs = simulated(part, best)
+    gaps = refitted(logs, best)
+    gap = _corrected(part, best, spread, gaps, [one.theta[GAP] for one in tops])
+    found = ServoGap(
+        log=log,
+        servo=best,
+        gap=gap.scaled(log.y_scale),
+        crossings=_unbiased(crossings_of(log, best), logs, best),
+        reversals=spread.reversals,
+        covariance=spread.covariance,
+        gained=best.value - _without(part, best),
+        reasons=(),
+    )
+    doubts = _doubts(found, spread, gaps)
+    return found._replace(reasons=(*doubts, *_odd_errors(part, slopes)))
+
+
+def centre_of(found: ServoGap, level: float) -> Interval | None:
+    """Half the centre c_r - c_l of a gap, if z = 0 at u = 0 [y]; None of an integrating plant.
+
+    Args:
+        found: the gap.
+        level: the first reading [y].
+    """
+    log, one = found.log, found.servo
+    if found.integrates:
+        return None
+    rest = _rest(one)
+    free = one.structure.free(log.ticks, False)
+    slopes = np.zeros(free.size)
+    for column, place in enumerate(free):
+        move = np.zeros(one.theta.size)
+        move[place] = MOVED
+        more = _rest(one._replace(theta=one.theta + move))
+        slopes[column] = (more - rest) / MOVED
+    error = math.sqrt(max(float(slopes @ found.covariance @ slopes), 0.0))
+    half = WIDER * quantile(float(np.clip(found.reversals - 1, 2, DEGREES))) * error
+    return Interval.around(-rest * log.y_scale - level, half * log.y_scale)
+
+
+def _rest(one: Servo) -> float:
+    """Where z rests at u = 0, from the first reading on."""
+    theta = one.theta
+    stiffness = math.exp(theta[DAMPING] if one.structure.lag else theta[SPRING])
+    return float(theta[GAIN] * theta[OFFSET]) / stiffness
+
+
+def _without(log: Heard, one: Servo) -> float:
+    """The log likelihood of a servo without a gap."""
+    theta = one.theta.copy()
+    theta[GAP] = 0.0
+    return Likelihood(log).climbed([one._replace(theta=theta)], STEPS, (GAP,))[0].value
+
+
+def _slopes(log: Heard, one: Servo) -> Slopes:
+    """Errors and their derivatives."""
+    free = one.structure.free(log.ticks, False)
+    return Likelihood(log).slopes(one.theta[None], [free], one.structure.lag)[0]
+
+
+class _Spread:
+    """How surely a gap is known by the log itself."""
+
+    def __init__(self, log: Heard, one: Servo, slopes: Slopes) -> None:
+        place = list(one.structure.free(log.ticks, False)).index(GAP)
+        score, (_, hessian) = scores(slopes), newton(slopes)
+        spread = sandwich(score, hessian)
+        self.covariance = spread.V
+        turned = np.cumsum((log if log.ticks else triggered(log)).turns)
+        self.reversals = int(turned[-1])
+        used = Likelihood(log).used
+        told = score @ spread.naive[:, place]  # of the gap, by each error
+        runs = np.bincount(turned[used], told)
+        whole = float(runs @ runs)
+        of_runs = max(whole + float(runs[1:] @ runs[:-1]), 0.5 * whole)
+        few = runs.size / max(runs.size - 1, 1)
+        variances = spread.V[place, place], float(told @ told), of_runs * few
+        self.error = math.sqrt(max(*variances, 0.0))
+
+
+def _corrected(
+    log: Heard, one: Servo, spread: _Spread, gaps: Floats, others: list[float]
+) -> Interval:
+    """The gap less the bias that simulated logs show, with its interval, scaled."""
+    gap = float(one.theta[GAP])
+    least = log.quantum if log.ticks else noise_of(log)
+    reach = 4 * spread.error + 0.2 * least
+    middle = float(np.median(gaps))
+    bias = float(np.mean(np.clip(gaps, middle - reach, middle + reach))) - gap
+    error = math.hypot(max(spread.error, float(np.std(gaps, ddof=1))), FLOOR * least)
+    degrees = float(np.clip(spread.reversals - 1, 2, DEGREES))
+    apart = max(abs(other - gap) for other in others)
+    half = math.hypot(WIDER * quantile(degrees) * error, bias, apart)
+    return Interval.around(max(gap - bias, 0.0), half)
+
+
+def _unbiased(crossings: Crossings, logs: list[Heard], one: Servo) -> Crossings:
+    """Crossings less what those of simulated logs are beside the truth."""
+    medians = [crossings_of(log, one).median for log in logs[:LOOKED]]
+    shift = float(np.nanmedian(medians)) - float(one.theta[GAP]) * logs[0].y_scale
+    return crossings._replace(gap=crossings.gap - shift) if math.isfinite(shift) else crossings
+
+
+def _doubts(found: ServoGap, spread: _Spread, gaps: Floats) -> list[str]:
+    """Why the gap itself is not given."""
+    log, gap, crossings = found.log, found.gap, found.crossings
+    reasons = []
+    if found.reversals < REVERSALS:
+        reasons.append(
+            f"the readings turn {found.reversals} times, and each crossing shows the gap once:"
+            f" {REVERSALS} are the least; record with an input that reverses more often"
+        )
+    if gap.low <= 0:
+        reasons.append(f"a gap of the play, if there is one, is below {gap.high:.3g}")
+    elif gap.half > WIDEST * gap.value:
+        reasons.append(
+            f"the gap lies between {gap.low:.3g} and {gap.high:.3g}, which is hardly known; record"
+            " for longer, or with more reversals"
+        )
+    fitted = float(found.servo.theta[GAP]) * log.y_scale
+    margin = TICKS * log.quantum if log.ticks else NOISES * noise_of(log)
+    error = math.hypot(spread.error * log.y_scale, crossings.error)
+    allowed = DISAGREES * error + margin * log.y_scale + CLOSE * fitted
+    if abs(crossings.median - fitted) > allowed:
+        reasons.append(
+            f"the crossings one by one say a gap of {crossings.median:.4g}, all together"
+            f" {fitted:.4g}: the motor's motion is not fully held"
+        )
+    if np.max(np.abs(gaps * log.y_scale - fitted)) > SCATTERS * fitted:
+        reasons.append("logs simulated with the fit do not lead back to its gap")
+    return reasons
+
+
+def _odd_errors(log: Heard, slopes: Slopes) -> list[str]:
+    """Why errors are not those of a servo."""
+    r = slopes.e * np.exp(-slopes.log_s)
+    r = r - r.mean()
+    power = float(r @ r) + 1e-300
+    reasons = []
+    if np.abs(r).max() > FAR and r.size * float(np.sum(r**4)) > HEAVY * power**2:
+        reasons.append("a few readings are far from what any servo does")
+    if log.ticks:
+        return reasons
+    if abs(float(r[1:] @ r[:-1])) > CORRELATED * power:
+        reasons.append("errors follow errors of the same sign: the motor is not fully held")
+    used = np.flatnonzero(log.counted(False))
+    past = np.column_stack([shifted(log.u, log.start, 1 + j)[used] for j in range(LAGS)])
+    past = past - past.mean(axis=0)
+    explained = past @ np.linalg.lstsq(past, r, rcond=1e-8)[0]
+    if float(explained @ explained) > HEARS * power:
+        reasons.append("past inputs explain errors: the motor is not fully held")
+    return reasons

@@ -1,0 +1,216 @@
+"""A log as the predictor hears it: ticks with their boundaries, or readings with noise."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from undeadzone.identification.models.motion import white_noise
+from undeadzone.identification.servo.feedback import is_closed
+from undeadzone.identification.servo.predictor import LATEST
+from undeadzone.support.arrays import Flags, Floats, Integers
+
+USUAL = (5e-4, 0.05)  # of a servo [s]; other samples take as long as those in between
+FEWEST = 20  # changes of readings that are worth a look
+TURNING = 0.2  # share of changes that turn back, from which they are noise
+MOVING = 0.005  # share of readings equal to the one before, below which exact ones are noise
+EXACT = 1e-9  # of the range, by which two readings differ
+COARSER = 1e-6  # of the range, from which a quantum matters
+ODD = 0.1  # quanta by which a change may differ from a multiple
+REACH = 3.0  # of a Schmitt trigger, in standard deviations of the noise
+
+
+class Heard(NamedTuple):
+    """A log, scaled, as signals of the predictor.
+
+    Attributes:
+        step: sample time in the predictor's unit, in which rates lie about 1 to 100.
+        seconds: sample time [s].
+        u: inputs (N), rms 1.
+        y: readings from the first one on (N), rms 1.
+        ok: whether there is a reading (N).
+        start: first sample of each record (R).
+        ticks: whether readings are ticks of an encoder, or exact.
+        quantum: of an encoder; 0 of others.
+        side: of each tick, 0 where none is (N).
+        boundary: that a tick passed (N).
+        u_scale, y_scale: what u and y were divided by.
+        closed: whether the input answers to the readings.
+    """
+
+    step: float
+    seconds: float
+    u: Floats
+    y: Floats
+    ok: Flags
+    start: Integers
+    ticks: bool
+    quantum: float
+    side: Integers
+    boundary: Floats
+    u_scale: float
+    y_scale: float
+    closed: bool
+
+    @property
+    def turns(self) -> Flags:
+        """Ticks to the other side than the one before in their record (N)."""
+        at = np.flatnonzero(self.side)
+        turned = np.zeros(self.side.size, bool)
+        record = np.searchsorted(self.start, at, side="right")
+        same = record[1:] == record[:-1]
+        turned[at[1:]] = (self.side[at[1:]] != self.side[at[:-1]]) & same
+        return turned
+
+    @property
+    def first(self) -> Flags:
+        """The first tick of each record (N)."""
+        at = np.flatnonzero(self.side)
+        record = np.searchsorted(self.start, at, side="right")
+        begun = np.zeros(self.side.size, bool)
+        begun[at[np.append(True, np.diff(record) > 0)[: at.size]]] = True
+        return begun
+
+    def signals(self, counted: Flags) -> Floats:
+        """Inputs of the kernel (N x inputs), with the samples whose errors count (N)."""
+        starts = np.zeros(self.u.size)
+        starts[self.start] = 1.0
+        late = np.column_stack([shifted(self.u, self.start, j) for j in range(LATEST + 1)])
+        if not self.ticks:
+            return np.column_stack([late, self.y, self.ok, starts, counted])
+        ticks = [self.side, self.boundary, self.turns, self.first]
+        return np.column_stack([late, *ticks, starts, counted])
+
+    def counted(self, free: bool) -> Flags:
+        """The samples whose prediction errors count (N)."""
+        if not self.ticks:
+            counted = self.ok.copy()
+            counted[self.start] = False
+            return counted
+        counted = (self.side != 0) & ~self.first
+        return counted & ~self.turns if free else counted
+
+    def part(self, most: int) -> Heard:
+        """The samples in a row with most reversals; all where there are not more."""
+        if self.u.size <= most:
+            return self
+        turned = np.cumsum(np.append(0, self.turns))
+        first = int(np.argmax(turned[most:] - turned[:-most]))
+        kept = slice(first, first + most)
+        inside = self.start[(self.start > first) & (self.start < first + most)] - first
+        return self._replace(
+            u=self.u[kept],
+            y=self.y[kept],
+            ok=self.ok[kept],
+            start=np.append(0, inside),
+            side=self.side[kept],
+            boundary=self.boundary[kept],
+        )
+
+
+def shifted(u: Floats, start: Integers, samples: int) -> Floats:
+    """Inputs later by so many samples (N); what is not known is held."""
+    begun = np.zeros(u.size, int)
+    begun[start] = start
+    first = np.maximum.accumulate(begun)
+    return u[np.maximum(np.arange(u.size) - samples, first)]
+
+
+def heard(u: Floats, y: Floats, ok: Flags, start: Integers, step: float) -> Heard | None:
+    """A log as the predictor hears it; None where nothing moves.
+
+    Args:
+        u: input (N).
+        y: readings (N).
+        ok: whether there is a reading (N).
+        start: first sample of each record (R).
+        step: sample time [s].
+    """
+    u_scale, y_scale = float(np.std(u)), float(np.std(y[ok]))
+    if not (u_scale > 0 and y_scale > 0):
+        return None
+    level = float(y[ok][0])
+    held = filled(np.where(ok, (y - level) / y_scale, 0.0), ok)
+    side = changes(held, ok, start)
+    at = np.flatnonzero(side)
+    if at.size < FEWEST:
+        return None
+    spacing = encoder_of(held[ok])
+    none = np.zeros(y.size, int)
+    log = Heard(
+        step=step if USUAL[0] <= step <= USUAL[1] else math.sqrt(USUAL[0] * USUAL[1]),
+        seconds=step,
+        u=u / u_scale,
+        y=held,
+        ok=ok,
+        start=start,
+        ticks=True,
+        quantum=spacing,
+        side=none,
+        boundary=held,
+        u_scale=u_scale,
+        y_scale=y_scale,
+        closed=is_closed(u, held),
+    )
+    turning = float(np.mean(side[at[1:]] != side[at[:-1]]))
+    exact_enough = spacing > 0 or at.size < (1 - MOVING) * y.size
+    if turning < TURNING and exact_enough:
+        return log._replace(side=side, boundary=held - side * spacing / 2)
+    return log._replace(ticks=False, quantum=0.0)
+
+
+def encoder_of(y: Floats) -> float:
+    """The quantum of which every change of readings is a multiple (N); 0 where there is none."""
+    values = np.unique(y)
+    range_of = float(values[-1] - values[0])
+    spacing = np.diff(values)
+    spacing = spacing[spacing > EXACT * range_of]
+    if not spacing.size:
+        return 0.0
+    quantum = float(spacing.min())
+    moves = values - values[0]
+    counts = np.round(moves / quantum)
+    quantum = float(moves @ counts / (counts @ counts))
+    odd = np.abs(moves / quantum - np.round(moves / quantum))
+    return quantum if odd.max() < ODD and quantum > COARSER * range_of else 0.0
+
+
+def filled(y: Floats, ok: Flags) -> Floats:
+    """Readings, the last one held where one is missing (N)."""
+    last = np.maximum.accumulate(np.where(ok, np.arange(y.size), -1))
+    return np.where(last >= 0, y[np.maximum(last, 0)], 0.0)
+
+
+def changes(y: Floats, ok: Flags, start: Integers) -> Integers:
+    """The side of each change from a reading just before (N)."""
+    known = ok & np.append(False, ok[:-1])
+    known[start] = False
+    return np.where(known, np.sign(np.append(0.0, np.diff(y))), 0.0).astype(int)
+
+
+def noise_of(log: Heard) -> float:
+    """rms of the white noise of readings, scaled."""
+    return max(white_noise(log.y + 10.0, log.ok, log.start), 1e-5)
+
+
+def triggered(log: Heard) -> Heard:
+    """Noisy readings as ticks of a Schmitt trigger, whose gap is wider by 2 REACH of the noise."""
+    reach = REACH * noise_of(log)
+    level, held = float(log.y[0]), np.empty(log.y.size)
+    for k, reading in enumerate(log.y.tolist()):
+        level = min(max(level, reading - reach), reading + reach)
+        held[k] = level
+    spacing = 2 / REACH * reach
+    steps = np.round(held / spacing) * spacing
+    side = changes(steps, log.ok, log.start)
+    return log._replace(
+        ticks=True, quantum=spacing, side=side, boundary=steps - side * spacing / 2
+    )  # fmt: skip
+
+
+def reversals(log: Heard) -> int:
+    """How often the readings turn."""
+    ticked = log if log.ticks else triggered(log)
+    return int(math.fsum(ticked.turns))

@@ -1,0 +1,303 @@
+"""The predictor of a servo behind a play, corrected where readings tell: many numbers side by side.
+
+A motor, its slow torque d and its current i, in physical coordinates, sampled exactly:
+
+    z' = v,   v' = -p v - k z + g (i - f sign v + o + d + w),   i' = p_e (u(t - delay) - i)    (S1)
+
+**Friction** takes g f dt a sample from v and lets it rest at 0 where what drives it is less. At
+rest the spread of v loses as much, and no torque enters once it is 0.                         (S2)
+
+**Ticks.** Of an encoder, or of exact readings, each change is a tick. Its side s says the contact,
+its boundary B where the level was:
+
+    e = B + s (c + w) / 2 - z^,  w = min(|v^| dt, q),  variance P_zz + w^2 / 12 + (q / 10)^2   (S3)
+
+Where the motor turned within the sample, B + s c / 2 is its peak, and z has fallen back since.
+Between two ticks nothing is heard. A tick is a stopping time, so the errors' mean is 0 whenever it
+comes.
+
+**Noise.** What is passed on is a level l with a Gaussian's moments of its own: l+ = l + Dz(z+ - l),
+with the mean, the slope and the rest of the variance of a dead zone Dz of a Gaussian.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from typing import Any, NamedTuple
+
+import casadi as ca
+
+from undeadzone.compile import lanes
+
+LATEST = 8  # samples by which the input may be late at most
+WIDTH = 64  # lanes of a kernel
+SURE = 0.1  # standard deviation of where a tick is, in quanta
+UNKNOWN = 1e4  # variance of z where a tick is to tell nothing of it but where it is
+SLOWEST = 1e-9  # rate after a tick against which the prediction moved
+
+PLANT = (
+    *("a00", "a01", "a02", "a03", "a10", "a11", "a12", "a13", "a22", "a33"),
+    *("bz", "bv", "bi", "fz", "fv"),
+    *("q00", "q01", "q11", "q02", "q12", "q22"),
+)
+OTHERS = ("friction", "offset", "gap", "rms", "quantum", "step", "first_v", "first_d", "free")
+NUMBERS = (*PLANT, *OTHERS)  # then the weights of u(t), u(t - 1), ...
+MEAN = 4  # z, v, d, i
+TRIANGLE = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))  # of the covariance of z, v, d
+SEEN = ("error", "log_s", "z", "v")  # what a kernel tells of each sample
+DEGREES = 6.0  # of freedom of an error
+WORST = -1e6  # log density of an error that is no number
+
+
+class Lane:
+    """The numbers of a lane by their names in `NUMBERS`, and the weights of its inputs."""
+
+    def __init__(self, numbers: Any) -> None:
+        self._named = {name: numbers[place] for place, name in enumerate(NUMBERS)}
+        self.taps = numbers[len(NUMBERS) :]
+
+    def __getattr__(self, name: str) -> Any:
+        """A number."""
+        return self._named[name]
+
+
+def moved(lane: Lane, x: list[Any], u: Any, torque: Any) -> tuple[list[Any], Any]:
+    """The mean a sample later, and whether it came to rest.
+
+    Args:
+        lane: its numbers.
+        x: z, v, d, i.
+        u: the input that acts.
+        torque: that acts besides, in units of the input.
+    """
+    z, v, d, i = x
+    push = lane.a10 * z + lane.a12 * d + lane.a13 * i + lane.bv * u + lane.fv * torque
+    rolled = lane.a00 * z + lane.a01 * v + lane.a02 * d + lane.a03 * i + lane.bz * u
+    rolled = rolled + lane.fz * torque
+    brake = ca.fabs(lane.fv) * lane.friction
+    sign = ca.if_else(v == 0, ca.sign(push), ca.sign(v))
+    ahead = lane.a11 * v + push - sign * brake
+    passes = ca.logic_and(ahead * sign < 0, lane.friction > 0)
+    held = ca.fabs(push) <= brake
+    at_rest = ca.logic_and(v == 0, held)
+    rests = ca.logic_and(lane.friction > 0, ca.logic_or(at_rest, ca.logic_and(passes, held)))
+    before = ca.fabs(v) / ca.fmax(ca.fabs(v) + ca.fabs(ahead), 1e-300)  # share until it stops
+    share = ca.if_else(passes, 2 * before - 1, 1.0) * sign
+    share = ca.if_else(lane.friction > 0, share, 0.0)
+    slid_z = rolled - ca.fabs(lane.fz) * lane.friction * share
+    slid_v = lane.a11 * v + push - brake * share
+    stopped = z + 0.5 * before * v * lane.step * ca.if_else(v == 0, 0.0, 1.0)
+    new_z = ca.if_else(rests, stopped, slid_z)
+    new_v = ca.if_else(rests, 0.0, slid_v)
+    return [new_z, new_v, lane.a22 * d, lane.a33 * i + lane.bi * u], rests
+
+
+def _spread(lane: Lane, P: Any, rests: Any) -> Any:
+    """The covariance of z, v, d a sample later, and the matrix that carried it."""
+    deviation = ca.sqrt(ca.fmax(P[1, 1], 0.0))
+    kept = ca.fmax(1 - ca.fabs(lane.fv) * lane.friction / ca.fmax(deviation, 1e-300), 0.0)
+    kept = ca.if_else(deviation > 0, kept, 0.0)
+    loose = ca.if_else(rests, ca.if_else(kept > 0, 1.0, 0.0), 1.0)
+    F = ca.SX.zeros(3, 3)
+    F[0, 0] = ca.if_else(rests, 1.0, lane.a00)
+    F[0, 1] = lane.a01 * loose
+    F[0, 2] = ca.if_else(rests, 0.0, lane.a02)
+    F[1, 0] = ca.if_else(rests, 0.0, lane.a10)
+    F[1, 1] = ca.if_else(rests, kept, lane.a11)
+    F[1, 2] = ca.if_else(rests, 0.0, lane.a12)
+    F[2, 2] = lane.a22
+    Q = ca.SX.zeros(3, 3)
+    for (row, column), name in zip(TRIANGLE, PLANT[-6:], strict=True):
+        entry = getattr(lane, name) * (1.0 if row == column == 2 else loose)
+        Q[row, column] = entry
+        Q[column, row] = entry
+    return F @ P @ F.T + Q, F
+
+
+def _symmetric(entries: list[Any]) -> Any:
+    """A covariance of z, v, d from its upper part."""
+    P = ca.SX(3, 3)
+    for (row, column), entry in zip(TRIANGLE, entries, strict=True):
+        P[row, column] = entry
+        P[column, row] = entry
+    return P
+
+
+def _upper(P: Any) -> list[Any]:
+    """The upper part of a covariance of z, v, d."""
+    return [P[row, column] for row, column in TRIANGLE]
+
+
+def _first(lane: Lane, variance: Any) -> Any:
+    """The covariance of z, v, d at the start of a record."""
+    return ca.diag(ca.vertcat(variance, lane.first_v, lane.first_d))
+
+
+class _Out(NamedTuple):
+    """The next state, `SEEN`, and whether the error counts."""
+
+    following: Any
+    seen: Any
+    counts: Any
+
+
+def density(error: Any, log_s: Any) -> Any:
+    """Student's log density of an error on CasADi expressions, less a constant.
+
+    Args:
+        error: of a prediction.
+        log_s: logarithm of its standard deviation.
+    """
+    squares = (error * ca.exp(-log_s)) ** 2
+    found = -log_s - (DEGREES + 1) / 2 * ca.log1p(squares / DEGREES)
+    return ca.if_else(ca.fabs(found) < -WORST, found, WORST)
+
+
+def _compiled(name: str, state: Any, signals: Any, numbers: Any, out: _Out, what: str) -> Any:
+    """A kernel that tells all, errors, or the sum of their log densities alone."""
+    if what != "sums":
+        seen = out.seen if what == "all" else out.seen[:2]
+        step = ca.Function(name, [state, signals, numbers], [out.following, seen])
+        return lanes.build(step, params=range(numbers.shape[0]), width=WIDTH, fused=True)
+    total = ca.SX.sym("total")
+    added = total + ca.if_else(out.counts != 0, density(out.seen[0], out.seen[1]), 0.0)
+    whole = ca.vertcat(state, total), signals, numbers
+    step = ca.Function(name, [*whole], [ca.vertcat(out.following, added), ca.SX(0, 1)])
+    return lanes.build(step, params=range(numbers.shape[0]), width=WIDTH, fused=True)
+
+
+@cache
+def ticks(what: str = "all") -> lanes.Kernel:
+    """The predictor of ticks.
+
+    Args:
+        what: it tells: all of `SEEN`, errors (the first two), or sums: log densities are added
+            up in the last state, and nothing is recorded.
+
+    Returns:
+        A kernel whose inputs are u(t), u(t - 1), ..., the side of a tick or 0, its boundary,
+        whether it is a reversal, whether it is the first of a record, whether a record starts, and
+        whether its error counts; whose lanes differ in `NUMBERS` and in how late the input acts.
+        Errors are of ticks alone; a free one forgets z at a reversal, so that nothing is heard of
+        the gap.
+    """
+    state = ca.SX.sym("s", MEAN + len(TRIANGLE))
+    signals = ca.SX.sym("w", LATEST + 1 + 6)
+    numbers = ca.SX.sym("p", len(NUMBERS) + LATEST + 1)
+    lane = Lane(numbers)
+    side, boundary, turns, first, starts, counts = ca.vertsplit(signals[LATEST + 1 :])
+    inputs = signals[: LATEST + 1]
+    x, rests = moved(lane, ca.vertsplit(state[:MEAN]), ca.dot(lane.taps, inputs), lane.offset)
+    P, _ = _spread(lane, _symmetric(ca.vertsplit(state[MEAN:])), rests)
+    x = [ca.if_else(starts, 0.0, one) for one in x]
+    P = ca.if_else(starts, _first(lane, 0.0), P)
+    swept = ca.fmin(ca.fabs(x[1]) * lane.step, lane.quantum)
+    swept = ca.fmax(swept, SURE * lane.quantum)
+    turned = ca.logic_and(state[1] * side > 0, x[1] * side < 0)
+    slower = ca.fabs(x[1]) + ca.fabs(state[1])  # within the sample, past a peak
+    fallen = ca.if_else(turned, 0.5 * x[1] ** 2 * lane.step / ca.fmax(slower, 1e-300), 0.0)
+    R = swept**2 / 12 + lane.rms**2 + fallen**2
+    at = boundary + side * ((swept + lane.gap) / 2 - fallen)
+    forgets = ca.logic_or(first, ca.logic_and(turns, lane.free))
+    P[0, 0] = P[0, 0] + ca.if_else(ca.logic_and(side != 0, forgets), UNKNOWN, 0.0)
+    S = P[0, 0] + R
+    error = at - x[0]
+    gain = [ca.if_else(side != 0, P[k, 0] / S, 0.0) for k in range(3)]
+    seen = ca.vertcat(error, 0.5 * ca.log(S), x[0], x[1])
+    heard = [x[k] + gain[k] * error for k in range(3)]
+    left = ca.if_else(side != 0, R / S, 1.0)
+    after = P - ca.vertcat(*gain) @ P[0, :]
+    for k in range(3):
+        after[0, k] = left * P[0, k]
+        after[k, 0] = left * P[0, k]
+    P = after
+    against = ca.logic_and(side != 0, heard[1] * side <= 0)
+    against = ca.logic_and(against, ca.logic_not(turned))
+    heard[1] = ca.if_else(against, side * SLOWEST, heard[1])
+    following = ca.vertcat(*heard, x[3], *_upper(P))
+    return _compiled("ticks", state, signals, numbers, _Out(following, seen, counts), what)
+
+
+@cache
+def noise(what: str = "all") -> lanes.Kernel:
+    """The predictor of noisy readings.
+
+    Args:
+        what: it tells: all of `SEEN`, errors (the first two), or sums: log densities are added
+            up in the last state, and nothing is recorded.
+
+    Returns:
+        A kernel whose inputs are u(t), u(t - 1), ..., the reading, whether there is one, whether a
+        record starts, and whether its error counts; whose lanes differ in `NUMBERS` and in how
+        late the input acts.
+    """
+    state = ca.SX.sym("s", MEAN + len(TRIANGLE) + 5)
+    signals = ca.SX.sym("w", LATEST + 1 + 4)
+    numbers = ca.SX.sym("p", len(NUMBERS) + LATEST + 1)
+    lane = Lane(numbers)
+    reading, there, starts, counts = ca.vertsplit(signals[LATEST + 1 :])
+    inputs = signals[: LATEST + 1]
+    x, rests = moved(lane, ca.vertsplit(state[:MEAN]), ca.dot(lane.taps, inputs), lane.offset)
+    upper = ca.vertsplit(state[MEAN : MEAN + len(TRIANGLE)])
+    P, F = _spread(lane, _symmetric(upper), rests)
+    level, of_level = state[MEAN + len(TRIANGLE)], state[MEAN + len(TRIANGLE) + 1 :]
+    with_level, own = F @ of_level[:3], of_level[3]
+    R = lane.rms**2
+    at_start = [reading, 0.0, 0.0, 0.0]
+    x = [ca.if_else(starts, begun, one) for begun, one in zip(at_start, x, strict=True)]
+    P = ca.if_else(starts, _first(lane, lane.gap**2 / 12 + R), P)
+    level = ca.if_else(starts, reading, level)
+    own = ca.if_else(starts, R, own)
+    with_level = ca.if_else(starts, ca.vertcat(R, 0.0, 0.0), with_level)
+    apart = ca.fmax(P[0, 0] - 2 * with_level[0] + own, 1e-300)
+    mean, slope, rest = through_play(x[0] - level, apart, lane.gap / 2)
+    slope, rest, mean = (ca.if_else(starts, 0.0, one) for one in (slope, rest, mean))
+    level = level + mean
+    own = (1 - slope) ** 2 * own + 2 * slope * (1 - slope) * with_level[0]
+    own = own + slope**2 * P[0, 0] + rest
+    with_level = (1 - slope) * with_level + slope * P[:, 0]
+    S = own + R
+    error = reading - level
+    heard = ca.logic_and(there, ca.logic_not(starts))
+    seen = ca.vertcat(error, 0.5 * ca.log(S), x[0], x[1])
+    gain = ca.if_else(heard, with_level / S, ca.SX.zeros(3))
+    gain_own = ca.if_else(heard, own / S, 0.0)
+    after = [x[k] + gain[k] * error for k in range(3)]
+    P = P - gain @ with_level.T
+    following = ca.vertcat(
+        *after, x[3], *_upper(P), level + gain_own * error,
+        with_level - gain * own, own - gain_own * own,
+    )  # fmt: skip
+    return _compiled("noise", state, signals, numbers, _Out(following, seen, counts), what)
+
+
+def through_play(mean: Any, variance: Any, half: Any) -> tuple[Any, Any, Any]:
+    """What a dead zone makes of a Gaussian, on CasADi expressions.
+
+    Args:
+        mean, variance: of the Gaussian.
+        half: half the zone.
+
+    Returns:
+        The mean, the slope, and what of the variance the slope does not explain.
+    """
+    s = ca.sqrt(variance)
+    a, b = (mean - half) / s, (-half - mean) / s
+    mass_a, mass_b = _normal(a), _normal(b)
+    at_a, at_b = _density(a), _density(b)
+    above, below = s * (a * mass_a + at_a), s * (b * mass_b + at_b)
+    squares = variance * ((a * a + 1) * mass_a + a * at_a + (b * b + 1) * mass_b + b * at_b)
+    passed, slope = above - below, mass_a + mass_b
+    rest = ca.fmax(squares - passed**2 - slope**2 * variance, 0.0)
+    return passed, slope, rest
+
+
+def _normal(x: Any) -> Any:
+    """Phi(x) on CasADi expressions."""
+    return 0.5 * (1 + ca.erf(ca.fmin(ca.fmax(x, -8.0), 8.0) / math.sqrt(2)))
+
+
+def _density(x: Any) -> Any:
+    """phi(x) on CasADi expressions."""
+    return ca.exp(-0.5 * ca.fmin(x * x, 100.0)) / math.sqrt(2 * math.pi)

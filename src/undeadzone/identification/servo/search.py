@@ -1,0 +1,233 @@
+"""Which servo is it: from the runs without any gap to the numbers of the likeliest structure.
+
+Runs between two reversals know of no gap, so they come first: z is forgotten at every reversal, and
+plant, friction and delay are climbed to from many starts. With a strong torque each tick forgets
+the ticks before it, so that the top is broad; then the torque is left free. Each reversal then has
+a gap of its own, whose median starts the climbs with a gap. Parts of the servo are added and taken
+away as long as BIC gets better.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.signal import lfilter
+
+from undeadzone.identification.servo.crossings import crossings_of
+from undeadzone.identification.servo.heard import REACH, Heard, noise_of, shifted, triggered
+from undeadzone.identification.servo.likelihood import PARTS, Likelihood, Servo, Structure
+from undeadzone.identification.servo.sampled import (
+    DAMPING,
+    DELAY,
+    FRICTION,
+    GAIN,
+    GAP,
+    NAMES,
+    NOISE,
+    POLE,
+    SLOW,
+    SPRING,
+    TORQUE,
+    discretised,
+)
+from undeadzone.support.arrays import Floats
+
+MOST = 3000  # samples of a search
+POLES = 5  # rates of damping where climbs begin
+SPRINGS = (0.1, 3.0)  # in squared rates of damping
+FRICTIONS = (0.02, 0.15)  # rms of the input
+DELAYS = (0.5, 3.0)  # samples
+TORQUES = (0.3, 0.05)  # rms of the input
+FIRST, THEN, LAST = 4, 6, 12  # steps of climbs
+KEPT = 4  # climbs of a structure that go on
+ROUNDS = 4  # in which parts are added or taken away
+WINDOWS = 60  # over which motion is compared
+MEMORY = 0.5  # least gap, in quanta, where climbs begin
+ALTERNATIVES = 6  # structures that are climbed with all samples
+REACHED = 30.0  # of BIC, within which a structure may be the true one
+
+
+def searched(log: Heard) -> list[Servo]:
+    """The likeliest structures within `REACHED` of BIC, best first; of all samples.
+
+    Args:
+        log: as the predictor hears it.
+
+    Returns:
+        Servos climbed to their top; nothing where no start leads anywhere.
+    """
+    ticked = log if log.ticks else triggered(log)
+    begun = without_gap(ticked.part(MOST))
+    if not begun:
+        return []
+    fits = with_gap(log.part(MOST), [_gapped(log, ticked, one) for one in begun])
+    if not fits:
+        return []
+    likelihood = Likelihood(log)
+    tops = likelihood.climbed(fits, 3 * LAST)
+    tops = sorted(filter(lambda one: math.isfinite(one.value), tops), key=likelihood.bic)
+    return tops
+
+
+# --- Without a gap
+
+
+def without_gap(log: Heard) -> list[Servo]:
+    """The best servos of a few structures that know of no gap, best first."""
+    likelihood = Likelihood(log, free=True)
+    if likelihood.used.size < 3 * len(NAMES):
+        return []
+    begun = starts(log)
+    families = sorted({one.structure for one in begun}, key=repr)
+    tops = likelihood.climbed(begun, FIRST, (TORQUE,))
+    tops = list(itertools.chain(*(_best(tops, family, KEPT) for family in families)))
+    weaker = [_changed(one, TORQUE, math.log(TORQUES[-1])) for one in tops]
+    tops += likelihood.climbed(weaker, THEN, (TORQUE,))
+    tops = likelihood.climbed(tops, LAST)
+    tops = list(itertools.chain(*(_best(tops, family, 2) for family in families)))
+    return sorted(tops, key=likelihood.bic)
+
+
+def _best(tops: Sequence[Servo], family: Structure, count: int) -> list[Servo]:
+    """The best servos of a structure."""
+    own = [one for one in tops if one.structure == family and math.isfinite(one.value)]
+    return sorted(own, key=lambda one: -one.value)[:count]
+
+
+def starts(log: Heard) -> list[Servo]:
+    """Where climbs without a gap begin: the gain by the motion over windows."""
+    span = log.u.size * log.step
+    rates = np.geomspace(max(0.5, 4 / span), min(0.5 / log.step, 150.0), POLES)
+    found = []
+    motor, sprung = Structure(frozenset({"friction"})), Structure(frozenset({"friction", "spring"}))
+    for rate, late in itertools.product(rates, DELAYS):
+        for friction, share in zip(FRICTIONS, SPRINGS, strict=True):
+            found.append(_begun(log, motor, rate, 0.0, friction, late))
+            found.append(_begun(log, sprung, rate, share * rate**2, FRICTIONS[0], late))
+    for rate in rates:
+        found.append(_begun(log, Structure(frozenset(), lag=True), rate, 0.0, 0.0, DELAYS[0]))
+    return found
+
+
+def _begun(
+    log: Heard, structure: Structure, rate: float, spring: float, friction: float, late: float
+) -> Servo:
+    """A start with the gain that suits it."""
+    theta = np.zeros(len(NAMES))
+    theta[DAMPING], theta[GAIN], theta[POLE] = math.log(rate), 1.0, math.inf
+    theta[SPRING] = math.log(spring) if spring else -math.inf
+    theta[SLOW], theta[GAP] = -math.inf, max(MEMORY * log.quantum, 1e-6)
+    theta[TORQUE], theta[DELAY] = math.log(TORQUES[0]), late
+    z = _linear(log, theta, structure.lag)
+    wide = max(5, log.u.size // WINDOWS)
+    moved = np.column_stack([np.diff(z[::wide]), np.ones(z[::wide].size - 1)])
+    gain = float(np.linalg.lstsq(moved, np.diff(log.y[::wide]), rcond=None)[0][0])
+    theta[GAIN] = gain if abs(gain) > 1e-9 else 1.0
+    theta[FRICTION] = friction
+    return Servo(structure, theta, -math.inf)
+
+
+def _linear(log: Heard, theta: Floats, lag: bool) -> Floats:
+    """z of a servo without friction (N)."""
+    A, B, _ = discretised(theta[None], log.step, lag)
+    F, b = A[0, :2, :2], B[0, :2, 0]
+    late = shifted(log.u, log.start, 1 + round(theta[DELAY]))
+    denominator = np.array([1.0, -np.trace(F), np.linalg.det(F)])
+    numerator = np.array([b[0], F[0, 1] * b[1] - F[1, 1] * b[0]])
+    return np.asarray(lfilter(numerator, denominator, late))
+
+
+def _changed(one: Servo, place: int, value: float) -> Servo:
+    """A servo with another number."""
+    theta = one.theta.copy()
+    theta[place] = value
+    return one._replace(theta=theta)
+
+
+# --- The gap
+
+
+def _gapped(log: Heard, ticked: Heard, one: Servo) -> Servo:
+    """A servo with the median of the gaps of its reversals."""
+    gap = crossings_of(ticked, one, free=True).median / ticked.y_scale
+    theta = one.theta.copy()
+    theta[GAP] = max(gap, MEMORY * log.quantum, 1e-4)
+    if not log.ticks:
+        rms = noise_of(log)
+        theta[GAP] = max(gap - 2 * REACH * rms, rms)
+        theta[NOISE] = math.log(rms)
+    return one._replace(theta=theta)
+
+
+def with_gap(log: Heard, begun: Sequence[Servo]) -> list[Servo]:
+    """The likeliest structures with a gap, within `REACHED` of BIC, best first.
+
+    Args:
+        log: as the predictor hears it, or a part.
+        begun: where climbs begin.
+    """
+    likelihood = Likelihood(log)
+    first = []
+    for one in begun:
+        first += [_changed(one, TORQUE, math.log(torque)) for torque in TORQUES]
+    first = likelihood.climbed(first, THEN, (TORQUE,))
+    fits = _kept({}, likelihood, likelihood.climbed(first, LAST))
+    for _ in range(ROUNDS):
+        if not fits:
+            return []
+        best = min(fits.values(), key=likelihood.bic)
+        trials = [one for one in neighbours(best, log.step) if one.structure not in fits]
+        more = likelihood.climbed(trials, THEN, (TORQUE,))
+        fits = _kept(fits, likelihood, likelihood.climbed(more, LAST))
+        if min(fits.values(), key=likelihood.bic).structure == best.structure:
+            break
+    ranked = sorted(fits.values(), key=likelihood.bic)
+    most = likelihood.bic(ranked[0]) + REACHED
+    return [one for one in ranked if likelihood.bic(one) <= most][:ALTERNATIVES]
+
+
+def _kept(
+    fits: dict[Structure, Servo], likelihood: Likelihood, more: Sequence[Servo]
+) -> dict[Structure, Servo]:
+    """The best servo of each structure."""
+    kept = dict(fits)
+    for one in more:
+        own = kept.get(one.structure)
+        if math.isfinite(one.value) and (own is None or one.value > own.value):
+            kept[one.structure] = one
+    return kept
+
+
+def neighbours(one: Servo, step: float) -> list[Servo]:
+    """Servos with a part more, or less, where climbs begin."""
+    found = []
+    for name, place in PARTS.items():
+        if one.structure.lag and name in ("friction", "spring"):
+            continue
+        parts = one.structure.parts ^ {name}
+        structure = one.structure._replace(parts=parts)
+        if name not in parts:
+            found.append(Servo(structure, structure.of(one.theta), -math.inf))
+            continue
+        for value in _values(name, one, step):
+            theta = one.theta.copy()
+            theta[place] = value
+            if name == "pole":  # what a pole is late
+                theta[DELAY] = max(theta[DELAY] - math.exp(-value) / step, 0.0)
+            found.append(Servo(structure, theta, -math.inf))
+    return found
+
+
+def _values(name: str, one: Servo, step: float) -> list[float]:
+    """Where a part begins that is added."""
+    if name == "friction":
+        return [0.003, 0.02, 0.1]
+    if name == "spring":
+        rate = 2 * one.theta[DAMPING]
+        return [rate + math.log(share) for share in (1e-3, *SPRINGS)]
+    if name == "pole":
+        return [math.log(rate / step) for rate in (0.1, 0.3, 0.8)]
+    return [math.log(0.03), math.log(0.2)]

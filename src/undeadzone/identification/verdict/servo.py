@@ -1,0 +1,274 @@
+"""Is it a servo whose encoder stands behind gear play? Asked first of ticks, last of noise.
+
+Behind an encoder, or of exact readings, a predictor in physical coordinates tells play from
+friction at once, so it is tried before anything else. Noisy readings of an integrating plant, and
+of what nothing else explains, are tried when that is known. What it says stands in the zone's
+place; what it withdraws is said, too.
+"""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import numpy as np
+
+from undeadzone.identification.logs.grid import Grid
+from undeadzone.identification.logs.log import Options
+from undeadzone.identification.logs.prepare import OFTEN
+from undeadzone.identification.models import plant
+from undeadzone.identification.models.estimates import Interval
+from undeadzone.identification.servo.gap import ServoGap, centre_of, servo_gap
+from undeadzone.identification.servo.heard import Heard, heard, noise_of, shifted
+from undeadzone.identification.servo.likelihood import Servo
+from undeadzone.identification.servo.sampled import DELAY, GAIN, discretised
+from undeadzone.identification.verdict.verdict import LEAST, LIKELY, Case, Verdict, because, best_of
+from undeadzone.identification.verdict.which import EVEN, MEMORY, Element, Found
+from undeadzone.support.arrays import Floats
+
+POSSIBLE = ("none", "play", "friction", "other", "unclear", "undecided")  # that it may replace
+EXPLAINED = ("play", "none", "friction")  # words that stand where their fit is good
+FEW_RETURNS = 3
+MOVED = 1e-4  # of a number, for derivatives of the sampled plant
+
+
+def heard_of(grid: Grid, options: Options) -> Heard | None:
+    """A log as a servo's predictor hears it; None where it is not one input's, or another's.
+
+    Args:
+        grid: the records.
+        options: what the user said.
+    """
+    if grid.u.shape[1] != 1 or options.kind not in ("auto", "play"):
+        return None
+    if options.place != "auto" or options.right or options.left:
+        return None
+    u = shifted(grid.u[:, 0], grid.start, late_of(options))
+    return heard(u, grid.y, grid.ok, grid.start, grid.step)
+
+
+def servo_of_ticks(grid: Grid, options: Options) -> ServoGap | None:
+    """What a log of ticks says of a servo; None of other logs."""
+    log = heard_of(grid, options)
+    if log is None or not log.ticks or _falls_silent(grid):
+        return None
+    return servo_gap(log)
+
+
+def _falls_silent(grid: Grid) -> bool:
+    """Whether readings come back to 0 far more often than to any other value: a sensor's zone."""
+    y = grid.y[grid.ok]
+    values, counts = np.unique(y, return_counts=True)
+    silent = int(np.count_nonzero(y == 0))
+    others = int(counts[values != 0].max(initial=1))
+    returns = int(np.count_nonzero(np.diff(1 * (y == 0)) > 0))
+    return returns > FEW_RETURNS and silent > OFTEN * others
+
+
+def told(options: Options, found: ServoGap) -> Options:
+    """Options of the fit beside a servo, whose plant is known: of first order, its delay alone."""
+    late = late_of(options) + lateness(found)
+    return msgspec.structs.replace(options, order="1", integrators=0, delay=str(late))
+
+
+def late_of(options: Options) -> int:
+    """Samples by which the user said that the input is late."""
+    return 0 if options.delay == "auto" else int(options.delay)
+
+
+def lateness(found: ServoGap) -> int:
+    """Samples by which a servo's input acts late."""
+    return max(round(float(found.servo.theta[DELAY])), 0)
+
+
+def order_of(servo: Servo) -> int:
+    """Poles of a servo."""
+    return (1 if servo.structure.lag else 2) + ("pole" in servo.structure.parts)
+
+
+# --- What is found
+
+
+def may_be_servo(case: Case, found: Found) -> bool:
+    """Whether a servo behind a play is asked for: of integrators, or where little is explained."""
+    if found.element is not None or case.jumps is not None or case.unreached:
+        return False
+    word = found.verdict.word
+    if word not in POSSIBLE or heard_of(case.grid, case.options) is None:
+        return False
+    if case.options.integrators or word in ("other", "unclear", "undecided"):
+        return True
+    return word in EXPLAINED and _share(case, found) < LEAST
+
+
+def _share(case: Case, found: Found) -> float:
+    """Share of the readings that the model of the verdict explains."""
+    y = case.data.y[case.data.ok]
+    best = best_of(found.verdict.word, found.models)
+    return 1 - best.rms / max(float(y.std()), 1e-300)
+
+
+def with_servo(case: Case, found: Found) -> Found:
+    """What is found with a servo, or why nothing is."""
+    servo = servo_gap(heard_of(case.grid, case.options))
+    if servo is None:
+        return found
+    if servo.is_given:
+        return named_servo(case, servo, found)
+    word = found.verdict.word
+    if word in MEMORY:
+        stays = not case.options.integrators  # by least squares, or ticks of another plant
+    else:
+        stays = word not in EXPLAINED or _share(case, found) >= LEAST
+    if stays:
+        return found
+    return found._replace(verdict=because("undecided", *servo.reasons), plays=None)
+
+
+def named_servo(case: Case, servo: ServoGap, found: Found) -> Found:
+    """What is found with a servo behind a play.
+
+    Args:
+        case: the log.
+        servo: with its gap.
+        found: so far.
+    """
+    odds = {"play": servo.odds, "none": 1 - servo.odds}
+    word = "play" if servo.odds > LIKELY else "undecided"
+    verdict = Verdict(word, [in_words(servo)], _cautions(servo))
+    element = element_of(case, servo)
+    late = late_of(case.options) + lateness(servo)
+    return found._replace(verdict=verdict, odds=odds, element=element, delay=late)
+
+
+def in_words(servo: ServoGap) -> str:
+    """What servo it is."""
+    one = servo.servo
+    name = "a lag of first order" if one.structure.lag else "a motor"
+    names = {"pole": "an electrical pole", "slow": "slow torques", "friction": "friction"}
+    names["spring"] = "a spring"
+    parts = [names[part] for part in sorted(one.structure.parts)]
+    with_parts = f" with {', '.join(parts)}" if parts else ""
+    return (
+        f"{name}{with_parts} behind gear play explains the readings;"
+        f" {servo.crossings.gap.size} crossings say a gap of {servo.crossings.median:.4g} one by"
+        f" one (median, +- {2 * servo.crossings.error:.2g})"
+    )
+
+
+def _cautions(servo: ServoGap) -> list[str]:
+    """What to know of the gap."""
+    cautions = [
+        "the gap is one between motor and encoder; of an encoder at the motor's side it shows only"
+        " as far as the load is felt (rho c >> q, rho the load's share of the inertia): ask where"
+        " the encoder is"
+    ]
+    if servo.log.closed:
+        cautions.append(
+            "the input answers to the readings: a loop is closed; the gap holds in it, since each"
+            " error is that of one prediction"
+        )
+    return [*cautions, *servo.trends]
+
+
+def element_of(case: Case, servo: ServoGap) -> Element:
+    """The element of a servo's play, with its plant without friction.
+
+    Args:
+        case: the log.
+        servo: with its gap.
+    """
+    grid, data, one = case.grid, case.data, servo.servo
+    late = late_of(case.options) + lateness(servo)
+    u = shifted(grid.u[:, 0], grid.start, late)
+    own = data._replace(
+        u=u[:, None] / data.u_scale,
+        y=np.where(grid.ok, grid.y / data.y_scale, 0.0),
+        ok=grid.ok,
+        start=grid.start,
+        side=np.zeros(grid.y.size, int),
+        climbs=None,
+    )
+    free = int(servo.integrates)
+    simulator = plant.Simulator(own, order_of(one), free)
+    layout = simulator.layout
+    count = layout.b.stop
+    theta = np.zeros(layout.size)
+    scale = float(data.u_scale[0]) / data.y_scale
+    theta[:count] = sampled_plant(servo, one.theta, scale)
+    z, readings, side = servo.expected(one)
+    of_log, level = servo.log.y_scale / data.y_scale, float(own.y[own.ok][0])
+    z, readings = z * of_log + level, readings * of_log + level
+    left = (own.y - readings)[own.ok]
+    return Element(
+        kind="play",
+        fit=servo,
+        simulator=simulator,
+        theta=theta,
+        V=_covariance(servo, scale, count),
+        z=z,
+        readings=readings,
+        side=side,
+        widths=_widths(case, servo),
+        ahead=None,
+        noise=0.0 if servo.log.ticks else noise_of(servo.log) * servo.log.y_scale / data.y_scale,
+        degrees=max(servo.reversals - 1, 2),
+        rms=math.sqrt(float(np.mean(left**2))),
+        remarks=[f"z of an integrating plant has no zero of its own: {EVEN}"] if free else [],
+    )
+
+
+def _widths(case: Case, servo: ServoGap) -> dict[str, Interval | None]:
+    """The play's widths [y]; what an offset of the output leaves of its sides and its centre."""
+    width, even = servo.gap, servo.gap.scaled(0.5)
+    centre = centre_of(servo, float(case.grid.y[case.grid.ok][0]))
+    if centre is None:
+        return {"right": even, "left": even, "width": width, "centre": None}
+    offset = math.inf if case.offset is None else case.offset * case.data.y_scale
+    centre = Interval.around(centre.value, math.hypot(centre.half, offset))
+    half = math.hypot(even.half, centre.half)
+    right = Interval.around(even.value + centre.value, half)
+    left = Interval.around(even.value - centre.value, half)
+    return {"right": right, "left": left, "width": width, "centre": centre.scaled(2.0)}
+
+
+def sampled_plant(servo: ServoGap, theta: Floats, scale: float) -> Floats:
+    """a without its integrators and b of a servo's sampled plant, without friction.
+
+    Args:
+        servo: whose structure and step count.
+        theta: its numbers.
+        scale: of the units of b: that of u over that of y.
+    """
+    one, log = servo.servo, servo.log
+    A, B, _ = discretised(theta[None], log.step, one.structure.lag)
+    places = [0] if one.structure.lag else [0, 1]
+    places += [3] if "pole" in one.structure.parts else []
+    F, b = A[0][np.ix_(places, places)], B[0, places, 0]
+    poles = np.linalg.eigvals(F)
+    whole = np.real(np.poly(F))
+    markov = []
+    state = b
+    for _ in places:
+        markov.append(state[0])
+        state = F @ state
+    numerator = np.convolve(whole, markov)[: len(places)]
+    if servo.integrates:
+        nearest = int(np.argmin(np.abs(poles - 1)))
+        whole = np.real(np.poly(np.delete(poles, nearest)))
+    in_units = log.y_scale / log.u_scale * scale
+    return np.concatenate([np.atleast_1d(whole)[1:], numerator * in_units])
+
+
+def _covariance(servo: ServoGap, scale: float, count: int) -> Floats:
+    """The covariance of a and b, from that of the servo's numbers."""
+    free = servo.servo.structure.free(servo.log.ticks, False)
+    theta = servo.servo.theta
+    rows = np.zeros((count, free.size))
+    for column, place in enumerate(free):
+        move = np.zeros(theta.size)
+        move[place] = MOVED * max(abs(theta[place]), 1.0 if place != GAIN else 0.0)
+        more = sampled_plant(servo, theta + move, scale)
+        less = sampled_plant(servo, theta - move, scale)
+        rows[:, column] = (more - less) / (2 * move[place])
+    return np.asarray(rows @ servo.covariance @ rows.T)

@@ -1,0 +1,276 @@
+"""A servo behind gear play: its gap from a log, whatever else is there, or none."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+from benchmarks.servo_logs import Servo, input_at_random, random_log, recorded
+from scipy.signal import lfilter
+from scipy.stats import norm
+
+import undeadzone as uz
+from undeadzone.cli import group
+from undeadzone.identification.servo import predictor
+from undeadzone.identification.servo.crossings import Crossings, crossings_of
+from undeadzone.identification.servo.feedback import is_closed
+from undeadzone.identification.servo.gap import ServoGap, servo_gap
+from undeadzone.identification.servo.heard import Heard, encoder_of, heard
+from undeadzone.identification.servo.likelihood import Likelihood
+from undeadzone.identification.servo.likelihood import Servo as Fitted
+from undeadzone.identification.servo.sampled import FRICTION
+from undeadzone.identification.servo.search import neighbours
+from undeadzone.scenario.reader import parse
+from undeadzone.support.arrays import Floats
+
+STEP, SIZE = 0.005, 1600
+MOTOR = Servo(
+    damping=6.0,
+    gain=8.0,
+    spring=0.0,
+    pole=0.0,
+    friction=0.12,
+    gap=0.03,
+    quantum=0.002,
+    delay=1,
+    proportional=0.0,
+    rate=0.0,
+)
+START = np.zeros(1, int)
+RESTS = {"encoder": (0.002, 0.0), "exact": (0.0, 0.0), "noise": (0.0, 0.0015)}
+
+
+def logged(
+    servo: Servo, seed: int = 1, noise: float = 0.0, torque: float = 0.03, closed: bool = False
+) -> tuple[Floats, Floats]:
+    """u and y of a servo in open or in closed loop."""
+    draw = np.random.default_rng(seed)
+    command = input_at_random(draw, SIZE)
+    if closed:
+        command = command / servo.proportional
+    return recorded(
+        servo,
+        STEP,
+        command,
+        torque * draw.standard_normal(SIZE),
+        noise * draw.standard_normal(SIZE),
+        closed,
+    )
+
+
+def listened(u: Floats, y: Floats) -> Heard:
+    """The log as the predictor hears it."""
+    found = heard(u, y, np.ones(y.size, bool), START, STEP)
+    assert found is not None
+    return found
+
+
+def answered(u: Floats, y: Floats) -> ServoGap:
+    """What the predictor says."""
+    found = servo_gap(listened(u, y))
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize("closed", [False, True])
+@pytest.mark.parametrize("spring", [0.0, 40.0])
+@pytest.mark.parametrize("reading", RESTS)
+def test_the_gap_of_a_servo(reading: str, spring: float, closed: bool) -> None:
+    quantum, noise = RESTS[reading]
+    servo = MOTOR._replace(spring=spring, quantum=quantum)
+    if closed:
+        servo = servo._replace(proportional=12.0, rate=0.5)
+    u, y = logged(servo, noise=noise, closed=closed)
+    found = answered(u, y)
+    assert found.log.ticks == (reading != "noise")
+    assert not found.reasons
+    assert abs(found.gap.value - 0.03) < (0.002 if reading == "noise" else 0.001)
+    assert found.gap.low - 2e-4 <= 0.03 <= found.gap.high + 2e-4
+    assert found.log.closed == closed
+    assert "friction" in found.servo.structure.parts or "slow" in found.servo.structure.parts
+
+
+@pytest.mark.parametrize("quantum", [0.0, 0.05])
+def test_a_play_behind_a_plant_of_first_order_is_one(quantum: float) -> None:
+    """Exact and quantised readings were denied it; noisy ones were not."""
+    rng = np.random.default_rng(3)
+    u = np.repeat(rng.standard_normal(100), 12)
+    z = lfilter([0.0, 0.05], [1.0, -0.95], u)
+    z = z / z.std()
+    y, now = np.empty(z.size), 0.0
+    for k, value in enumerate(z):
+        now = max(min(now, value + 0.2), value - 0.3)
+        y[k] = now
+    y = quantum * np.round(y / quantum) if quantum else y
+    found = uz.identify(t=0.05, u=u, y=y)
+    assert found.verdict == "play"
+    for interval, truth in ((found.width, 0.5), (found.right, 0.3), (found.centre, 0.1)):
+        assert interval is not None
+        assert interval.low - 1e-4 <= truth <= interval.high + 1e-4
+        assert interval.half < 0.02
+    parse(found.scenario())
+
+
+@pytest.fixture(scope="module")
+def with_friction() -> tuple[Heard, ServoGap]:
+    """A log with much friction, and what is found."""
+    u, y = logged(MOTOR._replace(friction=0.3), seed=4)
+    found = answered(u, y)
+    return found.log, found
+
+
+def test_friction_that_is_left_out_shows_in_the_crossings(
+    with_friction: tuple[Heard, ServoGap],
+) -> None:
+    log, found = with_friction
+    assert "friction" in found.servo.structure.parts
+    assert found.servo.theta[FRICTION] * log.u_scale == pytest.approx(0.3, rel=0.15)
+    structure = found.servo.structure._replace(parts=frozenset())
+    theta = structure.of(found.servo.theta)
+    bare = crossings_of(log, Fitted(structure, theta, 0.0))
+    assert bare.scatter > 2 * found.crossings.scatter
+    assert bare.trends() or abs(bare.median - 0.03) > 3 * bare.error
+
+
+def test_a_part_that_is_added_never_costs_likelihood(with_friction: tuple[Heard, ServoGap]) -> None:
+    log, found = with_friction
+    likelihood = Likelihood(log)
+    larger = []
+    for one in neighbours(found.servo, log.step):
+        if one.structure.parts > found.servo.structure.parts:
+            larger.append(one)
+    tops: dict[frozenset[str], float] = {}
+    for top in likelihood.climbed(larger, 40):
+        parts = top.structure.parts
+        tops[parts] = max(top.value, tops.get(parts, -math.inf))
+    assert tops
+    assert min(tops.values()) > found.servo.value - 2.0  # a pole cannot be infinitely fast
+
+
+def test_a_record_that_is_cut_in_motion_says_the_same(
+    with_friction: tuple[Heard, ServoGap],
+) -> None:
+    log, found = with_friction
+    first = int(found.crossings.at[0]) - 12
+    moving = np.abs(np.diff(log.y))[first] + log.quantum
+    assert moving > 0
+    kept = slice(first, None)
+    part = heard(log.u[kept], log.y[kept], log.ok[kept], START, STEP)
+    cut = servo_gap(part)
+    assert cut is not None
+    assert cut.gap.value * log.y_scale == pytest.approx(
+        found.gap.value, abs=found.gap.half + cut.gap.half * log.y_scale
+    )
+
+
+def test_a_gap_that_is_worn_in_one_place_is_told() -> None:
+    u, y = logged(MOTOR._replace(friction=0.0, gap=0.0, quantum=0.0, spring=40.0), torque=0.0)
+    z, held = y, float(y[0])
+    worn = np.empty(z.size)
+    for k, value in enumerate(z):
+        half = 0.015 * (1 + 0.8 * np.tanh(2 * value / z.std()))
+        held = max(min(held, value + half), value - half)
+        worn[k] = 0.001 * round(held / 0.001)
+    found = answered(u, worn)
+    told = " ".join([*found.reasons, *found.crossings.trends()])
+    assert "crossing" in told
+
+
+def test_a_gap_of_half_a_tick_is_no_more_than_one_tick() -> None:
+    u, y = logged(MOTOR._replace(gap=0.001))
+    found = answered(u, y)
+    assert found.gap.low <= 0.001 <= found.gap.high < 0.004
+    assert found.is_given or any("below" in reason for reason in found.reasons)
+
+
+def test_too_few_reversals_give_no_gap() -> None:
+    u, y = logged(MOTOR)
+    found = answered(u[:400], y[:400])
+    assert any("turn" in reason for reason in found.reasons)
+    still = heard(u, np.zeros(SIZE), np.ones(SIZE, bool), START, STEP)
+    assert still is None
+    assert servo_gap(None) is None
+
+
+def test_a_loop_is_heard() -> None:
+    """By what u does at a tick; 30 random logs, of which no open one may be called a loop."""
+    right, loops = 0, 0
+    for seed in range(30):
+        log = random_log(900 + seed, 2000)
+        found = is_closed(log.u, log.y)
+        assert log.closed or not found
+        right, loops = right + found, loops + log.closed
+    assert right >= 0.7 * loops
+
+
+def test_an_encoder_is_known_by_its_changes() -> None:
+    rng = np.random.default_rng(0)
+    ticks = np.cumsum(rng.integers(-40, 41, 500))
+    assert encoder_of(0.003 * ticks) == pytest.approx(0.003)
+    assert encoder_of(rng.standard_normal(500)) == 0.0
+
+
+def test_what_a_play_passes_on_has_the_moments_of_a_gaussian() -> None:
+    mean, variance, half = ca.SX.sym("m"), ca.SX.sym("v"), ca.SX.sym("h")
+    through = ca.Function(
+        "through", [mean, variance, half], list(predictor.through_play(mean, variance, half))
+    )
+    grid = np.linspace(-12, 12, 200_001)
+    for m, s, h in ((0.3, 1.0, 0.5), (-2.0, 0.4, 1.0), (0.0, 2.0, 0.1)):
+        x = m + s * grid
+        weights = norm.pdf(grid) * (grid[1] - grid[0])
+        passed = np.sign(x) * np.maximum(np.abs(x) - h, 0.0)
+        expected = float(weights @ passed)
+        slope = float(weights @ (np.abs(x) > h))
+        left = float(weights @ passed**2) - expected**2 - slope**2 * s**2
+        found = [float(one) for one in through(m, s * s, h)]
+        assert found == pytest.approx([expected, slope, max(left, 0.0)], abs=2e-4)
+
+
+def test_crossings_have_a_median_and_a_scatter() -> None:
+    gap = np.array([1.0, 1.1, 0.9, 1.0, 5.0])
+    none = np.zeros(5)
+    table = Crossings(none.astype(int), none, none.astype(int), none, none, none, gap)
+    assert table.median == 1.0
+    assert table.scatter == pytest.approx(0.14826)
+    assert table.trends() == []
+    empty = Crossings(*[none[:0]] * 7)
+    assert math.isnan(empty.median)
+    assert math.isnan(empty.scatter)
+
+
+def test_a_log_ends_in_a_scenario_and_a_page(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    u, y = logged(MOTOR._replace(delay=0))
+    rows = np.column_stack([STEP * np.arange(SIZE), u, y])
+    np.savetxt("log.csv", rows, delimiter=",", header="t,u,y", comments="", fmt="%.12g")
+    assert not group.main(["identify", "log.csv"], standalone_mode=False)
+    out = capsys.readouterr().out
+    assert "NO: play" in out
+    assert "crossings" in out
+    numbers = json.loads(Path("log-identify/identify.json").read_text(encoding="utf-8"))
+    servo = numbers["servo"]
+    assert servo["damping"] == pytest.approx(6.0, rel=0.05)
+    assert servo["gain"] == pytest.approx(8.0, rel=0.05)
+    assert servo["friction"] == pytest.approx(0.12, abs=0.03)
+    assert len(servo["crossings"]["gap"]) == len(servo["crossings"]["t"]) > 10
+    page = Path("log-identify/report.html").read_text(encoding="utf-8")
+    assert "The gap at each crossing" in page
+    assert 'kind = "play"' in Path("log.toml").read_text(encoding="utf-8")
+    parse(Path("log.toml").read_text(encoding="utf-8"))
+
+
+def test_motors_and_lags_climb_side_by_side(with_friction: tuple[Heard, ServoGap]) -> None:
+    log, found = with_friction
+    lag = Fitted(
+        found.servo.structure._replace(parts=frozenset(), lag=True), found.servo.theta, 0.0
+    )
+    tops = Likelihood(log).climbed([lag, found.servo], 2)
+    assert [top.structure.lag for top in tops] == [True, False]
+    assert tops[1].value >= found.servo.value - 1e-6
