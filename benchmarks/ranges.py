@@ -165,8 +165,7 @@ def observe(
         sensor = Sensor(
             right=RANGE[1], left=RANGE[1], noise=known.noise[k], threshold=0.0, range=ends
         )
-        plant = sampled(system(Plant(**model._asdict())), STEP)
-        built.append(options(known, k).build(plant, resolve(sensor, 1, STEP)))
+        built.append(coverage.built_for(options(known, k), model, sensor, STEP))
     numbers = np.stack([tree.pack(one.params) for one in built])
     states = np.stack([tree.pack(one.init(one.params)) for one in built])
     kernel = lanes.build(_step(built[0]), exogenous=range(3), params=range(numbers.shape[1]))

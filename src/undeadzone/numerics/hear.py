@@ -1,0 +1,219 @@
+"""`hear`: a reading of a sensor with a dead zone into anybody's Kalman filter, with NumPy alone.
+
+It is also what the graph of `Censored` computes, written to be read: a reading on a sure side is
+linear in state and widths; a silent one says on which side of both edges z is, which is matched in
+mean and covariance. docs/hear.md has examples, docs/filters.md the mathematics.
+"""
+
+from __future__ import annotations
+
+from math import erf, exp, pi, sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from undeadzone.errors import InputError, ShapeError
+from undeadzone.support.arrays import Array, Floats
+
+SILENT = 4.0  # noise, in its rms, that is surely not beyond it
+DOUBT = 1.6448536269514722  # an edge inside of which z is with 95 % anyway is not heard
+SWEEPS = 4  # of both edges of a reading, each given what the other one says
+CLIP = 30.0  # standard deviations beyond an edge from which all is alike
+
+
+class Ear(NamedTuple):
+    """What is kept from one reading to the next; a new one at the start, and after a restart.
+
+    Attributes:
+        last, previous: the last two readings, 0 where one was missing [y].
+        right, left: readings to wait until that edge is heard again.
+    """
+
+    last: float = 0.0
+    previous: float = 0.0
+    right: int = 0
+    left: int = 0
+
+
+class Heard(NamedTuple):
+    """What is known after a reading.
+
+    Attributes:
+        mean: in the shape that was given.
+        cov: covariance (N x N).
+        ear: for the next reading.
+        side: 1 or -1 where the reading was used on that side; 0: silent, unsure or missing.
+        innovation: what was read less what was expected [z]; 0 where side is 0.
+        innovation_std: standard deviation of that [z]; 0 where side is 0.
+    """
+
+    mean: Floats
+    cov: Floats
+    ear: Ear
+    side: int
+    innovation: float = 0.0
+    innovation_std: float = 0.0
+
+
+class Gauss(NamedTuple):
+    """A mean (N) and its covariance (N x N)."""
+
+    mean: Floats
+    cov: Floats
+
+
+class Edge(NamedTuple):
+    """One edge: the width is row @ mean + known.
+
+    Attributes:
+        sign: 1 on the right, -1 on the left.
+        row: that reads the width from the mean (N); 0 where it is known.
+        known: the width, where it is known [z].
+    """
+
+    sign: int
+    row: Floats
+    known: float
+
+
+def hear(
+    mean: Array,
+    cov: Array,
+    C: Array,
+    y: float,
+    *,
+    right: Array,
+    left: Array,
+    noise: float,
+    ear: Ear = Ear(),  # noqa: B008
+    rest: int = 1,
+    noise_before: float = 0.0,
+    slope: float = 1.0,
+) -> Heard:
+    """The mean and covariance after a reading y = slope Dz(C x + noise ahead) + noise behind.
+
+    Args:
+        mean: of the filter's state, after its prediction (N, or N x 1).
+        cov: covariance of that (N x N).
+        C: row that reads z from the mean (N).
+        y: reading [y]; NaN where it is missing, or at a limit of the sensor's range.
+        right, left: widths d_r, d_l: a number where one is known [z], or the row that reads it from
+            the mean (N).
+        noise: rms of the noise behind the zone [y].
+        ear: what the last call returned.
+        rest: readings for which an edge is not heard again: a 25th of the plant's period, or the
+            correlation time of its disturbance if that is longer.
+        noise_before: rms of the noise ahead of the zone [z].
+        slope: of the zone's branches [y/z].
+
+    Returns:
+        What is known, and the ear for the next reading.
+
+    Raises:
+        InputError, ShapeError: unless shapes agree and noise is there.
+    """
+    shape, belief = np.shape(mean), _checked(mean, cov)
+    rms = float(np.hypot(noise / slope, noise_before))
+    if not rms > 0 or not slope > 0:
+        raise InputError(
+            f"noise: expected some rms behind or ahead of the zone, found {noise:g} and "
+            f"{noise_before:g} with slope {slope:g}; of a clean sensor give its resolution"
+        )
+    z = _row("C", C, len(belief.mean))
+    edges = [_edge("right", 1, right, z), _edge("left", -1, left, z)]
+    waits = [max(ear.right - 1, 0), max(ear.left - 1, 0)]
+    if not np.isfinite(y):
+        return Heard(belief.mean.reshape(shape), belief.cov, Ear(0.0, ear.last, *waits), 0)
+    gate = SILENT * noise
+    side = _sure(y, ear.last, ear.previous, gate) - _sure(-y, -ear.last, -ear.previous, gate)
+    e = std = 0.0
+    if side:
+        edge = edges[0] if side > 0 else edges[1]
+        e = y / slope + side * edge.known - (z - side * edge.row) @ belief.mean
+        belief, std = _corrected(belief, z - side * edge.row, e, rms**2)
+    if abs(y) <= gate:
+        belief, heard = _within(belief, z, edges, gate / slope, rms**2, [not w for w in waits])
+        waits = [rest if used else wait for used, wait in zip(heard, waits, strict=True)]
+    return Heard(belief.mean.reshape(shape), belief.cov, Ear(y, ear.last, *waits), side, e, std)
+
+
+def _checked(mean: Array, cov: Array) -> Gauss:
+    """Mean (N) and covariance (N x N) as new arrays. Raises ShapeError."""
+    m, P = np.array(mean, float).ravel(), np.array(cov, float)
+    if P.shape != (m.size, m.size):
+        raise ShapeError(f"cov: expected {m.size} x {m.size}, as the mean, found {P.shape}")
+    return Gauss(m, P)
+
+
+def _row(name: str, value: Array, count: int) -> Floats:
+    """A row (N). Raises ShapeError."""
+    row = np.asarray(value, float).ravel()
+    if row.size != count:
+        raise ShapeError(f"{name}: expected a row of {count} numbers, as the mean, found {row.size}")
+    return row
+
+
+def _edge(name: str, sign: int, width: Array, z: Floats) -> Edge:
+    """An edge of known or estimated width. Raises InputError, ShapeError."""
+    if np.ndim(width):
+        return Edge(sign, _row(name, width, z.size), 0.0)
+    known = float(np.asarray(width))
+    if not known >= 0:
+        raise InputError(f"{name}: a known width must be at least 0, found {known:g}")
+    return Edge(sign, np.zeros(z.size), known)
+
+
+def _sure(y: float, last: float, previous: float, gate: float) -> int:
+    """Whether a reading is surely on the right: far out, or announced by the two before it."""
+    announced = last > gate and previous > gate and 2 * last - previous > gate
+    return int(y > 2 * gate or (announced and y > 0))
+
+
+def _corrected(belief: Gauss, h: Floats, e: float, R: float) -> tuple[Gauss, float]:
+    """The belief after a linear reading, by Joseph's form, and the innovation's deviation."""
+    m, P = belief
+    S = h @ P @ h + R
+    K = P @ h / S
+    half = P - np.outer(K, h @ P)
+    return Gauss(m + K * e, half - np.outer(half @ h, K) + R * np.outer(K, K)), sqrt(S)
+
+
+def _within(
+    belief: Gauss, z: Floats, edges: list[Edge], slack: float, R: float, asked: list[bool]
+) -> tuple[Gauss, list[bool]]:
+    """The belief given that z is inside of both edges, and which of them were heard.
+
+    Each edge is a site of expectation propagation: a Gaussian of H x with precision t and precision
+    times mean v. It is matched given the other one, both at a time, so that left and right are
+    treated alike.
+    """
+    m, P = belief
+    H = np.array([edge.sign * z - edge.row for edge in edges])
+    beyond = H @ m - [edge.known + slack for edge in edges]
+    G = H @ P @ H.T
+    t, v, heard = [0.0, 0.0], [0.0, 0.0], [False, False]
+    for sweep in range(SWEEPS):
+        given = list(zip(t, v, strict=True))
+        for i, (other, site) in enumerate(((1, given[1]), (0, given[0]))):
+            free = 1 + site[0] * G[other, other]
+            V = max(G[i, i] - G[i, other] ** 2 * site[0] / free, 0.0)
+            c = beyond[i] + G[i, other] * (site[1] - site[0] * beyond[other]) / free
+            std = sqrt(V + R)
+            alpha = max(-c / std, -CLIP)
+            if sweep < 2:
+                heard[i] = heard[i] or (asked[i] and alpha < DOUBT)
+            ratio = _hazard(alpha) if heard[i] else 0.0
+            lost = ratio * (ratio + alpha)
+            t[i] = lost / (std**2 - lost * V)
+            v[i] = t[i] * c - ratio / std * (1 + t[i] * V)
+    told = np.linalg.inv(np.eye(2) + np.array(t)[:, None] * G)  # never singular: t >= 0
+    K = P @ H.T
+    cov = P - K @ (told * t) @ K.T
+    return Gauss(m + K @ (told @ (v - t * beyond)), (cov + cov.T) / 2), heard
+
+
+def _hazard(alpha: float) -> float:
+    """phi(alpha) / Phi(alpha) of the standard normal distribution; below -5 by its series."""
+    if alpha > -5:
+        return exp(-(alpha**2) / 2) / (sqrt(pi / 2) * (1 + erf(alpha / sqrt(2))))
+    return -alpha + (1 - (2 - 10 / alpha**2) / alpha**2) / -alpha
