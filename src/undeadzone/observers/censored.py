@@ -19,6 +19,7 @@ from undeadzone.observers.parts.further_constants import zones_of
 from undeadzone.observers.parts.gaussian_filter import Params
 from undeadzone.observers.parts.judged_filter import judged
 from undeadzone.observers.parts.measured_kalman import measured_filter
+from undeadzone.observers.parts.measured_reading import rest_of
 from undeadzone.observers.parts.model_bank import bank
 from undeadzone.observers.parts.motion import heard_by_motion
 from undeadzone.observers.parts.prior import Claims, build_prior, claimed_traits, glitch_share
@@ -62,7 +63,9 @@ class Censored(Claims, frozen=True, kw_only=True, tag_field="method", tag="censo
 
     def build(self, model: System, sensor: Zone) -> Observer:
         """The filter for a sampled model."""
-        prior = build_prior(self, model, sensor, wear=WEAR, centre=self.centre)
+        prior = build_prior(
+            self, model, sensor, wear=WEAR, centre=self.centre, silence=self.silence
+        )
         Ts = model.Ts
         assert Ts is not None
         assert model.flow is not None
@@ -94,6 +97,7 @@ class Censored(Claims, frozen=True, kw_only=True, tag_field="method", tag="censo
             claimed=self.disturbance is not None,
             careful=careful,
             zones=zones_of(model.actuator),
+            rest=rest_of(even, sensor, lasting if rms.any() else 1.0),
         )
         if self.levels > 1 and rms.any():
             member = bank(member, [partial(scaled, factor) for factor in self._factors()])

@@ -27,6 +27,7 @@ from undeadzone.observers.parts.augmented_state import (
 from undeadzone.observers.parts.gaussian_filter import Augmentation, Params
 from undeadzone.observers.parts.judged_filter import judged
 from undeadzone.observers.parts.measured_kalman import measured_filter
+from undeadzone.observers.parts.measured_reading import rest_of
 from undeadzone.observers.parts.prior import (
     GLITCHES,
     Prior,
@@ -126,6 +127,7 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
             glitches=glitches,
             claimed=self.disturbance is not None,
             careful=self.x_std is None or self.disturbance is None,
+            rest=rest_of(even, sensor, lasting if rms.any() else 1.0),
         )
         traits = claimed_traits(prior, self.x_std)
         traits = traits._replace(adapts=not self.blind, uncertain=tuple(self.uncertain))
@@ -134,7 +136,9 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
 
     def _prior(self, model: System, sensor: Zone) -> Prior:
         """The prior; of a blind filter, widths of 0. Raises InputError, ShapeError."""
-        prior = build_prior(self, model, sensor, start=self.start, centre=self.centre)
+        prior = build_prior(
+            self, model, sensor, start=self.start, centre=self.centre, silence=self.silence
+        )
         if not self.blind:
             return prior
         n, none = model.n, np.zeros(2 * model.p)

@@ -29,7 +29,7 @@ from undeadzone.numerics.gaussian import (
 from undeadzone.observers.parts.further_constants import taken_by_play
 from undeadzone.observers.parts.gaussian_filter import Params, Setup, informed
 from undeadzone.observers.parts.prior import HELD, SILENT, Prior
-from undeadzone.plants.system import System, pace
+from undeadzone.plants.system import System, pace, time_scale
 from undeadzone.support.arrays import Floats
 
 # A silent sensor counts where the belief contradicts it by more than 5 %.
@@ -109,16 +109,19 @@ def correct(
 def rest_of(model: System, sensor: Zone, lasting: float) -> float:
     """Steps for which a silent edge is not heard again: a 25th of the plant's period at least.
 
+    What silence tells is worth the most at once, so it is a quarter period at most.
+
     A jump sensor's readings bound its edges too, each from another place.
 
     Args:
         model: the model.
         sensor: the sensor.
-        lasting: steps for which an error of the linearisation keeps its sign.
+        lasting: steps for which a disturbance that is claimed keeps its sign, else 1.
     """
     if sensor.kind == "jump" or model.flow is None or model.Ts is None:
         return lasting
-    return max(lasting, readings_of_motion(model.Ts, pace(model.flow, model.Ts)))
+    quarter = time_scale(model.flow, model.Ts) / model.Ts
+    return max(min(lasting, quarter), readings_of_motion(model.Ts, pace(model.flow, model.Ts)))
 
 
 def moved_by(setup: Setup, q: Params, belief: Gaussian, i: int, side: Any) -> Any:
