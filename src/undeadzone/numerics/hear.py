@@ -17,7 +17,8 @@ from undeadzone.support.arrays import Array, Floats
 
 SILENT = 4.0  # noise, in its rms, that is surely not beyond it
 DOUBT = 1.6448536269514722  # an edge inside of which z is with 95 % anyway is not heard
-SWEEPS = 4  # of both edges of a reading, each given what the other one says
+UNSURE = 0.05  # the chance of being beyond it where it is heard
+NARROW = 1e-6  # least chance of silence, over that of being inside of the nearer edge
 CLIP = 30.0  # standard deviations beyond an edge from which all is alike
 
 
@@ -183,33 +184,44 @@ def _within(
 ) -> tuple[Gauss, list[bool]]:
     """The belief given that z is inside of both edges, and which of them were heard.
 
-    Each edge is a site of expectation propagation: a Gaussian of H x with precision t and precision
-    times mean v. It is matched given the other one, both at a time, so that left and right are
-    treated alike.
+    Nothing is beyond both, so that the chance of that is Phi(a) - Phi(-b), with a and b the nearer
+    and the farther edge in standard deviations; its logarithm's slope and bend give the moments.
     """
     m, P = belief
     H = np.array([edge.sign * z - edge.row for edge in edges])
-    beyond = H @ m - [edge.known + slack for edge in edges]
-    G = H @ P @ H.T
-    t, v, heard = [0.0, 0.0], [0.0, 0.0], [False, False]
-    for sweep in range(SWEEPS):
-        given = list(zip(t, v, strict=True))
-        for i, (other, site) in enumerate(((1, given[1]), (0, given[0]))):
-            free = 1 + site[0] * G[other, other]
-            V = max(G[i, i] - G[i, other] ** 2 * site[0] / free, 0.0)
-            c = beyond[i] + G[i, other] * (site[1] - site[0] * beyond[other]) / free
-            std = sqrt(V + R)
-            alpha = max(-c / std, -CLIP)
-            if sweep < 2:
-                heard[i] = heard[i] or (asked[i] and alpha < DOUBT)
-            ratio = _hazard(alpha) if heard[i] else 0.0
-            lost = ratio * (ratio + alpha)
-            t[i] = lost / (std**2 - lost * V)
-            v[i] = t[i] * c - ratio / std * (1 + t[i] * V)
-    told = np.linalg.inv(np.eye(2) + np.array(t)[:, None] * G)  # never singular: t >= 0
     K = P @ H.T
-    cov = P - K @ (told * t) @ K.T
-    return Gauss(m + K @ (told @ (v - t * beyond)), (cov + cov.T) / 2), heard
+    G = H @ K
+    std = np.sqrt(np.diag(G) + R)
+    beyond = H @ m - [edge.known + slack for edge in edges]
+    alpha = np.maximum(-beyond / std, -CLIP)
+    near, far = (0, 1) if alpha[0] <= alpha[1] else (1, 0)
+    slope = np.zeros(2)  # of the log of the chance, in each alpha
+    for i in (far, near):
+        if asked[i] and alpha[i] < DOUBT:
+            slope = np.zeros(2)
+            slope[i] = _hazard(alpha[i])
+    b = max(alpha[far], 0.0)
+    smaller = exp((alpha[near] ** 2 - b**2) / 2)  # phi(b) / phi(a)
+    lost = smaller * _hazard(alpha[near]) / _hazard(-b)  # Phi(-b) / Phi(a)
+    if all(asked) and slope[near] and lost > UNSURE:
+        both = np.empty(2)
+        both[near], both[far] = 1.0, smaller
+        both *= _hazard(alpha[near]) / max(1 - lost, NARROW)
+        if _are_moments(_bend(both, alpha, std) @ G):
+            slope = both
+    after = P - K @ _bend(slope, alpha, std) @ K.T
+    return Gauss(m - K @ (slope / std), (after + after.T) / 2), [bool(one) for one in slope]
+
+
+def _bend(slope: Floats, alpha: Floats, std: Floats) -> Floats:
+    """Of the log of the chance, less, in the directions of the edges (2 x 2)."""
+    return np.outer(slope / std, slope / std) + np.diag(slope * alpha / std**2)
+
+
+def _are_moments(lost: Floats) -> bool:
+    """Whether the belief loses no more than all, and no less than nothing, in any direction."""
+    trace, det = np.trace(lost), np.linalg.det(lost)
+    return bool(0 < trace < 2 and 1 - trace + det > 0 and det > -NARROW)
 
 
 def _hazard(alpha: float) -> float:
