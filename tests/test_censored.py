@@ -503,10 +503,10 @@ def test_a_mean_inside_a_range_is_that_of_the_truncated_normal_distribution(
     mean: float, std: float
 ) -> None:
     P = np.array([[std**2, 0.3 * std], [0.3 * std, 1.0]])
-    belief, chance = gaussian.truncate_to(
-        gaussian.Gaussian(ca.SX(np.array([mean, 0.0])), ca.SX(P)), 0, -0.5, 1.0
-    )
-    m, cov, log = (np.asarray(ca.evalf(ca.SX(part)).full()) for part in (*belief, chance))
+    found = gaussian.cut_to(ca.SX(mean), ca.SX(P[0, 0]), -0.5, 1.0)
+    move, lost, log = (np.asarray(ca.evalf(ca.SX(part)).full())[0, 0] for part in found)
+    m = np.array([[mean], [0.0]]) + move * P[:, :1]
+    cov = P - lost * P[:, :1] @ P[:1]
     a, b = (-0.5 - mean) / std, (1.0 - mean) / std
     if norm.cdf(b) - norm.cdf(a) < 2e-6:
         assert log <= np.log(2e-6)

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 CLIP = 30.0  # standard deviations beyond which all readings are alike: all of them are wrong
+DEEP = 5.0  # standard deviations below which chances are told by their asymptotes
 NARROW = 1e-6  # least chance of an interval, over that of its nearer end
 TAIL = 10.0  # standard deviations over which a glitch is spread, besides its reach
 
@@ -129,24 +130,23 @@ def update(belief: Gaussian, h: Any, e: Any, R: Any, use: Any) -> tuple[Gaussian
     return Gaussian(mean + K * e, from_upper(cov)), S
 
 
-def truncate_to(belief: Gaussian, i: int, low: Any, high: Any) -> tuple[Gaussian, Any]:
-    """The belief given low <= x_i <= high, by matching mean and covariance.
+def cut_to(mean: Any, variance: Any, low: Any, high: Any) -> tuple[Any, Any, Any]:
+    """What is known given low <= x <= high, by matching mean and variance.
 
-    It is unchanged where the probability of that is below 1e-6.
+    Nothing changes where the probability of that is below 1e-6.
 
     Returns:
-        The belief, and the logarithm of that probability.
+        By how much a mean moves along its covariance with x, by how much a covariance is less along
+        the same, and the logarithm of that probability.
     """
-    mean, P = belief
-    std = ca.sqrt(P[i, i])
-    a, b = (low - mean[i]) / std, (high - mean[i]) / std
+    std = ca.sqrt(variance)
+    a, b = (low - mean) / std, (high - mean) / std
     chance = (ca.erf(b / math.sqrt(2)) - ca.erf(a / math.sqrt(2))) / 2
     at_a, at_b = _density(a), _density(b)
     share = ca.if_else(chance > 1e-6, 1 / chance, 0.0)
     shift = (at_a - at_b) * share
-    along = P[:, i] / std
-    cov = P - (shift**2 + (b * at_b - a * at_a) * share) * (along @ along.T)
-    return Gaussian(mean + shift * along, from_upper(cov)), ca.log(ca.fmax(chance, 1e-300))
+    lost = (shift**2 + (b * at_b - a * at_a) * share) / variance
+    return shift / std, lost, ca.log(ca.fmax(chance, 1e-300))
 
 
 def hazard(alpha: Any) -> Any:
@@ -154,18 +154,21 @@ def hazard(alpha: Any) -> Any:
 
     Below -5 by its asymptotic series, 1e-4 accurate there.
     """
-    near, far = ca.fmax(alpha, -5.0), ca.fmax(-alpha, 5.0)
-    exact = ca.exp(-(near**2) / 2) / (math.sqrt(math.pi / 2) * (1 + ca.erf(near / math.sqrt(2))))
-    return ca.if_else(alpha > -5.0, exact, far + (1 - (2 - 10 / far**2) / far**2) / far)
+    exact, far = _density(ca.fmax(alpha, -DEEP)) / _chance(alpha), ca.fmax(-alpha, DEEP)
+    return ca.if_else(alpha > -DEEP, exact, far + (1 - (2 - 10 / far**2) / far**2) / far)
 
 
 def log_chance(alpha: Any) -> Any:
     """log Phi(alpha) of the standard normal distribution; below -5 by its asymptote."""
-    near, far = ca.fmax(alpha, -5.0), ca.fmax(-alpha, 5.0)
-    exact = ca.log((1 + ca.erf(near / math.sqrt(2))) / 2)
+    far = ca.fmax(-alpha, DEEP)
     series = ca.log(1 - (1 - 3 / far**2) / far**2)
     asymptote = -(far**2) / 2 - ca.log(far) - math.log(2 * math.pi) / 2 + series
-    return ca.if_else(alpha > -5.0, exact, asymptote)
+    return ca.if_else(alpha > -DEEP, ca.log(_chance(alpha)), asymptote)
+
+
+def _chance(alpha: Any) -> Any:
+    """Phi(alpha) of the standard normal distribution; below -5 as there."""
+    return (1 + ca.erf(ca.fmax(alpha, -DEEP) / math.sqrt(2))) / 2
 
 
 def _density(x: Any) -> Any:
@@ -415,33 +418,32 @@ def _one(bounds: Sequence[Bound], G: Any, R: Any, limit: float) -> _Told:
 def _two(bounds: Sequence[Bound], G: Any, R: Any, limit: float) -> _Told:
     """What both ends of an interval say.
 
-    Nothing is beyond both, so that the chance of the interval is Phi(a) - Phi(-b), with a and b the
-    ends in standard deviations, and its moments follow from the slope and the bend of its log. The
-    farther end is used where more than 1 - Phi(limit) of what the nearer one leaves is beyond it.
-    A belief may be such that both are exceeded at times; where these are no moments for it, the
-    nearer end is used alone.
+    Nothing is beyond both, so that the chance of the interval is Phi(a) + Phi(b) - 1, with a and b
+    how far inside of its ends the mean lies, in standard deviations; its moments follow from the
+    slope and the bend of its log. Both are used where more than 1 - Phi(limit) of what either
+    leaves is beyond the other. A belief may be such that both are exceeded at times; where these
+    are no moments for it, and far outside, the nearer end is used alone.
     """
     std = ca.sqrt(ca.fmax(ca.diag(G), 0.0) + R)
     alpha = ca.fmax(-ca.vertcat(*(bound.excess for bound in bounds)) / std, -CLIP)
     use = ca.vertcat(*(bound.use for bound in bounds))
-    ratio = ca.vertcat(hazard(alpha[0]), hazard(alpha[1]))
-    first = alpha[0] <= alpha[1]
-    near = ca.vertcat(first, ca.logic_not(first))
-    a, b = ca.fmin(alpha[0], alpha[1]), ca.fmax(ca.fmax(alpha[0], alpha[1]), 0.0)
-    nearer = ca.if_else(first, ratio[0], ratio[1])
-    smaller = ca.exp((a**2 - b**2) / 2)  # phi(b) / phi(a)
-    beyond = smaller * nearer / hazard(-b)  # Phi(-b) / Phi(a)
-    left = ca.fmax(1 - beyond, NARROW)
-    pair = nearer / left * ca.if_else(near, 1.0, smaller)
-    much = beyond > (1 - math.erf(limit / math.sqrt(2))) / 2
-    both = ca.logic_and(ca.logic_and(ca.mmin(use), a < limit), much)
-    both = ca.logic_and(both, _are_moments(_moments(pair, alpha, std)[1], G))
     heard = ca.logic_and(use, alpha < limit)
-    other = ca.vertcat(heard[1], heard[0])
-    alone = ca.logic_and(heard, ca.logic_or(near, ca.logic_not(other)))
+    near = alpha <= ca.vertcat(alpha[1], alpha[0])
+    lower = ca.fmin(alpha[0], alpha[1])
+    inside = ca.vertcat(_chance(alpha[0]), _chance(alpha[1]))
+    other = ca.vertcat(inside[1], inside[0])
+    left = ca.fmax(inside + other - 1, NARROW * other)
+    pair = _density(ca.fmax(alpha, -DEEP)) / left
+    unsure = (1 - math.erf(limit / math.sqrt(2))) / 2
+    both = ca.logic_and(use, 1 - inside > unsure * other)
+    both = ca.logic_and(ca.mmin(both), ca.logic_and(ca.mmax(heard), lower > -DEEP))
+    both = ca.logic_and(both, _are_moments(_moments(pair, alpha, std)[1], G))
+    alone = ca.logic_and(heard, ca.logic_or(near, ca.logic_not(ca.vertcat(heard[1], heard[0]))))
+    ratio = ca.vertcat(hazard(alpha[0]), hazard(alpha[1]))
     slope = ca.if_else(both, pair, ca.if_else(alone, ratio, 0.0))
     used = ca.logic_or(both, alone)
-    return _Told(*_moments(slope, alpha, std), (used[0], used[1]), log_chance(a) + ca.log(left))
+    chance = log_chance(lower) + ca.log(left[0] / ca.fmin(inside[0], inside[1]))
+    return _Told(*_moments(slope, alpha, std), (used[0], used[1]), chance)
 
 
 def _moments(slope: Any, alpha: Any, std: Any) -> tuple[Any, Any]:

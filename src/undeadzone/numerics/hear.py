@@ -8,7 +8,7 @@ mean and covariance. docs/hear.md has examples, docs/filters.md the mathematics.
 from __future__ import annotations
 
 from math import erf, exp, pi, sqrt
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,7 +17,8 @@ from undeadzone.support.arrays import Array, Floats
 
 SILENT = 4.0  # noise, in its rms, that is surely not beyond it
 DOUBT = 1.6448536269514722  # an edge inside of which z is with 95 % anyway is not heard
-UNSURE = 0.05  # the chance of being beyond it where it is heard
+UNSURE = 0.05  # the chance of being beyond an edge where it is heard beside the other one
+DEEP = 5.0  # standard deviations beyond an edge from which chances are told by a series
 NARROW = 1e-6  # least chance of silence, over that of being inside of the nearer edge
 CLIP = 30.0  # standard deviations beyond an edge from which all is alike
 
@@ -54,6 +55,9 @@ class Heard(NamedTuple):
     side: int
     innovation: float = 0.0
     innovation_std: float = 0.0
+
+
+Bools = np.ndarray[Any, np.dtype[np.bool_]]
 
 
 class Gauss(NamedTuple):
@@ -122,9 +126,9 @@ def hear(
         )
     z = _row("C", C, len(belief.mean))
     edges = [_edge("right", 1, right, z), _edge("left", -1, left, z)]
-    waits = [max(ear.right - 1, 0), max(ear.left - 1, 0)]
+    waits = np.maximum([ear.right - 1, ear.left - 1], 0)
     if not np.isfinite(y):
-        return Heard(belief.mean.reshape(shape), belief.cov, Ear(0.0, ear.last, *waits), 0)
+        return Heard(belief.mean.reshape(shape), belief.cov, Ear(0.0, ear.last, *waits.tolist()), 0)
     gate = SILENT * noise
     side = _sure(y, ear.last, ear.previous, gate) - _sure(-y, -ear.last, -ear.previous, gate)
     e = std = 0.0
@@ -133,9 +137,9 @@ def hear(
         e = y / slope + side * edge.known - (z - side * edge.row) @ belief.mean
         belief, std = _corrected(belief, z - side * edge.row, e, rms**2)
     if abs(y) <= gate:
-        belief, heard = _within(belief, z, edges, gate / slope, rms**2, [not w for w in waits])
-        waits = [rest if used else wait for used, wait in zip(heard, waits, strict=True)]
-    return Heard(belief.mean.reshape(shape), belief.cov, Ear(y, ear.last, *waits), side, e, std)
+        belief, heard = _within(belief, z, edges, gate / slope, rms**2, waits == 0)
+        waits = np.where(heard, rest, waits)
+    return Heard(belief.mean.reshape(shape), belief.cov, Ear(y, ear.last, *waits.tolist()), side, e, std)
 
 
 def _checked(mean: Array, cov: Array) -> Gauss:
@@ -180,37 +184,33 @@ def _corrected(belief: Gauss, h: Floats, e: float, R: float) -> tuple[Gauss, flo
 
 
 def _within(
-    belief: Gauss, z: Floats, edges: list[Edge], slack: float, R: float, asked: list[bool]
-) -> tuple[Gauss, list[bool]]:
+    belief: Gauss, z: Floats, edges: list[Edge], slack: float, R: float, asked: Bools
+) -> tuple[Gauss, Bools]:
     """The belief given that z is inside of both edges, and which of them were heard.
 
-    Nothing is beyond both, so that the chance of that is Phi(a) - Phi(-b), with a and b the nearer
-    and the farther edge in standard deviations; its logarithm's slope and bend give the moments.
+    Nothing is beyond both, so that the chance of that is Phi(a) + Phi(b) - 1, with a and b how far
+    inside of the edges z is, in standard deviations; its logarithm's slope and bend are the
+    moments. An edge is heard where more than 5 % of what the other one leaves is beyond it.
     """
     m, P = belief
     H = np.array([edge.sign * z - edge.row for edge in edges])
     K = P @ H.T
     G = H @ K
     std = np.sqrt(np.diag(G) + R)
-    beyond = H @ m - [edge.known + slack for edge in edges]
-    alpha = np.maximum(-beyond / std, -CLIP)
-    near, far = (0, 1) if alpha[0] <= alpha[1] else (1, 0)
+    alpha = np.maximum([(edge.known + slack) for edge in edges] - H @ m, -CLIP * std) / std
+    inside = np.array([(1 + erf(a / sqrt(2))) / 2 for a in alpha])
     slope = np.zeros(2)  # of the log of the chance, in each alpha
-    for i in (far, near):
-        if asked[i] and alpha[i] < DOUBT:
-            slope = np.zeros(2)
-            slope[i] = _hazard(alpha[i])
-    b = max(alpha[far], 0.0)
-    smaller = exp((alpha[near] ** 2 - b**2) / 2)  # phi(b) / phi(a)
-    lost = smaller * _hazard(alpha[near]) / _hazard(-b)  # Phi(-b) / Phi(a)
-    if all(asked) and slope[near] and lost > UNSURE:
-        both = np.empty(2)
-        both[near], both[far] = 1.0, smaller
-        both *= _hazard(alpha[near]) / max(1 - lost, NARROW)
+    heard = asked & (alpha < DOUBT)
+    if heard.any():
+        nearest = np.argmin(np.where(heard, alpha, np.inf))
+        slope[nearest] = _hazard(alpha[nearest])
+    unsure = 1 - inside > UNSURE * inside[::-1]
+    if heard.any() and np.all(asked & unsure & (alpha > -DEEP)):
+        both = np.exp(-(alpha**2) / 2) / sqrt(2 * pi) / max(inside.sum() - 1, NARROW)
         if _are_moments(_bend(both, alpha, std) @ G):
             slope = both
     after = P - K @ _bend(slope, alpha, std) @ K.T
-    return Gauss(m - K @ (slope / std), (after + after.T) / 2), [bool(one) for one in slope]
+    return Gauss(m - K @ (slope / std), (after + after.T) / 2), slope > 0
 
 
 def _bend(slope: Floats, alpha: Floats, std: Floats) -> Floats:
@@ -225,7 +225,7 @@ def _are_moments(lost: Floats) -> bool:
 
 
 def _hazard(alpha: float) -> float:
-    """phi(alpha) / Phi(alpha) of the standard normal distribution; below -5 by its series."""
-    if alpha > -5:
+    """phi(alpha) / Phi(alpha) of the standard normal distribution; far below 0 by its series."""
+    if alpha > -DEEP:
         return exp(-(alpha**2) / 2) / (sqrt(pi / 2) * (1 + erf(alpha / sqrt(2))))
     return -alpha + (1 - (2 - 10 / alpha**2) / alpha**2) / -alpha
