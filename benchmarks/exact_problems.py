@@ -100,9 +100,7 @@ def _problem(
     a = np.poly(poles)[:0:-1].real
     A = np.eye(order, k=1)
     A[-1] = -a
-    model = Matrices(
-        A, a[0] * rng.uniform(0.5, 2.0) * np.eye(order)[:, -1:], np.eye(order)[:1]
-    )
+    model = Matrices(A, a[0] * rng.uniform(0.5, 2.0) * np.eye(order)[:, -1:], np.eye(order)[:1])
     quarter = np.pi / 2 / frequency
     brief = 0.25 * quarter * rng.uniform(0.5, 2.0)
     correlation = {"coloured": brief, "white": 0.1 * STEP, "constant": np.inf}[kind]
@@ -159,9 +157,7 @@ def _amplitude(rng: np.random.Generator, reach: str, d: Floats) -> float:
     return float(rng.uniform(2.0, 4.0))
 
 
-def _input(
-    rng: np.random.Generator, model: Matrices, frequency: float, amplitude: float
-) -> Floats:
+def _input(rng: np.random.Generator, model: Matrices, frequency: float, amplitude: float) -> Floats:
     """Two tones that swing z so far."""
     tones = frequency * np.exp(rng.uniform(np.log(0.2), np.log(1.2), 2))
     u, t = np.zeros(SAMPLES), np.arange(SAMPLES) * STEP

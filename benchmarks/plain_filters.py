@@ -75,7 +75,16 @@ def hearing(posed: Problem) -> Correct:
         behind = 0.0 if posed.ahead else posed.noise
         before = posed.noise if posed.ahead else 0.0
         heard = hear(
-            m, P, C, y, right=right, left=left, noise=behind, noise_before=before, ear=ear, rest=rest
+            m,
+            P,
+            C,
+            y,
+            right=right,
+            left=left,
+            noise=behind,
+            noise_before=before,
+            ear=ear,
+            rest=rest,
         )
         ear = heard.ear
         return heard.mean, heard.cov

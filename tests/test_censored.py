@@ -246,7 +246,7 @@ def test_a_calibrated_input_is_a_mixture_that_is_only_shown() -> None:
     """
     u, x, where = tones(30.0, 8.0), np.array([0.5, 0.0]), zone(right=1.1, left=0.8)
     wide, small, mixed = (
-        watch(Censored(**EXACT | options), MODEL, where, u, x)
+        watch(Censored(**EXACT | options, x_std=[10.0, 10.0]), MODEL, where, u, x)
         for options in (
             {"bias": 0.8, "calibrated": 0.0},
             {"bias": 0.008, "calibrated": 0.0},

@@ -93,7 +93,7 @@ def test_a_stuck_sensor_says_nothing_new(name: str) -> None:
 @pytest.mark.parametrize("name", FILTERS)
 def test_a_first_reading_that_is_wrong_is_not_for_ever(name: str) -> None:
     y = drive()[2].copy()
-    y[:3] = 50.0
+    y[:3] = 20.0
     rms, last = watched(name, y)
     assert rms <= 0.1  # a tenth of d_r
     assert abs(last.right - 1.0) < 2.5 * last.right_std

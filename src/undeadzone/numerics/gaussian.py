@@ -383,7 +383,9 @@ def cut(
         between = trust * (1 - trust) * (told.shift @ told.shift.T)
     moving = K if moved is None else moved * K
     certain = trust * told.lost
-    lost = K @ (certain - between) @ K.T if moved is None else lost_given(K, moving, certain, between)
+    lost = (
+        K @ (certain - between) @ K.T if moved is None else lost_given(K, moving, certain, between)
+    )
     after = Gaussian(mean + trust * (moving @ told.shift), from_upper(P - lost))
     return Cut(after, told.used, trust, log)
 

@@ -24,7 +24,7 @@ CLIP = 30.0  # standard deviations beyond an edge from which all is alike
 
 
 class Ear(NamedTuple):
-    """What is kept from one reading to the next; a new one at the start, and after a restart.
+    """What is kept from one reading to the next.
 
     Attributes:
         last, previous: the last two readings, 0 where one was missing [y].
@@ -90,8 +90,8 @@ def hear(
     right: Array,
     left: Array,
     noise: float,
-    ear: Ear = Ear(),  # noqa: B008
-    rest: int = 1,
+    ear: Ear,
+    rest: int,
     noise_before: float = 0.0,
     slope: float = 1.0,
 ) -> Heard:
@@ -105,9 +105,10 @@ def hear(
         right, left: widths d_r, d_l: a number where one is known [z], or the row that reads it from
             the mean (N).
         noise: rms of the noise behind the zone [y].
-        ear: what the last call returned.
+        ear: what the last call returned, at first `Ear()`. A filter that has none would cut off
+            the same tail at every sample.
         rest: readings for which an edge is not heard again: a 25th of the plant's period, or the
-            correlation time of its disturbance if that is longer.
+            correlation time of its disturbance if that is longer, up to a quarter period.
         noise_before: rms of the noise ahead of the zone [z].
         slope: of the zone's branches [y/z].
 
@@ -118,17 +119,20 @@ def hear(
         InputError, ShapeError: unless shapes agree and noise is there.
     """
     shape, belief = np.shape(mean), _checked(mean, cov)
+    if not slope > 0:
+        raise InputError(f"slope: must be positive, found {slope:g}")
     rms = float(np.hypot(noise / slope, noise_before))
-    if not rms > 0 or not slope > 0:
+    if not rms > 0:
         raise InputError(
             f"noise: expected some rms behind or ahead of the zone, found {noise:g} and "
-            f"{noise_before:g} with slope {slope:g}; of a clean sensor give its resolution"
+            f"{noise_before:g}; of a clean sensor give its resolution"
         )
     z = _row("C", C, len(belief.mean))
     edges = [_edge("right", 1, right, z), _edge("left", -1, left, z)]
-    waits = np.maximum([ear.right - 1, ear.left - 1], 0)
+    waits = np.array([ear.right, ear.left])
+    later = np.maximum(waits - 1, 0)
     if not np.isfinite(y):
-        return Heard(belief.mean.reshape(shape), belief.cov, Ear(0.0, ear.last, *waits.tolist()), 0)
+        return Heard(belief.mean.reshape(shape), belief.cov, Ear(0.0, ear.last, *later.tolist()), 0)
     gate = SILENT * noise
     side = _sure(y, ear.last, ear.previous, gate) - _sure(-y, -ear.last, -ear.previous, gate)
     e = std = 0.0
@@ -138,8 +142,10 @@ def hear(
         belief, std = _corrected(belief, z - side * edge.row, e, rms**2)
     if abs(y) <= gate:
         belief, heard = _within(belief, z, edges, gate / slope, rms**2, waits == 0)
-        waits = np.where(heard, rest, waits)
-    return Heard(belief.mean.reshape(shape), belief.cov, Ear(y, ear.last, *waits.tolist()), side, e, std)
+        later = np.where(heard, rest, later)
+    return Heard(
+        belief.mean.reshape(shape), belief.cov, Ear(y, ear.last, *later.tolist()), side, e, std
+    )
 
 
 def _checked(mean: Array, cov: Array) -> Gauss:
@@ -154,7 +160,9 @@ def _row(name: str, value: Array, count: int) -> Floats:
     """A row (N). Raises ShapeError."""
     row = np.asarray(value, float).ravel()
     if row.size != count:
-        raise ShapeError(f"{name}: expected a row of {count} numbers, as the mean, found {row.size}")
+        raise ShapeError(
+            f"{name}: expected a row of {count} numbers, as the mean, found {row.size}"
+        )
     return row
 
 

@@ -263,9 +263,7 @@ def bound_at(
     return Bound(sign * h, sign * excess - slack, heard)
 
 
-def heard_edges(
-    setup: Setup, q: Params, belief: Gaussian, i: int, bounds: Sequence[Bound]
-) -> Cut:
+def heard_edges(setup: Setup, q: Params, belief: Gaussian, i: int, bounds: Sequence[Bound]) -> Cut:
     """What both edges of output i say; bounds: of its right edge, and of its left one."""
     if not setup.doubts:
         return cut(belief, bounds, q.R[i], DOUBT)
