@@ -1,4 +1,4 @@
-"""Filters of [s; d_r; d_l] in plain NumPy: a Kalman prediction, and a correction by each reading."""
+"""Filters of [s; d_r; d_l] in plain NumPy: a Kalman prediction, corrected by each reading."""
 
 from __future__ import annotations
 

@@ -20,12 +20,9 @@ from undeadzone.catalogue import ObserverOptions
 from undeadzone.compile import lanes
 from undeadzone.controllers import StateFeedback
 from undeadzone.ends.limits import Limits
-from undeadzone.ends.sensor import Sensor, deadzone, resolve
+from undeadzone.ends.sensor import Sensor, deadzone
 from undeadzone.interfaces import Observer, received
 from undeadzone.observers import Censored, Certified, Kalman
-from undeadzone.plants.build import system
-from undeadzone.plants.options import Plant
-from undeadzone.plants.system import sampled
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario, Simulation
 from undeadzone.signals.exosystem import Random, Sine

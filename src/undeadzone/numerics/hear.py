@@ -207,7 +207,7 @@ def _within(
     std = np.sqrt(np.diag(G) + R)
     alpha = np.maximum([(edge.known + slack) for edge in edges] - H @ m, -CLIP * std) / std
     inside = np.array([(1 + erf(a / sqrt(2))) / 2 for a in alpha])
-    slope = np.zeros(2)  # of the log of the chance, in each alpha
+    slope: Floats = np.zeros(2)  # of the log of the chance, in each alpha
     heard = asked & (alpha < DOUBT)
     if heard.any():
         nearest = np.argmin(np.where(heard, alpha, np.inf))
