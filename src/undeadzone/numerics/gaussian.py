@@ -434,7 +434,8 @@ def _two(bounds: Sequence[Bound], G: Any, R: Any, limit: float) -> _Told:
     lower = ca.fmin(alpha[0], alpha[1])
     inside = ca.vertcat(_chance(alpha[0]), _chance(alpha[1]))
     other = ca.vertcat(inside[1], inside[0])
-    left = ca.fmax(inside + other - 1, NARROW * other)
+    nearest = ca.fmin(inside[0], inside[1])
+    left = ca.fmax(inside[0] + inside[1] - 1, NARROW * nearest)
     pair = _density(ca.fmax(alpha, -DEEP)) / left
     unsure = (1 - math.erf(limit / math.sqrt(2))) / 2
     both = ca.logic_and(use, 1 - inside > unsure * other)
@@ -444,7 +445,7 @@ def _two(bounds: Sequence[Bound], G: Any, R: Any, limit: float) -> _Told:
     ratio = ca.vertcat(hazard(alpha[0]), hazard(alpha[1]))
     slope = ca.if_else(both, pair, ca.if_else(alone, ratio, 0.0))
     used = ca.logic_or(both, alone)
-    chance = log_chance(lower) + ca.log(left[0] / ca.fmin(inside[0], inside[1]))
+    chance = log_chance(lower) + ca.log(left / nearest)
     return _Told(*_moments(slope, alpha, std), (used[0], used[1]), chance)
 
 
