@@ -193,7 +193,7 @@ def cells(each: list[Score]) -> list[str]:
     return [f"{of_z:.3f}", f"{of_widths:.3f}", *(f"{share:.2f}" for share in covered)]
 
 
-def table(count: int = 6, seed: int = 0) -> str:
+def table(count: int = 3, seed: int = 0) -> str:
     """The table, from `count` problems of each order and kind of disturbance."""
     lines = ["## Filters beside the exact posterior\n", *head(*COLUMNS)]
     for (noise, claims), world in worlds().items():

@@ -15,7 +15,7 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 37_300, 310
+MOST_CODE, MOST_FILES = 37_500, 310
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
@@ -32,8 +32,8 @@ BUDGET = {
     "identification": 5450,
     "linear": 400,
     "logs": 1240,
-    "numerics": 640,
-    "observers": 2830,
+    "numerics": 815,
+    "observers": 2850,
     "plants": 1530,
     "report": 2910,
     "results": 890,

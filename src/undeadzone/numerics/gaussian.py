@@ -413,8 +413,7 @@ def _one(bounds: Sequence[Bound], G: Any, R: Any, limit: float) -> _Told:
     alpha = ca.fmax(-bound.excess / std, -CLIP)
     used = ca.logic_and(bound.use, alpha < limit)
     ratio = ca.if_else(used, hazard(alpha), 0.0)
-    lost = ratio * (ratio + alpha) / std**2
-    return _Told(-ratio / std, lost, (used,), log_chance(alpha))
+    return _Told(*_moments(ratio, alpha, std), (used,), log_chance(alpha))
 
 
 def _two(bounds: Sequence[Bound], G: Any, R: Any, limit: float) -> _Told:
@@ -430,7 +429,6 @@ def _two(bounds: Sequence[Bound], G: Any, R: Any, limit: float) -> _Told:
     alpha = ca.fmax(-ca.vertcat(*(bound.excess for bound in bounds)) / std, -CLIP)
     use = ca.vertcat(*(bound.use for bound in bounds))
     heard = ca.logic_and(use, alpha < limit)
-    near = alpha <= ca.vertcat(alpha[1], alpha[0])
     lower = ca.fmin(alpha[0], alpha[1])
     inside = ca.vertcat(_chance(alpha[0]), _chance(alpha[1]))
     other = ca.vertcat(inside[1], inside[0])
@@ -441,7 +439,9 @@ def _two(bounds: Sequence[Bound], G: Any, R: Any, limit: float) -> _Told:
     both = ca.logic_and(use, 1 - inside > unsure * other)
     both = ca.logic_and(ca.mmin(both), ca.logic_and(ca.mmax(heard), lower > -DEEP))
     both = ca.logic_and(both, _are_moments(_moments(pair, alpha, std)[1], G))
-    alone = ca.logic_and(heard, ca.logic_or(near, ca.logic_not(ca.vertcat(heard[1], heard[0]))))
+    asked = ca.if_else(heard, alpha, CLIP)
+    first = asked[0] <= asked[1]
+    alone = ca.logic_and(heard, ca.vertcat(first, ca.logic_not(first)))
     ratio = ca.vertcat(hazard(alpha[0]), hazard(alpha[1]))
     slope = ca.if_else(both, pair, ca.if_else(alone, ratio, 0.0))
     used = ca.logic_or(both, alone)
