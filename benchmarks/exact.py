@@ -200,11 +200,11 @@ def table(count: int = 3, seed: int = 0) -> str:
         for name, each in scores(world, count, seed).items():
             lines.append(row(noise, claims, name, *cells(each)))
     note = (
-        "Rms of errors over that of the exact posterior: the root of 1 + (squared distance of the "
+        "Rms of errors over that of the exact posterior: root of 1 + (squared distance of the "
         "means) / (exact variance), each a mean over snapshots and problems. Coverage: the exact "
         f"chance of 95 % intervals. {count} problems of each of the orders {ORDERS} and kinds of "
-        "disturbance a row (noise ahead of the zone: coloured, white, constant; behind it: coloured, "
-        f"white), {SAMPLES * STEP:g} s at {1 / STEP:g} Hz. `auto` is told the ranges of the widths, "
+        "disturbance a row (noise ahead of the zone: coloured, white, constant; behind: coloured, "
+        f"white), {SAMPLES * STEP:g} s at {1 / STEP:g} Hz. `auto` is told ranges of the widths, "
         "the exact posterior all. Level unknown: the rms of a coloured disturbance is 4, 1 or 1/4 "
         "times the claim, for the exact posterior too."
     )

@@ -138,7 +138,7 @@ def hear(
     e = std = 0.0
     if side:
         edge = edges[0] if side > 0 else edges[1]
-        e = y / slope + side * edge.known - (z - side * edge.row) @ belief.mean
+        e = float(y / slope + side * edge.known - (z - side * edge.row) @ belief.mean)
         belief, std = _corrected(belief, z - side * edge.row, e, rms**2)
     if abs(y) <= gate:
         belief, heard = _within(belief, z, edges, gate / slope, rms**2, waits == 0)
