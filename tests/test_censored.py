@@ -849,12 +849,13 @@ def test_noise_ahead_of_the_zone_makes_no_silent_sensor_read() -> None:
 
 
 def test_a_long_correlation_makes_no_filter_deaf() -> None:
-    """An edge rests for a quarter period at most, and for a 25th where nothing disturbs."""
+    """An edge rests for a quarter period at most, and for a 25th at least."""
 
     def rest(**claims: Any) -> float:
         return float(Censored(right=RANGE, **claims).build(MODEL, zone(noise=0.01)).params.rest)
 
     quarter = time_scale(MODEL.flow, TS) / TS
-    assert rest(disturbance=0.0, correlation_time=1e3) == round(0.16 * quarter)
-    assert rest(disturbance=0.1, correlation_time=1e3) == pytest.approx(quarter)
-    assert rest(disturbance=0.1, correlation_time=0.6) == pytest.approx(30)
+    assert rest(correlation_time=1e3) == rest(correlation_time=1e3, disturbance=0.0)
+    assert rest(correlation_time=1e3) == pytest.approx(quarter)
+    assert rest(correlation_time=0.6) == pytest.approx(30)
+    assert rest(correlation_time=TS) == round(0.16 * quarter)

@@ -19,7 +19,6 @@ from undeadzone.observers.parts.further_constants import zones_of
 from undeadzone.observers.parts.gaussian_filter import Params
 from undeadzone.observers.parts.judged_filter import judged
 from undeadzone.observers.parts.measured_kalman import measured_filter
-from undeadzone.observers.parts.measured_reading import rest_of
 from undeadzone.observers.parts.model_bank import bank
 from undeadzone.observers.parts.motion import heard_by_motion
 from undeadzone.observers.parts.prior import Claims, build_prior, claimed_traits, glitch_share
@@ -97,7 +96,6 @@ class Censored(Claims, frozen=True, kw_only=True, tag_field="method", tag="censo
             claimed=self.disturbance is not None,
             careful=careful,
             zones=zones_of(model.actuator),
-            rest=rest_of(even, sensor, lasting if rms.any() else 1.0),
         )
         if self.levels > 1 and rms.any():
             member = bank(member, [partial(scaled, factor) for factor in self._factors()])

@@ -27,7 +27,6 @@ from undeadzone.observers.parts.augmented_state import (
 from undeadzone.observers.parts.gaussian_filter import Augmentation, Params
 from undeadzone.observers.parts.judged_filter import judged
 from undeadzone.observers.parts.measured_kalman import measured_filter
-from undeadzone.observers.parts.measured_reading import rest_of
 from undeadzone.observers.parts.prior import (
     GLITCHES,
     Prior,
@@ -127,7 +126,6 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
             glitches=glitches,
             claimed=self.disturbance is not None,
             careful=self.x_std is None or self.disturbance is None,
-            rest=rest_of(even, sensor, lasting if rms.any() else 1.0),
         )
         traits = claimed_traits(prior, self.x_std)
         traits = traits._replace(adapts=not self.blind, uncertain=tuple(self.uncertain))

@@ -46,6 +46,7 @@ from undeadzone.observers.parts.measured_reading import (
     correct,
     distrusted,
     ends,
+    rest_of,
     silent_ones,
     sure_side,
     surely_exact,
@@ -100,7 +101,6 @@ def measured_filter(
     claimed: bool = True,
     careful: bool = False,
     zones: Zones | None = None,
-    rest: float = 1.0,
 ) -> Member:
     """The filter; `Setup`, `Params` and `doubt_numbers` explain the arguments."""
     gaps = numbers_of(sensor, prior)
@@ -125,7 +125,7 @@ def measured_filter(
         doubt=doubt,
         ends=ends(sensor, prior),
         zones=zones,
-        rest=np.asarray(rest),
+        rest=np.asarray(rest_of(model, sensor, lasting)),
         gaps=gaps,
     )
     smoothing = Smoothing(

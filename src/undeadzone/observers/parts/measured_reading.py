@@ -110,14 +110,14 @@ def correct(
 def rest_of(model: System, sensor: Zone, lasting: float) -> float:
     """Steps for which a silent edge is not heard again: a 25th of the plant's period at least.
 
-    What silence tells is worth the most at once, so it is a quarter period at most.
+    However long a disturbance lasts, z has moved in a quarter period.
 
     A jump sensor's readings bound its edges too, each from another place.
 
     Args:
         model: the model.
         sensor: the sensor.
-        lasting: steps for which a disturbance that is claimed keeps its sign, else 1.
+        lasting: steps for which an error of the linearisation keeps its sign.
     """
     if sensor.kind == "jump" or model.flow is None or model.Ts is None:
         return lasting
