@@ -167,9 +167,9 @@ def use_bounds(
     waits, believed = [None] * (2 * p), [None] * (2 * p)
     belief, log = known.belief, known.log
     trust = ca.SX(known.trust)
-    for i in range(p):
+    for i, edges in _edges(setup):
         bounds = []
-        for k, edge in ((i, RIGHT), (p + i, LEFT)):
+        for k, edge in edges.items():
             outside = (side[i] == edge) if setup.jump else 0.0
             heard = ca.logic_and(ca.logic_or(silent[i], outside), known.wait[k] <= 0)
             above = 0.0 if level is None else edge * level[i]
@@ -182,14 +182,26 @@ def use_bounds(
         one = heard_edges(setup, q, belief, i, bounds)
         belief = one.belief
         log += one.log
-        used = ca.logic_or(*one.used)
-        trust[i] = ca.fmin(trust[i], ca.if_else(used, one.trust, 1.0))
-        for k, used in zip((i, p + i), one.used, strict=True):
+        for k, used in zip(edges, one.used, strict=True):
+            trust[i] = ca.fmin(trust[i], ca.if_else(used, one.trust, 1.0))
             believed[k] = ca.logic_and(silent[i], one.trust > 0.5)
             again = ca.logic_and(used, one.trust > 0.5)
             waits[k] = ca.if_else(again, q.rest, known.wait[k] - 1)
     silences = tuple(ca.vertsplit(ca.vertcat(*believed), p))
     return Heard(belief, ca.vertcat(*waits), trust, log, silences)
+
+
+def _edges(setup: Setup) -> list[tuple[int, dict[int, float]]]:
+    """Edges that are heard together: the output, and the side of each by its place among all.
+
+    Those of a jump sensor are heard one by one: of a z beyond one of them nothing is asked of the
+    other.
+    """
+    p = setup.model.p
+    if setup.jump:
+        rights: list[tuple[int, dict[int, float]]] = [(i, {i: RIGHT}) for i in range(p)]
+        return rights + [(i, {p + i: LEFT}) for i in range(p)]
+    return [(i, {i: RIGHT, p + i: LEFT}) for i in range(p)]
 
 
 def silent_ones(setup: Setup, q: Params, reading: Reading, y: Any) -> Any:
@@ -264,7 +276,7 @@ def bound_at(
 
 
 def heard_edges(setup: Setup, q: Params, belief: Gaussian, i: int, bounds: Sequence[Bound]) -> Cut:
-    """What both edges of output i say; bounds: of its right edge, and of its left one."""
+    """What edges of output i say; bounds: what each one is."""
     if not setup.doubts:
         return cut(belief, bounds, q.R[i], DOUBT)
     moved = informed(q, setup.model, belief.cov) if setup.careful else None
