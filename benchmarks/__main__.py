@@ -33,6 +33,7 @@ NAMES = (
     "arm_coverage",
     "arm_operations",
     "certificates",
+    "two_truths",
     "arms",
     "identify",
     "names",

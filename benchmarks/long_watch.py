@@ -13,24 +13,10 @@ import time
 from pathlib import Path
 from typing import BinaryIO
 
-import numpy as np
+from tests.live import KALMAN, STEP, line
 
 from benchmarks.markdown import head, row
 
-SCENARIO = """
-[plant]
-A = [[0, 1], [-1, -2]]
-B = [[0], [1]]
-C = [[1, 0]]
-[sensor]
-noise = 0.02
-[observer]
-method = "kalman"
-right = [0.0, 2.0]
-[simulation]
-step = 0.01
-"""
-STEP = 0.01
 BLOCK = 10_000  # lines that are written at once
 
 
@@ -38,7 +24,7 @@ def table(lines: int = 10_000_000) -> str:
     """Rate and memory of one watch."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "lever.toml"
-        path.write_text(SCENARIO)
+        path.write_text(KALMAN)
         command = [sys.executable, "-m", "undeadzone", "watch", str(path)]
         began = time.perf_counter()
         with subprocess.Popen(
@@ -70,9 +56,7 @@ def _feed(running: subprocess.Popen[bytes], stdin: BinaryIO, lines: int) -> list
     memory = []
     stdin.write(b"t,y,u\n")
     for first in range(0, lines, BLOCK):
-        t = STEP * np.arange(first, min(first + BLOCK, lines))
-        y, u = np.sin(3 * t), np.cos(2 * t)
-        text = [b"%.9g,%.6f,%.6f\n" % sample for sample in zip(t, y, u, strict=True)]
+        text = [line(STEP * k) for k in range(first, min(first + BLOCK, lines))]
         text[::1000] = [b"nonsense\n"] * len(text[::1000]) if first else text[::1000]
         stdin.write(b"".join(text))
         if first % (lines // 10) == 0:

@@ -70,7 +70,7 @@ class Watched:
     def __init__(self, path: Path, strict: bool = False) -> None:
         self.follower = Follower(read_for_logs(path), live=True)
         self.log = LiveLog("log", read_for_logs(path), self.follower, parse_columns(None), strict)
-        self.parts = {"follower": self.follower, "clock": self.log.clock}
+        self.parts = {"follower": self.follower, "clock": self.log.clock, "reader": self.log.reader}
         self.out = io.BytesIO()
 
     def feed(self, data: bytes, last: bool = False) -> None:

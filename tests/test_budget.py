@@ -15,13 +15,13 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 37_500, 310
+MOST_CODE, MOST_FILES = 37_800, 314
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
     "(root)": 340,
-    "analysis": 3290,
-    "cli": 1760,
+    "analysis": 3400,
+    "cli": 1850,
     "compensators": 170,
     "compile": 3400,
     "controllers": 680,
@@ -35,14 +35,14 @@ BUDGET = {
     "numerics": 815,
     "observers": 2850,
     "plants": 1530,
-    "report": 2910,
+    "report": 2920,
     "results": 890,
     "scenario": 1390,
     "signals": 430,
-    "simulation": 2280,
+    "simulation": 2330,
     "statistics": 265,
     "support": 820,
-    "synthesis": 1030,
+    "synthesis": 1040,
     "tuning": 890,
 }
 SILENT = {

@@ -101,6 +101,19 @@ def test_scenario_page_is_up_to_date() -> None:
     assert module.PAGE.read_text(encoding="utf-8") == module.page(), "run: python docs/reference.py"
 
 
+def test_the_first_keys_are_25_that_a_scenario_has() -> None:
+    text = (ROOT / "docs" / "keys.md").read_text(encoding="utf-8")
+    keys = [
+        tuple(key) for key in re.findall(r"`([a-z]+)\.([A-Za-z]\w*)`", text.partition("Five")[0])
+    ]
+    assert len(set(keys)) == len(keys) == 25
+    every = (ROOT / "docs" / "scenario.md").read_text(encoding="utf-8")
+    tables = dict(re.findall(r"\n## \[(\w+)\]\n(.*?)(?=\n## |\Z)", every, re.DOTALL))
+    for table, key in keys:
+        heads = re.findall(rf"\| \**{key}\** \||\*\*{key}\*\* = ", tables[table])
+        assert heads, f"{table}.{key}"
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_links_point_to_files(page: Path) -> None:
     for target in re.findall(r"\]\(([^)#:]+)\)", page.read_text()):

@@ -16,6 +16,7 @@ from commands import undeadzone as command
 from undeadzone.interfaces import graph_of
 from undeadzone.scenario.reader import read_for_logs
 from undeadzone.simulation.consistency import Consistency
+from undeadzone.simulation.misread import what_would_fit
 from undeadzone.simulation.online import built_for
 from undeadzone.simulation.smoother import smooth
 
@@ -292,6 +293,50 @@ def test_what_is_wrong_shows(run: uz.Run, change: str) -> None:
         uz.estimate(looked, t=run.t, y=y, u=u)
 
 
+WOULD_FIT = {
+    "swapped": "readings and inputs are exchanged",
+    "sign": "the inputs, or the readings, have the other sign",
+    "thousandfold": "the readings are in another unit: times 0.001 they fit",
+    "millivolts": "the inputs are in another unit: times 0.001 they fit",
+    "early": "the inputs act 10 samples after the log has them",
+    "late": "the inputs act 5 samples before the log has them",
+    "gain": None,
+}
+
+
+@pytest.mark.parametrize("change", WOULD_FIT)
+def test_what_would_fit_is_told(run: uz.Run, change: str) -> None:
+    y, u, looked = run.y.copy(), run.u.copy(), scenario()
+    if change == "swapped":
+        y, u = u, y
+    elif change == "sign":
+        y = -y
+    elif change == "thousandfold":
+        y = 1000 * y
+    elif change == "millivolts":
+        u = 1000 * u
+    elif change == "early":
+        y, u = y[:-10], u[10:]
+    elif change == "late":
+        y, u = y[5:], u[:-5]
+    else:
+        plant = uz.Plant(second_order=uz.SecondOrder(zeta=0.5, omega_n=4.0, gain=20.0))
+        looked = scenario(plant=plant)
+    found = uz.estimate(looked, y=y, u=u, smoothing=False)
+    words, expected = what_would_fit(looked, found), WOULD_FIT[change]
+    if expected is None:
+        assert words is None
+    else:
+        assert words is not None
+        assert words.startswith(expected)
+
+
+def test_of_a_log_that_fits_nothing_else_does(run: uz.Run) -> None:
+    assert what_would_fit(scenario(), uz.estimate(scenario(), y=run.y, u=run.u)) is None
+    short = uz.estimate(scenario(), y=run.y[:3], u=run.u[:3])
+    assert what_would_fit(scenario(), short) is None
+
+
 def test_without_a_test_or_readings_nothing_is_claimed(run: uz.Run) -> None:
     certified = uz.estimate(scenario(uz.Certified(gamma=2.0, width_max=3.0)), y=run.y, u=run.u)
     assert certified.consistent is None
@@ -365,6 +410,7 @@ def test_command_estimate(folder: Path) -> None:
     assert done.returncode == 1
     numbers = json.loads(done.stdout)
     assert numbers["consistent"] is False
+    assert numbers["would_fit"] == "readings and inputs are exchanged: --columns names them"
     assert {"d_right", "d_left", "d_right_std", "d_left_std", "missing", "glitches"} <= set(numbers)
 
 

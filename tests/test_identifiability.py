@@ -14,8 +14,8 @@ from scipy.linalg import expm
 
 from scenes import PAPER_PLANT, random_plant, scene, table
 from undeadzone.analysis.error_dynamics import pattern
+from undeadzone.analysis.identifiability.disturbance import first_order
 from undeadzone.analysis.identifiability.information import (
-    Colour,
     Readings,
     deviations,
     information,
@@ -464,7 +464,7 @@ def test_a_run_says_what_its_constant_disturbance_hides() -> None:
         (verdict,) = simulate(
             scene(disturbance=disturbance, simulation={"duration": 4.0})
         ).info.identifiable
-        assert set(verdict) == {"right", "left", "width", "centre", "reasons", "std"}
+        assert set(verdict) == {"right", "left", "width", "centre", "reasons", "std", "second"}
         assert (verdict["width"], verdict["centre"]) == (True, not hides)
 
 
@@ -587,7 +587,7 @@ def test_a_slow_random_disturbance_is_no_worse_than_an_offset_of_its_rms() -> No
     model, schedule = plan(scene())
     noise, random = np.array([0.01]), 0.1
     for correlation_time in (1.0, 1e2, 1e4):
-        colour = Colour(model.B, np.array([random]), correlation_time)
+        colour = first_order(model.B, np.array([random]), correlation_time)
         coloured = deviations(model, schedule, Readings(noise, 1e-2, 20.0, colour=colour)).widths[0]
         white = 2 * random**2 * correlation_time * model.B @ model.B.T
         stand_in = deviations(model, schedule, Readings(noise, 1e-2, 20.0, process=white)).widths[0]
@@ -600,7 +600,7 @@ def test_a_slow_random_disturbance_is_no_worse_than_an_offset_of_its_rms() -> No
 def test_a_fast_random_disturbance_is_white() -> None:
     model, schedule = plan(scene())
     noise, random, correlation_time = np.array([0.01]), 1.0, 1e-3
-    colour = Colour(model.B, np.array([random]), correlation_time)
+    colour = first_order(model.B, np.array([random]), correlation_time)
     white = 2 * random**2 * correlation_time * model.B @ model.B.T
     coloured = deviations(model, schedule, Readings(noise, 1e-2, 20.0, colour=colour)).widths[0]
     stand_in = deviations(model, schedule, Readings(noise, 1e-2, 20.0, process=white)).widths[0]
@@ -614,7 +614,7 @@ def test_a_sampled_random_disturbance_is_the_continuous_one() -> None:
     for simulation in ({"step": 0.01}, {"step": 0.01, "time": "sampled"}):
         model, schedule = plan(scene(simulation=simulation))
         B = model.B
-        colour = Colour(B, np.array([0.3]), 0.2)
+        colour = first_order(B, np.array([0.3]), 0.2)
         noise = np.array([0.01])
         found.append(
             deviations(model, schedule, Readings(noise, 0.01, 20.0, colour=colour)).widths[0]

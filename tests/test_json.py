@@ -48,7 +48,7 @@ COMMANDS: dict[str, list[list[str]]] = {
         ["arena", "examples/load_cell_limited.toml", "--methods", "kalman", "--seeds", "1",
          "--json"],
     ],
-    "identify": [["identify", LOG, *COMMON]],
+    "identify": [["identify", LOG, "--chain", "chain", *COMMON]],
     "estimate": [
         ["estimate", "examples/asymmetric_noise.toml", LOG, *COMMON],
         ["estimate", "examples/load_cell_limited.toml", LOG, "--columns", "t=t,y=y,u=u", *COMMON],

@@ -200,6 +200,22 @@ def test_a_state_goes_on_to_the_last_bit(lever: Path, tmp_path: Path, at: int) -
     assert counts.partition("samples=")[2] == words.partition("samples=")[2]
 
 
+def test_a_state_keeps_the_day_of_times_without_a_date(lever: Path, tmp_path: Path) -> None:
+    head, *lines = stream(regular(30)).splitlines(keepends=True)
+    clocks = [f"23:59:59.{90 + k}" if k < 10 else f"00:00:00.{k - 10:02}" for k in range(30)]
+    days = [
+        clock.encode() + line[line.index(b",") :] for clock, line in zip(clocks, lines, strict=True)
+    ]
+    whole, first, second = Watched(lever), Watched(lever), Watched(lever)
+    whole.feed(b"".join([head, *days]))
+    first.feed(b"".join([head, *days[:10]]))
+    save(tmp_path / "state", first.parts, first.follower.digest)
+    load(tmp_path / "state", second.parts, second.follower.digest)
+    second.follower.go_on()
+    second.feed(b"".join([head, *days[10:]]))
+    assert first.out.getvalue() + second.ended()[0] == whole.ended()[0]
+
+
 def test_a_state_of_something_else_is_refused(lever: Path, tmp_path: Path) -> None:
     state = tmp_path / "state"
     done = watch(lever, "--state", state, stdin=stream(regular(30)))

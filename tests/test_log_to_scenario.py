@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import shutil
 from pathlib import Path
 from typing import Any
@@ -135,3 +136,50 @@ def test_a_log_ends_in_firmware(
         made = undeadzone("export", "log.toml", "--out", "fw", "--check", *double, cwd=tmp_path)
     assert made.returncode == 0, made.stdout + made.stderr
     assert "every bit agrees" in made.stdout
+
+
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="no compiler")
+def test_one_command_leads_from_a_log_to_firmware_that_has_followed_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(export, "STEPS", 2000)
+    u, y = record("zone", "noise", False, order=1)
+    table = np.column_stack([STEP * np.arange(y.size), u, y])
+    path = tmp_path / "log.csv"
+    np.savetxt(path, table, delimiter=",", header="t [s],u [V],y [mm]", comments="")
+    done = undeadzone(
+        "identify",
+        "log.csv",
+        "--order",
+        "1",
+        "--no-figures",
+        "--chain",
+        "fw",
+        "--json",
+        cwd=tmp_path,
+    )
+    assert done.returncode == 0, done.stderr
+    chain = json.loads(done.stdout)["chain"]
+    assert (chain["identifiable"], chain["consistent"]) == ([True], True)
+    assert (chain["precision"], chain["refusals"]) == ("double", [])  # its ranges are too narrow
+    assert "every bit agrees" in chain["self_test"]
+    z = np.array(lag(u))
+    assert chain["hidden"] == pytest.approx(np.sqrt(np.mean((y - z) ** 2)), rel=0.05)
+    assert chain["left"] < 0.2 * chain["hidden"]
+    assert (tmp_path / "fw" / "firmware" / "Makefile").exists()
+    assert (tmp_path / "fw" / "estimate.npz").exists()
+    for words in (("--zero", "1"), ("log.csv",)):
+        refused = undeadzone("identify", "log.csv", *words, "--chain", "other", cwd=tmp_path)
+        assert refused.returncode == 2
+        assert "--chain follows one log" in refused.stderr
+    assert not (tmp_path / "other").exists()
+
+
+def lag(u: Floats) -> list[float]:
+    """z of `record` of order 1, without a zone."""
+    x, z = 0.0, []
+    for force in u:
+        z.append(x)
+        for _ in range(10):
+            x += STEP / 10 * 5 * (force - x)
+    return z

@@ -129,8 +129,8 @@ def test_the_same_samples_in_whatever_pieces_they_come(size: int, encoding: str)
     np.testing.assert_array_equal(t, [0, 0.01, 0.02, np.nan, 0.03])
     np.testing.assert_array_equal(y[:, 0], [1.5, np.nan, np.nan, np.nan, -1.5])
     np.testing.assert_array_equal(u[:, 0], [2, 3, 3, np.nan, 4])
-    assert reader.unreadable == 1
-    assert "line 6" in reader.why
+    assert reader.faults.unreadable == 1
+    assert "line 6" in reader.faults.why
 
 
 def test_strict_stops_at_a_line_that_cannot_be_read() -> None:
@@ -149,7 +149,7 @@ def test_a_block_read_at_once_is_what_its_lines_are_one_by_one() -> None:
     spoilt = single.feed((text + "1,x,2\n").encode(), last=True)  # goes line by line
     for one, other in zip(at_once[:3], spoilt[:3], strict=True):
         np.testing.assert_array_equal(one, other[:-1])
-    assert (whole.unreadable, single.unreadable) == (0, 1)
+    assert (whole.faults.unreadable, single.faults.unreadable) == (0, 1)
 
 
 FOREIGN = [  # header, times of two lines .25 s apart, or the second after midnight
@@ -184,7 +184,7 @@ def test_times_as_loggers_write_them(
     path.write_text(text)
     reader = LogReader("log", 1, 1, {}, live=is_live)
     samples = samples_of_text(reader, path, 10_000, 10)
-    assert reader.unreadable == 0
+    assert reader.faults.unreadable == 0
     assert np.diff(samples.t) == pytest.approx([0.25], abs=1e-6)
     assert samples.y[:, 0].tolist() == [1.0, 3.0]
     assert samples.u[:, 0].tolist() == [2.0, 4.0]
@@ -200,6 +200,13 @@ def test_dates_count_from_1970(date: str, seconds: float | None) -> None:
     assert found.seconds(date) == seconds
 
 
+def test_only_a_fall_of_nearly_a_day_is_midnight() -> None:
+    reader = LogReader("log", 1, 1, {})
+    lines = [f"{time},1,2" for time in ("03:00:00", "21:00:00", "03:00:01", "23:59:59", "00:00:00")]
+    samples = reader.feed("\n".join(["t,y,u", *lines, ""]).encode(), last=True)
+    assert samples.t.tolist() == [10_800.0, 75_600.0, 10_801.0, 86_399.0, 86_400.0]
+
+
 def test_what_nothing_tells_is_refused() -> None:
     with pytest.raises(
         FileError, match=r"line 2: nothing tells which number of '3/4/2026 1:00:00'"
@@ -208,13 +215,13 @@ def test_what_nothing_tells_is_refused() -> None:
     for odd in ("12:60:00", "24:00:00", "13:00:00 PM", "3 o'clock", "2026-13-01", "18:53"):
         reader = LogReader("log", 1, 1, {})
         samples = reader.feed(f"t,y,u\n18:52:00,1,2\n{odd},1,2\n".encode(), last=True)
-        assert (samples.t.size, reader.unreadable) == (2, 0 if odd == "18:53" else 1), odd
+        assert (samples.t.size, reader.faults.unreadable) == (2, 0 if odd == "18:53" else 1), odd
 
 
 def test_a_glitch_in_a_log_of_numbers_is_no_time_of_day() -> None:
     reader = LogReader("log", 1, 1, {})
     samples = reader.feed(b"t,y,u\n0,1,2\n12:00:01,1,2\n2,1,2\n", last=True)
-    assert reader.unreadable == 1
+    assert reader.faults.unreadable == 1
     assert samples.t[[0, 2]].tolist() == [0.0, 2.0]
 
 

@@ -14,7 +14,8 @@ from scipy.linalg import expm
 
 from scenes import linear, random_plant
 from undeadzone.analysis.identifiability import linearised_run, nonlinear
-from undeadzone.analysis.identifiability.linear import Verdict, unknown_bias, verdicts
+from undeadzone.analysis.identifiability.disturbance import unknown_bias
+from undeadzone.analysis.identifiability.linear import Verdict, verdicts
 from undeadzone.analysis.identifiability.nonlinear import (
     Observability,
     observability,

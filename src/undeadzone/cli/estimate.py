@@ -51,7 +51,8 @@ def estimate(
     10 MB), figure.svg and report.html to DIR (default: LOG-estimate). `kalman`, `censored`,
     `extended` and `auto` are smoothed too: what the whole log says of each sample. The scenario
     needs no [reference], no [controller], no widths. Exit code 1: the record is not consistent with
-    what the observer claims.
+    what the observer claims; columns exchanged, signs, units and delays are then tried, and what
+    would fit is told.
     """
     from undeadzone.report.log_page import write_estimation
     from undeadzone.scenario.reader import read_for_logs
@@ -63,12 +64,20 @@ def estimate(
         result = estimated(
             watched, log, columns=columns, strict=strict, smoothing=not causal, progress=advance
         )
+    cure = None
+    if result.info.consistent is False:
+        from undeadzone.simulation.misread import what_would_fit
+
+        with progress("trying what would fit", None, of=watched.observer):
+            cure = what_would_fit(watched, result)
     written: list[Path] = []
     tables, left_out = wanted_table(as_csv, result.table_size, "estimate.csv")
     if folder is not None:
         written = write_estimation(result, folder, output.figures, tables, origin(scenario))
-    last = (named_files(written) | left_out if written else {}) | _next(scenario, log, result)
-    output.show(result.summary, result.blocks, written, last)
+    files = named_files(written) | left_out if written else {}
+    told = {} if cure is None else {"would fit": cure}
+    last = told | files | _next(scenario, log, result)
+    output.show(lambda: result.summary() | {"would_fit": cure}, result.blocks, written, last)
     return exit_code(result.info)
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from undeadzone.cli.common import (
+    PATH,
     columns_option,
     flag,
     force_option,
@@ -52,6 +53,7 @@ PLACES = click.Choice(["auto", "sensor"])
 @rarely("--threshold", "|y|", "Up to which y is silent.", type=float)
 @rarely("--resample", "STEP", "Step [s] to put the samples on.", type=float)
 @strict_option
+@option("--chain", "DIR", "Go on to firmware in DIR: check, estimate, export, replay.", type=PATH)
 @flag("--resume", "Continue where it was stopped, from DIR/identify.json.partial.")
 @help_all
 @force_option
@@ -61,6 +63,7 @@ def identify(
     logs: tuple[Path, ...],
     output: Output,
     resume: bool,
+    chain: Path | None,
     force: bool,
     **options: Any,
 ) -> int:
@@ -72,15 +75,20 @@ def identify(
     named and measured instead. Writes NAME.toml, a scenario for run,
     check, design and watch, and identify.json, figures and report.html to DIR (default:
     NAME-identify). With --no-figures and no --out it writes the scenario alone. What was fitted is
-    kept in DIR meanwhile: after Ctrl-C, kill or a crash --resume goes on. Exit code 1: there is no
-    dead zone of the sensor, and nothing else that a scenario could be written for.
+    kept in DIR meanwhile: after Ctrl-C, kill or a crash --resume goes on. With --chain the scenario
+    is checked, follows the log, is exported to C, and the C follows the log: prints how far the
+    reading and the C's z^ are from z. Exit code 1: there is no dead zone of the sensor, and nothing
+    else that a scenario could be written for; or the firmware is refused.
     """
+    from undeadzone.cli.chain import chained
     from undeadzone.identification.answer.result import WRITTEN
     from undeadzone.identification.identify import identify as identified
     from undeadzone.logs.names import require_table
     from undeadzone.support.own_files import require_own
 
     first = logs[0]
+    if chain is not None and (len(logs) > 1 or options["zero"]):
+        raise click.UsageError("--chain follows one log, with --zero taken off its readings")
     folder = output.folder(f"{first.stem}-identify")
     path = writable(output.out or Path()) / f"{first.stem}.toml"
     require_table(str(first))
@@ -102,8 +110,20 @@ def identify(
     why = {} if reason is None else {"no scenario": reason.removeprefix("scenario: ")}
     is_written = path in written
     follow = {"next": _next(path, first, len(logs))} if is_written else {}
-    output.show(answer.numbers, answer.blocks, written, why | named_files(written) | follow)
-    return 0 if is_found or is_written else 1
+    is_done, further = is_found or is_written, {}
+    if chain is not None and is_written:
+        with progress("going on to firmware", None):
+            reached = chained(path, first, chain, options["columns"], options["strict"])
+        written, is_done = written + reached.files, reached.passed
+        why, further = why | reached.words, {"chain": reached.numbers}
+        follow = {"next": f"make -C {chain / 'firmware'} runs the self-test"}
+    output.show(
+        lambda: answer.numbers() | further,
+        answer.blocks,
+        written,
+        why | named_files(written) | follow,
+    )
+    return 0 if is_done else 1
 
 
 def _next(scenario: Path, log: Path, logs: int) -> str:

@@ -79,6 +79,8 @@ def _listed(as_json: bool) -> int:
 
 def _texts(file: Path | None, example: str | None, full: bool, folder: Path) -> dict[Path, str]:
     """What is to be written, by path: the scenario first, then the files that it names."""
+    if example is not None and full:
+        raise InputError("--full: an example is whole as it is; leave one of the two options out")
     if example is None:
         from importlib.resources import files
 

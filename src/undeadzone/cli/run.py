@@ -21,6 +21,7 @@ from undeadzone.support.progress import on_terminal as progress
 from undeadzone.support.text import HALF_95
 
 if TYPE_CHECKING:
+    from undeadzone.catalogue import ObserverOptions
     from undeadzone.results.run import Run
     from undeadzone.scenario.schema import Scenario
 
@@ -73,10 +74,13 @@ def run(
         writable(animation.parent)
     rival: Run | None = None
     deviation: float | None = None
+    follow: dict[str, str] = {}
     name = scenario.stem if replay is None else f"run-{replay}"
     folder = output.folder(f"{name}-results")
     if replay is None:
-        result, rival = _simulated(scenario, animation is not None, confine)
+        wanted = _read(scenario, animation is not None, confine)
+        result, rival = _simulated(wanted)
+        follow = _next(scenario, wanted.observer, result)
     else:
         with progress("replaying", None):
             result, deviation = _replayed(scenario, replay, confine)
@@ -91,38 +95,37 @@ def run(
     if animation is not None:
         written.append(_film(result, rival, animation))
     files = named_files(written) | (left_out if folder is not None else {})
-    known = result.fully_identifiable or not result.adapts
-    is_good = result.diverged_at is None and not result.inexact and known
-    follow = {} if replay is not None else _next(scenario, result, is_good, confine)
     output.show(
         lambda: _numbers(result, rival, replay, deviation),
         result.blocks,
         written,
         _compared(rival) | _replay_in_words(deviation) | files | follow,
     )
-    return 0 if is_good else 1
+    return 0 if _is_good(result) else 1
 
 
-def _next(path: Path, run: Run, is_good: bool, confine: Path | None) -> dict[str, str]:
+def _is_good(run: Run) -> bool:
+    """Whether a run is what was hoped for: exit code 0."""
+    known = run.fully_identifiable or not run.adapts
+    return run.diverged_at is None and not run.inexact and known
+
+
+def _next(path: Path, observer: ObserverOptions, run: Run) -> dict[str, str]:
     """What to type after a run: what narrows wide intervals comes first."""
     import numpy as np
 
-    from undeadzone.scenario.reader import read
-
     check = f"undeadzone check {path} says what can be known"
-    if not is_good:
+    if not _is_good(run):
         return to_type(check)
     if run.d_std is None or (HALF_95 * run.d_std[-1] <= WIDE * np.abs(run.d_hat[-1])).all():
         return to_type(check, f"undeadzone export {path}")
-    observer = read(path, confine).observer
     open_claims = [name for name in CLAIMS if getattr(observer, name, "no such claim") is None]
-    if not open_claims:
-        return to_type(check)
-    return to_type(f"narrower intervals: claim observer.{', '.join(open_claims)} if known", check)
+    narrower = f"narrower intervals: claim observer.{', '.join(open_claims)} if known"
+    return to_type(*[narrower] * bool(open_claims), check)
 
 
-def _simulated(path: Path, animated: bool, confine: Path | None) -> tuple[Run, Run | None]:
-    """The run of a scenario, and that of the observer that it is to be compared with.
+def _read(path: Path, animated: bool, confine: Path | None) -> Scenario:
+    """The scenario that is to run. Raises InputError.
 
     Args:
         path: of the scenario.
@@ -131,8 +134,6 @@ def _simulated(path: Path, animated: bool, confine: Path | None) -> tuple[Run, R
     """
     from undeadzone.errors import InputError
     from undeadzone.scenario.reader import read
-    from undeadzone.simulation.listening import heard
-    from undeadzone.simulation.simulate import beside
 
     if path.suffix in OF_ENSEMBLE:
         raise InputError(
@@ -142,6 +143,14 @@ def _simulated(path: Path, animated: bool, confine: Path | None) -> tuple[Run, R
     scenario = read(path, confine)
     if animated and scenario.plant.arm is None:
         raise InputError("animation: this plant is no arm; leave the option out")
+    return scenario
+
+
+def _simulated(scenario: Scenario) -> tuple[Run, Run | None]:
+    """The run of a scenario, and that of the observer that it is to be compared with."""
+    from undeadzone.simulation.listening import heard
+    from undeadzone.simulation.simulate import beside
+
     with progress("simulating", _steps(scenario), of=scenario.observer) as advance:
         if scenario.ensemble is not None:
             from undeadzone.ensemble.binding import require_bound

@@ -27,6 +27,7 @@ from undeadzone.cli.common import (
     with_schema,
     writable,
 )
+from undeadzone.cli.output import to_type
 from undeadzone.errors import FileError, Terminated
 from undeadzone.support.progress import on_terminal as progress
 
@@ -116,7 +117,7 @@ class Kept:
 
     def __init__(self, path: Path | None, every: float, follower: Follower, log: LiveLog) -> None:
         self._path, self._every = path, every
-        self._parts = {"follower": follower, "clock": log.clock}
+        self._parts = {"follower": follower, "clock": log.clock, "reader": log.reader}
         self._digest = follower.digest
         self._saved = time.monotonic()
         if path is not None and path.exists():
@@ -190,7 +191,8 @@ def _say_end(info: LogInfo, as_json: bool) -> None:
     if as_json:
         say(json.dumps(finite(with_schema(info.summary())), allow_nan=False), err=True)
     else:
-        print_blocks(in_words(info), err=True)
+        words = "undeadzone estimate, with the scenario and the log in a file, tries what would fit"
+        print_blocks(in_words(info), to_type(words) if info.consistent is False else {}, err=True)
 
 
 def _write(text: bytes) -> None:

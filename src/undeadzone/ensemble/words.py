@@ -82,7 +82,7 @@ def _shares(info: Info, summary: dict[str, Any], lost: int) -> dict[str, str]:
 def _quantiles(info: Info, metrics: dict[str, Any]) -> list[tuple[str, ...]]:
     """The table of quantiles of each metric."""
     rows: list[tuple[str, ...]] = [
-        ("95 % intervals in ()", "median", "95 % of runs below", "99 % of runs below")
+        ("95 % intervals in []", "median", "95 % of runs below", "99 % of runs below")
     ]
     for key, metric in METRICS.items():
         if key in metrics:

@@ -22,7 +22,7 @@ from undeadzone.identification.answer.result import Identified, IdentifiedOutput
 from undeadzone.identification.logs.grid import Grid, shortened, to_grid
 from undeadzone.identification.logs.log import Log, Options, log_of_arrays, read_log
 from undeadzone.identification.logs.prepare import Prepared, prepare
-from undeadzone.identification.models.elements import best_of_each, static_rivals
+from undeadzone.identification.models.elements import best_densities, static_rivals
 from undeadzone.identification.models.estimates import KeptClimbs
 from undeadzone.identification.models.kalman_fit import fit_kalman
 from undeadzone.identification.models.likelihood import taken_off
@@ -266,7 +266,7 @@ def _fitted(
         chosen=chosen,
         no_zone=no_zone,
         residuals=residuals,
-        rivals=best_of_each(itertools.chain(*(one.values() for one in rivals.values()))),
+        rivals=best_densities(itertools.chain(*(one.values() for one in rivals.values()))),
         suited=fits[suited],
         advance=advance,
     )

@@ -131,6 +131,8 @@ class LogReader:
         latest: these among the lines that came last.
     """
 
+    KEPT: Final = ("_latest_time",)
+
     def __init__(
         self,
         source: str,
@@ -154,16 +156,6 @@ class LogReader:
         self._latest_time = math.nan  # [s], days counted, where times are of day
         self._count = 0  # lines read
 
-    @property
-    def unreadable(self) -> int:
-        """How many lines could not be read."""
-        return self.faults.unreadable
-
-    @property
-    def why(self) -> str:
-        """Why the first of these could not; empty if all could."""
-        return self.faults.why
-
     def feed(self, data: bytes, last: bool = False) -> Samples:
         """The samples in the lines that are whole now.
 
@@ -186,7 +178,7 @@ class LogReader:
                 return self._none()
             self._dialect = dialect
             self.layout = self._layout(dialect)
-            self._require_readable(dialect, numbered[dialect.heads :])
+            self._require_readable(dialect, self.layout, numbered[dialect.heads :])
             numbered = numbered[dialect.heads :]
         if not numbered or self._dialect is None or self.layout is None:
             return self._none()
@@ -211,13 +203,15 @@ class LogReader:
             return layout_of_titles(dialect.titles, self._p, self._m, self._chosen, self._source)
         return layout_of_numbers(dialect.width, self._p, self._m, self._chosen, self._source)
 
-    def _require_readable(self, dialect: Dialect, lines: Sequence[tuple[int, str]]) -> None:
+    def _require_readable(
+        self, dialect: Dialect, layout: Layout, lines: Sequence[tuple[int, str]]
+    ) -> None:
         """Raise FileError where the first line without a header says nothing of the columns."""
         if dialect.titles is None and lines:
             number, line = lines[0]
-            _, why = self._problem(line, dialect)
-            if why:
-                raise FileError(f"{self._source}, line {number}: {why}")
+            found = self._row(number, line, dialect, layout)
+            if isinstance(found, Fault):
+                raise FileError(f"{self._source}, line {number}: {found.why}")
 
     def _none(self) -> Samples:
         """No samples yet."""
@@ -285,37 +279,31 @@ class LogReader:
         """The numbers of the columns that are used; a line that cannot be read gives NaN."""
         values = np.full((len(numbered), len(layout.columns)), np.nan)
         for row, (number, line) in enumerate(numbered):
-            kind, why = self._problem(line, dialect)
-            if why:
-                fault = Fault(number, kind, why)
-                self.faults.add(fault)
-                self.latest.append(fault)
+            found = self._row(number, line, dialect, layout)
+            if isinstance(found, Fault):
+                self.faults.add(found)
+                self.latest.append(found)
             else:
-                values[row] = self._numbers(dialect.cells(line), dialect, layout)
+                values[row] = found
         return values
 
-    def _numbers(self, cells: list[str], dialect: Dialect, layout: Layout) -> list[float | None]:
-        """The numbers in the columns that are used; None where a cell holds none."""
+    def _row(
+        self, number: int, line: str, dialect: Dialect, layout: Layout
+    ) -> list[float | None] | Fault:
+        """The numbers of a line in the columns that are used, or why it cannot be read."""
+        kind, why = flaw(line)
+        if why:
+            return Fault(number, kind, why)
+        cells = dialect.cells(line)
+        if len(cells) != dialect.width:
+            return Fault(number, "values", f"expected {dialect.width} values, found {len(cells)}")
         found = [dialect.number(cells[k]) for k in layout.columns]
         if self._stamps is not None:
             found[0] = self._stamps.seconds(_stamp(cells, layout))
+        if None in found:
+            text = cells[layout.columns[found.index(None)]]
+            return Fault(number, "number", f"expected a number or nothing, found {text!r:.40}")
         return found
-
-    def _problem(self, line: str, dialect: Dialect) -> tuple[str, str]:
-        """Why a line cannot be read, as kind and words; empty if it can."""
-        kind, why = flaw(line)
-        if why:
-            return kind, why
-        cells = dialect.cells(line)
-        if len(cells) != dialect.width:
-            return "values", f"expected {dialect.width} values, found {len(cells)}"
-        if self.layout is None:
-            return "", ""
-        found = self._numbers(cells, dialect, self.layout)
-        for k, value in zip(self.layout.columns, found, strict=True):
-            if value is None:
-                return "number", f"expected a number or nothing, found {cells[k]!r:.40}"
-        return "", ""
 
 
 def _stamp(cells: list[str], layout: Layout) -> str:

@@ -17,6 +17,7 @@ from undeadzone.support.arrays import Floats
 
 DAY: Final = 86_400.0  # [s]
 NOON: Final = 12  # [h]
+LONGEST_NIGHT: Final = 3600.0  # [s] over midnight without a sample; else a time is wrong
 FIRST_DAY: Final = date(1970, 1, 1).toordinal()
 # Times without a unit that are at least so large count parts of a second since 1970, of this length
 # [s].
@@ -97,7 +98,7 @@ def over_midnight(t: Floats, before: float) -> Floats:
     out = np.array(t)
     days = 0.0 if math.isnan(before) else math.floor(before / DAY)
     for k in np.flatnonzero(np.isfinite(t)):
-        if t[k] + days * DAY < before - DAY / 2:
+        if t[k] + days * DAY < before - (DAY - LONGEST_NIGHT):
             days += 1
         out[k] = before = t[k] + days * DAY
     return out

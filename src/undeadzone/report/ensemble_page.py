@@ -119,7 +119,7 @@ def _settled_style(share: float) -> str:
 
 def _percent(share: Mapping[str, float]) -> str:
     """A share with its interval."""
-    return f"{100 * share['value']:.4g} % ({100 * share['low']:.4g} to {100 * share['high']:.4g})"
+    return f"{100 * share['value']:.4g} % [{100 * share['low']:.4g}, {100 * share['high']:.4g}]"
 
 
 def _distributions(result: Ensemble, summary: Mapping[str, Any]) -> list[html.Html]:

@@ -265,6 +265,10 @@ def deviations(axes: Axes, of: Assessment, i: int) -> None:
         _strip(axes, known, truth, _floor(of, i, truth))
         words, off = "; ".join(known.reasons), ""
         axes.plot(*truth, "+", color=ink.TRUTH, markersize=10, label="truth")
+    if known.second is not None:
+        other = np.array([known.second["right"], known.second["left"]])
+        place = other - truth if known.right and known.left else other
+        axes.plot(*place, "x", color=ink.TRUTH, markersize=8, label="another, same readings")
     axes.set_aspect("equal")
     title = words[:1].upper() + words[1:]
     if len(of.known) > 1:

@@ -14,6 +14,7 @@ import numpy as np
 
 from undeadzone.analysis.certificate.design_file import Design, Knowledge
 from undeadzone.analysis.certificate.passivity import Certificate
+from undeadzone.analysis.identifiability.second_truth import in_words as in_words_of_truths
 from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.report import html
 from undeadzone.report.gain_figures import ellipses, front, root_locus
@@ -327,6 +328,8 @@ def knowledge_section(of: Assessment) -> list[html.Html]:
         parts.append(
             html.paragraph(html.join(["How strongly readings move z^:", html.trust(of.listens)]))
         )
+    for other in in_words_of_truths([known.second for known in of.known]):
+        parts.append(html.paragraph(f"Readings would be the same, but for noise, with {other}."))
     for i, known in enumerate(of.known):
         where = f"Output {i}: " if len(of.known) > 1 else ""
         parts += [html.paragraph(f"{where}{reason}.") for reason in known.reasons]

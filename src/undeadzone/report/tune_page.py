@@ -124,7 +124,7 @@ def _held_out(title: str, held_out: HeldOut) -> tuple[Any, ...]:
 def _interval(interval: Interval) -> str:
     """A value with its interval."""
     value, low, high = interval
-    return f"{value:.4g}" if low == high else f"{value:.4g} ({low:.4g} to {high:.4g})"
+    return f"{value:.4g}" if low == high else f"{value:.4g} [{low:.4g}, {high:.4g}]"
 
 
 def slices(result: Tuned) -> dict[str, Sweep]:

@@ -81,7 +81,7 @@ def within(value: str, low: str, high: str) -> str:
         return f"{value} ({low} or more)"
     if not low:
         return f"{value} ({high} or less)"
-    return value if value == low == high else f"{value} ({low} to {high})"
+    return value if value == low == high else f"{value} [{low}, {high}]"
 
 
 def in_text(rows: Iterable[Row]) -> dict[str, str]:

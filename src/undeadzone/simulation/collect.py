@@ -9,6 +9,7 @@ import numpy as np
 
 import undeadzone
 from undeadzone.analysis.certificate.passivity import Certificate, certify
+from undeadzone.analysis.identifiability.disturbance import unknown_constants
 from undeadzone.analysis.identifiability.linear import Verdict
 from undeadzone.analysis.side_schedule import Schedule, recorded
 from undeadzone.ends.play import levels
@@ -28,7 +29,6 @@ from undeadzone.simulation.verdicts import (
     actuator_unknown,
     as_far_as_known,
     by_claims,
-    constant_inputs,
     linear_verdicts,
     told_at_both_ends,
     with_cures,
@@ -82,8 +82,9 @@ def _verdicts_along(problem: Problem, signal: Outputs) -> list[Verdict]:
     """What the readings of a nonlinear plant tell along a run, with the start that is claimed."""
     from undeadzone.analysis.identifiability.nonlinear import verdicts_along
 
-    bias = constant_inputs(problem, np.eye(problem.plant.m))
-    traits, step = problem.observer.traits, problem.scenario.simulation.step
+    scenario, traits = problem.scenario, problem.observer.traits
+    simulation = scenario.simulation
+    bias = unknown_constants(scenario.disturbance, problem.plant.m, simulation.duration)
 
     def told(start_std: Floats | None, centre_std: Floats | None) -> list[Verdict]:
         return verdicts_along(
@@ -92,8 +93,8 @@ def _verdicts_along(problem: Problem, signal: Outputs) -> list[Verdict]:
             signal.u,
             signal.z,
             problem.sensor,
-            step,
-            bias,
+            simulation.step,
+            *bias,
             traits.uncertain,
             start_std,
             np.isfinite(signal.y),

@@ -65,10 +65,14 @@ class Follower:
         if live:
             graph_of(built)
         self.observer = built
-        self.samples = 0
         self._scenario = with_units(scenario, self.model)
         self._numeric = built.python
         self._online = None if self._numeric else Online(*parts, actuator=actuator)
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin with another log: nothing of an earlier one is left."""
+        self.samples = 0
         self._tests: list[Consistency] | None = None
         self._own: Own | None = None
         # Of sides: right, left, silent, at a limit of the range.
@@ -79,6 +83,7 @@ class Follower:
         self._diverged = False
         self._last: Estimate | None = None
         if self._online is not None:
+            self._online.restart()
             self._make_tests(self._online.latest)
 
     @property
@@ -285,6 +290,7 @@ class LiveLog:
 
     Attributes:
         clock: which puts its lines on the steps of the scenario.
+        reader: of its lines.
     """
 
     def __init__(
@@ -297,7 +303,7 @@ class LiveLog:
     ) -> None:
         p, m = follower.model.p, follower.model.m
         self.clock = Clock(scenario.simulation.step, source, strict)
-        self._reader = LogReader(source, p, m, chosen, live=True)
+        self.reader = LogReader(source, p, m, chosen, live=True)
         self._source, self._units = source, scenario.units
 
     def pieces(self, data: bytes, last: bool) -> Iterator[Piece]:
@@ -311,17 +317,17 @@ class LiveLog:
             FileError: the log cannot be what the scenario describes, or `strict` is set and a line
                 is a fault; after what was good before.
         """
-        begun = self._reader.layout is not None
-        samples = self._reader.feed(data, last)
-        layout = self._reader.layout
+        begun = self.reader.layout is not None
+        samples = self.reader.feed(data, last)
+        layout = self.reader.layout
         if layout is None:
             return
         if not begun:
             require_units(layout, self._units, self._source)
-        for piece in self.clock.place(samples, self._reader.latest, layout.timed, last):
+        for piece in self.clock.place(samples, self.reader.latest, layout.timed, last):
             if piece.samples.t.size:
                 yield piece
 
     def info(self, follower: Follower) -> LogInfo:
         """What the log comes to. Raises FileError."""
-        return follower.info(self._source, self._reader.layout, self.clock, self.clock.faults)
+        return follower.info(self._source, self.reader.layout, self.clock, self.clock.faults)

@@ -12,24 +12,24 @@ import numpy as np
 
 from undeadzone.analysis.identifiability.beforehand import beforehand
 from undeadzone.analysis.identifiability.both_ends import both_ends, modes_visited
+from undeadzone.analysis.identifiability.disturbance import unknown_bias, unknown_inputs
 from undeadzone.analysis.identifiability.edges import MARGIN, largest_deviations, vague
 from undeadzone.analysis.identifiability.information import (
     EXACT,
     SMALLEST,
-    Colour,
+    Deviations,
     Readings,
     deviations,
 )
-from undeadzone.analysis.identifiability.linear import Verdict, unknown_bias, verdicts
+from undeadzone.analysis.identifiability.linear import Verdict, verdicts
 from undeadzone.analysis.identifiability.play_and_zone import Told, told_of_both
+from undeadzone.analysis.identifiability.second_truth import farthest, second_truth
 from undeadzone.analysis.side_schedule import Schedule, reading_levels
 from undeadzone.ends.gaps import gaps_of
 from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.interfaces import Traits
 from undeadzone.observers.parts.prior import width_ranges
-from undeadzone.plants.system import System
 from undeadzone.scenario.problem import Problem
-from undeadzone.signals.exosystem import Random
 from undeadzone.simulation.loop import Outputs
 from undeadzone.support.arrays import Floats
 
@@ -64,11 +64,29 @@ def linear_verdicts(problem: Problem, schedule: Schedule, arrive: Floats) -> lis
 def _with_deviations(problem: Problem, schedule: Schedule, readings: Readings) -> list[Verdict]:
     """Verdicts with the deviations of the widths, from the readings and what is told."""
     linear, bias, told = problem.model.linear, readings.bias, readings.told
-    expected = deviations(linear, schedule, readings).widths
+    expected = deviations(linear, schedule, readings)
     judged = []
     for i, verdict in enumerate(verdicts(linear, schedule, bias, told=told)):
-        judged.append(as_far_as_known(problem, schedule, verdict, i, expected[i]))
+        known = as_far_as_known(problem, schedule, verdict, i, expected.widths[i])
+        judged.append(known._replace(second=_second(problem, expected, readings, i)))
     return judged
+
+
+def _second(
+    problem: Problem, expected: Deviations, readings: Readings, i: int
+) -> dict[str, Any] | None:
+    """Another truth of output i with the same readings."""
+    linear, size = problem.model.linear, expected.hidden.scale.size
+    n = linear.A.shape[0]
+    widths = np.array([problem.sensor.right[i], problem.sensor.left[i]])
+    enters = np.zeros((n, size))  # of each unknown into x'
+    if readings.colour is not None:
+        enters[:, n : expected.hidden.n] = readings.colour.B
+    if readings.bias is not None:
+        enters[:, size - readings.bias.shape[1] :] = readings.bias
+    constants = np.linalg.lstsq(linear.B, enters, rcond=None)[0]
+    change = farthest(expected.hidden, expected.covariance, i, widths)
+    return second_truth(change, expected.hidden.n + 2 * i, widths, np.eye(n, size), constants)
 
 
 def verdicts_of_both(problem: Problem, schedule: Schedule, arrive: Floats) -> list[Told]:
@@ -91,7 +109,8 @@ def verdicts_of_both(problem: Problem, schedule: Schedule, arrive: Floats) -> li
 
 def readings_of(problem: Problem, schedule: Schedule, arrive: Floats) -> Readings:
     """What tells of the widths; arguments as of `linear_verdicts`."""
-    simulation, traits, model = problem.scenario.simulation, problem.observer.traits, problem.model
+    simulation, disturbance = problem.scenario.simulation, problem.scenario.disturbance
+    traits, model = problem.observer.traits, problem.model
     least = EXACT * float(schedule.levels.max(initial=0.0)) or SMALLEST
     told = beforehand(model.n, model.p, traits.start_std, traits.centre_std, least)
     return Readings(
@@ -100,7 +119,7 @@ def readings_of(problem: Problem, schedule: Schedule, arrive: Floats) -> Reading
         duration=simulation.duration,
         arrive=arrive,
         bias=constant_inputs(problem, model.linear.B),
-        colour=_colour(model, problem.scenario.disturbance),
+        colour=unknown_inputs(disturbance, model.linear.B, simulation.duration),
         told=told if len(told) else None,
         gaps_known=gaps_known(problem),
     )
@@ -135,7 +154,9 @@ def as_far_as_known(
     negligible = NEGLIGIBLE * swing
     largest = largest_deviations(right, left, swing)
     most = {name: max(value, negligible) for name, value in largest.items()}
-    known = {name: getattr(verdict, name) and std[name] <= most[name] for name in DIRECTIONS}
+    known: dict[str, Any] = {
+        name: getattr(verdict, name) and std[name] <= most[name] for name in DIRECTIONS
+    }
     reasons = (*verdict.reasons, *vague(std, most, right, left))
     return Verdict(**known, reasons=reasons, std=std)
 
@@ -190,17 +211,6 @@ def constant_inputs(problem: Problem, B: Floats) -> Floats | None:
     return unknown_bias(scenario.disturbance, B, scenario.simulation.duration)
 
 
-def _colour(model: System, disturbance: object) -> Colour | None:
-    """A random disturbance with its correlation time; None where there is none."""
-    if not isinstance(disturbance, Random):
-        return None
-    rms = np.broadcast_to(np.asarray(disturbance.rms, float), model.m)
-    acts = rms > 0
-    if not acts.any():
-        return None
-    return Colour(model.linear.B[:, acts], rms[acts], disturbance.correlation_time)
-
-
 def with_false_claims(problem: Problem, verdicts: Sequence[Verdict]) -> list[Verdict]:
     """The verdicts; a width outside of its claimed range is not known, as no reading corrects it.
 
@@ -247,7 +257,9 @@ def _with_false_gaps(problem: Problem, verdict: Verdict, i: int) -> Verdict:
     if ((low - slack <= true) & (true <= high + slack))[:, i].all():
         return verdict
     reason = f"a false claim: model.play excludes the gaps of the sensor, {true[:, i].tolist()}"
-    return Verdict(False, False, False, False, (*verdict.reasons, reason), verdict.std)
+    return verdict._replace(
+        right=False, left=False, width=False, centre=False, reasons=(*verdict.reasons, reason)
+    )
 
 
 def with_cures(problem: Problem, verdicts: Sequence[Verdict], z: Floats) -> list[Verdict]:

@@ -221,9 +221,8 @@ def plan(problem: Problem, run: Run | None) -> Schedule:
 def knowledge(problem: Problem, schedule: Schedule, run: Run | None) -> list[Knowledge]:
     """What can be known of each output, and how well after the scenario's duration.
 
-    The constant part of a disturbance counts as an unknown bias, a random one by its rms and
-    correlation time. Of a nonlinear
-    plant this is what its run tells, random disturbances left out.
+    A disturbance counts as unknown in the class of its kind. Of a nonlinear plant this is what its
+    run tells.
 
     Args:
         problem: the scenario's parts.

@@ -134,6 +134,7 @@ class Check:
             "states": list(self.states),
             "identifiable": one_or_list(verdicts),
             "std": one_or_list([one.std for one in self.known]),
+            "second": one_or_list([one.second for one in self.known]),
             "listens": one_or_list(self.listens) if self.listens else None,
             **({"overrun": one_or_list(self.overrun)} if self.overrun else {}),
             "reasons": list(self.reasons),

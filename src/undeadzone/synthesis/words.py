@@ -7,6 +7,7 @@ from typing import Any, Final
 
 from undeadzone.analysis.certificate.design_file import in_words_of_margin, plain
 from undeadzone.analysis.identifiability.linear import yes_no
+from undeadzone.analysis.identifiability.second_truth import in_words as in_words_of_truths
 from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.results.listening import in_words as share_in_words
 from undeadzone.scenario.schema import Scenario
@@ -49,12 +50,20 @@ def pairs(summary: Mapping[str, Any], scenario: Scenario) -> dict[str, Any]:
         **_listens(summary),
         **_overrun(summary),
         **_knowledge(summary, scenario),
+        **_second(summary),
     }
     if reasons:
         shown["why"] = reasons
     if summary["cures"]:
         shown["cure"] = summary["cures"]
     return shown
+
+
+def _second(summary: Mapping[str, Any]) -> dict[str, Any]:
+    """Other truths that have the same readings."""
+    truths = summary["second"]
+    told = in_words_of_truths(truths if isinstance(truths, list) else [truths])
+    return {"same readings": told} if told else {}
 
 
 def rows(summary: Mapping[str, Any], names: Sequence[str]) -> Rows:

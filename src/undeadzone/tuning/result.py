@@ -256,7 +256,7 @@ def _gained(summary: Mapping[str, Any]) -> dict[str, str]:
 def _interval(interval: Mapping[str, float | None]) -> str:
     """A value and its interval, an end of which may be unknown."""
     value, low, high = (number(interval[name], none="?") for name in ("value", "low", "high"))
-    return f"{value} ({low} to {high})"
+    return f"{value} [{low}, {high}]"
 
 
 def validate(

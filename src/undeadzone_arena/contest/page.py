@@ -140,8 +140,8 @@ def _cells(row: Row) -> tuple[Any, ...]:
 
 
 def _interval(ends: tuple[float, float]) -> str:
-    """An interval in parentheses."""
-    return f"({ends[0]:.3f} to {ends[1]:.3f})"
+    """An interval in brackets."""
+    return f"[{ends[0]:.3f}, {ends[1]:.3f}]"
 
 
 def _rounded(value: float | None) -> float | None:

@@ -42,7 +42,7 @@ def in_words(rows: Sequence[Row], scenarios: int, seeds: int) -> list[Block]:
     if refused:
         blocks.append(f"not applicable (--json says why): {', '.join(refused)}")
     on = f"{counted(scenarios, 'scenario')}, {counted(seeds, 'run')} each"
-    blocks.append(f"{on}; - : line to compare with; 95 % intervals in ()")
+    blocks.append(f"{on}; - : line to compare with; 95 % intervals in []")
     return blocks
 
 
@@ -64,7 +64,7 @@ def _cells(place: str, row: Row) -> tuple[str, ...]:
 
 def _regret(value: float, interval: tuple[float, float]) -> str:
     """A regret and its interval."""
-    return f"{value:.3f} ({interval[0]:.3f} to {interval[1]:.3f})"
+    return f"{value:.3f} [{interval[0]:.3f}, {interval[1]:.3f}]"
 
 
 def _share(value: float) -> str:

@@ -256,6 +256,7 @@ class Knowledge(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         reasons: why not, for each 'no'.
         cures: what would turn a 'no' into a 'yes'.
         std: expected standard deviation of each, by its name [unit of z].
+        second: another truth with the same readings; None: not looked for.
     """
 
     right: bool
@@ -265,6 +266,7 @@ class Knowledge(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     reasons: list[str]
     cures: list[str]
     std: dict[str, float]
+    second: dict[str, Any] | None = None
 
 
 def in_words(design: Mapping[str, Any]) -> dict[str, Any]:

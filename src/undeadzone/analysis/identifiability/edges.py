@@ -98,7 +98,7 @@ def vague(std: dict[str, float], most: dict[str, float], right: float, left: flo
     if not larger:
         return []
     return [
-        "practically not: noise leaves larger deviations than the widths "
+        "practically not: noise and disturbances leave larger deviations than the widths "
         f"({right:.3g}, {left:.3g}) to {', '.join(larger)}"
     ]
 

@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.analysis.error_dynamics import pattern
-from undeadzone.analysis.identifiability.linear import invisible
+from undeadzone.analysis.identifiability.disturbance import Colour
+from undeadzone.analysis.identifiability.linear import Invisible, invisible
 from undeadzone.analysis.side_schedule import Schedule, merged
 from undeadzone.linear.matrices import Matrices
 from undeadzone.support.arrays import Floats
@@ -34,20 +35,6 @@ class Stretch(NamedTuple):
     H: Floats
 
 
-class Colour(NamedTuple):
-    """A first-order random input: w' = -w / correlation_time + white, of a known rms.
-
-    Attributes:
-        B: how it enters x' (n x b), or x+ of a sampled model.
-        rms: of each w (b).
-        correlation_time: of all of them [s].
-    """
-
-    B: Floats
-    rms: Floats
-    correlation_time: float
-
-
 class Deviations(NamedTuple):
     """Standard deviations that an optimal estimator reaches: inf where it cannot know.
 
@@ -56,12 +43,14 @@ class Deviations(NamedTuple):
         states: of x(0) (n).
         covariance: of [x(0); d; beta], its unidentifiable part left out (n + 2p + b square).
         information: the inverse, whole.
+        hidden: what no reading shows of them.
     """
 
     widths: list[dict[str, float]]
     states: Floats
     covariance: Floats
     information: Floats
+    hidden: Invisible
 
 
 class Readings(NamedTuple):
@@ -131,7 +120,7 @@ def deviations(linear: Matrices, schedule: Schedule, readings: Readings) -> Devi
     for i in range(n):
         if hidden.state(i):
             states[i] = np.sqrt(covariance[i, i])
-    return Deviations(widths, states, covariance, fisher)
+    return Deviations(widths, states, covariance, fisher, hidden)
 
 
 def _coloured(
@@ -142,18 +131,18 @@ def _coloured(
     bias: Floats | None,
 ) -> tuple[Matrices, Floats, Floats | None, Floats]:
     """(model of [x; w], its process noise, its bias, information on [x(0); w(0)] beforehand)."""
+    from scipy.linalg import expm
+
     n, b = colour.B.shape
-    if Ts is None:
-        decay, strength = -1 / colour.correlation_time, 2 / colour.correlation_time
-    else:
-        decay = np.exp(-Ts / colour.correlation_time)
-        strength = -np.expm1(-2 * Ts / colour.correlation_time)
-    A = np.block([[linear.A, colour.B], [np.zeros((b, n)), decay * np.eye(b)]])
+    own, white = colour.A, colour.Q
+    if Ts is not None:
+        own, white = expm(colour.A * Ts), _gramian(colour.A, colour.Q, Ts)
+    A = np.block([[linear.A, colour.B], [np.zeros((b, n)), own]])
     none = np.zeros((b, linear.B.shape[1]))
     C = np.hstack([linear.C, np.zeros((linear.C.shape[0], b))])
     noise = np.zeros((n + b, n + b))
     noise[:n, :n] = 0.0 if process is None else process
-    noise[n:, n:] = np.diag(strength * colour.rms**2)
+    noise[n:, n:] = white
     if bias is not None:
         bias = np.vstack([bias, np.zeros((b, bias.shape[1]))])
     prior = np.r_[np.zeros(n), 1 / colour.rms**2]

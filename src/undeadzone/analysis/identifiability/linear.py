@@ -18,22 +18,10 @@ from undeadzone.analysis.identifiability.edges import rarely_exact, reaching, un
 from undeadzone.analysis.side_schedule import Schedule
 from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.linear.matrices import Matrices, sizes
-from undeadzone.signals.exosystem import (
-    Disturbance,
-    Samples,
-    Sine,
-    Sines,
-    Step,
-    Tone,
-    Trapezoid,
-    exosystem,
-)
-from undeadzone.support.arrays import Array, Floats
+from undeadzone.support.arrays import Floats
 
 # Of singular values of balanced, normalised matrices; a sampled model's rounding comes on top.
 TOLERANCE = 1e-11
-CONSTANT = 0.01  # of samples' size, above which their mean counts as a constant
-MEAN = 4096  # points of that mean
 PRESENT = 1e-7  # see `Invisible`
 
 
@@ -119,6 +107,7 @@ class Verdict(NamedTuple):
         reasons: why not, for each 'no', in words.
         std: the deviation that an optimal estimator reaches of each, by name, where noise is taken
             into account.
+        second: another truth with these readings (`second_truth`); None: not looked for.
     """
 
     right: bool
@@ -127,6 +116,7 @@ class Verdict(NamedTuple):
     centre: bool
     reasons: tuple[str, ...]
     std: dict[str, float] | None = None
+    second: dict[str, Any] | None = None
 
 
 def invisible(
@@ -154,7 +144,7 @@ def invisible(
     A, C = delta(linear, Ts), linear.C
     n, p = A.shape[0], C.shape[0]
     constant = np.zeros((n, 0)) if bias is None else bias
-    B = np.stack([constant] if drives is None else drives)
+    B = np.stack([constant] if drives is None else drives) / (Ts or 1.0)
     # Units in which states, then rates, outputs and inputs, are of order 1.
     state = 1 / sizes(A.T, C.T)
     A, C, B = A / state[:, None] * state, C * state, B / state[:, None]
@@ -199,7 +189,7 @@ def verdicts(
     judged = []
     for i in range(visited.shape[0]):
         confounded = {} if told is not None else _confounded(linear, schedule, bias, i)
-        known = {name: hidden.width(i, name) for name in DIRECTIONS}
+        known: dict[str, Any] = {name: hidden.width(i, name) for name in DIRECTIONS}
         remark = rarely_exact(schedule, i)
         reasons = (*unreached(schedule, visited, i), *confounded, *remark)
         judged.append(Verdict(**known, reasons=reasons, std=None))
@@ -240,61 +230,6 @@ def cures(
             )
             changes.append(Cure(i, None, None, text))
     return changes
-
-
-def unknown_bias(
-    disturbance: Disturbance | None, B: Floats, duration: float = np.inf
-) -> Floats | None:
-    """The columns of B on which a disturbance has a constant part, unknown to the observer.
-
-    The signal itself is judged, not its kind: what does not swing within the run is a constant.
-
-    Args:
-        disturbance: any; a random one leaves no bias.
-        B: inputs (n x m).
-        duration: of the run [s].
-
-    Returns:
-        The columns (n x b); None if there is none.
-    """
-    constant = _constant_part(disturbance, B.shape[1], duration)
-    biased = np.broadcast_to(np.ravel(constant) != 0, B.shape[1:])
-    return B[:, biased] if biased.any() else None
-
-
-def _constant_part(disturbance: Disturbance | None, channels: int, duration: float) -> Any:
-    """A number per channel, or one for all, that is not 0 where a disturbance has a constant part.
-
-    A tone or a trapezoid counts if its period is longer than the run, samples in a file if their
-    mean over the run is a hundredth of their size.
-    """
-    match disturbance:
-        case Step():
-            return _sizes(disturbance.amplitude, disturbance.before)
-        case Sine():
-            return _sizes(disturbance.offset, *_slow([disturbance], duration))
-        case Sines():
-            return _sizes(disturbance.offset, *_slow(disturbance.components, duration))
-        case Trapezoid():
-            period = 4 * disturbance.rise + 2 * disturbance.hold
-            return _sizes(disturbance.amplitude if period > duration else 0.0)
-        case Samples():
-            signal = exosystem("disturbance", disturbance, channels)
-            end = duration if np.isfinite(duration) else max(float(signal.corners[-1]), 1.0)
-            values = signal.value(np.linspace(0.0, end, MEAN))
-            mean, size = np.abs(values.mean(axis=0)), np.abs(values).max(axis=0)
-            return np.where(mean > CONSTANT * size, mean, 0.0)
-    return 0.0
-
-
-def _sizes(*values: Array) -> Any:
-    """The sum of the magnitudes of numbers, one per channel or one for all."""
-    return sum(np.abs(np.asarray(value, float)).ravel() for value in values)
-
-
-def _slow(tones: Sequence[Tone], duration: float) -> list[Array]:
-    """The amplitudes of the tones that do not complete a period in a run."""
-    return [tone.amplitude for tone in tones if tone.frequency * duration < 1]
 
 
 def _confounded(

@@ -23,6 +23,7 @@ from undeadzone.analysis.identifiability.edges import (
 )
 from undeadzone.analysis.identifiability.information import EXACT
 from undeadzone.analysis.identifiability.linearised_run import LinearisedRun, linearised, symmetric
+from undeadzone.analysis.identifiability.second_truth import farthest, second_truth
 from undeadzone.analysis.side_schedule import reading, reading_levels, recorded
 from undeadzone.ends.sensor import DIRECTIONS, Zone
 from undeadzone.plants.system import System
@@ -45,6 +46,7 @@ def verdicts_along(
     sensor: Zone,
     step: float,
     bias: Floats | None = None,
+    bias_std: Floats | None = None,
     uncertain: Sequence[str] = (),
     prior: Floats | None = None,
     arrived: np.ndarray | None = None,
@@ -63,6 +65,7 @@ def verdicts_along(
         sensor: the dead zone.
         step: time between two rows [s].
         bias: directions (m x b) of unknown constant inputs.
+        bias_std: their standard deviations, infinite where nothing is known (b, the default).
         uncertain: names of parameters that are unknown.
         prior: standard deviation of x(0) as far as it is known beforehand, infinite where it is
             not (n).
@@ -79,9 +82,16 @@ def verdicts_along(
         return linear.verdicts(model.linear, schedule, jump=True)
     side = np.where(arrived, reading(z, sensor).side, 0.0)
     told = beforehand(model.n, model.p, prior, centre, float(np.sqrt(variance(sensor).min())))
+    if bias_std is not None:
+        from scipy.linalg import block_diag
+
+        told = block_diag(told, np.diag(1 / bias_std)[np.isfinite(bias_std)])
     known = observability(model, x, u, side, step, variance(sensor), bias, uncertain, told)
     visited = np.stack([(side > 0).any(axis=0), (side < 0).any(axis=0)], axis=1)
     biases = 0 if bias is None else bias.shape[1]
+    constants = np.zeros((model.m, known.hidden.scale.size))
+    if bias is not None:
+        constants[:, 2 * model.p : 2 * model.p + biases] = bias
     judged = []
     for i, (right, left) in enumerate(zip(sensor.right, sensor.left, strict=True)):
         std, most = known.std(i), largest_deviations(right, left, float(np.ptp(z[:, i])))
@@ -92,7 +102,10 @@ def verdicts_along(
             *rarely_exact(schedule, i),
         )
         enough = {name: std[name] <= most[name] for name in DIRECTIONS}
-        judged.append(linear.Verdict(**enough, reasons=reasons, std=std))
+        widths = np.array([right, left])
+        change = farthest(known.hidden, known.covariance, i, widths)
+        second = second_truth(change, 2 * i, widths, known.follow, constants)
+        judged.append(linear.Verdict(**enough, reasons=reasons, std=std, second=second))
     return judged
 
 
@@ -239,7 +252,8 @@ def observability(
         variance: of the noise of z (p).
         bias: directions (m x b) of unknown constant inputs.
         uncertain: names of unknown parameters.
-        told: what is known of [x(0); d] beforehand (`beforehand`).
+        told: what is known of [x(0); d; beta] beforehand (`beforehand`), perhaps of the first
+            ones alone.
     """
     n, p = model.n, model.p
     bias = np.zeros((model.m, 0)) if bias is None else bias

@@ -296,21 +296,21 @@ def _of_text(
     samples = samples_of_text(reader, path, LARGEST_TABLE, math.inf)
     if reader.layout is None or not samples.t.size:
         raise FileError(f"{path}: holds no samples")
-    if reader.unreadable:
+    if reader.faults.unreadable:
         samples = _readable(samples, reader, path)
         remarks.append(
-            f"{path}: {counted_lines(reader.unreadable)} cannot be read and count as missing; "
-            f"{reader.why}"
+            f"{path}: {counted_lines(reader.faults.unreadable)} cannot be read and count as "
+            f"missing; {reader.faults.why}"
         )
     return samples, reader.layout
 
 
 def _readable(samples: Samples, reader: LogReader, path: Path) -> Samples:
     """The samples of which something could be read. Raises FileError if those are few."""
-    if reader.unreadable > MOST_UNREADABLE * samples.t.size:
+    if reader.faults.unreadable > MOST_UNREADABLE * samples.t.size:
         raise FileError(
-            f"{path}: {counted_lines(reader.unreadable)} of {samples.t.size} cannot be read; "
-            f"{reader.why}"
+            f"{path}: {counted_lines(reader.faults.unreadable)} of {samples.t.size} cannot be "
+            f"read; {reader.faults.why}"
         )
     some = np.isfinite(np.column_stack([samples.t, samples.y, samples.u])).any(axis=1)
     return Samples(*[part[some] for part in samples])

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
+from typing import TypeVar
 
 import numpy as np
 from scipy.special import ndtr
@@ -28,6 +29,8 @@ LEAST_BLUR = 0.02
 BREAKS = 2  # numbers that two edges cost besides where a map breaks (Zhang and Siegmund 2007)
 BLUR_BEHIND = 0.03  # where noise is behind the zone
 ROOT = math.sqrt(2 * math.pi)
+
+T = TypeVar("T")
 
 # --- A play, and perhaps a dead zone after it
 
@@ -304,15 +307,25 @@ def static_rivals(fit: Fit) -> dict[str, Density]:
         density = _nothing(squares) if fitted is None else fitted.density
         breaks = BREAKS if name == "jump" else 0
         densities.append(density._replace(numbers=density.numbers + breaks))
-    return best_of_each(densities)
+    return best_densities(densities)
 
 
-def best_of_each(densities: Iterable[Density]) -> dict[str, Density]:
+def best_densities(densities: Iterable[Density]) -> dict[str, Density]:
     """The density of least BIC of each name."""
-    best: dict[str, Density] = {}
-    for one in densities:
-        best[one.name] = min(one, best.get(one.name, one), key=lambda density: density.bic)
-    return best
+    return best_of_each((one.name, one.bic, one) for one in densities)
+
+
+def best_of_each(models: Iterable[tuple[str, float, T]]) -> dict[str, T]:
+    """The model of least BIC of each name.
+
+    Args:
+        models: name, BIC and model.
+    """
+    best: dict[str, tuple[float, T]] = {}
+    for name, bic, one in models:
+        if name not in best or bic < best[name][0]:
+            best[name] = (bic, one)
+    return {name: one for name, (_, one) in best.items()}
 
 
 # A map, and where its climbs start: a plant, the factor of its gain, the map's numbers.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from undeadzone.identification.models.elements import best_of_each
 from undeadzone.identification.models.place import (
     WIDTHS,
     PlaceFit,
@@ -19,12 +20,8 @@ def find_places(fit: Fit) -> dict[str, PlaceFit]:
     Args:
         fit: plant and sensor zone, one record.
     """
-    best: dict[str, PlaceFit] = {}
-    for one in _fit_all(fit).values():
-        word = one.model.shape.word
-        if word not in best or one.density.bic < best[word].density.bic:
-            best[word] = one
-    return best
+    fits = _fit_all(fit).values()
+    return best_of_each((one.model.shape.word, one.density.bic, one) for one in fits)
 
 
 def _fit_all(fit: Fit) -> dict[str, PlaceFit]:

@@ -1,0 +1,215 @@
+"""What a declared disturbance is to who is not told of it: an unknown one of its kind.
+
+Its constant part, if it has one, may be anything. Of what swings, the sizes are taken for known,
+the paths are not: a constant of its rms, beside a tone of each of its frequencies, or a random
+signal of its rms and autocorrelation time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from undeadzone.signals.exosystem import (
+    Disturbance,
+    Random,
+    Samples,
+    Sine,
+    Sines,
+    Step,
+    Tone,
+    Trapezoid,
+    exosystem,
+)
+from undeadzone.support.arrays import Array, Floats
+
+CONSTANT = 0.01  # of samples' size, above which their mean counts as a constant
+POINTS: Final = 4096  # of a run, at which a signal is looked at
+LASTS: Final = 100.0  # runs that the correlation of a constant lasts
+ROUNDING: Final = 1e-12  # share of a signal, up to which a channel does not swing
+
+
+class Colour(NamedTuple):
+    """Unknown inputs with states of their own: w' = A w + white noise, x' = ... + B w.
+
+    Attributes:
+        A: their dynamics (b x b) [1/s].
+        Q: intensity of the white noise (b x b), per second.
+        B: how they enter x' (n x b), or x+ of a sampled model.
+        rms: of each w at the start (b).
+    """
+
+    A: Floats
+    Q: Floats
+    B: Floats
+    rms: Floats
+
+
+def first_order(B: Floats, rms: Floats, correlation_time: float) -> Colour:
+    """First-order random inputs: w' = -w / correlation_time + white.
+
+    Args:
+        B: how they enter x' (n x b), or x+ of a sampled model.
+        rms: of each (b).
+        correlation_time: of all of them [s].
+    """
+    rate = 1 / correlation_time
+    return Colour(-rate * np.eye(rms.size), 2 * rate * np.diag(rms**2), B, rms)
+
+
+def tone(B: Floats, amplitude: Floats, frequency: float) -> Colour:
+    """Sines of one frequency, whose amplitudes and phases are not known.
+
+    Args:
+        B: how they enter x' (n x b), or x+ of a sampled model.
+        amplitude: whose mean square each has (b).
+        frequency: [Hz].
+    """
+    turn = 2 * np.pi * frequency * np.array([[0.0, 1.0], [-1.0, 0.0]])
+    A = np.kron(np.eye(amplitude.size), turn)
+    enters = np.kron(B, np.array([[1.0, 0.0]]))
+    return Colour(A, np.zeros_like(A), enters, np.repeat(amplitude / np.sqrt(2), 2))
+
+
+def together(colours: Sequence[Colour]) -> Colour | None:
+    """Unknown inputs side by side; None if there are none."""
+    from scipy.linalg import block_diag
+
+    if not colours:
+        return None
+    A, Q, B, rms = zip(*colours, strict=True)
+    return Colour(block_diag(*A), block_diag(*Q), np.hstack(B), np.concatenate(rms))
+
+
+def unknown_bias(
+    disturbance: Disturbance | None, B: Floats, duration: float = np.inf
+) -> Floats | None:
+    """The columns of B on which a disturbance has a constant part, which may be of any size.
+
+    The signal itself is judged, not its kind: what does not swing within the run is a constant.
+
+    Args:
+        disturbance: any; a random one leaves no bias.
+        B: inputs (n x m).
+        duration: of the run [s].
+
+    Returns:
+        The columns (n x b); None if there is none.
+    """
+    biased = _has_constant(disturbance, B.shape[1], duration)
+    return B[:, biased] if biased.any() else None
+
+
+def unknown_constants(
+    disturbance: Disturbance | None, m: int, duration: float
+) -> tuple[Floats, Floats]:
+    """A disturbance as constants alone, for plants along whose runs no other is carried.
+
+    Args:
+        disturbance: any.
+        m: number of inputs.
+        duration: of the run [s].
+
+    Returns:
+        The inputs that one acts on (m x b), and its rms, infinite where it may be of any size (b).
+    """
+    rms = np.sqrt((_swing(disturbance, m, duration) ** 2).mean(axis=0))
+    if isinstance(disturbance, Random):  # of which the mean over the run is what is like a constant
+        share = min(1.0, 2 * disturbance.correlation_time / duration)
+        rms = np.sqrt(share) * np.broadcast_to(disturbance.rms, m)
+    rms = np.where(_has_constant(disturbance, m, duration), np.inf, rms)
+    return np.eye(m)[:, rms > 0], rms[rms > 0]
+
+
+def unknown_inputs(disturbance: Disturbance | None, B: Floats, duration: float) -> Colour | None:
+    """What of a disturbance swings, as unknown inputs of its kind; None if nothing does.
+
+    Args:
+        disturbance: any.
+        B: inputs of the plant (n x m), of one step if sampled.
+        duration: of the run [s].
+    """
+    m = B.shape[1]
+    if isinstance(disturbance, Random):
+        size = np.broadcast_to(np.asarray(disturbance.rms, float), m)
+        memory = disturbance.correlation_time
+        return together([first_order(B[:, [j]], size[[j]], memory) for j in np.flatnonzero(size)])
+    swing, constant = _swing(disturbance, m, duration), _has_constant(disturbance, m, duration)
+    colours = []
+    for j in np.flatnonzero(swing.any(axis=0)):
+        column, rms = B[:, [j]], np.sqrt((swing[:, [j]] ** 2).mean(axis=0))
+        if not constant[j]:
+            colours.append(first_order(column, rms, LASTS * duration))
+        tones = _tones(disturbance)
+        for one in tones:
+            amplitude = np.broadcast_to(np.ravel(one.amplitude), m)[[j]]
+            colours.append(tone(column, amplitude, one.frequency))
+        if not tones:
+            memory = correlation_time(swing[:, j], duration / (POINTS - 1))
+            colours.append(first_order(column, rms, memory))
+    return together(colours)
+
+
+def correlation_time(signal: Floats, step: float) -> float:
+    """After how long a signal's autocorrelation has fallen to 1/e [s], at least a step.
+
+    Args:
+        signal: without its mean (N).
+        step: time between two values [s].
+    """
+    spectrum = np.fft.rfft(signal, 2 * signal.size)
+    correlation = np.fft.irfft(np.abs(spectrum) ** 2)[: signal.size]
+    fallen = np.flatnonzero(correlation < correlation[0] / np.e)
+    return step * float(fallen[0] if fallen.size else signal.size)
+
+
+def _swing(disturbance: Disturbance | None, m: int, duration: float) -> Floats:
+    """A disturbance at POINTS times of a run, without constants of any size (POINTS x m)."""
+    if disturbance is None or isinstance(disturbance, Random):
+        return np.zeros((POINTS, m))
+    values = exosystem("disturbance", disturbance, m).value(np.linspace(0.0, duration, POINTS))
+    swing = values - np.where(_has_constant(disturbance, m, duration), values.mean(axis=0), 0.0)
+    return np.where(np.abs(swing).max(axis=0) > ROUNDING * np.abs(values).max(), swing, 0.0)
+
+
+def _has_constant(disturbance: Disturbance | None, m: int, duration: float) -> np.ndarray:
+    """Whether a disturbance has a constant part of any size, of each input (m, bool)."""
+    return np.broadcast_to(np.ravel(_constant_part(disturbance, m, duration)) != 0, m)
+
+
+def _constant_part(disturbance: Disturbance | None, m: int, duration: float) -> Any:
+    """A number per input, or one for all, that is not 0 where a disturbance has a constant part.
+
+    A tone or a trapezoid counts if its period is longer than the run, samples in a file if their
+    mean over the run is a hundredth of their size.
+    """
+    match disturbance:
+        case Step():
+            return _sizes(disturbance.amplitude, disturbance.before)
+        case Sine() | Sines():
+            slow = [one.amplitude for one in _tones(disturbance) if one.frequency * duration < 1]
+            return _sizes(disturbance.offset, *slow)
+        case Trapezoid():
+            period = 4 * disturbance.rise + 2 * disturbance.hold
+            return _sizes(disturbance.amplitude if period > duration else 0.0)
+        case Samples():
+            signal = exosystem("disturbance", disturbance, m)
+            end = duration if np.isfinite(duration) else max(float(signal.corners[-1]), 1.0)
+            values = signal.value(np.linspace(0.0, end, POINTS))
+            mean, size = np.abs(values.mean(axis=0)), np.abs(values).max(axis=0)
+            return np.where(mean > CONSTANT * size, mean, 0.0)
+    return 0.0
+
+
+def _tones(disturbance: Disturbance | None) -> list[Tone]:
+    """The sines that a disturbance consists of, its offset aside."""
+    if isinstance(disturbance, Sines):
+        return disturbance.components
+    return [disturbance] if isinstance(disturbance, Sine) else []
+
+
+def _sizes(*values: Array) -> Any:
+    """The sum of the magnitudes of numbers, one per input or one for all."""
+    return sum(np.abs(np.asarray(value, float)).ravel() for value in values)

@@ -1,0 +1,63 @@
+"""What would make a log fit that does not: columns exchanged, another sign, unit, or a delay.
+
+Each is tried on the first samples of the log, with the scenario's own observer. That which the
+observer calls consistent and predicts best is told; nothing where none is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from undeadzone.logs.samples import Grid, Regular
+from undeadzone.results.estimation import Estimation
+from undeadzone.scenario.schema import Scenario
+from undeadzone.simulation.follower import Follower
+from undeadzone.support.arrays import Floats
+
+SAMPLES: Final = 3000  # at the beginning of a log, which are tried
+DELAYS: Final = (1, 2, 3, 5, 10, 20)  # samples
+BETTER: Final = 0.8  # of the share of y that is not predicted: a cure leaves no more
+
+
+def what_would_fit(scenario: Scenario, found: Estimation) -> str | None:
+    """What to change so that the observer agrees with a log; None: nothing that is tried.
+
+    Args:
+        scenario: whose observer followed it.
+        found: what it made of it.
+    """
+    t, y, u = found.t[:SAMPLES], found.y[:SAMPLES], found.u[:SAMPLES]
+    best, words = BETTER * _missed(found.innovation[:SAMPLES], y), None
+    follower, grid = Follower(scenario), Grid(scenario.simulation.step, "log")
+    for name, readings, inputs in _misreadings(y, u):
+        follower.begin()
+        tried, *_ = follower.follow(Regular(t, readings, inputs))
+        missed = _missed(tried.innovation, readings)
+        if missed < best and follower.info("log", None, grid).consistent:
+            best, words = missed, name
+    return words
+
+
+def _misreadings(y: Floats, u: Floats) -> Iterator[tuple[str, Floats, Floats]]:
+    """What may be wrong with a log, in words, and its readings and inputs without that."""
+    if y.shape == u.shape:
+        yield "readings and inputs are exchanged: --columns names them", u, y
+    yield "the inputs, or the readings, have the other sign", y, -u
+    for factor in (1e-3, 1e3):
+        yield f"the readings are in another unit: times {factor:g} they fit", y * factor, u
+        yield f"the inputs are in another unit: times {factor:g} they fit", y, u * factor
+    for delay in DELAYS[: int(np.searchsorted(DELAYS, len(u) / 4))]:
+        late = np.vstack([np.repeat(u[:1], delay, axis=0), u[:-delay]])
+        yield f"the inputs act {delay} samples after the log has them", y, late
+        early = np.vstack([u[delay:], np.repeat(u[-1:], delay, axis=0)])
+        yield f"the inputs act {delay} samples before the log has them", y, early
+
+
+def _missed(innovation: Floats, y: Floats) -> float:
+    """Share of the readings that their predictions miss (rms over rms)."""
+    with np.errstate(all="ignore"):
+        share = np.nanmean(innovation**2) / np.nanmean(y**2)
+    return float(np.sqrt(share)) if np.isfinite(share) else np.inf
