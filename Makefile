@@ -33,7 +33,7 @@ mutants: .venv/tested         ## do the tests notice a wrong sign? MUTANTS=300 o
 coverage: .venv/tested        ## lines of src that no test runs
 	$(BIN)/pytest -n 2 --dist loadgroup --cov=undeadzone --cov-report=term-missing:skip-covered
 
-tools:                        ## what some tests need besides Python: compiler and emulator of a microcontroller, cppcheck, browser
+tools:                        ## what some tests need besides Python: compilers and emulators of microcontrollers, cppcheck, browser
 	sh tests/tools.sh
 
 bench: .venv/benched          ## the benchmarks, minutes; tables go to benchmarks/RESULTS.md

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from importlib.metadata import Distribution
+import subprocess
+import sys
+import tempfile
+from importlib.metadata import Distribution, packages_distributions
 from typing import Final
 
 from benchmarks.markdown import head, row
@@ -42,8 +45,28 @@ def table() -> str:
     without = sum(sizes[name] for name in needed(_without("matplotlib")))
     total = sum(sizes.values())
     words = [f"All {len(every)}: {total:.0f} MB. Without figures (Matplotlib): {without:.0f} MB."]
+    least = sorted(imported() & every.keys())
+    of_run = sum(sizes[name] for name in least)
+    words.append(f"`run --no-figures` imports {', '.join(least)}: {of_run:.0f} MB.")
     title = head("needs", "for", "MB", "brings MB", "which nothing else needs")
     return "\n".join([*title, *rows, "", *words])
+
+
+def imported() -> set[str]:
+    """The distributions that `run` imports without figures, on the file that `init` writes."""
+    with tempfile.TemporaryDirectory() as folder:
+        _importing(folder, "init", "mine.toml")
+        names = _importing(folder, "run", "mine.toml", "--no-figures")
+    owners = packages_distributions()
+    return {normal(owner) for name in names for owner in owners.get(name, [])}
+
+
+def _importing(folder: str, *words: str) -> set[str]:
+    """The top names of the modules that a command imports, run in a folder."""
+    command = [sys.executable, "-X", "importtime", "-m", "undeadzone", *words]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
+    lines = [line for line in done.stderr.splitlines() if line.startswith("import time:")]
+    return {line.rsplit("|", 1)[1].strip().split(".")[0] for line in lines}
 
 
 def _without(name: str) -> list[str]:

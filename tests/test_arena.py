@@ -45,6 +45,7 @@ from undeadzone_arena.contest.prior_knowledge import declaration, situation
 from undeadzone_arena.contest.scenario_sets import Kind, from_files, scenarios
 from undeadzone_arena.contest.traces import traced
 from undeadzone_arena.contest.trials import score, trial
+from undeadzone_arena.contest.words import in_words
 
 ROOT = Path(__file__).parents[1]
 SHORT = {"time": "sampled", "step": 1e-2, "duration": 3.0}
@@ -775,3 +776,14 @@ def test_an_observer_of_ones_own_enters_without_being_installed(tmp_path: Path) 
     assert {row["method"] for row in kept["results"]} >= {"mine", "certified"}
     with pytest.raises(InputError, match="'kalman' is in the catalogue"):
         arena([small()], {"kalman": mine})
+
+
+def test_a_method_that_does_not_apply_says_why() -> None:
+    """Of one or a few in full; of many their names."""
+    others = dict.fromkeys(leaderboard.Row.__annotations__, 1.0)
+    row: Any = leaderboard.Row
+    refused = [row(**others | {"method": name, "reference": False}) for name in "abcd"]
+    reasons = {row.method: f"{row.method} needs poles" for row in refused}
+    told = in_words(refused[:1], 1, 1, reasons)
+    assert "not applicable: a: a needs poles" in told
+    assert "not applicable (--json says why): a, b, c, d" in in_words(refused, 1, 1, reasons)

@@ -15,19 +15,19 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 37_800, 314
+MOST_CODE, MOST_FILES = 38_440, 318
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
     "(root)": 340,
     "analysis": 3400,
-    "cli": 1850,
+    "cli": 1870,
     "compensators": 170,
-    "compile": 3400,
+    "compile": 3600,
     "controllers": 680,
     "ends": 440,
     "ensemble": 1970,
-    "exports": 2020,
+    "exports": 2430,
     "feedforward": 370,
     "identification": 5450,
     "linear": 400,

@@ -30,8 +30,10 @@ from undeadzone.scenario.schema import Scenario
 
 FLAGS = ["-std=c99", "-ffp-contract=off", "-fno-math-errno"]
 WARNINGS = [
-    "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Werror",
+    "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wdouble-promotion", "-Wshadow",
+    "-Wfloat-equal", "-Werror",
 ]  # fmt: skip
+SUFFIXES = (".c", ".h", ".ino", ".py", ".txt", ".st")
 LEVELS = (["-O0"], ["-O2"], ["-O3", "-march=native"])
 EXPORTED = [
     name for name, (times, _) in OBSERVERS.items() if "sampled" in times and name != "full_state"
@@ -379,7 +381,8 @@ def test_an_arduino_library_has_its_layout(tmp_path: Path) -> None:
     files = {str(path.relative_to(tmp_path / "lib")) for path in done.files}
     assert files == {
         "library.properties", "src/joint.h", "src/joint.c",
-        "examples/joint_example/joint_example.ino", "README.md", "manifest.json",
+        "examples/joint_example/joint_example.ino", "examples/joint_test/joint_test.ino",
+        "examples/joint_test/joint_test.c", "README.md", "manifest.json",
     }  # fmt: skip
     sketch = tmp_path / "sketch.cpp"
     text = (tmp_path / "lib" / "examples" / "joint_example" / "joint_example.ino").read_text()
@@ -397,9 +400,34 @@ def test_an_arduino_library_has_its_layout(tmp_path: Path) -> None:
 
 
 ARDUINO = """
-struct Port { void begin(long); void println(float); };
+struct Port { void begin(long); void println(float); void println(const char *);
+              operator bool() const { return true; } };
 extern Port Serial; extern int A0; int analogRead(int); unsigned long micros();
 """
+PORT = """
+#include <cstdio>
+Port Serial;
+void Port::begin(long) {}
+void Port::println(const char *text) { puts(text); }
+int main() { setup(); return 0; }
+"""
+
+
+def test_an_arduino_sketch_runs_the_self_test(tmp_path: Path) -> None:
+    lib = tmp_path / "lib"
+    uz.export(certified(), to="arduino", out=lib, name="joint")
+    example = lib / "examples" / "joint_test"
+    sketch = tmp_path / "sketch.cpp"
+    sketch.write_text(ARDUINO + (example / "joint_test.ino").read_text() + PORT)
+    sources = [lib / "src" / "joint.c", example / "joint_test.c"]
+    include = ["-I", lib / "src"]
+    for source in sources:
+        command = ["gcc", *FLAGS, *WARNINGS, "-DARDUINO=1", *include, "-c", source]
+        subprocess.run(command, check=True, cwd=tmp_path)
+    objects = [tmp_path / "joint.o", tmp_path / "joint_test.o"]
+    subprocess.run(["g++", *include, "-o", tmp_path / "p", sketch, *objects], check=True)
+    said = subprocess.run([tmp_path / "p"], capture_output=True, text=True, check=True).stdout
+    assert "joint_test: every bit agrees" in said.splitlines()
 
 
 def test_the_same_scenario_gives_the_same_files(joint: Path, tmp_path: Path) -> None:
@@ -415,14 +443,28 @@ def test_the_same_scenario_gives_the_same_files(joint: Path, tmp_path: Path) -> 
     assert changed.report["hash"] != other["hash"]
 
 
-@pytest.mark.parametrize("to", ["c", "arduino", "fmu2", "python"])
+def test_the_header_names_units_and_the_version(tmp_path: Path) -> None:
+    units = {"output": "mm", "input": "V", "state": ["mm", "mm/s"]}
+    uz.export(certified(units=units), out=tmp_path / "fw", name="joint")
+    text = (tmp_path / "fw" / "joint.h").read_text()
+    assert f'#define JOINT_VERSION "{uz.__version__}"' in text
+    for words in (
+        "float x[2]; /**< estimated state [mm, mm/s] */",
+        "float right[1]; /**< estimated right width [mm] */",
+        "float held[1]; /**< the last finite input [V] */",
+        "float y[1]; /**< readings of the sensor; one that is not finite is missing [mm] */",
+    ):
+        assert words in text
+
+
+@pytest.mark.parametrize("to", ["c", "arduino", "fmu2", "python", "st"])
 def test_every_file_of_code_names_its_licence(to: str, tmp_path: Path) -> None:
     uz.export(certified(), to, out=tmp_path / "out", name="joint")
     texts = {path: path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file()}
     for package in (tmp_path / "out").rglob("*.fmu"):
         with zipfile.ZipFile(package) as archive:
             texts = {Path(name): archive.read(name) for name in archive.namelist()}
-    code = [path for path in texts if path.suffix in (".c", ".h", ".ino", ".py", ".txt")]
+    code = [path for path in texts if path.suffix in SUFFIXES]
     assert code
     assert [
         path for path in code if b"SPDX-License-Identifier: BSD-3-Clause" not in texts[path]
@@ -506,6 +548,10 @@ def test_boards_say_what_fits_and_what_would(tmp_path: Path) -> None:
     assert of["Arduino Uno"]["why"] == "flash, memory, time"
     assert of["Cortex-M4F (STM32F4)"]["fits"]
     assert "Arduino Uno" in large["leaner"]["certified"]
+    assert large["runs"].keys() == {"auto", "kalman", "certified"}
+    assert all(0 < run["rms"] < 10 for run in large["runs"].values())
+    assert large["runs"]["certified"]["coverage"] is None
+    assert 0 <= large["runs"]["auto"]["coverage"] <= 1
     double = uz.export(slow, out=tmp_path / "double", precision="double").report
     told = {board["board"]: board["why"] for board in double["boards"]}
     assert told["Arduino Uno"] == "its double is single"

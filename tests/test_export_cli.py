@@ -55,6 +55,14 @@ def test_check_alone_builds_and_runs_and_leaves_nothing(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["arm.toml"]
 
 
+def test_large_code_is_announced_before_it_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(export, "MANY", 20)
+    code, result = called("--json")
+    assert code == 0
+    assert "operations a sample: about 0 kB of code" in result.stderr
+    assert json.loads(result.stdout)["operations"]
+
+
 def test_json_is_the_report(tmp_path: Path) -> None:
     code, result = called("--json", "--out", "fw", "--tunable", "observer.gamma", "--name", "knee")
     report: dict[str, Any] = json.loads(result.stdout)

@@ -32,6 +32,17 @@ def test_the_code_in_the_page_is_the_exported_one(
     assert set(report["files"]) - {"CMakeLists.txt"} <= written
 
 
+def test_the_page_says_how_long_structured_text_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(export, "STEPS", 600)
+    scenario = uz.read(ROOT / "examples" / "firmware.toml")
+    report = uz.export(scenario, "st", tmp_path / "plc").report
+    assert f"| {report['structured_text']['lines']} | `undeadzone export examples" in PAGE
+    assert "after 108 cycles" in PAGE
+    assert "TRUE after 108 cycles" in (tmp_path / "plc" / "arm_joint_test.st").read_text()
+
+
 def test_the_page_names_every_option() -> None:
     from undeadzone.cli.export import export as command
 

@@ -209,6 +209,18 @@ def test_instances_do_not_know_each_other(built: Path, version: str) -> None:
 
 
 @pytest.mark.parametrize("version", VERSIONS)
+def test_a_jump_of_the_communication_point_is_refused(built: Path, version: str) -> None:
+    """A state set goes back; a step that begins elsewhere does not."""
+    path, Ts = path_of(built, "certified", version), scenario("certified").simulation.step
+    unit = Unit(path)
+    unit.sample(0, Ts, 0.1, 0.0)
+    for later in (0, 3):
+        with pytest.raises(Exception, match=r"(?i)error|status"):
+            unit.sample(later, Ts, 0.1, 0.0)
+    unit.sample(1, Ts * (1 + 1e-6), 0.1, 0.0)  # importers round
+
+
+@pytest.mark.parametrize("version", VERSIONS)
 def test_tunable_parameters_are_used(built: Path, version: str) -> None:
     path, Ts = path_of(built, "certified", version), scenario("certified").simulation.step
     of = scenario("certified")

@@ -431,3 +431,10 @@ def test_sliders_without_meaning_are_left_out() -> None:
     several = msgspec.structs.replace(blind, reference=uz.Step(amplitude=2.0, time=0.1))
     keys = [slider["key"] for slider in parts(build(several).text)[1]["sliders"]]
     assert "speed" not in keys
+
+
+def test_the_flat_ends_of_a_range_are_explained() -> None:
+    """Only where there are some."""
+    for sensor, explained in (({}, False), ({"range": [-3.0, 3.0]}, True)):
+        text = build(scene(simulation=SAMPLED, sensor=sensor)).text
+        assert ("stays flat" in text) == explained

@@ -111,3 +111,30 @@ def test_nothing_of_a_title_or_unit_ends_the_docstring(
     text = (tmp_path / "joint" / "joint.py").read_text(encoding="utf-8")
     assert compile(text, "joint.py", "exec")
     assert "\nimport os\\N" not in text
+
+
+RESUME = """
+import sys
+sys.path.insert(0, ".")
+import arm_joint
+
+whole, first, second = arm_joint.Instance(), arm_joint.Instance(), arm_joint.Instance()
+for k in range(400):
+    y, u = 3.0 * (k % 7) - 9.0, 1.0 - k % 3
+    out = whole.update(y, u)
+    if k == 200:
+        second.restore(first.memory())
+    half = (first if k < 200 else second).update(y, u)
+    assert half == out, k
+for wrong in (first.memory()[:-1], b"x" + first.memory()[1:]):
+    try:
+        second.restore(wrong)
+    except ValueError as error:
+        print(error)
+"""
+
+
+def test_memory_goes_on_in_another_instance(folder: Path) -> None:
+    code, out, err = run(RESUME, folder)
+    assert code == 0, err
+    assert out == "these bytes are no memory of this export\n" * 2

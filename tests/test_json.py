@@ -54,7 +54,10 @@ COMMANDS: dict[str, list[list[str]]] = {
         ["estimate", "examples/load_cell_limited.toml", LOG, "--columns", "t=t,y=y,u=u", *COMMON],
         ["estimate", "arm.toml", "arm/run.csv", *COMMON],
     ],
-    "export": [["export", "examples/firmware.toml", "--out", "c", "--check", "--json"]],
+    "export": [
+        ["export", "examples/firmware.toml", "--out", "c", "--check", "--json"],
+        ["export", "examples/firmware.toml", "--to", "st", "--out", "st", "--json"],
+    ],
     "paper": [["paper", *COMMON]],
 }  # fmt: skip
 PREPARED = {"arm.toml": ("two_link.toml", {"duration = 20.0": SHORT})}

@@ -26,7 +26,17 @@ from undeadzone.report.animation import TILT, face_seen
 from undeadzone.report.ensemble_figures import bin_edges
 from undeadzone.report.ensemble_page import figures as ensemble_figures
 from undeadzone.report.gain_figures import ELLIPSE, ellipse
-from undeadzone.report.html import Html, Origin, html, page, paragraph, picture, section, table
+from undeadzone.report.html import (
+    MOST,
+    Html,
+    Origin,
+    html,
+    page,
+    paragraph,
+    picture,
+    section,
+    table,
+)
 from undeadzone.report.plot import KINDS, plot
 from undeadzone.report.proof_figures import nyquist, proof_of
 from undeadzone.report.run_figures import joint_rows, offset, overview, rows_below, rows_beside
@@ -110,13 +120,41 @@ def test_a_run_s_page_is_self_contained_escaped_and_complete(run: Run) -> None:
     found = check_page(run_page(run, {"figure": image(overview(run), "svg")}))
     assert found.tags.count("img") == 1
     assert NASTY in found.text
-    assert "diverged" in found.text
+    assert "diverged" not in found.text  # a row that would say nothing is left out
+    assert "–" not in re.sub(r"\[.*?\]", "", found.text.split("Symbols")[0])
 
 
 def test_a_page_without_figures(two_outputs: Run) -> None:
     found = check_page(run_page(two_outputs, {}))
     assert "img" not in found.tags
-    assert found.tags.count("table") == 7  # numbers, widths, L, gamma, K, the same again, symbols
+    # numbers first and last, widths, L, gamma, K, the same again, symbols
+    assert found.tags.count("table") == 8
+
+
+def test_a_page_answers_on_its_first_screen(run: Run) -> None:
+    """A sentence, a table of at most six lines, a picture, in one row where there is room."""
+    text = run_page(run, {"figure": image(overview(run), "svg")})
+    first = text[text.index("<h2") : text.index("<h2", text.index("<h2") + 1)]
+    assert 1 < first.count("<tr>") <= 1 + MOST
+    assert first.index("<table>") < first.index("<figure")
+    assert first.count("<figure") == 1
+    assert 'class="wide narrow"' in first
+
+
+def test_tables_are_as_narrow_as_can_be_and_say_something_in_each_row() -> None:
+    upright = table(("output", "d_r", "d_l", "width", "centre"), [(0, 1.0, 2.0, 3.0, -1.0)]).text
+    assert upright.count("<tr>") == 1 + 5
+    assert "narrow" in upright
+    wide = table(("output", "d_r", "d_l", "width", "centre"), [(0, 1.0, 2.0, 3.0, -1.0)] * 2).text
+    assert "narrow" not in wide
+    assert wide.count("<tr>") == 1 + 2
+    silent = table(("what", "value"), [("a", 1.0), ("b", None)]).text
+    assert silent.count("<tr>") == 1 + 1
+
+
+def test_a_section_without_contents_is_none() -> None:
+    assert section("Over time").text == ""
+    assert '<div class="parts">' in section("Over time", "words").text
 
 
 def test_a_page_leads_to_its_sections_and_tells_how_to_repeat_it(run: Run) -> None:

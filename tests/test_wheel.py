@@ -121,6 +121,13 @@ def test_every_dependency_has_a_purpose() -> None:
         assert f"| {name} | {sizes.PURPOSE[name]} |" in page
 
 
+def test_a_run_without_figures_imports_what_the_page_says() -> None:
+    """Neither a compiler nor a drawing program is loaded for it."""
+    least = sorted(sizes.imported() & parts.needed().keys())
+    page = " ".join((ROOT / "docs/install.md").read_text(encoding="utf-8").split())
+    assert f"`run --no-figures` imports {', '.join(least)}:" in page
+
+
 def test_the_version_is_the_same_everywhere(wheel: Path) -> None:
     found = []
     tree = ast.parse((ROOT / "src/undeadzone/__init__.py").read_text(encoding="utf-8"))

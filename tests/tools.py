@@ -26,7 +26,7 @@ def script_of_docs(name: str) -> Any:
 def require(group: str, missing: list[str]) -> None:
     """Skip the test that calls this, by the names of what is missing.
 
-    Where UNDEADZONE_REQUIRE names the group (emulator, fmu, browser) it fails instead.
+    Where UNDEADZONE_REQUIRE names the group (emulator, fmu, browser, plc) it fails instead.
     """
     if not missing:
         return

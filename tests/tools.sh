@@ -7,6 +7,8 @@ add() {
 }
 add arm-none-eabi-gcc "gcc-arm-none-eabi libnewlib-arm-none-eabi"
 add qemu-system-arm qemu-system-arm
+add avr-gcc "gcc-avr avr-libc"
+add simavr simavr
 add cppcheck cppcheck
 add chromium chromium
 if [ -z "$missing" ]; then

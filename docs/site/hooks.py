@@ -49,6 +49,7 @@ FIRST = {
         "play.md",
         "actuator.md",
         "observer.md",
+        "paper.md",
         "identifiability.md",
         "adaptation.md",
     ],
@@ -67,6 +68,8 @@ export](export.md#the-live-page) makes one of your own scenario.
 <iframe class="live" src="live.html" title="The live page"></iframe>
 """
 WORKER = re.compile(r'<script src="https://[^"]*/iframe-worker/shim"></script>')
+CELL = re.compile(r"<t[dh][^>]*>.*?</t[dh]>", re.S)
+CODE = re.compile(r"<code[^>]*>.*?</code>", re.S)
 LINK = re.compile(r"(\]\()([^)#\s:]+)(#[^)]*)?(\))")
 
 
@@ -112,6 +115,18 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
         return f"{before}{relative}{anchor or ''}{after}"
 
     return LINK.sub(led, markdown)
+
+
+def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Let keys in tables break behind each _ and ., and nowhere else."""
+    return CELL.sub(lambda cell: CODE.sub(breakable, cell[0]), html)
+
+
+def breakable(code: re.Match[str]) -> str:
+    """A key with places where a line may break; what tags say stays as it is."""
+    parts = re.split(r"(<[^>]*>|&[^;]*;)", code[0])
+    parts[::2] = [re.sub(r"([_.])(?=\w)", r"\1<wbr>", text) for text in parts[::2]]
+    return "".join(parts)
 
 
 def on_post_page(output: str, page: Page, config: MkDocsConfig) -> str:

@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from undeadzone.results.run import Run
-from undeadzone_paper.claims import Claim, judge
+from undeadzone_paper.claims import Claim, about, judge
 from undeadzone_paper.equations import EQUATIONS
 from undeadzone_paper.evidence import RESTING, Evidence, gather
 from undeadzone_paper.facts import Fact, facts
@@ -45,6 +45,7 @@ class Paper(NamedTuple):
         `printed` is the literal example with r = 5 sin 2 pi t, `repaired` its repair.
         """
         five, two = self.evidence.repaired
+        texts = [claim.text for claim in self.claims]
         return {
             "printed": _printed(self.evidence.printed[RESTING][0]),
             "repaired": _repaired(five),
@@ -57,7 +58,10 @@ class Paper(NamedTuple):
             "facts": [fact._asdict() for fact in self.facts],
             "verdicts": dict(Counter(claim.verdict for claim in self.claims)),
             "claims": [claim.summary() for claim in self.claims],
-            "equations": [equation._asdict() for equation in EQUATIONS],
+            "equations": [
+                {**equation._asdict(), "claims": about(equation.number, texts)}
+                for equation in EQUATIONS
+            ],
         }
 
 

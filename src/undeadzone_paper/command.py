@@ -14,6 +14,8 @@ from undeadzone.support.progress import on_terminal as progress
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from undeadzone_paper.claims import Claim
+
 COLUMNS = ("claim", "measured", "as printed", "repaired", "limit", "verdict")
 NUMBERS = ("as printed", "repaired", "limit")  # of these columns, those that hold numbers
 COLOURS = {"holds": "green", "holds after repair": "yellow"}  # of verdicts; of others red
@@ -39,16 +41,19 @@ def paper(output: Output) -> int:
     if output.as_json:
         print_json(summary, written)
     else:
-        _print(summary, written)
+        _print(result.claims, summary, written)
     return 0
 
 
-def _print(summary: dict[str, Any], written: list[Path]) -> None:
+def _print(claims: list[Claim], summary: dict[str, Any], written: list[Path]) -> None:
     """Print the claims and what was measured."""
     from rich.console import Console
 
+    from undeadzone_paper.claims import counted
+
     console = Console()
-    console.print(_table(summary["claims"]))
+    console.print(_table(claims))
+    console.print(counted(claims), highlight=False)
     printed, repaired = summary["printed"], summary["repaired"]
     console.print(
         f"As printed: max |z| = {printed['max_abs_z']:.4g} over the last 4 s, max |y| = "
@@ -62,7 +67,7 @@ def _print(summary: dict[str, Any], written: list[Path]) -> None:
         console.print(f"wrote {path}", highlight=False)
 
 
-def _table(claims: list[dict[str, Any]]) -> Table:
+def _table(claims: list[Claim]) -> Table:
     """The table of claims."""
     from rich import box
     from rich.table import Table
@@ -71,13 +76,15 @@ def _table(claims: list[dict[str, Any]]) -> Table:
     for column in COLUMNS:
         table.add_column(column, justify="right" if column in NUMBERS else "left")
     for claim in claims:
-        numbers = [_shown(claim[key]) for key in ("printed", "repaired", "limit")]
-        verdict = claim["verdict"]
+        text, verdict = claim.text, claim.verdict
+        numbers = [_shown(value) for value in (claim.worst, claim.repaired, text.limit)]
         colour = COLOURS.get(verdict, "red")
-        table.add_row(claim["claim"], claim["quantity"], *numbers, f"[{colour}]{verdict}[/]")
+        table.add_row(text.claim, text.quantity, *numbers, f"[{colour}]{verdict}[/]")
     return table
 
 
 def _shown(value: float | None) -> str:
-    """A number; one that there is not comes of a run that diverges."""
-    return "diverges" if value is None else f"{value:.3g}"
+    """A number; empty where there is none."""
+    from undeadzone_paper.claims import said
+
+    return "" if value is None else said(value)

@@ -1,6 +1,7 @@
 """The paper's equations (1)-(42) and figures 3-8.
 
-Each equation is listed with what it is, where it lives in the code, as printed or corrected, why.
+Each equation is listed with what it is, where it lives in the code, as printed or corrected, and
+what was changed. What the paper claims of them stands in `claims.toml`, and only there.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ _TABLE: Final[tuple[tuple[int, str, str | None, Status, str], ...]] = (
         "bound on the width",
         "ends.sensor.bound",
         "corrected",
-        "|d_r - d_l| is 0 for a symmetric zone; d_r + d_l <= d_M",
+        "d_r + d_l <= d_M",
     ),
     (3, "dead zone = x - Sat x", "ends.sensor.deadzone", "as printed", "times the slope m"),
     (4, "saturation", "ends.sensor.saturation", "as printed", "with d_l > 0"),
@@ -60,7 +61,7 @@ _TABLE: Final[tuple[tuple[int, str, str | None, Status, str], ...]] = (
         "indicator chi_l",
         "ends.sensor.side",
         "corrected",
-        "as (5); silence is a third value, not half of each",
+        "as (5); silence is a third value",
     ),
     (7, "sgn y", "ends.sensor.side", "corrected", "0 within the noise threshold"),
     (
@@ -68,7 +69,7 @@ _TABLE: Final[tuple[tuple[int, str, str | None, Status, str], ...]] = (
         "tanh(k_s y) for sgn",
         "ends.sensor.indicators",
         "as printed",
-        "offered, and used by the observer as printed; 1/2 and 1/2 at y = 0",
+        "offered, and used by the observer as printed",
     ),
     (9, "smooth chi_r", "ends.sensor.indicators", "as printed", "as (8)"),
     (10, "smooth chi_l", "ends.sensor.indicators", "as printed", "as (8)"),
@@ -177,8 +178,8 @@ _TABLE: Final[tuple[tuple[int, str, str | None, Status, str], ...]] = (
         28,
         "output error = C x~ - chi_bar d~",
         "analysis.certificate.passivity.certify",
-        "as printed",
-        "contradicts y~ = C x~ before (22)",
+        "corrected",
+        "with chi_bar of (21); before (22) y~ is said to be C x~ alone",
     ),
     (
         29,
@@ -208,7 +209,7 @@ _TABLE: Final[tuple[tuple[int, str, str | None, Status, str], ...]] = (
         "Riccati equation",
         "linear.riccati.paper_riccati",
         "corrected",
-        "with A for control; with A - L C, as printed, it destabilises (39)",
+        "with A for control, in place of A - L C",
     ),
     (
         35,
@@ -244,7 +245,7 @@ _TABLE: Final[tuple[tuple[int, str, str | None, Status, str], ...]] = (
         "observer gain",
         "linear.poles.observer_gain",
         "corrected",
-        "(-1.25, -1.62) does not place -4, -10: with (39) that is (12, 15)",
+        "computed from the poles, for any observable plant",
     ),
     (
         41,

@@ -1,16 +1,24 @@
 """The runs on which the paper's claims are judged.
 
-They are the example as printed, repaired, and both off their nominal conditions.
+They are the example as printed, repaired, both off their nominal conditions, and with what the
+paper recommends beside it: a tanh term, a filter, identification.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Final, NamedTuple
+from itertools import product
+from typing import Any, Final, NamedTuple, cast
 
 import msgspec
+import numpy as np
 
+from undeadzone.controllers import StateFeedback
+from undeadzone.controllers.state_feedback import Robust
 from undeadzone.ends.sensor import Sensor
+from undeadzone.identification.answer.result import IdentifiedOutputs
+from undeadzone.identification.identify import identify
+from undeadzone.observers import Kalman
 from undeadzone.observers.certified import Certified
 from undeadzone.observers.luenberger import Luenberger
 from undeadzone.results.run import Run
@@ -18,6 +26,7 @@ from undeadzone.scenario.schema import Model, Scenario, Simulation
 from undeadzone.signals.exosystem import Sine
 from undeadzone.simulation.simulate import simulate
 from undeadzone_paper.example import (
+    ALPHA,
     AMPLITUDES,
     L_POLES,
     L_REPAIRED,
@@ -33,6 +42,23 @@ NOISE: Final = 0.02  # rms on y
 DISTURBANCE: Final = 1.0  # amplitude at the input, 0.3 Hz
 MISMATCH: Final = 0.1  # relative error of the model's stiffness, damping and input gain
 SLOPE: Final = 2.5  # m of a sensor that is not normalised
+UNAWARE: Final = 0.2  # d^(0) of an observer that does not know d
+HELD: Final = 0.8  # widths of one that never learns them
+DIRECTIONS: Final = (0.0, 0.5, 1.0, 1.5)  # of starts in the plane of x1 and x2 [pi rad]
+RADII: Final = (0.1, 10.0, 1000.0)  # of these starts
+SAMPLED: Final = Simulation(time="sampled", step=1e-2)
+CONDITIONS: Final = {
+    "noise": NOISE,
+    "disturbance": DISTURBANCE,
+    "mismatch": MISMATCH,
+    "slope": SLOPE,
+    "log": SAMPLED.duration,
+    "starts": len(DIRECTIONS) * len(RADII),
+    "farthest": RADII[-1],
+    "least_alpha": 0.01,
+    "most_alpha": 1000.0,
+}
+"""What the runs are made with, by the names that `claims.toml` uses."""
 
 RESTING: Final = "from rest"
 BEGUN: Final = f"from x1 = {STARTED:g}"
@@ -56,10 +82,17 @@ class Evidence(NamedTuple):
         noisy: with noise on y
         mismatched: with wrong models
         disturbed: with a disturbance at the input
-        scaled: with slope m = 2.5
-        silent: d^(0) is wrong and z never leaves the zone; here as printed starts from rest
+        scaled: repaired, with slope m = 2.5
+        unaware: as printed, from rest and from x1 = 5, with d^(0) = 0.2
+        aware: repaired, with d^(0) = d; in the second z never leaves the zone
+        silent: repaired; d^(0) is wrong and z never leaves the zone
+        far: from near and far starts
         blind: Luenberger's observer with the same L takes y for z
         slow: the repaired observer with the paper's poles, L = (12, 15), for 100 s
+        held: the repaired observer with widths held 20 % off: without a tanh term, and with one
+        filtered: `kalman` with noise on y, and with a disturbance at the input
+        logged: repaired, at 100 Hz, noise on y, input gain of the model wrong
+        identified: the widths that `identify` finds in the log of that run
     """
 
     printed: dict[str, tuple[Run, ...]]
@@ -68,10 +101,36 @@ class Evidence(NamedTuple):
     noisy: Pair
     mismatched: Pair
     disturbed: Pair
-    scaled: Pair
-    silent: Pair
+    scaled: Run
+    unaware: dict[str, Run]
+    aware: tuple[Run, ...]
+    silent: Run
+    far: Pair
     blind: Run
     slow: Run
+    held: tuple[Run, Run]
+    filtered: tuple[Run, Run]
+    logged: Run
+    identified: tuple[float, float]
+
+
+class Runner(NamedTuple):
+    """Runs variations of the example; `progress` is told of every step."""
+
+    progress: Callable[[int], None] | None
+
+    def run(self, scenario: Scenario, check_step: bool = False, **changes: Any) -> Run:
+        """A scenario with changes."""
+        changed = msgspec.structs.replace(scenario, **changes)
+        return simulate(changed, check_step=check_step, progress=self.progress)
+
+    def pair(self, *variations: dict[str, Any]) -> Pair:
+        """The example under the same conditions, as printed and repaired."""
+        begun, nominal = printed(5.0, x1=STARTED), repaired(5.0)
+        return Pair(
+            tuple(self.run(begun, **variation) for variation in variations),
+            tuple(self.run(nominal, **variation) for variation in variations),
+        )
 
 
 def gather(progress: Callable[[int], None] | None = None) -> Evidence:
@@ -80,48 +139,96 @@ def gather(progress: Callable[[int], None] | None = None) -> Evidence:
     Args:
         progress: called with the number of steps just done
     """
-    begun, nominal = printed(5.0, x1=STARTED), repaired(5.0)
-
-    def run(scenario: Scenario, check_step: bool = False) -> Run:
-        return simulate(scenario, check_step=check_step, progress=progress)
-
-    def change(scenario: Scenario, **changes: Any) -> Run:
-        return run(msgspec.structs.replace(scenario, **changes))
-
-    def pair(*variations: dict[str, Any]) -> Pair:
-        return Pair(
-            tuple(change(begun, **variation) for variation in variations),
-            tuple(change(nominal, **variation) for variation in variations),
-        )
-
-    def as_printed(check_step: bool, *scenarios: Scenario) -> tuple[Run, ...]:
-        return tuple(with_printed_V(run(scenario, check_step)) for scenario in scenarios)
-
-    resting = [printed(amplitude) for amplitude in AMPLITUDES]
-    outside = [printed(amplitude, x1=STARTED) for amplitude in AMPLITUDES]
-    signed = printed(5.0, x1=STARTED, signed_left=True)
-    options: Any = begun.observer
-    unaware = msgspec.structs.replace(options, widths0=0.0)
+    runner = Runner(progress)
+    nominal = repaired(5.0)
+    noisy = Sensor(right=D, left=D, noise=NOISE)
+    gust = Sine(amplitude=DISTURBANCE, frequency=0.3)
+    within = reference(0.5)  # z never leaves the zone
+    aware = _observer(nominal, widths0=[D, D])
     paper_poles = Certified(L=L_POLES, gamma=2.0, widths0=[0.2, 0.2], width_max=3.0)
+    logged = runner.run(nominal, sensor=noisy, simulation=SAMPLED, model=_mismatches()[-1])
     return Evidence(
-        printed={
-            RESTING: as_printed(True, *resting),
-            BEGUN: as_printed(False, *outside),
-            SIGNED: as_printed(False, signed),
-        },
-        repaired=tuple(run(repaired(amplitude), check_step=True) for amplitude in AMPLITUDES),
-        sampled=change(nominal, simulation=Simulation(time="sampled", step=1e-2)),
-        noisy=pair({"sensor": Sensor(right=D, left=D, noise=NOISE)}),
-        mismatched=pair(*({"model": model} for model in _mismatches())),
-        disturbed=pair({"disturbance": Sine(amplitude=DISTURBANCE, frequency=0.3)}),
-        scaled=pair({"sensor": Sensor(right=D, left=D, slope=SLOPE)}),
-        silent=Pair(
-            (change(printed(5.0), observer=unaware),),
-            (change(nominal, reference=reference(0.5)),),
+        printed=_as_printed(runner),
+        repaired=tuple(runner.run(repaired(each), check_step=True) for each in AMPLITUDES),
+        sampled=runner.run(nominal, simulation=SAMPLED),
+        noisy=runner.pair({"sensor": noisy}),
+        mismatched=runner.pair(*({"model": model} for model in _mismatches())),
+        disturbed=runner.pair({"disturbance": gust}),
+        scaled=runner.run(nominal, sensor=Sensor(right=D, left=D, slope=SLOPE)),
+        unaware=_unaware(runner),
+        aware=(
+            runner.run(nominal, observer=aware),
+            runner.run(nominal, observer=aware, reference=within),
         ),
-        blind=change(nominal, observer=Luenberger(L=L_REPAIRED)),
-        slow=change(nominal, observer=paper_poles, simulation=Simulation(duration=100.0)),
+        silent=runner.run(nominal, reference=within),
+        far=_far(runner),
+        blind=runner.run(nominal, observer=Luenberger(L=L_REPAIRED)),
+        slow=runner.run(nominal, observer=paper_poles, simulation=Simulation(duration=100.0)),
+        held=_held(runner),
+        filtered=(
+            runner.run(nominal, observer=_filter(0.0), simulation=SAMPLED, sensor=noisy),
+            runner.run(nominal, observer=_filter(None), simulation=SAMPLED, disturbance=gust),
+        ),
+        logged=logged,
+        identified=_identified(logged),
     )
+
+
+def _as_printed(runner: Runner) -> dict[str, tuple[Run, ...]]:
+    """The nominal runs as printed, by how they start."""
+    resting = [runner.run(printed(amplitude), check_step=True) for amplitude in AMPLITUDES]
+    outside = [runner.run(printed(amplitude, x1=STARTED)) for amplitude in AMPLITUDES]
+    signed = [runner.run(printed(5.0, x1=STARTED, signed_left=True))]
+    starts = {RESTING: resting, BEGUN: outside, SIGNED: signed}
+    return {start: tuple(with_printed_V(run) for run in runs) for start, runs in starts.items()}
+
+
+def _observer(scenario: Scenario, **changes: Any) -> Any:
+    """A scenario's observer with changes."""
+    return msgspec.structs.replace(cast(Any, scenario.observer), **changes)
+
+
+def _unaware(runner: Runner) -> dict[str, Run]:
+    """As printed with a wrong d^(0), by how it starts."""
+    starts = {RESTING: printed(5.0), BEGUN: printed(5.0, x1=STARTED)}
+    return {
+        start: runner.run(scenario, observer=_observer(scenario, widths0=UNAWARE))
+        for start, scenario in starts.items()
+    }
+
+
+def _far(runner: Runner) -> Pair:
+    """Both from starts all around, near and far."""
+    starts = []
+    for radius, angle in product(RADII, DIRECTIONS):
+        place = radius * np.exp(1j * np.pi * angle)
+        plant = msgspec.structs.replace(repaired(5.0).plant, x0=[place.real, place.imag])
+        starts.append({"plant": plant, "simulation": Simulation(step=5e-3)})
+    return runner.pair(*starts)
+
+
+def _held(runner: Runner) -> tuple[Run, Run]:
+    """Repaired with wrong widths that are not adapted, without a tanh term and with one."""
+    nominal = repaired(5.0)
+    held = _observer(nominal, gamma=1e-9, widths0=[HELD, HELD])
+    robust = StateFeedback(alpha=ALPHA, robust=Robust(gain=5.0, width=0.05))
+    return (
+        runner.run(nominal, observer=held),
+        runner.run(nominal, observer=held, controller=robust),
+    )
+
+
+def _filter(disturbance: float | None) -> Kalman:
+    """The Kalman filter with ranges for the widths, and what is claimed of the disturbance."""
+    return Kalman(right=[0.1, 3.0], left=[0.1, 3.0], disturbance=disturbance)
+
+
+def _identified(run: Run) -> tuple[float, float]:
+    """(d_r, d_l) that `identify` finds in u and y of a run."""
+    found = identify(t=run.info.step, u=run.u, y=run.y, order=2, place="sensor")
+    if isinstance(found, IdentifiedOutputs) or found.right is None or found.left is None:
+        raise AssertionError("the log of one output has an answer")
+    return found.right.value, found.left.value
 
 
 def _mismatches() -> list[Model]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from scipy.optimize import brentq
 
 from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.linear.matrices import Matrices
@@ -24,6 +25,7 @@ from undeadzone_paper.example import (
     READINGS,
     printed,
 )
+from undeadzone_paper.trials import rightmost, unstable_from
 
 STEADY: Final = 4.0  # [s] at the end of a run, over which a steady amplitude is read
 
@@ -52,8 +54,8 @@ class Fact(NamedTuple):
 def facts() -> list[Fact]:
     """All of them.
 
-    Poles and gains of (40), gains of (34) as printed, the certificate of (12, 15), the answer to r
-    as a force.
+    Poles and gains of (40), gains of (34) with A - L C, the certificate of (12, 15), the answer to
+    r as a force.
     """
     plants = {name: matrices(reading.plant) for name, reading in READINGS.items()}
     rows = []
@@ -90,26 +92,35 @@ def _quadratic(b: float, c: float) -> tuple[float, float]:
 
 
 def _riccati(linear: Matrices) -> list[Fact]:
-    """K of (34) as printed, with A - L C at (-4, -10), used for control: it destabilises.
+    """K of (34) with A - L C at (-4, -10) and alpha = 10; the alpha from which it destabilises.
 
     In closed form by spectral factorisation: for A - L C = [[-l1, 1], [-1 - l2, -2]], Q = I, the
     Riccati loop's polynomial s^2 + f s + g has g^2 = q^2 + 2 alpha (1 + l1^2),
     f^2 - 2 g = p^2 - 2 q + 2 alpha, where A - L C has s^2 + p s + q.
     """
     A, B, C = linear
-    K = paper_riccati(A - np.array([L_POLES]).T @ C, B, ALPHA, np.eye(2)).K
-    rightmost = float(np.linalg.eigvals(A - B @ K).real.max())
-    l1, p, q = L_POLES[0], -sum(POLES), POLES[0] * POLES[1]
-    g = np.sqrt(q**2 + 2 * ALPHA * (1 + l1**2))
-    f = np.sqrt(p**2 - 2 * q + 2 * ALPHA + 2 * g)
-    k2 = (f - p) / 2
-    k1 = (g - q) / 2 - k2 * l1
-    where = "omega_n = 1, (34) with A - L C"
+    drift = A - np.array([L_POLES]).T @ C
+    K = paper_riccati(drift, B, ALPHA, np.eye(2)).K
+    k1, k2 = _control_gain(ALPHA)
+    # A - B K has s^2 + (2 + k2) s + 1 + k1, with k2 > 0.
+    brink = brentq(lambda alpha: 1 + _control_gain(alpha)[0], 1.0, 100.0)
+    pole = _quadratic(2 + k2, 1 + k1)[0]
+    where = "omega_n = 1, (34) with A - L C, L = (12, 15)"
     return [
         Fact(where, "k1", float(K[0, 0]), k1),
         Fact(where, "k2", float(K[0, 1]), k2),
-        Fact(where, "rightmost pole of A - B K", rightmost, _quadratic(2 + k2, 1 + k1)[0]),
+        Fact(where, "rightmost pole of A - B K", rightmost(linear, drift, ALPHA), pole),
+        Fact(where, "alpha from which A - B K is unstable", unstable_from(linear, drift), brink),
     ]
+
+
+def _control_gain(alpha: float) -> tuple[float, float]:
+    """(k1, k2) of (34) with A - L C at (-4, -10), Q = I, in closed form."""
+    l1, p, q = L_POLES[0], -sum(POLES), POLES[0] * POLES[1]
+    g = np.sqrt(q**2 + 2 * alpha * (1 + l1**2))
+    f = np.sqrt(p**2 - 2 * q + 2 * alpha + 2 * g)
+    k2 = (f - p) / 2
+    return float((g - q) / 2 - k2 * l1), float(k2)
 
 
 def _certificate(linear: Matrices) -> list[Fact]:

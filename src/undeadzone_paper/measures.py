@@ -57,9 +57,15 @@ def width_error(run: Run) -> float:
     return _largest(width_errors(run)[run.last])
 
 
-def largest_width(run: Run) -> float:
-    """Largest |d^| over the run."""
-    return _largest(run.d_hat)
+def growth_of_widths(run: Run) -> float:
+    """Largest |d^| in the second half of the run relative to that in the first.
+
+    Infinite if the run diverges.
+    """
+    if run.diverged_at is not None:
+        return np.inf
+    half = run.t.size // 2
+    return _largest(run.d_hat[half:]) / _largest(run.d_hat[:half])
 
 
 def difference(run: Run, other: Run) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -20,7 +19,8 @@ from undeadzone.report.html import (
 )
 from undeadzone.report.style import write
 from undeadzone.support.files import write_text
-from undeadzone_paper.equations import EQUATIONS, FIGURES
+from undeadzone_paper.claims import HOW, counted
+from undeadzone_paper.equations import FIGURES
 from undeadzone_paper.evidence import BEGUN, RESTING
 from undeadzone_paper.example import AMPLITUDES, READINGS
 from undeadzone_paper.facts import forced
@@ -84,13 +84,14 @@ def write_report(
     caption = "Each reading of the plant with the reference acting as a force, from rest."
     text = page(
         "Output deadzone: the paper's example, as printed and repaired",
+        paragraph(counted(paper.claims)),
         paragraph(intro, "note"),
         _outcome(paper),
         section("The paper's claims", *_claims(paper)),
         section("As printed", *_as_printed(paper), picture(silent.read_bytes(), caption)),
         section("Figures 3-8", *_figures(numbered)),
         section("Numbers against their closed forms", _facts(paper)),
-        section("Where each equation went", _equations()),
+        section("Where each equation went", _equations(paper)),
         origin=origin,
     )
     return write_text(text, path)
@@ -130,22 +131,15 @@ def _outcome(paper: Paper) -> Html:
 
 def _claims(paper: Paper) -> list[Html]:
     """How many claims hold, and the table of them."""
-    counts = Counter(claim.verdict for claim in paper.claims)
     rows = []
     for claim in paper.claims:
         text = claim.text
         verdict = tag("span", claim.verdict, _COLOURS[claim.verdict])
-        rows.append((text.claim, text.where, claim.measured, verdict, text.why))
-    words = (
-        f"Of {len(rows)} claims {counts['holds']} hold as printed, "
-        f"{counts['holds after repair']} after repair, {counts['does not hold']} do not hold, "
-        f"{counts['not shown']} are announced and not shown. "
-        "A verdict is computed: the measured number against its limit, as printed first "
-        "(the worst case counts), then repaired."
-    )
+        quoted = f"\u201c{text.words}\u201d, {text.where}"
+        rows.append((text.claim, quoted, claim.measured, verdict, text.why))
     return [
-        paragraph(words),
-        table(("claim", "where", "measured", "verdict", "why"), rows),
+        paragraph(HOW),
+        table(("claim", "in the paper", "measured", "verdict", "why"), rows),
     ]
 
 
@@ -214,6 +208,11 @@ def _facts(paper: Paper) -> Html:
     return table(head, [(*fact, fact.error) for fact in paper.facts])
 
 
-def _equations() -> Html:
-    """Every equation of the paper and where it went."""
-    return table(("number", "what", "where in the code", "status", "reason"), EQUATIONS)
+def _equations(paper: Paper) -> Html:
+    """Every equation of the paper, where it went, and the claims that judge it."""
+    rows = []
+    for entry in paper.summary()["equations"]:
+        *cells, claims = entry.values()
+        rows.append((*cells, ", ".join(claims)))
+    head = ("number", "what", "where in the code", "status", "what was changed", "claims")
+    return table(head, rows)

@@ -74,12 +74,13 @@ def chained(path: Path, log: Path, folder: Path, columns: str | None, strict: bo
         "left": left,
     }
     unit = scenario.units.output
+    own = "" if found.z_smooth is not None else "; z is the filter's own here: none smooths"
     words = {
         "check": [yes_no(msgspec.structs.asdict(one)) for one in known],
         "consistent": {None: "not tested", True: "yes", False: "NO"}[found.consistent],
         "firmware": [f"{precision}: {numbers['self_test']}", *firmware.report["refusals"]],
         "reading off": f"rms y - z {with_unit(f'{hidden:.3g}', unit)} along the log",
-        "firmware off": f"rms z^ - z {with_unit(f'{left:.3g}', unit)}, z^ by the C along the log",
+        "firmware off": f"rms z^ - z {with_unit(f'{left:.3g}', unit)}, z^ by the C there{own}",
     }
     return Chain(words, finite(numbers), [kept, *firmware.files], firmware.passed)
 

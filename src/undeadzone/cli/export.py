@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,9 +17,11 @@ from undeadzone.cli.common import (
     option,
     print_blocks,
     print_json,
+    say,
     untrusted,
 )
 from undeadzone.support.progress import on_terminal as progress
+from undeadzone.support.text import counted
 
 if TYPE_CHECKING:
     from undeadzone.support.shown import Block
@@ -26,7 +29,7 @@ if TYPE_CHECKING:
 
 @click.command(epilog="Example: undeadzone export mine.toml --to c --out firmware --check")
 @click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
-@option("--to", "WHAT", "c (default), arduino, fmu2, fmu3, python or page.", default="c")
+@option("--to", "WHAT", "c (default), arduino, fmu2, fmu3, python, st or page.", default="c")
 @option(
     "--out",
     "DIR",
@@ -34,7 +37,9 @@ if TYPE_CHECKING:
     "(default: live.html).",
     type=PATH,
 )
-@option("--precision", "P", "single (default of c and arduino) or double (default of the others).")
+@option(
+    "--precision", "P", "single (default of c, arduino and st) or double (default of the others)."
+)
 @option("--part", "PART", "observer (default) or observer+controller.", default="observer")
 @option(
     "--tunable",
@@ -66,9 +71,10 @@ def export(
 ) -> int:
     """Write a scenario's observer, and its controller if asked, so that it runs elsewhere.
 
-    As C99 for firmware, as an FMU for Simulink, Modelica and others, or as a Python module. A
-    folder of C holds the code, a self-test with reference vectors as bits, build files, README and
-    manifest. Single precision is run beside double along the scenario's own run.
+    As C99 for firmware, as Structured Text (st) for a PLC, as an FMU for Simulink, Modelica and
+    others, or as a Python module. A folder of C holds the code, a self-test with reference vectors
+    as bits, build files, README and manifest. Single precision is run beside double along the
+    scenario's own run.
     Exit code 1: the self-test or the accuracy fails; the files are written all the same.
     Of an earlier export in the folder its files are replaced, others stay; one that was edited, or
     a folder that is no export, is refused without --force.
@@ -85,7 +91,8 @@ def export(
         kept = out if out is not None or check else Path("firmware")
         folder = Path(scratch) / "firmware" if kept is None else kept
         with progress("exporting", None, of=problem.observer):
-            result = run(problem, to, folder, precision, part, tunable, name, check, force)
+            options = (precision, part, tunable, name, check, force)
+            result = run(problem, to, folder, *options, told=partial(say, err=True))
     files = [] if kept is None else [str(path) for path in result.files]
     if as_json:
         print_json(result.report | {"written": files})
@@ -110,16 +117,20 @@ def _in_words(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
         "sizes": f"state {sizes['state']}, in {sizes['in']}, out {sizes['out']} bytes",
         "operations": ", ".join(counts) or "none",
     }
+    if "structured_text" in report:
+        size = report["structured_text"]
+        pairs["text"] = f"{counted(size['blocks'], 'block')}, {counted(size['lines'], 'line')}"
     if "self_test" in report:
         pairs["self-test"] = report["self_test"]
     if report["refusals"]:
         pairs["REFUSED"] = report["refusals"]
     if report.get("leaner"):
         pairs["leaner"] = [_leaner(*each) for each in report["leaner"].items()]
+        pairs["along the run"] = [_along(*each) for each in report["runs"].items()]
     pairs["written"] = files or "nothing; --out DIR keeps the files"
     if any(name.endswith("Makefile") for name in files):
         pairs["next"] = (
-            f"make -C {Path(files[0]).parent} runs the self-test; README.md has the rest"
+            f"make -C {Path(files[0]).parent} builds the self-test; README.md has the rest"
         )
     return pairs
 
@@ -128,6 +139,14 @@ def _leaner(method: str, boards: list[str]) -> str:
     """An observer that takes less, and where it fits."""
     where = ", ".join(boards) or "none of these boards"
     return f'observer.method = "{method}" fits {where}'
+
+
+def _along(method: str, run: dict[str, float | None]) -> str:
+    """What an observer did along the scenario's own run, over its last 2 s."""
+    rms, coverage = run["rms"], run["coverage"]
+    error = "diverges" if rms is None else f"rms z - z^ {rms:.3g}"
+    inside = "none" if coverage is None else f"{100 * coverage:.0f} % hold the width"
+    return f"{method}: {error}, intervals: {inside}"
 
 
 def _page_in_words(report: dict[str, Any], files: list[str]) -> dict[str, Any]:

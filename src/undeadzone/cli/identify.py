@@ -116,7 +116,9 @@ def identify(
             reached = chained(path, first, chain, options["columns"], options["strict"])
         written, is_done = written + reached.files, reached.passed
         why, further = why | reached.words, {"chain": reached.numbers}
-        follow = {"next": f"make -C {chain / 'firmware'} runs the self-test"}
+        follow = {"next": f"make -C {chain / 'firmware'} builds the self-test"}
+    elif chain is not None:
+        is_done, why = False, why | {"firmware": "none: there is no scenario to make it of"}
     output.show(
         lambda: answer.numbers() | further,
         answer.blocks,
@@ -140,7 +142,7 @@ def _scenario(answer: Answers, path: Path, force: bool) -> tuple[list[Path], str
     from undeadzone.support.own_files import write_own
 
     try:
-        return [write_own(answer.scenario(), path, force)], None
+        return [write_own(answer.scenario(path.stem), path, force)], None
     except InputError as error:
         return [], str(error)
 

@@ -15,6 +15,7 @@ import functools
 import inspect
 import math
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
 from undeadzone.compile.coefficients import DOUBLE, SINGLE, Numbers
@@ -29,10 +30,13 @@ class Maths:
         nodes: where nodes are made.
         numbers: of the arithmetic.
         inline: whether the functions here stand in each other's place, and are not called.
+        bitless: whether the language shows no bits of a number, see `bitless`.
     """
 
-    def __init__(self, nodes: Nodes, numbers: Numbers, inline: bool = False) -> None:
-        self.nodes, self.c, self._inline = nodes, numbers, inline
+    def __init__(
+        self, nodes: Nodes, numbers: Numbers, inline: bool = False, bitless: bool = False
+    ) -> None:
+        self.nodes, self.c, self._inline, self.bitless = nodes, numbers, inline, bitless
         self._numpy = Numpy(nodes, numbers.kind)
         self.select, self.sqrt = self._numpy.where, self._numpy.sqrt
 
@@ -71,7 +75,7 @@ class Maths:
 
 
 def turned(m: Maths, x: Any) -> Any:
-    """Sine and cosine of r, |x| = n pi/2 + r, |r| <= pi/4, and bits that end with n.
+    """Sine and cosine of r, |x| = n pi/2 + r, |r| <= pi/4, and bits that end with n, or n itself.
 
     Beyond the largest argument those of 0. r is found as a sum of two numbers, the first of which
     may be as small as 2^-60.
@@ -94,11 +98,13 @@ def turned(m: Maths, x: Any) -> Any:
     half = 0.5 * z
     most = 1.0 - half  # of the cosine; what it lost by rounding comes with the smaller terms
     cosine = most + m.fma(z * z, m.polynomial(z, c.cos), ((1.0 - most) - half) - r * rest)
-    return sine, cosine, m.bits(shifted)
+    return sine, cosine, n if m.bitless else m.bits(shifted)
 
 
 def power(m: Maths, shifted: Any) -> Any:
     """2^n of n + shift, in the normal range."""
+    if m.bitless:
+        return m.call("power", shifted - m.c.shift)
     return m.number((m.bits(shifted) << m.c.mantissa) + m.c.one)
 
 
@@ -163,20 +169,29 @@ def exp(m: Maths, x: Any) -> Any:
 
 def expm1(m: Maths, x: Any) -> Any:
     """e^x - 1, from half of it."""
-    n, part = raised(m, m.select(x < -50.0, -50.0, m.select(x > m.c.most, m.c.most, x)))
+    most = (m.c.bias + 1.25) * math.log(2)  # infinite, by the largest n that has a power
+    n, part = raised(m, m.select(x < -50.0, -50.0, m.select(x > most, most, x)))
     half = power(m, n + (m.c.shift - 1.0))
     return 2.0 * m.fma(half, part, half - 0.5)
 
 
-def log(m: Maths, x: Any) -> Any:
-    """Natural logarithm n log 2 + log(1 + f); -infinity of 0, NaN of negative numbers."""
+def parted(m: Maths, x: Any) -> Any:
+    """n and f of x = 2^n (1 + f), sqrt(1/2) <= 1 + f < sqrt(2)."""
+    if m.bitless:
+        return m.call("exponent", x), m.call("fraction", x) - 1.0
     c = m.c
     lift, counted = c.mantissa + 2, c.whole + c.bias
     small = x < 2.0 ** (1 - c.bias)
     word = m.bits(m.select(small, x * 2.0**lift, x)) + (c.one - c.half)
     count = (c.bias + c.mantissa) << c.mantissa  # the bits of `whole`, to which n is added
     n = m.number((word >> c.mantissa) | count) - m.select(small, counted + lift, counted)
-    f = m.number((word & ((1 << c.mantissa) - 1)) + c.half) - 1.0
+    return n, m.number((word & ((1 << c.mantissa) - 1)) + c.half) - 1.0
+
+
+def log(m: Maths, x: Any) -> Any:
+    """Natural logarithm n log 2 + log(1 + f); -infinity of 0, NaN of negative numbers."""
+    c = m.c
+    n, f = parted(m, x)
     s = f / (2.0 + f)
     z = s * s
     whole = n * c.log2_short[0]
@@ -351,15 +366,31 @@ class Formula(NamedTuple):
     calls: set[str]
 
 
+@dataclass(frozen=True, eq=False)
+class Own:
+    """The functions of a language.
+
+    Attributes:
+        functions: by their names, in an order in which each calls earlier ones only.
+        bitless: whether it shows no bits of a number.
+    """
+
+    functions: dict[str, Callable[..., Any]]
+    bitless: bool
+
+
+OF_WORDS: Final = Own(FUNCTIONS, bitless=False)
+
+
 @functools.cache
-def formula(name: str, kind: str) -> Formula:
+def formula(name: str, kind: str, own: Own = OF_WORDS) -> Formula:
     """A function in float32 or float64, without fused operations."""
-    function, nodes = FUNCTIONS[name], Nodes()
+    function, nodes = own.functions[name], Nodes()
     inputs = list(inspect.signature(function).parameters)[1:]
     arguments = [Value(nodes, nodes.input(text, LANES, kind)) for text in inputs]
     numbers = SINGLE if kind == SINGLE.kind else DOUBLE
-    result: Node = function(Maths(nodes, numbers), *arguments).node
-    return Formula(inputs, result, called([[result]]) & FUNCTIONS.keys())
+    result: Node = function(Maths(nodes, numbers, bitless=own.bitless), *arguments).node
+    return Formula(inputs, result, called([[result]]) & own.functions.keys())
 
 
 def called(results: Results) -> set[str]:
@@ -377,11 +408,11 @@ def inlined(nodes: Nodes, numbers: Numbers, names: Iterable[str]) -> dict[str, C
     return {name: written(name) for name in names}
 
 
-def needed(names: set[str], kind: str = DOUBLE.kind) -> list[str]:
+def needed(names: set[str], kind: str = DOUBLE.kind, own: Own = OF_WORDS) -> list[str]:
     """The functions and those that they call, each after those that it calls."""
-    closed = names & FUNCTIONS.keys()
+    closed = names & own.functions.keys()
     while True:
-        more = closed.union(*[formula(name, kind).calls for name in closed])
+        more = closed.union(*[formula(name, kind, own).calls for name in closed])
         if more == closed:
-            return [name for name in FUNCTIONS if name in closed]
+            return [name for name in own.functions if name in closed]
         closed = more

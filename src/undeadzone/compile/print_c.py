@@ -1,15 +1,18 @@
-"""Nodes as C99: expressions with parentheses wherever precedence is not plain, and statements."""
+"""Nodes as text: expressions with parentheses wherever precedence is not plain, and statements.
+
+The language is C99, or another one by its `Grammar`.
+"""
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from undeadzone.compile.elementary import FUNCTIONS, formula
+from undeadzone.compile.elementary import FUNCTIONS, OF_WORDS, Own, formula
 from undeadzone.compile.graph import Node, Results, needed, uses
 from undeadzone.compile.simplify import held
 
@@ -30,24 +33,34 @@ _SIGNS: Final = {
 }
 _OF_TRUTHS: Final = {"and": "&&", "or": "||", "ne": "!="}
 _SUMS: Final = ("+", "-")
-_ALIKE: Final = ("*", "&&", "||")  # what goes without parentheses in its own operands
+_ALIKE: Final = ("*", "&&", "||", "AND", "OR")  # go without parentheses in their own operands
+_BREAKS: Final = ("+", "-", "*", "/", "?", ":", "=", *_ALIKE[1:])
 
 
-class Style(NamedTuple):
-    """How numbers and functions are written.
+class Grammar(NamedTuple):
+    """What one language writes otherwise than another.
 
     Attributes:
-        kind: NumPy's name of the type of numbers.
-        prefix: what the names of the export's own functions begin with.
+        types: of values, by NumPy's names.
+        signs: of instructions on numbers and words.
+        of_truths: of instructions on truths.
+        turned: what stands before a truth that is turned.
+        own: functions that an export brings along.
+        constant: what is written down for a constant.
+        library: the name of a function that every compiler has, in a type of numbers.
+        apart: of nodes in order, those that a local holds, however they are used.
+        statement: what fills the local of a node.
     """
 
-    kind: str
-    prefix: str
-
-    @property
-    def real(self) -> str:
-        """The type of a number in C."""
-        return TYPES[self.kind]
+    types: dict[str, str]
+    signs: dict[str, str]
+    of_truths: dict[str, str]
+    turned: str
+    own: Own
+    constant: Callable[[Node], Text]
+    library: Callable[[str, str], str]
+    apart: Callable[[list[Node]], set[Node]]
+    statement: Callable[[str, Node, Expressions], list[str]]
 
 
 class Text(NamedTuple):
@@ -97,7 +110,7 @@ def _number(value: float, kind: str) -> str:
     return f"{sign}{whole}{'f' if single else ''}"
 
 
-class _Expressions:
+class Expressions:
     """The expressions of nodes.
 
     Args:
@@ -121,7 +134,7 @@ class _Expressions:
         if node.op == "input":
             return Text(self.inputs[node.text])
         if node.op == "const":
-            return _constant(node)
+            return self.style.language.constant(node)
         return self._composed(node, [self.text(arg) for arg in node.args])
 
     def _composed(self, node: Node, args: list[Text]) -> Text:
@@ -131,19 +144,20 @@ class _Expressions:
             return Text(f"{truth} ? {yes} : {no}", "?")
         if node.op == "neg":
             return Text(f"-{args[0].operand('neg', second=True)}", "neg")
+        language = self.style.language
         if node.op == "not":
-            return Text(f"!{args[0].inside}", "!")
+            return Text(f"{language.turned}{args[0].inside}", "!")
         if node.op in ("call", "view"):
             return Text(f"{self._function(node)}({', '.join([arg.text for arg in args])})")
-        signs = _OF_TRUTHS if node.args[0].kind == "bool" else _SIGNS
+        signs = language.of_truths if node.args[0].kind == "bool" else language.signs
         sign = signs[node.op]
         return Text(f"{args[0].operand(sign)} {sign} {args[1].operand(sign, second=True)}", sign)
 
     def _function(self, node: Node) -> str:
         """The name of a function; if it is the export's own, it is noted as used."""
-        name = node.text or ("number" if node.is_real else "bits")
-        if node.op == "call" and name not in FUNCTIONS:  # of the C library, exact by IEEE 754
-            return f"{name}f" if self.style.kind == "float32" else name
+        name, language = node.text or ("number" if node.is_real else "bits"), self.style.language
+        if node.op == "call" and name not in language.own.functions:  # exact by IEEE 754
+            return language.library(name, self.style.kind)
         self.functions.add(name)
         return f"{self.style.prefix}_{name}"
 
@@ -197,31 +211,60 @@ def body(results: Results, style: Style, names: Names) -> Body:
         for node, name in zip(nodes, wanted, strict=True):
             if node.args:
                 labels.setdefault(node, name)
-    expressions = _Expressions(style, names.inputs)
-    lines = _locals(results, expressions, names.meanings | labels)
+    expressions = Expressions(style, names.inputs)
+    lines = lines_of(locals_of(results, expressions, names.meanings | labels))
     if lines:
         lines.append("")
     for nodes, targets in zip(results, names.results, strict=True):
         for node, target in zip(nodes, targets, strict=True):
-            lines += _wrapped(f"{target} = {expressions.text(node).text};")
+            lines += wrapped(f"{target} = {expressions.text(node).text};")
     return Body(lines, expressions.functions)
 
 
-def _locals(results: Results, expressions: _Expressions, labels: dict[Node, str]) -> list[str]:
-    """The statements that make the locals; `expressions` knows their names from then on."""
+class Local(NamedTuple):
+    """A local that holds a node.
+
+    Attributes:
+        name: what it is called.
+        node: what it holds.
+        lines: the statement that fills it.
+    """
+
+    name: str
+    node: Node
+    lines: list[str]
+
+
+def locals_of(results: Results, expressions: Expressions, labels: dict[Node, str]) -> list[Local]:
+    """The locals, each after those that it needs; `expressions` knows their names from then on.
+
+    Args:
+        results: the nodes.
+        expressions: how they are written.
+        labels: names of some nodes, which then have a local.
+    """
+    language = expressions.style.language
     counts = uses(results)
     order = sorted(counts, key=lambda node: node.number)
-    apart = _apart(order)
-    lines: list[str] = []
+    apart = language.apart(order) | labels.keys()
+    found: list[Local] = []
     for node in order:
-        if not node.args:
-            continue
-        text = expressions.text(node).text
-        if counts[node] > 1 or node in labels or node in apart or len(text) > LONGEST:
+        often = bool(node.args) and counts[node] > 1
+        if often or node in apart or len(expressions.text(node).text) > LONGEST:
             name = labels.get(node, f"v{node.number}")
-            lines += _wrapped(f"const {TYPES[node.kind]} {name} = {text};")
+            found.append(Local(name, node, language.statement(name, node, expressions)))
             expressions.names[node] = name
-    return lines
+    return found
+
+
+def lines_of(found: list[Local]) -> list[str]:
+    """The statements that fill locals."""
+    return list(itertools.chain(*[local.lines for local in found]))
+
+
+def _declared(name: str, node: Node, expressions: Expressions) -> list[str]:
+    """A local of C."""
+    return wrapped(f"const {TYPES[node.kind]} {name} = {expressions.text(node).text};")
 
 
 def _apart(order: list[Node]) -> set[Node]:
@@ -235,16 +278,16 @@ def _apart(order: list[Node]) -> set[Node]:
     return apart
 
 
-def _wrapped(statement: str) -> list[str]:
+def wrapped(statement: str, indent: str = INDENT) -> list[str]:
     """A statement in lines of at most `WIDTH` columns, broken before operators and after commas."""
-    line = INDENT + statement
+    line = indent + statement
     lines: list[str] = []
     while len(line) > WIDTH:
         cut = _break(line)
         if cut < 0:
             break
         lines.append(line[:cut].rstrip())
-        line = 2 * INDENT + line[cut:].lstrip()
+        line = indent + INDENT + line[cut:].lstrip()
     return [*lines, line]
 
 
@@ -252,10 +295,39 @@ def _break(line: str) -> int:
     """Where to break a line that is too long; -1: nowhere."""
     start = 2 * len(INDENT) + 4
     best = -1
-    for sign in ("+", "-", "*", "/", "?", ":", "&&", "||", "="):
+    for sign in _BREAKS:
         best = max(best, line.rfind(f" {sign} ", start, WIDTH - 1))
     comma = line.rfind(", ", start, WIDTH - 1)
     return max(best, comma + 1 if comma >= 0 else -1)
+
+
+def _library(name: str, kind: str) -> str:
+    """A function of the C library."""
+    return f"{name}f" if kind == "float32" else name
+
+
+C: Final = Grammar(
+    TYPES, _SIGNS, _OF_TRUTHS, "!", OF_WORDS, _constant, _library, apart=_apart, statement=_declared
+)
+
+
+class Style(NamedTuple):
+    """How numbers and functions are written.
+
+    Attributes:
+        kind: NumPy's name of the type of numbers.
+        prefix: what the names of the export's own functions begin with.
+        language: its grammar.
+    """
+
+    kind: str
+    prefix: str
+    language: Grammar = C
+
+    @property
+    def real(self) -> str:
+        """The type of a number."""
+        return self.language.types[self.kind]
 
 
 # --- Elementary functions
@@ -280,9 +352,9 @@ def functions(names: Iterable[str], used: set[str], style: Style) -> list[str]:
     texts, called = [], set(used)
     for name in names:
         shape = formula(name, style.kind)
-        expressions = _Expressions(style, {text: text for text in shape.inputs})
-        lines = _locals([[shape.result]], expressions, {})
-        lines += _wrapped(f"return {expressions.text(shape.result).text};")
+        expressions = Expressions(style, {text: text for text in shape.inputs})
+        lines = lines_of(locals_of([[shape.result]], expressions, {}))
+        lines += wrapped(f"return {expressions.text(shape.result).text};")
         arguments = ", ".join(f"{style.real} {text}" for text in shape.inputs)
         head = f"static {style.real} {style.prefix}_{name}({arguments})"
         texts.append("\n".join([_commented(name), head, "{", *lines, "}"]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,13 +24,17 @@ from undeadzone.exports.page.build import write_page
 from undeadzone.exports.parts import Field, identifier, total
 from undeadzone.exports.source import Labels, Source, source
 from undeadzone.exports.targets import Material
-from undeadzone.exports.vectors import chosen, continued, recorded, reference, selftest
+from undeadzone.exports.vectors import chosen, continued, recorded, reference
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
-from undeadzone.support.arrays import Floats
+from undeadzone.simulation.simulate import simulate
+from undeadzone.support.arrays import Floats, finite
+from undeadzone.support.text import HALF_95
 
 PRECISIONS = ("single", "double")
 FIRMWARE = ("c", "arduino")  # targets whose boards matter
+ELSEWHERE = ("arduino", "st")  # targets whose self-test runs on the target alone
+MANY = 20_000  # operations of a step, whose code a compiler takes a minute for
 STEPS = 100_000  # of the comparison of float with double, at least
 NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
 
@@ -63,23 +68,26 @@ def export(
     name: str | None = None,
     check: bool = False,
     force: bool = False,
+    told: Callable[[str], object] | None = None,
 ) -> Exported:
     """Write a scenario's observer as C99 that runs without a library.
 
     Args:
         scenario: a scenario with simulation.time = "sampled".
-        to: "c"; "arduino" for a library of the Arduino IDE; "fmu2" or "fmu3" for an FMU for
-            co-simulation; "python" for a module that needs no undeadzone;
-            "page" for one HTML file in which the scenario's loop runs.
+        to: "c"; "arduino" for a library of the Arduino IDE; "st" for Structured Text of
+            IEC 61131-3; "fmu2" or "fmu3" for an FMU for co-simulation; "python" for a module that
+            needs no undeadzone; "page" for one HTML file in which the scenario's loop runs.
         out: folder for the files, or the HTML file; replaced if it is an earlier export. Other
             files in the folder stay.
-        precision: "single" for float, or "double"; default: double but for "c" and "arduino".
+        precision: "single" for float, or "double"; default: double but for "c", "arduino" and "st".
         part: "observer", or "observer+controller".
         tunable: numbers that stay parameters of the code, such as "observer.gamma".
         name: what every symbol begins with; default: made of the scenario's title.
-        check: also build the self-test with this computer's compiler and run it (not for Arduino).
+        check: also build the self-test with this computer's compiler and run it (not for Arduino
+            and Structured Text).
         force: replace files that someone else wrote or edited, where they are in the way; other
             files stay all the same.
+        told: called with a sentence before something that takes minutes begins.
 
     Returns:
         The files, and a report. Accuracy is measured where there is a C compiler; single
@@ -103,6 +111,9 @@ def export(
     double = code(step, single=False)
     printed = code(step, single=True) if precision == "single" else double
     labels = Labels(prefix, scenario.title, part)
+    count = sum(operations(printed.results).values())
+    if told is not None and count > MANY:
+        told(_minutes(count))
     text = source(printed, labels)
     rows = recorded(continued(scenario, STEPS), step)
     report = _report(printed, text, labels, tunable)
@@ -112,17 +123,27 @@ def export(
         found = fits(report)
         report["boards"] = [fit._asdict() for fit in found]
         if not all(fit.fits for fit in found):
-            report["leaner"] = _leaner(scenario, part, printed.single)
+            report["leaner"], leaner = _leaner(scenario, part, printed.single)
+            everyone = {scenario.observer.__struct_config__.tag: scenario} | leaner
+            report["runs"] = {tag: _along(other) for tag, other in everyone.items()}
     vectors = reference(printed, chosen(rows[: problem.steps + 1], step.readings))
-    tested = selftest(printed, prefix, vectors)
-    files = targets.files(to, Material(printed, text, tested, scenario.units, report))
+    material = Material(printed, text, vectors, scenario.units, report)
+    files = targets.files(to, material)
     written = targets.write_folder(files, Path(out), force)
-    if check and to != "arduino":
-        passed, said = compiler.self_tested(text.files(prefix) | {f"{prefix}_test.c": tested})
+    if check and to not in ELSEWHERE:
+        passed, said = compiler.self_tested(material.c_files)
         report["self_test"] = said
         if not passed:
             report["refusals"] = [*report["refusals"], f"the self-test fails: {said}"]
     return Exported(written, report)
+
+
+def _minutes(count: int) -> str:
+    """What many operations take, and what would take less."""
+    return (
+        f"{count:,} operations a sample: about {count // 100:,} kB of code, for which a compiler "
+        'takes minutes; observer.method = "kalman" or "certified" takes less'
+    )
 
 
 def _require(key: str, value: str, known: tuple[str, ...]) -> None:
@@ -181,11 +202,13 @@ def _report(
     }
 
 
-def _leaner(scenario: Scenario, part: str, is_single: bool) -> dict[str, list[str]]:
-    """Observers of fewer operations that the scenario could have, and the boards that they fit."""
+def _leaner(
+    scenario: Scenario, part: str, is_single: bool
+) -> tuple[dict[str, list[str]], dict[str, Scenario]]:
+    """(boards that observers of fewer operations fit, the scenario with each), by their tags."""
     own = scenario.observer
     claims = {name: getattr(own, name) for name in ("right", "left") if hasattr(own, name)}
-    found = {}
+    found, scenarios = {}, {}
     choices: tuple[tuple[str, dict[str, Any]], ...] = (("kalman", claims), ("certified", {}))
     for tag, options in choices:
         if own.__struct_config__.tag == tag:
@@ -200,7 +223,18 @@ def _leaner(scenario: Scenario, part: str, is_single: bool) -> dict[str, list[st
                 "operations": operations(printed.results),
             }
             found[tag] = [fit.board for fit in fits(costs) if fit.fits]
-    return found
+            scenarios[tag] = other
+    return found, scenarios
+
+
+def _along(scenario: Scenario) -> dict[str, float | None]:
+    """What an observer does along the run: rms of z - z^, and how often widths were covered."""
+    run = simulate(scenario, check_step=False)
+    covered = None
+    if run.d_std is not None:
+        inside = np.abs(np.ravel(run.info.widths) - run.d_hat) <= HALF_95 * run.d_std
+        covered = float(inside[run.last].mean())
+    return {"rms": finite(run.rms_estimation), "coverage": covered}
 
 
 def _sizes(printed: Code) -> dict[str, int]:

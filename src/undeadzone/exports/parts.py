@@ -62,13 +62,15 @@ def identifier(text: str) -> str:
     return f"n{name}" if name[0].isdigit() or name in _TAKEN else name
 
 
-def state_fields(state: Any, drop: str = "") -> list[Field]:
+def state_fields(state: Any, units: Units, drop: str = "") -> list[Field]:
     """The fields of a state, named after its tree.
 
     Args:
         state: tree of NumPy arrays.
+        units: names of the scenario's units.
         drop: a prefix of the names in the tree to be left out.
     """
+    meanings = state_meanings(units)
     fields: list[Field] = []
     for name, leaf in tree.leaves(state):
         size = int(np.size(leaf))
@@ -76,7 +78,8 @@ def state_fields(state: Any, drop: str = "") -> list[Field]:
             continue
         short = name.removeprefix(drop).strip(".")
         base = _member(short) if short else "memory"
-        fields.append(Field(_unused(base, fields), size, _state_meaning(short)))
+        meaning = meanings.get(short.rsplit(".", 1)[-1], "memory of the method")
+        fields.append(Field(_unused(base, fields), size, meaning))
     return fields
 
 
@@ -95,20 +98,18 @@ def _unused(base: str, fields: list[Field]) -> str:
     return name
 
 
-_MEANINGS = {
-    "held": "the last finite input",
-    "mean": "mean of the belief",
-    "cov": "covariances of the belief, upper triangle column by column",
-    "x": "estimated state",
-    "right": "estimated right width",
-    "left": "estimated left width",
-    "W": "weights of the approximation",
-}
-
-
-def _state_meaning(name: str) -> str:
-    """What is known of a part of the state by the end of its name."""
-    return _MEANINGS.get(name.rsplit(".", 1)[-1], "memory of the method")
+def state_meanings(units: Units) -> dict[str, str]:
+    """What is known of a part of the state by the end of its name, with its unit."""
+    states = units.state if isinstance(units.state, str) else ", ".join(units.state)
+    return {
+        "held": f"the last finite input [{units.input}]",
+        "mean": "mean of the belief: state, then widths and what else is estimated",
+        "cov": "covariances of the belief, upper triangle column by column",
+        "x": f"estimated state [{states}]",
+        "right": f"estimated right width [{units.output}]",
+        "left": f"estimated left width [{units.output}]",
+        "W": "weights of the approximation",
+    }
 
 
 def estimate_meanings(units: Units) -> dict[str, str]:
@@ -262,8 +263,8 @@ def build(problem: Problem, part: str = "observer", tunable: tuple[str, ...] = (
     return Step(
         function=function,
         start=tree.pack(step.memory),
-        state=state_fields(step.memory, "" if closed else "observer"),
-        inputs=[_y_field(p), *step.input_fields],
+        state=state_fields(step.memory, problem.scenario.units, "" if closed else "observer"),
+        inputs=[_y_field(p, problem.scenario.units), *step.input_fields],
         outputs=step.output_fields,
         params=params.fields,
         defaults=defaults,
@@ -342,8 +343,9 @@ def _u_field(problem: Problem) -> Field:
     return Field("u", problem.model.m, f"input until the next sample [{unit}]")
 
 
-def _y_field(size: int) -> Field:
-    return Field("y", size, "readings of the sensor; one that is not finite is missing")
+def _y_field(size: int, units: Units) -> Field:
+    meaning = f"readings of the sensor; one that is not finite is missing [{units.output}]"
+    return Field("y", size, meaning)
 
 
 def _target_fields(like: Target, units: Units) -> list[Field]:

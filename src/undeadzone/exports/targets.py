@@ -9,11 +9,13 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from undeadzone.errors import FileError
+from undeadzone.exports import plc, plc_files
 from undeadzone.exports.code import Code
 from undeadzone.exports.fmu import package
 from undeadzone.exports.parts import Field
-from undeadzone.exports.source import Source
+from undeadzone.exports.source import Labels, Source
 from undeadzone.exports.template import called, filled
+from undeadzone.exports.vectors import Vectors, selftest
 from undeadzone.scenario.schema import Units
 from undeadzone.support.files import read_text, require_folder, writing
 from undeadzone.support.own_files import CURE, digest, edited
@@ -132,6 +134,7 @@ PRECISION: Final = {
     "fmu2": "double",
     "fmu3": "double",
     "python": "double",
+    "st": "single",
     "page": "double",
 }
 VERSIONS: Final = {"fmu2": 2, "fmu3": 3}  # of FMI
@@ -143,16 +146,28 @@ class Material(NamedTuple):
     Attributes:
         printed: the graphs.
         text: the C.
-        test: the C of the self-test.
+        vectors: the reference vectors of the self-test.
         units: names of the scenario's units.
         report: what the manifest holds; `files` is added to it.
     """
 
     printed: Code
     text: Source
-    test: str
+    vectors: Vectors
     units: Units
     report: dict[str, Any]
+
+    @property
+    def labels(self) -> Labels:
+        """The words that the files share."""
+        return Labels(*(self.report[key] for key in ("name", "title", "part")))
+
+    @property
+    def c_files(self) -> dict[str, str]:
+        """The C by the names of its files, with the self-test."""
+        name = self.report["name"]
+        test = selftest(self.printed, name, self.vectors)
+        return self.text.files(name) | {f"{name}_test.c": test}
 
 
 def require_possible(to: str, prefix: str) -> None:
@@ -174,17 +189,21 @@ def files(to: str, material: Material) -> Files:
         material: what they are made of.
 
     Raises:
-        InputError: the C compiler refuses an FMU.
+        InputError: the C compiler refuses an FMU, or Structured Text lacks an operation.
     """
     report, name = material.report, material.report["name"]
     code = material.text.files(name)
     content: Files = dict(code)
     if to == "arduino":
         content = {f"src/{path}": text for path, text in code.items()}
+        test = f"{name}_test.c"
+        content[f"examples/{name}_test/{test}"] = material.c_files[test]
         around = _arduino_files(report)
     elif to == "c":
-        content[f"{name}_test.c"] = material.test
+        content = dict(material.c_files)
         around = _build_files(report, bool(material.text.math))
+    elif to == "st":
+        content, around = _st_files(material)
     elif to == "python":
         content[f"{name}.py"] = _module(material.printed, report)
         around = {"README.md": _installed("python", {"name": name}, report)}
@@ -201,11 +220,8 @@ def _readme(report: dict[str, Any], build: str = "") -> str:
     """The README; of what is built, how: by default by make, with the self-test."""
     by_make = f"Run `make && ./{report['name']}_test`: exit code 0 means that every bit agrees."
     words = _words(report) | {
-        "shown_title": printable(report["title"]),
         "build": build or by_make,
         "by_make": not build,
-        "seconds": f"{report['step']:g}",
-        "counts": ", ".join(f"{count} {word}" for word, count in report["operations"].items()),
     }
     for struct, size in report["sizes"].items():
         words[f"{struct}_bytes"] = size
@@ -214,7 +230,10 @@ def _readme(report: dict[str, Any], build: str = "") -> str:
 
 def _words(report: dict[str, Any]) -> dict[str, Any]:
     """What stands for the words of the texts."""
-    return report | called(report["name"], bool(report["tunable"]))
+    counts = ", ".join(f"{count} {word}" for word, count in report["operations"].items())
+    shown = {"shown_title": printable(report["title"]), "seconds": f"{report['step']:g}"}
+    shown |= {"counts": counts, "upper": report["name"].upper()}
+    return report | called(report["name"], bool(report["tunable"])) | shown
 
 
 def _build_files(report: dict[str, Any], math: bool) -> dict[str, str]:
@@ -231,13 +250,40 @@ def _build_files(report: dict[str, Any], math: bool) -> dict[str, str]:
 def _arduino_files(report: dict[str, Any]) -> dict[str, str]:
     """The texts around the C of an Arduino library, by name."""
     name = report["name"]
-    words = _words(report) | {"upper": name.upper(), "title": one_line(str(report["title"]))}
-    build = "Copy this folder into the libraries folder of the Arduino IDE."
+    words = _words(report) | {"title": one_line(str(report["title"]))}
+    build = (
+        "Copy this folder into the libraries folder of the Arduino IDE. The example\n"
+        f"{name}_test runs the self-test on the board and prints its verdict."
+    )
     return {
         "library.properties": filled("templates/library.properties", words),
         f"examples/{name}_example/{name}_example.ino": filled("templates/example.ino", words),
+        f"examples/{name}_test/{name}_test.ino": filled("templates/selftest.ino", words),
         "README.md": _readme(report, build),
     }
+
+
+def _st_files(material: Material) -> tuple[Files, dict[str, str]]:
+    """(the Structured Text, its README) by name; the report gets its sizes."""
+    report, labels, printed = material.report, material.labels, material.printed
+    made = plc.exported(printed, labels, material.vectors)
+    name, text = labels.prefix, plc_files.text_of(made.units, labels, printed)
+    report["structured_text"] = {"blocks": made.blocks, "lines": text.count("\n")}
+    content: Files = {
+        f"{name}.st": text,
+        f"{name}_test.st": plc_files.text_of([made.test], labels, printed),
+        f"{name}.xml": plc_files.xml_of([*made.units, made.test], labels, printed),
+    }
+    words = _words(report) | {
+        "blocks": made.blocks,
+        "type": "REAL" if printed.single else "LREAL",
+        "samples": len(material.vectors.states),
+        "argument": f"{printed.step.inputs[1].name}_0",
+        "parted": made.blocks > 1,
+        "single": printed.single,
+        "double": not printed.single,
+    }
+    return content, {"README.md": filled("templates/st.md", words)}
 
 
 def _installed(kind: str, words: dict[str, Any], report: dict[str, Any]) -> str:

@@ -76,10 +76,9 @@ def ensemble_page(
 ) -> str:
     """The page; images: SVGs by the names of `figures`; else see `write_ensemble`."""
     shown = html.pictures(images, CAPTIONS)
-    distributed = [*_distributions(result, summary), *html.pick(shown, "distributions")]
-    parts = [html.section("Distributions", *distributed)]
-    if "over_time" in images:
-        parts.append(html.section("Over time", shown["over_time"]))
+    first, *others = _distributions(result, summary)
+    parts = [html.section("Over time", first, *html.pick(shown, "over_time"))]
+    parts.append(html.section("Distributions", *others, *html.pick(shown, "distributions")))
     if result.varied:
         decisive = [*_sensitivities(summary), *html.pick(shown, "tornado", "influence")]
         parts.append(html.section("What decides", *decisive))
@@ -103,9 +102,8 @@ def _verdict(result: Ensemble, summary: Mapping[str, Any]) -> html.Html:
         most = f"{100 * diverged['high']:.2g}"
         parts.append((f"none diverged (at most {most} % do)", "yes"))
     if summary["metrics"]:
-        worst = summary["metrics"][MAIN]["p99"]
-        limit = f"{words(MAIN, result.info.duration)} at most {worst['value']:.4g}"
-        limit = with_unit(limit, result.unit(MAIN))
+        worst, name = summary["metrics"][MAIN]["p99"]["value"], words(MAIN, result.info.duration)
+        limit = with_unit(f"{name} at most {worst:.4g}", result.unit(MAIN))
         parts.append((f"{limit} in 99 % of the runs that did not diverge", ""))
     return html.verdict_line(*parts)
 
@@ -136,7 +134,9 @@ def _distributions(result: Ensemble, summary: Mapping[str, Any]) -> list[html.Ht
         f"At most {beyond:.2g} % of all runs lie beyond the largest value found, "
         "with 95 % confidence. Runs that diverged are counted above and averaged nowhere."
     )
-    return [html.table(("", *COLUMNS.values(), "largest"), rows), html.paragraph(note, "note")]
+    first = [(row[0], *row[2:4]) for row in rows[: html.MOST]]  # median and 95 %
+    every = html.table(("", *COLUMNS.values(), "largest"), rows)
+    return [html.table(("", "median", "95 %"), first), every, html.paragraph(note, "note")]
 
 
 def _distribution(
@@ -145,7 +145,7 @@ def _distribution(
     """The row of a metric of runs of some duration [s]."""
     cells = [_bounded(name, values[column], _interval(values[column])) for column in COLUMNS]
     largest = _bounded(name, values["max"], values["max"]["value"])
-    return (label(words(name, duration), unit).replace(" ", "\u00a0"), *cells, largest)
+    return (label(words(name, duration), unit), *cells, largest)
 
 
 def _bounded(name: str, value: Mapping[str, float | None], cell: Any) -> Any:

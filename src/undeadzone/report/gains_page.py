@@ -109,7 +109,8 @@ def gains_page(
         images: SVGs by the names of `figures`
     """
     shown = html.pictures(images, CAPTIONS)
-    sections = [html.section("What was asked", _asked(of, design))]
+    leads = [shown.pop(name) for name in list(shown)[:1]]  # of a design its front, else the proof
+    sections = [html.section("The answer", _answer(of), *leads)]
     if of.gains is None:
         sections.append(html.section("No rate", html.paragraph(_why_no_rate(of))))
     else:
@@ -121,8 +122,8 @@ def gains_page(
     knowledge = [*knowledge_section(of), *html.pick(shown, "ellipse")]
     sections.append(html.section("What can be known", *knowledge))
     if design is not None:
-        trade = [*trade_section(design), *html.pick(shown, "front")]
-        sections.append(html.section("The trade", *trade))
+        sections.append(html.section("The trade", *trade_section(design)))
+    sections.append(html.section("What was asked", _asked(of, design)))
     kind = "Check" if design is None else "Design"
     title = f"{kind}: {of.problem.scenario.title}"
     return html.page(title, verdict(of), *sections, origin=origin)
@@ -136,6 +137,19 @@ def _why_no_rate(of: Assessment) -> str:
             "tells; frequencies and rates are for linear models."
         )
     return "The observer has no constant gains L, gamma."
+
+
+def _answer(of: Assessment) -> html.Html:
+    """Gains, how fast they are, what can be known, and how strongly readings are heard."""
+    rows: list[tuple[str, Any]] = []
+    if of.gains is not None:
+        L, speed = numbers(np.ravel(of.gains.L)), of.gains.rates
+        rows = [("L, row by row [1/s]", L), ("γ [1/s]", numbers(of.gains.gamma))]
+        rows.append(("rate; time constant", f"{speed.rate:.4g} 1/s; {speed.time_constant:.4g} s"))
+    for i, known in enumerate(of.known[:2]):
+        edges = html.join([_known(known, "right"), "and", _known(known, "left")])
+        rows.append((label(f"d_r, d_l of output {i}", of.problem.scenario.units.output), edges))
+    return html.table(("what", "value"), [*rows, ("readings move z^", html.trust(of.listens))])
 
 
 def _asked(of: Assessment, design: Design | None) -> html.Html:
@@ -188,13 +202,12 @@ def _schedule(of: Assessment) -> str:
 
 
 def verdict(of: Assessment) -> html.Html:
-    """One line: certified or not, the rate, and whether every width can be known."""
+    """One line: certified or not, and whether every width can be known."""
     parts = []
     if of.gains is not None:
         proof = of.gains.certificate
         certified = f"certified, margin {proof.margin:.4g}"
         parts.append(html.yes_no(proof.certified, certified, "not certified"))
-        parts.append((f"rate {of.gains.rates.rate:.4g} 1/s", ""))
     return html.verdict_line(
         *parts, html.widths_known(all(one.right and one.left for one in of.known))
     )
@@ -290,10 +303,8 @@ def _checked(proof: Certificate) -> list[tuple[str, Any]]:
 def speed_section(gains: Gains) -> list[html.Html]:
     """How fast the error dies along the reference."""
     speed = gains.rates
-    constant = speed.time_constant if np.isfinite(speed.time_constant) else None
     rows: list[tuple[str, Any]] = [
         ("rate along the reference, in the long run [1/s]", speed.rate),
-        ("time constant [s]", constant),
         ("every error at 1 % of itself, in size √V, after [s] at the latest", gains.settled),
         ("one pass of the schedule [s]", speed.period),
         ("largest factor of one pass on an error, in balanced units", speed.gain),
@@ -324,10 +335,6 @@ def knowledge_section(of: Assessment) -> list[html.Html]:
     )
     head = ("output", "d_r", "d_l", "width d_r + d_l", "centre d_r − d_l")
     parts = [html.paragraph(question), html.table(head, rows)]
-    if of.listens:
-        parts.append(
-            html.paragraph(html.join(["How strongly readings move z^:", html.trust(of.listens)]))
-        )
     for other in in_words_of_truths([known.second for known in of.known]):
         parts.append(html.paragraph(f"Readings would be the same, but for noise, with {other}."))
     for i, known in enumerate(of.known):

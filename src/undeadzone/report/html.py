@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LONG: Final = 40  # characters of an interval at most
+MOST: Final = 6  # lines of the table that a page begins with
+NARROW: Final = 4  # columns of a table beside which a picture may stand
 _HAT: Final = "\u0302"
 _TILDE: Final = "\u0303"
 _ERRORS: Final = re.compile(r"\b([xyzd])~")
@@ -88,9 +90,15 @@ def paragraph(text: Any, style: str = "") -> Html:
 
 
 def section(title: str, *parts: Any) -> Html:
-    """A heading, to which the contents lead, and what stands under it."""
+    """A heading, to which the contents lead, and what stands under it.
+
+    Where the page is wide enough a picture stands beside a narrow table. Without contents there
+    is no section.
+    """
+    if not parts:
+        return Html("")
     heading = Html(f'<h2 id="{_anchor(title)}">{html(title)}</h2>')
-    return join([heading, *parts])
+    return join([heading, tag("div", join(parts), "parts")])
 
 
 def _anchor(title: str) -> str:
@@ -104,18 +112,21 @@ def folded(title: str, *parts: Any) -> Html:
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> Html:
-    """A table; columns of numbers are set right.
+    """A table; columns of numbers are set right, a single long line is set upright.
 
     Args:
         head: the columns' names
-        rows: a value for each column; see `html`
+        rows: a value for each column; see `html`; one that says nothing is left out
     """
-    cells = list(rows)
+    cells = [row for row in rows if row[1:] != (None,) * (len(row) - 1) or len(row) == 1]
+    if len(cells) == 1 and len(head) > NARROW:
+        head, cells = ("what", "value"), list(zip(head, cells[0], strict=True))
     numeric = [all(map(_is_number, column)) for column in zip(*cells, strict=True)]
     names = tag("tr", join(tag("th", name) for name in head))
     body = join(_row(row, numeric) for row in cells)
     inner = f"<thead>{names.text}</thead><tbody>{body.text}</tbody>"
-    return Html(f'<div class="wide"><table>{inner}</table></div>')
+    narrow = " narrow" * (len(head) <= NARROW)
+    return Html(f'<div class="wide{narrow}"><table>{inner}</table></div>')
 
 
 def estimates(
@@ -207,7 +218,8 @@ def picture(image: bytes, caption: str) -> Html:
         f'<img alt="{escape(printable(caption))}" src="data:image/svg+xml;base64,{data}" '
         f'style="min-width:{least}px;max-width:{round(least / 0.75)}px">'
     )
-    return Html(f'<figure><div class="wide">{img}</div>{tag("figcaption", caption).text}</figure>')
+    shown = f'<div class="wide">{img}</div>{tag("figcaption", caption).text}'
+    return Html(f'<figure style="flex-basis:{least}px">{shown}</figure>')
 
 
 class Origin(NamedTuple):

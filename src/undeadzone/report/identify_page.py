@@ -29,9 +29,8 @@ CAPTIONS = {
     "hidden": "z^ with its 95 % band against the reading: inside the zone it is the product.",
 }
 
-# Lines that stand on the first screen, at most so many; the others say how it was decided.
+# Lines that stand on the first screen; the others say how it was decided.
 FIRST = re.compile(r"[bcd]_(right|left)|([bcd] )?width|odds|plant|note")
-MOST = 6
 
 OF_ELEMENT = {  # in place of these
     "overview": "Output z^ of the fitted plant, what is read of it, and the reading y at the end of"
@@ -89,7 +88,7 @@ def identified_page(
     rest: list[tuple[str, str]] = []
     for name, value in found_log.summary().items():
         for text in value if isinstance(value, list) else [value]:
-            leads = FIRST.fullmatch(name) is not None and len(first) < MOST
+            leads = FIRST.fullmatch(name) is not None and len(first) < html.MOST
             (first if leads else rest).append((name, text))
     captions = CAPTIONS if answer.element is None else CAPTIONS | OF_ELEMENT
     shown = html.pictures(images, captions)
@@ -100,16 +99,8 @@ def identified_page(
         html.section(
             "The answer", html.table(("what", "value"), first), *html.pick(shown, "overview")
         ),
-        *(
-            [html.section("Hidden output", *html.pick(shown, "hidden"))]
-            if "hidden" in shown
-            else []
-        ),
-        *(
-            []
-            if answer.element is None
-            else [html.section("What it is", *html.pick(shown, "element"))]
-        ),
+        html.section("Hidden output", *html.pick(shown, "hidden")),
+        html.section("What it is", *html.pick(shown, "element")),
         html.section(
             "How it was decided",
             html.table(("what", "value"), rest),

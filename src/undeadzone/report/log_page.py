@@ -87,13 +87,13 @@ def estimation_page(
     head = html.paragraph(
         html.tag("span", f"Is the record what the observer claims? {words}", style)
     )
+    found = [_widths(result), *gap_tables(result.outputs, gaps(info))]
     reasons = [html.paragraph(f"{reason[:1].upper()}{reason[1:]}.") for reason in info.reasons]
     return html.page(
         info.title,
         head,
         *reasons,
-        html.section("Along the log", *shown, html.paragraph(_TEST, "note")),
-        html.section("Widths", _widths(result), *gap_tables(result.outputs, gaps(info))),
+        html.section("Along the log", *found, *shown, html.paragraph(_TEST, "note")),
         html.section("The log", html.table(("what", "value"), list(_numbers(result).items()))),
         origin=origin,
     )
@@ -120,7 +120,6 @@ def _numbers(result: Estimation) -> dict[str, Any]:
         "missing": info.missing,
         "of these in gaps": info.gaps,
         "lines that could not be read": info.unreadable,
-        "consistent": VERDICTS[info.consistent][0],
         "B at the end": info.B,
         "mean square of normalised innovations": info.square,
         "readings used": info.used,

@@ -49,11 +49,12 @@ def run_page(
     more = [words for name, words in FURTHER.items() if getattr(run, name) is not None]
     captions = CAPTIONS | {"figure": "; ".join([CAPTIONS["figure"], *more]) + "."}
     shown = html.pick(html.pictures(images, captions), *captions)
+    first, rest = _numbers_tables(run, rival)
     return html.page(
         run.info.title,
         _verdict(run),
-        html.section("What happens", *_animation(run, rival, images), *shown),
-        html.section("Numbers", _numbers_table(run, rival)),
+        html.section("What happens", first, *_animation(run, rival, images), *shown),
+        html.section("Numbers", rest),
         html.section(
             "Widths",
             _widths_table(run),
@@ -89,40 +90,36 @@ def _verdict(run: Run) -> html.Html:
     return html.verdict_line(*parts)
 
 
-def _numbers_table(run: Run, rival: Run | None) -> html.Html:
-    """The numbers of a run, beside those of a rival if there is one."""
-    columns = [_numbers(run)]
-    if rival is not None:
-        columns.append(_numbers(rival))
+def _numbers_tables(run: Run, rival: Run | None) -> tuple[html.Html, html.Html]:
+    """The first numbers of a run and the rest, beside those of a rival if there is one."""
+    columns = [_numbers(each) for each in (run, rival) if each is not None]
     head = ("what", "value", "compared with")[: 1 + len(columns)]
-    return html.table(
-        head, [(name, *(column.get(name) for column in columns)) for name in columns[0]]
-    )
+    rows = [(name, *(column.get(name) for column in columns)) for name in columns[0]]
+    return html.table(head, rows[: html.MOST]), html.table(head, rows[html.MOST :])
 
 
 def _numbers(run: Run) -> dict[str, Any]:
-    """The numbers of a run, in words."""
-    numbers: dict[str, Any] = {
-        "observer": run.name,
-        "time": f"{run.info.time}, step {run.info.step:g} s, {run.t[-1]:g} s",
-        "diverged at [s]": run.diverged_at,
-        **on_page(errors(run)),
-    }
-    for row in parameters(run):
-        numbers[row.title] = row.words
+    """The numbers of a run, in words, those that a user asks for first."""
+    numbers: dict[str, Any] = on_page(errors(run))
+    for i, name in enumerate(run.outputs):
+        of = f", {_output(name)}" if len(run.outputs) > 1 else ""
+        numbers |= {f"{row.title}{of}": row.words for row in widths(run, i)}
+    numbers |= {row.title: row.words for row in parameters(run)}
     rise = "largest rise of V above an earlier value, relative to its largest"
     return numbers | {
         "share of silent samples": run.silent_fraction,
         "how strongly readings move z^": html.trust(run.info.listens),
         "certificate found for these gains": run.info.certified,
-        rise: None if run.largest_rise_of_V is None else f"{run.largest_rise_of_V:.1g}",
-        "integration error (against half the step)": _of_integration(run),
+        rise: _magnitude(run.largest_rise_of_V),
+        "integration error (against half the step)": _magnitude(run.info.integration_error),
+        "diverged at [s]": run.diverged_at,
+        "observer": run.name,
+        "time": f"{run.info.time}, step {run.info.step:g} s, {run.t[-1]:g} s",
     }
 
 
-def _of_integration(run: Run) -> str | None:
-    """The error of the integration, which is known to its order of magnitude."""
-    error = run.info.integration_error
+def _magnitude(error: float | None) -> str | None:
+    """An error that is known to its order of magnitude."""
     return None if error is None else f"{error:.1g}"
 
 
@@ -139,9 +136,8 @@ def _widths_table(run: Run) -> html.Html:
 def _actuators(run: Run) -> list[html.Html]:
     """The estimated and the true widths of each actuator; nothing where none are estimated."""
     found = actuators(run)
-    return (
-        [html.estimates("actuator", (f"u[{j}]" for j in range(len(found))), found)] if found else []
-    )
+    names = [f"u[{j}]" for j in range(len(found))]
+    return [html.estimates("actuator", names, found)] if found else []
 
 
 def gap_tables(outputs: Sequence[str], found: Sequence[Sequence[Row]]) -> list[html.Html]:

@@ -67,9 +67,8 @@ def tuned_page(result: Tuned, images: dict[str, bytes], origin: html.Origin | No
     return html.page(
         f"Tuned: {result.scenario.title}",
         _verdict(result),
-        html.section("Numbers", _numbers(result), *map(html.paragraph, _at_edge(result))),
+        html.section("Numbers", *_numbers(result), *html.pick(shown, "history")),
         html.section("What they are worth", html.paragraph(asked), _worth(result)),
-        html.section("The search", *html.pick(shown, "history")),
         html.section("Around what was found", *html.pick(shown, "around")),
         html.section(
             "The tuned scenario",
@@ -89,13 +88,14 @@ def _verdict(result: Tuned) -> html.Html:
     return html.verdict_line(*parts)
 
 
-def _numbers(result: Tuned) -> html.Html:
-    """The numbers, from where they started and their ranges."""
+def _numbers(result: Tuned) -> list[html.Html]:
+    """The numbers, from where they started and their ranges; what lies at the end of one."""
     rows = []
     for parameter, value in zip(result.parameters, result.values, strict=True):
         bounds = f"{parameter.low:g} to {parameter.high:g}{', log' if parameter.log else ''}"
         rows.append((parameter.name, parameter.start, value, bounds))
-    return html.table(("number", "before", "tuned", "range"), rows)
+    head = ("number", "before", "tuned", "range")
+    return [html.table(head, rows), *map(html.paragraph, _at_edge(result))]
 
 
 def _at_edge(result: Tuned) -> list[str]:

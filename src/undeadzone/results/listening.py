@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Final
 
 LARGER: Final = 0.05  # by which the true z is larger than the model says
+NOTHING: Final = 0.005  # share that rounds to 0
 LOUD: Final = 0.5  # share of it that z^ must follow, not to be taken on trust
 
 
@@ -30,4 +31,6 @@ def in_words(shares: Sequence[float | None]) -> str:
 
 def _percent(share: float | None) -> str:
     """A share in words."""
-    return "unknown" if share is None or math.isnan(share) else f"{100 * share:.0f} %"
+    if share is None or math.isnan(share):
+        return "unknown"
+    return f"{100 * share:.0f} %" if share > -NOTHING else "0 % or less"

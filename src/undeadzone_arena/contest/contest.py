@@ -173,7 +173,8 @@ class Contest(NamedTuple):
 
     def blocks(self) -> list[Block]:
         """The tables that `undeadzone arena` prints."""
-        return in_words(self.rows, len(self.scenarios), len(self.seeds))
+        reasons = {result.method: result.reason or "" for result in reversed(self.results)}
+        return in_words(self.rows, len(self.scenarios), len(self.seeds), reasons)
 
     def plot(self, path: str | os.PathLike[str] | None = None, ax: Axes | None = None) -> Figure:
         """Draw it.

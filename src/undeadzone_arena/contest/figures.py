@@ -98,7 +98,7 @@ def heat(rows: Sequence[Row], regrets: Mapping[str, Floats], scenarios: Sequence
     axes.set_yticks(range(len(rows)), [row.method for row in rows])
     axes.grid(False)
     axes.spines[:].set_visible(False)
-    scale = "0: all is known, 1: half a zone; blue is good, red is bad, a dash: not applicable"
+    scale = "0: all is known, 1: half a zone"
     finish(axes, scale, "", "", legend=0)
     return figure
 

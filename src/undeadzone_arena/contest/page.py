@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from undeadzone.report.html import (
+    MOST,
     Html,
     Origin,
     folded,
@@ -31,7 +32,8 @@ if TYPE_CHECKING:
 CAPTIONS: Final = {
     "leaderboard": "Dots: median over the scenarios; squares: the worst of them; bars: 95 % "
     "intervals. Grey names are lines to compare with.",
-    "scenarios": "Mean over the seeds.",
+    "scenarios": "Regrets, the mean over the seeds: blue is good, red is bad, a dash: not "
+    "applicable.",
     "trajectories": "The best, the worst that never diverged, the paper's as printed, the naive "
     "observer.",
     "cost": "Measured on the virtual machine, or in Python where a method computes there.",
@@ -112,18 +114,28 @@ def figures(contest: Contest, runs: Sequence[Trace]) -> dict[str, Figure]:
 def arena_page(contest: Contest, images: Mapping[str, bytes], origin: Origin | None = None) -> str:
     """The page; images: SVGs by the names of `figures`; else see `write_arena`."""
     shown = pictures(images, CAPTIONS)
-    leaderboard = [*pick(shown, "leaderboard"), table(HEAD, map(_cells, contest.rows))]
+    every = folded("All numbers", table(HEAD, map(_cells, contest.rows)), paragraph(NOTE, "note"))
+    leaderboard = [_first(contest), *pick(shown, "leaderboard"), every]
     rules = [*map(paragraph, RULES), _refusals(contest), _tuned_numbers(contest)]
     return page(
         "The arena",
         _verdict(contest),
-        section("Leaderboard", *leaderboard, paragraph(NOTE, "note")),
+        section("Leaderboard", *leaderboard),
         section("Scenario by scenario", *pick(shown, "scenarios"), _settings(contest)),
         section("What it looks like", *pick(shown, "trajectories")),
         section("What it costs", *pick(shown, "cost")),
         section("Rules", *rules),
         origin=origin,
     )
+
+
+def _first(contest: Contest) -> Html:
+    """The best methods in a few numbers."""
+    rows = []
+    for row in contest.contestants[:MOST]:
+        regret = f"{row.median_regret:.3f} {_interval(row.median_interval)}"
+        rows.append((row.method, regret, f"{row.worst_regret:.3f}, {row.worst_scenario}"))
+    return table(("method", "median regret", "worst, where"), rows)
 
 
 def _cells(row: Row) -> tuple[Any, ...]:

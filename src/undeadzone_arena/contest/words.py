@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 from undeadzone.results.sheet import number
@@ -10,6 +10,7 @@ from undeadzone.support.shown import Block
 from undeadzone.support.text import counted
 from undeadzone_arena.contest.leaderboard import Row, contestants
 
+FEW: Final = 3  # methods whose refusal is told in full
 HEAD: Final = (
     "",
     "method",
@@ -24,13 +25,16 @@ HEAD: Final = (
 )
 
 
-def in_words(rows: Sequence[Row], scenarios: int, seeds: int) -> list[Block]:
+def in_words(
+    rows: Sequence[Row], scenarios: int, seeds: int, reasons: Mapping[str, str]
+) -> list[Block]:
     """A leaderboard, as blocks of text and a table.
 
     Args:
         rows: the leaderboard.
         scenarios: how many it rests on.
         seeds: runs of each method on each scenario.
+        reasons: why a method does not apply, by its name.
     """
     places = {row.method: f"{place}" for place, row in enumerate(contestants(rows), 1)}
     refused = [row.method for row in rows if row.not_applicable == 1]
@@ -39,7 +43,9 @@ def in_words(rows: Sequence[Row], scenarios: int, seeds: int) -> list[Block]:
         if row.method not in refused:
             table.append(_cells(places.get(row.method, "-"), row))
     blocks: list[Block] = [table]
-    if refused:
+    if len(refused) <= FEW:
+        blocks += [f"not applicable: {name}: {reasons[name]}" for name in refused]
+    else:
         blocks.append(f"not applicable (--json says why): {', '.join(refused)}")
     on = f"{counted(scenarios, 'scenario')}, {counted(seeds, 'run')} each"
     blocks.append(f"{on}; - : line to compare with; 95 % intervals in []")

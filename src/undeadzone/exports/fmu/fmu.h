@@ -19,6 +19,7 @@
 /* A sample that is due within this share of a sample time after the end of a step belongs to the
    next step: importers add up their steps, and so round. */
 #define FMU_TOLERANCE 1e-3
+#define FMU_ROUNDING 1e-9 /* share of the time by which they may be wrong then */
 
 /* Everything that changes; its bytes are the FMU state. */
 typedef struct
@@ -81,6 +82,9 @@ static const char *fmu_run(fmu_model *model, double now, double step)
     const double due = (end - model->start) - (FMU_TOLERANCE * FMU_STEP);
     if (!(step >= 0.0) || !(fabs(end) < 1e300)) {
         return "a step must be 0 or longer, and finite";
+    }
+    if (!(fabs(now - model->now) <= ((FMU_TOLERANCE * FMU_STEP) + (FMU_ROUNDING * fabs(now))))) {
+        return "a step must begin where the last one ended; to go back, set a state";
     }
     while (((double)model->samples * FMU_STEP) < due) {
         fmu_in in = model->in;

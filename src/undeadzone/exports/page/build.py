@@ -161,6 +161,11 @@ LEADS = {
     f"sensors do this. {_TOLD}",
 }
 
+FLAT = (
+    " At an end of its range the reading stays flat: there it only says that the truth lies at "
+    "least as far out."
+)
+
 
 class Page(NamedTuple):
     """A page and what it costs.
@@ -314,7 +319,7 @@ def _data(problem: Problem, loop: Loop, memory: dict[str, int]) -> dict[str, Any
     made = sliders.sliders(problem, loop, _sizes(problem))
     return {
         "kind": problem.sensor.kind,
-        "lead": LEADS[problem.sensor.kind],
+        "lead": LEADS[problem.sensor.kind] + (FLAT if problem.sensor.limits else ""),
         "note": _note(problem),
         "quantity": _quantity(scenario.units.output),
         "unit": printable(scenario.units.output),

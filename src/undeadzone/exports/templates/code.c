@@ -14,6 +14,11 @@
 #pragma GCC optimize("fp-contract=off")
 #endif
 
+/* Numbers are compared with == where equality is meant, such as of a divisor with 0. */
+#if defined(__GNUC__)
+#pragma GCC diagnostic ignored "-Wfloat-equal"
+#endif
+
 #include "@name@.h"
 @?with_math@#include "@name@_math.h"
 @?with_limits@#include <float.h>

@@ -12,6 +12,7 @@ extern "C" {
 #endif
 
 #define @upper@_STEP @step@ /**< sample time [s] */
+#define @upper@_VERSION "@version@" /**< of undeadzone */
 #define @upper@_HASH "@hash@" /**< of the graph, its numbers and the precision */
 
 @structs@

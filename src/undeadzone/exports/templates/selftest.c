@@ -9,18 +9,31 @@
 #include <stdio.h>
 #include <string.h>
 
+#if defined(__AVR__) /* constants stay in flash */
+#include <avr/pgmspace.h>
+#define TABLE PROGMEM
+#define FETCH memcpy_P
+#else
+#define TABLE
+#define FETCH memcpy
+#endif
+#if defined(ARDUINO) /* a sketch calls it */
+#define main @name@_selftest
+int @name@_selftest(void);
+#endif
+
 enum { SAMPLES = @samples@, INPUTS = @inputs@, OUTPUTS = @outputs@, MEMORY = @memory@ };
 
-static const @word@ given[SAMPLES][INPUTS] = {
+static const @word@ given[SAMPLES][INPUTS] TABLE = {
 @input_words@
 };
 
-static const @word@ expected[SAMPLES][OUTPUTS] = {
+static const @word@ expected[SAMPLES][OUTPUTS] TABLE = {
 @output_words@
 };
 
 /* Checksum of the memory after each sample. */
-static const uint32_t remembered[SAMPLES] = {
+static const uint32_t remembered[SAMPLES] TABLE = {
 @state_words@
 };
 
@@ -52,7 +65,9 @@ static int differing(const @name@_out *out, int sample)
     const unsigned char *bytes = (const unsigned char *)out;
     int count = 0;
     for (int k = 0; k < OUTPUTS; k++) {
-        if (bits_of(bytes + ((size_t)k * sizeof(@real@))) != expected[sample][k]) {
+        @word@ wanted;
+        (void)FETCH(&wanted, &expected[sample][k], sizeof wanted);
+        if (bits_of(bytes + ((size_t)k * sizeof(@real@))) != wanted) {
             count++;
         }
     }
@@ -77,14 +92,16 @@ int main(void)
         return 1;
     }
     for (int sample = 0; sample < SAMPLES; sample++) {
-        (void)memcpy(&in, given[sample], sizeof in);
+        uint32_t memory;
+        (void)FETCH(&memory, &remembered[sample], sizeof memory);
+        (void)FETCH(&in, given[sample], sizeof in);
         @name@_step(&state, @params@&in, &out);
         outputs += differing(&out, sample);
-        states += (checksum(&state) != remembered[sample]) ? 1 : 0;
+        states += (checksum(&state) != memory) ? 1 : 0;
 @?phased@        @name@_estimate(&halves, @params@&in, &out);
 @?phased@        outputs += differing(&out, sample);
 @?phased@        @name@_advance(&halves, @params@&in);
-@?phased@        states += (checksum(&halves) != remembered[sample]) ? 1 : 0;
+@?phased@        states += (checksum(&halves) != memory) ? 1 : 0;
     }
     if ((outputs != 0) || (states != 0)) {
         (void)printf("@name@_test: FAILED: %d outputs and %d states differ\n", outputs, states);

@@ -138,8 +138,11 @@ class Identified:
         x = _simulated_states(simulator, theta)
         return States(t, answer.z * scale, np.sqrt(variance + unseen**2) * scale, x * scale)
 
-    def scenario(self) -> str:
+    def scenario(self, title: str = "Identified log") -> str:
         """A scenario as TOML text, which `run`, `check`, `design` and `watch` take as it is.
+
+        Args:
+            title: of the scenario, of which code that is exported has its name.
 
         Returns:
             The text, with a remark for every number that says where it came from.
@@ -152,7 +155,7 @@ class Identified:
             raise InputError(
                 f"scenario: the verdict is {self.answer.verdict}: there is no zone to write"
             )
-        return scenario_text([self.answer])
+        return scenario_text([self.answer], title)
 
     def numbers(self) -> dict[str, Any]:
         """All numbers of the answer, as `--json` prints them."""
@@ -213,8 +216,11 @@ class IdentifiedOutputs:
         """Whether every output has a dead zone."""
         return all(one.zone for one in self.outputs)
 
-    def scenario(self) -> str:
+    def scenario(self, title: str = "Identified log") -> str:
         """One scenario as TOML text: the outputs' plants side by side, with the same inputs.
+
+        Args:
+            title: of the scenario.
 
         Returns:
             The text.
@@ -225,7 +231,7 @@ class IdentifiedOutputs:
         for name, one in zip(self.names, self.outputs, strict=True):
             if one.verdict != "dead_zone":
                 raise InputError(f"scenario: the verdict on {name} is {one.verdict}")
-        return scenario_text([one.answer for one in self.outputs])
+        return scenario_text([one.answer for one in self.outputs], title)
 
     def numbers(self) -> dict[str, Any]:
         """All numbers of the answers, as `--json` prints them."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import math
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -28,12 +29,13 @@ NO_ZONE_CLAIMED = ("right = [0.0, 1e-09]  # no zone", "left = [0.0, 1e-09]")
 LEAST, MOST = 1e-3, 0.5  # tolerance of an entry
 
 
-def scenario_text(answers: Sequence[Answer]) -> str:
+def scenario_text(answers: Sequence[Answer], title: str) -> str:
     """A scenario as TOML text.
 
     Args:
         answers: one for each output of one log: zones with both edges known. Each output has a
             plant of its own, and all plants have the same inputs.
+        title: of the scenario.
 
     Returns:
         The text, with remarks on where each number comes from.
@@ -50,7 +52,7 @@ def scenario_text(answers: Sequence[Answer]) -> str:
     at_input = first.verdict == "input_zone"
     driven = plant.B.shape[1] >= len(answers)
     lines = [
-        f'title = "Identified from a log of {first.case.grid.t.size} samples"',
+        f"title = {json.dumps(title, ensure_ascii=False)}",
         "",
         "[plant]  # from the sampled plant by the matrix logarithm, companion form",
         f"A = {_rows(plant.A)}",
