@@ -22,6 +22,7 @@ NAMES = (
     "noise",
     "speed",
     "precision",
+    "exact",
     "coverage",
     "glitches",
     "honesty",

@@ -27,10 +27,11 @@ from undeadzone.compile import lanes
 from undeadzone.ends.sensor import Sensor, resolve, side
 from undeadzone.interfaces import Observer, Reading
 from undeadzone.linear.hold import zoh
+from undeadzone.linear.matrices import Matrices
 from undeadzone.observers import Censored, Kalman
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
-from undeadzone.plants.system import sampled
+from undeadzone.plants.system import pace, sampled
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 
@@ -107,11 +108,7 @@ def observe(options: Callable[[Problems, int], Any], posed: Problems) -> Verdict
         options: of the observer for a problem
         posed: the problems
     """
-    built = []
-    for k, model in enumerate(posed.models):
-        zone = resolve(Sensor(right=RANGE[1], left=RANGE[1], noise=posed.noise[k]), 1, STEP)
-        plant = sampled(system(Plant(**model._asdict())), STEP)
-        built.append(options(posed, k).build(plant, zone))
+    built = built_of(options, posed)
     numbers = np.stack([tree.pack(one.params) for one in built])
     states = np.stack([tree.pack(one.init(one.params)) for one in built])
     kernel = lanes.build(_step(built[0]), exogenous=range(2), params=range(numbers.shape[1]))
@@ -127,6 +124,30 @@ def observe(options: Callable[[Problems, int], Any], posed: Problems) -> Verdict
         z_std,
         out[used][:, 7] / out[used][:, 8],
     )
+
+
+def built_of(options: Callable[[Problems, int], Any], posed: Problems) -> list[Observer]:
+    """The observers of the problems, as the product builds them."""
+    built = []
+    for k, model in enumerate(posed.models):
+        right, left = posed.ranges[k, :, 1]
+        sensor = Sensor(right=right, left=left, noise=posed.noise[k])
+        built.append(built_for(options(posed, k), model, sensor, posed.step[k]))
+    return built
+
+
+def built_for(options: Any, model: Matrices, sensor: Sensor, step: float) -> Observer:
+    """The observer of a plant and a sensor, which knows how fast the plant moves.
+
+    Args:
+        options: of the observer
+        model: the plant
+        sensor: in a user's words
+        step: time between readings [s]
+    """
+    zone = resolve(sensor, 1, step, pace(model))
+    built: Observer = options.build(sampled(system(Plant(**model._asdict())), step), zone)
+    return built
 
 
 def _step(observer: Observer) -> ca.Function:
@@ -184,7 +205,7 @@ def verdict(
     )
 
 
-def rivalling(build: Callable[[Problems, int], Any], posed: Problems, count: int) -> Verdict:
+def rivalling(build: Callable[[int], Any], posed: Problems, count: int) -> Verdict:
     """Run a filterpy filter on the first problems, with the same priors and noise as ours.
 
     Args:
@@ -210,12 +231,12 @@ def rivalling(build: Callable[[Problems, int], Any], posed: Problems, count: int
 
 
 def _rival(
-    build: Callable[[Problems, int], Any], posed: Problems, k: int
+    build: Callable[[int], Any], posed: Problems, k: int
 ) -> tuple[Floats, Floats, list[float]]:
     """Mean and covariance after the last sample of problem k, and all normalised innovations."""
     model = zoh(posed.models[k], STEP)
     n = model.A.shape[0]
-    rival, correct = build(posed, k)
+    rival, correct = build(n)
     F, G = np.eye(n + 2), np.concatenate([model.B[:, 0], np.zeros(2)])
     F[:n, :n] = model.A
     of_widths = np.ptp(RANGE) ** 2 / 12  # variance

@@ -1,4 +1,4 @@
-"""filterpy's filters for the random problems: (filter, function that gives it a reading)."""
+"""filterpy's filters of [x; d_r; d_l], z the first of n x: (filter, what gives it a reading)."""
 
 from __future__ import annotations
 
@@ -6,16 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.random_problems import STEP, Problems
+from benchmarks.random_problems import STEP
 from undeadzone.ends.sensor import deadzone
 from undeadzone.support.arrays import Floats
 
 
-def extended(posed: Problems, k: int) -> Any:
+def extended(n: int) -> Any:
     """filterpy's EKF on [x; d_r; d_l], its branch of the dead zone the predicted one."""
     from filterpy.kalman import ExtendedKalmanFilter
 
-    n = posed.models[k].A.shape[0]
     rival = ExtendedKalmanFilter(n + 2, 1)
 
     def slope(v: Floats) -> Floats:
@@ -31,11 +30,10 @@ def extended(posed: Problems, k: int) -> Any:
     return rival, correct
 
 
-def unscented(posed: Problems, k: int) -> Any:
+def unscented(n: int) -> Any:
     """filterpy's UKF on [x; d_r; d_l], alpha 1, beta 2, kappa 0.5."""
     from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
-    n = posed.models[k].A.shape[0]
     points = MerweScaledSigmaPoints(n + 2, 1.0, 2.0, 0.5)
 
     def reading(v: Floats) -> Floats:

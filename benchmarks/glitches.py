@@ -17,12 +17,9 @@ from benchmarks import coverage
 from benchmarks.markdown import row
 from benchmarks.random_problems import DURATION, STEP, Problems, World, problems
 from undeadzone.compile import lanes
-from undeadzone.ends.sensor import Sensor, resolve, side
+from undeadzone.ends.sensor import side
 from undeadzone.interfaces import Observer, Reading
 from undeadzone.observers import Auto
-from undeadzone.plants.build import system
-from undeadzone.plants.options import Plant
-from undeadzone.plants.system import sampled
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 
@@ -162,12 +159,7 @@ def observe(options: Callable[[Problems, int], Any], posed: Problems) -> Outcome
         options: of the observer for a problem.
         posed: the problems.
     """
-    built = []
-    for k, model in enumerate(posed.models):
-        right, left = posed.ranges[k, :, 1]
-        zone = resolve(Sensor(right=right, left=left, noise=posed.noise[k]), 1, posed.step[k])
-        plant = sampled(system(Plant(**model._asdict())), posed.step[k])
-        built.append(options(posed, k).build(plant, zone))
+    built = coverage.built_of(options, posed)
     numbers = np.stack([tree.pack(one.params) for one in built])
     states = np.stack([tree.pack(one.init(one.params)) for one in built])
     kernel = lanes.build(_step(built[0]), exogenous=range(2), params=range(numbers.shape[1]))

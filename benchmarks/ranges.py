@@ -20,12 +20,9 @@ from undeadzone.catalogue import ObserverOptions
 from undeadzone.compile import lanes
 from undeadzone.controllers import StateFeedback
 from undeadzone.ends.limits import Limits
-from undeadzone.ends.sensor import Sensor, deadzone, resolve
+from undeadzone.ends.sensor import Sensor, deadzone
 from undeadzone.interfaces import Observer, received
 from undeadzone.observers import Censored, Certified, Kalman
-from undeadzone.plants.build import system
-from undeadzone.plants.options import Plant
-from undeadzone.plants.system import sampled
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario, Simulation
 from undeadzone.signals.exosystem import Random, Sine
@@ -165,8 +162,7 @@ def observe(
         sensor = Sensor(
             right=RANGE[1], left=RANGE[1], noise=known.noise[k], threshold=0.0, range=ends
         )
-        plant = sampled(system(Plant(**model._asdict())), STEP)
-        built.append(options(known, k).build(plant, resolve(sensor, 1, STEP)))
+        built.append(coverage.built_for(options(known, k), model, sensor, STEP))
     numbers = np.stack([tree.pack(one.params) for one in built])
     states = np.stack([tree.pack(one.init(one.params)) for one in built])
     kernel = lanes.build(_step(built[0]), exogenous=range(3), params=range(numbers.shape[1]))

@@ -15,7 +15,7 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 38_240, 317
+MOST_CODE, MOST_FILES = 39_960, 330
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
@@ -29,13 +29,13 @@ BUDGET = {
     "ensemble": 1970,
     "exports": 2430,
     "feedforward": 370,
-    "identification": 5450,
+    "identification": 6940,
     "linear": 400,
     "logs": 1240,
-    "numerics": 640,
-    "observers": 2830,
+    "numerics": 815,
+    "observers": 2850,
     "plants": 1530,
-    "report": 2920,
+    "report": 2950,
     "results": 890,
     "scenario": 1390,
     "signals": 430,

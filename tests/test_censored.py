@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.stats import norm, truncnorm
 
+import undeadzone as uz
 from scenes import PAPER_PLANT, OnNumbers, linear, random_plant, scene
 from undeadzone.compile import interpret
 from undeadzone.controllers.state_feedback import rest
@@ -246,7 +247,7 @@ def test_a_calibrated_input_is_a_mixture_that_is_only_shown() -> None:
     """
     u, x, where = tones(30.0, 8.0), np.array([0.5, 0.0]), zone(right=1.1, left=0.8)
     wide, small, mixed = (
-        watch(Censored(**EXACT | options), MODEL, where, u, x)
+        watch(Censored(**EXACT | options, x_std=[10.0, 10.0]), MODEL, where, u, x)
         for options in (
             {"bias": 0.8, "calibrated": 0.0},
             {"bias": 0.008, "calibrated": 0.0},
@@ -503,10 +504,10 @@ def test_a_mean_inside_a_range_is_that_of_the_truncated_normal_distribution(
     mean: float, std: float
 ) -> None:
     P = np.array([[std**2, 0.3 * std], [0.3 * std, 1.0]])
-    belief, chance = gaussian.truncate_to(
-        gaussian.Gaussian(ca.SX(np.array([mean, 0.0])), ca.SX(P)), 0, -0.5, 1.0
-    )
-    m, cov, log = (np.asarray(ca.evalf(ca.SX(part)).full()) for part in (*belief, chance))
+    found = gaussian.cut_to(ca.SX(mean), ca.SX(P[0, 0]), -0.5, 1.0)
+    move, lost, log = (np.asarray(ca.evalf(ca.SX(part)).full())[0, 0] for part in found)
+    m = np.array([[mean], [0.0]]) + move * P[:, :1]
+    cov = P - lost * P[:, :1] @ P[:1]
     a, b = (-0.5 - mean) / std, (1.0 - mean) / std
     if norm.cdf(b) - norm.cdf(a) < 2e-6:
         assert log <= np.log(2e-6)
@@ -805,3 +806,56 @@ def test_a_narrow_range_is_a_claim_that_lasts() -> None:
     wide = Censored(right=[0.0, 1.0])
     seen = watch(wide, MODEL, zone(noise=0.005), np.zeros((4000, 1)), np.zeros(2))
     assert seen.right_std.max() <= 1.0 / np.sqrt(12) * (1 + 1e-9)
+
+
+# --- Left and right, ahead and behind
+
+
+@given(seed=seeds)
+@settings(max_examples=5, deadline=None)
+def test_mirrored_problems_have_mirrored_answers(seed: int) -> None:
+    """Under all defaults, of readings on both sides, silent, wrong and missing ones."""
+    rng = np.random.default_rng(seed)
+    u = 10 * np.sin(0.05 * np.arange(200) + rng.uniform(0, 6))
+    y = np.clip(rng.normal(size=200).cumsum() / 4, -2, 2)
+    y = np.where(np.abs(y) < 0.5, 0.01 * rng.normal(size=200), y)
+    y[::17], y[::31] = np.nan, 20.0
+    plant = uz.Plant(A=[[0, 1], [-1, -2]], B=[0, 1], C=[1, 0])
+    told = uz.Sensor(right=1.0, left=1.0, noise=0.01)
+    here, there = (uz.Online(Censored(right=[0.0, 2.0]), plant, told, TS) for _ in range(2))
+    for k in range(200):
+        one, other = here.update(y[k], u[k]), there.update(-y[k], -u[k])
+        scale = 1 + abs(one.z[0])
+        assert one.z[0] == pytest.approx(-other.z[0], abs=1e-12 * scale, rel=1e-11)
+        assert one.right[0] == pytest.approx(other.left[0], abs=1e-12, rel=1e-11)
+        assert one.left_std[0] == pytest.approx(other.right_std[0], abs=1e-12, rel=1e-11)
+        assert one.x_std == pytest.approx(other.x_std, rel=1e-9)
+
+
+def gate_of(options: Any, **sensor: Any) -> float:
+    """|y| that the filter takes for silent, at most."""
+    observer = options.build(MODEL, zone(**sensor))
+    return float(observer.params.gate[0])
+
+
+def test_noise_ahead_of_the_zone_makes_no_silent_sensor_read() -> None:
+    """So it is not gated, unless silence is not heard and readings alone would choose its sign."""
+    hearing, deaf = Censored(right=RANGE), Censored(right=RANGE, silence=False)
+    assert gate_of(hearing, noise_before=0.1) == 0.0
+    assert gate_of(hearing, noise_before=0.1, noise=0.01) == gate_of(hearing, noise=0.01)
+    assert gate_of(deaf, noise_before=0.1) == pytest.approx(0.4)
+    assert gate_of(uz.Kalman(right=RANGE), noise_before=0.1) == pytest.approx(0.4)
+    assert gate_of(Censored(right=RANGE, noise=0.1), noise_before=0.1) == pytest.approx(0.4)
+
+
+def test_a_long_correlation_makes_no_filter_deaf() -> None:
+    """An edge rests for a quarter period at most, and for a 25th at least."""
+
+    def rest(**claims: Any) -> float:
+        return float(Censored(right=RANGE, **claims).build(MODEL, zone(noise=0.01)).params.rest)
+
+    quarter = time_scale(MODEL.flow, TS) / TS
+    assert rest(correlation_time=1e3) == rest(correlation_time=1e3, disturbance=0.0)
+    assert rest(correlation_time=1e3) == pytest.approx(quarter)
+    assert rest(correlation_time=0.6) == pytest.approx(30)
+    assert rest(correlation_time=TS) == round(0.16 * quarter)

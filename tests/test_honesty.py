@@ -19,7 +19,7 @@ from test_glitches import AT, PLANT, SENSOR, TS, drive
 from undeadzone.ends.sensor import resolve
 from undeadzone.interfaces import Estimate, InPython, Reading
 from undeadzone.linear.hold import zoh
-from undeadzone.numerics.gaussian import Gaussian, truncate_unless_fake, update_unless_glitch
+from undeadzone.numerics.gaussian import Bound, Gaussian, cut, update_unless_glitch
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import arrival, sampled
@@ -132,16 +132,14 @@ def test_silence_leaves_alone_what_it_may_not_move(alpha: float, share: float, s
     excess = -alpha * np.sqrt(row @ P @ row + 0.01)
     belief = Gaussian(ca.SX(mean), ca.SX(P))
     for moved in ([1.0, 0.0, 1.0], [1.0, share, 1.0]):
-        one, *_ = truncate_unless_fake(belief, h, excess, 0.01, 1.0, 1.6, -7.0, ca.SX(moved))
+        one = cut(belief, [Bound(h, excess, 1.0)], 0.01, 1.6, -7.0, ca.SX(moved))
         after, cov = numbers(*one.belief)
         assert np.linalg.eigvalsh(cov).min() > 0
         if moved[1] == 0.0:
             assert after[1, 0] == pytest.approx(mean[1], abs=1e-12)
             assert cov[1, 1] == pytest.approx(P[1, 1], rel=1e-9)
-    every, *_ = truncate_unless_fake(
-        belief, h, excess, 0.01, 1.0, 1.6, -7.0, ca.SX([1.0, 1.0, 1.0])
-    )
-    plain, *_ = truncate_unless_fake(belief, h, excess, 0.01, 1.0, 1.6, -7.0)
+    every = cut(belief, [Bound(h, excess, 1.0)], 0.01, 1.6, -7.0, ca.SX([1.0, 1.0, 1.0]))
+    plain = cut(belief, [Bound(h, excess, 1.0)], 0.01, 1.6, -7.0)
     for one, other in zip(numbers(*every.belief), numbers(*plain.belief), strict=True):
         assert one == pytest.approx(other, rel=1e-9, abs=1e-12)
 

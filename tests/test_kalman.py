@@ -128,7 +128,11 @@ def test_cut_matches_the_moments_of_the_truncated_belief(seed: int, R: float) ->
     root, h, excess = rng.normal(size=(3, 3)), rng.normal(size=3), rng.normal()
     P, mean = root @ root.T, rng.normal(size=3)
     moments = evaluate(
-        lambda m, P: gaussian.truncate(Gaussian(m, P), ca.SX(h[None, :]), excess, R, 1.0, 1e3)[0],
+        lambda m, P: (
+            gaussian.cut(
+                Gaussian(m, P), [gaussian.Bound(ca.SX(h[None, :]), excess, 1.0)], R, 1e3
+            ).belief
+        ),
         mean,
         P,
     )

@@ -48,6 +48,9 @@ from .identification.answer.result import IdentifiedOutputs as IdentifiedOutputs
 from .identification.identify import identify as identify
 from .interfaces import Estimate as Estimate
 from .linear.matrices import Matrices as Matrices
+from .numerics.hear import Ear as Ear
+from .numerics.hear import Heard as Heard
+from .numerics.hear import hear as hear
 from .observers import Auto as Auto
 from .observers import Censored as Censored
 from .observers import Certified as Certified

@@ -13,6 +13,8 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 CLIP = 30.0  # standard deviations beyond which all readings are alike: all of them are wrong
+DEEP = 5.0  # standard deviations below which chances are told by their asymptotes
+NARROW = 1e-6  # least chance of an interval, over that of its nearer end
 TAIL = 10.0  # standard deviations over which a glitch is spread, besides its reach
 
 
@@ -128,50 +130,23 @@ def update(belief: Gaussian, h: Any, e: Any, R: Any, use: Any) -> tuple[Gaussian
     return Gaussian(mean + K * e, from_upper(cov)), S
 
 
-def truncate(
-    belief: Gaussian, h: Any, excess: Any, R: Any, use: Any, limit: float
-) -> tuple[Gaussian, Any]:
-    """The belief given that excess + h (x - x^) + v <= 0, by matching mean and covariance.
+def cut_to(mean: Any, variance: Any, low: Any, high: Any) -> tuple[Any, Any, Any]:
+    """What is known given low <= x <= high, by matching mean and variance.
 
-    Args:
-        belief: of x (N), with the mean x^.
-        h: row of the bound (1 x N).
-        excess: by which the mean lies beyond the bound.
-        R: variance of v.
-        use: 0 leaves the belief as it is.
-        limit: a bound that holds with a probability of at least Phi(limit) is not used either.
+    Nothing changes where the probability of that is below 1e-6.
 
     Returns:
-        The belief, and 1 where the bound was used.
+        By how much a mean moves along its covariance with x, by how much a covariance is less along
+        the same, and the logarithm of that probability.
     """
-    mean, P = belief
-    std = ca.sqrt(h @ P @ h.T + R)
-    alpha = -excess / std
-    used = ca.logic_and(use, alpha < limit)
-    ratio = ca.if_else(used, hazard(alpha), 0.0)
-    along = P @ h.T / std
-    cov = P - ratio * (ratio + alpha) * (along @ along.T)
-    return Gaussian(mean - ratio * along, from_upper(cov)), used
-
-
-def truncate_to(belief: Gaussian, i: int, low: Any, high: Any) -> tuple[Gaussian, Any]:
-    """The belief given low <= x_i <= high, by matching mean and covariance.
-
-    It is unchanged where the probability of that is below 1e-6.
-
-    Returns:
-        The belief, and the logarithm of that probability.
-    """
-    mean, P = belief
-    std = ca.sqrt(P[i, i])
-    a, b = (low - mean[i]) / std, (high - mean[i]) / std
+    std = ca.sqrt(variance)
+    a, b = (low - mean) / std, (high - mean) / std
     chance = (ca.erf(b / math.sqrt(2)) - ca.erf(a / math.sqrt(2))) / 2
     at_a, at_b = _density(a), _density(b)
     share = ca.if_else(chance > 1e-6, 1 / chance, 0.0)
     shift = (at_a - at_b) * share
-    along = P[:, i] / std
-    cov = P - (shift**2 + (b * at_b - a * at_a) * share) * (along @ along.T)
-    return Gaussian(mean + shift * along, from_upper(cov)), ca.log(ca.fmax(chance, 1e-300))
+    lost = (shift**2 + (b * at_b - a * at_a) * share) / variance
+    return shift / std, lost, ca.log(ca.fmax(chance, 1e-300))
 
 
 def hazard(alpha: Any) -> Any:
@@ -179,18 +154,21 @@ def hazard(alpha: Any) -> Any:
 
     Below -5 by its asymptotic series, 1e-4 accurate there.
     """
-    near, far = ca.fmax(alpha, -5.0), ca.fmax(-alpha, 5.0)
-    exact = ca.exp(-(near**2) / 2) / (math.sqrt(math.pi / 2) * (1 + ca.erf(near / math.sqrt(2))))
-    return ca.if_else(alpha > -5.0, exact, far + (1 - (2 - 10 / far**2) / far**2) / far)
+    exact, far = _density(ca.fmax(alpha, -DEEP)) / _chance(alpha), ca.fmax(-alpha, DEEP)
+    return ca.if_else(alpha > -DEEP, exact, far + (1 - (2 - 10 / far**2) / far**2) / far)
 
 
 def log_chance(alpha: Any) -> Any:
     """log Phi(alpha) of the standard normal distribution; below -5 by its asymptote."""
-    near, far = ca.fmax(alpha, -5.0), ca.fmax(-alpha, 5.0)
-    exact = ca.log((1 + ca.erf(near / math.sqrt(2))) / 2)
+    far = ca.fmax(-alpha, DEEP)
     series = ca.log(1 - (1 - 3 / far**2) / far**2)
     asymptote = -(far**2) / 2 - ca.log(far) - math.log(2 * math.pi) / 2 + series
-    return ca.if_else(alpha > -5.0, exact, asymptote)
+    return ca.if_else(alpha > -DEEP, ca.log(_chance(alpha)), asymptote)
+
+
+def _chance(alpha: Any) -> Any:
+    """Phi(alpha) of the standard normal distribution; below -5 as there."""
+    return (1 + ca.erf(ca.fmax(alpha, -DEEP) / math.sqrt(2))) / 2
 
 
 def _density(x: Any) -> Any:
@@ -320,15 +298,15 @@ def _moved(
 
 
 def lost_given(along: Any, shift: Any, certain: Any, between: Any) -> Any:
-    """What a covariance loses: certain (g g' - (g - s) (g - s)') - between s s'.
+    """What a covariance loses: g certain g' - (g - s) certain (g - s)' - s between s'.
 
     Args:
-        along: g, along which a bound or a reading would move the mean (N).
-        shift: s, along which it does (N).
-        certain: by how much the covariance is less where it is right.
-        between: by how much it is more, as it may be wrong.
+        along: g, along which bounds or a reading would move the mean (N x k).
+        shift: s, along which they do (N x k).
+        certain: by how much the covariance is less where they are right (k x k).
+        between: by how much it is more, as they may be wrong (k x k).
     """
-    half = shift @ (certain * along - (certain + between) / 2 * shift).T
+    half = shift @ (ca.mtimes(certain, along.T) - (certain + between) / 2 @ shift.T)
     return half + half.T
 
 
@@ -343,47 +321,146 @@ def together(readings: Sequence[Weighed]) -> Weighed:
     )
 
 
-def truncate_unless_fake(
-    belief: Gaussian,
-    h: Any,
-    excess: Any,
-    R: Any,
-    use: Any,
-    limit: float,
-    fake: Any,
-    moved: Any = None,
-) -> tuple[Weighed, Any, Any]:
-    """The belief given that excess + h (x - x^) + v <= 0, or that this silence is fake.
+class Bound(NamedTuple):
+    """That excess + h (x - x^) + v <= 0, where it is used.
 
-    Mean and covariance of the mixture are matched.
+    Attributes:
+        h: row of the bound (1 x N).
+        excess: by which the mean x^ lies beyond it.
+        use: 0 leaves the belief as it is.
+    """
+
+    h: Any
+    excess: Any
+    use: Any
+
+
+class Cut(NamedTuple):
+    """What is known after one or two bounds of one reading, which may be fake.
+
+    Attributes:
+        belief: mean and covariance of the mixture of both cases.
+        used: whether each bound was used.
+        trust: probability that the reading is no fake, used or not.
+        log: log of the chance with which it was foretold; 0 where no bound was used.
+    """
+
+    belief: Gaussian
+    used: tuple[Any, ...]
+    trust: Any
+    log: Any
+
+
+def cut(
+    belief: Gaussian,
+    bounds: Sequence[Bound],
+    R: Any,
+    limit: float,
+    fake: Any = None,
+    moved: Any = None,
+) -> Cut:
+    """The belief given one bound, or both ends of an interval, by matching mean and covariance.
 
     Args:
-        belief, h, excess, R, use, limit: as `truncate` takes them.
-        fake: log of the probability that a silence is fake.
-        moved: share by which the bound moves each variable (N); None: all move. What it says of
+        belief: of x (N), with the mean x^.
+        bounds: one, or two that cannot both be exceeded, of one reading.
+        R: variance of each v.
+        limit: a bound that holds with a probability of at least Phi(limit) is not used.
+        fake: log of the probability that the reading is fake; None: it is not.
+        moved: share by which the bounds move each variable (N); None: all move. What they say of
             the others is then known given those that stay.
-
-    Returns:
-        What is known, 1 where the bound was used, and the probability that the silence is no fake,
-        used or not.
     """
     mean, P = belief
-    std = ca.sqrt(ca.fmax(h @ P @ h.T, 0.0) + R)
-    alpha = ca.fmax(-excess / std, -CLIP)
-    used = ca.logic_and(use, alpha < limit)
-    chance = log_chance(alpha)
-    trust = 1 / (1 + ca.exp(ca.fmin(fake - chance, 700.0)))
+    H = ca.vertcat(*(bound.h for bound in bounds))
+    K = P @ H.T
+    G = H @ K
+    told = (_one if len(bounds) == 1 else _two)(bounds, G, R, limit)
+    trust, log, between = ca.SX(1.0), 0.0, 0.0
+    if fake is not None:
+        trust = 1 / (1 + ca.exp(ca.fmin(fake - told.chance, 700.0)))
+        anything = ca.mmax(ca.vertcat(*told.used))
+        log = ca.if_else(anything, log_of_sum(told.chance, fake), 0.0)
+        between = trust * (1 - trust) * (told.shift @ told.shift.T)
+    moving = K if moved is None else moved * K
+    certain = trust * told.lost
+    lost = (
+        K @ (certain - between) @ K.T if moved is None else lost_given(K, moving, certain, between)
+    )
+    after = Gaussian(mean + trust * (moving @ told.shift), from_upper(P - lost))
+    return Cut(after, told.used, trust, log)
+
+
+class _Told(NamedTuple):
+    """What bounds say of the k variables h x, of covariance G.
+
+    Attributes:
+        shift: x^ moves by P H' shift (k).
+        lost: the covariance loses P H' lost H P (k x k).
+        used: whether each bound is used.
+        chance: log of the chance of the bounds, used or not.
+    """
+
+    shift: Any
+    lost: Any
+    used: tuple[Any, ...]
+    chance: Any
+
+
+def _one(bounds: Sequence[Bound], G: Any, R: Any, limit: float) -> _Told:
+    """What one bound says."""
+    (bound,) = bounds
+    std = ca.sqrt(ca.fmax(G, 0.0) + R)
+    alpha = ca.fmax(-bound.excess / std, -CLIP)
+    used = ca.logic_and(bound.use, alpha < limit)
     ratio = ca.if_else(used, hazard(alpha), 0.0)
-    along = P @ h.T / std
-    certain, between = trust * ratio * (ratio + alpha), trust * (1 - trust) * ratio**2
-    if moved is None:
-        shift, lost = along, (certain - between) * (along @ along.T)
-    else:
-        shift = moved * along
-        lost = lost_given(along, shift, certain, between)
-    after = Gaussian(mean - trust * ratio * shift, from_upper(P - lost))
-    log = ca.if_else(used, log_of_sum(chance, fake), 0.0)
-    return Weighed(after, 0.0, std, ca.if_else(used, trust, 1.0), log), used, trust
+    return _Told(*_moments(ratio, alpha, std), (used,), log_chance(alpha))
+
+
+def _two(bounds: Sequence[Bound], G: Any, R: Any, limit: float) -> _Told:
+    """What both ends of an interval say.
+
+    Nothing is beyond both, so that the chance of the interval is Phi(a) + Phi(b) - 1, with a and b
+    how far inside of its ends the mean lies, in standard deviations; its moments follow from the
+    slope and the bend of its log. Both are used where more than 1 - Phi(limit) of what either
+    leaves is beyond the other. A belief may be such that both are exceeded at times; where these
+    are no moments for it, and far outside, the nearer end is used alone.
+    """
+    std = ca.sqrt(ca.fmax(ca.diag(G), 0.0) + R)
+    alpha = ca.fmax(-ca.vertcat(*(bound.excess for bound in bounds)) / std, -CLIP)
+    use = ca.vertcat(*(bound.use for bound in bounds))
+    heard = ca.logic_and(use, alpha < limit)
+    lower = ca.fmin(alpha[0], alpha[1])
+    inside = ca.vertcat(_chance(alpha[0]), _chance(alpha[1]))
+    other = ca.vertcat(inside[1], inside[0])
+    nearest = ca.fmin(inside[0], inside[1])
+    left = ca.fmax(inside[0] + inside[1] - 1, NARROW * nearest)
+    pair = _density(ca.fmax(alpha, -DEEP)) / left
+    unsure = (1 - math.erf(limit / math.sqrt(2))) / 2
+    both = ca.logic_and(use, 1 - inside > unsure * other)
+    both = ca.logic_and(ca.mmin(both), ca.logic_and(ca.mmax(heard), lower > -DEEP))
+    both = ca.logic_and(both, _are_moments(_moments(pair, alpha, std)[1], G))
+    asked = ca.if_else(heard, alpha, CLIP)
+    first = asked[0] <= asked[1]
+    alone = ca.logic_and(heard, ca.vertcat(first, ca.logic_not(first)))
+    ratio = ca.vertcat(hazard(alpha[0]), hazard(alpha[1]))
+    slope = ca.if_else(both, pair, ca.if_else(alone, ratio, 0.0))
+    used = ca.logic_or(both, alone)
+    chance = log_chance(lower) + ca.log(left / nearest)
+    return _Told(*_moments(slope, alpha, std), (used[0], used[1]), chance)
+
+
+def _moments(slope: Any, alpha: Any, std: Any) -> tuple[Any, Any]:
+    """`shift` and `lost` of `_Told`, with the slope of the log of the chance in each alpha (k)."""
+    shift = -slope / std
+    return shift, shift @ shift.T + ca.diag(slope * alpha / std**2)
+
+
+def _are_moments(lost: Any, G: Any) -> Any:
+    """Whether G - G lost G is a covariance, and none above G (2 x 2 each)."""
+    trace = ca.sum1(ca.sum2(lost * G))
+    det = (lost[0, 0] * lost[1, 1] - lost[0, 1] ** 2) * (G[0, 0] * G[1, 1] - G[0, 1] ** 2)
+    below = ca.logic_and(trace < 2, 1 - trace + det > 0)
+    return ca.logic_and(below, ca.logic_and(trace > 0, det > -NARROW))
 
 
 def log_of_sum(a: Any, b: Any) -> Any:

@@ -62,7 +62,9 @@ class Censored(Claims, frozen=True, kw_only=True, tag_field="method", tag="censo
 
     def build(self, model: System, sensor: Zone) -> Observer:
         """The filter for a sampled model."""
-        prior = build_prior(self, model, sensor, wear=WEAR, centre=self.centre)
+        prior = build_prior(
+            self, model, sensor, wear=WEAR, centre=self.centre, silence=self.silence
+        )
         Ts = model.Ts
         assert Ts is not None
         assert model.flow is not None

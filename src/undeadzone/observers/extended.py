@@ -134,7 +134,9 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
 
     def _prior(self, model: System, sensor: Zone) -> Prior:
         """The prior; of a blind filter, widths of 0. Raises InputError, ShapeError."""
-        prior = build_prior(self, model, sensor, start=self.start, centre=self.centre)
+        prior = build_prior(
+            self, model, sensor, start=self.start, centre=self.centre, silence=self.silence
+        )
         if not self.blind:
             return prior
         n, none = model.n, np.zeros(2 * model.p)

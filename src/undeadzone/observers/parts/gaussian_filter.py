@@ -11,7 +11,7 @@ import numpy as np
 
 from undeadzone.ends.sensor import Zone
 from undeadzone.interfaces import Estimate, Reading, estimate
-from undeadzone.numerics.gaussian import Gaussian, from_upper, linearise, truncate_to
+from undeadzone.numerics.gaussian import Gaussian, cut_to, from_upper, linearise
 from undeadzone.observers.parts.prior import Prior
 from undeadzone.plants.system import System, held
 from undeadzone.support.arrays import Floats
@@ -394,16 +394,37 @@ def within_ranges(q: Params, n: int, belief: Gaussian) -> tuple[Gaussian, Any]:
 
     The covariance stays: that of a Gaussian cut where it was matched to a uniform distribution
     would claim too much. But no width is less known than its range says, however long it drifted.
+    Right edges go first, and left ones do: the mean of both treats them alike.
 
     Returns:
         (belief, the log of the chance that every width lies in its range).
     """
-    cut = belief
+    mean, P = belief
+    p = q.ranges.shape[0] // 2
     log_chance = 0.0
-    for i in range(q.ranges.shape[0]):
-        cut, chance = truncate_to(cut, n + i, q.ranges[i, 0], q.ranges[i, 1])
-        log_chance += chance
-    return Gaussian(cut.mean, _no_wider(q, n, belief.cov)), log_chance
+    for i in range(p):
+        both = (n + i, n + p + i)
+        pair = Gaussian(mean[both, :], P[both, both])
+        ranges = q.ranges[(i, p + i), :]
+        one, chance = _cut_to(pair, ranges, (0, 1))
+        other, likewise = _cut_to(pair, ranges, (1, 0))
+        mean = mean + P[:, both] @ ((one + other) / 2)
+        log_chance += (chance + likewise) / 2
+    return Gaussian(mean, _no_wider(q, n, P)), log_chance
+
+
+def _cut_to(pair: Gaussian, ranges: Any, order: tuple[int, int]) -> tuple[Any, Any]:
+    """What a mean moves by along the columns of two widths that are cut to their ranges in order.
+
+    Returns:
+        (numbers by which the columns of the covariance move it (2), the log of the chance).
+    """
+    (m, P), (i, j) = pair, order
+    shift, lost, chance = cut_to(m[i], P[i, i], ranges[i, 0], ranges[i, 1])
+    after, variance = m[j] + shift * P[i, j], P[j, j] - lost * P[i, j] ** 2
+    second, _, likewise = cut_to(after, variance, ranges[j, 0], ranges[j, 1])
+    moves = {i: shift - lost * P[i, j] * second, j: second}
+    return ca.vertcat(moves[0], moves[1]), chance + likewise
 
 
 def _no_wider(q: Params, n: int, cov: Any) -> Any:

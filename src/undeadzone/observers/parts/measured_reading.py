@@ -18,18 +18,19 @@ from undeadzone.ends.play import readings_of_motion
 from undeadzone.ends.sensor import LEFT, RIGHT, Zone, offset, present
 from undeadzone.interfaces import Reading
 from undeadzone.numerics.gaussian import (
+    Bound,
+    Cut,
     Gaussian,
     Weighed,
+    cut,
     linearise,
     together,
-    truncate,
-    truncate_unless_fake,
     update_unless_glitch,
 )
 from undeadzone.observers.parts.further_constants import taken_by_play
 from undeadzone.observers.parts.gaussian_filter import Params, Setup, informed
 from undeadzone.observers.parts.prior import HELD, SILENT, Prior
-from undeadzone.plants.system import System, pace
+from undeadzone.plants.system import System, pace, time_scale
 from undeadzone.support.arrays import Floats
 
 # A silent sensor counts where the belief contradicts it by more than 5 %.
@@ -109,6 +110,8 @@ def correct(
 def rest_of(model: System, sensor: Zone, lasting: float) -> float:
     """Steps for which a silent edge is not heard again: a 25th of the plant's period at least.
 
+    However long a disturbance lasts, z has moved in a quarter period.
+
     A jump sensor's readings bound its edges too, each from another place.
 
     Args:
@@ -118,7 +121,8 @@ def rest_of(model: System, sensor: Zone, lasting: float) -> float:
     """
     if sensor.kind == "jump" or model.flow is None or model.Ts is None:
         return lasting
-    return max(lasting, readings_of_motion(model.Ts, pace(model.flow, model.Ts)))
+    quarter = time_scale(model.flow, model.Ts) / model.Ts
+    return max(min(lasting, quarter), readings_of_motion(model.Ts, pace(model.flow, model.Ts)))
 
 
 def moved_by(setup: Setup, q: Params, belief: Gaussian, i: int, side: Any) -> Any:
@@ -159,30 +163,45 @@ def use_bounds(
         held: side of the zone on which a play ahead of it holds the reading (p), 0 where the zone
             is silent; None: there is no such play.
     """
-    waits: list[Any] = []
-    believed: list[Any] = []
+    p = setup.model.p
+    waits, believed = [None] * (2 * p), [None] * (2 * p)
     belief, log = known.belief, known.log
     trust = ca.SX(known.trust)
-    for edge in (RIGHT, LEFT):
-        for i in range(setup.model.p):
+    for i, edges in _edges(setup):
+        bounds = []
+        for k, edge in edges.items():
             outside = (side[i] == edge) if setup.jump else 0.0
-            waiting = known.wait[len(waits)]
-            bounded = ca.logic_and(ca.logic_or(silent[i], outside), waiting <= 0)
+            heard = ca.logic_and(ca.logic_or(silent[i], outside), known.wait[k] <= 0)
             above = 0.0 if level is None else edge * level[i]
             slack, branch = q.gate[i] + above, edge
             if held is not None:
                 branch = ca.if_else(held[i] != 0, held[i], edge)
                 slack += ca.if_else(held[i] != 0, HELD / SILENT - 1, 0.0) * q.gate[i]
-            one, used, regular = heard_edge(
-                setup, q, belief, i, edge, branch, silent[i], outside, bounded, slack
-            )
-            belief = one.belief
-            believed.append(ca.logic_and(silent[i], regular > 0.5))
-            log += one.log
-            trust[i] = ca.fmin(trust[i], one.trust)
-            waits.append(ca.if_else(used, q.rest, waiting - 1))
-    silences = tuple(ca.vertsplit(ca.vertcat(*believed), setup.model.p))
+            slack = ca.if_else(silent[i], slack / q.slope[i], 0.0)
+            bounds.append(bound_at(setup, q, belief, i, edge, branch, outside, slack, heard))
+        one = heard_edges(setup, q, belief, i, bounds)
+        belief = one.belief
+        log += one.log
+        for k, used in zip(edges, one.used, strict=True):
+            trust[i] = ca.fmin(trust[i], ca.if_else(used, one.trust, 1.0))
+            believed[k] = ca.logic_and(silent[i], one.trust > 0.5)
+            again = ca.logic_and(used, one.trust > 0.5)
+            waits[k] = ca.if_else(again, q.rest, known.wait[k] - 1)
+    silences = tuple(ca.vertsplit(ca.vertcat(*believed), p))
     return Heard(belief, ca.vertcat(*waits), trust, log, silences)
+
+
+def _edges(setup: Setup) -> list[tuple[int, dict[int, float]]]:
+    """Edges that are heard together: the output, and the side of each by its place among all.
+
+    Those of a jump sensor are heard one by one: of a z beyond one of them nothing is asked of the
+    other.
+    """
+    p = setup.model.p
+    if setup.jump:
+        rights: list[tuple[int, dict[int, float]]] = [(i, {i: RIGHT}) for i in range(p)]
+        return rights + [(i, {p + i: LEFT}) for i in range(p)]
+    return [(i, {i: RIGHT, p + i: LEFT}) for i in range(p)]
 
 
 def silent_ones(setup: Setup, q: Params, reading: Reading, y: Any) -> Any:
@@ -216,28 +235,28 @@ def believed_silences(setup: Setup, q: Params, belief: Gaussian, silent: Any) ->
     if not setup.paced:
         return ()
     each = []
-    for edge in (RIGHT, LEFT):
-        for i in range(setup.model.p):
-            *_, regular = heard_edge(
-                setup, q, belief, i, edge, edge, silent[i], 0.0, 0.0, q.gate[i]
-            )
-            each.append(ca.logic_and(silent[i], regular > 0.5))
-    return tuple(ca.vertsplit(ca.vertcat(*each), setup.model.p))
+    for i in range(setup.model.p):
+        bounds = []
+        for edge in (RIGHT, LEFT):
+            slack = q.gate[i] / q.slope[i]
+            bounds.append(bound_at(setup, q, belief, i, edge, edge, 0.0, slack, 0.0))
+        trust = heard_edges(setup, q, belief, i, bounds).trust
+        each.append(ca.logic_and(silent[i], trust > 0.5))
+    return (ca.vertcat(*each),) * 2
 
 
-def heard_edge(
+def bound_at(
     setup: Setup,
     q: Params,
     belief: Gaussian,
     i: int,
     edge: float,
     branch: Any,
-    silent: Any,
     outside: Any,
-    bounded: Any,
     slack: Any,
-) -> tuple[Weighed, Any, Any]:
-    """What one edge says, whether it then is not heard for a while, and how likely it is true.
+    heard: Any,
+) -> Bound:
+    """The bound that one edge is.
 
     Args:
         setup: the filter.
@@ -246,24 +265,22 @@ def heard_edge(
         i: number of the output.
         edge: right or left.
         branch: side of the zone whose edge it is, that of a play ahead of it aside.
-        silent: whether the output is silent.
         outside: whether z is beyond the edge instead, by a jump sensor's reading.
-        bounded: whether the edge is heard.
-        slack: reading up to which z may be beyond the edge of a silent sensor [y].
+        slack: how far z may be beyond the edge [z].
+        heard: whether the edge is heard.
     """
     sight = partial(beyond_edge, setup, q, i, branch, contact=edge)
     excess, h = linearise(sight, belief.mean)
     sign = edge * (1 - 2 * outside)
-    over = sign * excess - ca.if_else(silent, slack / q.slope[i], 0.0)
+    return Bound(sign * h, sign * excess - slack, heard)
+
+
+def heard_edges(setup: Setup, q: Params, belief: Gaussian, i: int, bounds: Sequence[Bound]) -> Cut:
+    """What edges of output i say; bounds: what each one is."""
     if not setup.doubts:
-        after, used = truncate(belief, sign * h, over, q.R[i], bounded, DOUBT)
-        return Weighed(after, 0.0, 0.0, ca.SX(1.0), 0.0), used, 1.0
+        return cut(belief, bounds, q.R[i], DOUBT)
     moved = informed(q, setup.model, belief.cov) if setup.careful else None
-    row, fake = sign * h, q.doubt.fake
-    one, used, regular = truncate_unless_fake(
-        belief, row, over, q.R[i], bounded, DOUBT, fake, moved
-    )
-    return one, ca.logic_and(used, one.trust > 0.5), regular
+    return cut(belief, bounds, q.R[i], DOUBT, q.doubt.fake, moved)
 
 
 def sure_side(y: Any, last: Any, previous: Any, gate: Any) -> Any:
@@ -357,24 +374,28 @@ def use_limits(setup: Setup, q: Params, known: Heard, wait: Any, y: Any, side: A
     Returns:
         What is known, with the waits of the edges and then of the limits (4p).
     """
-    belief, log = known.belief, known.log
-    trust, waits = ca.SX(known.trust), [known.wait]
-    for k, end in enumerate((RIGHT, LEFT)):
-        for i in range(setup.model.p):
-            waiting = wait[k * setup.model.p + i]
-            bounded = ca.logic_and(side[i] == 2 * end, waiting <= 0)
-            one, used = heard_limit(setup, q, belief, i, end, y[i], bounded)
-            belief = one.belief
-            log += one.log
-            trust[i] = ca.fmin(trust[i], one.trust)
-            waits.append(ca.if_else(used, q.lasting, waiting - 1))
-    return known._replace(belief=belief, wait=ca.vertcat(*waits), trust=trust, log=log)
+    p = setup.model.p
+    belief, log, trust = known.belief, known.log, ca.SX(known.trust)
+    wait = ca.SX(wait) - 1
+    for i in range(p):
+        end = ca.sign(side[i])
+        waiting = ca.if_else(end == RIGHT, wait[i], wait[p + i])
+        heard = ca.logic_and(ca.fabs(side[i]) == 2, waiting < 0)
+        one = heard_limit(setup, q, belief, i, end, y[i], heard)
+        (used,) = one.used
+        belief = one.belief
+        log += one.log
+        trust[i] = ca.fmin(trust[i], ca.if_else(used, one.trust, 1.0))
+        again = ca.logic_and(used, one.trust > 0.5)
+        for k, limit in ((i, RIGHT), (p + i, LEFT)):
+            wait[k] = ca.if_else(ca.logic_and(again, end == limit), q.lasting, wait[k])
+    return known._replace(belief=belief, wait=ca.vertcat(known.wait, wait), trust=trust, log=log)
 
 
 def heard_limit(
-    setup: Setup, q: Params, belief: Gaussian, i: int, end: float, y: Any, bounded: Any
-) -> tuple[Weighed, Any]:
-    """What one limit says, and whether it need not be heard again for a while.
+    setup: Setup, q: Params, belief: Gaussian, i: int, end: Any, y: Any, heard: Any
+) -> Cut:
+    """What a limit says.
 
     Args:
         setup: the filter.
@@ -383,17 +404,13 @@ def heard_limit(
         i: number of the output.
         end: the upper limit (right) or the lower one (left).
         y: reading [y].
-        bounded: whether the limit is heard.
+        heard: whether the limit is heard.
     """
     branch = 0.0 if setup.jump else end
     expected, h = linearise(partial(beyond_edge, setup, q, i, branch), belief.mean)
-    over = end * (y / q.slope[i] - expected)
-    if not setup.doubts:
-        after, used = truncate(belief, -end * h, over, q.R[i], bounded, DOUBT)
-        return Weighed(after, 0.0, 0.0, ca.SX(1.0), 0.0), used
-    fake = q.doubt.glitch + math.log(BEYOND)
-    one, used, _ = truncate_unless_fake(belief, -end * h, over, q.R[i], bounded, DOUBT, fake)
-    return one, ca.logic_and(used, one.trust > 0.5)
+    bound = Bound(-end * h, end * (y / q.slope[i] - expected), heard)
+    fake = q.doubt.glitch + math.log(BEYOND) if setup.doubts else None
+    return cut(belief, [bound], q.R[i], DOUBT, fake)
 
 
 def distrusted(trust: Any, reading: Reading) -> Any:

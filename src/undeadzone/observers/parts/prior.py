@@ -71,6 +71,7 @@ def build_prior(
     wear: float = 0.0,
     start: Array = 0.0,
     centre: Array | None = None,
+    silence: bool = False,
 ) -> Prior:
     """The prior from claimed ranges [lo, hi] of the widths.
 
@@ -89,6 +90,8 @@ def build_prior(
         wear: drift, in extents of the range per 1 / sqrt(|pole|), where none is claimed.
         start: mean of x(0), one number or one per state.
         centre: claimed range of d_r - d_l, or its value; None: nothing is claimed.
+        silence: whether silent samples are heard. Then noise ahead of the zone, which never makes a
+            silent sensor read, is not gated: it chose the readings, but the silences too.
 
     Raises:
         InputError, ShapeError: for a claim that cannot be, or a model in continuous time.
@@ -100,9 +103,10 @@ def build_prior(
     largest = max(ranges[:, 1].max(), largest_gap(sensor.play))
     if claims.noise is None:
         rms = sensor.rms
+        shown = np.hypot(sensor.noise, sensor.quantum / np.sqrt(12)) / sensor.slope
         least = floor * span.reshape(2, p).max(axis=0)
     else:
-        rms = _claimed_noise(claims.noise, p)
+        rms = shown = _claimed_noise(claims.noise, p)
         least = np.zeros(p)
     if claims.x_std is None:
         spread = reach * largest * state_units(model.flow or model.linear, Ts)
@@ -117,7 +121,7 @@ def build_prior(
         mean=np.concatenate([x0, ranges.mean(axis=1)]),
         std=np.concatenate([spread, span / np.sqrt(12)]),
         R=np.maximum(rms, least) ** 2,
-        gate=silence_gate(sensor, rms),
+        gate=silence_gate(sensor, shown if silence else rms),
         drift=growth + worn * span**2,
         worn=worn,
         ranges=ranges,

@@ -1,0 +1,134 @@
+/* ear.h: `uz.hear` in C: a reading of a sensor with a dead zone into anybody's Kalman filter.
+
+   x has n states, two of which may be the widths d_r and d_l; P is their covariance, row by row.
+   Define EAR_REAL as double before this file for double precision. No memory is allocated. */
+#ifndef EAR_H
+#define EAR_H
+#include <math.h>
+#ifndef EAR_REAL
+#define EAR_REAL float
+#endif
+typedef EAR_REAL ear_real;
+
+/* What is kept between readings; all 0 at first. */
+typedef struct {
+  ear_real last, previous; /* readings, 0 where one was missing */
+  int wait[2];             /* readings until the right, the left edge is heard again */
+} Ear;
+
+typedef struct {
+  const ear_real *C;     /* row that reads z from x (n) */
+  int at[2];             /* places of d_r and d_l in x; -1: the width is known */
+  ear_real width[2];     /* the widths that are known */
+  ear_real noise;        /* rms behind the zone [y]; with noise_before it must not be 0 */
+  ear_real noise_before; /* rms ahead of it [z] */
+  ear_real slope;        /* of the branches [y/z] */
+  int rest;              /* readings for which an edge is not heard again */
+} EarSensor;
+
+static ear_real ear_hazard(ear_real a) {
+  if (a > -5)
+    return (ear_real)(exp(-0.5 * a * a) / (1.2533141373155003 * (1 + erf(a * 0.7071067811865476))));
+  return -a + (1 - (2 - 10 / (a * a)) / (a * a)) / -a;
+}
+
+/* k = P h with h = sign C - row of the width; returns h x */
+static ear_real ear_row(const EarSensor *s, int n, const ear_real *x, const ear_real *P, int edge,
+                        ear_real sign, ear_real of_width, ear_real *k) {
+  ear_real expected = 0;
+  for (int r = 0; r < n; r++) {
+    k[r] = s->at[edge] < 0 ? 0 : of_width * P[r * n + s->at[edge]];
+    for (int c = 0; c < n; c++) k[r] += sign * s->C[c] * P[r * n + c];
+    expected += sign * s->C[r] * x[r];
+  }
+  return expected + (s->at[edge] < 0 ? 0 : of_width * x[s->at[edge]]);
+}
+
+/* h k, with the same h */
+static ear_real ear_along(const EarSensor *s, int n, int edge, ear_real sign, ear_real of_width,
+                          const ear_real *k) {
+  ear_real sum = s->at[edge] < 0 ? 0 : of_width * k[s->at[edge]];
+  for (int c = 0; c < n; c++) sum += sign * s->C[c] * k[c];
+  return sum;
+}
+
+static int ear_sure(ear_real y, ear_real last, ear_real previous, ear_real gate) {
+  return y > 2 * gate || (last > gate && previous > gate && 2 * last - previous > gate && y > 0);
+}
+
+/* Whether the belief loses no more than all, and no less than nothing, in any direction. */
+static int ear_moments(const ear_real W[3], const ear_real G[3]) {
+  ear_real trace = W[0] * G[0] + 2 * W[1] * G[1] + W[2] * G[2];
+  ear_real det = (W[0] * W[2] - W[1] * W[1]) * (G[0] * G[2] - G[1] * G[1]);
+  return 0 < trace && trace < 2 && 1 - trace + det > 0 && det > (ear_real)-1e-6;
+}
+
+static void ear_bend(const ear_real slope[2], const ear_real a[2], const ear_real std[2],
+                     ear_real W[3]) {
+  ear_real u = slope[0] / std[0], v = slope[1] / std[1];
+  W[0] = u * u + u * a[0] / std[0];
+  W[1] = u * v;
+  W[2] = v * v + v * a[1] / std[1];
+}
+
+/* One reading; NAN: missing. Moves x and P; returns the side that was read, 0 where none was sure.
+   work: 2 n numbers. */
+static int ear_hear(Ear *ear, const EarSensor *s, int n, ear_real *x, ear_real *P, ear_real y,
+                    ear_real *work) {
+  ear_real *k[2] = {work, work + n}, gate = 4 * s->noise, behind = s->noise / s->slope;
+  ear_real R = behind * behind + s->noise_before * s->noise_before, last = ear->last;
+  ear_real previous = ear->previous;
+  int waits[2] = {ear->wait[0], ear->wait[1]}, side;
+  for (int i = 0; i < 2; i++) ear->wait[i] = waits[i] > 0 ? waits[i] - 1 : 0;
+  ear->previous = last;
+  ear->last = isfinite(y) ? y : 0;
+  if (!isfinite(y)) return 0;
+  side = ear_sure(y, last, previous, gate) - ear_sure(-y, -last, -previous, gate);
+  if (side) {
+    int j = side < 0;
+    ear_real e = y / s->slope + (s->at[j] < 0 ? side * s->width[j] : 0);
+    e -= ear_row(s, n, x, P, j, 1, (ear_real)-side, k[0]);
+    ear_real S = ear_along(s, n, j, 1, (ear_real)-side, k[0]) + R;
+    for (int r = 0; r < n; r++) {
+      x[r] += k[0][r] * e / S;
+      for (int c = 0; c < n; c++) P[r * n + c] -= k[0][r] * k[0][c] / S;
+    }
+  }
+  if (fabs((double)y) > gate) return side;
+  ear_real G[3], std[2], a[2], inside[2], slope[2] = {0, 0}, both[2], W[3];
+  int heard[2], unsure = 1;
+  for (int i = 0; i < 2; i++) {
+    ear_real sign = i ? -1 : 1, bound = gate / s->slope + (s->at[i] < 0 ? s->width[i] : 0);
+    ear_real short_of = bound - ear_row(s, n, x, P, i, sign, -1, k[i]);
+    G[2 * i] = ear_along(s, n, i, sign, -1, k[i]);
+    std[i] = (ear_real)sqrt(G[2 * i] + R);
+    a[i] = short_of / std[i] < -30 ? -30 : short_of / std[i];
+    inside[i] = (ear_real)((1 + erf(a[i] * 0.7071067811865476)) / 2);
+    heard[i] = waits[i] <= 0 && a[i] < (ear_real)1.6448536269514722;
+  }
+  if (!heard[0] && !heard[1]) return side;
+  G[1] = ear_along(s, n, 0, 1, -1, k[1]);
+  int nearest = heard[0] && (!heard[1] || a[0] <= a[1]) ? 0 : 1;
+  slope[nearest] = ear_hazard(a[nearest]);
+  for (int i = 0; i < 2; i++)
+    unsure = unsure && waits[i] <= 0 && a[i] > -5 &&
+             1 - inside[i] > (ear_real)0.05 * inside[1 - i];
+  if (unsure) {
+    ear_real left = inside[0] + inside[1] - 1;
+    if (left < (ear_real)1e-6) left = (ear_real)1e-6;
+    for (int i = 0; i < 2; i++)
+      both[i] = (ear_real)(exp(-0.5 * a[i] * a[i]) * 0.3989422804014327) / left;
+    ear_bend(both, a, std, W);
+    if (ear_moments(W, G)) slope[0] = both[0], slope[1] = both[1];
+  }
+  ear_bend(slope, a, std, W);
+  for (int r = 0; r < n; r++) {
+    x[r] -= k[0][r] * slope[0] / std[0] + k[1][r] * slope[1] / std[1];
+    ear_real u = W[0] * k[0][r] + W[1] * k[1][r], v = W[1] * k[0][r] + W[2] * k[1][r];
+    for (int c = 0; c < n; c++) P[r * n + c] -= u * k[0][c] + v * k[1][c];
+  }
+  for (int i = 0; i < 2; i++)
+    if (slope[i] > 0) ear->wait[i] = s->rest;
+  return side;
+}
+#endif

@@ -1,0 +1,239 @@
+"""`hear`: a reading of a sensor with a dead zone into anybody's Kalman filter, with NumPy alone.
+
+It is also what the graph of `Censored` computes, written to be read: a reading on a sure side is
+linear in state and widths; a silent one says on which side of both edges z is, which is matched in
+mean and covariance. docs/hear.md has examples, docs/filters.md the mathematics.
+"""
+
+from __future__ import annotations
+
+from math import erf, exp, pi, sqrt
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from undeadzone.errors import InputError, ShapeError
+from undeadzone.support.arrays import Array, Floats
+
+SILENT = 4.0  # noise, in its rms, that is surely not beyond it
+DOUBT = 1.6448536269514722  # an edge inside of which z is with 95 % anyway is not heard
+UNSURE = 0.05  # the chance of being beyond an edge where it is heard beside the other one
+DEEP = 5.0  # standard deviations beyond an edge from which chances are told by a series
+NARROW = 1e-6  # least chance of silence, over that of being inside of the nearer edge
+CLIP = 30.0  # standard deviations beyond an edge from which all is alike
+
+
+class Ear(NamedTuple):
+    """What is kept from one reading to the next.
+
+    Attributes:
+        last, previous: the last two readings, 0 where one was missing [y].
+        right, left: readings to wait until that edge is heard again.
+    """
+
+    last: float = 0.0
+    previous: float = 0.0
+    right: int = 0
+    left: int = 0
+
+
+class Heard(NamedTuple):
+    """What is known after a reading.
+
+    Attributes:
+        mean: in the shape that was given.
+        cov: covariance (N x N).
+        ear: for the next reading.
+        side: 1 or -1 where the reading was used on that side; 0: silent, unsure or missing.
+        innovation: what was read less what was expected [z]; 0 where side is 0.
+        innovation_std: standard deviation of that [z]; 0 where side is 0.
+    """
+
+    mean: Floats
+    cov: Floats
+    ear: Ear
+    side: int
+    innovation: float = 0.0
+    innovation_std: float = 0.0
+
+
+Bools = np.ndarray[Any, np.dtype[np.bool_]]
+
+
+class Gauss(NamedTuple):
+    """A mean (N) and its covariance (N x N)."""
+
+    mean: Floats
+    cov: Floats
+
+
+class Edge(NamedTuple):
+    """One edge: the width is row @ mean + known.
+
+    Attributes:
+        sign: 1 on the right, -1 on the left.
+        row: that reads the width from the mean (N); 0 where it is known.
+        known: the width, where it is known [z].
+    """
+
+    sign: int
+    row: Floats
+    known: float
+
+
+def hear(
+    mean: Array,
+    cov: Array,
+    C: Array,
+    y: float,
+    *,
+    right: Array,
+    left: Array,
+    noise: float,
+    ear: Ear,
+    rest: int,
+    noise_before: float = 0.0,
+    slope: float = 1.0,
+) -> Heard:
+    """The mean and covariance after a reading y = slope Dz(C x + noise ahead) + noise behind.
+
+    Args:
+        mean: of the filter's state, after its prediction (N, or N x 1).
+        cov: covariance of that (N x N).
+        C: row that reads z from the mean (N).
+        y: reading [y]; NaN where it is missing, or at a limit of the sensor's range.
+        right, left: widths d_r, d_l: a number where one is known [z], or the row that reads it from
+            the mean (N).
+        noise: rms of the noise behind the zone [y].
+        ear: what the last call returned, at first `Ear()`. A filter that has none would cut off
+            the same tail at every sample.
+        rest: readings for which an edge is not heard again: a 25th of the plant's period, or the
+            correlation time of its disturbance if that is longer, up to a quarter period.
+        noise_before: rms of the noise ahead of the zone [z].
+        slope: of the zone's branches [y/z].
+
+    Returns:
+        What is known, and the ear for the next reading.
+
+    Raises:
+        InputError, ShapeError: unless shapes agree and noise is there.
+    """
+    shape, belief = np.shape(mean), _checked(mean, cov)
+    if not slope > 0:
+        raise InputError(f"slope: must be positive, found {slope:g}")
+    rms = float(np.hypot(noise / slope, noise_before))
+    if not rms > 0:
+        raise InputError(
+            f"noise: expected some rms behind or ahead of the zone, found {noise:g} and "
+            f"{noise_before:g}; of a clean sensor give its resolution"
+        )
+    z = _row("C", C, len(belief.mean))
+    edges = [_edge("right", 1, right, z), _edge("left", -1, left, z)]
+    waits = np.array([ear.right, ear.left])
+    later = np.maximum(waits - 1, 0)
+    if not np.isfinite(y):
+        return Heard(belief.mean.reshape(shape), belief.cov, Ear(0.0, ear.last, *later.tolist()), 0)
+    gate = SILENT * noise
+    side = _sure(y, ear.last, ear.previous, gate) - _sure(-y, -ear.last, -ear.previous, gate)
+    e = std = 0.0
+    if side:
+        edge = edges[0] if side > 0 else edges[1]
+        e = float(y / slope + side * edge.known - (z - side * edge.row) @ belief.mean)
+        belief, std = _corrected(belief, z - side * edge.row, e, rms**2)
+    if abs(y) <= gate:
+        belief, heard = _within(belief, z, edges, gate / slope, rms**2, waits == 0)
+        later = np.where(heard, rest, later)
+    return Heard(
+        belief.mean.reshape(shape), belief.cov, Ear(y, ear.last, *later.tolist()), side, e, std
+    )
+
+
+def _checked(mean: Array, cov: Array) -> Gauss:
+    """Mean (N) and covariance (N x N) as new arrays. Raises ShapeError."""
+    m, P = np.array(mean, float).ravel(), np.array(cov, float)
+    if P.shape != (m.size, m.size):
+        raise ShapeError(f"cov: expected {m.size} x {m.size}, as the mean, found {P.shape}")
+    return Gauss(m, P)
+
+
+def _row(name: str, value: Array, count: int) -> Floats:
+    """A row (N). Raises ShapeError."""
+    row = np.asarray(value, float).ravel()
+    if row.size != count:
+        raise ShapeError(
+            f"{name}: expected a row of {count} numbers, as the mean, found {row.size}"
+        )
+    return row
+
+
+def _edge(name: str, sign: int, width: Array, z: Floats) -> Edge:
+    """An edge of known or estimated width. Raises InputError, ShapeError."""
+    if np.ndim(width):
+        return Edge(sign, _row(name, width, z.size), 0.0)
+    known = float(np.asarray(width))
+    if not known >= 0:
+        raise InputError(f"{name}: a known width must be at least 0, found {known:g}")
+    return Edge(sign, np.zeros(z.size), known)
+
+
+def _sure(y: float, last: float, previous: float, gate: float) -> int:
+    """Whether a reading is surely on the right: far out, or announced by the two before it."""
+    announced = last > gate and previous > gate and 2 * last - previous > gate
+    return int(y > 2 * gate or (announced and y > 0))
+
+
+def _corrected(belief: Gauss, h: Floats, e: float, R: float) -> tuple[Gauss, float]:
+    """The belief after a linear reading, by Joseph's form, and the innovation's deviation."""
+    m, P = belief
+    S = h @ P @ h + R
+    K = P @ h / S
+    half = P - np.outer(K, h @ P)
+    return Gauss(m + K * e, half - np.outer(half @ h, K) + R * np.outer(K, K)), sqrt(S)
+
+
+def _within(
+    belief: Gauss, z: Floats, edges: list[Edge], slack: float, R: float, asked: Bools
+) -> tuple[Gauss, Bools]:
+    """The belief given that z is inside of both edges, and which of them were heard.
+
+    Nothing is beyond both, so that the chance of that is Phi(a) + Phi(b) - 1, with a and b how far
+    inside of the edges z is, in standard deviations; its logarithm's slope and bend are the
+    moments. An edge is heard where more than 5 % of what the other one leaves is beyond it.
+    """
+    m, P = belief
+    H = np.array([edge.sign * z - edge.row for edge in edges])
+    K = P @ H.T
+    G = H @ K
+    std = np.sqrt(np.diag(G) + R)
+    alpha = np.maximum([(edge.known + slack) for edge in edges] - H @ m, -CLIP * std) / std
+    inside = np.array([(1 + erf(a / sqrt(2))) / 2 for a in alpha])
+    slope: Floats = np.zeros(2)  # of the log of the chance, in each alpha
+    heard = asked & (alpha < DOUBT)
+    if heard.any():
+        nearest = np.argmin(np.where(heard, alpha, np.inf))
+        slope[nearest] = _hazard(alpha[nearest])
+    unsure = 1 - inside > UNSURE * inside[::-1]
+    if heard.any() and np.all(asked & unsure & (alpha > -DEEP)):
+        both = np.exp(-(alpha**2) / 2) / sqrt(2 * pi) / max(inside.sum() - 1, NARROW)
+        if _are_moments(_bend(both, alpha, std) @ G):
+            slope = both
+    after = P - K @ _bend(slope, alpha, std) @ K.T
+    return Gauss(m - K @ (slope / std), (after + after.T) / 2), slope > 0
+
+
+def _bend(slope: Floats, alpha: Floats, std: Floats) -> Floats:
+    """Of the log of the chance, less, in the directions of the edges (2 x 2)."""
+    return np.outer(slope / std, slope / std) + np.diag(slope * alpha / std**2)
+
+
+def _are_moments(lost: Floats) -> bool:
+    """Whether the belief loses no more than all, and no less than nothing, in any direction."""
+    trace, det = np.trace(lost), np.linalg.det(lost)
+    return bool(0 < trace < 2 and 1 - trace + det > 0 and det > -NARROW)
+
+
+def _hazard(alpha: float) -> float:
+    """phi(alpha) / Phi(alpha) of the standard normal distribution; far below 0 by its series."""
+    if alpha > -DEEP:
+        return exp(-(alpha**2) / 2) / (sqrt(pi / 2) * (1 + erf(alpha / sqrt(2))))
+    return -alpha + (1 - (2 - 10 / alpha**2) / alpha**2) / -alpha

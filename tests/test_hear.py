@@ -1,0 +1,286 @@
+"""`hear`: against the graph of `Censored`, the exact posterior of one reading, and `ear.h`."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import undeadzone as uz
+from scenes import linear
+from undeadzone.ends.sensor import Sensor, deadzone, resolve, side
+from undeadzone.interfaces import Reading
+from undeadzone.numerics.hear import Ear, Heard, hear
+from undeadzone.plants.system import sampled
+from undeadzone.support import tree
+from undeadzone.support.arrays import Floats
+
+TS = 0.01
+C, RIGHT, LEFT = np.eye(3)  # of [z; d_r; d_l]
+
+
+def one_silence(mean: Any, cov: Any, **claims: Any) -> Heard:
+    """What is known after one silent reading of [z; d_r; d_l]."""
+    told = {"right": RIGHT, "left": LEFT, "noise": 0.001, "rest": 5} | claims
+    return hear(mean, cov, C, 0.0, ear=Ear(), **told)
+
+
+# --- One silence
+
+
+def test_at_a_silent_start_z_is_inside_the_zone() -> None:
+    """N(0, 10^2), ranges [.3, 2]: the exact answer is 0 +- .82 (4e6 draws)."""
+    heard = one_silence([0.0, 1.15, 1.15], np.diag([100.0, 0.2408, 0.2408]))
+    assert abs(heard.mean[0]) < 1e-12
+    assert math.sqrt(heard.cov[0, 0]) == pytest.approx(0.82, abs=0.02)
+    assert heard.mean[1] == pytest.approx(1.25, abs=0.02)
+    assert math.sqrt(heard.cov[1, 1]) == pytest.approx(0.48, abs=0.02)
+
+
+@pytest.mark.parametrize(("mean", "std"), [(0.0, 1.0), (1.0, 2.0), (3.0, 2.0), (10.0, 3.0)])
+def test_known_edges_give_the_moments_of_a_cut_gaussian(mean: float, std: float) -> None:
+    from scipy.stats import truncnorm
+
+    heard = one_silence([mean, 0.0, 0.0], np.diag([std**2, 1.0, 1.0]), right=1.0, left=0.5)
+    ends = ((-0.504 - mean) / std, (1.004 - mean) / std)  # 4 rms of noise beyond the edges
+    expected, variance = truncnorm.stats(*ends, loc=mean, scale=std)
+    assert heard.mean[0] == pytest.approx(expected, abs=2e-4)
+    assert heard.cov[0, 0] == pytest.approx(variance, rel=2e-3)
+    assert heard.mean[1:].tolist() == [0.0, 0.0]
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=60, deadline=None)
+def test_silence_leaves_a_covariance_that_is_one(seed: int) -> None:
+    """Whatever is believed, of zones that may be negative too."""
+    rng = np.random.default_rng(seed)
+    root = rng.normal(size=(3, 3)) * np.exp(2 * rng.normal(size=3))[:, None]
+    cov = root @ root.T
+    mean = rng.normal(size=3) * np.exp(rng.normal())
+    after = one_silence(mean, cov).cov
+    scale = np.sqrt(np.diag(cov))
+    assert np.linalg.eigvalsh(after / np.outer(scale, scale)).min() > -1e-9
+    assert np.linalg.eigvalsh((cov - after) / np.outer(scale, scale)).min() > -1e-9
+
+
+def test_a_narrow_belief_hears_one_edge() -> None:
+    """As the cut at the edge that it contradicts alone."""
+    mean, cov = np.array([1.5, 1.2, 1.2]), np.diag([0.04, 0.01, 0.01])
+    heard = one_silence(mean, cov)
+    h = C - RIGHT
+    std = math.sqrt(h @ cov @ h + 1e-6)
+    alpha = (0.004 - h @ mean) / std
+    density = math.exp(-(alpha**2) / 2) / math.sqrt(2 * math.pi)
+    ratio = density / (math.erfc(-alpha / math.sqrt(2)) / 2)
+    assert heard.mean == pytest.approx(mean - ratio * cov @ h / std)
+    lost = ratio * (ratio + alpha) * np.outer(cov @ h, h @ cov) / std**2
+    assert heard.cov == pytest.approx(cov - lost)
+    assert (heard.ear.right, heard.ear.left) == (5, 0)
+
+
+# --- Beside the graph
+
+
+def graph(noise: float, before: float, disturbance: float) -> Any:
+    """(step of `Censored` on numbers, its first state, steps to wait)."""
+    model = sampled(linear([[0.0, 1.0], [-4.0, -1.0]], [[0.0], [4.0]], [[1.0, 0.0]]), TS)
+    zone = resolve(Sensor(right=1.0, left=1.0, noise=noise, noise_before=before), 1, TS, 2.0)
+    options = uz.Censored(
+        right=[0.3, 2.0],
+        x_std=[2.0, 2.0],
+        disturbance=disturbance,
+        bias=0.0,
+        tolerance=0.0,
+        levels=1,
+        glitches=0.0,
+    )
+    observer = options.build(model, zone)
+    p, params = tree.symbols(observer.params, "p")
+    s, state = tree.symbols(observer.init(observer.params), "s")
+    w = ca.SX.sym("w", 2)
+    reading = Reading(w[0], side(w[0]))
+    after, _ = observer.step(params, state, w[1], reading)
+    (moments,) = observer.smoothing.moments(params, state, w[1], reading)
+    beliefs = [*moments.before, *moments.heard, moments.edges]
+    step = ca.Function("step", [s, w, p], [tree.stack(after), *beliefs], {"cse": True})
+    numbers = tree.pack(observer.params)
+    first = tree.pack(observer.init(observer.params))
+    return (
+        lambda s, w: [np.array(part) for part in step(s, w, numbers)],
+        first,
+        observer.params.rest,
+    )
+
+
+@pytest.mark.parametrize(
+    ("noise", "before", "disturbance"), [(0.02, 0.0, 0.3), (0.0, 0.05, 0.3), (0.01, 0.02, 0.0)]
+)
+def test_the_graph_of_censored_hears_what_hear_does(
+    noise: float, before: float, disturbance: float
+) -> None:
+    """Mean and covariance after each of 600 readings, some of which are missing."""
+    rng = np.random.default_rng(5)
+    step, s, rest = graph(noise, before, disturbance)
+    t = TS * np.arange(600)
+    z = 1.6 * np.sin(3 * t) + 0.4 * np.sin(7 * t)
+    ear, used = Ear(), [0, 0]
+    for k in range(600):
+        y = float(deadzone(z[k] + before * rng.normal(), 1.1, 0.8) + noise * rng.normal())
+        y = math.nan if rng.uniform() < 0.05 else y
+        s, mean, cov, expected, cov_after, edges = step(s, [y, 0.0])
+        n = len(mean)
+        right, left = np.eye(n)[2], np.eye(n)[3]
+        heard = hear(
+            mean,
+            cov,
+            edges[0] + right,
+            y,
+            right=right,
+            left=left,
+            noise=noise,
+            noise_before=before,
+            ear=ear,
+            rest=math.ceil(rest),
+        )
+        scale = np.sqrt(np.diag(cov))
+        assert heard.mean == pytest.approx(expected, rel=1e-7, abs=1e-9)
+        gap = (heard.cov - cov_after) / np.outer(scale, scale)
+        assert np.abs(np.nan_to_num(gap)).max() < 1e-7
+        used[0] += heard.side != 0
+        used[1] += heard.ear.right > ear.right or heard.ear.left > ear.left
+        ear = heard.ear
+    assert used[0] > 100
+    assert used[1] >= 3
+
+
+# --- Its readings
+
+
+def test_a_reading_on_a_sure_side_is_a_kalman_update() -> None:
+    mean, cov = np.array([2.0, 1.0, 1.0]), np.diag([1.0, 0.2, 0.2])
+    heard = hear(mean, cov, C, 3.0, right=RIGHT, left=LEFT, noise=0.1, ear=Ear(), rest=5, slope=2.0)
+    h = C - RIGHT
+    S = h @ cov @ h + 0.05**2
+    assert heard.side == 1
+    assert heard.innovation == pytest.approx(1.5 - 1.0)
+    assert heard.innovation_std == pytest.approx(math.sqrt(S))
+    assert heard.mean == pytest.approx(mean + cov @ h / S * 0.5)
+    assert heard.cov == pytest.approx(cov - np.outer(cov @ h, cov @ h) / S)
+    assert heard.ear == Ear(3.0, 0.0, 0, 0)
+
+
+def test_a_column_stays_a_column_and_nothing_is_changed_in_place() -> None:
+    mean, cov = np.array([[2.0], [1.0], [1.0]]), np.eye(3)
+    heard = hear(mean, cov, C, -3.0, right=1.0, left=LEFT, noise=0.1, ear=Ear(), rest=5)
+    assert heard.mean.shape == (3, 1)
+    assert heard.side == -1
+    assert mean.ravel().tolist() == [2.0, 1.0, 1.0]
+    assert (cov == np.eye(3)).all()
+
+
+def test_a_missing_reading_says_nothing() -> None:
+    before = Ear(0.7, 0.5, 3, 0)
+    heard = hear(
+        [2.0, 1.0, 1.0],
+        np.eye(3),
+        C,
+        math.nan,
+        right=RIGHT,
+        left=LEFT,
+        noise=0.1,
+        ear=before,
+        rest=5,
+    )
+    assert heard.mean.tolist() == [2.0, 1.0, 1.0]
+    assert heard.ear == Ear(0.0, 0.7, 2, 0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"noise": 0.0}, "noise: expected some rms"),
+        ({"slope": 0.0}, "slope: must be positive"),
+        ({"right": -1.0}, "right: a known width"),
+        ({"left": [1.0, 0.0]}, "left: expected a row of 3 numbers"),
+        ({"cov": np.eye(2)}, "cov: expected 3 x 3"),
+    ],
+)
+def test_what_cannot_be_is_refused(changes: dict[str, Any], words: str) -> None:
+    given_ = {"mean": [0.0, 1.0, 1.0], "cov": np.eye(3), "C": C, "y": 0.0, "right": RIGHT}
+    given_ |= {"left": LEFT, "noise": 0.1, "ear": Ear(), "rest": 5}
+    with pytest.raises(uz.InputError, match=words):
+        hear(**given_ | changes)
+
+
+# --- In C
+
+MAIN = """
+#define EAR_REAL double
+#include "ear.h"
+#include <stdio.h>
+int main(void) {
+  double C[] = {1, 0, 0, 0}, x[] = {0, 0, 1.15, 1.15}, P[16] = {0}, work[8], y;
+  EarSensor s = {C, {2, AT_LEFT}, {0, 0.8}, NOISE, BEFORE, 2, 5};
+  Ear ear = {0};
+  P[0] = 25; P[5] = 1; P[10] = P[15] = 0.24;
+  while (scanf("%lf", &y) == 1) {
+    int side = ear_hear(&ear, &s, 4, x, P, y, work);
+    printf("%d", side);
+    for (int i = 0; i < 4; i++) printf(" %.17g", x[i]);
+    for (int i = 0; i < 16; i++) printf(" %.17g", P[i]);
+    printf("\\n");
+    for (int i = 0; i < 4; i++) P[5 * i] += 0.001 * (i < 2);
+    x[0] += 0.01 * x[1];
+  }
+  return 0;
+}
+"""
+
+
+@pytest.mark.parametrize(
+    ("at_left", "noise", "before"), [(3, 0.02, 0.0), (-1, 0.02, 0.01), (3, 0.0, 0.05)]
+)
+def test_the_header_computes_the_same(
+    at_left: int, noise: float, before: float, tmp_path: Path
+) -> None:
+    """To rounding, over readings of both sides, silent and missing ones."""
+    rng = np.random.default_rng(1)
+    z = 2 * np.sin(0.05 * np.arange(300)) + before * rng.normal(size=300)
+    readings = deadzone(z, 1.0, 0.8, 2.0) + noise * rng.normal(size=300)
+    readings[::17] = np.nan
+    rows = in_c(readings, at_left, noise, before, tmp_path)
+    x, P, ear = np.array([0, 0, 1.15, 1.15]), np.diag([25, 1, 0.24, 0.24]), Ear()
+    eye = np.eye(4)
+    for y, row in zip(readings, rows, strict=True):
+        left: Any = eye[3] if at_left > 0 else 0.8
+        claims = {"noise": noise, "noise_before": before, "slope": 2.0, "ear": ear, "rest": 5}
+        heard = hear(x, P, eye[0], y, right=eye[2], left=left, **claims)
+        x, P, ear = heard.mean, heard.cov, heard.ear
+        assert row[0] == heard.side
+        assert row[1:5] == pytest.approx(x, rel=1e-6, abs=1e-8)
+        assert row[5:] == pytest.approx(P.ravel(), rel=1e-5, abs=1e-8)
+        P = P + np.diag([0.001, 0.001, 0, 0])
+        x = x + np.array([0.01 * x[1], 0, 0, 0])
+
+
+def in_c(readings: Floats, at_left: int, noise: float, before: float, folder: Path) -> Floats:
+    """What the header makes of readings, compiled with all warnings: (side, x, P) a row."""
+    header = files("undeadzone.numerics") / "ear.h"
+    (folder / "ear.h").write_text(header.read_text())
+    (folder / "main.c").write_text(MAIN)
+    words = {"AT_LEFT": at_left, "NOISE": noise, "BEFORE": before}
+    defined = [f"-D{name}={value}" for name, value in words.items()]
+    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-O1", *defined]
+    program = folder / "ear"
+    subprocess.run(["gcc", *flags, "-o", program, folder / "main.c", "-lm"], check=True)
+    text = "\n".join(map(str, readings))
+    done = subprocess.run([program], input=text, capture_output=True, text=True, check=True)
+    return np.array([line.split() for line in done.stdout.splitlines()], float)
