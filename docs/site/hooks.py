@@ -54,7 +54,7 @@ FIRST = {
         "adaptation.md",
     ],
     "Proof and speed": ["certificate.md", "rates.md"],
-    "Logs": ["identify.md", "watch.md", "filters.md"],
+    "Logs": ["identify.md", "watch.md", "filters.md", "hear.md"],
     "Studies": ["simulation.md", "ensemble.md", "tune.md", "arena.md", "robots.md"],
     "Elsewhere": ["export.md", "security.md"],
     "Reference": ["scenario.md", "versions.md", "decisions.md"],
