@@ -13,10 +13,10 @@ test: .venv/tested            ## everything: format, lint, types, tests, docs
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
-	$(BIN)/pytest -n 2 --dist loadgroup
+	$(BIN)/pytest -n 2
 
 test-wheel: .venv/tested      ## the tests against an installed wheel in place of src
-	$(BIN)/python tests/packed.py -n 2 --dist loadgroup
+	$(BIN)/python tests/packed.py -n 2
 
 wheel: .venv/tested           ## a wheel in dist/, and its bill of materials (CycloneDX)
 	rm -rf dist
@@ -31,7 +31,7 @@ mutants: .venv/tested         ## do the tests notice a wrong sign? MUTANTS=300 o
 	$(BIN)/python -m mutants run --count $(MUTANTS)
 
 coverage: .venv/tested        ## lines of src that no test runs
-	$(BIN)/pytest -n 2 --dist loadgroup --cov=undeadzone --cov-report=term-missing:skip-covered
+	$(BIN)/pytest -n 2 --cov=undeadzone --cov-report=term-missing:skip-covered
 
 tools:                        ## what some tests need besides Python: compilers and emulators of microcontrollers, cppcheck, browser
 	sh tests/tools.sh

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
+from xdist.scheduler import LoadScopeScheduling
 
 # As the command line does, and before NumPy is imported: matrices here are small.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -31,7 +32,7 @@ settings.register_profile(
 )
 settings.load_profile("shared")
 
-# Files that share what `once.py` makes: with `--dist loadgroup` one process has them.
+# Files that share what `once.py` makes: one process has them.
 TOGETHER = {
     "test_design_cli": "design",
     "test_design_synthesis": "design",
@@ -49,7 +50,6 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     """Keep compiled kernels between runs of the tests, while the compiler is the same."""
-    config.addinivalue_line("markers", "xdist_group(name): tests of one process")  # xdist's own
     digest = hashlib.sha256()
     for path in sorted((Path(undeadzone.__file__).parent / "compile").glob("*.py")):
         digest.update(path.read_bytes())
@@ -77,12 +77,26 @@ def code_of_no_effort(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None
         yield
 
 
-@pytest.hookimpl(tryfirst=True)  # ahead of xdist, which reads the groups
+class InFiles(LoadScopeScheduling):  # type: ignore[misc]
+    """Gives the tests of a file, and of files that belong together, to one process.
+
+    xdist's own groups (3.8) are lost on pytest 9.2, and said nothing.
+    """
+
+    def _split_scope(self, nodeid: str) -> str:
+        """The group of a test."""
+        name = Path(nodeid.partition("::")[0]).stem
+        return TOGETHER.get(name, name)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> InFiles:
+    """How several processes share the tests, whatever --dist says."""
+    return InFiles(config, log)
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Keep the tests of a file in one process; shuffle files, and the tests of each."""
-    for item in items:
-        name = item.path.stem
-        item.add_marker(pytest.mark.xdist_group(TOGETHER.get(name, name)))
+    """Shuffle files, and the tests of each."""
     seed = config.getoption("order")
     if seed is None:
         return
