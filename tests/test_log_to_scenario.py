@@ -168,6 +168,9 @@ def test_one_command_leads_from_a_log_to_firmware_that_has_followed_it(
     assert chain["left"] < 0.2 * chain["hidden"]
     assert (tmp_path / "fw" / "firmware" / "Makefile").exists()
     assert (tmp_path / "fw" / "estimate.npz").exists()
+    refused = undeadzone("identify", "log.csv", "--chain", "log.csv", cwd=tmp_path)
+    assert refused.returncode == 2
+    assert "log.csv: cannot write" in refused.stderr  # before anything is computed
     for words in (("--zero", "1"), ("log.csv",)):
         refused = undeadzone("identify", "log.csv", *words, "--chain", "other", cwd=tmp_path)
         assert refused.returncode == 2

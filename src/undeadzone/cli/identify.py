@@ -91,6 +91,8 @@ def identify(
         raise click.UsageError("--chain follows one log, with --zero taken off its readings")
     folder = output.folder(f"{first.stem}-identify")
     path = writable(output.out or Path()) / f"{first.stem}.toml"
+    if chain is not None:
+        writable(chain)
     require_table(str(first))
     require_own(path, force)
     keep = partial_file(folder, "identify.json", resume)
