@@ -303,11 +303,11 @@ def test_arena_tune_is_killed_and_goes_on(mine: Path, tmp_path: Path) -> None:
 
 
 def test_arena_keeps_what_is_done_without_being_asked(mine: Path, tmp_path: Path) -> None:
-    command = [*COMMAND, str(mine), "--methods", METHODS, "--seeds", "2"]
+    command = [*COMMAND, str(mine), "--methods", METHODS, "--seeds", "6"]
     partial = tmp_path / "arena-results/results.json.partial"
     code, said = stopped(signal.SIGINT, partial, command, tmp_path)
     assert code == 130, said
-    assert "6 methods x 1 scenario x 2 seeds = 12 runs; less than a minute" in said
+    assert "6 methods x 1 scenario x 6 seeds = 36 runs; less than a minute" in said
     assert "continue with --resume" in said
     done = undeadzone(*command[len(COMMAND) - 1 :], "--resume", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
