@@ -25,7 +25,7 @@ from benchmarks.random_problems import (
 from benchmarks.random_problems import World as World
 from undeadzone.compile import lanes
 from undeadzone.ends.sensor import Sensor, resolve, side
-from undeadzone.interfaces import Observer, Reading
+from undeadzone.interfaces import Estimate, Observer, Reading
 from undeadzone.linear.hold import zoh
 from undeadzone.linear.matrices import Matrices
 from undeadzone.observers import Censored, Kalman
@@ -111,7 +111,9 @@ def observe(options: Callable[[Problems, int], Any], posed: Problems) -> Verdict
     built = built_of(options, posed)
     numbers = np.stack([tree.pack(one.params) for one in built])
     states = np.stack([tree.pack(one.init(one.params)) for one in built])
-    kernel = lanes.build(_step(built[0]), exogenous=range(2), params=range(numbers.shape[1]))
+    kernel = lanes.build(
+        step_of(built[0], _kept), exogenous=range(2), params=range(numbers.shape[1])
+    )
     shared = np.zeros((len(posed.y), 2))
     own = np.stack([posed.y, posed.u], axis=1)
     out, _ = lanes.run(kernel, states, shared, numbers[0], own, numbers, threads=1)
@@ -150,23 +152,22 @@ def built_for(options: Any, model: Matrices, sensor: Sensor, step: float) -> Obs
     return built
 
 
-def _step(observer: Observer) -> ca.Function:
-    """next, out = step(s, [y, u], p); out: widths, z, their deviations, the innovation and its."""
+def _kept(estimate: Estimate) -> list[Any]:
+    """Widths, z, their deviations, the innovation and its."""
+    stds = (estimate.right_std, estimate.left_std, estimate.width_std, estimate.x_std[0])
+    means = (estimate.right, estimate.left, estimate.z)
+    return [*means, *stds, estimate.innovation, estimate.innovation_std]
+
+
+def step_of(observer: Observer, kept: Callable[[Estimate], list[Any]]) -> ca.Function:
+    """next, out = step(s, [y, u], p); kept: gives what is in out."""
     p, params = tree.symbols(observer.params, "p")
     s, state = tree.symbols(observer.init(observer.params), "s")
     w = ca.SX.sym("w", 2)
     after, estimate = observer.step(params, state, w[1], Reading(w[0], side(w[0])))
-    stds = (estimate.right_std, estimate.left_std, estimate.width_std, estimate.x_std[0])
-    record = ca.vertcat(
-        estimate.right,
-        estimate.left,
-        estimate.z,
-        *stds,
-        estimate.innovation,
-        estimate.innovation_std,
-    )
     names = (["s", "w", "p"], ["next", "out"])
-    return ca.Function("observe", [s, w, p], [tree.stack(after), record], *names, {"cse": True})
+    out = [tree.stack(after), ca.vertcat(*kept(estimate))]
+    return ca.Function("observe", [s, w, p], out, *names, {"cse": True})
 
 
 def truth(posed: Problems) -> Floats:

@@ -11,7 +11,6 @@ import itertools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import casadi as ca
 import numpy as np
 
 from benchmarks import coverage
@@ -20,8 +19,8 @@ from benchmarks.exact_problems import RANGE, SAMPLES, STEP, Problem, problems
 from benchmarks.markdown import head, row
 from benchmarks.plain_filters import Track, filterpy_unscented, hearing, matching, tobit, tracked
 from undeadzone.compile import lanes
-from undeadzone.ends.sensor import Sensor, side
-from undeadzone.interfaces import Observer, Reading
+from undeadzone.ends.sensor import Sensor
+from undeadzone.interfaces import Estimate
 from undeadzone.observers import Auto, Censored
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
@@ -99,7 +98,9 @@ def by_graph(options: Callable[[Problem], Any]) -> Callable[[list[Problem]], lis
             built.append(coverage.built_for(options(one), one.model, sensor, STEP))
         numbers = np.stack([tree.pack(one.params) for one in built])
         states = np.stack([tree.pack(one.init(one.params)) for one in built])
-        kernel = lanes.build(_step(built[0]), exogenous=range(2), params=range(numbers.shape[1]))
+        kernel = lanes.build(
+            coverage.step_of(built[0], _kept), exogenous=range(2), params=range(numbers.shape[1])
+        )
         own = np.stack([np.stack([one.y, one.u], axis=1) for one in posed], axis=2)
         out, _ = lanes.run(
             kernel, states, np.zeros((SAMPLES, 2)), numbers[0], own, numbers, threads=1
@@ -110,17 +111,10 @@ def by_graph(options: Callable[[Problem], Any]) -> Callable[[list[Problem]], lis
     return track
 
 
-def _step(observer: Observer) -> ca.Function:
-    """next, out = step(s, [y, u], p); out: z, d_r, d_l and their deviations."""
-    p, params = tree.symbols(observer.params, "p")
-    s, state = tree.symbols(observer.init(observer.params), "s")
-    w = ca.SX.sym("w", 2)
-    after, estimate = observer.step(params, state, w[1], Reading(w[0], side(w[0])))
+def _kept(estimate: Estimate) -> list[Any]:
+    """z, d_r, d_l and their deviations."""
     means = (estimate.z, estimate.right, estimate.left)
-    stds = (estimate.x_std[0], estimate.right_std, estimate.left_std)
-    names = (["s", "w", "p"], ["next", "out"])
-    out = [tree.stack(after), ca.vertcat(*means, *stds)]
-    return ca.Function("observe", [s, w, p], out, *names, {"cse": True})
+    return [*means, estimate.x_std[0], estimate.right_std, estimate.left_std]
 
 
 def one_by_one(track: Callable[[Problem], Track]) -> Callable[[list[Problem]], list[Track]]:

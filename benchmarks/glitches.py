@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import casadi as ca
 import msgspec
 import numpy as np
 
@@ -17,8 +16,7 @@ from benchmarks import coverage
 from benchmarks.markdown import row
 from benchmarks.random_problems import DURATION, STEP, Problems, World, problems
 from undeadzone.compile import lanes
-from undeadzone.ends.sensor import side
-from undeadzone.interfaces import Observer, Reading
+from undeadzone.interfaces import Estimate, Observer
 from undeadzone.observers import Auto
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
@@ -162,7 +160,9 @@ def observe(options: Callable[[Problems, int], Any], posed: Problems) -> Outcome
     built = coverage.built_of(options, posed)
     numbers = np.stack([tree.pack(one.params) for one in built])
     states = np.stack([tree.pack(one.init(one.params)) for one in built])
-    kernel = lanes.build(_step(built[0]), exogenous=range(2), params=range(numbers.shape[1]))
+    kernel = lanes.build(
+        coverage.step_of(built[0], _kept), exogenous=range(2), params=range(numbers.shape[1])
+    )
     own = np.stack([posed.y, posed.u], axis=1)
     shared = np.zeros((len(posed.y), 2))
     out, _ = lanes.run(kernel, states, shared, numbers[0], own, numbers, threads=1)
@@ -179,16 +179,10 @@ def observe(options: Callable[[Problems, int], Any], posed: Problems) -> Outcome
     return Outcome(verdict, np.sqrt(np.mean(error**2, axis=1)), consistent)
 
 
-def _step(observer: Observer) -> ca.Function:
-    """next, out = step(s, [y, u], p); out: widths, z, their deviations, what it says of them."""
-    p, params = tree.symbols(observer.params, "p")
-    s, state = tree.symbols(observer.init(observer.params), "s")
-    w = ca.SX.sym("w", 2)
-    after, estimate = observer.step(params, state, w[1], Reading(w[0], side(w[0])))
+def _kept(estimate: Estimate) -> list[Any]:
+    """Widths, z, their deviations, what the filter says of them."""
     stds = (estimate.right_std, estimate.left_std, estimate.width_std, estimate.x_std[0])
-    record = ca.vertcat(estimate.right, estimate.left, estimate.z, *stds, estimate.consistent)
-    names = (["s", "w", "p"], ["next", "out"])
-    return ca.Function("observe", [s, w, p], [tree.stack(after), record], *names, {"cse": True})
+    return [estimate.right, estimate.left, estimate.z, *stds, estimate.consistent]
 
 
 def trusting(options: Callable[[Problems, int], Any]) -> Callable[[Problems, int], Any]:

@@ -19,6 +19,7 @@ from undeadzone.simulation.consistency import Consistency
 from undeadzone.simulation.misread import what_would_fit
 from undeadzone.simulation.online import built_for
 from undeadzone.simulation.smoother import smooth
+from undeadzone.support.arrays import Floats
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 COMMAND = [sys.executable, "-c", "from undeadzone.cli import main; main()"]
@@ -270,20 +271,26 @@ def test_true_records_are_consistent() -> None:
     assert verdicts.count(True) >= 7
 
 
+def wrong(run: uz.Run, change: str) -> tuple[Floats, Floats, uz.Scenario]:
+    """Readings and inputs of a run, and a scenario, of which something is not as it was."""
+    y, u, looked = run.y, run.u, scenario()
+    plant = uz.Plant(second_order=uz.SecondOrder(zeta=0.5, omega_n=4.0, gain=20.0))
+    finer = uz.Simulation(duration=1.0, time="sampled", step=0.001)
+    return {
+        "swapped": (u, y, looked),
+        "sign": (-y, u, looked),
+        "thousandfold": (1000 * y, u, looked),
+        "millivolts": (y, 1000 * u, looked),
+        "early": (y[:-10], u[10:], looked),
+        "late": (y[5:], u[:-5], looked),
+        "gain": (y, u, scenario(plant=plant)),
+        "step": (y, u, scenario(simulation=finer)),
+    }[change]
+
+
 @pytest.mark.parametrize("change", ["swapped", "sign", "gain", "step", "thousandfold"])
 def test_what_is_wrong_shows(run: uz.Run, change: str) -> None:
-    y, u, looked = run.y.copy(), run.u.copy(), scenario()
-    if change == "swapped":
-        y, u = u, y
-    if change == "sign":
-        y = -y
-    if change == "thousandfold":
-        y = 1000 * y
-    if change == "gain":
-        plant = uz.Plant(second_order=uz.SecondOrder(zeta=0.5, omega_n=4.0, gain=20.0))
-        looked = scenario(plant=plant)
-    if change == "step":
-        looked = scenario(simulation=uz.Simulation(duration=1.0, time="sampled", step=0.001))
+    y, u, looked = wrong(run, change)
     result = uz.estimate(looked, y=y, u=u)
     assert result.consistent is False
     assert result.info.reasons
@@ -306,22 +313,7 @@ WOULD_FIT = {
 
 @pytest.mark.parametrize("change", WOULD_FIT)
 def test_what_would_fit_is_told(run: uz.Run, change: str) -> None:
-    y, u, looked = run.y.copy(), run.u.copy(), scenario()
-    if change == "swapped":
-        y, u = u, y
-    elif change == "sign":
-        y = -y
-    elif change == "thousandfold":
-        y = 1000 * y
-    elif change == "millivolts":
-        u = 1000 * u
-    elif change == "early":
-        y, u = y[:-10], u[10:]
-    elif change == "late":
-        y, u = y[5:], u[:-5]
-    else:
-        plant = uz.Plant(second_order=uz.SecondOrder(zeta=0.5, omega_n=4.0, gain=20.0))
-        looked = scenario(plant=plant)
+    y, u, looked = wrong(run, change)
     found = uz.estimate(looked, y=y, u=u, smoothing=False)
     words, expected = what_would_fit(looked, found), WOULD_FIT[change]
     if expected is None:

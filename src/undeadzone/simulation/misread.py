@@ -15,7 +15,7 @@ from undeadzone.logs.samples import Grid, Regular
 from undeadzone.results.estimation import Estimation
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.follower import Follower
-from undeadzone.support.arrays import Floats
+from undeadzone.support.arrays import Floats, later
 
 SAMPLES: Final = 3000  # at the beginning of a log, which are tried
 DELAYS: Final = (1, 2, 3, 5, 10, 20)  # samples
@@ -50,9 +50,8 @@ def _misreadings(y: Floats, u: Floats) -> Iterator[tuple[str, Floats, Floats]]:
         yield f"the readings are in another unit: times {factor:g} they fit", y * factor, u
         yield f"the inputs are in another unit: times {factor:g} they fit", y, u * factor
     for delay in DELAYS[: int(np.searchsorted(DELAYS, len(u) / 4))]:
-        late = np.vstack([np.repeat(u[:1], delay, axis=0), u[:-delay]])
+        late, early = (later(u, samples, np.zeros(1, int)) for samples in (delay, -delay))
         yield f"the inputs act {delay} samples after the log has them", y, late
-        early = np.vstack([u[delay:], np.repeat(u[-1:], delay, axis=0)])
         yield f"the inputs act {delay} samples before the log has them", y, early
 
 

@@ -252,6 +252,19 @@ def _number_text(number: complex) -> str:
     return f"{number.real:.4g}"
 
 
+def later(rows: Floats, samples: int, start: Integers) -> Floats:
+    """Rows of records so many samples later; what is not known is held.
+
+    Args:
+        rows: of all records, one after another (N or N x m).
+        samples: by how many; negative: earlier.
+        start: first row of each record (R).
+    """
+    record = np.searchsorted(start, np.arange(len(rows)), side="right") - 1
+    last = np.append(start[1:], len(rows)) - 1
+    return rows[np.clip(np.arange(len(rows)) - samples, start[record], last[record])]
+
+
 def one_or_list(values: Sequence[Any] | Floats) -> Any:
     """A plain value for each output, input or joint: itself where there is one, else a list.
 

@@ -256,7 +256,7 @@ class Knowledge(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         reasons: why not, for each 'no'.
         cures: what would turn a 'no' into a 'yes'.
         std: expected standard deviation of each, by its name [unit of z].
-        second: another truth with the same readings; None: not looked for.
+        second: another truth with the same readings; None: none far from it, or not looked for.
     """
 
     right: bool

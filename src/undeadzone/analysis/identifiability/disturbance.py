@@ -115,11 +115,12 @@ def unknown_constants(
     Returns:
         The inputs that one acts on (m x b), and its rms, infinite where it may be of any size (b).
     """
-    rms = np.sqrt((_swing(disturbance, m, duration) ** 2).mean(axis=0))
+    constant = _has_constant(disturbance, m, duration)
+    rms = np.sqrt((_swing(disturbance, constant, duration) ** 2).mean(axis=0))
     if isinstance(disturbance, Random):  # of which the mean over the run is what is like a constant
         share = min(1.0, 2 * disturbance.correlation_time / duration)
         rms = np.sqrt(share) * np.broadcast_to(disturbance.rms, m)
-    rms = np.where(_has_constant(disturbance, m, duration), np.inf, rms)
+    rms = np.where(constant, np.inf, rms)
     return np.eye(m)[:, rms > 0], rms[rms > 0]
 
 
@@ -136,7 +137,8 @@ def unknown_inputs(disturbance: Disturbance | None, B: Floats, duration: float) 
         size = np.broadcast_to(np.asarray(disturbance.rms, float), m)
         memory = disturbance.correlation_time
         return together([first_order(B[:, [j]], size[[j]], memory) for j in np.flatnonzero(size)])
-    swing, constant = _swing(disturbance, m, duration), _has_constant(disturbance, m, duration)
+    constant = _has_constant(disturbance, m, duration)
+    swing = _swing(disturbance, constant, duration)
     colours = []
     for j in np.flatnonzero(swing.any(axis=0)):
         column, rms = B[:, [j]], np.sqrt((swing[:, [j]] ** 2).mean(axis=0))
@@ -165,12 +167,19 @@ def correlation_time(signal: Floats, step: float) -> float:
     return step * float(fallen[0] if fallen.size else signal.size)
 
 
-def _swing(disturbance: Disturbance | None, m: int, duration: float) -> Floats:
-    """A disturbance at POINTS times of a run, without constants of any size (POINTS x m)."""
+def _swing(disturbance: Disturbance | None, constant: np.ndarray, duration: float) -> Floats:
+    """A disturbance at POINTS times of a run, without constants of any size (POINTS x m).
+
+    Args:
+        disturbance: any.
+        constant: whether it has such a constant, of each input (m, bool).
+        duration: of the run [s].
+    """
+    m, t = constant.size, np.linspace(0.0, duration, POINTS)
     if disturbance is None or isinstance(disturbance, Random):
         return np.zeros((POINTS, m))
-    values = exosystem("disturbance", disturbance, m).value(np.linspace(0.0, duration, POINTS))
-    swing = values - np.where(_has_constant(disturbance, m, duration), values.mean(axis=0), 0.0)
+    values = exosystem("disturbance", disturbance, m).value(t)
+    swing = values - np.where(constant, values.mean(axis=0), 0.0)
     return np.where(np.abs(swing).max(axis=0) > ROUNDING * np.abs(values).max(), swing, 0.0)
 
 

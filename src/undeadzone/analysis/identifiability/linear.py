@@ -107,7 +107,8 @@ class Verdict(NamedTuple):
         reasons: why not, for each 'no', in words.
         std: the deviation that an optimal estimator reaches of each, by name, where noise is taken
             into account.
-        second: another truth with these readings (`second_truth`); None: not looked for.
+        second: another truth with these readings (`second_truth`); None: none far from it, or not
+            looked for.
     """
 
     right: bool

@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 
 from undeadzone.identification.models.estimates import KeptClimbs
 from undeadzone.identification.models.likelihood import Readings
-from undeadzone.support.arrays import Flags, Floats, Integers
+from undeadzone.support.arrays import Flags, Floats, Integers, later
 
 MANY = 10_000  # samples of a log from which what costs many fits takes a part of it
 STRETCH = 5_000  # samples of a stretch of that part
@@ -72,11 +72,7 @@ def delayed(data: Data, samples: int) -> Data:
         data: the records.
         samples: by how many; negative: earlier.
     """
-    u = np.empty_like(data.u)
-    for part in data.records():
-        at = np.arange(part.stop - part.start) - samples
-        u[part] = data.u[part][np.clip(at, 0, len(at) - 1)]
-    return data._replace(u=u)
+    return data._replace(u=later(data.u, samples, data.start))
 
 
 def part_of(data: Data, longest: int = STRETCH) -> Data:

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from undeadzone.identification.servo.feedback import NORMAL
 from undeadzone.identification.servo.heard import REACH, Heard, noise_of, triggered
 from undeadzone.identification.servo.likelihood import Likelihood, Servo
 from undeadzone.identification.servo.sampled import GAP
@@ -24,7 +25,6 @@ FEW = 12  # crossings from which a trend is looked for
 CLEAR = 4.0  # standard deviations of a trend that is named
 STRONG = 0.1  # of the gap, that a trend must change over the crossings
 OUTLIER = 4.0  # scatters beyond which a crossing counts no more than that
-NORMAL = 1.4826  # standard deviation of a Gaussian by its median deviation
 OF_MEDIAN = 1.2533  # standard error of a median, in those of a mean
 MEANING = {
     "duration": "friction or slow torques are not fully held",

@@ -10,7 +10,7 @@ from undeadzone.support.arrays import Flags, Floats
 LAGS = 10  # samples of the past that are taken out
 OWN = 3  # changes of readings, of now and before, to which u may answer
 OUTLIER = 5.0  # scatters of what the past leaves: steps of a reference are none of the loop's
-NORMAL = 1.4826
+NORMAL = 1.4826  # standard deviation of a Gaussian by its median deviation
 LEAST = 3e-3  # of du, that the past must leave
 SHARE = 0.01  # of what it leaves, that readings must explain
 CHANCE = 1e-6

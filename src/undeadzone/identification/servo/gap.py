@@ -16,7 +16,7 @@ from scipy.special import expit
 
 from undeadzone.identification.models.estimates import Interval, quantile, sandwich
 from undeadzone.identification.servo.crossings import Crossings, crossings_of
-from undeadzone.identification.servo.heard import Heard, noise_of, shifted, triggered
+from undeadzone.identification.servo.heard import Heard, noise_of, triggered
 from undeadzone.identification.servo.likelihood import (
     DEAR,
     Likelihood,
@@ -28,7 +28,7 @@ from undeadzone.identification.servo.likelihood import (
 from undeadzone.identification.servo.sampled import DAMPING, GAIN, GAP, OFFSET, SPRING
 from undeadzone.identification.servo.search import searched
 from undeadzone.identification.servo.simulated import STEPS, refitted, simulated
-from undeadzone.support.arrays import Flags, Floats, Integers
+from undeadzone.support.arrays import Flags, Floats, Integers, later
 
 LONGEST = 20_000  # samples that are fitted
 REVERSALS = 10  # crossings that a gap is read off, at least
@@ -102,7 +102,7 @@ class ServoGap(NamedTuple):
         log = self.log
         z = Likelihood(log).run(one.theta[None], one.structure.lag)[0][:, 2]
         half = float(one.theta[GAP]) / 2
-        before = shifted(log.y, log.start, 1)
+        before = later(log.y, 1, log.start)
         readings = np.maximum(np.minimum(before, z + half), z - half)
         if log.quantum:
             readings = log.quantum * np.round(readings / log.quantum)
@@ -280,7 +280,7 @@ def _odd_errors(log: Heard, slopes: Slopes) -> list[str]:
     if abs(float(r[1:] @ r[:-1])) > CORRELATED * power:
         reasons.append("errors follow errors of the same sign: the motor is not fully held")
     used = np.flatnonzero(log.counted(False))
-    past = np.column_stack([shifted(log.u, log.start, 1 + j)[used] for j in range(LAGS)])
+    past = np.column_stack([later(log.u, 1 + j, log.start)[used] for j in range(LAGS)])
     past = past - past.mean(axis=0)
     explained = past @ np.linalg.lstsq(past, r, rcond=1e-8)[0]
     if float(explained @ explained) > HEARS * power:

@@ -10,7 +10,7 @@ import numpy as np
 from undeadzone.identification.models.motion import white_noise
 from undeadzone.identification.servo.feedback import is_closed
 from undeadzone.identification.servo.predictor import LATEST
-from undeadzone.support.arrays import Flags, Floats, Integers
+from undeadzone.support.arrays import Flags, Floats, Integers, later
 
 USUAL = (5e-4, 0.05)  # of a servo [s]; other samples take as long as those in between
 FEWEST = 20  # changes of readings that are worth a look
@@ -77,7 +77,7 @@ class Heard(NamedTuple):
         """Inputs of the kernel (N x inputs), with the samples whose errors count (N)."""
         starts = np.zeros(self.u.size)
         starts[self.start] = 1.0
-        late = np.column_stack([shifted(self.u, self.start, j) for j in range(LATEST + 1)])
+        late = np.column_stack([later(self.u, j, self.start) for j in range(LATEST + 1)])
         if not self.ticks:
             return np.column_stack([late, self.y, self.ok, starts, counted])
         ticks = [self.side, self.boundary, self.turns, self.first]
@@ -108,14 +108,6 @@ class Heard(NamedTuple):
             side=self.side[kept],
             boundary=self.boundary[kept],
         )
-
-
-def shifted(u: Floats, start: Integers, samples: int) -> Floats:
-    """Inputs later by so many samples (N); what is not known is held."""
-    begun = np.zeros(u.size, int)
-    begun[start] = start
-    first = np.maximum.accumulate(begun)
-    return u[np.maximum(np.arange(u.size) - samples, first)]
 
 
 def heard(u: Floats, y: Floats, ok: Flags, start: Integers, step: float) -> Heard | None:

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from undeadzone.identification.servo.crossings import crossings_of
-from undeadzone.identification.servo.heard import REACH, Heard, noise_of, shifted, triggered
+from undeadzone.identification.servo.heard import REACH, Heard, noise_of, triggered
 from undeadzone.identification.servo.likelihood import PARTS, Likelihood, Servo, Structure
 from undeadzone.identification.servo.sampled import (
     DAMPING,
@@ -33,7 +33,7 @@ from undeadzone.identification.servo.sampled import (
     TORQUE,
     discretised,
 )
-from undeadzone.support.arrays import Floats
+from undeadzone.support.arrays import Floats, later
 
 MOST = 3000  # samples of a search
 POLES = 5  # rates of damping where climbs begin
@@ -134,7 +134,7 @@ def _linear(log: Heard, theta: Floats, lag: bool) -> Floats:
     """z of a servo without friction (N)."""
     A, B, _ = discretised(theta[None], log.step, lag)
     F, b = A[0, :2, :2], B[0, :2, 0]
-    late = shifted(log.u, log.start, 1 + round(theta[DELAY]))
+    late = later(log.u, 1 + round(theta[DELAY]), log.start)
     denominator = np.array([1.0, -np.trace(F), np.linalg.det(F)])
     numerator = np.array([b[0], F[0, 1] * b[1] - F[1, 1] * b[0]])
     return np.asarray(lfilter(numerator, denominator, late))

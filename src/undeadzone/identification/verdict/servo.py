@@ -19,12 +19,12 @@ from undeadzone.identification.logs.prepare import OFTEN
 from undeadzone.identification.models import plant
 from undeadzone.identification.models.estimates import Interval
 from undeadzone.identification.servo.gap import ServoGap, centre_of, servo_gap
-from undeadzone.identification.servo.heard import Heard, heard, noise_of, shifted
+from undeadzone.identification.servo.heard import Heard, heard, noise_of
 from undeadzone.identification.servo.likelihood import Servo
 from undeadzone.identification.servo.sampled import DELAY, GAIN, discretised
 from undeadzone.identification.verdict.verdict import LEAST, LIKELY, Case, Verdict, because, best_of
 from undeadzone.identification.verdict.which import EVEN, MEMORY, Element, Found
-from undeadzone.support.arrays import Floats
+from undeadzone.support.arrays import Floats, later
 
 POSSIBLE = ("none", "play", "friction", "other", "unclear", "undecided")  # that it may replace
 EXPLAINED = ("play", "none", "friction")  # words that stand where their fit is good
@@ -43,7 +43,7 @@ def heard_of(grid: Grid, options: Options) -> Heard | None:
         return None
     if options.place != "auto" or options.right or options.left:
         return None
-    u = shifted(grid.u[:, 0], grid.start, late_of(options))
+    u = later(grid.u[:, 0], late_of(options), grid.start)
     return heard(u, grid.y, grid.ok, grid.start, grid.step)
 
 
@@ -180,7 +180,7 @@ def element_of(case: Case, servo: ServoGap) -> Element:
     """
     grid, data, one = case.grid, case.data, servo.servo
     late = late_of(case.options) + lateness(servo)
-    u = shifted(grid.u[:, 0], grid.start, late)
+    u = later(grid.u[:, 0], late, grid.start)
     own = data._replace(
         u=u[:, None] / data.u_scale,
         y=np.where(grid.ok, grid.y / data.y_scale, 0.0),
