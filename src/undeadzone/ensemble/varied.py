@@ -37,6 +37,7 @@ FIXED: Final = (
     *("h", "controller.tau", "controller.rate"),  # set by the clock, never varied
     *("sensor.limits.low", "sensor.limits.high"),  # sensor.range, where they exist
 )
+AHEAD: Final = "controller.ahead."  # of the model that a controller moves on over a delay
 PARAMETRIC: Final = ("plant", "observer.model", "controller.model")  # hold NAME of parameters
 PER_SECOND: Final = ("observer.L", "observer.gamma")  # held per step by the loop of a sampled model
 NOT_NEGATIVE: Final = (
@@ -97,7 +98,8 @@ def quantities(problem: Problem, loop: Loop, nominal: Floats) -> dict[str, Quant
     fixed = [*FIXED, *_meaningless(problem)]
     by_address: dict[str, Quantity] = {}
     for slot, (name, value) in enumerate(zip(tree.names(loop.params), nominal, strict=True)):
-        if stem(name) in fixed and slot not in renamed:
+        is_fixed = stem(name) in fixed or name.startswith(AHEAD)
+        if is_fixed and slot not in renamed:
             continue
         address = renamed.get(slot) or _address(problem, name)
         slots, gain = of_sensor.get(address, (slot,)), 1.0

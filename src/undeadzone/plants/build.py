@@ -63,6 +63,7 @@ _FUNCTIONS = {
 }
 _OF_TWO = ("min", "max", "atan2")  # these take two arguments, the others one
 _CONSTANTS = {"pi": math.pi}
+LATEST = 1000  # samples by which an input may act late
 
 
 def matrices(plant: Plant, key: str = "plant") -> Matrices:
@@ -100,6 +101,13 @@ def system(plant: Plant, key: str = "plant") -> System:
     Raises:
         InputError: or a subclass, that names the key.
     """
+    if not 0 <= plant.delay <= LATEST:
+        raise InputError(f"{key}.delay: expected 0 to {LATEST} samples, found {plant.delay}")
+    return _without_delay(plant, key)._replace(delay=plant.delay)
+
+
+def _without_delay(plant: Plant, key: str) -> System:
+    """The `System` of a plant whose input acts at once. Raises InputError."""
     form = _form(plant, key)
     if plant.f is not None:
         return _nonlinear(plant, key)
@@ -125,7 +133,7 @@ def _form(plant: Plant, key: str) -> str:
         present = " and ".join(forms) or "none"
         raise InputError(f"{key}: give exactly one form ({', '.join(_FORMS)}), found {present}")
     (form,) = forms
-    known = {form, *_FORMS[form], "x0"}
+    known = {form, *_FORMS[form], "x0", "delay"}
     for name in Plant.__struct_fields__:
         value = getattr(plant, name)
         absent = value is None or (name == "parameters" and not value)

@@ -53,6 +53,7 @@ class System(NamedTuple):
             that their difference would have.
         actuator: what is known of the actuator ahead of it, whose widths an observer may estimate;
             None: there is none.
+        delay: samples by which an input acts late; the functions above take what acts.
     """
 
     params: Any
@@ -69,6 +70,7 @@ class System(NamedTuple):
     rate: Callable[[Any, Any, Any], Any] | None = None
     change: Callable[[Any, Any, Any], Any] | None = None
     actuator: Belief | None = None
+    delay: int = 0
 
     @property
     def n(self) -> int:

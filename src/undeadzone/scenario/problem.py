@@ -12,6 +12,7 @@ import numpy as np
 
 from undeadzone.compensators import SmoothZoneInverse
 from undeadzone.controllers.parts.behind_play import led_across
+from undeadzone.controllers.parts.predicted import predicting
 from undeadzone.ends.actuator import ActuatorModel, Belief, Drive, believed, resolve_actuator
 from undeadzone.ends.gaps import gaps_of
 from undeadzone.ends.sensor import Sensor, Zone, resolve
@@ -27,7 +28,7 @@ from undeadzone.plants.options import Plant
 from undeadzone.plants.region import box
 from undeadzone.plants.system import System, pace
 from undeadzone.scenario.overrun import require_contact
-from undeadzone.scenario.schema import Scenario, Units
+from undeadzone.scenario.schema import Model, Scenario, Units
 from undeadzone.scenario.time_step import (
     checked_time,
     require_bounded_error,
@@ -108,6 +109,8 @@ def resolve_scenario(scenario: Scenario) -> Problem:
             raise InputError(f"simulation.substeps: expected 1 to 1000, found {substeps}")
         plant = sampled_within_limits("plant", true, step, substeps)
         model = sampled_within_limits("model", flow, step, substeps)
+    elif true.delay or flow.delay:
+        raise InputError('plant.delay: counts samples; set simulation.time = "sampled"')
     elif sensor.quantum.any():
         raise InputError(
             'sensor.quantum: a reading is rounded when it is taken; set simulation.time = "sampled"'
@@ -129,6 +132,7 @@ def resolve_scenario(scenario: Scenario) -> Problem:
     _require_room(sensor, observer)
     controller = scenario.controller.build(model)
     controller = led_across(controller, model, sensor, tracked, scenario.behind_play)
+    controller = predicting(controller, model, belief)
     require_bounded_error(model, observer, step)
     if model.Ts is None:
         require_fine_step(plant, model, observer, controller, step)
@@ -265,21 +269,20 @@ def modelled_plant(scenario: Scenario) -> Plant:
     model, plant = scenario.model, scenario.plant
     if model is None:
         return plant
+    if model.delay is not None:
+        plant = msgspec.structs.replace(plant, delay=model.delay)
     if plant.f is not None or plant.arm is not None:
-        return _with_parameters(scenario)
+        return _with_parameters(model, plant, _matrices_of_model(scenario))
     if model.parameters:
         raise InputError(
             "model.parameters: only a plant given by formulas or an arm has parameters; use A, B, C"
         )
     linear = plants.matrices(plant)
-    return Plant(**{**linear._asdict(), **_matrices_of_model(scenario)})
+    return Plant(**{**linear._asdict(), **_matrices_of_model(scenario)}, delay=plant.delay)
 
 
-def _with_parameters(scenario: Scenario) -> Plant:
+def _with_parameters(model: Model, plant: Plant, matrices: dict[str, object]) -> Plant:
     """A plant given by formulas or an arm, with the parameters of [model]. Raises InputError."""
-    model, plant = scenario.model, scenario.plant
-    assert model is not None
-    matrices = _matrices_of_model(scenario)
     if matrices:
         raise InputError(
             f"model.{min(matrices)}: the plant is given by formulas or an arm; its model can "

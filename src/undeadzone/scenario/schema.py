@@ -114,6 +114,7 @@ class Model(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
             estimate it [u].
         play: as in [sensor]; ranges [[lo, hi], [lo, hi]] in place of [c_r, c_l] are estimated by
             `kalman`, `censored` and `auto` [z].
+        delay: as in [plant].
     """
 
     A: Array | None = None
@@ -123,6 +124,7 @@ class Model(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     actuator: ActuatorModel | None = None
     load_friction: Array | None = None
     play: Array | None = None
+    delay: int | None = None
 
 
 class Simulation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

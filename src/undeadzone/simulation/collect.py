@@ -29,6 +29,7 @@ from undeadzone.simulation.verdicts import (
     actuator_unknown,
     as_far_as_known,
     by_claims,
+    late_inputs,
     linear_verdicts,
     told_at_both_ends,
     with_cures,
@@ -90,7 +91,7 @@ def _verdicts_along(problem: Problem, signal: Outputs) -> list[Verdict]:
         return verdicts_along(
             problem.plant,
             signal.x,
-            signal.u,
+            late_inputs(problem, signal),
             signal.z,
             problem.sensor,
             simulation.step,
