@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.ends.actuator import Belief, through_line
+from undeadzone.ends.actuator import Belief, through_line, through_zone
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
 from undeadzone.plants.system import System, held
@@ -62,7 +62,9 @@ def predicting(controller: Controller, model: System, belief: Belief | None) -> 
     most = np.full(model.m, LARGEST) if model.limit is None else np.minimum(model.limit, LARGEST)
     low, high = -most, most
     if belief is not None:
-        low, high = np.maximum(low, belief.drive.low), np.minimum(high, belief.drive.high)
+        drive = belief.drive
+        low = np.maximum(low, through_zone(np, drive.low, drive))
+        high = np.minimum(high, through_zone(np, drive.high, drive))
     kind = type(controller.params)
 
     def init(q: Any) -> State:

@@ -105,7 +105,7 @@ def through_actuator(observer: Observer, model: System, belief: Belief) -> Obser
 
 
 class Late(NamedTuple):
-    """The observer's state, and the commands that have not acted yet, the oldest first (delay m)."""
+    """The observer's state, and what has not acted yet, the oldest first (delay m)."""
 
     observer: Any
     line: Any
