@@ -17,7 +17,7 @@ import undeadzone as uz
 from undeadzone.cli import group
 from undeadzone.identification.servo import predictor
 from undeadzone.identification.servo.crossings import Crossings, crossings_of
-from undeadzone.identification.servo.feedback import is_closed
+from undeadzone.identification.servo.feedback import CHANCE, loop_chance
 from undeadzone.identification.servo.gap import ServoGap, servo_gap
 from undeadzone.identification.servo.heard import Heard, encoder_of, heard
 from undeadzone.identification.servo.likelihood import Likelihood
@@ -201,7 +201,7 @@ def test_a_loop_is_heard() -> None:
     right, loops = 0, 0
     for seed in range(30):
         log = random_log(900 + seed, 2000)
-        found = is_closed(log.u, log.y)
+        found = loop_chance(log.u, log.y) < CHANCE
         assert log.closed or not found
         right, loops = right + found, loops + log.closed
     assert right >= 0.7 * loops

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.identification.models.motion import white_noise
-from undeadzone.identification.servo.feedback import is_closed
+from undeadzone.identification.servo.feedback import CHANCE, loop_chance
 from undeadzone.identification.servo.predictor import LATEST
 from undeadzone.support.arrays import Flags, Floats, Integers, later
 
@@ -37,7 +37,7 @@ class Heard(NamedTuple):
         side: of each tick, 0 where none is (N).
         boundary: that a tick passed (N).
         u_scale, y_scale: what u and y were divided by.
-        closed: whether the input answers to the readings.
+        loop: p of what the readings say of the input, if no loop is closed.
     """
 
     step: float
@@ -52,7 +52,12 @@ class Heard(NamedTuple):
     boundary: Floats
     u_scale: float
     y_scale: float
-    closed: bool
+    loop: float
+
+    @property
+    def closed(self) -> bool:
+        """Whether the input answers to the readings."""
+        return self.loop < CHANCE
 
     @property
     def turns(self) -> Flags:
@@ -144,7 +149,7 @@ def heard(u: Floats, y: Floats, ok: Flags, start: Integers, step: float) -> Hear
         boundary=held,
         u_scale=u_scale,
         y_scale=y_scale,
-        closed=is_closed(u, held),
+        loop=loop_chance(u, held),
     )
     turning = float(np.mean(side[at[1:]] != side[at[:-1]]))
     exact_enough = spacing > 0 or at.size < (1 - MOVING) * y.size
