@@ -20,8 +20,7 @@ KALMAN = 'method = "kalman"\nright = [0.1, 0.5]\nleft = [0.1, 0.5]'
 ZONE = "right = 0.3\nleft = 0.2\n"
 FEEDBACK = 'method = "state_feedback"'
 ACTUATOR = (
-    "[actuator]\nright = 0.05\nleft = 0.1\nlimit = [-1.5, 1.5]\n"
-    '[compensator]\nmethod = "inverse"\n'
+    '[actuator]\nright = 0.05\nleft = 0.1\nlimit = [-1.5, 1.5]\n[compensator]\nmethod = "inverse"\n'
 )
 
 

@@ -141,12 +141,12 @@ def cut_to(mean: Any, variance: Any, low: Any, high: Any) -> tuple[Any, Any, Any
     """
     std = ca.sqrt(variance)
     a, b = (low - mean) / std, (high - mean) / std
-    chance = (ca.erf(b / math.sqrt(2)) - ca.erf(a / math.sqrt(2))) / 2
-    at_a, at_b = _density(a), _density(b)
-    share = ca.if_else(chance > 1e-6, 1 / chance, 0.0)
+    inside = (ca.erf(b / math.sqrt(2)) - ca.erf(a / math.sqrt(2))) / 2
+    at_a, at_b = density(a), density(b)
+    share = ca.if_else(inside > 1e-6, 1 / inside, 0.0)
     shift = (at_a - at_b) * share
     lost = (shift**2 + (b * at_b - a * at_a) * share) / variance
-    return shift / std, lost, ca.log(ca.fmax(chance, 1e-300))
+    return shift / std, lost, ca.log(ca.fmax(inside, 1e-300))
 
 
 def hazard(alpha: Any) -> Any:
@@ -154,7 +154,7 @@ def hazard(alpha: Any) -> Any:
 
     Below -5 by its asymptotic series, 1e-4 accurate there.
     """
-    exact, far = _density(ca.fmax(alpha, -DEEP)) / _chance(alpha), ca.fmax(-alpha, DEEP)
+    exact, far = density(ca.fmax(alpha, -DEEP)) / chance(alpha), ca.fmax(-alpha, DEEP)
     return ca.if_else(alpha > -DEEP, exact, far + (1 - (2 - 10 / far**2) / far**2) / far)
 
 
@@ -163,15 +163,15 @@ def log_chance(alpha: Any) -> Any:
     far = ca.fmax(-alpha, DEEP)
     series = ca.log(1 - (1 - 3 / far**2) / far**2)
     asymptote = -(far**2) / 2 - ca.log(far) - math.log(2 * math.pi) / 2 + series
-    return ca.if_else(alpha > -DEEP, ca.log(_chance(alpha)), asymptote)
+    return ca.if_else(alpha > -DEEP, ca.log(chance(alpha)), asymptote)
 
 
-def _chance(alpha: Any) -> Any:
-    """Phi(alpha) of the standard normal distribution; below -5 as there."""
-    return (1 + ca.erf(ca.fmax(alpha, -DEEP) / math.sqrt(2))) / 2
+def chance(alpha: Any, deep: float = DEEP) -> Any:
+    """Phi(alpha) of the standard normal distribution; below -deep as there."""
+    return (1 + ca.erf(ca.fmax(alpha, -deep) / math.sqrt(2))) / 2
 
 
-def _density(x: Any) -> Any:
+def density(x: Any) -> Any:
     """phi(x) of the standard normal distribution."""
     return ca.exp(-(x**2) / 2) / math.sqrt(2 * math.pi)
 
@@ -430,11 +430,11 @@ def _two(bounds: Sequence[Bound], G: Any, R: Any, limit: float) -> _Told:
     use = ca.vertcat(*(bound.use for bound in bounds))
     heard = ca.logic_and(use, alpha < limit)
     lower = ca.fmin(alpha[0], alpha[1])
-    inside = ca.vertcat(_chance(alpha[0]), _chance(alpha[1]))
+    inside = ca.vertcat(chance(alpha[0]), chance(alpha[1]))
     other = ca.vertcat(inside[1], inside[0])
     nearest = ca.fmin(inside[0], inside[1])
     left = ca.fmax(inside[0] + inside[1] - 1, NARROW * nearest)
-    pair = _density(ca.fmax(alpha, -DEEP)) / left
+    pair = density(ca.fmax(alpha, -DEEP)) / left
     unsure = (1 - math.erf(limit / math.sqrt(2))) / 2
     both = ca.logic_and(use, 1 - inside > unsure * other)
     both = ca.logic_and(ca.mmin(both), ca.logic_and(ca.mmax(heard), lower > -DEEP))
@@ -445,8 +445,8 @@ def _two(bounds: Sequence[Bound], G: Any, R: Any, limit: float) -> _Told:
     ratio = ca.vertcat(hazard(alpha[0]), hazard(alpha[1]))
     slope = ca.if_else(both, pair, ca.if_else(alone, ratio, 0.0))
     used = ca.logic_or(both, alone)
-    chance = log_chance(lower) + ca.log(left / nearest)
-    return _Told(*_moments(slope, alpha, std), (used[0], used[1]), chance)
+    log = log_chance(lower) + ca.log(left / nearest)
+    return _Told(*_moments(slope, alpha, std), (used[0], used[1]), log)
 
 
 def _moments(slope: Any, alpha: Any, std: Any) -> tuple[Any, Any]:
