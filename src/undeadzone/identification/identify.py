@@ -351,6 +351,8 @@ def _with_place(case: Case, found: Found) -> Found:
     """With models of friction, of a zone of the input, and of two zones."""
     places = find_places(longest_record(case.suited.pairs))
     models = {word: one.density for word, one in places.items()}
+    if "none" not in models:  # no plant alone settles within the record: nothing to compare with
+        return found
     return found._replace(places=places).judged(case, models)
 
 
