@@ -15,31 +15,31 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 39_960, 330
+MOST_CODE, MOST_FILES = 40_245, 332
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
     "(root)": 340,
     "analysis": 3400,
-    "cli": 1870,
+    "cli": 1890,
     "compensators": 170,
     "compile": 3600,
-    "controllers": 680,
-    "ends": 440,
+    "controllers": 735,
+    "ends": 446,
     "ensemble": 1970,
     "exports": 2430,
     "feedforward": 370,
-    "identification": 6940,
+    "identification": 7065,
     "linear": 400,
     "logs": 1240,
     "numerics": 815,
-    "observers": 2850,
+    "observers": 2886,
     "plants": 1530,
-    "report": 2950,
+    "report": 2965,
     "results": 890,
     "scenario": 1390,
     "signals": 430,
-    "simulation": 2330,
+    "simulation": 2336,
     "statistics": 265,
     "support": 820,
     "synthesis": 1040,

@@ -114,7 +114,7 @@ def identify(
             written = scenario + written
         best, why = (None, {}) if further is None else _asked_next(answer)
         if further is not None and best is not None:
-            written.append(write_text(best.table(answer.answer), further))
+            written.append(write_text(best.table, further))
         if folder is not None and output.figures:
             written += _pages(answer, folder, first.name, best)
     if keep is not None:

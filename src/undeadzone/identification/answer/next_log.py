@@ -53,6 +53,7 @@ class Next(NamedTuple):
         what: that it is for: the number whose interval narrows, or the names that it parts.
         left: share of the interval that is left with both logs; None where names are parted.
         nats: by which it parts two names; None where an interval narrows.
+        heads: of its columns, with units.
     """
 
     t: Floats
@@ -61,6 +62,7 @@ class Next(NamedTuple):
     what: str
     left: float | None
     nats: float | None
+    heads: tuple[str, ...]
 
     @property
     def words(self) -> str:
@@ -71,11 +73,10 @@ class Next(NamedTuple):
             gain = f"{self.what}: {100 * self.left:.0f} % of its interval are left with both logs"
         return f"{self.name} from rest, {self.t[-1]:.4g} s; {gain}"
 
-    def table(self, answer: Answer) -> str:
-        """The input as CSV, named as in the log."""
-        grid = answer.case.grid
-        heads = [f"{name} [{grid.input_unit}]" for name in grid.inputs]
-        rows = [",".join(["t [s]", *heads])]
+    @property
+    def table(self) -> str:
+        """The input as CSV."""
+        rows = [",".join(self.heads)]
         for t, u in zip(self.t.tolist(), self.u.tolist(), strict=True):
             rows.append(",".join(f"{number:.9g}" for number in (t, *u)))
         return "\n".join(rows) + "\n"
@@ -249,8 +250,10 @@ def _proposed(
     answer: Answer, kind: str, data: Data, what: str, left: float | None, nats: float | None
 ) -> Next:
     """A candidate in units of the log."""
-    t = answer.case.grid.step * np.arange(data.y.size)
-    return Next(t, data.u * data.u_scale, kind, what, left, nats)
+    grid = answer.case.grid
+    t = grid.step * np.arange(data.y.size)
+    heads = ("t [s]", *(f"{name} [{grid.input_unit}]" for name in grid.inputs))
+    return Next(t, data.u * data.u_scale, kind, what, left, nats, heads)
 
 
 # --- Candidates

@@ -157,7 +157,7 @@ def _plant(answer: Answer) -> tuple[Matrices, Floats, Floats]:
 
 def _delay(answers: Sequence[Answer]) -> list[str]:
     """By how much the plant is late, not its recording; nothing if it is not. Raises InputError."""
-    late = {one.found.delay if one.options.delay == "auto" else 0 for one in answers}
+    late = {one.found.delay * (one.options.delay == "auto") for one in answers}
     if len(late) > 1:
         raise InputError(
             f"scenario: inputs act {min(late)} to {max(late)} samples late on different outputs,"
@@ -230,7 +230,7 @@ def _noise(answers: Sequence[Answer]) -> list[str]:
         lines.append(f"threshold = {_numbers(silent)}  # the log has exact zeros")
     if any(behind):
         lines.append(f"noise = {_numbers(behind)}  # rms of the residual")
-    quanta = [one.case.grid.quantum if one.verdict in MEMORY else 0.0 for one in answers]
+    quanta = [one.case.grid.quantum * (one.verdict in MEMORY) for one in answers]
     if any(quanta):
         lines.append(f"quantum = {_numbers(quanta)}  # of the encoder")
     return lines
