@@ -20,7 +20,7 @@ MOST_CODE, MOST_FILES = 39_960, 330
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
     "(root)": 340,
-    "analysis": 3400,
+    "analysis": 3410,
     "cli": 1870,
     "compensators": 170,
     "compile": 3600,
