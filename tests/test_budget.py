@@ -33,7 +33,7 @@ BUDGET = {
     "linear": 400,
     "logs": 1240,
     "numerics": 815,
-    "observers": 2850,
+    "observers": 2860,
     "plants": 1530,
     "report": 2950,
     "results": 890,
