@@ -20,7 +20,7 @@ MOST_CODE, MOST_FILES = 40_245, 332
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
     "(root)": 340,
-    "analysis": 3400,
+    "analysis": 3410,
     "cli": 1890,
     "compensators": 170,
     "compile": 3600,
@@ -33,7 +33,7 @@ BUDGET = {
     "linear": 400,
     "logs": 1240,
     "numerics": 815,
-    "observers": 2886,
+    "observers": 2896,
     "plants": 1530,
     "report": 2965,
     "results": 890,

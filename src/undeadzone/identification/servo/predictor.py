@@ -29,7 +29,6 @@ import casadi as ca
 
 from undeadzone.compile import lanes
 from undeadzone.numerics.gaussian import chance
-from undeadzone.numerics.gaussian import density as gaussian_density
 
 LATEST = 8  # samples by which the input may be late at most
 WIDTH = 64  # lanes of a kernel
@@ -47,7 +46,6 @@ NUMBERS = (*PLANT, *OTHERS)  # then the weights of u(t), u(t - 1), ...
 MEAN = 4  # z, v, d, i
 TRIANGLE = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))  # of the covariance of z, v, d
 SEEN = ("error", "log_s", "z", "v")  # what a kernel tells of each sample
-DEEP = 8.0  # standard deviations beyond which nothing of a Gaussian is left
 DEGREES = 6.0  # of freedom of an error
 WORST = -1e6  # log density of an error that is no number
 
@@ -286,8 +284,8 @@ def through_play(mean: Any, variance: Any, half: Any) -> tuple[Any, Any, Any]:
     """
     s = ca.sqrt(variance)
     a, b = (mean - half) / s, (-half - mean) / s
-    mass_a, mass_b = chance(a, DEEP), chance(b, DEEP)
-    at_a, at_b = gaussian_density(a), gaussian_density(b)
+    (mass_a, hazard_a), (mass_b, hazard_b) = chance(a), chance(b)
+    at_a, at_b = mass_a * hazard_a, mass_b * hazard_b
     above, below = s * (a * mass_a + at_a), s * (b * mass_b + at_b)
     squares = variance * ((a * a + 1) * mass_a + a * at_a + (b * b + 1) * mass_b + b * at_b)
     passed, slope = above - below, mass_a + mass_b
