@@ -27,7 +27,7 @@ BUDGET = {
     "controllers": 680,
     "ends": 440,
     "ensemble": 1970,
-    "exports": 2430,
+    "exports": 2450,
     "feedforward": 370,
     "identification": 6940,
     "linear": 400,
