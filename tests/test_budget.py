@@ -23,7 +23,7 @@ BUDGET = {
     "analysis": 3410,
     "cli": 1870,
     "compensators": 170,
-    "compile": 3600,
+    "compile": 3620,
     "controllers": 680,
     "ends": 440,
     "ensemble": 1970,
