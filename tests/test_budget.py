@@ -15,7 +15,7 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 40_245, 332
+MOST_CODE, MOST_FILES = 40_290, 332
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
@@ -23,11 +23,11 @@ BUDGET = {
     "analysis": 3410,
     "cli": 1890,
     "compensators": 170,
-    "compile": 3600,
+    "compile": 3620,
     "controllers": 735,
     "ends": 446,
     "ensemble": 1970,
-    "exports": 2430,
+    "exports": 2450,
     "feedforward": 370,
     "identification": 7065,
     "linear": 400,
