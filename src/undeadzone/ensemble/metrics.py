@@ -8,7 +8,6 @@ from typing import Any, Final, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.plants.robots.arm import Arm
 from undeadzone.plants.system import System
 from undeadzone.results.scales import LIMIT, Scales, shares
 from undeadzone.scenario.address import matching
@@ -83,7 +82,7 @@ def measured(loop: Loop, problem: Problem) -> Measured:
     before: Tally = tree.unpack(zero, s[-size:])
     tally = _add(before, outputs, error, t, tail, tolerance * ca.fabs(scale))
     if problem.plant.arm is not None:
-        astray = _astray(problem.plant.arm, problem.model, params, outputs, instant)
+        astray = _astray(problem.plant, problem.model, params, outputs, instant)
         tally = tally._replace(tip=tally.tip + tail * ca.sumsqr(astray))
     if problem.sensor.kind == "play":
         level = tree.unpack(loop.state, following).sensor[problem.tracked]
@@ -102,10 +101,12 @@ def _nothing(plant: System, sensor: str) -> Tally:
     return Tally(one, one, one, one, one, one, each, each, tip, behind)
 
 
-def _astray(arm: Arm, model: System, params: Params, out: Outputs, instant: Exogenous) -> Any:
+def _astray(plant: System, model: System, params: Params, out: Outputs, instant: Exogenous) -> Any:
     """An arm's tip less where the model's would be on the path [m]."""
+    assert plant.arm is not None
     x_ref = params.scale.reference * instant.target.x_ref
-    return arm.tip(params.plant, out.x[: arm.size]) - arm.tip(model.params, x_ref[: arm.size])
+    reached = plant.arm.tip(*plant.joints(params.plant, out.x))
+    return reached - plant.arm.tip(*model.joints(model.params, x_ref))
 
 
 def _add(

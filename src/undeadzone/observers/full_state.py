@@ -20,6 +20,8 @@ class FullState(Options, frozen=True, kw_only=True, tag="full_state"):
     It exists in simulations only.
     """
 
+    gears = True  # it knows them
+
     def build(self, model: System, sensor: Zone) -> Observer:
         """The reference line for a model, continuous or sampled."""
 

@@ -65,7 +65,7 @@ class Wiring(NamedTuple):
 
     def ahead_of_zone(self, s: State, w: Exogenous) -> ca.SX:
         """What the dead zone takes: z with the noise ahead of it, or the level of a play (p)."""
-        z, sensor = self.plant.output(self.p.plant, s.plant), self.p.sensor
+        z, sensor = self.plant.read(self.p.plant, s.plant), self.p.sensor
         if sensor.gap_right.numel():
             return held(ca, z, s.sensor, sensor.gap_right, sensor.gap_left)
         return z + w.before

@@ -134,6 +134,13 @@ class Geared(NamedTuple):
         swung = acceleration(self.arm, self.links(params), q, v, tau + load)
         return ca.vertcat(turning, v, spun, swung), tau
 
+    def resting(self, params: Any, q: Any) -> Any:
+        """Where the motors hold links still at q (N), each on the flank that carries its load."""
+        tau = self.arm.bias(self.links(params), q, ca.DM.zeros(self.size))
+        K = self.stiffness * self.number(params, "contact") ** 2
+        flank = ca.sign(tau) * self.number(params, "half")
+        return q - self.number(params, "centre") + flank + tau / K
+
 
 def geared_motion(
     chain: Chain,
