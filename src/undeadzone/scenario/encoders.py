@@ -1,7 +1,8 @@
 """Arms with gears: what reads them, drives them and follows them; the rest is refused.
 
-Encoders at motors and links read positions without a zone; what is hidden hides in the gaps of the
-gears, and only methods that say so know these (`gears = True` of their options).
+Encoders read positions without a zone. What is hidden is the gap: a link may be ahead of its motor
+by right = a + c or behind it by left = a - c. Only methods that say so know gaps of gears
+(`gears = True` of their options).
 """
 
 from __future__ import annotations
@@ -11,44 +12,48 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from undeadzone.ends.sensor import Sensor
+from undeadzone.ends.sensor import Sensor, Zone, resolve
 from undeadzone.errors import InputError
-from undeadzone.plants.system import System
+from undeadzone.plants.system import System, pace
 
 ZONE = ("right", "left", "noise_before", "drift", "play", "load_friction", "load_inertia")
 
 
-def encoders(sensor: Sensor, model: System) -> Sensor:
-    """The sensor, for which no reading of an encoder is silent.
+def sensed(sensor: Sensor, system: System, step: float) -> Zone:
+    """The checked sensor of a plant; of an arm with gears its encoders, with the gaps for widths.
 
     Args:
         sensor: in a user's words.
-        model: what it reads.
+        system: what it reads, in continuous time.
+        step: time between readings [s].
 
     Raises:
-        InputError: it has a dead zone or a play, and the model has gears.
+        InputError: or a subclass, as `resolve`; a dead zone or a play beside gears.
     """
-    if model.gears is None:
-        return sensor
+    if system.gears is None:
+        return resolve(sensor, system.p, step, pace(system.linear))
     zones = [name for name in ZONE if np.any(getattr(sensor, name))]
     if zones or sensor.kind != "deadzone":
         raise InputError(
-            f"sensor.{(zones or ['kind'])[0]}: an arm with gears is read by encoders, whose gap is "
-            "plant.arm.gears.half; set sensor.right = 0 and sensor.left = 0, and leave it out "
-            "elsewhere"
+            f"sensor.{(zones or ['kind'])[0]}: an arm with gears is read by encoders, which have "
+            "no zone; the gap is plant.arm.gears.half: set sensor.right and sensor.left to 0 and "
+            "leave out what else belongs to a zone"
         )
-    return msgspec.structs.replace(sensor, threshold=0.0)
+    always = msgspec.structs.replace(sensor, threshold=0.0)
+    zone = resolve(always, system.p, step, pace(system.linear))
+    right, left = (np.asarray(each).ravel() for each in system.gears.widths(system.params))
+    return msgspec.structs.replace(zone, kind="gears", right=right, left=left)
 
 
-def require_gears(kind: str, options: Any, model: System) -> None:
-    """Raise InputError where a method does not know the gears of a model.
+def require_gears(kind: str, options: Any, system: System) -> None:
+    """Raise InputError where a method does not know the gears of a plant.
 
     Args:
         kind: of the method: observer or controller.
         options: of the method.
-        model: what it is for.
+        system: what it is for.
     """
-    if model.gears is None or getattr(options, "gears", False):
+    if system.gears is None or getattr(options, "gears", False):
         return
     known = {"observer": "'contact' or 'full_state'", "controller": "'computed_torque'"}
     raise InputError(

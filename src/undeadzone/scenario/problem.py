@@ -15,7 +15,7 @@ from undeadzone.controllers.parts.behind_play import led_across
 from undeadzone.controllers.parts.estimated import with_estimates
 from undeadzone.ends.actuator import ActuatorModel, Belief, Drive, believed, resolve_actuator
 from undeadzone.ends.gaps import gaps_of
-from undeadzone.ends.sensor import Sensor, Zone, resolve
+from undeadzone.ends.sensor import Sensor, Zone
 from undeadzone.errors import InputError
 from undeadzone.feedforward.joint_path import joint_path, require_range, require_torque
 from undeadzone.feedforward.targets import flat_targets
@@ -26,8 +26,8 @@ from undeadzone.observers.parts.motion import require_hearer
 from undeadzone.plants import build as plants
 from undeadzone.plants.options import Plant
 from undeadzone.plants.region import box
-from undeadzone.plants.system import System, pace
-from undeadzone.scenario.encoders import encoders, require_gears
+from undeadzone.plants.system import System
+from undeadzone.scenario.encoders import require_gears, sensed
 from undeadzone.scenario.overrun import require_contact
 from undeadzone.scenario.schema import Scenario, Units
 from undeadzone.scenario.time_step import (
@@ -96,7 +96,7 @@ def resolve_scenario(scenario: Scenario) -> Problem:
         )
     true, flow, x0 = systems(scenario)
     step, steps = checked_time(scenario, true)
-    sensor = resolve(encoders(scenario.sensor, true), true.p, step, pace(flow.linear))
+    sensor = sensed(scenario.sensor, true, step)
     _require_numbers(sensor)
     tracked = _tracked(scenario, true)
     reference, path = _reference(scenario, flow, tracked, x0, step)
@@ -129,7 +129,7 @@ def resolve_scenario(scenario: Scenario) -> Problem:
     actuator, belief = _actuator(scenario, true.m)
     if scenario.model is not None and scenario.model.play is not None:
         _require_play(scenario.model.play, sensor)
-    told = resolve(encoders(known_sensor(scenario), true), true.p, step, pace(flow.linear))
+    told = sensed(known_sensor(scenario), flow, step)
     for each in (sensor, told):
         require_hearer(scenario.observer, each)
     require_gears("observer", scenario.observer, model)

@@ -89,7 +89,9 @@ class Wiring(NamedTuple):
         return Levels(*zip(*pairs, strict=True))
 
     def widths(self, w: Exogenous) -> tuple[ca.SX, ca.SX]:
-        """d_r, d_l at an instant (p each)."""
+        """d_r, d_l at an instant (p each); encoders of an arm with gears have none."""
+        if self.kind == "gears":
+            return ca.SX.zeros(self.plant.p), ca.SX.zeros(self.plant.p)
         return self.p.sensor.right * (1 + w.right), self.p.sensor.left * (1 + w.left)
 
     def exogenous(self, instant: Exogenous, column: ca.SX) -> Exogenous:

@@ -165,7 +165,7 @@ def start(gears: Geared, x: Array | None, key: str) -> Floats:
         return vector(key, x, 4 * N).copy()
     why = "the angles of the links, then their speeds; or motors and links, then their speeds"
     q, v = np.split(vector(key, np.zeros(2 * N) if x is None else x, 2 * N, why), 2)
-    return np.concatenate([np.ravel(gears.resting(gears.values, q)), q, v, v])
+    return np.concatenate([np.asarray(gears.resting(gears.values, q)).ravel(), q, v, v])
 
 
 def flat(body: Arm) -> Flat:

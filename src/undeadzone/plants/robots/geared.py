@@ -94,6 +94,16 @@ class Geared(NamedTuple):
         N = self.size
         return x[:N] - x[N : 2 * N] + self.number(params, "centre")
 
+    def widths(self, params: Any) -> tuple[Any, Any]:
+        """(right, left): how far each link may be ahead of its motor, and behind it [rad].
+
+        right = half + centre, left = half - centre; of encoders at motors and links (2 N) those at
+        the motors come last, with 0.
+        """
+        half, centre = self.number(params, "half"), self.number(params, "centre")
+        motors = ca.DM.zeros(self.size if self.measured == "both" else 0)
+        return ca.vertcat(half + centre, motors), ca.vertcat(half - centre, motors)
+
     def friction(self, params: Any, turning: Any) -> Any:
         """Torque of friction at motors of these speeds (N)."""
         sliding = turning / ca.sqrt(turning**2 + self.rest**2)
