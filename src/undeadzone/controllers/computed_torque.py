@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.catalogue import Options
+from undeadzone.controllers.parts.geared_torque import geared_torque
 from undeadzone.errors import InputError, StepError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate, Plan
@@ -30,13 +31,18 @@ class ComputedTorque(Options, frozen=True, kw_only=True, tag="computed_torque"):
         k_d: K_d, one or one per joint [1/s].
         reject: where the observer estimates what its model leaves out, x' = f(x, u) + w^, take it
             into account.
+        crossing: w, of an arm with gears: their gaps are crossed with both poles at -w, where the
+            torque that a link needs changes sign [1/s].
     """
+
+    gears = True  # it knows them
 
     bandwidth: Array | None = None
     damping: Array = 1.0
     k_p: Array | None = None
     k_d: Array | None = None
     reject: bool = True
+    crossing: float = 30.0
 
     def build(self, model: System) -> Controller:
         """The controller for the model of a rigid arm, continuous or sampled."""
@@ -50,6 +56,8 @@ class ComputedTorque(Options, frozen=True, kw_only=True, tag="computed_torque"):
         k_p, k_d = self._gains(N)
         if model.Ts is not None:
             _require_fine_step(k_p, k_d, model.Ts)
+        if model.gears is not None:
+            return geared_torque(model, k_p, k_d, self.crossing, self.reject)
 
         def step(p: Params, s: Any, estimate: Estimate, target: Target) -> tuple[Any, Any]:
             q, v = estimate.x[:N], estimate.x[N:]

@@ -12,9 +12,10 @@ import numpy as np
 
 from undeadzone.compensators import SmoothZoneInverse
 from undeadzone.controllers.parts.behind_play import led_across
+from undeadzone.controllers.parts.estimated import with_estimates
 from undeadzone.ends.actuator import ActuatorModel, Belief, Drive, believed, resolve_actuator
 from undeadzone.ends.gaps import gaps_of
-from undeadzone.ends.sensor import Sensor, Zone, resolve
+from undeadzone.ends.sensor import Sensor, Zone
 from undeadzone.errors import InputError
 from undeadzone.feedforward.joint_path import joint_path, require_range, require_torque
 from undeadzone.feedforward.targets import flat_targets
@@ -25,7 +26,8 @@ from undeadzone.observers.parts.motion import require_hearer
 from undeadzone.plants import build as plants
 from undeadzone.plants.options import Plant
 from undeadzone.plants.region import box
-from undeadzone.plants.system import System, pace
+from undeadzone.plants.system import System
+from undeadzone.scenario.encoders import require_gears, sensed
 from undeadzone.scenario.overrun import require_contact
 from undeadzone.scenario.schema import Scenario, Units
 from undeadzone.scenario.time_step import (
@@ -94,7 +96,7 @@ def resolve_scenario(scenario: Scenario) -> Problem:
         )
     true, flow, x0 = systems(scenario)
     step, steps = checked_time(scenario, true)
-    sensor = resolve(scenario.sensor, true.p, step, pace(flow.linear))
+    sensor = sensed(scenario.sensor, true, step)
     _require_numbers(sensor)
     tracked = _tracked(scenario, true)
     reference, path = _reference(scenario, flow, tracked, x0, step)
@@ -112,6 +114,11 @@ def resolve_scenario(scenario: Scenario) -> Problem:
         raise InputError(
             'sensor.quantum: a reading is rounded when it is taken; set simulation.time = "sampled"'
         )
+    elif true.gears is not None:
+        raise InputError(
+            "plant.arm.gears: contacts close and open too fast for steps that locate each; set "
+            'simulation.time = "sampled"'
+        )
     elif sensor.moves:
         key = "sensor.kind" if sensor.play is None else "sensor.play"
         raise InputError(
@@ -122,12 +129,14 @@ def resolve_scenario(scenario: Scenario) -> Problem:
     actuator, belief = _actuator(scenario, true.m)
     if scenario.model is not None and scenario.model.play is not None:
         _require_play(scenario.model.play, sensor)
-    told = resolve(known_sensor(scenario), true.p, step, pace(flow.linear))
+    told = sensed(known_sensor(scenario), flow, step)
     for each in (sensor, told):
         require_hearer(scenario.observer, each)
+    require_gears("observer", scenario.observer, model)
     observer = built(scenario.observer, model, told, belief)
     _require_room(sensor, observer)
-    controller = scenario.controller.build(model)
+    require_gears("controller", scenario.controller, model)
+    controller = with_estimates(scenario.controller.build(model), model, observer.traits.uncertain)
     controller = led_across(controller, model, sensor, tracked, scenario.behind_play)
     require_bounded_error(model, observer, step)
     if model.Ts is None:
@@ -248,7 +257,7 @@ def systems(scenario: Scenario) -> tuple[System, System, Floats]:
                 f"model: expected {plant.n} states, {plant.m} inputs, {plant.p} outputs like the "
                 f"plant, found {model.n}, {model.m}, {model.p}"
             )
-    return plant, model, plants.initial_state(scenario.plant, plant.n)
+    return plant, model, plants.initial_state(scenario.plant, plant)
 
 
 def require_visible(system: System, key: str) -> None:
@@ -380,7 +389,8 @@ def followed(scenario: Scenario, model: System, start: Floats, step: float) -> E
         )
     else:
         task = signals.exosystem("reference", reference, len(body.chain.plane), task=True)
-        path = joint_path(body, model.params, task, duration, step, start[: body.size])
+        params, posture = model.joints(model.params, start)
+        path = joint_path(body, params, task, duration, step, posture)
     require_torque(model, path, t)
     return path
 

@@ -12,14 +12,15 @@ from undeadzone.catalogue import ObserverOptions
 from undeadzone.compile import interpret
 from undeadzone.compile.interpret import Stepper
 from undeadzone.ends.actuator import ActuatorModel, believed
-from undeadzone.ends.sensor import Sensor, Zone, present, resolve
+from undeadzone.ends.sensor import Sensor, Zone, present
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Estimate, Observer, Reading, graph_of, known_side, received
 from undeadzone.observers.parts.actuated import built as behind
 from undeadzone.observers.parts.motion import require_hearer
 from undeadzone.plants import build as plants
 from undeadzone.plants.options import Plant
-from undeadzone.plants.system import System, pace, sampled
+from undeadzone.plants.system import System, sampled
+from undeadzone.scenario.encoders import require_gears, sensed
 from undeadzone.scenario.problem import require_visible
 from undeadzone.scenario.time_step import require_bounded_error
 from undeadzone.support import tree
@@ -344,7 +345,8 @@ def built_for(
     system = plants.system(plant)
     require_visible(system, "plant")
     model = sampled(system, Ts, substeps)
-    zone = resolve(sensor, model.p, Ts, pace(system.linear))
+    zone = sensed(sensor, system, Ts)
+    require_gears("observer", observer, system)
     require_hearer(observer, zone)
     built = behind(observer, model, zone, believed(actuator, model.m))
     require_bounded_error(model, built, Ts)

@@ -94,6 +94,16 @@ class Geared(NamedTuple):
         N = self.size
         return x[:N] - x[N : 2 * N] + self.number(params, "centre")
 
+    def widths(self, params: Any) -> tuple[Any, Any]:
+        """(right, left): how far each link may be ahead of its motor, and behind it [rad].
+
+        right = half + centre, left = half - centre; of encoders at motors and links (2 N) those at
+        the motors come last, with 0.
+        """
+        half, centre = self.number(params, "half"), self.number(params, "centre")
+        motors = ca.DM.zeros(self.size if self.measured == "both" else 0)
+        return ca.vertcat(half + centre, motors), ca.vertcat(half - centre, motors)
+
     def friction(self, params: Any, turning: Any) -> Any:
         """Torque of friction at motors of these speeds (N)."""
         sliding = turning / ca.sqrt(turning**2 + self.rest**2)
@@ -133,6 +143,13 @@ class Geared(NamedTuple):
         spun = (u - self.friction(params, turning) - tau) / self.number(params, "inertia")
         swung = acceleration(self.arm, self.links(params), q, v, tau + load)
         return ca.vertcat(turning, v, spun, swung), tau
+
+    def resting(self, params: Any, q: Any) -> Any:
+        """Where the motors hold links still at q (N), each on the flank that carries its load."""
+        tau = self.arm.bias(self.links(params), q, ca.DM.zeros(self.size))
+        K = self.stiffness * self.number(params, "contact") ** 2
+        flank = ca.sign(tau) * self.number(params, "half")
+        return q - self.number(params, "centre") + flank + tau / K
 
 
 def geared_motion(

@@ -1,0 +1,62 @@
+"""Arms with gears: what reads them, drives them and follows them; the rest is refused.
+
+Encoders read positions without a zone. What is hidden is the gap: a link may be ahead of its motor
+by right = a + c or behind it by left = a - c. Only methods that say so know gaps of gears
+(`gears = True` of their options).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from undeadzone.ends.sensor import Sensor, Zone, resolve
+from undeadzone.errors import InputError
+from undeadzone.plants.system import System, pace
+
+ZONE = ("right", "left", "noise_before", "drift", "play", "load_friction", "load_inertia")
+
+
+def sensed(sensor: Sensor, system: System, step: float) -> Zone:
+    """The checked sensor of a plant; of an arm with gears its encoders, with the gaps for widths.
+
+    Args:
+        sensor: in a user's words.
+        system: what it reads, in continuous time.
+        step: time between readings [s].
+
+    Raises:
+        InputError: or a subclass, as `resolve`; a dead zone or a play beside gears.
+    """
+    if system.gears is None:
+        return resolve(sensor, system.p, step, pace(system.linear))
+    zones = [name for name in ZONE if np.any(getattr(sensor, name))]
+    if zones or sensor.kind != "deadzone":
+        raise InputError(
+            f"sensor.{(zones or ['kind'])[0]}: an arm with gears is read by encoders, which have "
+            "no zone; the gap is plant.arm.gears.half: set sensor.right and sensor.left to 0 and "
+            "leave out what else belongs to a zone"
+        )
+    always = msgspec.structs.replace(sensor, threshold=0.0)
+    zone = resolve(always, system.p, step, pace(system.linear))
+    right, left = (np.asarray(each).ravel() for each in system.gears.widths(system.params))
+    return msgspec.structs.replace(zone, kind="gears", right=right, left=left)
+
+
+def require_gears(kind: str, options: Any, system: System) -> None:
+    """Raise InputError where a method does not know the gears of a plant.
+
+    Args:
+        kind: of the method: observer or controller.
+        options: of the method.
+        system: what it is for.
+    """
+    if system.gears is None or getattr(options, "gears", False):
+        return
+    known = {"observer": "'contact' or 'full_state'", "controller": "'computed_torque'"}
+    raise InputError(
+        f"{kind}.method: {options.__struct_config__.tag!r} takes motors for links, and this arm "
+        f"has gears with a gap between them; use {known[kind]}, or leave plant.arm.gears out"
+    )
