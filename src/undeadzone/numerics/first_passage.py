@@ -13,34 +13,43 @@ arrives in sample k: exact where the motion up to the edge is known, whatever th
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
 
 from undeadzone.numerics.gaussian import Gaussian, update_unless_glitch
 
-LEAST = 1e-9  # least chance of what has not arrived
+LEAST = 1e-6  # chance of not being beyond some edge, below which all has arrived
 
 
-def beyond(belief: Gaussian, h: Any, excess: Any) -> Any:
-    """The chance that excess + h (x - x^) > 0.
+def beyond(belief: Gaussian, h: Any, excess: Any, R: Any) -> Any:
+    """The chance that excess + h (x - x^) + v > 0.
 
     Args:
         belief: of x (N).
         h: row of the edge (1 x N).
         excess: by which the mean x^ lies beyond it.
+        R: variance of v, of where the edge is.
     """
-    std = ca.sqrt(ca.fmax(h @ belief.cov @ h.T, 0.0) + LEAST**2)
+    std = ca.sqrt(ca.fmax(h @ belief.cov @ h.T, 0.0) + R)
     return (1 + ca.erf(excess / std / math.sqrt(2))) / 2
 
 
-def arriving(before: Any, now: Any) -> Any:
-    """The share of what has not reached an edge that does so in a sample, between 0 and 1.
+def arriving(before: Sequence[Any], now: Sequence[Any], lost: Any = 0.0) -> list[Any]:
+    """The shares of what has reached no edge that reach each of them in a sample; together <= 1.
 
     Args:
-        before, now: chances beyond the edge under the uncut belief, a sample ago and now.
+        before, now: chances beyond each edge under the uncut belief, a sample ago and now.
+        lost: where the uncut belief says nothing any more of what has not arrived, it all arrives.
     """
-    return ca.fmax(now - before, 0.0) / ca.fmax(1 - before, LEAST)
+    left = 1 - sum(before)
+    gained = [ca.fmax(after - was, 0.0) for was, after in zip(before, now, strict=True)]
+    gone = ca.logic_or(lost, ca.logic_or(left < LEAST, sum(gained) > left))
+    total = ca.if_else(gone, ca.fmax(sum(gained), LEAST), left)
+    nearest = [ca.if_else(gone, after / ca.fmax(sum(now), LEAST), 0.0) for after in now]
+    passed = [ca.if_else(gone, share, each / total) for share, each in zip(nearest, gained)]
+    return passed
 
 
 def at_edge(belief: Gaussian, h: Any, excess: Any, R: Any) -> Gaussian:

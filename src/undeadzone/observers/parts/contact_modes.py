@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -33,10 +33,13 @@ from undeadzone.numerics.runge_kutta import rk4_change
 from undeadzone.support.arrays import Floats
 
 Contact = tuple[int, ...]  # of each joint: 1, 0 or -1
+SMALL = 1e-6  # least chance that a link is in its gap
+NONE = 1e-12  # chance below which nothing comes to a mode
 LEAST = 1e-7  # chance of a mode below which it is dropped
+WIDE = 4.0  # half gaps of deviation beyond which a free link may be anywhere in the gap
+FAR = 3.0  # deviations beyond which a belief off an edge says little of it
 MOST = 60.0  # largest difference of logs of chances
 RESTING = 0.1  # speed below which a motor may be at rest [rad/s]
-import os; LATE=float(os.environ.get("LATE","0.5"))
 
 
 class Layout(NamedTuple):
@@ -202,8 +205,8 @@ def beliefs_of(drive: Drive, s: Modes, y: Any) -> tuple[list[Gaussian], Any]:
 def corrected(drive: Drive, q: Numbers, chances: Any, beliefs: list[Gaussian], y: Any) -> Told:
     """The modes after the readings of a sample; one that is no number is missing."""
     after, logs, innovations, variances = [], [], [], []
-    for belief in beliefs:
-        e, std, log = [], [], 0.0
+    for contact, foretold in zip(drive.layout.modes, beliefs, strict=True):
+        belief, e, std, log = foretold, [], [], 0.0
         for row, entry in enumerate(drive.readings):
             seen = present(y[row])
             h = ca.DM(1, drive.layout.count)
@@ -214,6 +217,8 @@ def corrected(drive: Drive, q: Numbers, chances: Any, beliefs: list[Gaussian], y
             log += ca.if_else(seen, -((off / told.std) ** 2) / 2 - ca.log(told.std), 0.0)
             e.append(off)
             std.append(told.std)
+        log += _within(drive.layout, contact, belief, q.slack)
+        log -= _within(drive.layout, contact, foretold, q.slack)
         after.append(Gaussian(ca.fmax(ca.fmin(belief.mean, q.high), q.low), belief.cov))
         logs.append(log)
         innovations.append(ca.vertcat(*e))
@@ -229,6 +234,25 @@ def corrected(drive: Drive, q: Numbers, chances: Any, beliefs: list[Gaussian], y
     return Told(shares, kept, whole, e, ca.sqrt(spread))
 
 
+def _within(layout: Layout, contact: Contact, belief: Gaussian, slack: Any) -> Any:
+    """The log of the chance that the links in their gaps are between their flanks.
+
+    By as much as readings raise it, they speak for a mode whose belief is uncut.
+    """
+    log = ca.SX(0.0)
+    for joint, side in enumerate(contact):
+        if side == 0:
+            out = sum(_beyond(layout, joint, belief, slack))
+            log += ca.log(ca.fmax(1 - out, SMALL))
+    return log
+
+
+def _beyond(layout: Layout, joint: int, belief: Gaussian, slack: Any) -> list[Any]:
+    """The chances that a link is beyond its right and its left flank, under the uncut belief."""
+    edges = [layout.edge(joint, side) for side in (1, -1)]
+    return [beyond(belief, h, h @ belief.mean, slack) for h in edges]
+
+
 def one_or_other(use: Any, one: Gaussian, other: Gaussian) -> Gaussian:
     """One belief, or another one."""
     return Gaussian(
@@ -242,113 +266,153 @@ def normalised(weights: list[Any]) -> list[Any]:
     return [weight / total for weight in weights]
 
 
-class Moving(NamedTuple):
+class Mode(NamedTuple):
     """A mode on its way to the next sample.
 
     Attributes:
         chance: of the mode.
         belief: about x.
-        torque: through the gears (N) [N m].
-        arrives: share that reaches the right and the left flank, for each joint in its gap.
     """
 
     chance: Any
     belief: Gaussian
-    torque: Any
-    arrives: Mapping[int, tuple[Any, Any]]
 
 
-def predicted(drive: Drive, q: Numbers, told: Told, before: list[Gaussian], u: Any) -> list[Moving]:
-    """The modes a sample later.
+def predicted(drive: Drive, q: Numbers, told: Told, u: Any) -> list[Mode]:
+    """The modes a sample later: links leave flanks, all move, links reach flanks.
 
     Args:
         drive: the plant.
         q: the numbers.
         told: the modes after the readings.
-        before: the beliefs before the readings, of which the chances beyond the edges count.
         u: torque of the motors (N).
     """
-    moved = []
-    steps = zip(drive.layout.modes, told.chances, told.beliefs, before, strict=True)
-    for contact, chance, belief, earlier in steps:
-        moved.append(_moved(drive, q, contact, chance, belief, earlier, u))
+    modes = drive.layout.modes
+    now = [Mode(*each) for each in zip(told.chances, told.beliefs, strict=True)]
+    signs = [_leaving(drive, q, mode, one, u) for mode, one in zip(modes, now, strict=True)]
     for joint in range(drive.layout.size):
-        moved = changed(drive, q, joint, moved)
-    return moved
+        now, signs = _released(drive.layout, joint, now, signs)
+    after = [_moved(drive, q, mode, one, u) for mode, one in zip(modes, now, strict=True)]
+    arrivals = [
+        _arrivals(drive.layout, mode, one.belief, later.belief, q.slack)
+        for mode, one, later in zip(modes, now, after, strict=True)
+    ]
+    for joint in range(drive.layout.size):
+        after, arrivals = _caught(drive, q, joint, after, arrivals)
+    return after
 
 
-def _moved(
-    drive: Drive, q: Numbers, contact: Contact, chance: Any, belief: Gaussian, before: Any, u: Any
-) -> Moving:
-    """One mode a sample later, contacts held."""
-    layout, h = drive.layout, drive.Ts / drive.substeps
+def _change(drive: Drive, q: Numbers, contact: Contact, u: Any) -> Callable[[Any], Any]:
+    """By how much x changes in a sample, contacts held."""
+    h = drive.Ts / drive.substeps
 
     def change(x: Any) -> Any:
-        total = ca.SX.zeros(layout.count)
+        total = ca.SX.zeros(drive.layout.count)
         for _ in range(drive.substeps):
             now = x + total
             total += rk4_change(lambda z, _: drive.rate(q.model, z, u, contact)[0], now, h)
         return total
 
+    return change
+
+
+def _leaving(drive: Drive, q: Numbers, contact: Contact, one: Mode, u: Any) -> Any:
+    """The share of a mode of which each joint leaves its flank in the sample (N).
+
+    It does where the torque through the gears, in the middle of the sample, pulls. What leaves is
+    free for the whole sample: to wait for its end would make each crossing late.
+    """
+    x = one.belief.mean
+    end = x + _change(drive, q, contact, u)(x)
+    now, then = (drive.rate(q.model, each, u, contact)[1] for each in (x, end))
+    pull = -ca.DM(contact) * (now + then) / 2 / q.torque
+    return q.leaving * (1 + ca.erf(pull / math.sqrt(2))) / 2
+
+
+def _sides(layout: Layout, joint: int) -> list[dict[int, int]]:
+    """Places of right flank, gap and left flank of a joint among the modes, others held."""
+    modes = layout.modes
+    free = [mode for mode in modes if mode[joint] == 0]
+    return [
+        {side: modes.index((*one[:joint], side, *one[joint + 1 :])) for side in (1, 0, -1)}
+        for one in free
+    ]
+
+
+def _released(
+    layout: Layout, joint: int, modes: list[Mode], leaving: list[Any]
+) -> tuple[list[Mode], list[Any]]:
+    """The modes, and the shares that leave, after one joint has left its flanks."""
+    after, shares = list(modes), list(leaving)
+    for places in _sides(layout, joint):
+        gap, parts, left = places[0], [modes[places[0]]], [leaving[places[0]]]
+        for side in (1, -1):
+            here = modes[places[side]]
+            share = leaving[places[side]][joint]
+            after[places[side]] = here._replace(chance=here.chance * (1 - share))
+            parts.append(here._replace(chance=here.chance * share))
+            left.append(leaving[places[side]])
+        after[gap], weights = _merged(parts)
+        shares[gap] = sum(weight * share for weight, share in zip(weights, left, strict=True))
+    return after, shares
+
+
+def _moved(drive: Drive, q: Numbers, contact: Contact, one: Mode, u: Any) -> Mode:
+    """One mode a sample later, contacts held."""
+    layout = drive.layout
     motors = layout.of("motor_speed")
-    after = advance(belief, change, ca.diag(q.Q))
-    speed = after.mean[motors]
+    after = advance(one.belief, _change(drive, q, contact, u), ca.diag(q.Q))
     friction = ca.fmax(after.mean[layout.of("friction")], q.least)
     slack = ca.SX.zeros(layout.count)
-    slack[motors] = q.rest * friction**2 * ca.exp(-((speed / RESTING) ** 2))
-    after = Gaussian(after.mean, after.cov + ca.diag(slack))
-    torque = drive.rate(q.model, after.mean, u, contact)[1]
-    arrives = {}
-    for joint, side in enumerate(contact):
-        if not side:
-            shares = []
-            for edge in (layout.edge(joint, 1), layout.edge(joint, -1)):
-                was, now = (beyond(one, edge, edge @ one.mean) for one in (before, after))
-                shares.append(arriving(was, now))
-            most = ca.fmax(sum(shares), 1.0)
-            arrives[joint] = (shares[0] / most, shares[1] / most)
-    return Moving(chance, after, torque, arrives)
+    still = ca.exp(-((after.mean[motors] / RESTING) ** 2))
+    slack[motors] = q.rest * friction**2 * still  # at rest friction takes whatever there is
+    return Mode(one.chance, Gaussian(after.mean, after.cov + ca.diag(slack)))
 
 
-def changed(drive: Drive, q: Numbers, joint: int, moved: list[Moving]) -> list[Moving]:
-    """The modes after one joint has changed its contact, or kept it."""
-    modes = drive.layout.modes
-    by_contact = dict(zip(modes, moved, strict=True))
-    for free in modes:
-        if free[joint] == 0:
-            sides = {side: (*free[:joint], side, *free[joint + 1 :]) for side in (1, 0, -1)}
-            three = {side: by_contact[mode] for side, mode in sides.items()}
-            for side, one in _exchanged(drive, q, joint, three).items():
-                by_contact[sides[side]] = one
-    return [by_contact[mode] for mode in modes]
+def _arrivals(
+    layout: Layout, contact: Contact, start: Gaussian, end: Gaussian, slack: Any
+) -> Any:
+    """The shares of a mode that reach the right and the left flank of each joint (N x 2).
+
+    Where the uncut belief is much wider than the gap it says nothing more of what is in it.
+    """
+    shares = ca.SX.zeros(layout.size, 2)
+    for joint in range(layout.size):
+        if contact[joint] == 0:
+            before, now = (_beyond(layout, joint, one, slack) for one in (start, end))
+            across = layout.edge(joint, 1)
+            most = WIDE * end.mean[layout.of("half")][joint]
+            lost = across @ end.cov @ across.T > most**2 + slack
+            shares[joint, :] = ca.horzcat(*arriving(before, now, lost))
+    return shares
 
 
-def _exchanged(drive: Drive, q: Numbers, joint: int, three: dict[int, Moving]) -> dict[int, Moving]:
-    """Right flank, gap and left flank of one joint after they exchanged what changes its contact."""
-    gap, result = three[0], {}
-    stays = {0: 1 - sum(gap.arrives[joint])}
-    for side in (1, -1):
-        pull = -side * three[side].torque[joint] / q.torque[joint]
-        stays[side] = 1 - q.leaving * (1 + ca.erf(pull / math.sqrt(2))) / 2
-    for side, share in zip((1, -1), gap.arrives[joint], strict=True):
-        arrived = gap._replace(belief=struck(drive, q, joint, side, gap.belief))
-        kept = three[side].chance * stays[side]
-        result[side] = _merged([(kept, three[side]), (gap.chance * share, arrived)])
-    parts = [(gap.chance * stays[0], gap)]
-    parts += [(three[side].chance * (1 - stays[side]), three[side]) for side in (1, -1)]
-    result[0] = _merged(parts)._replace(arrives=gap.arrives)
-    return {side: result[side]._replace(arrives=three[side].arrives) for side in (1, 0, -1)}
+def _caught(
+    drive: Drive, q: Numbers, joint: int, modes: list[Mode], arrivals: list[Any]
+) -> tuple[list[Mode], list[Any]]:
+    """The modes, and the shares that arrive, after one joint has reached its flanks."""
+    after, shares = list(modes), list(arrivals)
+    for places in _sides(drive.layout, joint):
+        gap, share = modes[places[0]], arrivals[places[0]][joint, :]
+        after[places[0]] = gap._replace(chance=gap.chance * (1 - ca.sum2(share)))
+        for side, arrived in zip((1, -1), ca.horzsplit(share), strict=True):
+            place = places[side]
+            new = Mode(gap.chance * arrived, struck(drive, q, joint, side, gap.belief))
+            after[place], (kept, come) = _merged([modes[place], new])
+            shares[place] = kept * arrivals[place] + come * arrivals[places[0]]
+    return after, shares
 
 
-def _merged(parts: list[tuple[Any, Moving]]) -> Moving:
-    """What comes together in a mode, by its moments; where nothing comes, what was there."""
-    total = sum(chance for chance, _ in parts)
-    empty = total < 1e-12
-    shares = [ca.if_else(empty, 0.0, chance / ca.fmax(total, 1e-300)) for chance, _ in parts]
+def _merged(parts: list[Mode]) -> tuple[Mode, list[Any]]:
+    """What comes together in a mode, by its moments, and the share of each part.
+
+    Where nothing comes, the first part stays.
+    """
+    total = sum(part.chance for part in parts)
+    empty = total < NONE
+    shares = [ca.if_else(empty, 0.0, part.chance / ca.fmax(total, NONE)) for part in parts]
     shares[0] = ca.if_else(empty, 1.0, shares[0])
-    belief = mixed(shares, [one.belief for _, one in parts])
-    torque = sum(share * one.torque for share, (_, one) in zip(shares, parts, strict=True))
-    return Moving(total, belief, torque, parts[0][1].arrives)
+    return Mode(total, mixed(shares, [part.belief for part in parts])), shares
 
 
 def struck(drive: Drive, q: Numbers, joint: int, side: int, belief: Gaussian) -> Gaussian:
@@ -361,10 +425,12 @@ def struck(drive: Drive, q: Numbers, joint: int, side: int, belief: Gaussian) ->
     motor, link = layout.of("motor_speed").start + joint, layout.of("link_speed").start + joint
     h = layout.edge(joint, side)
     late = ca.DM(1, layout.count)
-    late[0, motor], late[0, link] = -side * drive.Ts * LATE, side * drive.Ts * LATE
+    late[0, motor], late[0, link] = -side * drive.Ts / 2, side * drive.Ts / 2
     row = h + late
     overlap = -late @ belief.mean
-    at = at_edge(belief, row, row @ belief.mean, q.slack + overlap**2 / 3)
+    excess = row @ belief.mean
+    wild = ca.fmax(ca.fabs(excess) - FAR * ca.sqrt(ca.fmax(row @ belief.cov @ row.T, 0.0)), 0.0)
+    at = at_edge(belief, row, excess, q.slack + overlap**2 / 3 + wild**2)
     direction = drive.mobility(q.model, at.mean)[:, joint]
     N = layout.size
     give = direction / (direction[N + joint] - direction[joint])  # a unit of theta' - q' less
@@ -378,7 +444,7 @@ def struck(drive: Drive, q: Numbers, joint: int, side: int, belief: Gaussian) ->
     return Gaussian(at.mean + back, from_upper(at.cov + (impulse * b) @ b.T))
 
 
-def packed(drive: Drive, moved: list[Moving], s: Modes, begun: Any) -> Modes:
+def packed(drive: Drive, moved: list[Mode], s: Modes, begun: Any) -> Modes:
     """The state at the next sample; before a first whole sample it stays as it is."""
     entries = ca.Sparsity.upper(drive.layout.count)
     chances = ca.vertcat(*normalised([one.chance for one in moved]))
