@@ -40,7 +40,13 @@ def sensed(sensor: Sensor, system: System, step: float) -> Zone:
             "leave out what else belongs to a zone"
         )
     always = msgspec.structs.replace(sensor, threshold=0.0)
-    zone = resolve(always, system.p, step, pace(system.linear))
+    return with_gaps(resolve(always, system.p, step, pace(system.linear)), system)
+
+
+def with_gaps(zone: Zone, system: System) -> Zone:
+    """The sensor with the gaps of a plant's gears for widths; as it is where there are none."""
+    if system.gears is None:
+        return zone
     right, left = (np.asarray(each).ravel() for each in system.gears.widths(system.params))
     return msgspec.structs.replace(zone, kind="gears", right=right, left=left)
 
