@@ -1,4 +1,4 @@
-"""Arms whose motors move their links through gears with a gap: physics, runs, verdicts, refusals."""
+"""Arms whose motors move their links through gears with a gap: physics, runs, refusals."""
 
 from __future__ import annotations
 
@@ -238,7 +238,7 @@ def test_what_an_ensemble_draws_is_the_true_width(tmp_path: Path) -> None:
         ensemble={"runs": 4, "plant.parameters.half1": {"uniform": [0.02, 0.08]}},
         simulation={"time": "sampled", "duration": 0.05, "step": 1e-3, "substeps": 4},
     )
-    found = uz.ensemble(several)
+    found = uz.run_ensemble(several)
     drawn = found.column("plant.parameters.half1")
     np.testing.assert_allclose(found.column("d_right_error[0]"), 0.05 - drawn, atol=1e-12)
 

@@ -17,7 +17,12 @@ from undeadzone.ends.actuator import ActuatorModel, Belief, Drive, believed, res
 from undeadzone.ends.gaps import gaps_of
 from undeadzone.ends.sensor import Sensor, Zone
 from undeadzone.errors import InputError
-from undeadzone.feedforward.joint_path import joint_path, require_range, require_torque
+from undeadzone.feedforward.joint_path import (
+    after_swing,
+    joint_path,
+    require_range,
+    require_torque,
+)
 from undeadzone.feedforward.targets import flat_targets
 from undeadzone.interfaces import Compensator, Controller, Observer
 from undeadzone.linear.structure import require_structure
@@ -390,7 +395,12 @@ def followed(scenario: Scenario, model: System, start: Floats, step: float) -> E
     else:
         task = signals.exosystem("reference", reference, len(body.chain.plane), task=True)
         params, posture = model.joints(model.params, start)
-        path = joint_path(body, params, task, duration, step, posture)
+        swing = getattr(reference, "swing", None)
+        start = 0.0 if swing is None else scalar("reference.swing.until", swing.until, above=0.0)
+        path = joint_path(body, params, task, max(duration - start, step), step, posture)
+        if swing is not None:
+            path = after_swing(path, swing)
+            require_range(body.chain, t, path.value(t), path.value(t, 1))
     require_torque(model, path, t)
     return path
 
