@@ -12,6 +12,7 @@ import numpy as np
 
 from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError
+from undeadzone.linear.matrices import Matrices
 from undeadzone.signals.exosystem import Exosystem
 from undeadzone.support.arrays import Floats
 
@@ -60,6 +61,24 @@ def _largest(r: Floats, step: float) -> Floats:
     rate, bend = np.diff(r, axis=0) / step, np.diff(r, 2, axis=0) / step**2
     slowing = np.maximum(-bend * np.sign(rate[:-1]), -bend * np.sign(rate[1:]))
     return np.asarray(slowing.max(axis=0, initial=0.0))
+
+
+def overrun_along(sensor: Zone, flow: Matrices, x: Floats, u: Floats) -> Floats:
+    """J a / f of each output at instants of which state and input are known (N x p).
+
+    Args:
+        sensor: the sensor, with a load that has friction.
+        flow: the plant's matrices in continuous time.
+        x: states (N x n).
+        u: inputs (N x m).
+    """
+    moving = x @ flow.A.T + u @ flow.B.T
+    speed, bend = moving @ flow.C.T, moving @ (flow.C @ flow.A).T
+    slowing = np.maximum(-bend * np.sign(speed), 0.0)
+    loaded = sensor.inertia > 0
+    return np.asarray(
+        slowing * np.where(loaded, sensor.inertia, 0.0) / np.where(loaded, sensor.friction, 1.0)
+    )
 
 
 def require_contact(

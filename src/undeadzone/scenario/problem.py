@@ -396,8 +396,8 @@ def followed(scenario: Scenario, model: System, start: Floats, step: float) -> E
         task = signals.exosystem("reference", reference, len(body.chain.plane), task=True)
         params, posture = model.joints(model.params, start)
         swing = getattr(reference, "swing", None)
-        start = 0.0 if swing is None else scalar("reference.swing.until", swing.until, above=0.0)
-        path = joint_path(body, params, task, max(duration - start, step), step, posture)
+        begin = 0.0 if swing is None else scalar("reference.swing.until", swing.until, above=0.0)
+        path = joint_path(body, params, task, max(duration - begin, step), step, posture)
         if swing is not None:
             path = after_swing(path, swing)
             require_range(body.chain, t, path.value(t), path.value(t, 1))
