@@ -31,7 +31,7 @@ from undeadzone.observers.parts.motion import require_hearer
 from undeadzone.plants import build as plants
 from undeadzone.plants.options import Plant
 from undeadzone.plants.region import box
-from undeadzone.plants.system import System
+from undeadzone.plants.system import System, pace
 from undeadzone.scenario.encoders import require_gears, sensed
 from undeadzone.scenario.overrun import require_contact
 from undeadzone.scenario.schema import Scenario, Units
@@ -101,7 +101,8 @@ def resolve_scenario(scenario: Scenario) -> Problem:
         )
     true, flow, x0 = systems(scenario)
     step, steps = checked_time(scenario, true)
-    sensor = sensed(scenario.sensor, true, step)
+    rate = pace(flow.linear)
+    sensor = sensed(scenario.sensor, true, step, rate)
     _require_numbers(sensor)
     tracked = _tracked(scenario, true)
     reference, path = _reference(scenario, flow, tracked, x0, step)
@@ -134,7 +135,7 @@ def resolve_scenario(scenario: Scenario) -> Problem:
     actuator, belief = _actuator(scenario, true.m)
     if scenario.model is not None and scenario.model.play is not None:
         _require_play(scenario.model.play, sensor)
-    told = sensed(known_sensor(scenario), flow, step)
+    told = sensed(known_sensor(scenario), flow, step, rate)
     for each in (sensor, told):
         require_hearer(scenario.observer, each)
     require_gears("observer", scenario.observer, model)

@@ -20,7 +20,7 @@ from undeadzone.observers.parts.actuated import built as behind
 from undeadzone.observers.parts.motion import require_hearer
 from undeadzone.plants import build as plants
 from undeadzone.plants.options import Plant
-from undeadzone.plants.system import System, sampled
+from undeadzone.plants.system import System, pace, sampled
 from undeadzone.scenario.encoders import require_gears, sensed
 from undeadzone.scenario.overrun import overrun_along
 from undeadzone.scenario.problem import require_visible
@@ -365,7 +365,7 @@ def built_for(
     system = plants.system(plant)
     require_visible(system, "plant")
     model = sampled(system, Ts, substeps)
-    zone = sensed(sensor, system, Ts)
+    zone = sensed(sensor, system, Ts, pace(system.linear))
     require_gears("observer", observer, system)
     require_hearer(observer, zone)
     built = behind(observer, model, zone, believed(actuator, model.m))
