@@ -20,7 +20,7 @@ MOST_CODE, MOST_FILES = 39_960, 330
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
     "(root)": 340,
-    "analysis": 3400,
+    "analysis": 3410,
     "cli": 1870,
     "compensators": 170,
     "compile": 3600,
@@ -33,7 +33,7 @@ BUDGET = {
     "linear": 400,
     "logs": 1240,
     "numerics": 815,
-    "observers": 2850,
+    "observers": 2860,
     "plants": 1530,
     "report": 2950,
     "results": 890,

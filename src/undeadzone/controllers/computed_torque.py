@@ -10,7 +10,7 @@ import numpy as np
 from undeadzone.catalogue import Options
 from undeadzone.controllers.parts.geared_torque import geared_torque
 from undeadzone.errors import InputError, StepError
-from undeadzone.feedforward.targets import Target
+from undeadzone.feedforward.targets import Target, along_targets
 from undeadzone.interfaces import Controller, Estimate, Plan
 from undeadzone.plants.robots.arm import Arm, acceleration, torque
 from undeadzone.plants.system import System
@@ -113,11 +113,10 @@ def accelerations(arm: Arm, params: Floats, target: Target) -> Floats:
         target: the reference, a row per instant.
     """
     N = arm.size
-    x, u = ca.SX.sym("x", 2 * N), ca.SX.sym("u", N)
-    a = acceleration(arm, ca.SX(params), x[:N], x[N:], u)
-    function = ca.Function("accelerations", [x, u], [a], {"cse": True})
-    along = function.map(len(target.u_ff))
-    return np.asarray(along(target.x_ref.T, target.u_ff.T).full().T)
+    return along_targets(
+        lambda x, u: acceleration(arm, ca.SX(params), x[:N], x[N:], u),
+        target,
+    )
 
 
 def _require_fine_step(k_p: Floats, k_d: Floats, Ts: float) -> None:

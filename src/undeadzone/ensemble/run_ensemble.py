@@ -25,6 +25,7 @@ from undeadzone.ensemble.result import Ensemble
 from undeadzone.ensemble.saved import Info
 from undeadzone.errors import FileError, InputError
 from undeadzone.results.run import Run
+from undeadzone.scenario.encoders import with_gaps
 from undeadzone.scenario.ensemble_table import Vary
 from undeadzone.scenario.problem import Problem
 from undeadzone.scenario.reader import anchored, parse
@@ -312,10 +313,11 @@ def _problem_of_run(batch: Batch, values: Floats, what: str) -> Problem:
     problem = batch.problem
     reference = problem.reference
     title = f"{problem.scenario.title}, {what}"
+    plant = problem.plant._replace(params=params.plant)
     return problem._replace(
         scenario=msgspec.structs.replace(problem.scenario, title=title),
-        plant=problem.plant._replace(params=params.plant),
-        sensor=_sensor_of_run(problem.sensor, params),
+        plant=plant,
+        sensor=with_gaps(_sensor_of_run(problem.sensor, params), plant),
         reference=reference._replace(Q=reference.Q * params.scale.reference),
     )
 

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from undeadzone.errors import InputError
 from undeadzone.observers.parts.actuated import built
 from undeadzone.plants.robots.arm import signless
+from undeadzone.plants.system import pace
 from undeadzone.scenario.address import entries_there, index_of, matching, similar, stem
 from undeadzone.scenario.encoders import sensed
 from undeadzone.scenario.ensemble_table import (
@@ -120,9 +121,9 @@ def _places_of_sensor(problem: Problem, loop: Loop) -> dict[str, tuple[int, ...]
     scenario, model = problem.scenario, problem.model
     sensor = msgspec.structs.replace(scenario.sensor, **others)
     told = known_sensor(msgspec.structs.replace(scenario, sensor=sensor))
-    step, flow = scenario.simulation.step, problem.flow
-    observer = built(scenario.observer, model, sensed(told, flow, step), problem.belief)
-    changed = problem._replace(sensor=sensed(sensor, flow, step), observer=observer)
+    read = problem.flow, scenario.simulation.step, pace(problem.flow.linear)
+    observer = built(scenario.observer, model, sensed(told, *read), problem.belief)
+    changed = problem._replace(sensor=sensed(sensor, *read), observer=observer)
     _, params = packed(changed, loop)
     places = {}
     for key, numbers in others.items():

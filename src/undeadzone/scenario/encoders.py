@@ -14,24 +14,25 @@ import numpy as np
 
 from undeadzone.ends.sensor import Sensor, Zone, resolve
 from undeadzone.errors import InputError
-from undeadzone.plants.system import System, pace
+from undeadzone.plants.system import System
 
 ZONE = ("right", "left", "noise_before", "drift", "play", "load_friction", "load_inertia")
 
 
-def sensed(sensor: Sensor, system: System, step: float) -> Zone:
+def sensed(sensor: Sensor, system: System, step: float, rate: float) -> Zone:
     """The checked sensor of a plant; of an arm with gears its encoders, with the gaps for widths.
 
     Args:
         sensor: in a user's words.
         system: what it reads, in continuous time.
         step: time between readings [s].
+        rate: how fast the model moves [1/s], for the default rate of false alarms.
 
     Raises:
         InputError: or a subclass, as `resolve`; a dead zone or a play beside gears.
     """
     if system.gears is None:
-        return resolve(sensor, system.p, step, pace(system.linear))
+        return resolve(sensor, system.p, step, rate)
     zones = [name for name in ZONE if np.any(getattr(sensor, name))]
     if zones or sensor.kind != "deadzone":
         raise InputError(
@@ -40,7 +41,13 @@ def sensed(sensor: Sensor, system: System, step: float) -> Zone:
             "leave out what else belongs to a zone"
         )
     always = msgspec.structs.replace(sensor, threshold=0.0)
-    zone = resolve(always, system.p, step, pace(system.linear))
+    return with_gaps(resolve(always, system.p, step, rate), system)
+
+
+def with_gaps(zone: Zone, system: System) -> Zone:
+    """The sensor with the gaps of a plant's gears for widths; as it is where there are none."""
+    if system.gears is None:
+        return zone
     right, left = (np.asarray(each).ravel() for each in system.gears.widths(system.params))
     return msgspec.structs.replace(zone, kind="gears", right=right, left=left)
 

@@ -17,7 +17,12 @@ from undeadzone.ends.actuator import ActuatorModel, Belief, Drive, believed, res
 from undeadzone.ends.gaps import gaps_of
 from undeadzone.ends.sensor import Sensor, Zone
 from undeadzone.errors import InputError
-from undeadzone.feedforward.joint_path import joint_path, require_range, require_torque
+from undeadzone.feedforward.joint_path import (
+    after_swing,
+    joint_path,
+    require_range,
+    require_torque,
+)
 from undeadzone.feedforward.targets import flat_targets
 from undeadzone.interfaces import Compensator, Controller, Observer
 from undeadzone.linear.structure import require_structure
@@ -26,7 +31,7 @@ from undeadzone.observers.parts.motion import require_hearer
 from undeadzone.plants import build as plants
 from undeadzone.plants.options import Plant
 from undeadzone.plants.region import box
-from undeadzone.plants.system import System
+from undeadzone.plants.system import System, pace
 from undeadzone.scenario.encoders import require_gears, sensed
 from undeadzone.scenario.overrun import require_contact
 from undeadzone.scenario.schema import Scenario, Units
@@ -96,7 +101,8 @@ def resolve_scenario(scenario: Scenario) -> Problem:
         )
     true, flow, x0 = systems(scenario)
     step, steps = checked_time(scenario, true)
-    sensor = sensed(scenario.sensor, true, step)
+    rate = pace(flow.linear)
+    sensor = sensed(scenario.sensor, true, step, rate)
     _require_numbers(sensor)
     tracked = _tracked(scenario, true)
     reference, path = _reference(scenario, flow, tracked, x0, step)
@@ -129,7 +135,7 @@ def resolve_scenario(scenario: Scenario) -> Problem:
     actuator, belief = _actuator(scenario, true.m)
     if scenario.model is not None and scenario.model.play is not None:
         _require_play(scenario.model.play, sensor)
-    told = sensed(known_sensor(scenario), flow, step)
+    told = sensed(known_sensor(scenario), flow, step, rate)
     for each in (sensor, told):
         require_hearer(scenario.observer, each)
     require_gears("observer", scenario.observer, model)
@@ -390,7 +396,12 @@ def followed(scenario: Scenario, model: System, start: Floats, step: float) -> E
     else:
         task = signals.exosystem("reference", reference, len(body.chain.plane), task=True)
         params, posture = model.joints(model.params, start)
-        path = joint_path(body, params, task, duration, step, posture)
+        swing = getattr(reference, "swing", None)
+        begin = 0.0 if swing is None else scalar("reference.swing.until", swing.until, above=0.0)
+        path = joint_path(body, params, task, max(duration - begin, step), step, posture)
+        if swing is not None:
+            path = after_swing(path, swing)
+            require_range(body.chain, t, path.value(t), path.value(t, 1))
     require_torque(model, path, t)
     return path
 

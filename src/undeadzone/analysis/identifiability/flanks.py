@@ -112,17 +112,18 @@ def flank_verdicts(body: Arm, params: Floats, path: Floats, step: float) -> list
     verdicts = []
     for i, joint in enumerate(visited(torques(body, params, path), step)):
         known = joint.right and joint.left
-        reasons = () if known else (_held(balanced(body, params, mean, i)),)
+        unit = "" if body.chain.slides else " rad"
+        reasons = () if known else (_held(balanced(body, params, mean, i), unit),)
         verdicts.append(Verdict(known, known, known, known, reasons=reasons))
     return verdicts
 
 
-def _held(place: float | None) -> str:
+def _held(place: float | None, unit: str) -> str:
     """What keeps a gap from being known, and what would help.
 
-    place: where gravity asks the joint for no torque.
+    place, unit: where gravity asks the joint for no torque.
     """
     what = "held on one flank: its gap cannot be known"
     if place is None:
         return f"{what}, nor does gravity change its load anywhere: turn it to and fro faster"
-    return f"{what}; swing it through {place:.3g} rad, where it carries no load"
+    return f"{what}; swing it through {place:.3g}{unit}, where it carries no load"

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.feedforward.flank_path import LEAD, Crossing, doubly_integrated, led, turned
-from undeadzone.feedforward.targets import Target
+from undeadzone.feedforward.targets import Target, along_targets
 from undeadzone.interfaces import Controller, Estimate, Plan
 from undeadzone.plants.robots.arm import torque
 from undeadzone.plants.robots.geared import Geared
@@ -120,11 +120,12 @@ def accelerations(gears: Geared, params: Floats, target: Target) -> Floats:
         params: its parameters.
         target: the reference, a row per instant.
     """
-    N = gears.size
-    x, u, p = ca.SX.sym("x", 4 * N), ca.SX.sym("u", N), ca.SX(params)
-    q, v = x[N : 2 * N], x[3 * N :]
-    held = torque(gears.arm, gears.links(p), q, v, ca.SX(N, 1)) + gears.friction(p, v)
-    M = gears.arm.mass(gears.links(p), q) + ca.diag(gears.number(p, "inertia"))
-    function = ca.Function("accelerations", [x, u], [ca.solve(M, u - held)], {"cse": True})
-    along = function.map(len(target.u_ff))
-    return np.asarray(along(target.x_ref.T, target.u_ff.T).full().T)
+    N, p = gears.size, ca.SX(params)
+
+    def turned_together(x: Any, u: Any) -> Any:
+        q, v = x[N : 2 * N], x[3 * N :]
+        held = torque(gears.arm, gears.links(p), q, v, ca.SX(N, 1)) + gears.friction(p, v)
+        M = gears.arm.mass(gears.links(p), q) + ca.diag(gears.number(p, "inertia"))
+        return ca.solve(M, u - held)
+
+    return along_targets(turned_together, target)
