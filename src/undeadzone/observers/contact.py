@@ -98,8 +98,8 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
             )
         fastest = float(np.max(np.asarray(gears.number(gears.values, "contact"))))
         drive = drive_of(gears, Ts, int(np.ceil(Ts * fastest / RESOLVED)))
-        numbers = self._numbers(model, gears, Ts, sensor)
-        params = Params(numbers, sensor.slope, fading(Ts, MEMORY), fading(Ts, PATIENCE))
+        first, numbers = self._numbers(model, gears, Ts, sensor)
+        params = Params(first, numbers, sensor.slope, fading(Ts, MEMORY), fading(Ts, PATIENCE))
         theta = ("payload", *(f"friction{i + 1}" for i in range(gears.size)))
         setup = Setup(drive, model, gears, sensor.kind)
         return Observer(
@@ -109,8 +109,8 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
             traits=Traits(uncertain=theta),
         )
 
-    def _numbers(self, model: System, gears: Geared, Ts: float, sensor: Zone) -> Numbers:
-        """The numbers of the filter. Raises InputError, ShapeError."""
+    def _numbers(self, model: System, gears: Geared, Ts: float, sensor: Zone) -> tuple[Modes, Numbers]:
+        """The modes at first and the numbers of the filter. Raises InputError, ShapeError."""
         N, layout = gears.size, Layout(gears.size)
         of, values = layout.of, model.params
 
@@ -145,15 +145,14 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         Q[of("push")] = 2 * Ts / FADING * (0.6 * unknown) ** 2
         Q[of("half")] = scalar("observer.drift", self.drift, least=0.0) ** 2 * Ts
         rms = sensor.rms if self.noise is None else self.noise
-        return Numbers(
+        slack = scalar("observer.compliance", self.compliance, above=0.0) ** 2
+        return start(layout, mean, std, slack), Numbers(
             model=values,
-            mean=mean,
-            std=std,
             Q=Q,
             R=positive("observer.noise", rms, model.p, "one per encoder") ** 2,
             low=low,
             high=high,
-            slack=np.asarray(scalar("observer.compliance", self.compliance, above=0.0) ** 2),
+            slack=np.asarray(slack),
             torque=0.5 * unknown,
             leaving=np.asarray(1 - fading(Ts, 1 / LEAVING)),
             impact=np.asarray(RESTITUTION),
@@ -166,12 +165,14 @@ class Params(NamedTuple):
     """Numbers of the observer.
 
     Attributes:
+        start: the modes before the first reading.
         modes: of the filter of contacts.
         slope: of the encoders (p).
         fade: share of the sum of innovations that is left after a step.
         keep: share of the mean of its squares that is left after a step.
     """
 
+    start: Modes
     modes: Numbers
     slope: Floats
     fade: Floats
@@ -266,7 +267,7 @@ def drive_of(gears: Geared, Ts: float, substeps: int) -> Drive:
 def _started(setup: Setup, q: Params) -> State:
     """The state before the first reading."""
     none = np.zeros(setup.model.p)
-    return State(start(setup.drive, q.modes), Sums(none, none, np.ones(setup.model.p)))
+    return State(q.start, Sums(none, none, np.ones(setup.model.p)))
 
 
 def _step(

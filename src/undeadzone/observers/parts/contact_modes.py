@@ -104,7 +104,6 @@ class Numbers(NamedTuple):
 
     Attributes:
         model: those of the plant.
-        mean, std: of x about the first reading, contacts unknown (count).
         Q: variance that x gains in a step (count).
         R: variance of a reading (p).
         low, high: between which x is known to lie (count).
@@ -117,8 +116,6 @@ class Numbers(NamedTuple):
     """
 
     model: Any
-    mean: Floats
-    std: Floats
     Q: Floats
     R: Floats
     low: Floats
@@ -164,21 +161,25 @@ class Told(NamedTuple):
     std: Any
 
 
-def start(drive: Drive, q: Numbers) -> Modes:
-    """The modes before the first reading, as NumPy arrays: each link on the flank of its mode."""
-    layout = drive.layout
-    modes = layout.modes
+def start(layout: Layout, mean: Floats, std: Floats, slack: float) -> Modes:
+    """The modes before the first reading, as NumPy arrays: each link on the flank of its mode.
+
+    Args:
+        layout: where the quantities stand.
+        mean, std: of x about the first reading, contacts unknown (count).
+        slack: variance of where a flank is [rad^2].
+    """
     entries = ca.Sparsity.upper(layout.count)
     means, covs = [], []
-    for mode in modes:
-        belief = Gaussian(ca.SX(q.mean), ca.SX(ca.diag(q.std**2)))
+    for mode in layout.modes:
+        belief = Gaussian(ca.SX(mean), ca.SX(ca.diag(std**2)))
         for joint, side in enumerate(mode):
             if side:
                 h = layout.edge(joint, side)
-                belief = at_edge(belief, h, h @ belief.mean, q.slack)
+                belief = at_edge(belief, h, h @ belief.mean, slack)
         means.append(np.asarray(ca.evalf(belief.mean)).ravel())
         covs.append(np.asarray(ca.evalf(triangle(belief.cov, entries))).ravel())
-    even = np.full(len(modes), 1 / len(modes))
+    even = np.full(len(means), 1 / len(means))
     return Modes(even, tuple(means), tuple(covs), np.zeros(1))
 
 
