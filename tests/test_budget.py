@@ -15,7 +15,7 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 40_530, 336
+MOST_CODE, MOST_FILES = 40_590, 336
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
@@ -37,7 +37,7 @@ BUDGET = {
     "plants": 1705,
     "report": 2950,
     "results": 895,
-    "scenario": 1495,
+    "scenario": 1510,
     "signals": 440,
     "simulation": 2365,
     "statistics": 265,
