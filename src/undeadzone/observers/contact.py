@@ -40,7 +40,7 @@ from undeadzone.support.arrays import Array, Floats, array, nonnegative, positiv
 
 MOST_COUPLED = 2  # joints with gaps, beyond which there are too many combinations
 RESOLVED = 0.8  # largest product of a Runge-Kutta step and the frequency of contact
-LEAVING = 300.0  # rate at which a link leaves a flank that pulls [1/s]
+LEAVING = 1600.0  # rate at which a link leaves a flank that pulls [1/s]
 FADING = 0.2  # correlation time of the unknown torque of motors [s]
 LASTING = 0.01  # time for which the unknown torque of links lasts [s]
 COMPLIANCE = 3e-4  # deviation of where a flank is [rad]
@@ -126,7 +126,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
             low[of(name)], high[of(name)] = claimed.T
             mean[of(name)] = claimed.mean(axis=1)
             std[of(name)] = (claimed[:, 1] - claimed[:, 0]) / np.sqrt(12)
-        unknown, loads, inertia = unknown_torques(model, gears)
+        unknown, loads, inertia = unknown_torques(model, gears, float(mean[of("payload")][0]))
         if self.disturbance is not None:
             unknown = positive("observer.disturbance", self.disturbance, N, "one per joint") / 0.6
         if self.load is not None:
@@ -210,15 +210,18 @@ def _ranges(key: str, claimed: Array, N: int) -> Floats:
     return np.broadcast_to(value, (N, 2))
 
 
-def unknown_torques(model: System, gears: Geared) -> tuple[Floats, Floats, Floats]:
+def unknown_torques(
+    model: System, gears: Geared, payload: float
+) -> tuple[Floats, Floats, Floats]:
     """(of the motors, of the links, [N m]; inertia of the links (N)): torques that may be unknown.
 
     Args:
         model: the model.
         gears: of the model.
+        payload: as it is taken for [kg].
     """
-    N, links = gears.size, gears.links(model.params)
-    names = gears.arm.names
+    N, links, names = gears.size, gears.links(model.params).copy(), gears.arm.names
+    links[names.index("payload")] = payload
     turned = np.linspace(-np.pi, np.pi, 8, endpoint=False)
     rest = np.zeros(N)
     held = [np.abs(np.asarray(gears.arm.bias(links, q * np.eye(1, N)[0], rest))) for q in turned]
@@ -303,7 +306,9 @@ def _shown(setup: Setup, q: Params, told: Told, reading: Reading) -> Estimate:
     half, centre = mean[of("half")], mean[of("centre")]
     right, left = ca.vertcat(half + centre, both), ca.vertcat(half - centre, both)
     xi = mean[:N] - mean[N : 2 * N] + centre
-    link = mean[:N] + centre - ca.fmax(ca.fmin(xi, half), -half)  # never beyond a flank
+    if setup.gears.measured == "motor":  # a link that is not seen is never beyond a flank
+        xi = ca.fmax(ca.fmin(xi, half), -half)
+    link = mean[:N] + centre - xi
     x = ca.vertcat(mean[:N], link, mean[2 * N : 4 * N])
     z = setup.model.output(q.modes.model, x)
     std = partial(_deviations, told.whole)
