@@ -1,4 +1,4 @@
-"""Arms and servos behind gears that MuJoCo moves: links, gaps and paths by `contact`, and by others.
+"""Arms and servos behind gears that MuJoCo moves: links, gaps and paths by `contact`.
 
 GEARS_SECONDS: CPU time a row may take (600), GEARS_FIRST: the first seed, GEARS_ROWS: words of the
 rows that are run (all). What loops a row had is said in the table.
@@ -139,7 +139,11 @@ def rows() -> list[Row]:
         Row("figure eight alone", ARM, two_link),
         Row("two links, contact told 4 times too slow", geared(swung, contact=137.0), two_link),
         Row("two links, friction told at half", geared(swung, **rubbing), two_link),
-        Row("two links, masses told 10 % too large", changed(swung, plant={"parameters": told}), two_link),
+        Row(
+            "two links, masses told 10 % too large",
+            changed(swung, plant={"parameters": told}),
+            two_link,
+        ),
         Row("servo, motor encoder", hanging, servo),
         Row("servo, 12-bit motor encoder", coarse, servo),
         Row("servo, horizontal", flat, lambda rng: servo(rng, gravity=0.0)),
@@ -295,10 +299,10 @@ def told(label: str, results: list[Outcome], N: int) -> str:
     )
 
 
-NOTE = """MuJoCo 4 moves the arms (`benchmarks/mujoco_gears.py`); gaps, payload, friction and contact
-are drawn anew for each seed and not told. The last 4 s of 9 s (arms), of 6.5 s (servos). Path: tip
-of arms [mm], angle of servos [mrad]. Lost without a word: beyond 5 std, or a link's angle outside of
-its interval in half of the samples, with `consistent` 1 in the last 200 samples.
+NOTE = """MuJoCo 4 moves the arms (`benchmarks/mujoco_gears.py`); gaps, payload, friction and
+contact are drawn anew for each seed and not told. The last 4 s of 9 s (arms), of 6.5 s (servos).
+Path: tip of arms [mm], angle of servos [mrad]. Lost without a word: beyond 5 std, or a link's angle
+outside of its interval in half of the samples, with `consistent` 1 in the last 200 samples.
 """
 HEAD = head(
     "loop",

@@ -46,10 +46,12 @@ def arriving(before: Sequence[Any], now: Sequence[Any], lost: Any = 0.0) -> list
     left = 1 - sum(before)
     gained = [ca.fmax(after - was, 0.0) for was, after in zip(before, now, strict=True)]
     gone = ca.logic_or(lost, ca.logic_or(left < LEAST, sum(gained) > left))
-    total = ca.if_else(gone, ca.fmax(sum(gained), LEAST), left)
-    nearest = [ca.if_else(gone, after / ca.fmax(sum(now), LEAST), 0.0) for after in now]
-    passed = [ca.if_else(gone, share, each / total) for share, each in zip(nearest, gained)]
-    return passed
+    total = ca.fmax(left, LEAST)
+    beyond_any = ca.fmax(sum(now), LEAST)
+    shares = []
+    for each, after in zip(gained, now, strict=True):
+        shares.append(ca.if_else(gone, after / beyond_any, each / total))
+    return shares
 
 
 def at_edge(belief: Gaussian, h: Any, excess: Any, R: Any) -> Gaussian:

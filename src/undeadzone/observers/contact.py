@@ -40,12 +40,13 @@ from undeadzone.support.arrays import Array, Floats, array, nonnegative, positiv
 
 MOST_COUPLED = 2  # joints with gaps, beyond which there are too many combinations
 RESOLVED = 0.8  # largest product of a Runge-Kutta step and the frequency of contact
-LEAVING = 1600.0  # rate at which a link leaves a flank that pulls [1/s]
+LEAVING = 800.0  # rate at which a link leaves a flank that pulls [1/s]
 FADING = 0.2  # correlation time of the unknown torque of motors [s]
 LASTING = 0.01  # time for which the unknown torque of links lasts [s]
 COMPLIANCE = 3e-4  # deviation of where a flank is [rad]
 JERK = 1e-3  # variance that the speed of a motor gains in a second [rad^2 / s^3]
 STICKING = 0.03  # time for which what static friction takes lasts [s]
+TURNING = 0.2  # deviation of the torque through the gears, over that unknown torque
 RESTITUTION = 0.5  # share by which an impulse is off
 LEAST_TORQUE = 0.01  # of what holds the links, least unknown torque
 MEMORY = 0.2  # time over which innovations are summed [s]
@@ -109,7 +110,9 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
             traits=Traits(uncertain=theta),
         )
 
-    def _numbers(self, model: System, gears: Geared, Ts: float, sensor: Zone) -> tuple[Modes, Numbers]:
+    def _numbers(
+        self, model: System, gears: Geared, Ts: float, sensor: Zone
+    ) -> tuple[Modes, Numbers]:
         """The modes at first and the numbers of the filter. Raises InputError, ShapeError."""
         N, layout = gears.size, Layout(gears.size)
         of, values = layout.of, model.params
@@ -117,12 +120,15 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         def told(name: str) -> Floats:
             return np.asarray(gears.number(values, name), float).ravel()
 
-        mean, std, Q = np.zeros(layout.count), np.zeros(layout.count), np.zeros(layout.count)
-        low, high = np.full(layout.count, -1e300), np.full(layout.count, 1e300)
+        mean, std, Q = np.zeros(layout.entries), np.zeros(layout.entries), np.zeros(layout.entries)
+        low, high = np.full(layout.entries, -1e300), np.full(layout.entries, 1e300)
         ranges = _ranges("observer.half", self.half, N)
         mass = float(values[model.names.index("payload")])
         weight = [mass, mass] if self.payload is None else self.payload
-        for name, claimed in (("half", ranges), ("payload", _ranges("observer.payload", weight, 1))):
+        for name, claimed in (
+            ("half", ranges),
+            ("payload", _ranges("observer.payload", weight, 1)),
+        ):
             low[of(name)], high[of(name)] = claimed.T
             mean[of(name)] = claimed.mean(axis=1)
             std[of(name)] = (claimed[:, 1] - claimed[:, 0]) / np.sqrt(12)
@@ -153,7 +159,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
             low=low,
             high=high,
             slack=np.asarray(slack),
-            torque=0.5 * unknown,
+            torque=TURNING * unknown,
             leaving=np.asarray(1 - fading(Ts, 1 / LEAVING)),
             impact=np.asarray(RESTITUTION),
             rest=STICKING * Ts / rotors**2,
@@ -187,7 +193,7 @@ class State(NamedTuple):
 
 
 class Setup(NamedTuple):
-    """What the parts of one filter share: the plant as it asks, the model, gears, kind of sensor."""
+    """What the parts of one filter share: the plant as it asks, model, gears, kind of sensor."""
 
     drive: Drive
     model: System
@@ -210,9 +216,7 @@ def _ranges(key: str, claimed: Array, N: int) -> Floats:
     return np.broadcast_to(value, (N, 2))
 
 
-def unknown_torques(
-    model: System, gears: Geared, payload: float
-) -> tuple[Floats, Floats, Floats]:
+def unknown_torques(model: System, gears: Geared, payload: float) -> tuple[Floats, Floats, Floats]:
     """(of the motors, of the links, [N m]; inertia of the links (N)): torques that may be unknown.
 
     Args:
@@ -273,9 +277,7 @@ def _started(setup: Setup, q: Params) -> State:
     return State(q.start, Sums(none, none, np.ones(setup.model.p)))
 
 
-def _step(
-    setup: Setup, q: Params, s: State, u: Any, reading: Reading
-) -> tuple[State, Estimate]:
+def _step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> tuple[State, Estimate]:
     """One sample: the readings, what they show, and the motion to the next sample."""
     drive, y = setup.drive, reading.y / q.slope
     before, begun = beliefs_of(drive, s.modes, y)
@@ -300,7 +302,7 @@ def _unbound(layout: Layout, q: Numbers, belief: Gaussian) -> Any:
 
 def _shown(setup: Setup, q: Params, told: Told, reading: Reading) -> Estimate:
     """What the readings so far tell."""
-    layout, (mean, cov) = setup.drive.layout, told.whole
+    layout, mean = setup.drive.layout, told.whole.mean
     N, of = layout.size, layout.of
     both = ca.SX.zeros(setup.model.p - N)  # of encoders at the motors too, which hide nothing
     half, centre = mean[of("half")], mean[of("centre")]
@@ -315,12 +317,12 @@ def _shown(setup: Setup, q: Params, told: Told, reading: Reading) -> Estimate:
     sides = ca.DM([list(mode) for mode in layout.modes])
     contact = sides.T @ ca.vertcat(*told.chances)
     give = ca.vertcat(q.modes.slack * ca.SX.ones(N), both)
-    halves, centres = (ca.DM.eye(layout.count)[of(name), :] for name in ("half", "centre"))
+    halves, centres = (ca.DM.eye(layout.entries)[of(name), :] for name in ("half", "centre"))
     shown = estimate(x, z, right, left, reading, q.slope, setup.kind, told.e)
     push = mean[of("push")] / setup.gears.number(q.modes.model, "inertia")
     free = ca.SX.zeros(2 * N)
     names = ("payload", "friction")
-    variances = std(ca.DM.eye(layout.count)[: 4 * N, :])
+    variances = std(ca.DM.eye(layout.entries)[: 4 * N, :])
     known = ca.fmin(variances[N : 2 * N], half**2 + variances[:N] + std(halves) + std(centres))
     return shown._replace(
         x_std=ca.sqrt(ca.vertcat(variances[:N], known, variances[2 * N : 4 * N])),
@@ -331,7 +333,7 @@ def _shown(setup: Setup, q: Params, told: Told, reading: Reading) -> Estimate:
         w=ca.vertcat(free, push, ca.SX.zeros(N)),
         theta=ca.vertcat(*(mean[of(name)] for name in names)),
         theta_std=ca.sqrt(
-            ca.vertcat(*(std(ca.DM.eye(layout.count)[of(name), :]) for name in names))
+            ca.vertcat(*(std(ca.DM.eye(layout.entries)[of(name), :]) for name in names))
         ),
         contact=ca.vertcat((contact > 0.5) - (contact < -0.5), both),
     )

@@ -60,7 +60,7 @@ class Layout(NamedTuple):
         return slice(first, first + self.size)
 
     @property
-    def count(self) -> int:
+    def entries(self) -> int:
         """How many numbers x has."""
         return 8 * self.size + 1
 
@@ -70,8 +70,8 @@ class Layout(NamedTuple):
         return list(itertools.product((1, 0, -1), repeat=self.size))
 
     def edge(self, joint: int, side: int) -> ca.DM:
-        """The row of side (theta - q + c) - a of a joint (1 x count)."""
-        row = np.zeros((1, self.count))
+        """The row of side (theta - q + c) - a of a joint (1 x entries)."""
+        row = np.zeros((1, self.entries))
         for name, sign in (("motor", side), ("link", -side), ("centre", side), ("half", -1)):
             row[0, self.of(name).start + joint] = sign
         return ca.sparsify(ca.DM(row))
@@ -82,7 +82,7 @@ class Drive(NamedTuple):
 
     Attributes:
         layout: where the quantities stand.
-        rate: (numbers, x, u, contact) -> (x' (count), torques through the gears (N)), contacts
+        rate: (numbers, x, u, contact) -> (x' (entries), torques through the gears (N)), contacts
             locked.
         mobility: (numbers, x) -> change of [theta'; q'] (2N x N) by a unit impulse between motor
             and link of each joint, which takes from the motor.
@@ -104,9 +104,9 @@ class Numbers(NamedTuple):
 
     Attributes:
         model: those of the plant.
-        Q: variance that x gains in a step (count).
+        Q: variance that x gains in a step (entries).
         R: variance of a reading (p).
-        low, high: between which x is known to lie (count).
+        low, high: between which x is known to lie (entries).
         slack: variance of where a flank is: its compliance is not known (1) [rad^2].
         torque: deviation of the torque through the gears (N) [N m].
         leaving: chance per sample that a link leaves a flank which pulls.
@@ -133,7 +133,7 @@ class Modes(NamedTuple):
 
     Attributes:
         chances: of the modes (K); their sum is 1.
-        means: of x in each mode (K of (count)).
+        means: of x in each mode (K of (entries)).
         covs: upper triangles of the covariances.
         begun: 1 once a whole sample was read (1).
     """
@@ -166,10 +166,10 @@ def start(layout: Layout, mean: Floats, std: Floats, slack: float) -> Modes:
 
     Args:
         layout: where the quantities stand.
-        mean, std: of x about the first reading, contacts unknown (count).
+        mean, std: of x about the first reading, contacts unknown (entries).
         slack: variance of where a flank is [rad^2].
     """
-    entries = ca.Sparsity.upper(layout.count)
+    entries = ca.Sparsity.upper(layout.entries)
     means, covs = [], []
     for mode in layout.modes:
         belief = Gaussian(ca.SX(mean), ca.SX(ca.diag(std**2)))
@@ -192,11 +192,11 @@ def beliefs_of(drive: Drive, s: Modes, y: Any) -> tuple[list[Gaussian], Any]:
         y: readings (p).
     """
     layout, N = drive.layout, drive.layout.size
-    entries = ca.Sparsity.upper(layout.count)
+    entries = ca.Sparsity.upper(layout.entries)
     whole = ca.mmin(present(y))
     first = ca.logic_and(s.begun < 0.5, whole)
     angle = ca.if_else(first, y[:N], 0.0)
-    shift = ca.vertcat(angle, angle, ca.SX.zeros(layout.count - 2 * N))
+    shift = ca.vertcat(angle, angle, ca.SX.zeros(layout.entries - 2 * N))
     beliefs = []
     for mean, cov in zip(s.means, s.covs, strict=True):
         beliefs.append(Gaussian(mean + shift, symmetric(cov, entries)))
@@ -205,34 +205,56 @@ def beliefs_of(drive: Drive, s: Modes, y: Any) -> tuple[list[Gaussian], Any]:
 
 def corrected(drive: Drive, q: Numbers, chances: Any, beliefs: list[Gaussian], y: Any) -> Told:
     """The modes after the readings of a sample; one that is no number is missing."""
-    after, logs, innovations, variances = [], [], [], []
-    for contact, foretold in zip(drive.layout.modes, beliefs, strict=True):
-        belief, e, std, log = foretold, [], [], 0.0
-        for row, entry in enumerate(drive.readings):
-            seen = present(y[row])
-            h = ca.DM(1, drive.layout.count)
-            h[0, entry] = 1
-            off = ca.if_else(seen, y[row] - belief.mean[entry], 0.0)
-            told = update_unless_glitch(belief, h, off, q.R[row], seen, None, 0.0)
-            belief = told.belief
-            log += ca.if_else(seen, -((off / told.std) ** 2) / 2 - ca.log(told.std), 0.0)
-            e.append(off)
-            std.append(told.std)
-        log += _within(drive.layout, contact, belief, q.slack)
-        log -= _within(drive.layout, contact, foretold, q.slack)
-        after.append(Gaussian(ca.fmax(ca.fmin(belief.mean, q.high), q.low), belief.cov))
-        logs.append(log)
-        innovations.append(ca.vertcat(*e))
-        variances.append(ca.vertcat(*std) ** 2)
+    each = []
+    for contact, belief in zip(drive.layout.modes, beliefs, strict=True):
+        each.append(_read(drive, q, contact, belief, y))
     before = ca.vertsplit(chances)
-    best = ca.mmax(ca.vertcat(*(ca.if_else(w > 0, log, -1e300) for w, log in zip(before, logs))))
-    weights = [w * ca.exp(ca.fmax(log - best, -MOST)) for w, log in zip(before, logs)]
-    shares = normalised([ca.if_else(w < LEAST * sum(weights), 0.0, w) for w in weights])
-    whole = mixed(shares, after)
-    kept = [one_or_other(share > 0, belief, whole) for share, belief in zip(shares, after)]
-    e = sum(w * one for w, one in zip(before, innovations))
-    spread = sum(w * (v + (one - e) ** 2) for w, v, one in zip(before, variances, innovations))
-    return Told(shares, kept, whole, e, ca.sqrt(spread))
+    alive = [ca.if_else(w > 0, one.log, -1e300) for w, one in zip(before, each, strict=True)]
+    best = ca.mmax(ca.vertcat(*alive))
+    logs = [ca.fmax(one.log - best, -MOST) for one in each]
+    weights = normalised([w * ca.exp(log) for w, log in zip(before, logs, strict=True)])
+    shares = normalised([ca.if_else(weight < LEAST, 0.0, weight) for weight in weights])
+    whole = mixed(shares, [one.belief for one in each])
+    kept = []
+    for share, one in zip(shares, each, strict=True):
+        kept.append(one_or_other(share > 0, one.belief, whole))
+    e = weighted(before, [one.e for one in each])
+    variances = [one.std**2 + (one.e - e) ** 2 for one in each]
+    return Told(shares, kept, whole, e, ca.sqrt(weighted(before, variances)))
+
+
+class Read(NamedTuple):
+    """One mode after the readings of a sample.
+
+    Attributes:
+        belief: about x.
+        log: log of how well it foretold them.
+        e, std: innovations and their deviations (p).
+    """
+
+    belief: Gaussian
+    log: Any
+    e: Any
+    std: Any
+
+
+def _read(drive: Drive, q: Numbers, contact: Contact, foretold: Gaussian, y: Any) -> Read:
+    """One mode after the readings, with its numbers within their bounds."""
+    belief, log, innovations, deviations = foretold, ca.SX(0.0), [], []
+    for row, entry in enumerate(drive.readings):
+        seen = present(y[row])
+        h = ca.DM(1, drive.layout.entries)
+        h[0, entry] = 1
+        e = ca.if_else(seen, y[row] - belief.mean[entry], 0.0)
+        told = update_unless_glitch(belief, h, e, q.R[row], seen, None, 0.0)
+        belief = told.belief
+        log += ca.if_else(seen, -((e / told.std) ** 2) / 2 - ca.log(told.std), 0.0)
+        innovations.append(e)
+        deviations.append(told.std)
+    for one, sign in ((belief, 1), (foretold, -1)):
+        log += sign * _within(drive.layout, contact, one, q.slack)
+    bounded = Gaussian(ca.fmax(ca.fmin(belief.mean, q.high), q.low), belief.cov)
+    return Read(bounded, log, ca.vertcat(*innovations), ca.vertcat(*deviations))
 
 
 def _within(layout: Layout, contact: Contact, belief: Gaussian, slack: Any) -> Any:
@@ -259,6 +281,11 @@ def one_or_other(use: Any, one: Gaussian, other: Gaussian) -> Gaussian:
     return Gaussian(
         ca.if_else(use, one.mean, other.mean), from_upper(ca.if_else(use, one.cov, other.cov))
     )
+
+
+def weighted(shares: list[Any], values: list[Any]) -> Any:
+    """The sum of the values, each times its share."""
+    return sum(share * value for share, value in zip(shares, values, strict=True))
 
 
 def normalised(weights: list[Any]) -> list[Any]:
@@ -308,7 +335,7 @@ def _change(drive: Drive, q: Numbers, contact: Contact, u: Any) -> Callable[[Any
     h = drive.Ts / drive.substeps
 
     def change(x: Any) -> Any:
-        total = ca.SX.zeros(drive.layout.count)
+        total = ca.SX.zeros(drive.layout.entries)
         for _ in range(drive.substeps):
             now = x + total
             total += rk4_change(lambda z, _: drive.rate(q.model, z, u, contact)[0], now, h)
@@ -354,7 +381,7 @@ def _released(
             parts.append(here._replace(chance=here.chance * share))
             left.append(leaving[places[side]])
         after[gap], weights = _merged(parts)
-        shares[gap] = sum(weight * share for weight, share in zip(weights, left, strict=True))
+        shares[gap] = weighted(weights, left)
     return after, shares
 
 
@@ -364,15 +391,13 @@ def _moved(drive: Drive, q: Numbers, contact: Contact, one: Mode, u: Any) -> Mod
     motors = layout.of("motor_speed")
     after = advance(one.belief, _change(drive, q, contact, u), ca.diag(q.Q))
     friction = ca.fmax(after.mean[layout.of("friction")], q.least)
-    slack = ca.SX.zeros(layout.count)
+    slack = ca.SX.zeros(layout.entries)
     still = ca.exp(-((after.mean[motors] / RESTING) ** 2))
     slack[motors] = q.rest * friction**2 * still  # at rest friction takes whatever there is
     return Mode(one.chance, Gaussian(after.mean, after.cov + ca.diag(slack)))
 
 
-def _arrivals(
-    layout: Layout, contact: Contact, start: Gaussian, end: Gaussian, slack: Any
-) -> Any:
+def _arrivals(layout: Layout, contact: Contact, start: Gaussian, end: Gaussian, slack: Any) -> Any:
     """The shares of a mode that reach the right and the left flank of each joint (N x 2).
 
     Where the uncut belief is much wider than the gap it says nothing more of what is in it.
@@ -425,7 +450,7 @@ def struck(drive: Drive, q: Numbers, joint: int, side: int, belief: Gaussian) ->
     layout = drive.layout
     motor, link = layout.of("motor_speed").start + joint, layout.of("link_speed").start + joint
     h = layout.edge(joint, side)
-    late = ca.DM(1, layout.count)
+    late = ca.DM(1, layout.entries)
     late[0, motor], late[0, link] = -side * drive.Ts / 2, side * drive.Ts / 2
     row = h + late
     overlap = -late @ belief.mean
@@ -436,18 +461,18 @@ def struck(drive: Drive, q: Numbers, joint: int, side: int, belief: Gaussian) ->
     N = layout.size
     give = direction / (direction[N + joint] - direction[joint])  # a unit of theta' - q' less
     speeds = slice(2 * N, 4 * N)
-    b = ca.SX.zeros(layout.count)
+    b = ca.SX.zeros(layout.entries)
     b[speeds] = give
     closing = at.cov[motor, motor] + at.cov[link, link] - 2 * at.cov[motor, link]
     impulse = q.impact**2 * ((at.mean[motor] - at.mean[link]) ** 2 + closing)
-    back = ca.SX.zeros(layout.count)
+    back = ca.SX.zeros(layout.entries)
     back[: 2 * N] = give * (-late @ at.mean) * side
     return Gaussian(at.mean + back, from_upper(at.cov + (impulse * b) @ b.T))
 
 
 def packed(drive: Drive, moved: list[Mode], s: Modes, begun: Any) -> Modes:
     """The state at the next sample; before a first whole sample it stays as it is."""
-    entries = ca.Sparsity.upper(drive.layout.count)
+    entries = ca.Sparsity.upper(drive.layout.entries)
     chances = ca.vertcat(*normalised([one.chance for one in moved]))
     means = [
         ca.if_else(begun > 0.5, one.belief.mean, old)
