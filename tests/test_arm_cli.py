@@ -136,7 +136,8 @@ def test_with_gears_a_started_scenario_follows_its_path(tmp_path: Path) -> None:
     done = undeadzone("arm", two(tmp_path), "--at", "0.3,-0.5", "--gears", "--out", tmp_path)
     assert "two.toml" in done.stdout
     scenario = uz.read(tmp_path / "two.toml").replace("simulation.duration", 2.0)
-    run = uz.simulate(scenario)
+    assert isinstance(scenario.observer, uz.observers.Contact)
+    run = uz.simulate(scenario.replace("observer", {"method": "full_state"}))
     assert run.info.sensor == "gears"
     assert run.rms_tip is not None
     assert run.rms_tip < 2e-3

@@ -15,31 +15,31 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 39_960, 330
+MOST_CODE, MOST_FILES = 40_590, 336
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
     "(root)": 340,
-    "analysis": 3410,
-    "cli": 1870,
+    "analysis": 3465,
+    "cli": 1875,
     "compensators": 170,
     "compile": 3620,
-    "controllers": 680,
+    "controllers": 750,
     "ends": 440,
-    "ensemble": 1970,
-    "exports": 2450,
-    "feedforward": 370,
+    "ensemble": 1980,
+    "exports": 2455,
+    "feedforward": 430,
     "identification": 6940,
     "linear": 400,
     "logs": 1240,
     "numerics": 815,
     "observers": 2860,
-    "plants": 1530,
+    "plants": 1705,
     "report": 2950,
-    "results": 890,
-    "scenario": 1390,
-    "signals": 430,
-    "simulation": 2330,
+    "results": 895,
+    "scenario": 1510,
+    "signals": 440,
+    "simulation": 2365,
     "statistics": 265,
     "support": 820,
     "synthesis": 1040,

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from undeadzone.observers.contact import MOST_COUPLED
 from undeadzone.plants.robots.survey import Survey
 from undeadzone.plants.robots.urdf_elements import Joint
 from undeadzone.support.arrays import Floats
@@ -18,6 +19,7 @@ SHARE = 0.8  # of the way to a limit, and of the greatest speed
 PERIOD = 4.0  # [s] of the motion
 FASTEST = 2.5  # more than the greatest speed of that motion per swing [1/s]
 PLAY = 6.0  # swings to one side in a width
+GAP, WIDER = 0.2, 0.6  # of a width: half a gap that nobody measured, and where it surely ends
 FRICTION = 0.02  # of a motor's torque, of Coulomb friction that nobody measured
 SENSOR = """
 [sensor]                        # about the reference: the truth; the observer is not told
@@ -45,10 +47,17 @@ right = 0.0
 left = 0.0
 noise = {noise}
 """
-LED = """
+CONTACT = """
+[observer]
+method = "contact"
+half = [0.0, {most:.3g}]           # rad, claimed range
+payload = [0.0, 1.0]            # kg, claimed range
+"""
+TOLD = """
 [observer]
 method = "full_state"           # told the state: what the gears allow
-
+"""
+LED = """
 [controller]
 method = "computed_torque"
 bandwidth = 10.0                # rad/s
@@ -112,8 +121,10 @@ def starting_scenario(found: Survey, path: str, gears: bool = False) -> str:
     )
     if gears:
         head = _arm(found, path, start, gears) + _gears(found, widths) + PARAMETERS
-        led = LED.format(duration=2 * PERIOD)
-        return head + ENCODERS.format(noise=_listed(widths / 50)) + reference + led
+        few = len(found.joints) <= MOST_COUPLED
+        observer = CONTACT.format(most=WIDER * widths.max()) if few else TOLD
+        encoders = ENCODERS.format(noise=_listed(widths / 50))
+        return head + encoders + reference + observer + LED.format(duration=2 * PERIOD)
     sensor = SENSOR.format(
         right=_listed(widths), left=_listed(widths / 2), noise=_listed(widths / 50)
     )
@@ -151,7 +162,7 @@ def _gears(found: Survey, widths: Floats) -> str:
     links = np.diag(found.body.mass(found.body.values, found.q).full())
     torque = found.body.chain.torque
     friction = FRICTION * np.where(np.isfinite(torque), torque, np.abs(found.holding))
-    guessed = {"half": widths / 5, "inertia": links, "friction": friction}
+    guessed = {"half": GAP * widths, "inertia": links, "friction": friction}
     return GEARS.format(**{name: _listed(numbers) for name, numbers in guessed.items()})
 
 
