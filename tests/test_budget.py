@@ -15,7 +15,7 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 40_590, 336
+MOST_CODE, MOST_FILES = 41_200, 339
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
@@ -32,8 +32,8 @@ BUDGET = {
     "identification": 6940,
     "linear": 400,
     "logs": 1240,
-    "numerics": 815,
-    "observers": 2860,
+    "numerics": 840,
+    "observers": 3400,
     "plants": 1705,
     "report": 2950,
     "results": 895,
