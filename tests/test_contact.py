@@ -155,7 +155,7 @@ def test_without_gears_it_is_refused() -> None:
     tables = tomllib.loads(SERVO)
     del tables["plant"]["arm"]["gears"], tables["model"]
     tables["plant"]["x0"] = [-1.57, 0.0]
-    with pytest.raises(uz.InputError, match="plant.arm.gears"):
+    with pytest.raises(uz.InputError, match=r"plant\.arm\.gears"):
         uz.simulate(convert(tables))
 
 
@@ -164,6 +164,8 @@ def test_exported_C_has_every_bit_and_fits_a_microcontroller(tmp_path: Path) -> 
     done = uz.export(servo(simulation={"duration": 0.2}), out=tmp_path / "fw")
     board = next(one for one in done.report["boards"] if "M4F" in one["board"])
     assert board["fits"]
-    subprocess.run(["make", "-s", "-C", tmp_path / "fw", "CC=gcc", "CFLAGS=-O0 -std=c99"], check=True)
+    subprocess.run(
+        ["make", "-s", "-C", tmp_path / "fw", "CC=gcc", "CFLAGS=-O0 -std=c99"], check=True
+    )
     selftest = next((tmp_path / "fw").glob("*_test"))
     assert subprocess.run([selftest], capture_output=True).returncode == 0
