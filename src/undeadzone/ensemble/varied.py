@@ -13,12 +13,12 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from undeadzone.ends.sensor import resolve
 from undeadzone.errors import InputError
 from undeadzone.observers.parts.actuated import built
 from undeadzone.plants.robots.arm import signless
 from undeadzone.plants.system import pace
 from undeadzone.scenario.address import entries_there, index_of, matching, similar, stem
+from undeadzone.scenario.encoders import sensed
 from undeadzone.scenario.ensemble_table import (
     POSITIVE,
     CheckedDistribution,
@@ -51,6 +51,7 @@ SCALES: Final = {
     "scale.before": "sensor.noise_before",
     "scale.after": "sensor.noise",
 }
+WIDTHS: Final = ("right", "left", "threshold")  # of a sensor's zone
 TINY: Final = 1e-200  # in place of a number that is 0
 
 
@@ -119,12 +120,12 @@ def _places_of_sensor(problem: Problem, loop: Loop) -> dict[str, tuple[int, ...]
     that is built with other numbers, all of them different.
     """
     others = _other_numbers(problem)
-    scenario, p, model = problem.scenario, problem.plant.p, problem.model
+    scenario, model = problem.scenario, problem.model
     sensor = msgspec.structs.replace(scenario.sensor, **others)
     told = known_sensor(msgspec.structs.replace(scenario, sensor=sensor))
-    step, rate = scenario.simulation.step, pace(problem.flow.linear)
-    observer = built(scenario.observer, model, resolve(told, p, step, rate), problem.belief)
-    changed = problem._replace(sensor=resolve(sensor, p, step, rate), observer=observer)
+    read = problem.flow, scenario.simulation.step, pace(problem.flow.linear)
+    observer = built(scenario.observer, model, sensed(told, *read), problem.belief)
+    changed = problem._replace(sensor=sensed(sensor, *read), observer=observer)
     _, params = packed(changed, loop)
     places = {}
     for key, numbers in others.items():
@@ -139,7 +140,9 @@ def _places_of_sensor(problem: Problem, loop: Loop) -> dict[str, tuple[int, ...]
 def _other_numbers(problem: Problem) -> dict[str, Floats]:
     """Numbers of the sensor by key, hardly smaller than its own and all of them different."""
     sensor = problem.sensor
-    own = {"right": sensor.right, "left": sensor.left, "threshold": sensor.threshold}
+    own = {name: getattr(sensor, name) for name in WIDTHS}
+    if problem.plant.gears is not None:
+        own = {}
     if sensor.limits is not None:
         own["range"] = np.stack([sensor.low, sensor.high], axis=1)
     if sensor.play is not None:
@@ -162,6 +165,9 @@ def _meaningless(problem: Problem) -> list[str]:
         meaningless.append("scale.reference")
     if problem.scenario.disturbance is None:
         meaningless.append("scale.disturbance")
+    if problem.plant.gears is not None:  # encoders have no zone
+        meaningless += [f"sensor.{name}" for name in WIDTHS]
+        meaningless += [f"observer.{name}" for name in WIDTHS]
     return meaningless
 
 

@@ -121,9 +121,13 @@ def _without_delay(plant: Plant, key: str) -> System:
     return System(linear, _linear_move, _linear_output, linear, nonlinear=False)
 
 
-def initial_state(plant: Plant, n: int, key: str = "plant") -> Floats:
-    """x(0) (n), zeros by default. Raises ShapeError."""
-    return _vector_or_zeros(f"{key}.x0", plant.x0, n, "one per state")
+def initial_state(plant: Plant, system: System, key: str = "plant") -> Floats:
+    """x(0) (n), zeros by default; of gears also that of the links alone. Raises ShapeError."""
+    if system.gears is not None:
+        from undeadzone.plants.robots.build import start
+
+        return start(system.gears, plant.x0, f"{key}.x0")
+    return _vector_or_zeros(f"{key}.x0", plant.x0, system.n, "one per state")
 
 
 def _form(plant: Plant, key: str) -> str:

@@ -65,7 +65,7 @@ class Wiring(NamedTuple):
 
     def ahead_of_zone(self, s: State, w: Exogenous) -> ca.SX:
         """What the dead zone takes: z with the noise ahead of it, or the level of a play (p)."""
-        z, sensor = self.plant.output(self.p.plant, s.plant), self.p.sensor
+        z, sensor = self.plant.read(self.p.plant, s.plant), self.p.sensor
         if sensor.gap_right.numel():
             return held(ca, z, s.sensor, sensor.gap_right, sensor.gap_left)
         return z + w.before
@@ -89,7 +89,9 @@ class Wiring(NamedTuple):
         return Levels(*zip(*pairs, strict=True))
 
     def widths(self, w: Exogenous) -> tuple[ca.SX, ca.SX]:
-        """d_r, d_l at an instant (p each)."""
+        """d_r, d_l at an instant (p each); encoders of an arm with gears have none."""
+        if self.kind == "gears":
+            return ca.SX.zeros(self.plant.p), ca.SX.zeros(self.plant.p)
         return self.p.sensor.right * (1 + w.right), self.p.sensor.left * (1 + w.left)
 
     def exogenous(self, instant: Exogenous, column: ca.SX) -> Exogenous:
