@@ -331,7 +331,6 @@ def test_no_constant_overflows_or_vanishes(tmp_path: Path) -> None:
         "-1e+300: -3.3572615e+38f",
         "1e+100: 2.2533617e+38f",
         "1e+300: 3.3572615e+38f",
-        "1e-300: FLT_MIN",
     ]
     texts = {node.text for node in needed(itertools.chain(*code(step, True).results))}
     assert "nan" not in texts
