@@ -45,7 +45,9 @@ def _of_result(command: Sequence[str], end: End) -> str:
     words = [line for line in end.err.splitlines() if not line.startswith(ANNOUNCED)]
     if words and not streaming:
         return "words on stderr beside a result"
-    if "--json" in command and HELP.isdisjoint(command):
+    if not HELP.isdisjoint(command):
+        return _controls(end.out.replace("\n", ""))
+    if "--json" in command:
         return _of_json(end.out, "watch" in command)
     if end.code == 0 and not streaming and NOT_A_NUMBER.search(end.out):
         return "success with NaN"

@@ -18,7 +18,19 @@ extern "C" {
 @structs@
 @prototypes@
 /** Go on from a state that was stored with its @upper@_HASH: 1. With another hash: 0, and state stays. */
-int @name@_resume(@name@_state *state, const @name@_state *stored, const char *hash);
+static inline int @name@_resume(@name@_state *state, const @name@_state *stored, const char *hash)
+{
+    const char *own = @upper@_HASH;
+    while ((*own != '\0') && (*own == *hash)) {
+        own++;
+        hash++;
+    }
+    if (*own != *hash) {
+        return 0;
+    }
+    *state = *stored;
+    return 1;
+}
 
 #ifdef __cplusplus
 }
