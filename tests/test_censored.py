@@ -728,7 +728,7 @@ def test_a_small_bias_is_a_prior_a_hundred_times_narrower() -> None:
     cov = ca.diag(ca.SX([1.0, 2.0, 0.1, 0.1, rms**2]))
     belief, odds = augmentation.alternative(params, gaussian.Gaussian(ca.SX.zeros(5), cov))
     assert float(ca.DM(belief.cov[4, 4])) == pytest.approx((SMALL * rms) ** 2)
-    assert float(ca.DM(odds)) == pytest.approx(np.log(0.8 / 0.2))
+    assert float(ca.DM(odds)) == pytest.approx(0.8 / 0.2)
 
 
 def test_a_bias_leads_to_the_rest_that_it_says() -> None:

@@ -21,15 +21,17 @@ extern "C" {
 static inline int @name@_resume(@name@_state *state, const @name@_state *stored, const char *hash)
 {
     const char *own = @upper@_HASH;
-    while ((*own != '\0') && (*own == *hash)) {
+    const char *given = hash;
+    while ((*own != '\0') && (*own == *given)) {
         own++;
-        hash++;
+        given++;
     }
-    if (*own != *hash) {
-        return 0;
+    int same = 0;
+    if (*own == *given) {
+        *state = *stored;
+        same = 1;
     }
-    *state = *stored;
-    return 1;
+    return same;
 }
 
 #ifdef __cplusplus
