@@ -273,8 +273,8 @@ def test_a_late_log_ends_in_firmware_that_has_followed_it(
     assert (scenario.sensor.kind, scenario.plant.delay) == ("play", 3)
     assert scenario.sensor.quantum == pytest.approx(MOTOR.quantum)
     assert "every bit agrees" in out
-    estimate = np.load("fw/estimate.npz")
-    assert estimate["u"].shape == (SIZE, 1)
+    with np.load("fw/estimate.npz") as estimate:
+        assert estimate["u"].shape == (SIZE, 1)
     hidden, left = map(float, re.findall(r"rms \S+ - z ([\d.e-]+)", out))
     assert left < 1e-3 * hidden
 
