@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from benchmarks.names_logs import make
 from scipy.signal import lfilter
 
 import undeadzone as uz
@@ -195,6 +196,13 @@ def through_play(z: Floats, right: float, left: float) -> Floats:
     for k, value in enumerate(z):
         held[k] = max(min(held[max(k - 1, 0)], value + left), value - right)
     return held
+
+
+def test_an_encoder_that_falls_silent_is_no_servo_without_a_zone() -> None:
+    """A motor behind a play alone explained four fifths of this log, with odds beyond .99."""
+    log = make(3002, "play and zone")
+    answer = uz.identify(t=log.step, u=log.u, y=log.y, order=2)
+    assert answer.verdict == "both"
 
 
 def test_odds_are_printed_and_sum_to_1() -> None:

@@ -15,7 +15,6 @@ import numpy as np
 
 from undeadzone.identification.logs.grid import Grid
 from undeadzone.identification.logs.log import Options
-from undeadzone.identification.logs.prepare import OFTEN
 from undeadzone.identification.models import plant
 from undeadzone.identification.models.estimates import Interval
 from undeadzone.identification.servo.gap import ServoGap, centre_of, servo_gap
@@ -29,7 +28,8 @@ from undeadzone.support.arrays import Floats, later
 POSSIBLE = ("none", "play", "friction", "other", "unclear", "undecided")  # that it may replace
 DENYING = ("none", "friction")  # words by which there is no play
 EXPLAINED = ("play", *DENYING)  # words that stand where their fit is good
-FEW_RETURNS = 3
+FEW_RETURNS = 3  # to 0, that say nothing of a sensor's zone
+SILENCES = 2  # times the count of any other reading: of 120 random servos none has 1.5
 MOVED = 1e-4  # of a number, for derivatives of the sampled plant
 
 
@@ -63,7 +63,7 @@ def _falls_silent(grid: Grid) -> bool:
     silent = int(np.count_nonzero(y == 0))
     others = int(counts[values != 0].max(initial=1))
     returns = int(np.count_nonzero(np.diff(1 * (y == 0)) > 0))
-    return returns > FEW_RETURNS and silent > OFTEN * others
+    return returns > FEW_RETURNS and silent > SILENCES * others
 
 
 def told(options: Options, found: ServoGap) -> Options:
