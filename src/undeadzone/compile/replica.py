@@ -7,7 +7,7 @@ import itertools
 import math
 import operator
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -49,32 +49,60 @@ def _elementary(
     return function
 
 
+class _Plan(NamedTuple):
+    """Instructions with operands by their places, read once: a graph is computed many times.
+
+    Attributes:
+        begun: values of constants at their places, None elsewhere.
+        inputs: places and names of the inputs.
+        steps: place, operation and places of its operands, in order.
+        results: places of the results.
+    """
+
+    begun: list[Any]
+    inputs: list[tuple[int, str]]
+    steps: list[tuple[int, Callable[..., Any], tuple[int, ...]]]
+    results: list[list[int]]
+
+
 def _evaluator(results: Results, functions: dict[str, Callable[..., Any]]) -> Evaluate:
     """Results as a function, where these functions are called."""
-    order = needed(itertools.chain(*results))
+    plan = _planned(results, functions)
 
     def evaluate(entries: dict[str, Any]) -> list[list[Any]]:
-        values: dict[Node, Any] = {}
-        for node in order:
-            args = [values[arg] for arg in node.args]
-            values[node] = _value(node, args, functions, entries)
-        return [[values[node] for node in result] for result in results]
+        values = plan.begun.copy()
+        for place, name in plan.inputs:
+            values[place] = entries[name]
+        for place, operation, operands in plan.steps:
+            values[place] = operation(*[values[one] for one in operands])
+        return [[values[place] for place in result] for result in plan.results]
 
     return evaluate
 
 
-def _value(
-    node: Node, args: list[Any], functions: dict[str, Callable[..., Any]], entries: dict[str, Any]
-) -> Any:
-    """The value of an instruction, given those of its operands."""
-    if node.op == "input":
-        return entries[node.text]
-    if node.op == "const":
-        return np.dtype(node.kind).type(float(node.text) if node.is_real else int(node.text))
+def _planned(results: Results, functions: dict[str, Callable[..., Any]]) -> _Plan:
+    """How results are computed, where these functions are called."""
+    order = needed(itertools.chain(*results))
+    places = {node: place for place, node in enumerate(order)}
+    wanted = [[places[node] for node in result] for result in results]
+    plan = _Plan([None] * len(order), [], [], wanted)
+    for node, place in places.items():
+        if node.op == "input":
+            plan.inputs.append((place, node.text))
+        elif node.op == "const":
+            number = float(node.text) if node.is_real else int(node.text)
+            plan.begun[place] = np.dtype(node.kind).type(number)
+        else:
+            operands = tuple(places[one] for one in node.args)
+            plan.steps.append((place, _operation(node, functions), operands))
+    return plan
+
+
+def _operation(node: Node, functions: dict[str, Callable[..., Any]]) -> Callable[..., Any]:
+    """What an instruction does with its operands."""
     if node.op == "view":
-        return args[0].view(node.kind)
-    operation = functions[node.text] if node.op == "call" else _OPERATIONS[node.op]
-    return operation(*args)
+        return operator.methodcaller("view", node.kind)
+    return functions[node.text] if node.op == "call" else _OPERATIONS[node.op]
 
 
 def _select(truth: Any, yes: Any, no: Any) -> Any:
