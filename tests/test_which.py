@@ -341,7 +341,7 @@ def test_commands_take_the_scenario_of_a_play(
 
 def test_a_play_about_an_offset_says_how_to_take_it_away() -> None:
     step, u, y = record_of_gears()
-    found = uz.identify(t=step, u=u, y=y + 1.0, order=2)
+    found = uz.identify(t=step, u=u, y=y + 1.0, order=2, delay=0)
     assert found.verdict == "play"
     assert found.width.low - 0.01 <= 0.8 <= found.width.high + 0.01
     assert found.centre.value == pytest.approx(-2.0, abs=0.04)

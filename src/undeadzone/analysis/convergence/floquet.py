@@ -16,7 +16,7 @@ from undeadzone.analysis.error_dynamics import dynamics, pattern
 from undeadzone.analysis.identifiability.linear import Invisible, invisible
 from undeadzone.analysis.side_schedule import Schedule, merged
 from undeadzone.linear.matrices import Matrices
-from undeadzone.support.arrays import Floats
+from undeadzone.support.arrays import Floats, Integers
 
 NEUTRAL = 1e-9  # a multiplier whose logarithm is smaller neither grows nor decays
 EXPONENTIAL_TERMS = 10  # of the exponential series, exact to rounding for arguments of norm 1/8
@@ -207,7 +207,9 @@ def exponential(X: Floats) -> Floats:
     E = identity + X / EXPONENTIAL_TERMS
     for k in range(EXPONENTIAL_TERMS - 1, 0, -1):
         E = identity + X @ E / k
-    return power(E, 2**halvings)
+    for k in range(halvings.max(initial=0)):
+        E = np.where((halvings > k)[:, None, None], E @ E, E)
+    return np.asarray(E)
 
 
 def power(X: Floats, times: Floats) -> Floats:
@@ -267,7 +269,7 @@ def spans(F: Floats, H: Floats, schedule: Schedule) -> Span:
         G = G + coefficient * term
         GG = GG + coefficient * (h / (k + 1)) * term
         term = coefficient * (_t(F) @ term + term @ F)
-    return _power(Span(Phi, G, GG, h), 2**halvings)
+    return _doubled(Span(Phi, G, GG, h), halvings)
 
 
 def mean_squares(
@@ -376,6 +378,15 @@ def _power(one: Span, times: Floats) -> Span:
         if not times.any():
             return whole
         one = _then(one, one)
+
+
+def _doubled(whole: Span, halvings: Integers) -> Span:
+    """Each span twice as long so many times (K)."""
+    for k in range(halvings.max(initial=0)):
+        longer, grows = _then(whole, whole), (halvings > k)[:, None, None]
+        parts = [np.where(grows, new, old) for new, old in zip(longer, whole, strict=True)]
+        whole = Span(*parts)
+    return whole
 
 
 def _then(a: Span, b: Span) -> Span:
