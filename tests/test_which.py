@@ -269,7 +269,7 @@ def test_a_strong_disturbance_withdraws_the_gap() -> None:
     rng, u, z = driven(22)
     w = disturbed(rng, 0.4 * float(z.std()))
     y = through(z + w, (0.3, 0.2), (0.0, 0.0)) + 0.01 * rng.standard_normal(z.size)
-    found = uz.identify(t=STEP, u=u, y=y, order=2)
+    found = uz.identify(t=STEP, u=u, y=y, order=2, delay=0)
     assert found.verdict == "play"
     assert found.width is None
     assert found.right is None
