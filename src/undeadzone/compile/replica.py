@@ -7,12 +7,12 @@ import itertools
 import math
 import operator
 from collections.abc import Callable
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
 from undeadzone.compile.elementary import FUNCTIONS, formula
-from undeadzone.compile.graph import Node, Results, needed
+from undeadzone.compile.graph import Results, needed
 
 Evaluate = Callable[[dict[str, Any]], list[list[Any]]]
 
@@ -49,60 +49,35 @@ def _elementary(
     return function
 
 
-class _Plan(NamedTuple):
-    """Instructions with operands by their places, read once: a graph is computed many times.
-
-    Attributes:
-        begun: values of constants at their places, None elsewhere.
-        inputs: places and names of the inputs.
-        steps: place, operation and places of its operands, in order.
-        results: places of the results.
-    """
-
-    begun: list[Any]
-    inputs: list[tuple[int, str]]
-    steps: list[tuple[int, Callable[..., Any], tuple[int, ...]]]
-    results: list[list[int]]
-
-
 def _evaluator(results: Results, functions: dict[str, Callable[..., Any]]) -> Evaluate:
-    """Results as a function, where these functions are called."""
-    plan = _planned(results, functions)
+    """Results as a function, where these functions are called.
 
-    def evaluate(entries: dict[str, Any]) -> list[list[Any]]:
-        values = plan.begun.copy()
-        for place, name in plan.inputs:
-            values[place] = entries[name]
-        for place, operation, operands in plan.steps:
-            values[place] = operation(*[values[one] for one in operands])
-        return [[values[place] for place in result] for result in plan.results]
-
-    return evaluate
-
-
-def _planned(results: Results, functions: dict[str, Callable[..., Any]]) -> _Plan:
-    """How results are computed, where these functions are called."""
+    The graph is read once, since it is computed many times: operands are places in a list.
+    """
     order = needed(itertools.chain(*results))
     places = {node: place for place, node in enumerate(order)}
-    wanted = [[places[node] for node in result] for result in results]
-    plan = _Plan([None] * len(order), [], [], wanted)
+    begun: list[Any] = [None] * len(order)
+    inputs, steps = [], []
     for node, place in places.items():
         if node.op == "input":
-            plan.inputs.append((place, node.text))
+            inputs.append((place, node.text))
         elif node.op == "const":
             number = float(node.text) if node.is_real else int(node.text)
-            plan.begun[place] = np.dtype(node.kind).type(number)
+            begun[place] = np.dtype(node.kind).type(number)
         else:
-            operands = tuple(places[one] for one in node.args)
-            plan.steps.append((place, _operation(node, functions), operands))
-    return plan
+            own = _OPERATIONS | {"view": operator.methodcaller("view", node.kind)}
+            operation = functions[node.text] if node.op == "call" else own[node.op]
+            steps.append((place, operation, [places[one] for one in node.args]))
 
+    def evaluate(entries: dict[str, Any]) -> list[list[Any]]:
+        values = begun.copy()
+        for place, name in inputs:
+            values[place] = entries[name]
+        for place, operation, operands in steps:
+            values[place] = operation(*[values[one] for one in operands])
+        return [[values[places[node]] for node in result] for result in results]
 
-def _operation(node: Node, functions: dict[str, Callable[..., Any]]) -> Callable[..., Any]:
-    """What an instruction does with its operands."""
-    if node.op == "view":
-        return operator.methodcaller("view", node.kind)
-    return functions[node.text] if node.op == "call" else _OPERATIONS[node.op]
+    return evaluate
 
 
 def _select(truth: Any, yes: Any, no: Any) -> Any:

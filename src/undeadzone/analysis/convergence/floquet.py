@@ -16,7 +16,7 @@ from undeadzone.analysis.error_dynamics import dynamics, pattern
 from undeadzone.analysis.identifiability.linear import Invisible, invisible
 from undeadzone.analysis.side_schedule import Schedule, merged
 from undeadzone.linear.matrices import Matrices
-from undeadzone.support.arrays import Floats, Integers
+from undeadzone.support.arrays import Floats
 
 NEUTRAL = 1e-9  # a multiplier whose logarithm is smaller neither grows nor decays
 EXPONENTIAL_TERMS = 10  # of the exponential series, exact to rounding for arguments of norm 1/8
@@ -207,9 +207,7 @@ def exponential(X: Floats) -> Floats:
     E = identity + X / EXPONENTIAL_TERMS
     for k in range(EXPONENTIAL_TERMS - 1, 0, -1):
         E = identity + X @ E / k
-    for k in range(halvings.max(initial=0)):
-        E = np.where((halvings > k)[:, None, None], E @ E, E)
-    return np.asarray(E)
+    return power(E, 2**halvings)
 
 
 def power(X: Floats, times: Floats) -> Floats:
@@ -259,8 +257,7 @@ def spans(F: Floats, H: Floats, schedule: Schedule) -> Span:
     halvings = np.ceil(np.log2(np.maximum(8 * norm * schedule.spans, 1.0))).astype(int)
     h = (schedule.spans / 2.0**halvings)[:, None, None]
     # Taylor series over h: of Phi with terms (F h)^k / k!, of G and GG with derivatives of G_t.
-    power = np.eye(F.shape[-1]) + 0 * F
-    Phi = np.eye(F.shape[-1]) + 0 * F
+    power = Phi = np.eye(F.shape[-1]) + 0 * F
     G, GG, term = 0 * F, 0 * F, H + 0 * F
     for k in range(1, TERMS):
         coefficient = h / k
@@ -269,7 +266,11 @@ def spans(F: Floats, H: Floats, schedule: Schedule) -> Span:
         G = G + coefficient * term
         GG = GG + coefficient * (h / (k + 1)) * term
         term = coefficient * (_t(F) @ term + term @ F)
-    return _doubled(Span(Phi, G, GG, h), halvings)
+    whole = Span(Phi, G, GG, h)
+    for k in range(halvings.max(initial=0)):
+        pairs = zip(_then(whole, whole), whole, strict=True)
+        whole = Span(*[np.where((halvings > k)[:, None, None], *pair) for pair in pairs])
+    return whole
 
 
 def mean_squares(
@@ -378,15 +379,6 @@ def _power(one: Span, times: Floats) -> Span:
         if not times.any():
             return whole
         one = _then(one, one)
-
-
-def _doubled(whole: Span, halvings: Integers) -> Span:
-    """Each span twice as long so many times (K)."""
-    for k in range(halvings.max(initial=0)):
-        longer, grows = _then(whole, whole), (halvings > k)[:, None, None]
-        parts = [np.where(grows, new, old) for new, old in zip(longer, whole, strict=True)]
-        whole = Span(*parts)
-    return whole
 
 
 def _then(a: Span, b: Span) -> Span:

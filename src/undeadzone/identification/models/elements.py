@@ -15,7 +15,7 @@ from typing import TypeVar
 import numpy as np
 from scipy.special import ndtr
 
-from undeadzone.identification.models.estimates import Latest, weighing
+from undeadzone.identification.models.estimates import weighing
 from undeadzone.identification.models.least_squares import Density, Fitted, LeastSquares
 from undeadzone.identification.models.likelihood import dead_zone
 from undeadzone.identification.models.plant import Data, Simulator
@@ -56,7 +56,6 @@ class PlayModel:
         fitted = [True, not self.tied, zone, zone]
         self.free: Integers = np.flatnonzero(np.append(np.ones(self.base, bool), fitted))
         self.begun = [self._first_reading(part) for part in self.data.records()]
-        self._levels: Latest[tuple[Floats, Floats]] = Latest()
 
     def _first_reading(self, part: slice) -> float:
         """The level with which a record begins; that of the log where it has no reading."""
@@ -85,11 +84,7 @@ class PlayModel:
 
     def level(self, z: Floats, theta: Floats) -> tuple[Floats, Floats]:
         """What the play passes on, and where it last moved: +1 right, -1 left, 0 not yet (N, N)."""
-        return self._levels.of(np.append(z, theta[self.base : self.base + 2]), self._followed)
-
-    def _followed(self, numbers: Floats) -> tuple[Floats, Floats]:
-        """`level` of z, c_r and c_l (N + 2)."""
-        z, (right, left) = numbers[:-2], numbers[-2:].tolist()
+        right, left = (float(number) for number in theta[self.base : self.base + 2])
         level, moved = np.empty(z.size), np.zeros(z.size)
         for part, begun in zip(self.data.records(), self.begun, strict=True):
             now, last = min(max(begun, z[part.start] - right), z[part.start] + left), 0.0

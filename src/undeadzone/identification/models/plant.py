@@ -234,14 +234,12 @@ class Simulator:
     def _simulated(self, theta: Floats) -> Floats:
         layout = self.layout
         denominator = layout.denominator(theta[layout.a])
-        drive = self.lagged @ theta[layout.b]
         x0 = theta[layout.x0].reshape(layout.records, layout.n)
-        z = np.empty(drive.size)
+        z = self.lagged @ theta[layout.b]  # what drives it, at first
         for part, state in zip(self.data.records(), x0, strict=True):
-            own = drive[part].copy()
-            count = min(layout.n, own.size)
-            own[:count] += state[:count]
-            z[part] = lfilter([1.0], denominator, own)
+            own = z[part]
+            own[: layout.n] += state[: own.size]
+            own[:] = lfilter([1.0], denominator, own)
         z.flags.writeable = False
         return z
 
@@ -249,12 +247,11 @@ class Simulator:
         """dz/dtheta (N x P), exact: one filter for a, one for x(0), one for each input."""
         layout = self.layout
         n, m = layout.n, layout.m
-        moving = np.append(1.0, theta[layout.a])
         whole = layout.denominator(theta[layout.a])
         slopes = np.zeros((z.size, layout.size))
         for r, part in enumerate(self.data.records()):
             size = part.stop - part.start
-            by_a = lfilter([1.0], moving, z[part])
+            by_a = lfilter([1.0], np.append(1.0, theta[layout.a]), z[part])
             sources = np.column_stack([self.data.u[part], np.eye(size, 1)])
             filtered = lfilter([1.0], whole, sources, axis=0)
             own = slopes[part]
@@ -281,10 +278,9 @@ class Simulator:
         """Whether the poles are stable and settle, `margin` times over, within a record."""
         if not np.isfinite(theta).all():
             return False
-        longest = self.longest
         poles = roots(theta[self.layout.a])
-        slow = np.abs(np.angle(poles)) < 4 * np.pi / longest
-        limit = np.where(slow, 1 - margin * SLOW / longest, 1 - margin * RINGING / longest)
+        slow = np.abs(np.angle(poles)) < 4 * np.pi / self.longest
+        limit = 1 - margin * np.where(slow, SLOW, RINGING) / self.longest
         return bool(np.all(np.abs(poles) < limit))
 
 
