@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import json
 import re
 import shutil
 import subprocess
@@ -56,6 +57,20 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, str], P
     return folder
 
 
+@pytest.fixture(scope="module")
+def compiled(exported: Callable[[str, str], Path]) -> Callable[[str], Path]:
+    """The object of a case in float, optimised and without a warning, which is made once."""
+
+    @functools.cache
+    def target(name: str) -> Path:
+        folder = exported(name, "single")
+        options = [*CORE, *FLAGS, *WARNINGS, "-ffp-contract=off", "-c", "-o", str(folder / "o.o")]
+        subprocess.run(["arm-none-eabi-gcc", *options, str(folder / "o.c")], check=True)
+        return folder / "o.o"
+
+    return target
+
+
 def emulated(
     folder: Path, made: Path, sources: list[Path], options: list[str]
 ) -> subprocess.CompletedProcess[str]:
@@ -78,7 +93,11 @@ EVERY = [(name, precision) for name in CASES for precision in export.PRECISIONS]
 
 @pytest.mark.parametrize(("name", "precision"), EVERY)
 def test_the_same_bits_as_on_this_computer(
-    name: str, precision: str, exported: Callable[[str, str], Path], tmp_path: Path
+    name: str,
+    precision: str,
+    exported: Callable[[str, str], Path],
+    compiled: Callable[[str], Path],
+    tmp_path: Path,
 ) -> None:
     """The self-test holds the bits; on the M4 it must pass as it does here.
 
@@ -86,7 +105,8 @@ def test_the_same_bits_as_on_this_computer(
     """
     folder = exported(name, precision)
     effort = ["-O0"] if precision == "double" else []
-    sources = [folder / "o.c", folder / "o_test.c"]
+    code = folder / "o.c" if precision == "double" else compiled(name)
+    sources = [code, folder / "o_test.c"]
     result = emulated(folder, tmp_path, sources, ["-ffp-contract=off", *effort])
     if (result.returncode, "every bit agrees" in result.stdout) == (0, True):
         return
@@ -111,12 +131,12 @@ COUNTED = {"certified": (132, 100), "censored": (22_500, 1_480), "extended": (3_
 
 @pytest.mark.parametrize("name", CASES)
 def test_instructions_stack_warnings_and_libraries(
-    name: str, exported: Callable[[str, str], Path], tmp_path: Path
+    name: str,
+    exported: Callable[[str, str], Path],
+    compiled: Callable[[str], Path],
+    tmp_path: Path,
 ) -> None:
-    folder = exported(name, "single")
-    target = tmp_path / "o.o"
-    options = [*CORE, *FLAGS, *WARNINGS, "-ffp-contract=off", "-c", "-o", str(target)]
-    subprocess.run(["arm-none-eabi-gcc", *options, str(folder / "o.c")], check=True)
+    folder, target = exported(name, "single"), compiled(name)
     nm = ["arm-none-eabi-nm", "-u", str(target)]
     assert subprocess.run(nm, capture_output=True, text=True, check=True).stdout == ""
     result = emulated(folder, tmp_path, [target, HERE / "count.c"], [])
@@ -144,12 +164,13 @@ def test_make_size_tells_the_flash_of_a_cortex_m4f(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", CASES)
 def test_the_flash_that_is_estimated_is_near_what_the_compiler_makes(
-    name: str, tmp_path: Path
+    name: str, exported: Callable[[str, str], Path], tmp_path: Path
 ) -> None:
-    report = uz.export(case(name), out=tmp_path / "fw", name="o").report
+    folder = exported(name, "single")
+    report = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
     (estimated,) = [each["flash"] for each in report["boards"] if "M4F" in each["board"]]
     options = [*CORE, "-std=c99", "-Os", "-ffp-contract=off", "-ffunction-sections"]
-    command = ["arm-none-eabi-gcc", *options, "-c", "-o", "o.o", "fw/o.c"]
+    command = ["arm-none-eabi-gcc", *options, "-c", "-o", "o.o", str(folder / "o.c")]
     subprocess.run(command, cwd=tmp_path, check=True)
     sizes = ["arm-none-eabi-size", "-A", "o.o"]
     shown = subprocess.run(sizes, cwd=tmp_path, capture_output=True, text=True, check=True).stdout

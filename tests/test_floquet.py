@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.linalg import expm
+from scipy.linalg import expm, solve_continuous_lyapunov
 
 from scenes import random_plant, scene
 from undeadzone.analysis.convergence.floquet import (
@@ -16,6 +16,7 @@ from undeadzone.analysis.convergence.floquet import (
     error_matrices,
     product,
     rates,
+    spans,
     transitions,
 )
 from undeadzone.analysis.error_dynamics import adaptation, pattern
@@ -184,6 +185,23 @@ def test_the_monodromy_matrix_is_the_product_of_naive_transitions(
         else:
             naive = expm(f * span) @ naive
     assert M * np.exp(size) == pytest.approx(naive, rel=1e-9, abs=1e-9 * np.abs(naive).max())
+
+
+def test_a_long_span_beside_a_short_one_holds_the_integrals_of_each() -> None:
+    """G and GG by the equation of Lyapunov that an integral of Phi'H Phi solves."""
+    rng, none = np.random.default_rng(0), np.zeros(1)
+    F = rng.normal(size=(3, 2, 2)) - 3 * np.eye(2)
+    H, lengths = np.array([[2.0, 0.5], [0.5, 1.0]]), np.array([0.01, 1.0, 30.0])
+    whole = spans(F, H, Schedule(
+        np.zeros((3, 1)), lengths, None, True, 0.0, none, none, none, np.ones((1, 2))
+    ))  # fmt: skip
+    for k, (f, length) in enumerate(zip(F, lengths, strict=True)):
+        Phi = expm(f * length)
+        G = solve_continuous_lyapunov(f.T, Phi.T @ H @ Phi - H)
+        GG = solve_continuous_lyapunov(f.T, G - length * H)
+        assert whole.Phi[k] == pytest.approx(Phi, abs=1e-12)
+        assert whole.G[k] == pytest.approx(G, rel=1e-9)
+        assert whole.GG[k] == pytest.approx(GG, rel=1e-9)
 
 
 def test_a_run_that_does_not_repeat_is_predicted_by_its_recorded_sides() -> None:

@@ -178,7 +178,7 @@ def test_the_interval_of_a_jump_holds_as_often_as_it_says() -> None:
 def test_a_jump_sensor_is_named_and_measured(tmp_path: Path) -> None:
     u, z = driven(size=700)
     y = np.where((z > 0.5) | (z < -0.3), z, 0.0)
-    answer = uz.identify(t=STEP, u=u, y=y, order=2)
+    answer = uz.identify(t=STEP, u=u, y=y, order=2, delay=0)
     assert answer.verdict == "jump"
     assert not answer.zone
     for edge, truth in ((answer.right, 0.5), (answer.left, 0.3)):

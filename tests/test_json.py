@@ -49,7 +49,7 @@ COMMANDS: dict[str, list[list[str]]] = {
         ["arena", "examples/load_cell_limited.toml", "--methods", "kalman", "--seeds", "1",
          "--json"],
     ],
-    "identify": [["identify", LOG, "--chain", "chain", *COMMON]],
+    "identify": [["identify", LOG, "--delay", "0", "--chain", "chain", *COMMON]],
     "estimate": [
         ["estimate", "examples/asymmetric_noise.toml", LOG, *COMMON],
         ["estimate", "examples/load_cell_limited.toml", LOG, "--columns", "t=t,y=y,u=u", *COMMON],

@@ -89,8 +89,8 @@ def test_the_longest_of_several_records_is_taken_alone() -> None:
     assert one.value == pytest.approx(moved(fit, alone).value)
 
 
-@pytest.mark.parametrize("late", [0, 4])
-def test_an_answer_from_a_part_is_that_of_all(monkeypatch: pytest.MonkeyPatch, late: int) -> None:
+def test_an_answer_from_a_part_is_that_of_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    late = 4
     u, y = log(late=late)
     options = {"t": 0.05, "u": u, "y": y, "order": 2, "place": "sensor"}
     whole = uz.identify(**options)

@@ -39,7 +39,7 @@ RESULTS = {
     "design": "uz.design(s, 'rate')",
     "tuned": "uz.tune(s)",
     "estimation": "uz.estimate(s, y=log.y, u=log.u)",
-    "identified": "uz.identify(t=log.t, u=log.u, y=log.y, order=2)",
+    "identified": "uz.identify(t=log.t, u=log.u, y=log.y, order=2, delay=0)",
     "contest": "run_contest(['luenberger'], {'mine': s}, (0,), {}, 1)",
 }
 WORDS = {

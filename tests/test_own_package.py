@@ -141,7 +141,7 @@ def test_an_unknown_method_is_refused_with_those_that_there_are(
 def test_a_new_method_of_the_tool_is_one_file_and_one_line(tmp_path: Path) -> None:
     """Seen by the commands, the common tests, the page of the scenario file, the leaderboard."""
     for name in ("src", "docs", "tests"):
-        left_out = shutil.ignore_patterns("__pycache__", "*.egg-info")
+        left_out = shutil.ignore_patterns("*.egg-info")  # what is compiled need not be again
         shutil.copytree(ROOT / name, tmp_path / name, ignore=left_out)
     shutil.copy(ROOT / "README.md", tmp_path)
     tool = tmp_path / "src" / "undeadzone"

@@ -269,7 +269,7 @@ def test_a_strong_disturbance_withdraws_the_gap() -> None:
     rng, u, z = driven(22)
     w = disturbed(rng, 0.4 * float(z.std()))
     y = through(z + w, (0.3, 0.2), (0.0, 0.0)) + 0.01 * rng.standard_normal(z.size)
-    found = uz.identify(t=STEP, u=u, y=y, order=2)
+    found = uz.identify(t=STEP, u=u, y=y, order=2, delay=0)
     assert found.verdict == "play"
     assert found.width is None
     assert found.right is None
@@ -341,7 +341,7 @@ def test_commands_take_the_scenario_of_a_play(
 
 def test_a_play_about_an_offset_says_how_to_take_it_away() -> None:
     step, u, y = record_of_gears()
-    found = uz.identify(t=step, u=u, y=y + 1.0, order=2)
+    found = uz.identify(t=step, u=u, y=y + 1.0, order=2, delay=0)
     assert found.verdict == "play"
     assert found.width.low - 0.01 <= 0.8 <= found.width.high + 0.01
     assert found.centre.value == pytest.approx(-2.0, abs=0.04)

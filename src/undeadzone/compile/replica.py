@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from undeadzone.compile.elementary import FUNCTIONS, formula
-from undeadzone.compile.graph import Node, Results, needed
+from undeadzone.compile.graph import Results, needed
 
 Evaluate = Callable[[dict[str, Any]], list[list[Any]]]
 
@@ -50,31 +50,34 @@ def _elementary(
 
 
 def _evaluator(results: Results, functions: dict[str, Callable[..., Any]]) -> Evaluate:
-    """Results as a function, where these functions are called."""
+    """Results as a function, where these functions are called.
+
+    The graph is read once, since it is computed many times: operands are places in a list.
+    """
     order = needed(itertools.chain(*results))
+    places = {node: place for place, node in enumerate(order)}
+    begun: list[Any] = [None] * len(order)
+    inputs, steps = [], []
+    for node, place in places.items():
+        if node.op == "input":
+            inputs.append((place, node.text))
+        elif node.op == "const":
+            number = float(node.text) if node.is_real else int(node.text)
+            begun[place] = np.dtype(node.kind).type(number)
+        else:
+            own = _OPERATIONS | {"view": operator.methodcaller("view", node.kind)}
+            operation = functions[node.text] if node.op == "call" else own[node.op]
+            steps.append((place, operation, [places[one] for one in node.args]))
 
     def evaluate(entries: dict[str, Any]) -> list[list[Any]]:
-        values: dict[Node, Any] = {}
-        for node in order:
-            args = [values[arg] for arg in node.args]
-            values[node] = _value(node, args, functions, entries)
-        return [[values[node] for node in result] for result in results]
+        values = begun.copy()
+        for place, name in inputs:
+            values[place] = entries[name]
+        for place, operation, operands in steps:
+            values[place] = operation(*[values[one] for one in operands])
+        return [[values[places[node]] for node in result] for result in results]
 
     return evaluate
-
-
-def _value(
-    node: Node, args: list[Any], functions: dict[str, Callable[..., Any]], entries: dict[str, Any]
-) -> Any:
-    """The value of an instruction, given those of its operands."""
-    if node.op == "input":
-        return entries[node.text]
-    if node.op == "const":
-        return np.dtype(node.kind).type(float(node.text) if node.is_real else int(node.text))
-    if node.op == "view":
-        return args[0].view(node.kind)
-    operation = functions[node.text] if node.op == "call" else _OPERATIONS[node.op]
-    return operation(*args)
 
 
 def _select(truth: Any, yes: Any, no: Any) -> Any:

@@ -257,8 +257,7 @@ def spans(F: Floats, H: Floats, schedule: Schedule) -> Span:
     halvings = np.ceil(np.log2(np.maximum(8 * norm * schedule.spans, 1.0))).astype(int)
     h = (schedule.spans / 2.0**halvings)[:, None, None]
     # Taylor series over h: of Phi with terms (F h)^k / k!, of G and GG with derivatives of G_t.
-    power = np.eye(F.shape[-1]) + 0 * F
-    Phi = np.eye(F.shape[-1]) + 0 * F
+    power = Phi = np.eye(F.shape[-1]) + 0 * F
     G, GG, term = 0 * F, 0 * F, H + 0 * F
     for k in range(1, TERMS):
         coefficient = h / k
@@ -267,7 +266,11 @@ def spans(F: Floats, H: Floats, schedule: Schedule) -> Span:
         G = G + coefficient * term
         GG = GG + coefficient * (h / (k + 1)) * term
         term = coefficient * (_t(F) @ term + term @ F)
-    return _power(Span(Phi, G, GG, h), 2**halvings)
+    whole = Span(Phi, G, GG, h)
+    for k in range(halvings.max(initial=0)):
+        pairs = zip(_then(whole, whole), whole, strict=True)
+        whole = Span(*[np.where((halvings > k)[:, None, None], *pair) for pair in pairs])
+    return whole
 
 
 def mean_squares(

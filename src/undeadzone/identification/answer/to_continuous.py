@@ -25,7 +25,7 @@ def sampled_matrices(a: Floats, b: Floats, layout: Layout) -> Matrices:
         F (n x n), B (n x m), C (1 x n).
     """
     F = np.eye(layout.n, k=1)
-    F[:, 0] = -layout.denominator(a)
+    F[:, 0] = -layout.denominator(a)[1:]
     return Matrices(F, b.reshape(layout.m, layout.n).T.copy(), np.eye(1, layout.n))
 
 

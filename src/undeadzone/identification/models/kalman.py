@@ -246,7 +246,7 @@ class KalmanObjective:
         phi = math.tanh(p[-1]) if self.model else 0.0
         at_first = q * q / max(1 - phi * phi, 1e-4)
         tail = [q * q, r * r, right, left, phi, 5.0, at_first]
-        a = self.layout.denominator(p[self.layout.a])
+        a = self.layout.denominator(p[self.layout.a])[1:]
         return np.concatenate([a, p[self.layout.b], tail])
 
     def densities(self, points: Floats) -> Floats:

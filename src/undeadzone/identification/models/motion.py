@@ -326,7 +326,7 @@ def moving(simulator: Simulator, theta: Floats, rms: float, noise: float) -> Mov
         noise: rms of the readings' white noise.
     """
     layout = simulator.layout
-    numbers = np.concatenate([layout.denominator(theta[layout.a]), theta[layout.b], np.zeros(5)])
+    numbers = np.concatenate([layout.denominator(theta[layout.a])[1:], theta[layout.b], [0.0] * 5])
     F, B, G, H = matrices(layout.n, layout.m, 0, numbers)
     power = 1.0
     if not layout.integrators:

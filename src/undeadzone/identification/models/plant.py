@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.signal import lfilter
 
-from undeadzone.identification.models.estimates import KeptClimbs
+from undeadzone.identification.models.estimates import KeptClimbs, Latest
 from undeadzone.identification.models.likelihood import Readings
 from undeadzone.support.arrays import Flags, Floats, Integers, later
 
@@ -180,11 +180,11 @@ class Layout(NamedTuple):
         return self.x0.stop
 
     def denominator(self, a: Floats) -> Floats:
-        """The coefficients a_1 to a_n of the whole denominator, integrators included."""
+        """The coefficients 1, a_1 to a_n of the whole denominator, integrators included."""
         whole = np.append(1.0, a)
         for _ in range(self.integrators):
             whole = np.convolve(whole, [1.0, -1.0])
-        return whole[1:]
+        return whole
 
     @property
     def size(self) -> int:
@@ -221,35 +221,37 @@ class Simulator:
                 for j in range(n):
                     delayed = data.u[part.start : part.stop - 1 - j, k]
                     self.lagged[part.start + 1 + j : part.stop, n * k + j] = delayed
+        self._z: Latest[Floats] = Latest()
 
     def along(self, data: Data) -> Simulator:
         """The same plant along other records."""
         return Simulator(data, self.layout.n, self.layout.integrators)
 
     def z(self, theta: Floats) -> Floats:
-        """z (N) for parameters theta, of which those of the plant come first."""
+        """z (N) for parameters theta, of which those of the plant come first; not to be changed."""
+        return self._z.of(theta[: self.layout.right], self._simulated)
+
+    def _simulated(self, theta: Floats) -> Floats:
         layout = self.layout
-        denominator = np.append(1.0, layout.denominator(theta[layout.a]))
-        drive = self.lagged @ theta[layout.b]
+        denominator = layout.denominator(theta[layout.a])
         x0 = theta[layout.x0].reshape(layout.records, layout.n)
-        z = np.empty(drive.size)
+        z = self.lagged @ theta[layout.b]  # what drives it, at first
         for part, state in zip(self.data.records(), x0, strict=True):
-            own = drive[part].copy()
-            count = min(layout.n, own.size)
-            own[:count] += state[:count]
-            z[part] = lfilter([1.0], denominator, own)
+            own = z[part]
+            own[: layout.n] += state[: own.size]
+            own[:] = lfilter([1.0], denominator, own)
+        z.flags.writeable = False
         return z
 
     def gradient(self, theta: Floats, z: Floats) -> Floats:
         """dz/dtheta (N x P), exact: one filter for a, one for x(0), one for each input."""
         layout = self.layout
         n, m = layout.n, layout.m
-        moving = np.append(1.0, theta[layout.a])
-        whole = np.append(1.0, layout.denominator(theta[layout.a]))
+        whole = layout.denominator(theta[layout.a])
         slopes = np.zeros((z.size, layout.size))
         for r, part in enumerate(self.data.records()):
             size = part.stop - part.start
-            by_a = lfilter([1.0], moving, z[part])
+            by_a = lfilter([1.0], np.append(1.0, theta[layout.a]), z[part])
             sources = np.column_stack([self.data.u[part], np.eye(size, 1)])
             filtered = lfilter([1.0], whole, sources, axis=0)
             own = slopes[part]
@@ -276,10 +278,9 @@ class Simulator:
         """Whether the poles are stable and settle, `margin` times over, within a record."""
         if not np.isfinite(theta).all():
             return False
-        longest = self.longest
         poles = roots(theta[self.layout.a])
-        slow = np.abs(np.angle(poles)) < 4 * np.pi / longest
-        limit = np.where(slow, 1 - margin * SLOW / longest, 1 - margin * RINGING / longest)
+        slow = np.abs(np.angle(poles)) < 4 * np.pi / self.longest
+        limit = 1 - margin * np.where(slow, SLOW, RINGING) / self.longest
         return bool(np.all(np.abs(poles) < limit))
 
 
@@ -366,7 +367,7 @@ def white(runs: int, size: int, phi: float, seed: int = 0) -> Floats:
 def shaped(layout: Layout, plant: Floats, noise: Floats) -> Floats:
     """What the plant makes of noise at its first input (runs x size), settled."""
     numerator = np.append(0.0, plant[layout.b][: layout.n])
-    denominator = np.append(1.0, layout.denominator(plant[layout.a]))
+    denominator = layout.denominator(plant[layout.a])
     return np.asarray(lfilter(numerator, denominator, noise, axis=1))[:, SETTLED:]
 
 

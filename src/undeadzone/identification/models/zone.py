@@ -118,9 +118,7 @@ class Objective:
 
     def value(self, theta: Floats) -> float:
         """The log likelihood, with the prior of x(0); -inf where theta makes no sense."""
-        if not self.admissible(theta):
-            return -math.inf
-        if not np.abs(self.simulator.z(theta)).max() < FAR:
+        if not (self.admissible(theta) and np.abs(self.simulator.z(theta)).max() < FAR):
             return -math.inf
         total = float(self.at(theta)[1].value.sum()) - self._prior(theta)
         return total if math.isfinite(total) else -math.inf

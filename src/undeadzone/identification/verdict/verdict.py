@@ -351,7 +351,7 @@ def cubic_share(fit: Fit) -> tuple[float, float, float]:
 def _cube(fit: Fit) -> Floats:
     """G z^3 along the records (N)."""
     layout = fit.objective.layout
-    denominator = np.append(1.0, layout.denominator(fit.theta[layout.a]))
+    denominator = layout.denominator(fit.theta[layout.a])
     numerator = np.append(0.0, fit.theta[layout.b][: layout.n])
     out = np.empty(fit.z.size)
     for part in fit.objective.data.records():
