@@ -50,6 +50,8 @@ TURNING = 0.2  # deviation of the torque through the gears, over that unknown to
 RESTITUTION = 0.5  # share by which an impulse is off
 LEAST_TORQUE = 0.01  # of what holds the links, least unknown torque
 MEMORY = 0.2  # time over which innovations are summed [s]
+import os
+FIRM = float(os.environ.get('FIRM','.7'))
 PATIENCE = 1.0  # time over which the squares of the sums are averaged [s]
 CHANCE = 4.0  # mean square of the sums that is taken for chance
 
@@ -144,6 +146,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         mean[of("centre")] = told("centre")
         std[of("centre")] = nonnegative("observer.centre", self.centre, N, "one per joint")
         std[of("push")] = 0.6 * unknown
+        std[of("firmness")] = FIRM
         std[of("motor")], std[of("link")] = 0.02, ranges[:, 1]
         std[of("motor_speed")] = std[of("link_speed")] = 0.05
         Q[of("motor_speed")] = JERK * Ts
@@ -252,13 +255,15 @@ def drive_of(gears: Geared, Ts: float, substeps: int) -> Drive:
         for name in ("half", "centre", "friction"):
             first = gears.names.index(f"{name}1")
             column[first : first + N] = x[layout.of(name)]
+        first = gears.names.index("contact1")
+        column[first : first + N] *= ca.exp(x[layout.of("firmness")])
         column[gears.names.index("payload")] = x[layout.of("payload")]
         return column
 
     def rate(params: Any, x: Any, u: Any, contact: Contacts) -> tuple[Any, Any]:
         push = x[layout.of("push")]
         dx, tau = gears.motion(known(params, x), x[: 4 * N], u + push, ca.DM(contact))
-        constant = ca.SX.zeros(3 * N)
+        constant = ca.SX.zeros(4 * N)
         return ca.vertcat(dx, constant, -push / FADING, 0.0), tau
 
     def mobility(params: Any, x: Any) -> Any:

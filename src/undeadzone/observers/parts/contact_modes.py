@@ -21,8 +21,10 @@ import numpy as np
 from undeadzone.ends.sensor import present
 from undeadzone.numerics.first_passage import arriving, at_edge, beyond
 from undeadzone.numerics.gaussian import (
+    Bound,
     Gaussian,
     advance,
+    cut,
     from_upper,
     mixed,
     symmetric,
@@ -39,6 +41,10 @@ LEAST = 1e-7  # chance of a mode below which it is dropped
 WIDE = 4.0  # half gaps of deviation beyond which a free link may be anywhere in the gap
 FAR = 3.0  # deviations beyond which a belief off an edge says little of it
 MOST = 60.0  # largest difference of logs of chances
+import os
+KAPPA = float(os.environ.get('KAPPA','1'))
+CERTAIN = 3.0
+LATE = float(os.environ.get('LATE','.95'))
 RESTING = 0.1  # speed below which a motor may be at rest [rad/s]
 
 
@@ -53,16 +59,17 @@ class Layout(NamedTuple):
 
     def of(self, name: str) -> slice:
         """The entries of one quantity."""
-        names = ("motor", "link", "motor_speed", "link_speed", "half", "centre", "friction", "push")
         if name == "payload":
-            return slice(8 * self.size, 8 * self.size + 1)
+            return slice(self.entries - 1, self.entries)
+        names = ("motor", "link", "motor_speed", "link_speed", "half", "centre", "friction")
+        names += ("firmness", "push")
         first = names.index(name) * self.size
         return slice(first, first + self.size)
 
     @property
     def entries(self) -> int:
         """How many numbers x has."""
-        return 8 * self.size + 1
+        return 9 * self.size + 1
 
     @property
     def modes(self) -> list[Contact]:
@@ -319,7 +326,7 @@ def predicted(drive: Drive, q: Numbers, told: Told, u: Any) -> list[Mode]:
     now = [Mode(*each) for each in zip(told.chances, told.beliefs, strict=True)]
     signs = [_leaving(drive, q, mode, one, u) for mode, one in zip(modes, now, strict=True)]
     for joint in range(drive.layout.size):
-        now, signs = _released(drive.layout, joint, now, signs)
+        now, signs = _released(drive, q, joint, now, signs)
     after = [_moved(drive, q, mode, one, u) for mode, one in zip(modes, now, strict=True)]
     arrivals = [
         _arrivals(drive.layout, mode, one.belief, later.belief, q.slack)
@@ -368,21 +375,42 @@ def _sides(layout: Layout, joint: int) -> list[dict[int, int]]:
 
 
 def _released(
-    layout: Layout, joint: int, modes: list[Mode], leaving: list[Any]
+    drive: Drive, q: Numbers, joint: int, modes: list[Mode], leaving: list[Any]
 ) -> tuple[list[Mode], list[Any]]:
     """The modes, and the shares that leave, after one joint has left its flanks."""
     after, shares = list(modes), list(leaving)
-    for places in _sides(layout, joint):
-        gap, parts, left = places[0], [modes[places[0]]], [leaving[places[0]]]
+    for places in _sides(drive.layout, joint):
+        gap, parts, left = places[0], [], []
         for side in (1, -1):
             here = modes[places[side]]
             share = leaving[places[side]][joint]
             after[places[side]] = here._replace(chance=here.chance * (1 - share))
             parts.append(here._replace(chance=here.chance * share))
             left.append(leaving[places[side]])
+        parts = [*_resident(drive, q, joint, modes[gap], sum(one.chance for one in parts)), *parts]
+        left = [leaving[gap], leaving[gap], *left]
         after[gap], weights = _merged(parts)
         shares[gap] = weighted(weights, left)
     return after, shares
+
+
+def _resident(drive: Drive, q: Numbers, joint: int, gap: Mode, come: Any) -> list[Mode]:
+    """A mode of the gap to which newcomers come, as uncut and as cut to the gap.
+
+    Uncut it is for first passage. Merged with newcomers it would be neither: those that have long
+    left the gap would take them along. So it is cut in the share in which others come.
+    """
+    edges = [drive.layout.edge(joint, side) for side in (1, -1)]
+    bounds = [Bound(h, h @ gap.belief.mean, 1.0) for h in edges]
+    inside = cut(gap.belief, bounds, q.slack, CERTAIN).belief
+    share = KAPPA * come / ca.fmax(gap.chance + come, NONE)
+    share = ca.fmin(share, 1.0)
+    out = sum(_beyond(drive.layout, joint, gap.belief, q.slack))
+    share = ca.if_else(out > LATE, 1.0, share)
+    return [
+        gap._replace(chance=gap.chance * (1 - share)),
+        Mode(gap.chance * share, inside),
+    ]
 
 
 def _moved(drive: Drive, q: Numbers, contact: Contact, one: Mode, u: Any) -> Mode:
