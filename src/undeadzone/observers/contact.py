@@ -103,7 +103,8 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         drive = drive_of(gears, Ts, int(np.ceil(Ts * fastest / RESOLVED)))
         first, numbers = self._numbers(model, gears, Ts, sensor)
         params = Params(first, numbers, sensor.slope, fading(Ts, MEMORY), fading(Ts, PATIENCE))
-        theta = ("payload", *(f"friction{i + 1}" for i in range(gears.size)))
+        joints = range(1, gears.size + 1)
+        theta = ("payload", *(f"friction{i}" for i in joints), *(f"f{i}" for i in joints))
         setup = Setup(drive, model, gears, sensor.kind)
         return Observer(
             params,
@@ -147,6 +148,9 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         std[of("centre")] = nonnegative("observer.centre", self.centre, N, "one per joint")
         std[of("push")] = 0.6 * unknown
         std[of("firmness")] = FIRM
+        own = np.array([values[model.names.index(f"f{i + 1}")] for i in range(N)])
+        mean[of("rub")], std[of("rub")] = own, share * own
+        low[of("rub")] = 0.0
         std[of("motor")], std[of("link")] = 0.02, ranges[:, 1]
         std[of("motor_speed")] = std[of("link_speed")] = 0.05
         Q[of("motor_speed")] = JERK * Ts
@@ -255,6 +259,8 @@ def drive_of(gears: Geared, Ts: float, substeps: int) -> Drive:
         for name in ("half", "centre", "friction"):
             first = gears.names.index(f"{name}1")
             column[first : first + N] = x[layout.of(name)]
+        for i in range(N):
+            column[gears.names.index(f"f{i + 1}")] = x[layout.of("rub")][i]
         first = gears.names.index("contact1")
         column[first : first + N] *= ca.exp(x[layout.of("firmness")])
         column[gears.names.index("payload")] = x[layout.of("payload")]
@@ -263,7 +269,7 @@ def drive_of(gears: Geared, Ts: float, substeps: int) -> Drive:
     def rate(params: Any, x: Any, u: Any, contact: Contacts) -> tuple[Any, Any]:
         push = x[layout.of("push")]
         dx, tau = gears.motion(known(params, x), x[: 4 * N], u + push, ca.DM(contact))
-        constant = ca.SX.zeros(4 * N)
+        constant = ca.SX.zeros(5 * N)
         return ca.vertcat(dx, constant, -push / FADING, 0.0), tau
 
     def mobility(params: Any, x: Any) -> Any:
@@ -326,7 +332,7 @@ def _shown(setup: Setup, q: Params, told: Told, reading: Reading) -> Estimate:
     shown = estimate(x, z, right, left, reading, q.slope, setup.kind, told.e)
     push = mean[of("push")] / setup.gears.number(q.modes.model, "inertia")
     free = ca.SX.zeros(2 * N)
-    names = ("payload", "friction")
+    names = ("payload", "friction", "rub")
     variances = std(ca.DM.eye(layout.entries)[: 4 * N, :])
     known = ca.fmin(variances[N : 2 * N], half**2 + variances[:N] + std(halves) + std(centres))
     return shown._replace(

@@ -62,14 +62,14 @@ class Layout(NamedTuple):
         if name == "payload":
             return slice(self.entries - 1, self.entries)
         names = ("motor", "link", "motor_speed", "link_speed", "half", "centre", "friction")
-        names += ("firmness", "push")
+        names += ("rub", "firmness", "push")
         first = names.index(name) * self.size
         return slice(first, first + self.size)
 
     @property
     def entries(self) -> int:
         """How many numbers x has."""
-        return 9 * self.size + 1
+        return 10 * self.size + 1
 
     @property
     def modes(self) -> list[Contact]:
