@@ -8,6 +8,7 @@ payload and friction on the way.
 from __future__ import annotations
 
 from functools import partial
+from itertools import product
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -18,6 +19,9 @@ from undeadzone.ends.sensor import Zone, present
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate, Observer, Reading, Traits, estimate
 from undeadzone.numerics.gaussian import Gaussian
+from undeadzone.observers.parts.contact_modes import (
+    CONSTANTS,
+)
 from undeadzone.observers.parts.contact_modes import (
     Contact as Contacts,
 )
@@ -38,6 +42,7 @@ from undeadzone.plants.robots.geared import Geared
 from undeadzone.plants.system import System
 from undeadzone.support.arrays import Array, Floats, array, nonnegative, positive, scalar
 
+FRICTION = ("friction", "f")  # Coulomb's, of motors and of links, as the plant names it
 MOST_COUPLED = 2  # joints with gaps, beyond which there are too many combinations
 RESOLVED = 0.8  # largest product of a Runge-Kutta step and the frequency of contact
 LEAVING = 800.0  # rate at which a link leaves a flank that pulls [1/s]
@@ -50,8 +55,6 @@ TURNING = 0.2  # deviation of the torque through the gears, over that unknown to
 RESTITUTION = 0.5  # share by which an impulse is off
 LEAST_TORQUE = 0.01  # of what holds the links, least unknown torque
 MEMORY = 0.2  # time over which innovations are summed [s]
-import os
-FIRM = float(os.environ.get('FIRM','.7'))
 PATIENCE = 1.0  # time over which the squares of the sums are averaged [s]
 CHANCE = 4.0  # mean square of the sums that is taken for chance
 
@@ -64,7 +67,10 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         payload: claimed range [lo, hi] of the payload [kg]; default: as the model says.
         centre: standard deviation of the gears' centre about the model's, one or one per joint
             [rad].
-        friction: standard deviation of the motors' Coulomb friction, as a share of the model's.
+        friction: standard deviation of Coulomb friction of motors and links, as a share of the
+            model's.
+        contact: factor by which the frequency of the contacts is off the model's, in one standard
+            deviation.
         noise: rms of a reading, one or one per encoder [rad]; default the sensor's.
         disturbance: rms of an unknown torque of the motors, one or one per joint [N m]; default 0.6
             of the model's friction, at least of 1 % of the torque that holds the links.
@@ -80,6 +86,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
     payload: Array | None = None
     centre: Array = 0.0
     friction: float = 0.6
+    contact: float = 2.0
     noise: Array | None = None
     disturbance: Array | None = None
     load: Array | None = None
@@ -103,8 +110,8 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         drive = drive_of(gears, Ts, int(np.ceil(Ts * fastest / RESOLVED)))
         first, numbers = self._numbers(model, gears, Ts, sensor)
         params = Params(first, numbers, sensor.slope, fading(Ts, MEMORY), fading(Ts, PATIENCE))
-        joints = range(1, gears.size + 1)
-        theta = ("payload", *(f"friction{i}" for i in joints), *(f"f{i}" for i in joints))
+        each = product(FRICTION, range(1, gears.size + 1))
+        theta = ("payload", *(f"{name}{joint}" for name, joint in each))
         setup = Setup(drive, model, gears, sensor.kind)
         return Observer(
             params,
@@ -140,17 +147,13 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
             unknown = positive("observer.disturbance", self.disturbance, N, "one per joint") / 0.6
         if self.load is not None:
             loads = nonnegative("observer.load", self.load, N, "one per joint")
-        friction, rotors = told("friction"), told("inertia")
         share = scalar("observer.friction", self.friction, least=0.0)
-        mean[of("friction")], std[of("friction")] = friction, share * friction
-        low[of("friction")] = 0.0
+        for name in FRICTION:
+            mean[of(name)], std[of(name)], low[of(name)] = told(name), share * told(name), 0.0
+        std[of("firmness")] = np.log(scalar("observer.contact", self.contact, least=1.0))
         mean[of("centre")] = told("centre")
         std[of("centre")] = nonnegative("observer.centre", self.centre, N, "one per joint")
         std[of("push")] = 0.6 * unknown
-        std[of("firmness")] = FIRM
-        own = np.array([values[model.names.index(f"f{i + 1}")] for i in range(N)])
-        mean[of("rub")], std[of("rub")] = own, share * own
-        low[of("rub")] = 0.0
         std[of("motor")], std[of("link")] = 0.02, ranges[:, 1]
         std[of("motor_speed")] = std[of("link_speed")] = 0.05
         Q[of("motor_speed")] = JERK * Ts
@@ -169,8 +172,8 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
             torque=TURNING * unknown,
             leaving=np.asarray(1 - fading(Ts, 1 / LEAVING)),
             impact=np.asarray(RESTITUTION),
-            rest=STICKING * Ts / rotors**2,
-            least=friction,
+            rest=STICKING * Ts / told("inertia") ** 2,
+            least=told("friction"),
         )
 
 
@@ -239,7 +242,7 @@ def unknown_torques(model: System, gears: Geared, payload: float) -> tuple[Float
     inertia = np.diag(np.asarray(gears.arm.mass(links, rest)))
     least = LEAST_TORQUE * np.max(held, axis=0).ravel()
     motors = np.asarray(gears.number(model.params, "friction"), float).ravel()
-    links_own = 2 * np.array([float(links[names.index(f"f{i + 1}")]) for i in range(N)])
+    links_own = 2 * np.asarray(gears.number(model.params, "f"), float).ravel()
     nothing = np.where(least > 0, least, inertia)
     return np.maximum(motors, nothing), np.maximum(links_own, nothing), inertia
 
@@ -256,11 +259,9 @@ def drive_of(gears: Geared, Ts: float, substeps: int) -> Drive:
 
     def known(params: Any, x: Any) -> Any:
         column = ca.SX(params)
-        for name in ("half", "centre", "friction"):
+        for name in CONSTANTS:
             first = gears.names.index(f"{name}1")
             column[first : first + N] = x[layout.of(name)]
-        for i in range(N):
-            column[gears.names.index(f"f{i + 1}")] = x[layout.of("rub")][i]
         first = gears.names.index("contact1")
         column[first : first + N] *= ca.exp(x[layout.of("firmness")])
         column[gears.names.index("payload")] = x[layout.of("payload")]
@@ -332,7 +333,7 @@ def _shown(setup: Setup, q: Params, told: Told, reading: Reading) -> Estimate:
     shown = estimate(x, z, right, left, reading, q.slope, setup.kind, told.e)
     push = mean[of("push")] / setup.gears.number(q.modes.model, "inertia")
     free = ca.SX.zeros(2 * N)
-    names = ("payload", "friction", "rub")
+    names = ("payload", *FRICTION)
     variances = std(ca.DM.eye(layout.entries)[: 4 * N, :])
     known = ca.fmin(variances[N : 2 * N], half**2 + variances[:N] + std(halves) + std(centres))
     return shown._replace(

@@ -1,17 +1,17 @@
 """A filter of contacts: motors and links with gaps between them, each joint in one of three modes.
 
 A joint touches its right flank (1), runs free in the gap (0) or touches its left flank (-1). Each
-combination is an extended Kalman filter of x = [theta; q; theta'; q'; a; c; f; w; payload] with the
-contacts held, and a chance. A link leaves a flank where the torque through it changes its sign; it
+combination is an extended Kalman filter of x = [theta; q; theta'; q'; a; c; friction; f; k; w;
+payload] with the contacts held, f the friction of links, k the log of a contact's frequency over
+the model's, and a chance. A link leaves a flank where the torque through it changes its sign; it
 reaches one by first passage (`numerics.first_passage`), which is where the gap is measured. What
 comes together in a mode is merged by its moments (interacting multiple models, Blom and Bar-Shalom
-1988, with changes that hang on the state). docs/gears.md derives the weights.
+1988, with changes that hang on the state). docs/methods/contact.md derives the weights.
 """
 
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -24,6 +24,7 @@ from undeadzone.numerics.gaussian import (
     Bound,
     Gaussian,
     advance,
+    below,
     cut,
     from_upper,
     mixed,
@@ -32,19 +33,21 @@ from undeadzone.numerics.gaussian import (
     update_unless_glitch,
 )
 from undeadzone.numerics.runge_kutta import rk4_change
+from undeadzone.observers.parts.model_bank import weighted_mean
 from undeadzone.support.arrays import Floats
 
 Contact = tuple[int, ...]  # of each joint: 1, 0 or -1
+MOTION = ("motor", "link", "motor_speed", "link_speed")
+CONSTANTS = ("half", "centre", "friction", "f")  # named as the plant's parameters
+QUANTITIES = (*MOTION, *CONSTANTS, "firmness", "push")  # of each joint
 SMALL = 1e-6  # least chance that a link is in its gap
 NONE = 1e-12  # chance below which nothing comes to a mode
 LEAST = 1e-7  # chance of a mode below which it is dropped
 WIDE = 4.0  # half gaps of deviation beyond which a free link may be anywhere in the gap
 FAR = 3.0  # deviations beyond which a belief off an edge says little of it
 MOST = 60.0  # largest difference of logs of chances
-import os
-KAPPA = float(os.environ.get('KAPPA','1'))
-CERTAIN = 3.0
-LATE = float(os.environ.get('LATE','.95'))
+LATE = 0.95  # chance under the uncut belief of being beyond a flank, from which it is cut
+SURE = 3.0  # deviations from a flank beyond which it cuts nothing
 RESTING = 0.1  # speed below which a motor may be at rest [rad/s]
 
 
@@ -61,15 +64,13 @@ class Layout(NamedTuple):
         """The entries of one quantity."""
         if name == "payload":
             return slice(self.entries - 1, self.entries)
-        names = ("motor", "link", "motor_speed", "link_speed", "half", "centre", "friction")
-        names += ("rub", "firmness", "push")
-        first = names.index(name) * self.size
+        first = QUANTITIES.index(name) * self.size
         return slice(first, first + self.size)
 
     @property
     def entries(self) -> int:
         """How many numbers x has."""
-        return 10 * self.size + 1
+        return len(QUANTITIES) * self.size + 1
 
     @property
     def modes(self) -> list[Contact]:
@@ -82,6 +83,10 @@ class Layout(NamedTuple):
         for name, sign in (("motor", side), ("link", -side), ("centre", side), ("half", -1)):
             row[0, self.of(name).start + joint] = sign
         return ca.sparsify(ca.DM(row))
+
+    def edges(self, joint: int) -> list[ca.DM]:
+        """The rows of its right and its left flank."""
+        return [self.edge(joint, side) for side in (1, -1)]
 
 
 class Drive(NamedTuple):
@@ -225,9 +230,9 @@ def corrected(drive: Drive, q: Numbers, chances: Any, beliefs: list[Gaussian], y
     kept = []
     for share, one in zip(shares, each, strict=True):
         kept.append(one_or_other(share > 0, one.belief, whole))
-    e = weighted(before, [one.e for one in each])
+    e = weighted_mean(before, [one.e for one in each])
     variances = [one.std**2 + (one.e - e) ** 2 for one in each]
-    return Told(shares, kept, whole, e, ca.sqrt(weighted(before, variances)))
+    return Told(shares, kept, whole, e, ca.sqrt(weighted_mean(before, variances)))
 
 
 class Read(NamedTuple):
@@ -279,8 +284,7 @@ def _within(layout: Layout, contact: Contact, belief: Gaussian, slack: Any) -> A
 
 def _beyond(layout: Layout, joint: int, belief: Gaussian, slack: Any) -> list[Any]:
     """The chances that a link is beyond its right and its left flank, under the uncut belief."""
-    edges = [layout.edge(joint, side) for side in (1, -1)]
-    return [beyond(belief, h, h @ belief.mean, slack) for h in edges]
+    return [beyond(belief, h, h @ belief.mean, slack) for h in layout.edges(joint)]
 
 
 def one_or_other(use: Any, one: Gaussian, other: Gaussian) -> Gaussian:
@@ -288,11 +292,6 @@ def one_or_other(use: Any, one: Gaussian, other: Gaussian) -> Gaussian:
     return Gaussian(
         ca.if_else(use, one.mean, other.mean), from_upper(ca.if_else(use, one.cov, other.cov))
     )
-
-
-def weighted(shares: list[Any], values: list[Any]) -> Any:
-    """The sum of the values, each times its share."""
-    return sum(share * value for share, value in zip(shares, values, strict=True))
 
 
 def normalised(weights: list[Any]) -> list[Any]:
@@ -361,7 +360,7 @@ def _leaving(drive: Drive, q: Numbers, contact: Contact, one: Mode, u: Any) -> A
     end = x + _change(drive, q, contact, u)(x)
     now, then = (drive.rate(q.model, each, u, contact)[1] for each in (x, end))
     pull = -ca.DM(contact) * (now + then) / 2 / q.torque
-    return q.leaving * (1 + ca.erf(pull / math.sqrt(2))) / 2
+    return q.leaving * below(pull)
 
 
 def _sides(layout: Layout, joint: int) -> list[dict[int, int]]:
@@ -390,27 +389,23 @@ def _released(
         parts = [*_resident(drive, q, joint, modes[gap], sum(one.chance for one in parts)), *parts]
         left = [leaving[gap], leaving[gap], *left]
         after[gap], weights = _merged(parts)
-        shares[gap] = weighted(weights, left)
+        shares[gap] = weighted_mean(weights, left)
     return after, shares
 
 
 def _resident(drive: Drive, q: Numbers, joint: int, gap: Mode, come: Any) -> list[Mode]:
-    """A mode of the gap to which newcomers come, as uncut and as cut to the gap.
+    """What is in a gap to which others come with a chance, in two parts: uncut, and cut to the gap.
 
-    Uncut it is for first passage. Merged with newcomers it would be neither: those that have long
-    left the gap would take them along. So it is cut in the share in which others come.
+    Uncut it tells the first passage. Yet whatever has not arrived is in the gap: what comes would
+    be merged with one that has long been elsewhere, and go with it. So it is cut in the share in
+    which others come, and wholly, once, where hardly anything of the uncut belief is in the gap.
     """
-    edges = [drive.layout.edge(joint, side) for side in (1, -1)]
-    bounds = [Bound(h, h @ gap.belief.mean, 1.0) for h in edges]
-    inside = cut(gap.belief, bounds, q.slack, CERTAIN).belief
-    share = KAPPA * come / ca.fmax(gap.chance + come, NONE)
-    share = ca.fmin(share, 1.0)
-    out = sum(_beyond(drive.layout, joint, gap.belief, q.slack))
-    share = ca.if_else(out > LATE, 1.0, share)
-    return [
-        gap._replace(chance=gap.chance * (1 - share)),
-        Mode(gap.chance * share, inside),
-    ]
+    belief = gap.belief
+    bounds = [Bound(h, h @ belief.mean, 1.0) for h in drive.layout.edges(joint)]
+    inside = cut(belief, bounds, q.slack, SURE).belief
+    late = sum(_beyond(drive.layout, joint, belief, q.slack)) > LATE
+    share = ca.if_else(late, 1.0, come / ca.fmax(gap.chance + come, NONE))
+    return [gap._replace(chance=gap.chance * (1 - share)), Mode(gap.chance * share, inside)]
 
 
 def _moved(drive: Drive, q: Numbers, contact: Contact, one: Mode, u: Any) -> Mode:
