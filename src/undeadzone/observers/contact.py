@@ -21,11 +21,7 @@ from undeadzone.interfaces import Estimate, Observer, Reading, Traits, estimate
 from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.observers.parts.contact_modes import (
     CONSTANTS,
-)
-from undeadzone.observers.parts.contact_modes import (
-    Contact as Contacts,
-)
-from undeadzone.observers.parts.contact_modes import (
+    Contacts,
     Drive,
     Layout,
     Modes,

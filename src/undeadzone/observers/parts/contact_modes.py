@@ -36,7 +36,7 @@ from undeadzone.numerics.runge_kutta import rk4_change
 from undeadzone.observers.parts.model_bank import weighted_mean
 from undeadzone.support.arrays import Floats
 
-Contact = tuple[int, ...]  # of each joint: 1, 0 or -1
+Contacts = tuple[int, ...]  # of each joint: 1, 0 or -1
 MOTION = ("motor", "link", "motor_speed", "link_speed")
 CONSTANTS = ("half", "centre", "friction", "f")  # named as the plant's parameters
 QUANTITIES = (*MOTION, *CONSTANTS, "firmness", "push")  # of each joint
@@ -73,7 +73,7 @@ class Layout(NamedTuple):
         return len(QUANTITIES) * self.size + 1
 
     @property
-    def modes(self) -> list[Contact]:
+    def modes(self) -> list[Contacts]:
         """Every combination of contacts."""
         return list(itertools.product((1, 0, -1), repeat=self.size))
 
@@ -104,7 +104,7 @@ class Drive(NamedTuple):
     """
 
     layout: Layout
-    rate: Callable[[Any, Any, Any, Contact], tuple[Any, Any]]
+    rate: Callable[[Any, Any, Any, Contacts], tuple[Any, Any]]
     mobility: Callable[[Any, Any], Any]
     readings: tuple[int, ...]
     Ts: float
@@ -250,7 +250,7 @@ class Read(NamedTuple):
     std: Any
 
 
-def _read(drive: Drive, q: Numbers, contact: Contact, foretold: Gaussian, y: Any) -> Read:
+def _read(drive: Drive, q: Numbers, contact: Contacts, foretold: Gaussian, y: Any) -> Read:
     """One mode after the readings, with its numbers within their bounds."""
     belief, log, innovations, deviations = foretold, ca.SX(0.0), [], []
     for row, entry in enumerate(drive.readings):
@@ -269,7 +269,7 @@ def _read(drive: Drive, q: Numbers, contact: Contact, foretold: Gaussian, y: Any
     return Read(bounded, log, ca.vertcat(*innovations), ca.vertcat(*deviations))
 
 
-def _within(layout: Layout, contact: Contact, belief: Gaussian, slack: Any) -> Any:
+def _within(layout: Layout, contact: Contacts, belief: Gaussian, slack: Any) -> Any:
     """The log of the chance that the links in their gaps are between their flanks.
 
     By as much as readings raise it, they speak for a mode whose belief is uncut.
@@ -336,7 +336,7 @@ def predicted(drive: Drive, q: Numbers, told: Told, u: Any) -> list[Mode]:
     return after
 
 
-def _change(drive: Drive, q: Numbers, contact: Contact, u: Any) -> Callable[[Any], Any]:
+def _change(drive: Drive, q: Numbers, contact: Contacts, u: Any) -> Callable[[Any], Any]:
     """By how much x changes in a sample, contacts held."""
     h = drive.Ts / drive.substeps
 
@@ -350,7 +350,7 @@ def _change(drive: Drive, q: Numbers, contact: Contact, u: Any) -> Callable[[Any
     return change
 
 
-def _leaving(drive: Drive, q: Numbers, contact: Contact, one: Mode, u: Any) -> Any:
+def _leaving(drive: Drive, q: Numbers, contact: Contacts, one: Mode, u: Any) -> Any:
     """The share of a mode of which each joint leaves its flank in the sample (N).
 
     It does where the torque through the gears, in the middle of the sample, pulls. What leaves is
@@ -408,7 +408,7 @@ def _resident(drive: Drive, q: Numbers, joint: int, gap: Mode, come: Any) -> lis
     return [gap._replace(chance=gap.chance * (1 - share)), Mode(gap.chance * share, inside)]
 
 
-def _moved(drive: Drive, q: Numbers, contact: Contact, one: Mode, u: Any) -> Mode:
+def _moved(drive: Drive, q: Numbers, contact: Contacts, one: Mode, u: Any) -> Mode:
     """One mode a sample later, contacts held."""
     layout = drive.layout
     motors = layout.of("motor_speed")
@@ -420,7 +420,7 @@ def _moved(drive: Drive, q: Numbers, contact: Contact, one: Mode, u: Any) -> Mod
     return Mode(one.chance, Gaussian(after.mean, after.cov + ca.diag(slack)))
 
 
-def _arrivals(layout: Layout, contact: Contact, start: Gaussian, end: Gaussian, slack: Any) -> Any:
+def _arrivals(layout: Layout, contact: Contacts, start: Gaussian, end: Gaussian, slack: Any) -> Any:
     """The shares of a mode that reach the right and the left flank of each joint (N x 2).
 
     Where the uncut belief is much wider than the gap it says nothing more of what is in it.
