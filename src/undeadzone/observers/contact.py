@@ -47,9 +47,10 @@ LASTING = 0.01  # time for which the unknown torque of links lasts [s]
 COMPLIANCE = 3e-4  # deviation of where a flank is [rad]
 JERK = 1e-3  # variance that the speed of a motor gains in a second [rad^2 / s^3]
 STICKING = 0.03  # time for which what static friction takes lasts [s]
-TURNING = 0.2  # deviation of the torque through the gears, over that unknown torque
+TURNING = 1 / 3  # deviation of the torque through the gears, over that unknown torque
 RESTITUTION = 0.5  # share by which an impulse is off
 LEAST_TORQUE = 0.01  # of what holds the links, least unknown torque
+TURNED = 0.5  # by that, where nothing holds them [rad/s^2]
 MEMORY = 0.2  # time over which innovations are summed [s]
 PATIENCE = 1.0  # time over which the squares of the sums are averaged [s]
 CHANCE = 4.0  # mean square of the sums that is taken for chance
@@ -68,10 +69,10 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         contact: factor by which the frequency of the contacts is off the model's, in one standard
             deviation.
         noise: rms of a reading, one or one per encoder [rad]; default the sensor's.
-        disturbance: rms of an unknown torque of the motors, one or one per joint [N m]; default 0.6
-            of the model's friction, at least of 1 % of the torque that holds the links.
+        disturbance: rms of an unknown torque of the motors, one or one per joint [N m]; default 0.3
+            of the model's friction, at least 0.6 % of the torque that holds the links.
         load: rms of an unknown torque at the links that lasts 10 ms, one or one per joint [N m];
-            default twice their friction, and at least as above.
+            default 0.75 of their friction, at least 1 % of the torque that holds them.
         drift: random walk of the half gaps [rad / sqrt(s)].
         compliance: standard deviation of where a flank gives way to, which no reading tells [rad].
     """
@@ -140,7 +141,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
             std[of(name)] = (claimed[:, 1] - claimed[:, 0]) / np.sqrt(12)
         unknown, loads, inertia = unknown_torques(model, gears, float(mean[of("payload")][0]))
         if self.disturbance is not None:
-            unknown = positive("observer.disturbance", self.disturbance, N, "one per joint") / 0.6
+            unknown = positive("observer.disturbance", self.disturbance, N, "one per joint")
         if self.load is not None:
             loads = nonnegative("observer.load", self.load, N, "one per joint")
         share = scalar("observer.friction", self.friction, least=0.0)
@@ -149,12 +150,12 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         std[of("firmness")] = np.log(scalar("observer.contact", self.contact, least=1.0))
         mean[of("centre")] = told("centre")
         std[of("centre")] = nonnegative("observer.centre", self.centre, N, "one per joint")
-        std[of("push")] = 0.6 * unknown
+        std[of("push")] = unknown
         std[of("motor")], std[of("link")] = 0.02, ranges[:, 1]
         std[of("motor_speed")] = std[of("link_speed")] = 0.05
         Q[of("motor_speed")] = JERK * Ts
         Q[of("link_speed")] = Ts * LASTING * (loads / inertia) ** 2
-        Q[of("push")] = 2 * Ts / FADING * (0.6 * unknown) ** 2
+        Q[of("push")] = 2 * Ts / FADING * unknown**2
         Q[of("half")] = scalar("observer.drift", self.drift, least=0.0) ** 2 * Ts
         rms = sensor.rms if self.noise is None else self.noise
         slack = scalar("observer.compliance", self.compliance, above=0.0) ** 2
@@ -237,10 +238,9 @@ def unknown_torques(model: System, gears: Geared, payload: float) -> tuple[Float
     held = [np.abs(np.asarray(gears.arm.bias(links, q * np.eye(1, N)[0], rest))) for q in turned]
     inertia = np.diag(np.asarray(gears.arm.mass(links, rest)))
     least = LEAST_TORQUE * np.max(held, axis=0).ravel()
-    motors = np.asarray(gears.number(model.params, "friction"), float).ravel()
-    links_own = 2 * np.asarray(gears.number(model.params, "f"), float).ravel()
-    nothing = np.where(least > 0, least, inertia)
-    return np.maximum(motors, nothing), np.maximum(links_own, nothing), inertia
+    least = np.where(least > 0, least, TURNED * inertia)
+    motors, own = (np.asarray(gears.number(model.params, name)).ravel() for name in FRICTION)
+    return np.maximum(0.3 * motors, 0.6 * least), np.maximum(0.75 * own, least), inertia
 
 
 def drive_of(gears: Geared, Ts: float, substeps: int) -> Drive:
