@@ -41,6 +41,7 @@ from undeadzone.support.arrays import Array, Floats, array, nonnegative, positiv
 FRICTION = ("friction", "f")  # Coulomb's, of motors and of links, as the plant names it
 MOST_COUPLED = 2  # joints with gaps, beyond which there are too many combinations
 RESOLVED = 0.8  # largest product of a Runge-Kutta step and the frequency of contact
+STABLE = 2.0  # the same, beyond which no firmer contact is taken for true
 LEAVING = 800.0  # rate at which a link leaves a flank that pulls [1/s]
 FADING = 0.2  # correlation time of the unknown torque of motors [s]
 LASTING = 0.01  # time for which the unknown torque of links lasts [s]
@@ -105,7 +106,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
             )
         fastest = float(np.max(np.asarray(gears.number(gears.values, "contact"))))
         drive = drive_of(gears, Ts, int(np.ceil(Ts * fastest / RESOLVED)))
-        first, numbers = self._numbers(model, gears, Ts, sensor)
+        first, numbers = self._numbers(model, gears, drive, sensor)
         params = Params(first, numbers, sensor.slope, fading(Ts, MEMORY), fading(Ts, PATIENCE))
         each = product(FRICTION, range(1, gears.size + 1))
         theta = ("payload", *(f"{name}{joint}" for name, joint in each))
@@ -118,10 +119,10 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         )
 
     def _numbers(
-        self, model: System, gears: Geared, Ts: float, sensor: Zone
+        self, model: System, gears: Geared, drive: Drive, sensor: Zone
     ) -> tuple[Modes, Numbers]:
         """The modes at first and the numbers of the filter. Raises InputError, ShapeError."""
-        N, layout = gears.size, Layout(gears.size)
+        N, layout, Ts = gears.size, drive.layout, drive.Ts
         of, values = layout.of, model.params
 
         def told(name: str) -> Floats:
