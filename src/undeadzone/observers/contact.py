@@ -149,6 +149,9 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         for name in FRICTION:
             mean[of(name)], std[of(name)], low[of(name)] = told(name), share * told(name), 0.0
         std[of("firmness")] = np.log(scalar("observer.contact", self.contact, least=1.0))
+        stable = np.log(STABLE * drive.substeps / (Ts * told("contact")))
+        high[of("firmness")] = np.fmin(3 * std[of("firmness")], stable)
+        low[of("firmness")] = -3 * std[of("firmness")]
         mean[of("centre")] = told("centre")
         std[of("centre")] = nonnegative("observer.centre", self.centre, N, "one per joint")
         std[of("push")] = unknown
@@ -300,9 +303,9 @@ def _step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> tuple[
 
 
 def _unbound(layout: Layout, q: Numbers, belief: Gaussian) -> Any:
-    """Whether no gap and no payload is pressed against the end of its claimed range."""
+    """Whether no gap, payload or firmness is pressed against the end of its claimed range."""
     bound = ca.SX(0.0)
-    for name in ("half", "payload"):
+    for name in ("half", "payload", "firmness"):
         low, high, value = (column[layout.of(name)] for column in (q.low, q.high, belief.mean))
         off = ca.fmin(value - low, high - value)
         bound += ca.sum1(ca.logic_and(high > low, off <= 0))
