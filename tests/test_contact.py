@@ -117,7 +117,7 @@ def test_gap_payload_and_friction_are_found_on_the_way(run: uz.Run) -> None:
     assert abs(half / 0.03 - 1) < 0.1
     assert abs(half - 0.03) < 4 * std
     theta, theta_std = run.theta_hat[-1], run.theta_std[-1]
-    assert (np.abs(theta - [0.2, 0.08]) < 4 * theta_std).all()
+    assert (np.abs(theta - [0.2, 0.08, 0.02]) < 4 * theta_std).all()
     link = np.abs(run.z - run.z_hat)[-2000:]
     assert np.sqrt(np.mean(link**2)) < 0.003 < 0.03
     assert run.consistent[-1].all()

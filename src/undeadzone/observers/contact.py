@@ -319,9 +319,9 @@ def _shown(setup: Setup, q: Params, told: Told, reading: Reading) -> Estimate:
     both = ca.SX.zeros(setup.model.p - N)  # of encoders at the motors too, which hide nothing
     half, centre = mean[of("half")], mean[of("centre")]
     right, left = ca.vertcat(half + centre, both), ca.vertcat(half - centre, both)
-    xi = mean[:N] - mean[N : 2 * N] + centre
+    xi, unseen = mean[:N] - mean[N : 2 * N] + centre, 0.0
     if setup.gears.measured == "motor":  # a link that is not seen is never beyond a flank
-        xi = ca.fmax(ca.fmin(xi, half), -half)
+        xi, unseen = ca.fmax(ca.fmin(xi, half), -half), q.modes.slack
     link = mean[:N] + centre - xi
     x = ca.vertcat(mean[:N], link, mean[2 * N : 4 * N])
     z = setup.model.output(q.modes.model, x)
@@ -337,7 +337,7 @@ def _shown(setup: Setup, q: Params, told: Told, reading: Reading) -> Estimate:
     variances = std(ca.DM.eye(layout.entries)[: 4 * N, :])
     known = ca.fmin(variances[N : 2 * N], half**2 + variances[:N] + std(halves) + std(centres))
     return shown._replace(
-        x_std=ca.sqrt(ca.vertcat(variances[:N], known, variances[2 * N : 4 * N])),
+        x_std=ca.sqrt(ca.vertcat(variances[:N], known + unseen, variances[2 * N : 4 * N])),
         right_std=ca.sqrt(ca.vertcat(std(halves + centres), both) + give),
         left_std=ca.sqrt(ca.vertcat(std(halves - centres), both) + give),
         width_std=2 * ca.sqrt(ca.vertcat(std(halves), both) + give),
