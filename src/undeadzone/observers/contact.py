@@ -109,14 +109,9 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         first, numbers = self._numbers(model, gears, drive, sensor)
         params = Params(first, numbers, sensor.slope, fading(Ts, MEMORY), fading(Ts, PATIENCE))
         each = product(FRICTION, range(1, gears.size + 1))
-        theta = ("payload", *(f"{name}{joint}" for name, joint in each))
+        traits = Traits(uncertain=("payload", *(f"{name}{joint}" for name, joint in each)))
         setup = Setup(drive, model, gears, sensor.kind)
-        return Observer(
-            params,
-            partial(_started, setup),
-            partial(_step, setup),
-            traits=Traits(uncertain=theta),
-        )
+        return Observer(params, partial(_started, setup), partial(_step, setup), traits=traits)
 
     def _numbers(
         self, model: System, gears: Geared, drive: Drive, sensor: Zone
@@ -329,12 +324,13 @@ def _shown(setup: Setup, q: Params, told: Told, reading: Reading) -> Estimate:
     sides = ca.DM([list(mode) for mode in layout.modes])
     contact = sides.T @ ca.vertcat(*told.chances)
     give = ca.vertcat(q.modes.slack * ca.SX.ones(N), both)
-    halves, centres = (ca.DM.eye(layout.entries)[of(name), :] for name in ("half", "centre"))
+    rows = ca.DM.eye(layout.entries)
+    halves, centres = (rows[of(name), :] for name in ("half", "centre"))
     shown = estimate(x, z, right, left, reading, q.slope, setup.kind, told.e)
     push = mean[of("push")] / setup.gears.number(q.modes.model, "inertia")
     free = ca.SX.zeros(2 * N)
     names = ("payload", *FRICTION)
-    variances = std(ca.DM.eye(layout.entries)[: 4 * N, :])
+    variances = std(rows[: 4 * N, :])
     known = ca.fmin(variances[N : 2 * N], half**2 + variances[:N] + std(halves) + std(centres))
     return shown._replace(
         x_std=ca.sqrt(ca.vertcat(variances[:N], known + unseen, variances[2 * N : 4 * N])),
@@ -344,9 +340,7 @@ def _shown(setup: Setup, q: Params, told: Told, reading: Reading) -> Estimate:
         innovation_std=told.std,
         w=ca.vertcat(free, push, ca.SX.zeros(N)),
         theta=ca.vertcat(*(mean[of(name)] for name in names)),
-        theta_std=ca.sqrt(
-            ca.vertcat(*(std(ca.DM.eye(layout.entries)[of(name), :]) for name in names))
-        ),
+        theta_std=ca.sqrt(ca.vertcat(*(std(rows[of(name), :]) for name in names))),
         contact=ca.vertcat((contact > 0.5) - (contact < -0.5), both),
     )
 

@@ -496,14 +496,11 @@ def struck(drive: Drive, q: Numbers, joint: int, side: int, belief: Gaussian) ->
 def packed(drive: Drive, moved: list[Mode], s: Modes, begun: Any) -> Modes:
     """The state at the next sample; before a first whole sample it stays as it is."""
     entries = ca.Sparsity.upper(drive.layout.entries)
+
+    def kept(new: Any, old: Any) -> Any:
+        return ca.if_else(begun > 0.5, new, old)
+
     chances = ca.vertcat(*normalised([one.chance for one in moved]))
-    means = [
-        ca.if_else(begun > 0.5, one.belief.mean, old)
-        for one, old in zip(moved, s.means, strict=True)
-    ]
-    covs = [
-        ca.if_else(begun > 0.5, triangle(one.belief.cov, entries), old)
-        for one, old in zip(moved, s.covs, strict=True)
-    ]
-    kept = ca.if_else(begun > 0.5, chances, s.chances)
-    return Modes(kept, tuple(means), tuple(covs), begun)
+    means = map(kept, [one.belief.mean for one in moved], s.means)
+    covs = map(kept, [triangle(one.belief.cov, entries) for one in moved], s.covs)
+    return Modes(kept(chances, s.chances), tuple(means), tuple(covs), begun)
