@@ -128,10 +128,8 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         ranges = _ranges("observer.half", self.half, N)
         mass = float(values[model.names.index("payload")])
         weight = [mass, mass] if self.payload is None else self.payload
-        for name, claimed in (
-            ("half", ranges),
-            ("payload", _ranges("observer.payload", weight, 1)),
-        ):
+        claims = {"half": ranges, "payload": _ranges("observer.payload", weight, 1)}
+        for name, claimed in claims.items():
             low[of(name)], high[of(name)] = claimed.T
             mean[of(name)] = claimed.mean(axis=1)
             std[of(name)] = (claimed[:, 1] - claimed[:, 0]) / np.sqrt(12)
@@ -319,16 +317,14 @@ def _shown(setup: Setup, q: Params, told: Told, reading: Reading) -> Estimate:
         xi, unseen = ca.fmax(ca.fmin(xi, half), -half), q.modes.slack
     link = mean[:N] + centre - xi
     x = ca.vertcat(mean[:N], link, mean[2 * N : 4 * N])
-    z = setup.model.output(q.modes.model, x)
     std = partial(_deviations, told.whole)
-    sides = ca.DM([list(mode) for mode in layout.modes])
-    contact = sides.T @ ca.vertcat(*told.chances)
+    contact = ca.DM([list(mode) for mode in layout.modes]).T @ ca.vertcat(*told.chances)
     give = ca.vertcat(q.modes.slack * ca.SX.ones(N), both)
     rows = ca.DM.eye(layout.entries)
     halves, centres = (rows[of(name), :] for name in ("half", "centre"))
+    z = setup.model.output(q.modes.model, x)
     shown = estimate(x, z, right, left, reading, q.slope, setup.kind, told.e)
     push = mean[of("push")] / setup.gears.number(q.modes.model, "inertia")
-    free = ca.SX.zeros(2 * N)
     names = ("payload", *FRICTION)
     variances = std(rows[: 4 * N, :])
     known = ca.fmin(variances[N : 2 * N], half**2 + variances[:N] + std(halves) + std(centres))
@@ -338,7 +334,7 @@ def _shown(setup: Setup, q: Params, told: Told, reading: Reading) -> Estimate:
         left_std=ca.sqrt(ca.vertcat(std(halves - centres), both) + give),
         width_std=2 * ca.sqrt(ca.vertcat(std(halves), both) + give),
         innovation_std=told.std,
-        w=ca.vertcat(free, push, ca.SX.zeros(N)),
+        w=ca.vertcat(ca.SX.zeros(2 * N), push, ca.SX.zeros(N)),
         theta=ca.vertcat(*(mean[of(name)] for name in names)),
         theta_std=ca.sqrt(ca.vertcat(*(std(rows[of(name), :]) for name in names))),
         contact=ca.vertcat((contact > 0.5) - (contact < -0.5), both),

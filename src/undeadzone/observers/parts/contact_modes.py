@@ -29,6 +29,7 @@ from undeadzone.numerics.gaussian import (
     from_upper,
     mixed,
     symmetric,
+    together,
     triangle,
     update_unless_glitch,
 )
@@ -203,11 +204,9 @@ def beliefs_of(drive: Drive, s: Modes, y: Any) -> tuple[list[Gaussian], Any]:
         s: the state.
         y: readings (p).
     """
-    layout, N = drive.layout, drive.layout.size
+    layout, N, whole = drive.layout, drive.layout.size, ca.mmin(present(y))
     entries = ca.Sparsity.upper(layout.entries)
-    whole = ca.mmin(present(y))
-    first = ca.logic_and(s.begun < 0.5, whole)
-    angle = ca.if_else(first, y[:N], 0.0)
+    angle = ca.if_else(ca.logic_and(s.begun < 0.5, whole), y[:N], 0.0)
     shift = ca.vertcat(angle, angle, ca.SX.zeros(layout.entries - 2 * N))
     beliefs = []
     for mean, cov in zip(s.means, s.covs, strict=True):
@@ -252,7 +251,7 @@ class Read(NamedTuple):
 
 def _read(drive: Drive, q: Numbers, contact: Contacts, foretold: Gaussian, y: Any) -> Read:
     """One mode after the readings, with its numbers within their bounds."""
-    belief, log, innovations, deviations = foretold, ca.SX(0.0), [], []
+    belief, log, readings = foretold, ca.SX(0.0), []
     for row, entry in enumerate(drive.readings):
         seen = present(y[row])
         h = ca.DM(1, drive.layout.entries)
@@ -261,12 +260,12 @@ def _read(drive: Drive, q: Numbers, contact: Contacts, foretold: Gaussian, y: An
         told = update_unless_glitch(belief, h, e, q.R[row], seen, None, 0.0)
         belief = told.belief
         log += ca.if_else(seen, -((e / told.std) ** 2) / 2 - ca.log(told.std), 0.0)
-        innovations.append(e)
-        deviations.append(told.std)
+        readings.append(told)
     for one, sign in ((belief, 1), (foretold, -1)):
         log += sign * _within(drive.layout, contact, one, q.slack)
     bounded = Gaussian(ca.fmax(ca.fmin(belief.mean, q.high), q.low), belief.cov)
-    return Read(bounded, log, ca.vertcat(*innovations), ca.vertcat(*deviations))
+    columns = together(readings)
+    return Read(bounded, log, columns.e, columns.std)
 
 
 def _within(layout: Layout, contact: Contacts, belief: Gaussian, slack: Any) -> Any:
@@ -327,10 +326,8 @@ def predicted(drive: Drive, q: Numbers, told: Told, u: Any) -> list[Mode]:
     for joint in range(drive.layout.size):
         now, signs = _released(drive, q, joint, now, signs)
     after = [_moved(drive, q, mode, one, u) for mode, one in zip(modes, now, strict=True)]
-    arrivals = [
-        _arrivals(drive.layout, mode, one.belief, later.belief, q.slack)
-        for mode, one, later in zip(modes, now, after, strict=True)
-    ]
+    each = zip(modes, now, after, strict=True)
+    arrivals = [_arrivals(drive.layout, q.slack, *ways) for ways in each]
     for joint in range(drive.layout.size):
         after, arrivals = _caught(drive, q, joint, after, arrivals)
     return after
@@ -420,7 +417,7 @@ def _moved(drive: Drive, q: Numbers, contact: Contacts, one: Mode, u: Any) -> Mo
     return Mode(one.chance, Gaussian(after.mean, after.cov + ca.diag(slack)))
 
 
-def _arrivals(layout: Layout, contact: Contacts, start: Gaussian, end: Gaussian, slack: Any) -> Any:
+def _arrivals(layout: Layout, slack: Any, contact: Contacts, start: Mode, end: Mode) -> Any:
     """The shares of a mode that reach the right and the left flank of each joint (N x 2).
 
     Where the uncut belief is much wider than the gap it says nothing more of what is in it.
@@ -428,10 +425,10 @@ def _arrivals(layout: Layout, contact: Contacts, start: Gaussian, end: Gaussian,
     shares = ca.SX.zeros(layout.size, 2)
     for joint in range(layout.size):
         if contact[joint] == 0:
-            before, now = (_beyond(layout, joint, one, slack) for one in (start, end))
+            before, now = (_beyond(layout, joint, one.belief, slack) for one in (start, end))
             across = layout.edge(joint, 1)
-            most = WIDE * end.mean[layout.of("half")][joint]
-            lost = across @ end.cov @ across.T > most**2 + slack
+            most = WIDE * end.belief.mean[layout.of("half")][joint]
+            lost = across @ end.belief.cov @ across.T > most**2 + slack
             shares[joint, :] = ca.horzcat(*arriving(before, now, lost))
     return shares
 
@@ -483,13 +480,10 @@ def struck(drive: Drive, q: Numbers, joint: int, side: int, belief: Gaussian) ->
     direction = drive.mobility(q.model, at.mean)[:, joint]
     N = layout.size
     give = direction / (direction[N + joint] - direction[joint])  # a unit of theta' - q' less
-    speeds = slice(2 * N, 4 * N)
-    b = ca.SX.zeros(layout.entries)
-    b[speeds] = give
+    b = ca.vertcat(ca.SX.zeros(2 * N), give, ca.SX.zeros(layout.entries - 4 * N))
     closing = at.cov[motor, motor] + at.cov[link, link] - 2 * at.cov[motor, link]
     impulse = q.impact**2 * ((at.mean[motor] - at.mean[link]) ** 2 + closing)
-    back = ca.SX.zeros(layout.entries)
-    back[: 2 * N] = give * (-late @ at.mean) * side
+    back = ca.vertcat(give * (-late @ at.mean) * side, ca.SX.zeros(layout.entries - 2 * N))
     return Gaussian(at.mean + back, from_upper(at.cov + (impulse * b) @ b.T))
 
 
