@@ -117,10 +117,19 @@ def test_gap_payload_and_friction_are_found_on_the_way(run: uz.Run) -> None:
     assert abs(half / 0.03 - 1) < 0.1
     assert abs(half - 0.03) < 4 * std
     theta, theta_std = run.theta_hat[-1], run.theta_std[-1]
-    assert (np.abs(theta - [0.2, 0.08]) < 4 * theta_std).all()
+    assert (np.abs(theta - [0.2, 0.08, 0.02]) < 4 * theta_std).all()
     link = np.abs(run.z - run.z_hat)[-2000:]
     assert np.sqrt(np.mean(link**2)) < 0.003 < 0.03
     assert run.consistent[-1].all()
+
+
+def test_a_contact_that_is_told_far_too_slow_is_found_firm() -> None:
+    """Wind-up that is not there would put the link elsewhere: 1.7 mrad where firmness is known."""
+    told = uz.simulate(servo(model={"parameters": {"payload": 0.0, "contact1": 60.0}}))
+    half, std = float(told.d_hat[-1].ravel()[0]), float(told.d_std[-1].ravel()[0])
+    assert abs(half / 0.03 - 1) < 0.05
+    assert abs(half - 0.03) < 2 * std
+    assert np.sqrt(np.mean((told.z - told.z_hat)[-2000:] ** 2)) < 0.001
 
 
 def test_engines_agree() -> None:
@@ -144,6 +153,7 @@ def test_before_a_first_reading_nothing_is_foretold() -> None:
         ({"half": [0.06, 0.0]}, "observer.half"),
         ({"half": [0.0, 0.06], "payload": [-1.0, 1.0]}, "observer.payload"),
         ({"half": [0.0, 0.06], "compliance": 0.0}, "observer.compliance"),
+        ({"half": [0.0, 0.06], "contact": 0.5}, "observer.contact"),
     ],
 )
 def test_claims_that_cannot_be_are_refused(changes: dict[str, Any], key: str) -> None:

@@ -8,6 +8,7 @@ payload and friction on the way.
 from __future__ import annotations
 
 from functools import partial
+from itertools import product
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -19,9 +20,8 @@ from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate, Observer, Reading, Traits, estimate
 from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.observers.parts.contact_modes import (
-    Contact as Contacts,
-)
-from undeadzone.observers.parts.contact_modes import (
+    CONSTANTS,
+    Contacts,
     Drive,
     Layout,
     Modes,
@@ -38,17 +38,20 @@ from undeadzone.plants.robots.geared import Geared
 from undeadzone.plants.system import System
 from undeadzone.support.arrays import Array, Floats, array, nonnegative, positive, scalar
 
+FRICTION = ("friction", "f")  # Coulomb's, of motors and of links, as the plant names it
 MOST_COUPLED = 2  # joints with gaps, beyond which there are too many combinations
 RESOLVED = 0.8  # largest product of a Runge-Kutta step and the frequency of contact
+STABLE = 2.0  # the same, beyond which no firmer contact is taken for true
 LEAVING = 800.0  # rate at which a link leaves a flank that pulls [1/s]
 FADING = 0.2  # correlation time of the unknown torque of motors [s]
 LASTING = 0.01  # time for which the unknown torque of links lasts [s]
 COMPLIANCE = 3e-4  # deviation of where a flank is [rad]
 JERK = 1e-3  # variance that the speed of a motor gains in a second [rad^2 / s^3]
 STICKING = 0.03  # time for which what static friction takes lasts [s]
-TURNING = 0.2  # deviation of the torque through the gears, over that unknown torque
+TURNING = 1 / 3  # deviation of the torque through the gears, over that unknown torque
 RESTITUTION = 0.5  # share by which an impulse is off
 LEAST_TORQUE = 0.01  # of what holds the links, least unknown torque
+TURNED = 0.5  # by that, where nothing holds them [rad/s^2]
 MEMORY = 0.2  # time over which innovations are summed [s]
 PATIENCE = 1.0  # time over which the squares of the sums are averaged [s]
 CHANCE = 4.0  # mean square of the sums that is taken for chance
@@ -62,12 +65,15 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         payload: claimed range [lo, hi] of the payload [kg]; default: as the model says.
         centre: standard deviation of the gears' centre about the model's, one or one per joint
             [rad].
-        friction: standard deviation of the motors' Coulomb friction, as a share of the model's.
+        friction: standard deviation of Coulomb friction of motors and links, as a share of the
+            model's.
+        contact: factor by which the frequency of the contacts is off the model's, in one standard
+            deviation.
         noise: rms of a reading, one or one per encoder [rad]; default the sensor's.
-        disturbance: rms of an unknown torque of the motors, one or one per joint [N m]; default 0.6
-            of the model's friction, at least of 1 % of the torque that holds the links.
+        disturbance: rms of an unknown torque of the motors, one or one per joint [N m]; default 0.3
+            of the model's friction, at least 0.6 % of the torque that holds the links.
         load: rms of an unknown torque at the links that lasts 10 ms, one or one per joint [N m];
-            default twice their friction, and at least as above.
+            default 0.75 of their friction, at least 1 % of the torque that holds them.
         drift: random walk of the half gaps [rad / sqrt(s)].
         compliance: standard deviation of where a flank gives way to, which no reading tells [rad].
     """
@@ -78,6 +84,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
     payload: Array | None = None
     centre: Array = 0.0
     friction: float = 0.6
+    contact: float = 2.0
     noise: Array | None = None
     disturbance: Array | None = None
     load: Array | None = None
@@ -99,22 +106,18 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
             )
         fastest = float(np.max(np.asarray(gears.number(gears.values, "contact"))))
         drive = drive_of(gears, Ts, int(np.ceil(Ts * fastest / RESOLVED)))
-        first, numbers = self._numbers(model, gears, Ts, sensor)
+        first, numbers = self._numbers(model, gears, drive, sensor)
         params = Params(first, numbers, sensor.slope, fading(Ts, MEMORY), fading(Ts, PATIENCE))
-        theta = ("payload", *(f"friction{i + 1}" for i in range(gears.size)))
+        each = product(FRICTION, range(1, gears.size + 1))
+        traits = Traits(uncertain=("payload", *(f"{name}{joint}" for name, joint in each)))
         setup = Setup(drive, model, gears, sensor.kind)
-        return Observer(
-            params,
-            partial(_started, setup),
-            partial(_step, setup),
-            traits=Traits(uncertain=theta),
-        )
+        return Observer(params, partial(_started, setup), partial(_step, setup), traits=traits)
 
     def _numbers(
-        self, model: System, gears: Geared, Ts: float, sensor: Zone
+        self, model: System, gears: Geared, drive: Drive, sensor: Zone
     ) -> tuple[Modes, Numbers]:
         """The modes at first and the numbers of the filter. Raises InputError, ShapeError."""
-        N, layout = gears.size, Layout(gears.size)
+        N, layout, Ts = gears.size, drive.layout, drive.Ts
         of, values = layout.of, model.params
 
         def told(name: str) -> Floats:
@@ -125,30 +128,31 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         ranges = _ranges("observer.half", self.half, N)
         mass = float(values[model.names.index("payload")])
         weight = [mass, mass] if self.payload is None else self.payload
-        for name, claimed in (
-            ("half", ranges),
-            ("payload", _ranges("observer.payload", weight, 1)),
-        ):
+        claims = {"half": ranges, "payload": _ranges("observer.payload", weight, 1)}
+        for name, claimed in claims.items():
             low[of(name)], high[of(name)] = claimed.T
             mean[of(name)] = claimed.mean(axis=1)
             std[of(name)] = (claimed[:, 1] - claimed[:, 0]) / np.sqrt(12)
         unknown, loads, inertia = unknown_torques(model, gears, float(mean[of("payload")][0]))
         if self.disturbance is not None:
-            unknown = positive("observer.disturbance", self.disturbance, N, "one per joint") / 0.6
+            unknown = positive("observer.disturbance", self.disturbance, N, "one per joint")
         if self.load is not None:
             loads = nonnegative("observer.load", self.load, N, "one per joint")
-        friction, rotors = told("friction"), told("inertia")
         share = scalar("observer.friction", self.friction, least=0.0)
-        mean[of("friction")], std[of("friction")] = friction, share * friction
-        low[of("friction")] = 0.0
+        for name in FRICTION:
+            mean[of(name)], std[of(name)], low[of(name)] = told(name), share * told(name), 0.0
+        std[of("firmness")] = np.log(scalar("observer.contact", self.contact, least=1.0))
+        stable = np.log(STABLE * drive.substeps / (Ts * told("contact")))
+        high[of("firmness")] = np.fmin(3 * std[of("firmness")], stable)
+        low[of("firmness")] = -3 * std[of("firmness")]
         mean[of("centre")] = told("centre")
         std[of("centre")] = nonnegative("observer.centre", self.centre, N, "one per joint")
-        std[of("push")] = 0.6 * unknown
+        std[of("push")] = unknown
         std[of("motor")], std[of("link")] = 0.02, ranges[:, 1]
         std[of("motor_speed")] = std[of("link_speed")] = 0.05
         Q[of("motor_speed")] = JERK * Ts
         Q[of("link_speed")] = Ts * LASTING * (loads / inertia) ** 2
-        Q[of("push")] = 2 * Ts / FADING * (0.6 * unknown) ** 2
+        Q[of("push")] = 2 * Ts / FADING * unknown**2
         Q[of("half")] = scalar("observer.drift", self.drift, least=0.0) ** 2 * Ts
         rms = sensor.rms if self.noise is None else self.noise
         slack = scalar("observer.compliance", self.compliance, above=0.0) ** 2
@@ -162,8 +166,8 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
             torque=TURNING * unknown,
             leaving=np.asarray(1 - fading(Ts, 1 / LEAVING)),
             impact=np.asarray(RESTITUTION),
-            rest=STICKING * Ts / rotors**2,
-            least=friction,
+            rest=STICKING * Ts / told("inertia") ** 2,
+            least=told("friction"),
         )
 
 
@@ -231,10 +235,9 @@ def unknown_torques(model: System, gears: Geared, payload: float) -> tuple[Float
     held = [np.abs(np.asarray(gears.arm.bias(links, q * np.eye(1, N)[0], rest))) for q in turned]
     inertia = np.diag(np.asarray(gears.arm.mass(links, rest)))
     least = LEAST_TORQUE * np.max(held, axis=0).ravel()
-    motors = np.asarray(gears.number(model.params, "friction"), float).ravel()
-    links_own = 2 * np.array([float(links[names.index(f"f{i + 1}")]) for i in range(N)])
-    nothing = np.where(least > 0, least, inertia)
-    return np.maximum(motors, nothing), np.maximum(links_own, nothing), inertia
+    least = np.where(least > 0, least, TURNED * inertia)
+    motors, own = (np.asarray(gears.number(model.params, name)).ravel() for name in FRICTION)
+    return np.maximum(0.3 * motors, 0.6 * least), np.maximum(0.75 * own, least), inertia
 
 
 def drive_of(gears: Geared, Ts: float, substeps: int) -> Drive:
@@ -249,16 +252,18 @@ def drive_of(gears: Geared, Ts: float, substeps: int) -> Drive:
 
     def known(params: Any, x: Any) -> Any:
         column = ca.SX(params)
-        for name in ("half", "centre", "friction"):
+        for name in CONSTANTS:
             first = gears.names.index(f"{name}1")
             column[first : first + N] = x[layout.of(name)]
+        first = gears.names.index("contact1")
+        column[first : first + N] *= ca.exp(x[layout.of("firmness")])
         column[gears.names.index("payload")] = x[layout.of("payload")]
         return column
 
     def rate(params: Any, x: Any, u: Any, contact: Contacts) -> tuple[Any, Any]:
         push = x[layout.of("push")]
         dx, tau = gears.motion(known(params, x), x[: 4 * N], u + push, ca.DM(contact))
-        constant = ca.SX.zeros(3 * N)
+        constant = ca.SX.zeros(5 * N)
         return ca.vertcat(dx, constant, -push / FADING, 0.0), tau
 
     def mobility(params: Any, x: Any) -> Any:
@@ -291,9 +296,9 @@ def _step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> tuple[
 
 
 def _unbound(layout: Layout, q: Numbers, belief: Gaussian) -> Any:
-    """Whether no gap and no payload is pressed against the end of its claimed range."""
+    """Whether no gap, payload or firmness is pressed against the end of its claimed range."""
     bound = ca.SX(0.0)
-    for name in ("half", "payload"):
+    for name in ("half", "payload", "firmness"):
         low, high, value = (column[layout.of(name)] for column in (q.low, q.high, belief.mean))
         off = ca.fmin(value - low, high - value)
         bound += ca.sum1(ca.logic_and(high > low, off <= 0))
@@ -307,34 +312,31 @@ def _shown(setup: Setup, q: Params, told: Told, reading: Reading) -> Estimate:
     both = ca.SX.zeros(setup.model.p - N)  # of encoders at the motors too, which hide nothing
     half, centre = mean[of("half")], mean[of("centre")]
     right, left = ca.vertcat(half + centre, both), ca.vertcat(half - centre, both)
-    xi = mean[:N] - mean[N : 2 * N] + centre
+    xi, unseen = mean[:N] - mean[N : 2 * N] + centre, 0.0
     if setup.gears.measured == "motor":  # a link that is not seen is never beyond a flank
-        xi = ca.fmax(ca.fmin(xi, half), -half)
+        xi, unseen = ca.fmax(ca.fmin(xi, half), -half), q.modes.slack
     link = mean[:N] + centre - xi
     x = ca.vertcat(mean[:N], link, mean[2 * N : 4 * N])
-    z = setup.model.output(q.modes.model, x)
     std = partial(_deviations, told.whole)
-    sides = ca.DM([list(mode) for mode in layout.modes])
-    contact = sides.T @ ca.vertcat(*told.chances)
+    contact = ca.DM([list(mode) for mode in layout.modes]).T @ ca.vertcat(*told.chances)
     give = ca.vertcat(q.modes.slack * ca.SX.ones(N), both)
-    halves, centres = (ca.DM.eye(layout.entries)[of(name), :] for name in ("half", "centre"))
+    rows = ca.DM.eye(layout.entries)
+    halves, centres = (rows[of(name), :] for name in ("half", "centre"))
+    z = setup.model.output(q.modes.model, x)
     shown = estimate(x, z, right, left, reading, q.slope, setup.kind, told.e)
     push = mean[of("push")] / setup.gears.number(q.modes.model, "inertia")
-    free = ca.SX.zeros(2 * N)
-    names = ("payload", "friction")
-    variances = std(ca.DM.eye(layout.entries)[: 4 * N, :])
+    names = ("payload", *FRICTION)
+    variances = std(rows[: 4 * N, :])
     known = ca.fmin(variances[N : 2 * N], half**2 + variances[:N] + std(halves) + std(centres))
     return shown._replace(
-        x_std=ca.sqrt(ca.vertcat(variances[:N], known, variances[2 * N : 4 * N])),
+        x_std=ca.sqrt(ca.vertcat(variances[:N], known + unseen, variances[2 * N : 4 * N])),
         right_std=ca.sqrt(ca.vertcat(std(halves + centres), both) + give),
         left_std=ca.sqrt(ca.vertcat(std(halves - centres), both) + give),
         width_std=2 * ca.sqrt(ca.vertcat(std(halves), both) + give),
         innovation_std=told.std,
-        w=ca.vertcat(free, push, ca.SX.zeros(N)),
+        w=ca.vertcat(ca.SX.zeros(2 * N), push, ca.SX.zeros(N)),
         theta=ca.vertcat(*(mean[of(name)] for name in names)),
-        theta_std=ca.sqrt(
-            ca.vertcat(*(std(ca.DM.eye(layout.entries)[of(name), :]) for name in names))
-        ),
+        theta_std=ca.sqrt(ca.vertcat(*(std(rows[of(name), :]) for name in names))),
         contact=ca.vertcat((contact > 0.5) - (contact < -0.5), both),
     )
 

@@ -1,8 +1,9 @@
 """A filter of contacts: motors and links with gaps between them, each joint in one of three modes.
 
 A joint touches its right flank (1), runs free in the gap (0) or touches its left flank (-1). Each
-combination is an extended Kalman filter of x = [theta; q; theta'; q'; a; c; f; w; payload] with the
-contacts held, and a chance. A link leaves a flank where the torque through it changes its sign; it
+combination is an extended Kalman filter of x = [theta; q; theta'; q'; a; c; friction; f; k; w;
+payload] with the contacts held, f the friction of links, k the log of a contact's frequency over
+the model's, and a chance. A link leaves a flank where the torque through it changes its sign; it
 reaches one by first passage (`numerics.first_passage`), which is where the gap is measured. What
 comes together in a mode is merged by its moments (interacting multiple models, Blom and Bar-Shalom
 1988, with changes that hang on the state). docs/methods/contact.md derives the weights.
@@ -20,12 +21,15 @@ import numpy as np
 from undeadzone.ends.sensor import present
 from undeadzone.numerics.first_passage import arriving, at_edge, beyond
 from undeadzone.numerics.gaussian import (
+    Bound,
     Gaussian,
     advance,
     below,
+    cut,
     from_upper,
     mixed,
     symmetric,
+    together,
     triangle,
     update_unless_glitch,
 )
@@ -33,13 +37,18 @@ from undeadzone.numerics.runge_kutta import rk4_change
 from undeadzone.observers.parts.model_bank import weighted_mean
 from undeadzone.support.arrays import Floats
 
-Contact = tuple[int, ...]  # of each joint: 1, 0 or -1
+Contacts = tuple[int, ...]  # of each joint: 1, 0 or -1
+MOTION = ("motor", "link", "motor_speed", "link_speed")
+CONSTANTS = ("half", "centre", "friction", "f")  # named as the plant's parameters
+QUANTITIES = (*MOTION, *CONSTANTS, "firmness", "push")  # of each joint
 SMALL = 1e-6  # least chance that a link is in its gap
 NONE = 1e-12  # chance below which nothing comes to a mode
 LEAST = 1e-7  # chance of a mode below which it is dropped
 WIDE = 4.0  # half gaps of deviation beyond which a free link may be anywhere in the gap
 FAR = 3.0  # deviations beyond which a belief off an edge says little of it
 MOST = 60.0  # largest difference of logs of chances
+LATE = 0.95  # chance under the uncut belief of being beyond a flank, from which it is cut
+SURE = 3.0  # deviations from a flank beyond which it cuts nothing
 RESTING = 0.1  # speed below which a motor may be at rest [rad/s]
 
 
@@ -54,19 +63,18 @@ class Layout(NamedTuple):
 
     def of(self, name: str) -> slice:
         """The entries of one quantity."""
-        names = ("motor", "link", "motor_speed", "link_speed", "half", "centre", "friction", "push")
         if name == "payload":
-            return slice(8 * self.size, 8 * self.size + 1)
-        first = names.index(name) * self.size
+            return slice(self.entries - 1, self.entries)
+        first = QUANTITIES.index(name) * self.size
         return slice(first, first + self.size)
 
     @property
     def entries(self) -> int:
         """How many numbers x has."""
-        return 8 * self.size + 1
+        return len(QUANTITIES) * self.size + 1
 
     @property
-    def modes(self) -> list[Contact]:
+    def modes(self) -> list[Contacts]:
         """Every combination of contacts."""
         return list(itertools.product((1, 0, -1), repeat=self.size))
 
@@ -76,6 +84,10 @@ class Layout(NamedTuple):
         for name, sign in (("motor", side), ("link", -side), ("centre", side), ("half", -1)):
             row[0, self.of(name).start + joint] = sign
         return ca.sparsify(ca.DM(row))
+
+    def edges(self, joint: int) -> list[ca.DM]:
+        """The rows of its right and its left flank."""
+        return [self.edge(joint, side) for side in (1, -1)]
 
 
 class Drive(NamedTuple):
@@ -93,7 +105,7 @@ class Drive(NamedTuple):
     """
 
     layout: Layout
-    rate: Callable[[Any, Any, Any, Contact], tuple[Any, Any]]
+    rate: Callable[[Any, Any, Any, Contacts], tuple[Any, Any]]
     mobility: Callable[[Any, Any], Any]
     readings: tuple[int, ...]
     Ts: float
@@ -192,11 +204,9 @@ def beliefs_of(drive: Drive, s: Modes, y: Any) -> tuple[list[Gaussian], Any]:
         s: the state.
         y: readings (p).
     """
-    layout, N = drive.layout, drive.layout.size
+    layout, N, whole = drive.layout, drive.layout.size, ca.mmin(present(y))
     entries = ca.Sparsity.upper(layout.entries)
-    whole = ca.mmin(present(y))
-    first = ca.logic_and(s.begun < 0.5, whole)
-    angle = ca.if_else(first, y[:N], 0.0)
+    angle = ca.if_else(ca.logic_and(s.begun < 0.5, whole), y[:N], 0.0)
     shift = ca.vertcat(angle, angle, ca.SX.zeros(layout.entries - 2 * N))
     beliefs = []
     for mean, cov in zip(s.means, s.covs, strict=True):
@@ -239,9 +249,9 @@ class Read(NamedTuple):
     std: Any
 
 
-def _read(drive: Drive, q: Numbers, contact: Contact, foretold: Gaussian, y: Any) -> Read:
+def _read(drive: Drive, q: Numbers, contact: Contacts, foretold: Gaussian, y: Any) -> Read:
     """One mode after the readings, with its numbers within their bounds."""
-    belief, log, innovations, deviations = foretold, ca.SX(0.0), [], []
+    belief, log, readings = foretold, ca.SX(0.0), []
     for row, entry in enumerate(drive.readings):
         seen = present(y[row])
         h = ca.DM(1, drive.layout.entries)
@@ -250,15 +260,15 @@ def _read(drive: Drive, q: Numbers, contact: Contact, foretold: Gaussian, y: Any
         told = update_unless_glitch(belief, h, e, q.R[row], seen, None, 0.0)
         belief = told.belief
         log += ca.if_else(seen, -((e / told.std) ** 2) / 2 - ca.log(told.std), 0.0)
-        innovations.append(e)
-        deviations.append(told.std)
+        readings.append(told)
     for one, sign in ((belief, 1), (foretold, -1)):
         log += sign * _within(drive.layout, contact, one, q.slack)
     bounded = Gaussian(ca.fmax(ca.fmin(belief.mean, q.high), q.low), belief.cov)
-    return Read(bounded, log, ca.vertcat(*innovations), ca.vertcat(*deviations))
+    columns = together(readings)
+    return Read(bounded, log, columns.e, columns.std)
 
 
-def _within(layout: Layout, contact: Contact, belief: Gaussian, slack: Any) -> Any:
+def _within(layout: Layout, contact: Contacts, belief: Gaussian, slack: Any) -> Any:
     """The log of the chance that the links in their gaps are between their flanks.
 
     By as much as readings raise it, they speak for a mode whose belief is uncut.
@@ -273,8 +283,7 @@ def _within(layout: Layout, contact: Contact, belief: Gaussian, slack: Any) -> A
 
 def _beyond(layout: Layout, joint: int, belief: Gaussian, slack: Any) -> list[Any]:
     """The chances that a link is beyond its right and its left flank, under the uncut belief."""
-    edges = [layout.edge(joint, side) for side in (1, -1)]
-    return [beyond(belief, h, h @ belief.mean, slack) for h in edges]
+    return [beyond(belief, h, h @ belief.mean, slack) for h in layout.edges(joint)]
 
 
 def one_or_other(use: Any, one: Gaussian, other: Gaussian) -> Gaussian:
@@ -315,18 +324,16 @@ def predicted(drive: Drive, q: Numbers, told: Told, u: Any) -> list[Mode]:
     now = [Mode(*each) for each in zip(told.chances, told.beliefs, strict=True)]
     signs = [_leaving(drive, q, mode, one, u) for mode, one in zip(modes, now, strict=True)]
     for joint in range(drive.layout.size):
-        now, signs = _released(drive.layout, joint, now, signs)
+        now, signs = _released(drive, q, joint, now, signs)
     after = [_moved(drive, q, mode, one, u) for mode, one in zip(modes, now, strict=True)]
-    arrivals = [
-        _arrivals(drive.layout, mode, one.belief, later.belief, q.slack)
-        for mode, one, later in zip(modes, now, after, strict=True)
-    ]
+    each = zip(modes, now, after, strict=True)
+    arrivals = [_arrivals(drive.layout, q.slack, *ways) for ways in each]
     for joint in range(drive.layout.size):
         after, arrivals = _caught(drive, q, joint, after, arrivals)
     return after
 
 
-def _change(drive: Drive, q: Numbers, contact: Contact, u: Any) -> Callable[[Any], Any]:
+def _change(drive: Drive, q: Numbers, contact: Contacts, u: Any) -> Callable[[Any], Any]:
     """By how much x changes in a sample, contacts held."""
     h = drive.Ts / drive.substeps
 
@@ -340,7 +347,7 @@ def _change(drive: Drive, q: Numbers, contact: Contact, u: Any) -> Callable[[Any
     return change
 
 
-def _leaving(drive: Drive, q: Numbers, contact: Contact, one: Mode, u: Any) -> Any:
+def _leaving(drive: Drive, q: Numbers, contact: Contacts, one: Mode, u: Any) -> Any:
     """The share of a mode of which each joint leaves its flank in the sample (N).
 
     It does where the torque through the gears, in the middle of the sample, pulls. What leaves is
@@ -364,24 +371,41 @@ def _sides(layout: Layout, joint: int) -> list[dict[int, int]]:
 
 
 def _released(
-    layout: Layout, joint: int, modes: list[Mode], leaving: list[Any]
+    drive: Drive, q: Numbers, joint: int, modes: list[Mode], leaving: list[Any]
 ) -> tuple[list[Mode], list[Any]]:
     """The modes, and the shares that leave, after one joint has left its flanks."""
     after, shares = list(modes), list(leaving)
-    for places in _sides(layout, joint):
-        gap, parts, left = places[0], [modes[places[0]]], [leaving[places[0]]]
+    for places in _sides(drive.layout, joint):
+        gap, parts, left = places[0], [], []
         for side in (1, -1):
             here = modes[places[side]]
             share = leaving[places[side]][joint]
             after[places[side]] = here._replace(chance=here.chance * (1 - share))
             parts.append(here._replace(chance=here.chance * share))
             left.append(leaving[places[side]])
+        parts = [*_resident(drive, q, joint, modes[gap], sum(one.chance for one in parts)), *parts]
+        left = [leaving[gap], leaving[gap], *left]
         after[gap], weights = _merged(parts)
         shares[gap] = weighted_mean(weights, left)
     return after, shares
 
 
-def _moved(drive: Drive, q: Numbers, contact: Contact, one: Mode, u: Any) -> Mode:
+def _resident(drive: Drive, q: Numbers, joint: int, gap: Mode, come: Any) -> list[Mode]:
+    """What is in a gap to which others come with a chance, in two parts: uncut, and cut to the gap.
+
+    Uncut it tells the first passage. Yet whatever has not arrived is in the gap: what comes would
+    be merged with one that has long been elsewhere, and go with it. So it is cut in the share in
+    which others come, and wholly, once, where hardly anything of the uncut belief is in the gap.
+    """
+    belief = gap.belief
+    bounds = [Bound(h, h @ belief.mean, 1.0) for h in drive.layout.edges(joint)]
+    inside = cut(belief, bounds, q.slack, SURE).belief
+    late = sum(_beyond(drive.layout, joint, belief, q.slack)) > LATE
+    share = ca.if_else(late, 1.0, come / ca.fmax(gap.chance + come, NONE))
+    return [gap._replace(chance=gap.chance * (1 - share)), Mode(gap.chance * share, inside)]
+
+
+def _moved(drive: Drive, q: Numbers, contact: Contacts, one: Mode, u: Any) -> Mode:
     """One mode a sample later, contacts held."""
     layout = drive.layout
     motors = layout.of("motor_speed")
@@ -393,7 +417,7 @@ def _moved(drive: Drive, q: Numbers, contact: Contact, one: Mode, u: Any) -> Mod
     return Mode(one.chance, Gaussian(after.mean, after.cov + ca.diag(slack)))
 
 
-def _arrivals(layout: Layout, contact: Contact, start: Gaussian, end: Gaussian, slack: Any) -> Any:
+def _arrivals(layout: Layout, slack: Any, contact: Contacts, start: Mode, end: Mode) -> Any:
     """The shares of a mode that reach the right and the left flank of each joint (N x 2).
 
     Where the uncut belief is much wider than the gap it says nothing more of what is in it.
@@ -401,10 +425,10 @@ def _arrivals(layout: Layout, contact: Contact, start: Gaussian, end: Gaussian, 
     shares = ca.SX.zeros(layout.size, 2)
     for joint in range(layout.size):
         if contact[joint] == 0:
-            before, now = (_beyond(layout, joint, one, slack) for one in (start, end))
+            before, now = (_beyond(layout, joint, one.belief, slack) for one in (start, end))
             across = layout.edge(joint, 1)
-            most = WIDE * end.mean[layout.of("half")][joint]
-            lost = across @ end.cov @ across.T > most**2 + slack
+            most = WIDE * end.belief.mean[layout.of("half")][joint]
+            lost = across @ end.belief.cov @ across.T > most**2 + slack
             shares[joint, :] = ca.horzcat(*arriving(before, now, lost))
     return shares
 
@@ -456,27 +480,21 @@ def struck(drive: Drive, q: Numbers, joint: int, side: int, belief: Gaussian) ->
     direction = drive.mobility(q.model, at.mean)[:, joint]
     N = layout.size
     give = direction / (direction[N + joint] - direction[joint])  # a unit of theta' - q' less
-    speeds = slice(2 * N, 4 * N)
-    b = ca.SX.zeros(layout.entries)
-    b[speeds] = give
+    b = ca.vertcat(ca.SX.zeros(2 * N), give, ca.SX.zeros(layout.entries - 4 * N))
     closing = at.cov[motor, motor] + at.cov[link, link] - 2 * at.cov[motor, link]
     impulse = q.impact**2 * ((at.mean[motor] - at.mean[link]) ** 2 + closing)
-    back = ca.SX.zeros(layout.entries)
-    back[: 2 * N] = give * (-late @ at.mean) * side
+    back = ca.vertcat(give * (-late @ at.mean) * side, ca.SX.zeros(layout.entries - 2 * N))
     return Gaussian(at.mean + back, from_upper(at.cov + (impulse * b) @ b.T))
 
 
 def packed(drive: Drive, moved: list[Mode], s: Modes, begun: Any) -> Modes:
     """The state at the next sample; before a first whole sample it stays as it is."""
     entries = ca.Sparsity.upper(drive.layout.entries)
+
+    def kept(new: Any, old: Any) -> Any:
+        return ca.if_else(begun > 0.5, new, old)
+
     chances = ca.vertcat(*normalised([one.chance for one in moved]))
-    means = [
-        ca.if_else(begun > 0.5, one.belief.mean, old)
-        for one, old in zip(moved, s.means, strict=True)
-    ]
-    covs = [
-        ca.if_else(begun > 0.5, triangle(one.belief.cov, entries), old)
-        for one, old in zip(moved, s.covs, strict=True)
-    ]
-    kept = ca.if_else(begun > 0.5, chances, s.chances)
-    return Modes(kept, tuple(means), tuple(covs), begun)
+    means = map(kept, [one.belief.mean for one in moved], s.means)
+    covs = map(kept, [triangle(one.belief.cov, entries) for one in moved], s.covs)
+    return Modes(kept(chances, s.chances), tuple(means), tuple(covs), begun)
