@@ -16,11 +16,21 @@ import numpy as np
 
 from undeadzone.interfaces import Estimate, Observer, Reading, Traits
 from undeadzone.observers.parts.gaussian_filter import Params
+from undeadzone.observers.parts.scores import (
+    FORETOLD,
+    Scores,
+    as_bits,
+    refuted,
+    scored,
+    stretch,
+    unscored,
+)
 from undeadzone.plants.system import System
 
 FAR = 4.5  # standard deviations beyond which an innovation says nothing of a constant
 NO_TRAITS = Traits()
 REFUTED = 3.0  # of what is taken for chance: beyond it, a claim that knows no constant is false
+BEYOND = 1.01  # by how much a width outside its range refutes that: other claims go before it
 LOST = 0.5  # share of refused readings beyond which nothing is known any more
 
 
@@ -117,6 +127,7 @@ class Record(NamedTuple):
         constant: largest |offset| since the claims were refuted, 0 before (p) [z]; empty for a
             filter that knows of constants, and so recovers.
         opened: 1 once the belief was opened (1); empty as `constant` is.
+        scores: of what innovations depend on.
     """
 
     total: Any
@@ -128,6 +139,7 @@ class Record(NamedTuple):
     restarts: Any
     constant: Any
     opened: Any
+    scores: Scores
 
 
 class State(NamedTuple):
@@ -168,7 +180,7 @@ def judged(
     def init(q: Params) -> State:
         none, once = np.zeros(p), np.zeros(1)
         kept = (np.zeros(0), np.zeros(0)) if recovers else (none, once)
-        record = Record(none, none, np.ones(p), none, none, none, once, *kept)
+        record = Record(none, none, np.ones(p), none, none, none, once, *kept, unscored(p))
         return State(member.init(q), record)
 
     smoothing = None
@@ -197,9 +209,13 @@ def judged_step(
     A restart shows at the next sample: it may come from the input, on which no estimate depends.
     """
     step = setup.member.step(q, s.filter, u, reading)
-    record = recorded(q, s.record, step)
+    record = recorded(q, s.record, step, u, reading)
+    ratios = refutations(q, record) | {"range": ca.if_else(step.fits > 0.5, 0.0, BEYOND)}
+    bits, suspect = as_bits(ratios)
     estimated = step.estimate._replace(
-        consistent=ca.logic_and(step.fits > 0.5, fitting(q, record)),
+        consistent=bits == 0,
+        claims=bits,
+        suspect=suspect,
         refused=record.refused,
         restarts=record.restarts,
     )
@@ -217,12 +233,12 @@ def begun_anew(record: Record, restarted: Any) -> Record:
     )
 
 
-def recorded(q: Params, record: Record, step: Step) -> Record:
+def recorded(q: Params, record: Record, step: Step, u: Any, reading: Reading) -> Record:
     """The record after one more sample: of innovations that are used and not far off."""
     e, std = step.estimate.innovation, step.estimate.innovation_std
     used = e != 0
     nu = ca.if_else(used, e / std, 0.0)
-    counted = ca.logic_and(used, ca.fabs(nu) <= FAR)
+    counted, far = ca.logic_and(used, ca.fabs(nu) <= FAR), ca.fabs(nu) > FORETOLD
     fade = q.doubt.fade
     before = Sums(record.total, record.count, record.ratio)
     sums = summed(before, ca.if_else(counted, nu, 0.0), counted, fade, q.doubt.keep)
@@ -245,13 +261,22 @@ def recorded(q: Params, record: Record, step: Step) -> Record:
         restarts=record.restarts,
         constant=constant,
         opened=opened,
+        scores=scored(q.doubt, record.scores, counted * nu, counted, far, reading, u),
     )
+
+
+def refutations(q: Params, record: Record) -> dict[str, Any]:
+    """By how much each claim but that of ranges is refuted: above 1 it is."""
+    lasting = ca.mmax(record.ratio) / q.doubt.most
+    if record.constant.numel():
+        lasting = ca.if_else(ca.sum1(record.constant) > 0, ca.fmax(lasting, REFUTED), lasting)
+    found = {"gust": lasting, "glitches": ca.mmax(record.share) / LOST}
+    return found | refuted(record.scores)
 
 
 def fitting(q: Params, record: Record) -> Any:
     """Whether the innovations fit the claims, and most readings were not refused."""
-    fits = ca.logic_and(ca.mmax(record.ratio) <= q.doubt.most, ca.mmax(record.share) <= LOST)
-    return ca.logic_and(fits, ca.sum1(record.constant) == 0) if record.constant.numel() else fits
+    return as_bits(refutations(q, record))[0] == 0
 
 
 def widened(model: System, q: Params, record: Record, estimated: Estimate) -> Estimate:
@@ -263,7 +288,8 @@ def widened(model: System, q: Params, record: Record, estimated: Estimate) -> Es
     knows of no constants takes one for a centre: once its claims are refuted, both last.
     """
     worst = ca.mmax(record.ratio)
-    factor = ca.if_else(worst > q.doubt.most, ca.sqrt(worst), 1.0)
+    worst = ca.fmax(ca.if_else(worst > q.doubt.most, worst, 1.0), stretch(record.scores))
+    factor = ca.sqrt(worst)
     fits = fitting(q, record)
     off = ca.if_else(fits, 0.0, ca.fabs(record.offset))
     lost = ca.mmax(record.share) > LOST
