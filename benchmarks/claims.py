@@ -6,7 +6,6 @@ Each row takes honest problems and makes one claim about sensor, noise or plant 
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -112,7 +111,9 @@ def off(rng: np.random.Generator, posed: Problems) -> Problems:
     """A tenth of the readings is off by a part of a width."""
     sign = rng.choice([-1.0, 1.0], posed.y.shape)
     wrong = sign * OFF * posed.d.mean(axis=1)
-    return posed._replace(y=np.where(rng.uniform(size=posed.y.shape) < 0.1, posed.y + wrong, posed.y))
+    return posed._replace(
+        y=np.where(rng.uniform(size=posed.y.shape) < 0.1, posed.y + wrong, posed.y)
+    )
 
 
 def lagging(rng: np.random.Generator, posed: Problems) -> Problems:

@@ -84,9 +84,7 @@ class Plants(NamedTuple):
     feedback: Floats
 
 
-def problems(
-    kind: Kind, order: int, count: int, seed: int, claimed: World = CLAIMED
-) -> Problems:
+def problems(kind: Kind, order: int, count: int, seed: int, claimed: World = CLAIMED) -> Problems:
     """Problems of a kind.
 
     Args:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, Final, Literal, NamedTuple
 
 import casadi as ca
@@ -220,6 +220,7 @@ _OF_FIELDS = Estimate(
     gap_std=Quantity("standard deviation of gap_right + gap_left", "output", "gap_std", float),
 )
 
+
 class Claim(NamedTuple):
     """What may turn out false of what an observer is told.
 
@@ -243,9 +244,7 @@ CLAIMS: Final = {
         "the readings on the right and on the left part: a width moves",
         "raise observer.drift",
     ),
-    "bias": Claim(
-        "the readings lie to one side of what was foretold", "raise observer.bias"
-    ),
+    "bias": Claim("the readings lie to one side of what was foretold", "raise observer.bias"),
     "dynamics": Claim(
         "the readings answer changes of the input too late or too early",
         "give the model the lag or delay that is missing, or raise observer.tolerance",
@@ -272,6 +271,11 @@ def false_claims(bits: float, suspect: float) -> list[str]:
     names = list(CLAIMS)
     found = [name for k, name in enumerate(names) if int(bits) >> k & 1]
     return sorted(found, key=lambda name: names.index(name) != suspect - 1)
+
+
+def claims_in_words(names: Iterable[str]) -> list[str]:
+    """What the readings say of claims that they refute, and the cure of each."""
+    return [f"{CLAIMS[name].words}: {CLAIMS[name].cure}" for name in names]
 
 
 QUANTITIES: Final[dict[str, Quantity]] = _OF_FIELDS._asdict()

@@ -256,7 +256,7 @@ def white(model: System, variance: Floats) -> Augmentation:
 
 ROUNDING = 1e-12  # of a variance
 FAR = 2.3  # standard deviations beyond its range from which a width refutes its claims
-BEYOND = 1.6  # the same of what readings alone say, whose range is no prior of theirs
+BEYOND = 1.4  # the same of what readings alone say, whose range is no prior of theirs
 
 
 class Setup(NamedTuple):
@@ -359,7 +359,7 @@ def ambiguous(stronger: Gaussian, weaker: Gaussian, share: Any) -> Gaussian:
 
 
 def excess_alone(n: int, q: Params, belief: Gaussian) -> Any:
-    """Square of how far the readings alone put each width beyond its range (2p); 0 if they may not.
+    """Square of how far the readings alone put some width beyond its range; 0 if they may not.
 
     A belief is the product of its prior, of the variance of a uniform distribution over the range,
     and of what the readings say; a prior that is divided out pulls no mean into the range.
@@ -371,7 +371,7 @@ def excess_alone(n: int, q: Params, belief: Gaussian) -> Any:
     share = variance / ca.fmax(told, variance)
     mean = mean + share * (mean - (low + high) / 2)
     excess = mean - ca.fmax(ca.fmin(mean, high), low)
-    return ca.if_else(excess**2 > BEYOND**2 * (1 + share) * variance, excess**2, 0.0)
+    return ca.mmax(ca.if_else(excess**2 > BEYOND**2 * (1 + share) * variance, excess**2, 0.0))
 
 
 def clipped(
@@ -386,7 +386,7 @@ def clipped(
         q: the filter's numbers.
         belief: about [x; d; extra].
         doubts: whether the variance gains anything.
-        alone: what variances gain at least, as `excess_alone` (2p).
+        alone: what variances of states and widths gain at least, as `excess_alone`.
     """
     count = q.ranges.shape[0]
     widths = belief.mean[n : n + count]
@@ -398,7 +398,7 @@ def clipped(
     cov = belief.cov
     if doubts:
         rest = cov.shape[0] - n - count
-        cov = cov + ca.diagcat(ca.SX(n, n), ca.diag(gained), ca.SX(rest, rest))
+        cov = cov + ca.diagcat(alone * ca.SX.eye(n), ca.diag(gained), ca.SX(rest, rest))
     return Gaussian(mean, cov), ca.mmax(gained) == 0
 
 

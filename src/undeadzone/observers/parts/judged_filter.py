@@ -21,6 +21,7 @@ from undeadzone.observers.parts.scores import (
     Scores,
     as_bits,
     refuted,
+    resting,
     scored,
     stretch,
     unscored,
@@ -31,6 +32,7 @@ FAR = 4.5  # standard deviations beyond which an innovation says nothing of a co
 NO_TRAITS = Traits()
 REFUTED = 3.0  # of what is taken for chance: beyond it, a claim that knows no constant is false
 BEYOND = 1.01  # by how much a width outside its range refutes that: other claims go before it
+DOUBTFUL = 0.7  # of what is taken for chance, from which deviations are shown larger
 LOST = 0.5  # share of refused readings beyond which nothing is known any more
 
 
@@ -261,7 +263,7 @@ def recorded(q: Params, record: Record, step: Step, u: Any, reading: Reading) ->
         restarts=record.restarts,
         constant=constant,
         opened=opened,
-        scores=scored(q.doubt, record.scores, counted * nu, counted, far, reading, u),
+        scores=scored(q, record.scores, counted * nu, counted, far, reading, u),
     )
 
 
@@ -271,7 +273,7 @@ def refutations(q: Params, record: Record) -> dict[str, Any]:
     if record.constant.numel():
         lasting = ca.if_else(ca.sum1(record.constant) > 0, ca.fmax(lasting, REFUTED), lasting)
     found = {"gust": lasting, "glitches": ca.mmax(record.share) / LOST}
-    return found | refuted(record.scores)
+    return found | refuted(q.doubt, record.scores)
 
 
 def fitting(q: Params, record: Record) -> Any:
@@ -288,17 +290,18 @@ def widened(model: System, q: Params, record: Record, estimated: Estimate) -> Es
     knows of no constants takes one for a centre: once its claims are refuted, both last.
     """
     worst = ca.mmax(record.ratio)
-    worst = ca.fmax(ca.if_else(worst > q.doubt.most, worst, 1.0), stretch(record.scores))
-    factor = ca.sqrt(worst)
+    worst = ca.if_else(worst > DOUBTFUL * q.doubt.most, worst, 1.0)
+    factor = ca.sqrt(ca.fmax(worst, stretch(q.doubt, record.scores)))
     fits = fitting(q, record)
     off = ca.if_else(fits, 0.0, ca.fabs(record.offset))
+    off = ca.fmax(off, resting(q.doubt, record.scores))
     lost = ca.mmax(record.share) > LOST
     if record.constant.numel():
         off = ca.fmax(off, record.constant)
         lost = ca.logic_or(lost, record.opened * ca.sum1(record.constant) > 0)
 
     def shown(std: Any, off: Any, least: Any) -> Any:
-        wider = ca.if_else(fits, std, ca.sqrt((factor * std) ** 2 + off**2))
+        wider = ca.if_else(fits, factor * std, ca.sqrt((factor * std) ** 2 + off**2))
         return ca.if_else(lost, ca.fmax(wider, least), wider)
 
     n, p = model.n, model.p

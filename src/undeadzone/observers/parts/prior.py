@@ -242,7 +242,8 @@ PATIENCE = 0.54  # quarter periods over which the share of refused readings is a
 FEWEST = 6.0  # readings over which it is averaged at least
 # Mean square of the sums of innovations that is taken for chance: where the disturbance is claimed,
 # and where it is a default, whose colour is not that of the true one.
-CHANCE, CHANCE_OF_DEFAULTS = 2.4, 4.0
+CHANCE, CHANCE_OF_DEFAULTS = 2.3, 4.0
+SCORE, SCORE_OF_DEFAULTS = 3.3**2, 3.8**2  # the same of the squares of scores
 STAYS = 3.0  # rms of its noise within which a reading stays
 HISTORY = 8.0  # quarter periods over which the squares of the sums are averaged
 
@@ -260,7 +261,8 @@ class Doubt(NamedTuple):
         std: standard deviations of [x; d_r; d_l] before the first reading (n + 2p).
         forget: share of the mean share of refused readings that is left after a reading.
         most: mean square of the sums of innovations that is taken for chance.
-        stays: change of a reading that is none, and |y| beyond which it counts (p) [y]; 0 of a play.
+        limit: square of a score that is taken for chance.
+        stays: change of a reading that is none, and |y| from which it counts (p) [y]; 0: never.
         push: what an input shows in z after a quarter period (p x m).
     """
 
@@ -273,6 +275,7 @@ class Doubt(NamedTuple):
     std: Floats
     forget: Floats
     most: Floats
+    limit: Floats
     stays: Floats
     push: Floats
 
@@ -304,6 +307,7 @@ def doubt_numbers(
         std=prior.std,
         forget=np.exp(-1 / max(PATIENCE * quarter / model.Ts, FEWEST)),
         most=np.asarray(CHANCE if claimed else CHANCE_OF_DEFAULTS),
+        limit=np.asarray(SCORE if claimed else SCORE_OF_DEFAULTS),
         stays=0.0 if sensor.moves else STAYS * np.sqrt(prior.R) * sensor.slope * noisy,
         push=model.flow.C @ zoh(model.flow, quarter).B,
     )

@@ -15,13 +15,18 @@ import numpy as np
 from undeadzone.ends.sensor import present
 from undeadzone.interfaces import CLAIMS, Reading
 
-LIMIT = 3.2  # standard deviations of a score from which its claim is refuted
-NOISY = 4.0  # the same of the size of innovations, one-sided
+NOISY = 4.0  # standard deviations of the size of innovations from which it refutes the noise
 HELD = 0.01  # share of readings that stay where z^ moves on, likewise
+FEWEST = 4.0  # how many of these there must be of late
+ENOUGH = 10.0  # innovations from which a score is a normal number, however far one of them is
+LEAST = 1e-300  # sum of squares of what was not seen yet
 FORETOLD = 3.0  # deviations beyond which a reading is not what was foretold
 MOST = 1e100  # of what an input shows in z: its square is finite
 # By how much a claim that is refuted goes before others: innovations are large whatever is false.
 SHARP = {"noise": 1 / 6, "sensor": 1.7, "dynamics": 1.2}
+
+# Share of the square of a score that multiplies variances: what is missed is absorbed in part.
+WIDER = {"bias": 1 / 4, "width": 1 / 4, "slope": 1.0, "dynamics": 1 / 9}
 
 
 class Scores(NamedTuple):
@@ -35,6 +40,7 @@ class Scores(NamedTuple):
             variance of that.
         rise, rise_square: of nu times what the last change of the input shows, likewise.
         held: share of readings that stay though they were foretold to move.
+        rest: the same times where they stay [z].
         last: reading before [y].
         input, level: what the last input shows in z, and its mean of late [z].
         change: of `input`, at the last sample [z].
@@ -49,6 +55,7 @@ class Scores(NamedTuple):
     rise: Any
     rise_square: Any
     held: Any
+    rest: Any
     last: Any
     input: Any
     level: Any
@@ -60,13 +67,11 @@ def unscored(p: int) -> Scores:
     return Scores(*[np.zeros(p)] * len(Scores._fields))
 
 
-def scored(
-    doubt: Any, s: Scores, nu: Any, counted: Any, far: Any, reading: Reading, u: Any
-) -> Scores:
+def scored(q: Any, s: Scores, nu: Any, counted: Any, far: Any, reading: Reading, u: Any) -> Scores:
     """The sums after one more sample.
 
     Args:
-        doubt: numbers of the doubt, `Doubt`.
+        q: the filter's numbers.
         s: the sums before it.
         nu: normalised innovations, 0 where none counts (p).
         counted: whether one counts (p).
@@ -74,7 +79,7 @@ def scored(
         reading: what was read.
         u: the input from now on (m), which no score knows before the next sample.
     """
-    keep = doubt.keep
+    doubt, keep = q.doubt, q.doubt.keep
     y = ca.if_else(present(reading.y), reading.y, 0.0)
     lift, rise = counted * (s.input - s.level), counted * s.change
     stays = ca.logic_and(ca.fabs(y - s.last) < doubt.stays, ca.fabs(y) > doubt.stays)
@@ -90,6 +95,7 @@ def scored(
         rise=keep * s.rise + nu * rise,
         rise_square=keep**2 * s.rise_square + rise**2,
         held=keep * s.held + (1 - keep) * stays,
+        rest=keep * s.rest + (1 - keep) * stays * ca.fmin(ca.fabs(y / q.slope), doubt.reach),
         last=y,
         input=shown,
         level=doubt.fade * s.level + (1 - doubt.fade) * shown,
@@ -99,31 +105,41 @@ def scored(
 
 def squares(s: Scores) -> dict[str, Any]:
     """Squares of the scores that are normal numbers, by claim, the largest of the outputs."""
-    least = 1e-300
-    both = ca.fmax(s.count, least)
+    both = ca.fmax(s.count, LEAST)
+    enough = ca.fmin(s.count / ENOUGH, 1.0)
     found = {
         "bias": s.mean**2 / both,
         "width": s.side**2 / both,
-        "slope": s.lift**2 / ca.fmax(s.lift_square, least),
-        "dynamics": s.rise**2 / ca.fmax(s.rise_square, least),
+        "slope": s.lift**2 / ca.fmax(s.lift_square, LEAST),
+        "dynamics": s.rise**2 / ca.fmax(s.rise_square, LEAST),
         "noise": ca.fmax(s.size, 0.0) ** 2 / (2 * both),
     }
-    return {name: ca.mmax(square) for name, square in found.items()}
+    return {name: ca.mmax(enough * square) for name, square in found.items()}
 
 
-def refuted(s: Scores) -> dict[str, Any]:
+def holding(doubt: Any, s: Scores) -> Any:
+    """By how much readings that stay refute that the sensor is sound (p): above 1 they do."""
+    return s.held / ca.fmax(HELD, FEWEST * (1 - doubt.keep))
+
+
+def resting(doubt: Any, s: Scores) -> Any:
+    """Where readings stay (p) [z], 0 where the sensor is sound."""
+    return ca.if_else(holding(doubt, s) > 1, s.rest / ca.fmax(s.held, LEAST), 0.0)
+
+
+def refuted(doubt: Any, s: Scores) -> dict[str, Any]:
     """By how much each claim is refuted: above 1 it is."""
     ratios = {}
     for name, square in squares(s).items():
-        ratios[name] = square / (NOISY if name == "noise" else LIMIT) ** 2
-    return ratios | {"sensor": ca.mmax(s.held) / HELD}
+        ratios[name] = square / (NOISY**2 if name == "noise" else doubt.limit)
+    return ratios | {"sensor": ca.mmax(holding(doubt, s))}
 
 
-def stretch(s: Scores) -> Any:
+def stretch(doubt: Any, s: Scores) -> Any:
     """By how much deviations are to be larger, squared, where a score refutes its claim."""
-    worst = 1.0
-    for square in (square for name, square in squares(s).items() if name != "noise"):
-        worst = ca.fmax(worst, ca.if_else(square > LIMIT**2, square / 4, 1.0))
+    worst, each = 1.0, squares(s)
+    for name, share in WIDER.items():
+        worst = ca.fmax(worst, ca.if_else(each[name] > doubt.limit, share * each[name], 1.0))
     return worst
 
 
