@@ -26,6 +26,7 @@ NAMES = (
     "coverage",
     "glitches",
     "honesty",
+    "claims",
     "ranges",
     "smoothing",
     "closed_loops",

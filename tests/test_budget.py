@@ -15,11 +15,11 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 39_960, 330
+MOST_CODE, MOST_FILES = 40_170, 331
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
-    "(root)": 340,
+    "(root)": 380,
     "analysis": 3400,
     "cli": 1870,
     "compensators": 170,
@@ -27,16 +27,16 @@ BUDGET = {
     "controllers": 680,
     "ends": 440,
     "ensemble": 1970,
-    "exports": 2430,
+    "exports": 2440,
     "feedforward": 370,
     "identification": 6940,
     "linear": 400,
     "logs": 1240,
     "numerics": 815,
-    "observers": 2850,
+    "observers": 2990,
     "plants": 1530,
-    "report": 2950,
-    "results": 890,
+    "report": 2955,
+    "results": 900,
     "scenario": 1390,
     "signals": 430,
     "simulation": 2330,

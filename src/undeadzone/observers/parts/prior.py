@@ -308,7 +308,7 @@ def doubt_numbers(
         forget=np.exp(-1 / max(PATIENCE * quarter / model.Ts, FEWEST)),
         most=np.asarray(CHANCE if claimed else CHANCE_OF_DEFAULTS),
         limit=np.asarray(SCORE if claimed else SCORE_OF_DEFAULTS),
-        stays=0.0 if sensor.moves else STAYS * np.sqrt(prior.R) * sensor.slope * noisy,
+        stays=STAYS * np.sqrt(prior.R) * sensor.slope * (noisy & (not sensor.moves)),
         push=model.flow.C @ zoh(model.flow, quarter).B,
     )
 

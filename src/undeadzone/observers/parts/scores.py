@@ -26,7 +26,7 @@ MOST = 1e100  # of what an input shows in z: its square is finite
 SHARP = {"noise": 1 / 6, "sensor": 1.7, "dynamics": 1.2}
 
 # Share of the square of a score that multiplies variances: what is missed is absorbed in part.
-WIDER = {"bias": 1 / 4, "width": 1 / 4, "slope": 1.0, "dynamics": 1 / 9}
+WIDER = {"bias": 1 / 4, "width": 1 / 4, "slope": 1.0, "dynamics": 1 / 9, "noise": 1 / 64}
 
 
 class Scores(NamedTuple):
