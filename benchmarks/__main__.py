@@ -18,6 +18,7 @@ NAMES = (
     "accuracy",
     "engines",
     "kernels",
+    "filters",
     "first_compile",
     "noise",
     "speed",

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,8 +14,11 @@ from benchmarks import ours, rivals
 from benchmarks.markdown import head, row
 from benchmarks.workload import Work, draw
 from undeadzone.compile import lanes
+from undeadzone.compile.machine import FIXED, here
 
 RUNS, STEPS = 1024, 1000
+# Lanes, streams, slots, registers: what was chosen, and what other processors may want.
+FORMS = ((8, 2, 1, 20), (8, 2, 0, 20), (8, 2, 0, 0), (8, 1, 1, 26), (8, 1, 0, 26), (4, 2, 0, 20))
 NOTE = f"""ns per step and run of {RUNS} runs of {STEPS} steps on one thread, least CPU time of
 interleaved rounds; in brackets, as a share of C's. "C, grouped" has the sum of RK4 as our graph has
 it, k1 + k4 + 2 (k2 + k3). `lanes.run` is the call with 1000 runs, checks and copies included, as a
@@ -55,7 +60,43 @@ def table(rounds: int = 40) -> str:
     lines = ["## Kernels\n", NOTE, *head(*columns)]
     for loop in LOOPS:
         lines.append(_row(loop, rounds))
-    return "\n".join([*lines, ""])
+    return "\n".join([*lines, "", *_forms(rounds // 4)])
+
+
+def _forms(rounds: int) -> list[str]:
+    """The forms of the first loops, as shares of the one that is chosen."""
+    names = [loop.name for loop in LOOPS]
+    lines = [
+        f"{here().processor}: time of a kernel in other forms ({FIXED}) over that in its own.\n",
+        *head("form", *names),
+    ]
+    columns = []
+    for loop in LOOPS:
+        work = draw(RUNS, STEPS * 1e-3, **loop.options)
+        programs = {"own": alone(work, step=loop.step, known=loop.known)}
+        for form in FORMS:
+            with patched(form):
+                programs[form_name(form)] = alone(work, step=loop.step, known=loop.known)
+        seconds = least(programs, rounds)
+        columns.append({name: f"{value / seconds['own']:.2f}" for name, value in seconds.items()})
+    for form in FORMS:
+        lines.append(row(form_name(form), *(column[form_name(form)] for column in columns)))
+    return [*lines, ""]
+
+
+def form_name(form: tuple[int, ...]) -> str:
+    """A form as the environment tells it."""
+    return ",".join(map(str, form))
+
+
+@contextmanager
+def patched(form: tuple[int, ...]) -> Iterator[None]:
+    """A form in the environment."""
+    os.environ[FIXED] = form_name(form)
+    try:
+        yield
+    finally:
+        del os.environ[FIXED]
 
 
 def _row(loop: Loop, rounds: int) -> str:

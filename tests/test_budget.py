@@ -15,31 +15,31 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 40_170, 331
+MOST_CODE, MOST_FILES = 40_240, 331
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
     "(root)": 380,
-    "analysis": 3400,
+    "analysis": 3410,
     "cli": 1870,
     "compensators": 170,
-    "compile": 3600,
+    "compile": 3620,
     "controllers": 680,
     "ends": 440,
     "ensemble": 1970,
-    "exports": 2440,
+    "exports": 2465,
     "feedforward": 370,
     "identification": 6940,
     "linear": 400,
     "logs": 1240,
     "numerics": 815,
-    "observers": 2990,
+    "observers": 3000,
     "plants": 1530,
     "report": 2955,
     "results": 900,
     "scenario": 1390,
     "signals": 430,
-    "simulation": 2330,
+    "simulation": 2340,
     "statistics": 265,
     "support": 820,
     "synthesis": 1040,

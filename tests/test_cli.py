@@ -18,6 +18,7 @@ import pytest
 
 from commands import undeadzone
 from undeadzone.cli import group
+from undeadzone.exports import export
 from undeadzone.results.run import Run
 from undeadzone.support import progress
 
@@ -496,8 +497,9 @@ def test_every_command_says_what_it_sets_up(
     assert "setting up kalman" in terminal.getvalue()
 
 
-def test_what_is_to_be_typed_next_works(tmp_path: Path) -> None:
+def test_what_is_to_be_typed_next_works(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """From the first command on, each that another names ends without a complaint."""
+    monkeypatch.setattr(export, "STEPS", 2000)
     assert undeadzone("init", "mine.toml", cwd=tmp_path).returncode == 0
     waiting, seen = ["run", "check"], set[str]()
     while waiting:

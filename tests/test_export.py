@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import itertools
 import json
 import os
@@ -181,6 +182,27 @@ def test_certified_has_the_bits_of_online(tmp_path: Path) -> None:
         for name in ("x", "z", "right", "left", "z_inverse", "innovation"):
             assert (values[k, places[name]] == getattr(estimate, name)).all(), (k, name)
         assert (values[k, places["side"]] == online.side).all()
+
+
+def test_a_stored_state_goes_on_with_the_same_bits(tmp_path: Path) -> None:
+    problem = resolve_scenario(certified())
+    step = parts.build(problem)
+    printed = code(step, False)
+    rows = vectors.recorded(problem, step)[:200]
+    runner = accuracy.Compiled(printed, tmp_path)
+    whole = runner(rows)
+    runner.begin()
+    runner(rows[:120])
+    stored = runner.state.copy()
+    resume = runner._functions.run_float64_resume
+    places = [array.ctypes.data_as(ctypes.c_void_p) for array in (runner.state, stored)]
+    runner.begin()
+    start = runner.state.copy()
+    for wrong in ("", printed.hash[:-1], printed.hash + "0", "0" * 16):
+        assert resume(*places, wrong.encode()) == 0
+        assert np.array_equal(runner.state, start)
+    assert resume(*places, printed.hash.encode()) == 1
+    assert np.array_equal(runner(rows[120:]), whole[120:])
 
 
 def test_observer_and_controller_give_the_input_of_the_loop(tmp_path: Path) -> None:

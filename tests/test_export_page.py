@@ -74,6 +74,19 @@ CASES: dict[str, dict[str, Any]] = {
         "sensor": {"kind": "jump", "slope": 2.0, "quantum": 0.01},
         "reference": {"kind": "step", "amplitude": 3.0, "time": 0.5, "before": -1.0},
     },
+    "play, random disturbance": {
+        "plant": {"A": [[0.0, 1.0], [0.0, -10.0]], "B": [[0.0], [100.0]], "C": [[1.0, 0.0]]},
+        "sensor": {"kind": "play", "right": 0.06, "left": 0.04, "quantum": 0.003},
+        "observer": {"method": "kalman", "right": [0.0, 0.2], "disturbance": 0.05},
+        "controller": {"method": "state_feedback", "poles": [-20.0, -21.0]},
+        "reference": {"kind": "sine", "amplitude": 0.5, "frequency": 1.0},
+        "disturbance": {"kind": "random", "rms": 0.05, "correlation_time": 0.1},
+        "simulation": SAMPLED,
+    },
+    "random disturbance in continuous time": {
+        "disturbance": {"kind": "random", "rms": 1.0, "correlation_time": 0.1},
+        "simulation": {"duration": 1.0, "step": 2e-3},
+    },
     "pendulum": {
         "plant": PENDULUM,
         "observer": {"method": "certified", "L": [1.0, 0.0], "widths0": [0.2, 0.2]},
@@ -372,7 +385,7 @@ def test_its_policy_allows_its_own_script_alone() -> None:
         ({"sensor": {"dropout": 0.1}}, "sensor.dropout"),
         ({"simulation": {"order": 8}}, "simulation.order"),
         ({"simulation": SAMPLED | {"duration": 5000.0}}, "simulation.duration"),
-        ({"disturbance": {"kind": "random", "rms": 1.0, "correlation_time": 0.1}}, "disturbance"),
+        ({"sensor": {"play": {"right": 0.1, "left": 0.1}}, "simulation": SAMPLED}, "sensor.play"),
         ({"controller": {"method": "lqr"}, "simulation": SAMPLED}, "controller.method"),
         (
             {

@@ -21,7 +21,7 @@ from undeadzone.plants.system import System
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Simulation
 from undeadzone.simulation.loop import Loop, Outputs
-from undeadzone.simulation.simulate import prepare, run_loop
+from undeadzone.simulation.simulate import Start, engine_for, outputs_of, prepare
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 from undeadzone_paper.example import ALPHA, L_PRINTED, POLES, READINGS, STARTED, D, printed
@@ -110,6 +110,7 @@ def run_variants(progress: Callable[[int], None] | None = None) -> list[Outcome]
     simulation = Simulation(duration=DURATION, step=STEP)
     problem = resolve_scenario(msgspec.structs.replace(printed(5.0), simulation=simulation))
     loop, _, exogenous = prepare(problem)
+    run = engine_for(loop, "auto", len(exogenous))
     outcomes = []
     for plant, name in product(READINGS, GAINS):
         with_gains = _with_gains(loop, problem, plant, name)
@@ -117,7 +118,7 @@ def run_variants(progress: Callable[[int], None] | None = None) -> list[Outcome]
             start, feeds_input, sigma, pd_sign, left_sign = choice
             variant = Variant(plant, start, name, feeds_input, sigma, pd_sign, left_sign)
             with_signs, state = _with_signs(with_gains, variant)
-            signal = run_loop(with_signs, state, exogenous, progress)
+            signal = outputs_of(Start(with_signs, state, exogenous), run, progress)
             outcomes.append(_judge(variant, signal))
     return outcomes
 

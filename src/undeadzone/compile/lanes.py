@@ -22,7 +22,7 @@ import numpy as np
 from undeadzone.compile import cache, promises
 from undeadzone.compile.kernel import KINDS, graphs, source
 from undeadzone.compile.lower import Arithmetic
-from undeadzone.compile.machine import Form, Shape, here
+from undeadzone.compile.machine import Form, Shape, here, told_form
 from undeadzone.compile.promises import Promise
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.support.arrays import Floats, Integers, shape_text
@@ -104,13 +104,17 @@ def build(
             not to cross.
         portable: elementary functions of exported code in place of the C library's: with neither
             exceptions nor zeros of the other sign in its numbers, the bits of exported C.
-        form: how lanes are computed; default: as suits this machine.
+        form: how lanes are computed; default: what `machine.told_form` says, else as suits this
+            machine.
         hurry: of a large graph, code that is compiled in a quarter of the time and half as fast, at
             once; the best one takes its place when a thread has it.
 
     Raises:
-        InputError: an entry that is not there, or an instruction that cannot be compiled.
+        InputError: an entry that is not there, an instruction that cannot be compiled, or a form
+            that is none.
     """
+    if form is None and width != 1:
+        form = told_form()
     known = known_exogenous, known_params
     own = tuple(exogenous), tuple(params)
     wanted = _Wanted(rare, width, *own, record, *known, Arithmetic(fused, portable), form)

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import ctypes
 import functools
+import os
 import sys
 from typing import Any, Final, NamedTuple
+
+from undeadzone.errors import InputError
 
 # Instructions of a step beyond which groups go alone, and beyond which in the order of the graph.
 PAIRED: Final = 350
@@ -49,6 +52,7 @@ class Form(NamedTuple):
     branches: int = 0
 
 
+FIXED: Final = "UNDEADZONE_FORM"  # set: the form of every kernel of more than one lane
 ONE: Final = Form(1, 1, False, 0, 60)  # for a single run
 
 
@@ -100,6 +104,26 @@ class Machine(NamedTuple):
             codemodel="jitdefault",
             jit=True,
         )
+
+
+def told_form() -> Form | None:
+    """The form that the environment fixes, such as 8,2,0,20: lanes, streams, slots and registers.
+
+    Raises:
+        InputError: `FIXED` is set to something else.
+    """
+    text = os.environ.get(FIXED, "")
+    if not text:
+        return None
+    words = text.split(",")
+    numbers = [int(word) for word in words if word.strip().isdecimal()]
+    if len(words) != len(numbers) or len(numbers) not in (4, 5) or numbers[0] not in (1, 2, 4, 8):
+        raise InputError(
+            f"{FIXED}: expected lanes (1, 2, 4 or 8), streams, slots (0 or 1) and registers, such "
+            f"as 8,2,0,20, found {text!r}"
+        )
+    lanes, streams, slots, *rest = numbers
+    return Form(lanes, max(streams, 1), bool(slots), *rest)
 
 
 @functools.cache

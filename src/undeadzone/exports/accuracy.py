@@ -59,14 +59,15 @@ class Compiled:
     Args:
         code: what is printed.
         folder: where the library goes.
+        options: for the compiler.
     """
 
-    def __init__(self, code: Code, folder: Path) -> None:
+    def __init__(self, code: Code, folder: Path, options: tuple[str, ...] = ("-O1",)) -> None:
         prefix = f"run_{code.kind}"
         words = called(prefix, bool(code.step.params))
         files = source(code, Labels(prefix, "accuracy", "replica")).files(prefix)
         files[f"{prefix}_run.c"] = filled("templates/runner.c", words)
-        library = shared_library(written(files, folder), folder / f"{prefix}.so")
+        library = shared_library(written(files, folder), folder / f"{prefix}.so", options)
         self._functions = ctypes.CDLL(str(library))
         self.stack = stack_bytes(folder, prefix)
         self.real = code.kind

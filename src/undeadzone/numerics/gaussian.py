@@ -138,7 +138,7 @@ def cut_to(mean: Any, variance: Any, low: Any, high: Any) -> tuple[Any, Any, Any
 
     Returns:
         By how much a mean moves along its covariance with x, by how much a covariance is less along
-        the same, and the logarithm of that probability.
+        the same, and that probability.
     """
     std = ca.sqrt(variance)
     a, b = (low - mean) / std, (high - mean) / std
@@ -147,27 +147,22 @@ def cut_to(mean: Any, variance: Any, low: Any, high: Any) -> tuple[Any, Any, Any
     share = ca.if_else(chance > UNLIKELY, 1 / chance, 0.0)
     shift = (at_a - at_b) * share
     lost = (shift**2 + (b * at_b - a * at_a) * share) / variance
-    return shift / std, lost, ca.log(ca.fmax(chance, 1e-300))
+    return shift / std, lost, chance
 
 
-def hazard(alpha: Any) -> Any:
-    """phi(alpha) / Phi(alpha) of the standard normal distribution.
+def chance(alpha: Any) -> tuple[Any, Any]:
+    """Phi(alpha) of the standard normal distribution, and its hazard phi(alpha) / Phi(alpha).
 
-    Below -5 by its asymptotic series, 1e-4 accurate there.
+    Below -5 by the asymptotic series of the hazard, 1e-4 accurate there.
     """
-    exact, far = _density(ca.fmax(alpha, -DEEP)) / _chance(alpha), ca.fmax(-alpha, DEEP)
-    return ca.if_else(alpha > -DEEP, exact, far + (1 - (2 - 10 / far**2) / far**2) / far)
-
-
-def log_chance(alpha: Any) -> Any:
-    """log Phi(alpha) of the standard normal distribution; below -5 by its asymptote."""
+    density, inside = _density(alpha), _inside(alpha)
     far = ca.fmax(-alpha, DEEP)
-    series = ca.log(1 - (1 - 3 / far**2) / far**2)
-    asymptote = -(far**2) / 2 - ca.log(far) - math.log(2 * math.pi) / 2 + series
-    return ca.if_else(alpha > -DEEP, ca.log(_chance(alpha)), asymptote)
+    series = far + (1 - (2 - 10 / far**2) / far**2) / far
+    ratio = ca.if_else(alpha > -DEEP, density / inside, series)
+    return ca.if_else(alpha > -DEEP, inside, density / series), ratio
 
 
-def _chance(alpha: Any) -> Any:
+def _inside(alpha: Any) -> Any:
     """Phi(alpha) of the standard normal distribution; below -5 as there."""
     return (1 + ca.erf(ca.fmax(alpha, -DEEP) / math.sqrt(2))) / 2
 
@@ -190,14 +185,14 @@ class Weighed(NamedTuple):
         e: innovation, at most `CLIP` standard deviations; 0 of a silence.
         std: standard deviation of what was foretold.
         trust: probability that it is not wrong; 1 where it was not used.
-        log: log of the density, or of the chance, with which it was foretold; 0 where not used.
+        likely: the density, or the chance, with which it was foretold; 1 where it was not used.
     """
 
     belief: Gaussian
     e: Any
     std: Any
     trust: Any
-    log: Any
+    likely: Any
 
 
 def update_unless_glitch(
@@ -260,16 +255,16 @@ def settle(
     """
     std = ca.sqrt(S)
     if odds is None:
-        return Weighed(_moved(belief, K, e, S, 0.0, R, use), e, std, ca.SX(1.0), 0.0)
+        return Weighed(_moved(belief, K, e, S, 0.0, R, use), e, std, ca.SX(1.0), 1.0)
     r = ca.fmax(ca.fmin(e / std, CLIP), -CLIP)
     near = r * std
-    wrong = odds - ca.log(reach + TAIL * std)
-    right = surprise - (r**2) / 2 - ca.log(2 * math.pi * S) / 2
-    trust = 1 / (1 + ca.exp(ca.fmin(wrong - right, 700.0)))
+    wrong = ca.exp(odds) / (reach + TAIL * std)
+    right = ca.exp(surprise - (r**2) / 2) / (math.sqrt(2 * math.pi) * std)
+    trust = right / (right + wrong)
     weight = ca.if_else(use, trust, 0.0)
     after = _moved(belief, K, near, S, (1 - weight) * near**2, R, weight, moved)
-    log = ca.if_else(use, log_of_sum(right, wrong), 0.0)
-    return Weighed(after, near, std, ca.if_else(use, trust, 1.0), log)
+    likely = ca.if_else(use, right + wrong, 1.0)
+    return Weighed(after, near, std, ca.if_else(use, trust, 1.0), likely)
 
 
 def _moved(
@@ -318,7 +313,7 @@ def together(readings: Sequence[Weighed]) -> Weighed:
         e=ca.vertcat(*(one.e for one in readings)),
         std=ca.vertcat(*(one.std for one in readings)),
         trust=ca.vertcat(*(one.trust for one in readings)),
-        log=sum(one.log for one in readings),
+        likely=math.prod(one.likely for one in readings),
     )
 
 
@@ -343,13 +338,13 @@ class Cut(NamedTuple):
         belief: mean and covariance of the mixture of both cases.
         used: whether each bound was used.
         trust: probability that the reading is no fake, used or not.
-        log: log of the chance with which it was foretold; 0 where no bound was used.
+        likely: the chance with which it was foretold; 1 where no bound was used.
     """
 
     belief: Gaussian
     used: tuple[Any, ...]
     trust: Any
-    log: Any
+    likely: Any
 
 
 def cut(
@@ -376,11 +371,12 @@ def cut(
     K = P @ H.T
     G = H @ K
     told = (_one if len(bounds) == 1 else _two)(bounds, G, R, limit)
-    trust, log, between = ca.SX(1.0), 0.0, 0.0
+    trust, likely, between = ca.SX(1.0), 1.0, 0.0
     if fake is not None:
-        trust = 1 / (1 + ca.exp(ca.fmin(fake - told.chance, 700.0)))
+        wrong = ca.exp(fake)
+        trust = told.chance / (told.chance + wrong)
         anything = ca.mmax(ca.vertcat(*told.used))
-        log = ca.if_else(anything, log_of_sum(told.chance, fake), 0.0)
+        likely = ca.if_else(anything, told.chance + wrong, 1.0)
         between = trust * (1 - trust) * (told.shift @ told.shift.T)
     moving = K if moved is None else moved * K
     certain = trust * told.lost
@@ -388,7 +384,7 @@ def cut(
         K @ (certain - between) @ K.T if moved is None else lost_given(K, moving, certain, between)
     )
     after = Gaussian(mean + trust * (moving @ told.shift), from_upper(P - lost))
-    return Cut(after, told.used, trust, log)
+    return Cut(after, told.used, trust, likely)
 
 
 class _Told(NamedTuple):
@@ -398,7 +394,7 @@ class _Told(NamedTuple):
         shift: x^ moves by P H' shift (k).
         lost: the covariance loses P H' lost H P (k x k).
         used: whether each bound is used.
-        chance: log of the chance of the bounds, used or not.
+        chance: of the bounds, used or not.
     """
 
     shift: Any
@@ -413,8 +409,8 @@ def _one(bounds: Sequence[Bound], G: Any, R: Any, limit: float) -> _Told:
     std = ca.sqrt(ca.fmax(G, 0.0) + R)
     alpha = ca.fmax(-bound.excess / std, -CLIP)
     used = ca.logic_and(bound.use, alpha < limit)
-    ratio = ca.if_else(used, hazard(alpha), 0.0)
-    return _Told(*_moments(ratio, alpha, std), (used,), log_chance(alpha))
+    likely, ratio = chance(alpha)
+    return _Told(*_moments(ca.if_else(used, ratio, 0.0), alpha, std), (used,), likely)
 
 
 def _two(bounds: Sequence[Bound], G: Any, R: Any, limit: float) -> _Told:
@@ -431,11 +427,13 @@ def _two(bounds: Sequence[Bound], G: Any, R: Any, limit: float) -> _Told:
     use = ca.vertcat(*(bound.use for bound in bounds))
     heard = ca.logic_and(use, alpha < limit)
     lower = ca.fmin(alpha[0], alpha[1])
-    inside = ca.vertcat(_chance(alpha[0]), _chance(alpha[1]))
+    inside = ca.vertcat(_inside(alpha[0]), _inside(alpha[1]))
     other = ca.vertcat(inside[1], inside[0])
     nearest = ca.fmin(inside[0], inside[1])
     left = ca.fmax(inside[0] + inside[1] - 1, NARROW * nearest)
-    pair = _density(ca.fmax(alpha, -DEEP)) / left
+    each = (chance(alpha[0]), chance(alpha[1]))
+    ratio = ca.vertcat(each[0][1], each[1][1])
+    pair = ratio * inside / left
     unsure = (1 - math.erf(limit / math.sqrt(2))) / 2
     both = ca.logic_and(use, 1 - inside > unsure * other)
     both = ca.logic_and(ca.mmin(both), ca.logic_and(ca.mmax(heard), lower > -DEEP))
@@ -443,11 +441,10 @@ def _two(bounds: Sequence[Bound], G: Any, R: Any, limit: float) -> _Told:
     asked = ca.if_else(heard, alpha, CLIP)
     first = asked[0] <= asked[1]
     alone = ca.logic_and(heard, ca.vertcat(first, ca.logic_not(first)))
-    ratio = ca.vertcat(hazard(alpha[0]), hazard(alpha[1]))
     slope = ca.if_else(both, pair, ca.if_else(alone, ratio, 0.0))
     used = ca.logic_or(both, alone)
-    chance = log_chance(lower) + ca.log(left / nearest)
-    return _Told(*_moments(slope, alpha, std), (used[0], used[1]), chance)
+    likely = ca.fmin(each[0][0], each[1][0]) * (left / nearest)
+    return _Told(*_moments(slope, alpha, std), (used[0], used[1]), likely)
 
 
 def _moments(slope: Any, alpha: Any, std: Any) -> tuple[Any, Any]:
@@ -462,8 +459,3 @@ def _are_moments(lost: Any, G: Any) -> Any:
     det = (lost[0, 0] * lost[1, 1] - lost[0, 1] ** 2) * (G[0, 0] * G[1, 1] - G[0, 1] ** 2)
     below = ca.logic_and(trace < 2, 1 - trace + det > 0)
     return ca.logic_and(below, ca.logic_and(trace > 0, det > -NARROW))
-
-
-def log_of_sum(a: Any, b: Any) -> Any:
-    """log(e^a + e^b)."""
-    return ca.fmax(a, b) + ca.log(1 + ca.exp(-ca.fabs(a - b)))

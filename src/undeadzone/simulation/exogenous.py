@@ -59,18 +59,33 @@ def exogenous(
     rows = np.arange(problem.steps * refine + 1)
     seed = simulation.seed if seed is None else seed
     held = np.zeros((rows.size, HELD * plant.p))
-    knots: Floats = np.zeros((problem.steps + 2, plant.m))
     if run is not None:
         held[:] = np.hstack(_held(problem, seed, run))[rows // refine]
-        random = random_disturbance(problem)
-        if random is not None:
-            knots = noise.coloured(seed, problem.steps + 2, *random, simulation.step, run)
-    grid = _Grid(rows, refine, simulation.step / refine, knots)
+    grid = _Grid(rows, refine, simulation.step / refine, knots_of(problem, run, seed))
     if plant.Ts is not None:
         return np.hstack(_at_samples(problem, grid, held))
     if simulation.order > RUNGE_KUTTA:
         return np.hstack(_coefficients(problem, grid, held))
     return np.hstack(_at_instants(problem, grid, held))
+
+
+def knots_of(problem: Problem, run: int | None, seed: int | None = None) -> Floats:
+    """The random disturbance at the scenario's samples, between which it runs straight.
+
+    Args:
+        problem: what is simulated.
+        run: number of the run; None: 0 in its place.
+        seed: of the random numbers; None: the scenario's.
+
+    Returns:
+        A row for each sample, and one more ((N + 2) x m); 0 where there is no random disturbance.
+    """
+    simulation = problem.scenario.simulation
+    random = None if run is None else random_disturbance(problem)
+    if random is None:
+        return np.zeros((problem.steps + 2, problem.plant.m))
+    seed = simulation.seed if seed is None else seed
+    return noise.coloured(seed, problem.steps + 2, *random, simulation.step, run or 0)
 
 
 def _at_samples(problem: Problem, grid: _Grid, held: Floats) -> list[Floats]:

@@ -155,7 +155,7 @@ def _signals(
     run = engine_for(start.loop, engine, len(start.exogenous) * (3 if twin else 1))
     if twin:
         return _with_error(problem, start, progress, run)
-    return _outputs(start, run, progress), None
+    return outputs_of(start, run, progress), None
 
 
 def _with_error(
@@ -173,15 +173,21 @@ def _with_error(
     with ThreadPoolExecutor(1) as beside:
         twin = beside.submit(_at_half_the_step, problem, start, tick, run)
         try:
-            signal = _outputs(start, run, progress)
+            signal = outputs_of(start, run, progress)
             return signal, _difference(signal, twin.result())
         except BaseException:
             interrupted.set()
             raise
 
 
-def _outputs(start: Start, run: LoopEngine, progress: Progress | None) -> Outputs:
-    """The outputs of a run, by name."""
+def outputs_of(start: Start, run: LoopEngine, progress: Progress | None) -> Outputs:
+    """The outputs of a run, by name.
+
+    Args:
+        start: what it starts from.
+        run: what runs its loop, from `engine_for`; loops that differ in numbers alone share one.
+        progress: called with the number of steps just done.
+    """
     packed = run(start.state, start.exogenous, tree.pack(start.loop.params), progress)
     return named(start.loop, packed)
 
@@ -192,7 +198,7 @@ def _at_half_the_step(
     """The signals of a run with half the step, at the instants of the whole ones."""
     params = start.loop.params
     halved = start.loop._replace(params=params._replace(h=params.h / 2))
-    fine = _outputs(Start(halved, start.state, inputs.exogenous(problem, 2)), run, progress)
+    fine = outputs_of(Start(halved, start.state, inputs.exogenous(problem, 2)), run, progress)
     every_other = (part[::2] for _, part in tree.leaves(fine))
     outputs: Outputs = tree.rebuild(fine, every_other)
     return outputs
@@ -244,7 +250,7 @@ def run_loop(
         InputError: the engine is unknown.
     """
     run = engine_for(loop, engine, len(exogenous))
-    return _outputs(Start(loop, state, exogenous), run, progress)
+    return outputs_of(Start(loop, state, exogenous), run, progress)
 
 
 def engine_for(loop: Loop, engine: Engine, steps: int) -> LoopEngine:

@@ -105,7 +105,8 @@ def disturbance(problem: Problem) -> dict[str, Any] | None:
     if signal is None:
         return None
     if exo is None:
-        raise InputError("disturbance.kind: a random one is not drawn by the page; leave it out")
+        knots = exogenous.knots_of(problem, run=0)
+        return {"knots": base64.b64encode(knots.tobytes()).decode(), "channels": knots.shape[1]}
     return _signal_data("disturbance", signal, exo, exo.Q)
 
 
@@ -149,16 +150,34 @@ RECORDED = {
     "left": "estimate.left",
     "right_std": "estimate.right_std",
     "left_std": "estimate.left_std",
+    "width_std": "estimate.width_std",
 }
 _TOLD = (
     "The observer gets the red reading and the input that drives the motion. From these it learns "
-    "both edges of the band, and the truth behind it."
 )
+_EDGES = f"{_TOLD}both edges of the band, and the truth behind it."
 LEADS = {
     "deadzone": "Inside the yellow band this sensor reads 0; outside, it reads too little, by "
-    f"the width of the band. Valves and load cells do this. {_TOLD}",
+    f"the width of the band. Valves and load cells do this. {_EDGES}",
     "jump": "Inside the yellow band this sensor reads 0; outside, it tells the truth. Speed "
-    f"sensors do this. {_TOLD}",
+    f"sensors do this. {_EDGES}",
+    "play": "Gears with play lie between the truth and this sensor: its reading carries the yellow "
+    "band along, and holds still while the truth moves inside it. Motors behind gears and valves "
+    f"with loose stems do this. {_TOLD}how wide the gap is, and the truth behind it.",
+}
+WORDS = {
+    "headline": "This sensor is blind near zero.",
+    "legend": "dead zone: the sensor reads 0 here, and nobody told the observer",
+    "zone": "dead zone",
+    "never": "The motion never leaves the dead zone. The sensor reads 0, and ",
+    "silent": "Silent ",
+}
+OF_PLAY = {
+    "headline": "This sensor is blind at every turn.",
+    "legend": "gap: the reading holds still here, and nobody told the observer",
+    "zone": "gap",
+    "never": "The motion never crosses the gap. The sensor holds its reading, and ",
+    "silent": "The reading holds still ",
 }
 
 FLAT = (
@@ -243,10 +262,10 @@ def _require_shown(problem: Problem) -> None:
             f"simulation.order: the page takes RK4 steps, found {scenario.simulation.order}; "
             "leave the key out"
         )
-    if sensor.moves:
-        key = "sensor.kind" if sensor.play is None else "sensor.play"
+    if sensor.play is not None:
         raise InputError(
-            f"{key}: the page draws a band in which the sensor reads 0; a play has none"
+            "sensor.play: the page draws one band, a dead zone's or a play's, not both; leave one "
+            "of them out"
         )
     for key in ("drift", "dropout"):
         if getattr(sensor, key).any():
@@ -315,11 +334,13 @@ def _data(problem: Problem, loop: Loop, memory: dict[str, int]) -> dict[str, Any
         place = outputs[address]
         if place.stop > place.start:
             recorded[name] = place.start
+    words = OF_PLAY if problem.sensor.kind == "play" else WORDS
     instant = tree.slices(loop.instant)
     made = sliders.sliders(problem, loop, _sizes(problem))
     return {
         "kind": problem.sensor.kind,
         "lead": LEADS[problem.sensor.kind] + (FLAT if problem.sensor.limits else ""),
+        "words": words,
         "note": _note(problem),
         "quantity": _quantity(scenario.units.output),
         "unit": printable(scenario.units.output),
@@ -400,6 +421,8 @@ def framed(title: str, data: dict[str, Any]) -> str:
         "title": escape(printable(title)),
         "style": style,
         "script": script,
+        "headline": data["words"]["headline"],
+        "legend": data["words"]["legend"],
         "data": content.replace("<", "\\u003c"),
     }
     return filled("page/page.html", words)

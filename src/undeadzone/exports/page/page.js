@@ -61,7 +61,19 @@ function gains(signal, factor, model) {
   });
   return T;
 }
+const bytes = text => Uint8Array.from(atob(text), c => c.charCodeAt(0));
+function lines(signal) {
+  const m = signal.channels, knots = new Float64Array(bytes(signal.knots).buffer);
+  return (t, at) => {
+    const k = Math.floor(t / H), share = t / H - k;
+    for (let i = 0; i < m; i++) {
+      const first = knots[k * m + i], last = knots[(k + 1) * m + i];
+      M[at + i] = first + share * (last - first);
+    }
+  };
+}
 function source(signal, factor, model) {
+  if (signal.knots) return lines(signal);
   const T = gains(signal, factor, model), rows = T.length, size = T[0].length, flat = Float64Array.from(T.flat());
   const w = new Float64Array(size), omegas = (signal.omegas || []).map(omega => omega * factor);
   function pieces(t) {
@@ -160,10 +172,10 @@ const unit = D.unit === "1" ? "" : " " + D.unit;
 function sentence(m) {
   const b = (text, c) => ({ text, c });
   if (!isFinite(m.observer) || !isFinite(m.most)) return ["This does not settle: the loop runs away. Take a smaller learning gain or a slower motion."];
-  if (m.silent > 0.995) return ["The motion never leaves the dead zone. The sensor reads 0, and ", b("nothing can be learnt"), " of the edges, by this observer or any other, but that they lie further out. Make the motion larger or the band narrower."];
+  if (m.silent > 0.995) return [D.words.never, b("nothing can be learnt"), " of the edges, by this observer or any other, but that they lie further out. Make the motion larger or the band narrower."];
   const share = m.silent > 0 && m.silent < 0.01 ? "less than 1 %" : `${(100 * m.silent).toFixed(0)} %`;
-  const ratio = m.sensor / m.observer, say = ["Silent ", b(share), " of the time. "];
-  if (!(m.sensor > 0)) return [...say, "There is no dead zone: the sensor tells the truth."];
+  const ratio = m.sensor / m.observer, say = [D.words.silent, b(share), " of the time. "];
+  if (!(m.sensor > 0)) return [...say, `There is no ${D.words.zone}: the sensor tells the truth.`];
   say.push("Believing the sensor is wrong by ", b(short(m.sensor) + unit, "y"), "; the observer, by ", b(short(m.observer) + unit, "e"), ": ");
   if (ratio >= 1.05) say.push(b(ratio > 1e4 ? "more than 10 000 times" : `${ratio >= 10 ? ratio.toFixed(0) : ratio.toFixed(1)} times`), " better.");
   else say.push("no better.");
@@ -220,6 +232,15 @@ function band(c, right, left) {
   g.globalAlpha = 1; g.strokeStyle = col("zone"); g.lineWidth = 1.5;
   for (const z of [right, -left]) { g.beginPath(); g.moveTo(L, y(z)); g.lineTo(w - R, y(z)); g.stroke(); }
 }
+function carried(c, values, right, left) {
+  const { g, col, x, y } = c, stride = Math.max(1, Math.floor((c.t1 - c.t0) / H / (2 * c.w)));
+  const a = Math.max(0, Math.floor(c.t0 / H)), b = Math.min(N - 1, Math.ceil(c.t1 / H));
+  g.save(); g.beginPath(); g.rect(c.L, c.T - 4, c.w - c.L - c.R, c.h - c.T - c.B + 8); g.clip();
+  g.beginPath();
+  for (let k = a; k <= b; k += stride) g.lineTo(x(k * H), y(values[k] + right));
+  for (let k = b; k >= a; k -= stride) g.lineTo(x(k * H), y(values[k] - left));
+  g.globalAlpha = 0.28; g.fillStyle = col("zone"); g.fill(); g.restore();
+}
 function curve(c, values, name, width, dash, sign = 1) {
   const { g, col, x, y } = c, a = Math.max(0, Math.floor(c.t0 / H)), b = Math.min(N - 1, Math.ceil(c.t1 / H));
   const stride = Math.max(1, Math.floor((b - a) / (2 * (c.w - c.L - c.R))));
@@ -262,14 +283,15 @@ function draw(R, m) {
   }
   top = Math.min(Math.max(top, peak), 1e9) * 1.08;
   const a = axes("motion", -top, top, from, from + length, D.quantity);
-  band(a, right, left);
   const reading = R.y.map(y => y / D.slope[shown]);
+  if (D.kind === "play") carried(a, reading, right, left);
+  else band(a, right, left);
   curve(a, R.z, "z", 5);
   curve(a, R.z_hat, "e", 2.6, [6, 3]);
   curve(a, reading, "y", 2.2);
   curve(a, reading.map((y, k) => (R.side[k] ? NaN : y)), "y", 4.5);
   const high = Math.max(right, left, 0.2 * peak) * 1.75;
-  const b = axes("edges", -high, high, 0, span, "what the observer believes the dead zone to be");
+  const b = axes("edges", -high, high, 0, span, `what the observer believes the ${D.words.zone} to be`);
   band(b, right, left);
   for (const [side, sign] of [["right", 1], ["left", -1]]) if (R[side + "_std"]) doubt(b, R[side], R[side + "_std"], sign);
   curve(b, R.right, "e", 2.8, null, 1);
@@ -279,8 +301,11 @@ function draw(R, m) {
     const std = R[side + "_std"], plus = std ? ` ± ${short(2 * std[N - 1])}` : "", truth = `(true ${+width.toFixed(4)})`;
     return passed ? `${side} edge learned: ${number(m[side])}${plus} ${truth}` : `${side} edge never passed ${truth}`;
   }
-  label(b, learned("right", m.onRight, right), span, Math.max(right, m.right), "e-ink", false, "right");
-  label(b, learned("left", m.onLeft, left), span, -Math.max(left, m.left), "e-ink", true, "right");
+  if (D.kind === "play" && R.width_std) {
+    const known = `gap learned: ${number(m.right + m.left)} ± ${short(2 * R.width_std[N - 1])}`;
+    label(b, `${known} (true ${+(right + left).toFixed(4)})`, span, Math.max(right, m.right), "e-ink", false, "right");
+  } else label(b, learned("right", m.onRight, right), span, Math.max(right, m.right), "e-ink", false, "right");
+  if (D.kind !== "play") label(b, learned("left", m.onLeft, left), span, -Math.max(left, m.left), "e-ink", true, "right");
   if (length < span * 0.999) {
     const { g, col, x, h } = b;
     g.strokeStyle = col("ink"); g.lineWidth = 3; g.beginPath(); g.moveTo(x(from), h - 18); g.lineTo(x(from + length), h - 18); g.stroke();
@@ -373,7 +398,7 @@ function build() {
 }
 load();
 build();
-WebAssembly.instantiate(Uint8Array.from(atob(D.wasm), c => c.charCodeAt(0))).then(r => {
+WebAssembly.instantiate(bytes(D.wasm)).then(r => {
   X = r.instance.exports;
   M = new Float64Array(X.memory.buffer);
   go();

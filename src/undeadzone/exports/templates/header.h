@@ -18,6 +18,9 @@ extern "C" {
 @?claims@@claims@
 @structs@
 @prototypes@
+/** Go on from a state that was stored with its @upper@_HASH: 1. With another hash: 0, and state stays. */
+int @name@_resume(@name@_state *state, const @name@_state *stored, const char *hash);
+
 #ifdef __cplusplus
 }
 #endif

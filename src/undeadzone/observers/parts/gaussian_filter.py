@@ -28,7 +28,7 @@ class Augmentation(NamedTuple):
         change: change(q, x, extra, u) is (x+ - x, extra+ - extra).
         noise: noise(q, x, u) is the covariances (n x n, E x E) that a step adds to x and extra.
         alternative: alternative(q, belief) is (the belief if some claim is stronger than the filter
-            takes it, the log of its odds); None: no claim is.
+            takes it, its odds); None: no claim is.
         bilinear: bilinear(q, x, extra, u) is (G (n x M), b (M)), as `predict` takes them; None: x+
             itself.
         slope: slope(q) is the Jacobian of the change of [x; d; extra] that a prediction to first
@@ -257,6 +257,8 @@ def white(model: System, variance: Floats) -> Augmentation:
 ROUNDING = 1e-12  # of a variance
 FAR = 2.3  # standard deviations beyond its range from which a width refutes its claims
 BEYOND = 1.4  # the same of what readings alone say, whose range is no prior of theirs
+LEAST = 1e-30  # chance of a range that a belief leaves out; a float holds it
+INSIDE = 6.0  # standard deviations beyond which an end of a range says nothing, to 1e-8 of one
 
 
 class Setup(NamedTuple):
@@ -333,7 +335,7 @@ def shown_belief(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, A
     if setup.augmentation.alternative is not None:
         stronger, odds = setup.augmentation.alternative(q, belief)
         stronger, likelier = limit_widths(setup, q, stronger)
-        share = 1 / (1 + ca.exp(ca.fmin(chance - likelier - odds, 700.0)))
+        share = likelier * odds / (likelier * odds + chance)
         limited = ambiguous(stronger, limited, share)
     if setup.blind:
         return limited, 1.0
@@ -405,7 +407,7 @@ def clipped(
 def limit_widths(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, Any]:
     """`within_ranges` where the filter uses bounds, else the belief as it is, of chance 1."""
     if not setup.bounds:
-        return belief, 0.0
+        return belief, 1.0
     return within_ranges(q, setup.model.n, belief)
 
 
@@ -414,37 +416,46 @@ def within_ranges(q: Params, n: int, belief: Gaussian) -> tuple[Gaussian, Any]:
 
     The covariance stays: that of a Gaussian cut where it was matched to a uniform distribution
     would claim too much. But no width is less known than its range says, however long it drifted.
-    Right edges go first, and left ones do: the mean of both treats them alike.
+    Right edges go first, and left ones do: the mean of both treats them alike. Nothing is cut where
+    every edge of a range is farther than `INSIDE` away.
 
     Returns:
-        (belief, the log of the chance that every width lies in its range).
+        (belief, the chance that every width lies in its range, above 0).
     """
     mean, P = belief
     p = q.ranges.shape[0] // 2
-    log_chance = 0.0
+    chance = 1.0
     for i in range(p):
         both = (n + i, n + p + i)
         pair = Gaussian(mean[both, :], P[both, both])
         ranges = q.ranges[(i, p + i), :]
-        one, chance = _cut_to(pair, ranges, (0, 1))
-        other, likewise = _cut_to(pair, ranges, (1, 0))
-        mean = mean + P[:, both] @ ((one + other) / 2)
-        log_chance += (chance + likewise) / 2
-    return Gaussian(mean, _no_wider(q, n, P)), log_chance
+        one, first = _cut_to(pair, ranges, (0, 1))
+        other, second = _cut_to(pair, ranges, (1, 0))
+        far = _is_inside(pair, ranges)
+        mean = mean + P[:, both] @ ca.if_else(far, 0.0, (one + other) / 2)
+        chance *= ca.if_else(far, 1.0, ca.sqrt(ca.fmax(first * second, LEAST)))
+    return Gaussian(mean, _no_wider(q, n, P)), chance
+
+
+def _is_inside(pair: Gaussian, ranges: Any) -> Any:
+    """Whether every width lies farther than `INSIDE` from both ends of its range."""
+    least = INSIDE * ca.sqrt(ca.diag(pair.cov))
+    above, below = pair.mean - ranges[:, 0], ranges[:, 1] - pair.mean
+    return ca.mmin(ca.logic_and(above > least, below > least))
 
 
 def _cut_to(pair: Gaussian, ranges: Any, order: tuple[int, int]) -> tuple[Any, Any]:
     """What a mean moves by along the columns of two widths that are cut to their ranges in order.
 
     Returns:
-        (numbers by which the columns of the covariance move it (2), the log of the chance).
+        (numbers by which the columns of the covariance move it (2), the chance).
     """
     (m, P), (i, j) = pair, order
     shift, lost, chance = cut_to(m[i], P[i, i], ranges[i, 0], ranges[i, 1])
     after, variance = m[j] + shift * P[i, j], P[j, j] - lost * P[i, j] ** 2
     second, _, likewise = cut_to(after, variance, ranges[j, 0], ranges[j, 1])
     moves = {i: shift - lost * P[i, j] * second, j: second}
-    return ca.vertcat(moves[0], moves[1]), chance + likewise
+    return ca.vertcat(moves[0], moves[1]), chance * likewise
 
 
 def _no_wider(q: Params, n: int, cov: Any) -> Any:

@@ -156,7 +156,7 @@ def taken_in(setup: Setup, q: Params, s: State, reading: Reading) -> Taken:
     R = variances(q, reading)
     surprises = surprise(setup, q, s.pace, y, side, R)
     corrected = correct(setup, q, before, y, side, R, surprises, reading.motion)
-    heard = Heard(corrected.belief, s.wait, corrected.trust, corrected.log)
+    heard = Heard(corrected.belief, s.wait, corrected.trust, corrected.likely)
     heard = with_bounds(setup, q, s, heard, reading, y, side)
     if setup.limited:
         heard = heard._replace(trust=distrusted(heard.trust, reading))
@@ -169,14 +169,19 @@ def moments(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> tupl
     corrected, heard = taken.corrected, taken.heard
     rows, edges = rows_at(setup, q, taken.before.mean, taken.side)
     restarted = sound(q, setup.entries, predicted(setup, q, heard.belief, u, reading.side))[2]
-    log = heard.log
-    if not setup.doubts:
-        log = log_density(corrected.e, corrected.std)
     slope = slope_at(setup, q, heard.belief, u)
+    log = foretold(setup, corrected, heard)
     known = Moments(
         taken.before, corrected.belief, heard.belief, rows, edges, slope, log, restarted
     )
     return (known,)
+
+
+def foretold(setup: Setup, corrected: Weighed, heard: Heard) -> Any:
+    """The log of the density with which the filter foretold a sample, up to a constant."""
+    if setup.doubts:
+        return ca.log(heard.likely)
+    return log_density(corrected.e, corrected.std)
 
 
 def filter_step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> Step:
@@ -198,7 +203,7 @@ def filter_step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> 
     return Step(
         state=after,
         estimate=estimated,
-        log=heard.log if setup.doubts else log_density(e, std),
+        log=foretold(setup, corrected, heard),
         trust=heard.trust,
         fits=fits,
         restarted=restarted,

@@ -167,7 +167,7 @@ def unknowns(
         held=tolerance.held,
         rest=rest_under_bias(model, biased),
         bias=bias[bias > 0],
-        odds=np.log(calibrated / (1 - calibrated)) if calibrated else np.float64(0.0),
+        odds=np.float64(calibrated / (1 - calibrated)),
     )
     cov = block_diag(
         np.diag(bias[bias > 0] ** 2),
@@ -243,7 +243,7 @@ def small_bias(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, Any
     """The belief if the bias is `SMALL`: what a reading of it as 0 leaves (docs/filters.md).
 
     Returns:
-        (belief, the log of its odds).
+        (belief, its odds).
     """
     odds = q.augmentation.odds
     moved = informed(q, setup.model, belief.cov) if setup.careful else 1.0
@@ -253,7 +253,7 @@ def small_bias(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, Any
         e = -belief.mean[first + i]
         h = ca.SX.eye(belief.mean.shape[0])[first + i, :]
         belief, S = update(belief, h, e, R, moved)
-        odds = odds + ca.log(R / S) / 2 - e**2 / S / 2 - np.log(SMALL)
+        odds = odds * ca.sqrt(R / S) * ca.exp(-(e**2) / S / 2) / SMALL
     return belief, odds
 
 
