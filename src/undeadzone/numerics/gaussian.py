@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 CLIP = 30.0  # standard deviations beyond which all readings are alike: all of them are wrong
-UNLIKELY = 0.01  # probability of a claimed range below which it is not believed
 DEEP = 5.0  # standard deviations below which chances are told by their asymptotes
 NARROW = 1e-6  # least chance of an interval, over that of its nearer end
 TAIL = 10.0  # standard deviations over which a glitch is spread, besides its reach
@@ -131,10 +130,12 @@ def update(belief: Gaussian, h: Any, e: Any, R: Any, use: Any) -> tuple[Gaussian
     return Gaussian(mean + K * e, from_upper(cov)), S
 
 
-def cut_to(mean: Any, variance: Any, low: Any, high: Any) -> tuple[Any, Any, Any]:
+def cut_to(
+    mean: Any, variance: Any, low: Any, high: Any, least: float = 1e-6
+) -> tuple[Any, Any, Any]:
     """What is known given low <= x <= high, by matching mean and variance.
 
-    Nothing changes where the probability of that is below `UNLIKELY`: it is not believed.
+    Nothing changes where the probability of that is below `least`: it is not believed.
 
     Returns:
         By how much a mean moves along its covariance with x, by how much a covariance is less along
@@ -144,7 +145,7 @@ def cut_to(mean: Any, variance: Any, low: Any, high: Any) -> tuple[Any, Any, Any
     a, b = (low - mean) / std, (high - mean) / std
     chance = (ca.erf(b / math.sqrt(2)) - ca.erf(a / math.sqrt(2))) / 2
     at_a, at_b = _density(a), _density(b)
-    share = ca.if_else(chance > UNLIKELY, 1 / chance, 0.0)
+    share = ca.if_else(chance > least, 1 / chance, 0.0)
     shift = (at_a - at_b) * share
     lost = (shift**2 + (b * at_b - a * at_a) * share) / variance
     return shift / std, lost, chance
