@@ -51,6 +51,7 @@ NAMES = (
     "both_ends",
     "which",
     "servo",
+    "gears",
 )
 HEAD = (
     "# Results\n\nWritten by `make bench`. "

@@ -64,11 +64,22 @@ def table(name: str, struct: type[msgspec.Struct], alone: bool) -> list[str]:
     parts = [f"{level} [{name}]{chooser(struct)}\n", f"{prose(struct)}\n"]
     if fields:
         parts.append(rows(fields, meaning(struct)))
-    for inner in fields:
+    for part in inside(name, struct):
+        if part not in parts:  # variants share tables
+            parts.append(part)
+    return parts
+
+
+def inside(name: str, struct: type[msgspec.Struct]) -> list[str]:
+    """The tables inside of one, and those inside of these."""
+    parts = []
+    for inner in msgspec.structs.fields(struct):
         for nested in structs(inner.type):
-            parts.append(f"`{name}.{inner.name}`{chooser(nested)}: {prose(nested)}\n")
+            where = f"{name}.{inner.name}"
+            parts.append(f"`{where}`{chooser(nested)}: {prose(nested)}\n")
             if msgspec.structs.fields(nested):
                 parts.append(rows(msgspec.structs.fields(nested), meaning(nested)))
+            parts += inside(where, nested)
     return parts
 
 

@@ -10,6 +10,7 @@ from fuzz.case import Case, End
 
 NOT_A_NUMBER = re.compile(r"(?<![\w.])[-+]?(?:nan|inf)(?![\w.])", re.IGNORECASE)
 ANNOUNCED = "arena: "  # how many runs there are, before them
+HELP = {"--help", "--help-all"}  # words, whatever else is asked
 LOGS = ("watch", "estimate")  # their table is on stderr, and a missing reading is NaN
 
 
@@ -44,7 +45,9 @@ def _of_result(command: Sequence[str], end: End) -> str:
     words = [line for line in end.err.splitlines() if not line.startswith(ANNOUNCED)]
     if words and not streaming:
         return "words on stderr beside a result"
-    if "--json" in command and "--help" not in command:
+    if not HELP.isdisjoint(command):
+        return _controls(end.out.replace("\n", ""))
+    if "--json" in command:
         return _of_json(end.out, "watch" in command)
     if end.code == 0 and not streaming and NOT_A_NUMBER.search(end.out):
         return "success with NaN"

@@ -132,6 +132,17 @@ def test_a_started_scenario_of_a_large_arm_is_accepted(at: list[float] | None) -
     assert resolve_scenario(parse(text)).plant.n == 12
 
 
+def test_with_gears_a_started_scenario_follows_its_path(tmp_path: Path) -> None:
+    done = undeadzone("arm", two(tmp_path), "--at", "0.3,-0.5", "--gears", "--out", tmp_path)
+    assert "two.toml" in done.stdout
+    scenario = uz.read(tmp_path / "two.toml").replace("simulation.duration", 2.0)
+    assert isinstance(scenario.observer, uz.observers.Contact)
+    run = uz.simulate(scenario.replace("observer", {"method": "full_state"}))
+    assert run.info.sensor == "gears"
+    assert run.rms_tip is not None
+    assert run.rms_tip < 2e-3
+
+
 def test_weak_motors_are_named(tmp_path: Path) -> None:
     file = two(tmp_path, effort=10.0)
     done = undeadzone("arm", file, "--at", "1.57,0")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -10,7 +12,7 @@ from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.identification.models.plant import Data, delayed
 from undeadzone.identification.models.zone import Limits
 from undeadzone.identification.verdict.delays import _late, alike, better_delay, refined_delay
-from undeadzone.identification.verdict.orders import OrderFit, fit_orders
+from undeadzone.identification.verdict.orders import OrderFit, fit_orders, order_to_write
 from undeadzone.identification.verdict.widths import find_widths
 
 LATE = 6
@@ -37,6 +39,22 @@ def fitted(data: Data, samples: int, orders: list[int]) -> list[OrderFit]:
 def beyond(data: Data) -> list[OrderFit]:
     """Fits two samples later than the input acts."""
     return fitted(data, LATE + 2, [2, 3])
+
+
+def test_of_orders_that_predict_alike_one_that_can_be_written_is_chosen() -> None:
+    def fit(n: int, bic: float, error: float, poles: list[float]) -> OrderFit:
+        simulator = SimpleNamespace(
+            poles=lambda theta: np.array(poles, complex), admissible=lambda theta, margin: True
+        )
+        pairs = SimpleNamespace(bic=bic, theta=None, objective=SimpleNamespace(simulator=simulator))
+        return OrderFit(n, pairs, pairs, error, 1.0, True)
+
+    one, two = fit(1, 900.0, 0.3, [0.9]), fit(2, 110.0, 0.101, [0.9, 0.8])
+    best, none = fit(3, 100.0, 0.1, [0.9, 0.8, -0.3]), fit(4, 90.0, 0.1, [0.9, 0.8, 0.5, 0.01])
+    assert order_to_write([one, two, best]) is two
+    assert order_to_write([one, best]) is best
+    assert order_to_write([one, two, best, none]) is two
+    assert order_to_write([one, two]) is two
 
 
 @pytest.mark.parametrize("off", [2, -2])

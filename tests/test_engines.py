@@ -38,6 +38,7 @@ OBSERVERS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
     "auto": (BOTH, {"right": [0.1, 1.0]}),
     "censored": (SAMPLED, {"right": [0.1, 1.0]}),
     "certified": (BOTH, {"L": [1.0], "gamma": 10.0, "silence": True}),
+    "contact": ((), {}),  # of arms with gears: tests/test_contact.py
     "ekf": (SAMPLED, {"right": [0.1, 1.0]}),
     "extended": (SAMPLED, {"right": [0.1, 1.0], "disturbance": 0.1}),
     "full_state": (BOTH, {}),

@@ -172,8 +172,8 @@ def test_true_widths_are_found_in_whatever_words_they_vary(
     words: str, right: Any, left: Any
 ) -> None:
     varied = {words: np.array([2.0, 3.0])}
-    np.testing.assert_allclose(true_width("right[1]", 1.4, varied), right)
-    np.testing.assert_allclose(true_width("left[1]", 0.5, varied), left)
+    np.testing.assert_allclose(true_width("right[1]", [1.0, 1.0, 1.4, 0.5], varied), right)
+    np.testing.assert_allclose(true_width("left[1]", [1.0, 1.0, 1.4, 0.5], varied), left)
 
 
 def test_the_most_influential_entry_comes_first() -> None:

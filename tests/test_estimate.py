@@ -305,8 +305,8 @@ WOULD_FIT = {
     "sign": "the inputs, or the readings, have the other sign",
     "thousandfold": "the readings are in another unit: times 0.001 they fit",
     "millivolts": "the inputs are in another unit: times 0.001 they fit",
-    "early": "the inputs act 10 samples after the log has them",
-    "late": "the inputs act 5 samples before the log has them",
+    "early": "the inputs act 10 samples later: plant.delay = 10",
+    "late": "the inputs act 5 samples earlier: the log has them late",
     "gain": None,
 }
 

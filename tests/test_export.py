@@ -194,7 +194,12 @@ def test_a_stored_state_goes_on_with_the_same_bits(tmp_path: Path) -> None:
     runner.begin()
     runner(rows[:120])
     stored = runner.state.copy()
-    resume = runner._functions.run_float64_resume
+    head = "int go_on(void *state, const void *stored, const char *hash)"
+    body = "{ return run_float64_resume(state, stored, hash); }"
+    text = f'#include "run_float64.h"\n{head};\n{head}\n{body}\n'
+    (tmp_path / "resume.c").write_text(text)
+    library = compiler.shared_library([tmp_path / "resume.c"], tmp_path / "resume.so")
+    resume = ctypes.CDLL(str(library)).go_on
     places = [array.ctypes.data_as(ctypes.c_void_p) for array in (runner.state, stored)]
     runner.begin()
     start = runner.state.copy()
@@ -331,7 +336,6 @@ def test_no_constant_overflows_or_vanishes(tmp_path: Path) -> None:
         "-1e+300: -3.3572615e+38f",
         "1e+100: 2.2533617e+38f",
         "1e+300: 3.3572615e+38f",
-        "1e-300: FLT_MIN",
     ]
     texts = {node.text for node in needed(itertools.chain(*code(step, True).results))}
     assert "nan" not in texts

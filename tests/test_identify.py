@@ -310,7 +310,7 @@ def plain_filter(objective: KalmanObjective, p: Floats) -> tuple[Floats, Floats]
     data, layout, model = objective.data, objective.layout, objective.model
     lane = objective.lane(p)
     F, B, G, H = matrices(layout.n, layout.m, model, lane)
-    q2, r2, right, left, _, first, first_w, slack = lane[objective.lane_q :]
+    q2, r2, right, left, _, first, first_w = lane[objective.lane_q :]
     x = np.zeros(len(F))
     P = np.diag([first] * layout.n + [first_w] * (model > 0))
     covariances, gs = [], []
@@ -319,7 +319,7 @@ def plain_filter(objective: KalmanObjective, p: Floats) -> tuple[Floats, Floats]
         PH = P @ H[0]
         s = math.sqrt(H[0] @ PH + r2)
         mean = H[0] @ x
-        a, b = (y + right + slack - mean) / s, (y - left - slack - mean) / s
+        a, b = (y + right - mean) / s, (y - left - mean) / s
         g, k = (y + right * (side > 0) - left * (side < 0) - mean) / s, 1.0
         if side == 0:
             mass = ndtr(a) - ndtr(b) if b < 0 else ndtr(-b) - ndtr(-a)
@@ -332,16 +332,10 @@ def plain_filter(objective: KalmanObjective, p: Floats) -> tuple[Floats, Floats]
     return np.array(covariances), np.array(gs)
 
 
-@pytest.mark.parametrize("slack", [0.0, 0.1])
 @pytest.mark.parametrize("model", [0, 1, 2])
-def test_compiled_filter_agrees_with_the_plain_one(model: int, slack: float) -> None:
-    """Of a dead zone, and of a play that holds at a level, which has a slack."""
+def test_compiled_filter_agrees_with_the_plain_one(model: int) -> None:
     _, u, y, _ = record(size=300, disturbance=0.3)
-    data = data_of(u, y)
-    if slack:
-        held = 0.3 * np.sin(np.arange(300) / 20)
-        data = data._replace(y=np.where(data.side == 0, held, data.y))
-    objective = KalmanObjective(data, Layout(2, 1, 1), model, Limits(), slack)
+    objective = KalmanObjective(data_of(u, y), Layout(2, 1, 1), model, Limits())
     p = np.array([*A, 0.4, 0.3, -2.0, -2.5, 0.8, 0.5, 1.0][: objective.size])
     covariances, g = plain_filter(objective, p)
     fit = KalmanFit(objective, p, 0.0)
@@ -360,7 +354,7 @@ def test_smoother_is_least_squares_where_all_speaks(model: int) -> None:
     p = np.array([*A, 0.4, 0.3, -2.0, -2.5, 0.0, 0.0, 1.0])
     lane = objective.lane(p)
     F, B, G, H = matrices(2, 1, model, lane)
-    q2, r2, *_, first, first_w, _ = lane[objective.lane_q :]
+    q2, r2, *_, first, first_w = lane[objective.lane_q :]
     mean, power = np.zeros((40, 3)), np.zeros((40, 3, 40, 3))
     power[0, :, 0] = np.diag([first, first, first_w])
     for t in range(39):

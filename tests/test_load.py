@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import numpy as np
@@ -50,6 +51,21 @@ def test_a_load_that_coasts_is_refused_before_the_run() -> None:
     with pytest.raises(InputError, match="out of reach for a play at the sensor"):
         simulate(motor({"load_inertia": 2.1e-3, "load_friction": 0.02}))
     simulate(motor({"load_inertia": 2.0e-3, "load_friction": 0.02}))
+
+
+@pytest.mark.parametrize(("inertia", "coasts"), [(1e-3, False), (4e-3, True)])
+def test_live_use_warns_of_a_load_that_coasts(inertia: float, coasts: bool) -> None:
+    """Where a run would be refused; once."""
+    plain = motor({"load_friction": 0.02}).replace("simulation.duration", 3.0)
+    run = simulate(plain)
+    sensor = plain.replace("sensor.load_inertia", inertia).sensor
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        online = uz.Online(plain.observer, plain.plant, sensor, TS)
+        online.update_many(run.y[:1000], run.u[:1000])
+        for y, u in zip(run.y[1000:], run.u[1000:], strict=True):
+            online.update(y, u)
+    assert ["coasts through its gap" in str(warning.message) for warning in told] == [True] * coasts
 
 
 def test_a_reference_with_corners_tells_no_deceleration() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -176,6 +177,64 @@ def test_one_command_leads_from_a_log_to_firmware_that_has_followed_it(
         assert refused.returncode == 2
         assert "--chain follows one log" in refused.stderr
     assert not (tmp_path / "other").exists()
+
+
+def test_what_is_recorded_next_narrows_the_widest_interval_as_was_said(tmp_path: Path) -> None:
+    draw = np.random.default_rng(3)
+
+    def write(name: str, u: Floats) -> None:
+        y = zone(np.array(lag(u))) + 0.02 * draw.standard_normal(u.size)
+        table = np.column_stack([STEP * np.arange(u.size), u, y])
+        np.savetxt(tmp_path / name, table, delimiter=",", header="t,u,y", comments="")
+
+    u = np.repeat(draw.standard_normal(20), 15)
+    write("first.csv", u)
+    words = ("identify", "first.csv", "--order", "1", "--delay", "0", "--next", "next.csv")
+    done = undeadzone(*words, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    said = re.search(r"record next .*; (\w+): (\d+) % of its interval", done.stdout)
+    assert said is not None
+    page = (tmp_path / "first-identify" / "report.html").read_text(encoding="utf-8")
+    assert "What to record next" in page
+    table = np.loadtxt(tmp_path / "next.csv", delimiter=",", skiprows=1)
+    assert table[-1, 0] == pytest.approx(30.0 - STEP)
+    assert np.abs(table[:, 1]).max() <= np.abs(u).max()
+    assert np.abs(np.diff(table[:, 1])).max() <= np.abs(np.diff(u)).max() + 1e-6
+    refused = undeadzone(*words, cwd=tmp_path)
+    assert refused.returncode == 2
+    assert "next.csv: exists already" in refused.stderr
+    write("second.csv", table[:, 1])
+    logs = [str(tmp_path / name) for name in ("first.csv", "second.csv")]
+    before, after = (uz.identify(one, order=1, delay=0) for one in (logs[0], logs))
+    narrowed = getattr(after, said[1]).half / getattr(before, said[1]).half
+    assert 0.5 < narrowed / (float(said[2]) / 100) < 2
+
+
+def test_a_play_with_few_turns_is_undecided_and_the_next_log_decides() -> None:
+    """It was called friction, with odds of 98 %."""
+    u, y = record("play", "exact", integrates=True)
+    found = uz.identify(t=STEP, u=u, y=y)
+    assert found.verdict == "undecided"
+    assert any("the readings turn 4 times" in reason for reason in found.answer.reasons)
+    assert found.width is None
+    following = found.next_log()
+    assert following.what == "width"
+    x, z = np.zeros(2), []
+    for force in following.u[:, 0]:
+        z.append(x[0])
+        for _ in range(10):
+            x = x + STEP / 10 * np.array([x[1], 20 * force - 4 * x[1]])
+    decided = uz.identify(t=STEP, u=following.u, y=play(np.array(z)))
+    assert decided.verdict == "play"
+    assert decided.width.low - 1e-4 <= RIGHT + LEFT <= decided.width.high + 1e-4
+
+
+def test_nothing_is_recorded_next_where_nothing_is_gained() -> None:
+    rng = np.random.default_rng(0)
+    u = np.repeat(rng.standard_normal(60), 15)
+    y = np.array(lag(u)) + 0.02 * rng.standard_normal(u.size)
+    with pytest.raises(uz.InputError, match="of the verdict none there is no interval to narrow"):
+        uz.identify(t=STEP, u=u, y=y, order=1, delay=0).next_log()
 
 
 def lag(u: Floats) -> list[float]:

@@ -146,7 +146,7 @@ def swinging(name: str, duration: float = 6.0, step: float = STEP) -> Trial:
     model = sampled(system(plant), step, 1)
     x, u = ca.SX.sym("x", model.n), ca.SX.sym("u", model.m)
     move = ca.Function("move", [x, u], [model.move(ca.SX(model.params), x, u)])
-    start = now = initial_state(plant, model.n)
+    start = now = initial_state(plant, model)
     inputs = []
     for k in range(round(duration / step)):
         inputs.append(np.ravel(torque(k * step, now)))

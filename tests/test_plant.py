@@ -207,12 +207,13 @@ def test_sampled_linear_plant_is_the_exact_hold() -> None:
 
 
 def test_initial_state() -> None:
-    assert initial_state(Plant(integrators=2), 2).tolist() == [0, 0]
-    assert initial_state(Plant(integrators=2, x0=[[1.0], [2.0]]), 2).tolist() == [1, 2]
+    chain = system(Plant(integrators=2))
+    assert initial_state(Plant(integrators=2), chain).tolist() == [0, 0]
+    assert initial_state(Plant(integrators=2, x0=[[1.0], [2.0]]), chain).tolist() == [1, 2]
     with pytest.raises(
         ShapeError, match=r"plant.x0: expected 2 numbers \(one per state\), found 3"
     ):
-        initial_state(Plant(integrators=2, x0=[1, 2, 3]), 2)
+        initial_state(Plant(integrators=2, x0=[1, 2, 3]), chain)
 
 
 A2: Any = [[0.0, 1.0], [-1.0, -2.0]]

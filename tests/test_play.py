@@ -383,9 +383,11 @@ def test_exported_c_passes_its_self_test(tmp_path: Path) -> None:
     assert done.passed
 
 
-def test_the_page_refuses_a_play(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="a play has none"):
-        uz.export(slow({}, CERTIFIED, disturbance=None), out=tmp_path / "p.html", to="page")
+def test_the_page_draws_a_play(tmp_path: Path) -> None:
+    uz.export(slow({}, CERTIFIED, disturbance=None), out=tmp_path / "p.html", to="page")
+    text = (tmp_path / "p.html").read_text(encoding="utf-8")
+    assert "blind at every turn" in text
+    assert "holds still" in text
 
 
 def test_the_oracle_of_an_ensemble_knows_the_gap_of_each_run() -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import re
+import shutil
 from pathlib import Path
 
 import casadi as ca
@@ -15,11 +17,13 @@ from scipy.stats import norm
 
 import undeadzone as uz
 from undeadzone.cli import group
+from undeadzone.exports import export
+from undeadzone.identification.logs.grid import spacing_of
 from undeadzone.identification.servo import predictor
 from undeadzone.identification.servo.crossings import Crossings, crossings_of
-from undeadzone.identification.servo.feedback import is_closed
+from undeadzone.identification.servo.feedback import CHANCE, loop_chance
 from undeadzone.identification.servo.gap import ServoGap, servo_gap
-from undeadzone.identification.servo.heard import Heard, encoder_of, heard
+from undeadzone.identification.servo.heard import Heard, heard
 from undeadzone.identification.servo.likelihood import Likelihood
 from undeadzone.identification.servo.likelihood import Servo as Fitted
 from undeadzone.identification.servo.sampled import FRICTION
@@ -201,7 +205,7 @@ def test_a_loop_is_heard() -> None:
     right, loops = 0, 0
     for seed in range(30):
         log = random_log(900 + seed, 2000)
-        found = is_closed(log.u, log.y)
+        found = loop_chance(log.u, log.y) < CHANCE
         assert log.closed or not found
         right, loops = right + found, loops + log.closed
     assert right >= 0.7 * loops
@@ -210,8 +214,8 @@ def test_a_loop_is_heard() -> None:
 def test_an_encoder_is_known_by_its_changes() -> None:
     rng = np.random.default_rng(0)
     ticks = np.cumsum(rng.integers(-40, 41, 500))
-    assert encoder_of(0.003 * ticks) == pytest.approx(0.003)
-    assert encoder_of(rng.standard_normal(500)) == 0.0
+    assert spacing_of(np.unique(0.003 * ticks)) == pytest.approx(0.003)
+    assert spacing_of(np.unique(rng.standard_normal(500))) == 0.0
 
 
 def test_what_a_play_passes_on_has_the_moments_of_a_gaussian() -> None:
@@ -243,14 +247,17 @@ def test_crossings_have_a_median_and_a_scatter() -> None:
     assert math.isnan(empty.scatter)
 
 
-def test_a_log_ends_in_a_scenario_and_a_page(
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="no compiler")
+def test_a_late_log_ends_in_firmware_that_has_followed_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    u, y = logged(MOTOR._replace(delay=0))
+    monkeypatch.setattr(export, "STEPS", 2000)
+    u, y = logged(MOTOR._replace(delay=3))
     rows = np.column_stack([STEP * np.arange(SIZE), u, y])
     np.savetxt("log.csv", rows, delimiter=",", header="t,u,y", comments="", fmt="%.12g")
-    assert not group.main(["identify", "log.csv"], standalone_mode=False)
+    words = ["identify", "log.csv", "--chain", "fw"]
+    assert not group.main(words, standalone_mode=False)
     out = capsys.readouterr().out
     assert "NO: play" in out
     assert "crossings" in out
@@ -262,8 +269,14 @@ def test_a_log_ends_in_a_scenario_and_a_page(
     assert len(servo["crossings"]["gap"]) == len(servo["crossings"]["t"]) > 10
     page = Path("log-identify/report.html").read_text(encoding="utf-8")
     assert "The gap at each crossing" in page
-    assert 'kind = "play"' in Path("log.toml").read_text(encoding="utf-8")
-    parse(Path("log.toml").read_text(encoding="utf-8"))
+    scenario = parse(Path("log.toml").read_text(encoding="utf-8"))
+    assert (scenario.sensor.kind, scenario.plant.delay) == ("play", 3)
+    assert scenario.sensor.quantum == pytest.approx(MOTOR.quantum)
+    assert "every bit agrees" in out
+    with np.load("fw/estimate.npz") as estimate:
+        assert estimate["u"].shape == (SIZE, 1)
+    hidden, left = map(float, re.findall(r"rms \S+ - z ([\d.e-]+)", out))
+    assert left < 1e-3 * hidden
 
 
 def test_motors_and_lags_climb_side_by_side(with_friction: tuple[Heard, ServoGap]) -> None:

@@ -76,6 +76,7 @@ from .plants.options import SecondOrder as SecondOrder
 from .plants.options import TransferFunction as TransferFunction
 from .plants.region import Box as Box
 from .plants.region import Region as Region
+from .plants.robots.geared import Gears as Gears
 from .plants.robots.options import URDF as URDF
 from .plants.robots.options import ElasticJoint as ElasticJoint
 from .plants.robots.options import OneLink as OneLink
@@ -103,6 +104,7 @@ from .signals.exosystem import Trapezoid as Trapezoid
 from .signals.paths import Circle as Circle
 from .signals.paths import FigureEight as FigureEight
 from .signals.paths import Quintic as Quintic
+from .signals.paths import Swing as Swing
 from .simulation.estimate import estimate as estimate
 from .simulation.online import Online as Online
 from .simulation.simulate import compare as compare

@@ -136,6 +136,7 @@ OBSERVERS: Final = Catalogue(
         "kalman": "undeadzone.observers.kalman:Kalman",
         "censored": "undeadzone.observers.censored:Censored",
         "extended": "undeadzone.observers.extended:Extended",
+        "contact": "undeadzone.observers.contact:Contact",
         "luenberger": "undeadzone.observers.luenberger:Luenberger",
         "oracle": "undeadzone.observers.oracle:Oracle",
         "full_state": "undeadzone.observers.full_state:FullState",

@@ -26,6 +26,7 @@ HEAD = ("joint", "moves", "from", "to", "speed", "torque", "to hold", "b", "f", 
     "Joints that move, from base to tip (default: all; the others are fixed at 0).",
 )
 @option("--at", "Q1,...", "Posture [rad or m] (default: 0, or the middle between limits).")
+@click.option("--gears", is_flag=True, help="Write gears with a gap in place of dead zones.")
 @force_option
 @common
 def arm(
@@ -33,20 +34,22 @@ def arm(
     tip: str | None,
     joints: str | None,
     at: str | None,
+    gears: bool,
     output: Output,
     force: bool,
 ) -> int:
     """Show the arm in a URDF file: joints, limits, masses, tip, reach, torques that hold it.
 
     With --out it writes NAME.toml to DIR, a scenario to start from: every joint swings about the
-    posture, with a dead zone there. Exit code 1: its motors cannot hold the arm in this posture.
+    posture, with a dead zone there, or behind --gears whose numbers are a guess to be replaced.
+    Exit code 1: its motors cannot hold the arm in this posture.
     """
     from undeadzone.plants.robots.survey import survey
 
     folder = None if output.out is None else writable(output.out)
     names = None if joints is None else [name.strip() for name in joints.split(",")]
     found = survey(robot, names, tip, None if at is None else _numbers(at))
-    written = [] if folder is None else [_started(found, robot, folder, force)]
+    written = [] if folder is None else [_started(found, robot, folder, gears, force)]
     weak = _weak(found)
     output.show(
         lambda: _in_numbers(found),
@@ -73,7 +76,7 @@ def _numbers(text: str) -> list[float]:
         ) from None
 
 
-def _started(found: Survey, robot: Path, folder: Path, force: bool) -> Path:
+def _started(found: Survey, robot: Path, folder: Path, gears: bool, force: bool) -> Path:
     """The scenario that was written. Raises FileError where there is one already."""
     from undeadzone.scenario.urdf_start import starting_scenario
     from undeadzone.support.files import write_text
@@ -82,7 +85,7 @@ def _started(found: Survey, robot: Path, folder: Path, force: bool) -> Path:
     path = folder / f"{robot.stem}.toml"
     require_own(path, force)  # it is for the user to edit: without a mark
     relative = Path(os.path.relpath(robot, folder)).as_posix()
-    return write_text(starting_scenario(found, relative), path)
+    return write_text(starting_scenario(found, relative, gears), path)
 
 
 def _weak(found: Survey) -> list[str]:
@@ -151,7 +154,7 @@ def _advice(found: Survey, weak: list[str], written: list[Path], robot: Path) ->
     missing = []
     if not any(any(joint.friction) for joint in found.joints):
         missing.append("friction (plant.parameters b1, f1, ...)")
-    missing.append("the dead zone of each joint (sensor.right, sensor.left)")
+    missing.append("the dead zone of each joint (sensor.right, sensor.left; --gears: their gaps)")
     return (
         f"the file does not know {' and '.join(missing)}; "
         f"a scenario to start from: undeadzone arm {robot} --out ."

@@ -13,6 +13,7 @@ from undeadzone.support.arrays import Floats, finite
 from undeadzone.support.text import with_unit
 
 if TYPE_CHECKING:
+    from undeadzone.exports.code import Code
     from undeadzone.results.estimation import Estimation
     from undeadzone.scenario.schema import Scenario
 
@@ -63,7 +64,8 @@ def chained(path: Path, log: Path, folder: Path, columns: str | None, strict: bo
         firmware = export(scenario, "c", folder / "firmware", precision, check=True)
         if firmware.passed:
             break
-    hidden, left = followed(scenario, found, precision == "single")
+    assert firmware.code is not None
+    hidden, left = followed(scenario, found, firmware.code)
     numbers = {
         "identifiable": [one.right and one.left for one in known],
         "consistent": found.consistent,
@@ -85,7 +87,7 @@ def chained(path: Path, log: Path, folder: Path, columns: str | None, strict: bo
     return Chain(words, finite(numbers), [kept, *firmware.files], firmware.passed)
 
 
-def followed(scenario: Scenario, found: Estimation, single: bool) -> tuple[float, float]:
+def followed(scenario: Scenario, found: Estimation, code: Code) -> tuple[float, float]:
     """What the reading hides of z, and what the exported C, run along the log, leaves of it.
 
     The truth is nobody's: z is what the whole log says of it, or the filter where none smooths.
@@ -93,22 +95,19 @@ def followed(scenario: Scenario, found: Estimation, single: bool) -> tuple[float
     Args:
         scenario: that was exported.
         found: the estimate along the log.
-        single: whether the C is in float.
+        code: that was printed of its observer.
 
     Returns:
         rms of y / m - z, and of the C's z^ - z, over all outputs [z].
     """
     from undeadzone.exports.accuracy import Compiled
-    from undeadzone.exports.code import code
-    from undeadzone.exports.parts import build, places_of
-    from undeadzone.scenario.problem import resolve_scenario
+    from undeadzone.exports.parts import places_of
 
-    problem = resolve_scenario(scenario)
-    step, z = build(problem), found.z_hat if found.z_smooth is None else found.z_smooth
+    z = found.z_hat if found.z_smooth is None else found.z_smooth
     with tempfile.TemporaryDirectory() as scratch:
-        outputs = Compiled(code(step, single), Path(scratch))(np.hstack([found.y, found.u]))
-    estimated = outputs[:, places_of(step.outputs)["z"]]
-    return _rms(found.y / problem.sensor.slope - z), _rms(estimated - z)
+        outputs = Compiled(code, Path(scratch))(np.hstack([found.y, found.u]))
+    estimated = outputs[:, places_of(code.step.outputs)["z"]]
+    return _rms(found.y / np.asarray(scenario.sensor.slope) - z), _rms(estimated - z)
 
 
 def _rms(values: Floats) -> float:

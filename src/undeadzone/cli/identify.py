@@ -24,6 +24,7 @@ from undeadzone.cli.output import Output, common, named_files, partial_file
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
+    from undeadzone.identification.answer.next_log import Next
     from undeadzone.identification.answer.result import Identified, IdentifiedOutputs
 
     Answers = Identified | IdentifiedOutputs
@@ -54,6 +55,9 @@ PLACES = click.Choice(["auto", "sensor"])
 @rarely("--resample", "STEP", "Step [s] to put the samples on.", type=float)
 @strict_option
 @option("--chain", "DIR", "Go on to firmware in DIR: check, estimate, export, replay.", type=PATH)
+@click.option(
+    "--next", "further", metavar="FILE", type=PATH, help="CSV of the input to record next."
+)
 @flag("--resume", "Continue where it was stopped, from DIR/identify.json.partial.")
 @help_all
 @force_option
@@ -64,6 +68,7 @@ def identify(
     output: Output,
     resume: bool,
     chain: Path | None,
+    further: Path | None,
     force: bool,
     **options: Any,
 ) -> int:
@@ -84,6 +89,7 @@ def identify(
     from undeadzone.identification.answer.result import WRITTEN
     from undeadzone.identification.identify import identify as identified
     from undeadzone.logs.names import require_table
+    from undeadzone.support.files import write_text
     from undeadzone.support.own_files import require_own
 
     first = logs[0]
@@ -94,7 +100,8 @@ def identify(
     if chain is not None:
         writable(chain)
     require_table(str(first))
-    require_own(path, force)
+    for made in filter(None, (path, further)):
+        require_own(made, force)
     keep = partial_file(folder, "identify.json", resume)
     with progress("identifying", None) as advance:
         names = [str(path) for path in logs]
@@ -105,24 +112,27 @@ def identify(
         if is_found or answer.verdict in WRITTEN:
             scenario, reason = _scenario(answer, path, force)
             written = scenario + written
+        best, why = (None, {}) if further is None else _asked_next(answer)
+        if further is not None and best is not None:
+            written.append(write_text(best.table, further))
         if folder is not None and output.figures:
-            written += _pages(answer, folder, first.name)
+            written += _pages(answer, folder, first.name, best)
     if keep is not None:
         keep.unlink(missing_ok=True)
-    why = {} if reason is None else {"no scenario": reason.removeprefix("scenario: ")}
+    why |= {} if reason is None else {"no scenario": reason.removeprefix("scenario: ")}
     is_written = path in written
     follow = {"next": _next(path, first, len(logs))} if is_written else {}
-    is_done, further = is_found or is_written, {}
+    is_done, more = is_found or is_written, {}
     if chain is not None and is_written:
         with progress("going on to firmware", None):
             reached = chained(path, first, chain, options["columns"], options["strict"])
         written, is_done = written + reached.files, reached.passed
-        why, further = why | reached.words, {"chain": reached.numbers}
+        why, more = why | reached.words, {"chain": reached.numbers}
         follow = {"next": f"make -C {chain / 'firmware'} builds the self-test"}
     elif chain is not None:
         is_done, why = False, why | {"firmware": "none: there is no scenario to make it of"}
     output.show(
-        lambda: answer.numbers() | further,
+        lambda: answer.numbers() | more,
         answer.blocks,
         written,
         why | named_files(written) | follow,
@@ -138,6 +148,20 @@ def _next(scenario: Path, log: Path, logs: int) -> str:
     return f"{words}, or undeadzone export {scenario}"
 
 
+def _asked_next(answer: Answers) -> tuple[Next | None, dict[str, str]]:
+    """What to record next, and its words; or why nothing is."""
+    from undeadzone.errors import InputError
+    from undeadzone.identification.answer.result import Identified
+
+    if not isinstance(answer, Identified):
+        return None, {"no next log": "several outputs: ask it of one, named by --columns"}
+    try:
+        best = answer.next_log()
+    except InputError as error:
+        return None, {"no next log": str(error).removeprefix("next: ")}
+    return best, {"record next": best.words}
+
+
 def _scenario(answer: Answers, path: Path, force: bool) -> tuple[list[Path], str | None]:
     """The scenario that was written, or why there is none."""
     from undeadzone.errors import InputError
@@ -149,13 +173,13 @@ def _scenario(answer: Answers, path: Path, force: bool) -> tuple[list[Path], str
         return [], str(error)
 
 
-def _pages(answer: Answers, folder: Path, source: str) -> list[Path]:
+def _pages(answer: Answers, folder: Path, source: str, best: Next | None) -> list[Path]:
     """A page with figures for each output, written to a folder."""
     from undeadzone.identification.answer.result import Identified
     from undeadzone.report.identify_page import write_identified
 
     if isinstance(answer, Identified):
-        return write_identified(answer, folder, source, origin(None))
+        return write_identified(answer, folder, source, origin(None), best)
     written = []
     for k, (name, one) in enumerate(zip(answer.names, answer.outputs, strict=True)):
         written += write_identified(one, folder / f"output-{k}", f"{source}, {name}", origin(None))

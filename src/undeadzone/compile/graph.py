@@ -16,7 +16,7 @@ STILL: Final = 3
 LANES: Final = 4
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(slots=True, eq=False, repr=False)  # its operands, written out, would fill any memory
 class Node:
     """An instruction.
 

@@ -250,7 +250,8 @@ class _Gathering:
         while self._held[guard]:
             nodes.append(self._held[guard].pop(0))
             self._place(nodes[-1])
-        leaving = [node for node in nodes if self._is_used_outside(node, set(nodes))]
+        inside = set(nodes)
+        leaving = [node for node in nodes if self._is_used_outside(node, inside)]
         return Branch(*guard, nodes, leaving)
 
     def _is_used_outside(self, node: Node, inside: set[Node]) -> bool:

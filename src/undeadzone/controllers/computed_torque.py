@@ -8,8 +8,9 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.catalogue import Options
+from undeadzone.controllers.parts.geared_torque import geared_torque
 from undeadzone.errors import InputError, StepError
-from undeadzone.feedforward.targets import Target
+from undeadzone.feedforward.targets import Target, along_targets
 from undeadzone.interfaces import Controller, Estimate, Plan
 from undeadzone.plants.robots.arm import Arm, acceleration, torque
 from undeadzone.plants.system import System
@@ -30,13 +31,18 @@ class ComputedTorque(Options, frozen=True, kw_only=True, tag="computed_torque"):
         k_d: K_d, one or one per joint [1/s].
         reject: where the observer estimates what its model leaves out, x' = f(x, u) + w^, take it
             into account.
+        crossing: w, of an arm with gears: their gaps are crossed with both poles at -w, where the
+            torque that a link needs changes sign [1/s].
     """
+
+    gears = True  # it knows them
 
     bandwidth: Array | None = None
     damping: Array = 1.0
     k_p: Array | None = None
     k_d: Array | None = None
     reject: bool = True
+    crossing: float = 30.0
 
     def build(self, model: System) -> Controller:
         """The controller for the model of a rigid arm, continuous or sampled."""
@@ -50,6 +56,8 @@ class ComputedTorque(Options, frozen=True, kw_only=True, tag="computed_torque"):
         k_p, k_d = self._gains(N)
         if model.Ts is not None:
             _require_fine_step(k_p, k_d, model.Ts)
+        if model.gears is not None:
+            return geared_torque(model, k_p, k_d, self.crossing, self.reject)
 
         def step(p: Params, s: Any, estimate: Estimate, target: Target) -> tuple[Any, Any]:
             q, v = estimate.x[:N], estimate.x[N:]
@@ -105,11 +113,10 @@ def accelerations(arm: Arm, params: Floats, target: Target) -> Floats:
         target: the reference, a row per instant.
     """
     N = arm.size
-    x, u = ca.SX.sym("x", 2 * N), ca.SX.sym("u", N)
-    a = acceleration(arm, ca.SX(params), x[:N], x[N:], u)
-    function = ca.Function("accelerations", [x, u], [a], {"cse": True})
-    along = function.map(len(target.u_ff))
-    return np.asarray(along(target.x_ref.T, target.u_ff.T).full().T)
+    return along_targets(
+        lambda x, u: acceleration(arm, ca.SX(params), x[:N], x[N:], u),
+        target,
+    )
 
 
 def _require_fine_step(k_p: Floats, k_d: Floats, Ts: float) -> None:

@@ -41,7 +41,7 @@ class LQG(Options, frozen=True, kw_only=True, tag="lqg"):
         R = weight("controller.R", self.R, model.m, "inputs x inputs")
         if self.integral is None:
             K = riccati(model.linear, Q, R, model.Ts).K
-            return Controller(K, lambda p: None, _feedback, K=K)
+            return Controller(Gain(K), lambda p: None, _feedback, K=K)
         params = self._servo(model, Q, R)
         keep = 0.0 if model.Ts is None else 1.0
 
@@ -50,7 +50,7 @@ class LQG(Options, frozen=True, kw_only=True, tag="lqg"):
 
         def step(p: Params, s: State, estimate: Estimate, target: Target) -> tuple[State, Any]:
             error = tracked_output("lqg", estimate, target) - target.r
-            _, u = _feedback(p.K, None, estimate, target)
+            _, u = _feedback(p, None, estimate, target)
             return State(keep * s.integral + p.grown * error), u - p.K_i @ s.integral
 
         return Controller(params, init, step, K=params.K)
@@ -78,6 +78,12 @@ class LQG(Options, frozen=True, kw_only=True, tag="lqg"):
         return Params(K[:, :n], K[:, n:], np.float64(grown))
 
 
+class Gain(NamedTuple):
+    """The gain of the states alone (m x n)."""
+
+    K: Floats
+
+
 class Params(NamedTuple):
     """Gains of the states (m x n) and of the integrals (m x p), and what a step adds to these."""
 
@@ -92,6 +98,6 @@ class State(NamedTuple):
     integral: Any
 
 
-def _feedback(K: Any, s: Any, estimate: Estimate, target: Target) -> tuple[Any, Any]:
+def _feedback(p: Any, s: Any, estimate: Estimate, target: Target) -> tuple[Any, Any]:
     """The law without an integral."""
-    return s, target.u_ff - K @ (estimate.x - target.x_ref)
+    return s, target.u_ff - p.K @ (estimate.x - target.x_ref)

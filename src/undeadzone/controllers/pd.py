@@ -41,6 +41,11 @@ class PD(Options, frozen=True, kw_only=True, tag="pd"):
     def build(self, model: System) -> Controller:
         """The controller for a model with as many inputs as outputs."""
         require_square("pd", model)
+        if model.delay:
+            raise InputError(
+                "controller.method: 'pd' feeds back the innovation, which nothing foretells over "
+                "plant.delay; use state_feedback"
+            )
         tau = scalar("controller.filter_time", self.filter_time, above=0.0)
         k_p, k_d = self._gains(model)
         rate = 1.0 / tau if model.Ts is None else -np.expm1(-model.Ts / tau)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+import casadi as ca
 import msgspec
 import numpy as np
 
@@ -100,6 +101,17 @@ class Belief(NamedTuple):
 
     drive: Drive
     ranges: Floats | None
+
+
+def through_line(line: Any, u: Any) -> tuple[Any, Any]:
+    """(the line of delays after a command u (m), the command that leaves it), in CasADi.
+
+    Args:
+        line: commands under way, the oldest first (delay m); empty: a command leaves at once.
+        u: the command (m).
+    """
+    commands = ca.vertcat(line, u)
+    return commands[u.shape[0] :], commands[: u.shape[0]]
 
 
 def within_limits(ops: Any, u: Any, drive: Drive) -> Any:

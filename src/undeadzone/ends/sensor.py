@@ -121,16 +121,16 @@ def inverse(
 ) -> Any:
     """The deadzone inverse (26): y / m + chi_bar d on the measured side.
 
-    It is y / m where the sensor is silent or of the jump kind.
+    It is y / m where the sensor is silent, of the jump kind or an encoder beside gears.
 
     Args:
         y: reading.
         side: the measured side, +1, -1, or 0 where silent.
         right, left: widths d_r, d_l [z].
         slope: m [y/z].
-        kind: "deadzone" or "jump".
+        kind: as of a `Zone`.
     """
-    taken = 0.0 if kind == "jump" else offset(side, right, left)
+    taken = 0.0 if kind in ("jump", "gears") else offset(side, right, left)
     return y / slope + taken
 
 
@@ -251,8 +251,8 @@ class Zone(msgspec.Struct, frozen=True):
     """A `Sensor` checked and spread over p outputs, with its silence threshold decided.
 
     Attributes:
-        kind: "deadzone", "jump" or "play".
-        right, left: widths d_r, d_l, of a play its gaps, at t = 0 (p) [z].
+        kind: "deadzone", "jump" or "play"; "gears" of encoders beside gears.
+        right, left: widths d_r, d_l, of a play or gears their gaps, at t = 0 (p) [z].
         slope: m (p) [y/z].
         noise: rms of the noise after the deadzone (p) [y].
         noise_before: rms of the noise ahead of the deadzone (p) [z].

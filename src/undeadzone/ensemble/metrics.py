@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.plants.robots.arm import Arm
+from undeadzone.ends.sensor import Zone
 from undeadzone.plants.system import System
 from undeadzone.results.scales import LIMIT, Scales, shares
 from undeadzone.scenario.address import matching
@@ -83,7 +83,7 @@ def measured(loop: Loop, problem: Problem) -> Measured:
     before: Tally = tree.unpack(zero, s[-size:])
     tally = _add(before, outputs, error, t, tail, tolerance * ca.fabs(scale))
     if problem.plant.arm is not None:
-        astray = _astray(problem.plant.arm, problem.model, params, outputs, instant)
+        astray = _astray(problem.plant, problem.model, params, outputs, instant)
         tally = tally._replace(tip=tally.tip + tail * ca.sumsqr(astray))
     if problem.sensor.kind == "play":
         level = tree.unpack(loop.state, following).sensor[problem.tracked]
@@ -102,10 +102,12 @@ def _nothing(plant: System, sensor: str) -> Tally:
     return Tally(one, one, one, one, one, one, each, each, tip, behind)
 
 
-def _astray(arm: Arm, model: System, params: Params, out: Outputs, instant: Exogenous) -> Any:
+def _astray(plant: System, model: System, params: Params, out: Outputs, instant: Exogenous) -> Any:
     """An arm's tip less where the model's would be on the path [m]."""
+    assert plant.arm is not None
     x_ref = params.scale.reference * instant.target.x_ref
-    return arm.tip(params.plant, out.x[: arm.size]) - arm.tip(model.params, x_ref[: arm.size])
+    reached = plant.arm.tip(*plant.joints(params.plant, out.x))
+    return reached - plant.arm.tip(*model.joints(model.params, x_ref))
 
 
 def _add(
@@ -215,18 +217,34 @@ def bands(
     return Bands(t, {name: _quantiles(error) for name, error in errors.items()})
 
 
-def true_width(name: str, nominal: float, varied: Mapping[str, Floats]) -> Floats:
+def true_width(name: str, widths: Sequence[float], varied: Mapping[str, Floats]) -> Floats:
     """The true width of an edge in each run: a number, or a column (runs) where it varies.
 
     Args:
         name: the edge, such as `right[0]`
-        nominal: its width in the scenario
+        widths: [right, left] of each output in the scenario, one after the other
         varied: columns by the names of `varied.UncertainNumber`, in whatever words they name the
-            edge
+            edge; of gears their half gaps and centres
     """
+    edge, _, index = name.rstrip("]").partition("[")
+    right, left = widths[2 * int(index) : 2 * int(index) + 2]
+    joint, half, centre = int(index) + 1, (right + left) / 2, (right - left) / 2
+    wider = _drawn(f"plant.parameters.half{joint}", half, varied) - half
+    moved = _drawn(f"plant.parameters.centre{joint}", centre, varied) - centre
+    sign, nominal = (1, right) if edge == "right" else (-1, left)
+    return _drawn(f"sensor.{name}", nominal, varied) + (wider + sign * moved)
+
+
+def widths_in_turn(sensor: Zone) -> list[float]:
+    """[right, left] of each output, one after the other."""
+    return list(np.stack([sensor.right, sensor.left], axis=1).ravel().tolist())
+
+
+def _drawn(name: str, nominal: float, varied: Mapping[str, Floats]) -> Floats:
+    """A number of the scenario in each run: itself, or a column (runs) where it varies."""
     for words, column in varied.items():
         address = words.removesuffix(" (relative)")
-        if any(matching(part, [f"sensor.{name}"]) for part in address.split(" + ")):
+        if any(matching(part, [name]) for part in address.split(" + ")):
             relative = address != words
             return column * nominal if relative else column
     return np.asarray(nominal)

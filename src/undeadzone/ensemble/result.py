@@ -157,9 +157,7 @@ class Ensemble:
             known = ", ".join([*self.varied, *self.quantities])
             raise InputError(f"{name}: is not a column of this ensemble; there are {known}")
         edge = metric.removeprefix("d_")
-        output = int(edge.partition("[")[2].rstrip("]"))
-        nominal = self.info.widths[2 * output + edge.startswith("left")]
-        return self.metrics[metric] - true_width(edge, nominal, self.varied)
+        return self.metrics[metric] - true_width(edge, self.info.widths, self.varied)
 
     def sample(self, name: str) -> Floats:
         """What the statistics of a quantity take in: the independent runs that did not diverge.

@@ -20,11 +20,12 @@ from undeadzone.ends.sensor import Zone
 from undeadzone.ensemble import run_blocks, saved
 from undeadzone.ensemble.batch import Batch, prepare
 from undeadzone.ensemble.journal import Store
-from undeadzone.ensemble.metrics import EDGES, Bands, bands
+from undeadzone.ensemble.metrics import EDGES, Bands, bands, true_width, widths_in_turn
 from undeadzone.ensemble.result import Ensemble
 from undeadzone.ensemble.saved import Info
 from undeadzone.errors import FileError, InputError
 from undeadzone.results.run import Run
+from undeadzone.scenario.encoders import with_gaps
 from undeadzone.scenario.ensemble_table import Vary
 from undeadzone.scenario.problem import Problem
 from undeadzone.scenario.reader import anchored, parse
@@ -181,7 +182,6 @@ def _info(batch: Batch) -> Info:
     problem = batch.problem
     scenario = problem.scenario
     vary = scenario.ensemble or Vary()
-    widths = np.stack([problem.sensor.right, problem.sensor.left], axis=1)
     return Info(
         title=scenario.title,
         method=str(type(scenario.observer).__struct_config__.tag),
@@ -193,7 +193,7 @@ def _info(batch: Batch) -> Info:
         runs=batch.layout.runs,
         tolerance=vary.tolerance,
         tracked=problem.tracked,
-        widths=widths.ravel().tolist(),
+        widths=widths_in_turn(problem.sensor),
         scenario=toml.dumps(scenario),
         version=undeadzone.__version__,
         recorded=min(RECORDED, batch.layout.runs),
@@ -232,7 +232,10 @@ def recorded_bands(batch: Batch, runs: int) -> Bands:
     t = batch.exogenous[::every, -2]
     params = np.array([batch.binding.packed(row)[1] for row in values])
     slots = {name: i for i, name in enumerate(tree.names(batch.loop.params))}
-    widths = params[:, [slots[f"sensor.{edge}"] for edge in edges]]
+    varied = dict(zip(batch.binding.names, values.T, strict=True))
+    nominal = widths_in_turn(batch.problem.sensor)
+    true = [np.broadcast_to(true_width(edge, nominal, varied), runs) for edge in edges]
+    widths = np.stack(true, axis=1)
     scale = params[:, slots["scale.reference"], None, None]
     r = scale * batch.problem.reference.value(t)
     return bands(t, z, r, d_hat, widths, batch.problem.tracked)
@@ -310,10 +313,11 @@ def _problem_of_run(batch: Batch, values: Floats, what: str) -> Problem:
     problem = batch.problem
     reference = problem.reference
     title = f"{problem.scenario.title}, {what}"
+    plant = problem.plant._replace(params=params.plant)
     return problem._replace(
         scenario=msgspec.structs.replace(problem.scenario, title=title),
-        plant=problem.plant._replace(params=params.plant),
-        sensor=_sensor_of_run(problem.sensor, params),
+        plant=plant,
+        sensor=with_gaps(_sensor_of_run(problem.sensor, params), plant),
         reference=reference._replace(Q=reference.Q * params.scale.reference),
     )
 

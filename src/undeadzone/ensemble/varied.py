@@ -13,12 +13,12 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from undeadzone.ends.sensor import resolve
 from undeadzone.errors import InputError
 from undeadzone.observers.parts.actuated import built
 from undeadzone.plants.robots.arm import signless
 from undeadzone.plants.system import pace
 from undeadzone.scenario.address import entries_there, index_of, matching, similar, stem
+from undeadzone.scenario.encoders import sensed
 from undeadzone.scenario.ensemble_table import (
     POSITIVE,
     CheckedDistribution,
@@ -37,6 +37,7 @@ FIXED: Final = (
     *("h", "controller.tau", "controller.rate"),  # set by the clock, never varied
     *("sensor.limits.low", "sensor.limits.high"),  # sensor.range, where they exist
 )
+AHEAD: Final = "controller.ahead."  # of the model that a controller moves on over a delay
 PARAMETRIC: Final = ("plant", "observer.model", "controller.model")  # hold NAME of parameters
 PER_SECOND: Final = ("observer.L", "observer.gamma")  # held per step by the loop of a sampled model
 NOT_NEGATIVE: Final = (
@@ -50,6 +51,7 @@ SCALES: Final = {
     "scale.before": "sensor.noise_before",
     "scale.after": "sensor.noise",
 }
+WIDTHS: Final = ("right", "left", "threshold")  # of a sensor's zone
 TINY: Final = 1e-200  # in place of a number that is 0
 
 
@@ -97,7 +99,8 @@ def quantities(problem: Problem, loop: Loop, nominal: Floats) -> dict[str, Quant
     fixed = [*FIXED, *_meaningless(problem)]
     by_address: dict[str, Quantity] = {}
     for slot, (name, value) in enumerate(zip(tree.names(loop.params), nominal, strict=True)):
-        if stem(name) in fixed and slot not in renamed:
+        is_fixed = stem(name) in fixed or name.startswith(AHEAD)
+        if is_fixed and slot not in renamed:
             continue
         address = renamed.get(slot) or _address(problem, name)
         slots, gain = of_sensor.get(address, (slot,)), 1.0
@@ -117,12 +120,12 @@ def _places_of_sensor(problem: Problem, loop: Loop) -> dict[str, tuple[int, ...]
     that is built with other numbers, all of them different.
     """
     others = _other_numbers(problem)
-    scenario, p, model = problem.scenario, problem.plant.p, problem.model
+    scenario, model = problem.scenario, problem.model
     sensor = msgspec.structs.replace(scenario.sensor, **others)
     told = known_sensor(msgspec.structs.replace(scenario, sensor=sensor))
-    step, rate = scenario.simulation.step, pace(problem.flow.linear)
-    observer = built(scenario.observer, model, resolve(told, p, step, rate), problem.belief)
-    changed = problem._replace(sensor=resolve(sensor, p, step, rate), observer=observer)
+    read = problem.flow, scenario.simulation.step, pace(problem.flow.linear)
+    observer = built(scenario.observer, model, sensed(told, *read), problem.belief)
+    changed = problem._replace(sensor=sensed(sensor, *read), observer=observer)
     _, params = packed(changed, loop)
     places = {}
     for key, numbers in others.items():
@@ -137,7 +140,9 @@ def _places_of_sensor(problem: Problem, loop: Loop) -> dict[str, tuple[int, ...]
 def _other_numbers(problem: Problem) -> dict[str, Floats]:
     """Numbers of the sensor by key, hardly smaller than its own and all of them different."""
     sensor = problem.sensor
-    own = {"right": sensor.right, "left": sensor.left, "threshold": sensor.threshold}
+    own = {name: getattr(sensor, name) for name in WIDTHS}
+    if problem.plant.gears is not None:
+        own = {}
     if sensor.limits is not None:
         own["range"] = np.stack([sensor.low, sensor.high], axis=1)
     if sensor.play is not None:
@@ -160,6 +165,9 @@ def _meaningless(problem: Problem) -> list[str]:
         meaningless.append("scale.reference")
     if problem.scenario.disturbance is None:
         meaningless.append("scale.disturbance")
+    if problem.plant.gears is not None:  # encoders have no zone
+        meaningless += [f"sensor.{name}" for name in WIDTHS]
+        meaningless += [f"observer.{name}" for name in WIDTHS]
     return meaningless
 
 

@@ -47,10 +47,12 @@ class Exported(NamedTuple):
         report: name, hash, sizes and the stack on this computer [bytes], operations of a step,
             accuracy, and `refusals`: why the code should not be used, with the number; empty where
             all is well.
+        code: what was printed; None of a page.
     """
 
     files: list[Path]
     report: dict[str, Any]
+    code: Code | None = None
 
     @property
     def passed(self) -> bool:
@@ -135,7 +137,7 @@ def export(
         report["self_test"] = said
         if not passed:
             report["refusals"] = [*report["refusals"], f"the self-test fails: {said}"]
-    return Exported(written, report)
+    return Exported(written, report, printed)
 
 
 def _minutes(count: int) -> str:

@@ -103,6 +103,7 @@ def state_meanings(units: Units) -> dict[str, str]:
     states = units.state if isinstance(units.state, str) else ", ".join(units.state)
     return {
         "held": f"the last finite input [{units.input}]",
+        "line": f"inputs that have not acted yet, the oldest first [{units.input}]",
         "mean": "mean of the belief: state, then widths and what else is estimated",
         "cov": "covariances of the belief, upper triangle column by column",
         "x": f"estimated state [{states}]",

@@ -10,12 +10,13 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.errors import TrackingError
+from undeadzone.errors import InputError, TrackingError
 from undeadzone.feedforward.targets import flat_targets
 from undeadzone.plants.robots.arm import Arm, Chain
 from undeadzone.plants.system import System
-from undeadzone.signals.exosystem import Exosystem, piecewise
-from undeadzone.support.arrays import Floats, listed
+from undeadzone.signals.exosystem import Exosystem, exosystem, piecewise
+from undeadzone.signals.paths import Quintic, Swing
+from undeadzone.support.arrays import Floats, listed, matrix, series
 
 JUMP = 0.3  # [rad] from where the speed leads within one step: another solution
 SHORT = 1e-6  # of the arm's reach: a tip farther than this from its goal does not get there
@@ -72,6 +73,39 @@ def joint_path(
     path = piecewise(derivatives, arm.size)._replace(corners=task.corners)
     period = task.period if _closes(path, task.period, t[-1]) else None
     return path._replace(period=period)
+
+
+def after_swing(path: Exosystem, swing: Swing) -> Exosystem:
+    """A path of joints that begins after they have swung through points and back.
+
+    Args:
+        path: the path, which begins at rest.
+        swing: what the joints do first.
+
+    Raises:
+        InputError: or a subclass, for points and times that cannot be.
+    """
+    key, begin = "reference.swing", path.value(np.zeros(1))
+    joints = begin.shape[1]
+    if path.value(np.zeros(1), 1).any():
+        raise InputError(f"{key}: the path that follows must begin at rest; set reference.ramp")
+    points = matrix(f"{key}.points", swing.points, None, joints, "a row per point")
+    times = series(f"{key}.times", swing.times)
+    through = Quintic(
+        points=np.vstack([begin, points, begin]),
+        times=np.concatenate([[0.0], times, [swing.until]]),
+    )
+    first = exosystem(key, through, joints)
+
+    def derivatives(t: Floats) -> Floats:
+        later = np.maximum(t - swing.until, 0.0)
+        orders = range(3)
+        swung = np.stack([first.value(t, order) for order in orders], axis=1)
+        following = np.stack([path.value(later, order) for order in orders], axis=1)
+        return np.where((t < swing.until)[:, None, None], swung, following)
+
+    corners = np.concatenate([first.corners, path.corners + swing.until])
+    return piecewise(derivatives, joints)._replace(corners=np.unique(corners))
 
 
 def _checked_nodes(

@@ -5,7 +5,8 @@ They are x_ref, u_ff with C x_ref = r.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -34,6 +35,18 @@ class Target(NamedTuple):
     x_ref: Floats
     u_ff: Floats
     plan: Floats = np.empty(0)
+
+
+def along_targets(law: Callable[[Any, Any], Any], target: Target) -> Floats:
+    """law(x_ref, u_ff) at each of N instants (N x k).
+
+    Args:
+        law: a function of CasADi expressions.
+        target: what to follow, a row per instant.
+    """
+    x, u = ca.SX.sym("x", target.x_ref.shape[1]), ca.SX.sym("u", target.u_ff.shape[1])
+    function = ca.Function("law", [x, u], [law(x, u)], {"cse": True})
+    return np.asarray(function.map(len(target.u_ff))(target.x_ref.T, target.u_ff.T).full().T)
 
 
 def regulator(linear: Matrices, S: Floats, Q: Floats) -> tuple[Floats, Floats, float]:

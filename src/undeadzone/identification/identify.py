@@ -239,6 +239,7 @@ def identify_output(
         advance(1)
         return _of_servo(grid, options, advance, climbs, servo)
     case = _fitted(shortened(grid, options.integrators), options, advance, climbs)
+    case = case._replace(servo=servo)
     found = Found(because("unclear"), case.fitted.delay, (), {}).judged(case, case.rivals)
     if found.verdict.word == "jump" and _shows_edges(case):
         as_jump = msgspec.structs.replace(options, kind="jump")
@@ -272,7 +273,7 @@ def _fitted(
     prepared = prepared._replace(data=prepared.data._replace(climbs=climbs))
     prepared, unreached = without_unreached(prepared)
     fitted = fitted_with_delay(prepared, options, advance)
-    chosen = _polished(orders.best_order(fitted.fits))
+    chosen = _polished(orders.order_to_write(fitted.fits))
     no_zone = orders.judge_no_zone(chosen.pairs)
     if no_zone.fit is not chosen.pairs:
         chosen = chosen._replace(singles=no_zone.fit, pairs=no_zone.fit)
@@ -350,6 +351,8 @@ def _with_place(case: Case, found: Found) -> Found:
     """With models of friction, of a zone of the input, and of two zones."""
     places = find_places(longest_record(case.suited.pairs))
     models = {word: one.density for word, one in places.items()}
+    if "none" not in models:  # no plant alone settles within the record: nothing to compare with
+        return found
     return found._replace(places=places).judged(case, models)
 
 

@@ -130,6 +130,21 @@ def update(belief: Gaussian, h: Any, e: Any, R: Any, use: Any) -> tuple[Gaussian
     return Gaussian(mean + K * e, from_upper(cov)), S
 
 
+def mixed(shares: Sequence[Any], beliefs: Sequence[Gaussian]) -> Gaussian:
+    """The mean and the covariance of a mixture.
+
+    Args:
+        shares: of each belief; their sum is 1.
+        beliefs: about the same variables (N).
+    """
+    mean = sum(share * one.mean for share, one in zip(shares, beliefs, strict=True))
+    cov = ca.SX(*beliefs[0].cov.shape)
+    for share, one in zip(shares, beliefs, strict=True):
+        off = one.mean - mean
+        cov += share * one.cov + (share * off) @ off.T
+    return Gaussian(mean, from_upper(cov))
+
+
 def cut_to(
     mean: Any, variance: Any, low: Any, high: Any, least: float = 1e-6
 ) -> tuple[Any, Any, Any]:

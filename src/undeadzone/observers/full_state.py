@@ -17,8 +17,10 @@ from undeadzone.support.arrays import Floats
 class FullState(Options, frozen=True, kw_only=True, tag="full_state"):
     """State feedback on the true state, with the true widths; no observer.
 
-    It exists in simulations only.
+    It exists in simulations only. Gaps of gears it takes from the model.
     """
+
+    gears = True  # it knows them
 
     def build(self, model: System, sensor: Zone) -> Observer:
         """The reference line for a model, continuous or sampled."""
@@ -31,7 +33,10 @@ class FullState(Options, frozen=True, kw_only=True, tag="full_state"):
                 )
             x, none = reading.x, ca.SX.zeros(model.p)
             z = model.output(p.model, x)
-            return s, estimate(x, z, p.right, p.left, reading, p.slope, sensor.kind, none)
+            right, left = p.right, p.left
+            if model.gears is not None:
+                right, left = model.gears.widths(p.model)
+            return s, estimate(x, z, right, left, reading, p.slope, sensor.kind, none)
 
         params = Params(model.params, sensor.right, sensor.left, sensor.slope)
         return Observer(params, lambda p: None, step, traits=Traits(adapts=False))

@@ -7,6 +7,7 @@ from .options import SecondOrder as SecondOrder
 from .options import TransferFunction as TransferFunction
 from .region import Box as Box
 from .region import Region as Region
+from .robots.geared import Gears as Gears
 from .robots.options import URDF as URDF
 from .robots.options import ElasticJoint as ElasticJoint
 from .robots.options import OneLink as OneLink

@@ -63,6 +63,7 @@ _FUNCTIONS = {
 }
 _OF_TWO = ("min", "max", "atan2")  # these take two arguments, the others one
 _CONSTANTS = {"pi": math.pi}
+LATEST = 1000  # samples by which an input may act late
 
 
 def matrices(plant: Plant, key: str = "plant") -> Matrices:
@@ -100,6 +101,13 @@ def system(plant: Plant, key: str = "plant") -> System:
     Raises:
         InputError: or a subclass, that names the key.
     """
+    if not 0 <= plant.delay <= LATEST:
+        raise InputError(f"{key}.delay: expected 0 to {LATEST} samples, found {plant.delay}")
+    return _without_delay(plant, key)._replace(delay=plant.delay)
+
+
+def _without_delay(plant: Plant, key: str) -> System:
+    """The `System` of a plant whose input acts at once. Raises InputError."""
     form = _form(plant, key)
     if plant.f is not None:
         return _nonlinear(plant, key)
@@ -113,9 +121,13 @@ def system(plant: Plant, key: str = "plant") -> System:
     return System(linear, _linear_move, _linear_output, linear, nonlinear=False)
 
 
-def initial_state(plant: Plant, n: int, key: str = "plant") -> Floats:
-    """x(0) (n), zeros by default. Raises ShapeError."""
-    return _vector_or_zeros(f"{key}.x0", plant.x0, n, "one per state")
+def initial_state(plant: Plant, system: System, key: str = "plant") -> Floats:
+    """x(0) (n), zeros by default; of gears also that of the links alone. Raises ShapeError."""
+    if system.gears is not None:
+        from undeadzone.plants.robots.build import start
+
+        return start(system.gears, plant.x0, f"{key}.x0")
+    return _vector_or_zeros(f"{key}.x0", plant.x0, system.n, "one per state")
 
 
 def _form(plant: Plant, key: str) -> str:
@@ -125,7 +137,7 @@ def _form(plant: Plant, key: str) -> str:
         present = " and ".join(forms) or "none"
         raise InputError(f"{key}: give exactly one form ({', '.join(_FORMS)}), found {present}")
     (form,) = forms
-    known = {form, *_FORMS[form], "x0"}
+    known = {form, *_FORMS[form], "x0", "delay"}
     for name in Plant.__struct_fields__:
         value = getattr(plant, name)
         absent = value is None or (name == "parameters" and not value)

@@ -62,6 +62,7 @@ class Plant(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         u_eq: input at which a nonlinear plant is linearised for gains (m); default: 0, of an arm
             what holds it at x_eq.
         x0: initial state (n); default: 0.
+        delay: samples by which the input acts late, of sampled time only.
     """
 
     A: Array | None = None
@@ -80,3 +81,4 @@ class Plant(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     x_eq: Array | None = None
     u_eq: Array | None = None
     x0: Array | None = None
+    delay: int = 0

@@ -15,6 +15,7 @@ from undeadzone.linear.hold import zoh
 from undeadzone.linear.matrices import Matrices, balancing, feedback_loops, similar
 from undeadzone.numerics.runge_kutta import rk4_change
 from undeadzone.plants.robots.arm import Arm
+from undeadzone.plants.robots.geared import Geared
 from undeadzone.support.arrays import LARGEST, Floats
 
 
@@ -45,6 +46,9 @@ class System(NamedTuple):
         Ts: sample time [s]; None in continuous time.
         flow: the matrices in continuous time of a sampled plant.
         arm: links and joints of a robot; x = [q; q'] of a rigid one.
+        gears: between motors and links of an arm; None: there are none.
+        seen: (params, x) -> what the sensor takes in the place of z (p), as encoders at the motors
+            of links z; None: z itself.
         flat: the state and input of a robot along a path of its joints.
         limit: largest |u| of a robot (m) [N m or N], infinite where there is none.
         names: names of the parameters of a nonlinear plant, in the order of params.
@@ -53,6 +57,7 @@ class System(NamedTuple):
             that their difference would have.
         actuator: what is known of the actuator ahead of it, whose widths an observer may estimate;
             None: there is none.
+        delay: samples by which an input acts late; the functions above take what acts.
     """
 
     params: Any
@@ -69,6 +74,9 @@ class System(NamedTuple):
     rate: Callable[[Any, Any, Any], Any] | None = None
     change: Callable[[Any, Any, Any], Any] | None = None
     actuator: Belief | None = None
+    delay: int = 0
+    gears: Geared | None = None
+    seen: Callable[[Any, Any], Any] | None = None
 
     @property
     def n(self) -> int:
@@ -84,6 +92,18 @@ class System(NamedTuple):
     def p(self) -> int:
         """Number of outputs."""
         return self.linear.C.shape[0]
+
+    def read(self, params: Any, x: Any) -> Any:
+        """What the sensor takes (p): z, or what is `seen` in its place."""
+        return self.output(params, x) if self.seen is None else self.seen(params, x)
+
+    def joints(self, params: Any, x: Any) -> tuple[Any, Any]:
+        """(parameters of `arm`, positions of its joints (N)) in parameters and a state."""
+        assert self.arm is not None
+        N = self.arm.size
+        if self.gears is None:
+            return params, x[:N]
+        return self.gears.links(params), x[N : 2 * N]
 
     def pushed(self, params: Any, x: Any, u: Any, push: Any) -> Any:
         """`move` and what a correction adds to it (n); of a sampled plant one increment of x."""

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from undeadzone.identification.answer.next_log import Next
 from undeadzone.identification.answer.of_servo import crossing_columns
 from undeadzone.identification.answer.result import Identified
 from undeadzone.identification.models.kalman_fit import innovations as filtered
@@ -37,17 +38,32 @@ SIDES = {"input_zone": "Side of the input"}
 MIDDLES = {"input_zone": "silent"}
 
 
-def figures(found_log: Identified) -> dict[str, Figure]:
+def figures(found_log: Identified, further: Next | None = None) -> dict[str, Figure]:
     """The figures that apply.
 
     Args:
         found_log: the answer.
+        further: what to record next; None: nobody asked.
 
     Returns:
         Figures by name: overview, residual_map, residual, and where there is a zone hidden and, of
         a log that is not long, profiles; of a play, or of an input zone, overview and element, and
-        of a servo crossings.
+        of a servo crossings; next, the input to record.
     """
+    return _of_answer(found_log) | ({} if further is None else {"next": _next(found_log, further)})
+
+
+def _next(found_log: Identified, further: Next) -> Figure:
+    """The input to record next."""
+    figure, panels = sheet([["u"]], "What to record next", height=2.4)
+    panels["u"].plot(further.t, further.u, linewidth=0.8, drawstyle="steps-post")
+    unit = found_log.answer.case.grid.input_unit
+    finish(panels["u"], further.words, label("u", unit), _time(found_log))
+    return figure
+
+
+def _of_answer(found_log: Identified) -> dict[str, Figure]:
+    """The figures of the answer itself."""
     element = found_log.answer.element
     if element is not None:
         shown = {

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from undeadzone.identification.answer.next_log import Next
 from undeadzone.identification.answer.of_servo import crossing_columns
 from undeadzone.identification.answer.result import Identified
 from undeadzone.identification.answer.words import HEADS, rivals_in_words
@@ -29,6 +30,7 @@ CAPTIONS = {
     " for white residuals: what stands out is not in the model.",
     "profiles": "How much the log likelihood of pairs falls as one width is held elsewhere; the"
     " printed interval is shaded. Under a coloured disturbance it is wider than the curve alone.",
+    "next": "The input that would tell most of what is known least, from rest.",
     "hidden": "z^ with its 95 % band against the reading: inside the zone it is the product.",
 }
 
@@ -46,7 +48,11 @@ OF_ELEMENT = {  # in place of these
 
 
 def write_identified(
-    found_log: Identified, folder: Path, source: str, origin: html.Origin | None = None
+    found_log: Identified,
+    folder: Path,
+    source: str,
+    origin: html.Origin | None = None,
+    further: Next | None = None,
 ) -> list[Path]:
     """Write figures as SVG and report.html to a folder.
 
@@ -55,6 +61,7 @@ def write_identified(
         folder: where to.
         source: name of the log.
         origin: what it takes to get the same again; None: nobody can.
+        further: what to record next; None: nobody asked.
 
     Returns:
         What was written.
@@ -64,7 +71,7 @@ def write_identified(
     """
 
     text = partial(identified_page, found_log, source=source, origin=origin)
-    return html.write_page(figures(found_log), folder, text)
+    return html.write_page(figures(found_log, further), folder, text)
 
 
 def identified_page(
@@ -107,6 +114,7 @@ def identified_page(
         html.section("Hidden output", *html.pick(shown, "hidden")),
         html.section("What it is", *html.pick(shown, "element")),
         *_crossings(found_log, shown),
+        *([html.section("What to record next", shown["next"])] if "next" in shown else []),
         html.section(
             "How it was decided",
             html.table(("what", "value"), rest),

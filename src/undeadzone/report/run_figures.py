@@ -111,7 +111,7 @@ def output(axes: Axes, run: Run, i: int = 0, of: str = "") -> None:
     shown = run.shown
     t = run.t[shown]
     right, left = run.info.widths[2 * i : 2 * i + 2]
-    if run.info.sensor == "play":
+    if run.info.sensor in ("play", "gears"):
         shade_gap(axes, t, run.y[shown, i], right, left)
     else:
         shade_zone(axes, right, left)
@@ -239,9 +239,10 @@ def joint_rows(joints: int) -> list[list[str]]:
 
 def _phase_plane(axes: Axes, run: Run, i: int, name: str) -> None:
     """Velocity over position of joint i, truth and estimate."""
-    velocity = len(run.info.joints) + i  # its place in x
-    q, q_rate = run.x[run.shown, i], run.x[run.shown, velocity]
-    q_hat, q_hat_rate = run.x_hat[run.shown, i], run.x_hat[run.shown, velocity]
+    states, joints = run.x.shape[1], len(run.info.joints)
+    position, velocity = states // 2 - joints + i, states - joints + i  # behind those of motors
+    q, q_rate = run.x[run.shown, position], run.x[run.shown, velocity]
+    q_hat, q_hat_rate = run.x_hat[run.shown, position], run.x_hat[run.shown, velocity]
     _zone(axes, run, i)
     axes.plot(q, q_rate, color=ink.TRUTH, linewidth=1.3, linestyle="-", label="truth")
     axes.plot(
@@ -254,7 +255,7 @@ def _phase_plane(axes: Axes, run: Run, i: int, name: str) -> None:
     )
     axes.set_xlim(*_range(q))
     axes.set_ylim(*_range(q_rate))
-    upwards, to_the_right = run.unit(f"x[{velocity}]"), run.unit(f"x[{i}]")
+    upwards, to_the_right = run.unit(f"x[{velocity}]"), run.unit(f"x[{position}]")
     finish(axes, name, axis_label("q'", upwards), axis_label("q", to_the_right), legend=0)
 
 
@@ -289,7 +290,7 @@ def _range(values: Floats) -> tuple[float, float]:
 
 def _zone(axes: Axes, run: Run, i: int) -> None:
     """The dead zone of a joint whose position is read: where it lies in q."""
-    if i >= run.z.shape[1]:
+    if i >= run.z.shape[1] or run.info.sensor == "gears":
         return
     silent_at = offset(run.x[run.shown, i], run.z[run.shown, i])
     if silent_at is None:

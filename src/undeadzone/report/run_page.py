@@ -19,7 +19,8 @@ from undeadzone.support.text import with_unit
 _VARIABLE: Final = "The observer has no constant gains; its options stand in the scenario."
 CAPTIONS: Final = {
     "tip": "The tip against its path, its distance from it, and the torques.",
-    "phase": "Position and velocity of each joint, truth and estimate, over its dead zone.",
+    "phase": "Position and velocity of each joint, truth and estimate; a dead zone about a "
+    "posture is yellow.",
     "figure": "Output, reading and estimate; errors; widths with 95 % bands against the truth",
 }
 # What else the figure shows, where a run has this signal.

@@ -215,7 +215,8 @@ def gaps(info: LogInfo) -> list[list[Row]]:
 def _sides(info: LogInfo, i: int) -> str:
     """How many readings of output i are on each side."""
     right, left = info.right[i], info.left[i]
-    text = f"{right} right, {left} left, {info.silent[i]} silent"
+    neither = "in the gap" if info.sensor == "gears" else "silent"
+    text = f"{right} right, {left} left, {info.silent[i]} {neither}"
     if info.limited:
         text += f", {info.limited[i]} at a limit"
     never = [name for name, count in (("right", right), ("left", left)) if count == 0]

@@ -406,8 +406,9 @@ def in_words(run: Run, of_outputs: Mapping[str, Sequence[float | None]]) -> list
         for rows in gaps(run, info.units.output, info.gaps):
             shown |= sheet.in_text(rows)
     shown |= sheet.in_text(parameters(run))
-    quiet = "holding" if info.sensor == "play" else "silent"
-    shown[quiet] = f"{100 * run.silent_fraction:.1f} % of the time"
+    if info.sensor != "gears":  # whose encoders are never silent
+        quiet = "holding" if info.sensor == "play" else "silent"
+        shown[quiet] = f"{100 * run.silent_fraction:.1f} % of the time"
     if run.diverged_at is not None:  # what readings would tell is no use of these
         shown["DIVERGED"] = f"at {run.diverged_at:g} s"
         return [shown] if single else [shown, _rows(run, of_outputs)]

@@ -271,5 +271,11 @@ def unit_of(name: str, units: Units) -> str:
 
 
 def output_names(joints: Sequence[str], count: int) -> list[str]:
-    """The names of outputs: an arm's joints where it has one for each, else numbers."""
-    return list(joints) if len(joints) == count else [str(i) for i in range(count)]
+    """The names of outputs: an arm's joints where it has one for each, else numbers.
+
+    Of encoders at links and motors those at the motors come last.
+    """
+    both = [*joints, *(f"motor of {joint}" for joint in joints)]
+    if len(joints) == count:
+        return list(joints)
+    return both if len(both) == count else [str(i) for i in range(count)]

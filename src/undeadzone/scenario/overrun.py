@@ -12,6 +12,7 @@ import numpy as np
 
 from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError
+from undeadzone.linear.matrices import Matrices
 from undeadzone.signals.exosystem import Exosystem
 from undeadzone.support.arrays import Floats
 
@@ -62,6 +63,24 @@ def _largest(r: Floats, step: float) -> Floats:
     return np.asarray(slowing.max(axis=0, initial=0.0))
 
 
+def overrun_along(sensor: Zone, flow: Matrices, x: Floats, u: Floats) -> Floats:
+    """J a / f of each output at instants of which state and input are known (N x p).
+
+    Args:
+        sensor: the sensor, with a load that has friction.
+        flow: the plant's matrices in continuous time.
+        x: states (N x n).
+        u: inputs (N x m).
+    """
+    moving = x @ flow.A.T + u @ flow.B.T
+    speed, bend = moving @ flow.C.T, moving @ (flow.C @ flow.A).T
+    slowing = np.maximum(-bend * np.sign(speed), 0.0)
+    loaded = sensor.inertia > 0
+    return np.asarray(
+        slowing * np.where(loaded, sensor.inertia, 0.0) / np.where(loaded, sensor.friction, 1.0)
+    )
+
+
 def require_contact(
     sensor: Zone, reference: Exosystem, tracked: list[int], duration: float, step: float
 ) -> None:
@@ -73,5 +92,6 @@ def require_contact(
                 f"sensor.load_inertia: output {i} is out of reach for a play at the sensor: its "
                 f"overrun number J a / f is {number:.3g}; above 1 the load coasts through its gap "
                 f"and y moves without contact; slow the reference down until it decelerates by "
-                f"less than f / J = {stops:.3g} 1/s^2, or measure ahead of the gap"
+                f"less than f / J = {stops:.3g} 1/s^2, or measure ahead of the gap; a load "
+                "with inertia behind gears is two masses: plant.arm.gears (docs/robots.md)"
             )

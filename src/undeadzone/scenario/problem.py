@@ -12,11 +12,18 @@ import numpy as np
 
 from undeadzone.compensators import SmoothZoneInverse
 from undeadzone.controllers.parts.behind_play import led_across
+from undeadzone.controllers.parts.estimated import with_estimates
+from undeadzone.controllers.parts.predicted import predicting
 from undeadzone.ends.actuator import ActuatorModel, Belief, Drive, believed, resolve_actuator
 from undeadzone.ends.gaps import gaps_of
-from undeadzone.ends.sensor import Sensor, Zone, resolve
+from undeadzone.ends.sensor import Sensor, Zone
 from undeadzone.errors import InputError
-from undeadzone.feedforward.joint_path import joint_path, require_range, require_torque
+from undeadzone.feedforward.joint_path import (
+    after_swing,
+    joint_path,
+    require_range,
+    require_torque,
+)
 from undeadzone.feedforward.targets import flat_targets
 from undeadzone.interfaces import Compensator, Controller, Observer
 from undeadzone.linear.structure import require_structure
@@ -26,8 +33,9 @@ from undeadzone.plants import build as plants
 from undeadzone.plants.options import Plant
 from undeadzone.plants.region import box
 from undeadzone.plants.system import System, pace
+from undeadzone.scenario.encoders import require_gears, sensed
 from undeadzone.scenario.overrun import require_contact
-from undeadzone.scenario.schema import Scenario, Units
+from undeadzone.scenario.schema import Model, Scenario, Units
 from undeadzone.scenario.time_step import (
     checked_time,
     require_bounded_error,
@@ -94,7 +102,8 @@ def resolve_scenario(scenario: Scenario) -> Problem:
         )
     true, flow, x0 = systems(scenario)
     step, steps = checked_time(scenario, true)
-    sensor = resolve(scenario.sensor, true.p, step, pace(flow.linear))
+    rate = pace(flow.linear)
+    sensor = sensed(scenario.sensor, true, step, rate)
     _require_numbers(sensor)
     tracked = _tracked(scenario, true)
     reference, path = _reference(scenario, flow, tracked, x0, step)
@@ -108,9 +117,16 @@ def resolve_scenario(scenario: Scenario) -> Problem:
             raise InputError(f"simulation.substeps: expected 1 to 1000, found {substeps}")
         plant = sampled_within_limits("plant", true, step, substeps)
         model = sampled_within_limits("model", flow, step, substeps)
+    elif true.delay or flow.delay:
+        raise InputError('plant.delay: counts samples; set simulation.time = "sampled"')
     elif sensor.quantum.any():
         raise InputError(
             'sensor.quantum: a reading is rounded when it is taken; set simulation.time = "sampled"'
+        )
+    elif true.gears is not None:
+        raise InputError(
+            "plant.arm.gears: contacts close and open too fast for steps that locate each; set "
+            'simulation.time = "sampled"'
         )
     elif sensor.moves:
         key = "sensor.kind" if sensor.play is None else "sensor.play"
@@ -122,13 +138,16 @@ def resolve_scenario(scenario: Scenario) -> Problem:
     actuator, belief = _actuator(scenario, true.m)
     if scenario.model is not None and scenario.model.play is not None:
         _require_play(scenario.model.play, sensor)
-    told = resolve(known_sensor(scenario), true.p, step, pace(flow.linear))
+    told = sensed(known_sensor(scenario), flow, step, rate)
     for each in (sensor, told):
         require_hearer(scenario.observer, each)
+    require_gears("observer", scenario.observer, model)
     observer = built(scenario.observer, model, told, belief)
     _require_room(sensor, observer)
-    controller = scenario.controller.build(model)
+    require_gears("controller", scenario.controller, model)
+    controller = with_estimates(scenario.controller.build(model), model, observer.traits.uncertain)
     controller = led_across(controller, model, sensor, tracked, scenario.behind_play)
+    controller = predicting(controller, model, belief)
     require_bounded_error(model, observer, step)
     if model.Ts is None:
         require_fine_step(plant, model, observer, controller, step)
@@ -248,7 +267,7 @@ def systems(scenario: Scenario) -> tuple[System, System, Floats]:
                 f"model: expected {plant.n} states, {plant.m} inputs, {plant.p} outputs like the "
                 f"plant, found {model.n}, {model.m}, {model.p}"
             )
-    return plant, model, plants.initial_state(scenario.plant, plant.n)
+    return plant, model, plants.initial_state(scenario.plant, plant)
 
 
 def require_visible(system: System, key: str) -> None:
@@ -265,21 +284,20 @@ def modelled_plant(scenario: Scenario) -> Plant:
     model, plant = scenario.model, scenario.plant
     if model is None:
         return plant
+    if model.delay is not None:
+        plant = msgspec.structs.replace(plant, delay=model.delay)
     if plant.f is not None or plant.arm is not None:
-        return _with_parameters(scenario)
+        return _with_parameters(model, plant, _matrices_of_model(scenario))
     if model.parameters:
         raise InputError(
             "model.parameters: only a plant given by formulas or an arm has parameters; use A, B, C"
         )
     linear = plants.matrices(plant)
-    return Plant(**{**linear._asdict(), **_matrices_of_model(scenario)})
+    return Plant(**{**linear._asdict(), **_matrices_of_model(scenario)}, delay=plant.delay)
 
 
-def _with_parameters(scenario: Scenario) -> Plant:
+def _with_parameters(model: Model, plant: Plant, matrices: dict[str, object]) -> Plant:
     """A plant given by formulas or an arm, with the parameters of [model]. Raises InputError."""
-    model, plant = scenario.model, scenario.plant
-    assert model is not None
-    matrices = _matrices_of_model(scenario)
     if matrices:
         raise InputError(
             f"model.{min(matrices)}: the plant is given by formulas or an arm; its model can "
@@ -380,7 +398,13 @@ def followed(scenario: Scenario, model: System, start: Floats, step: float) -> E
         )
     else:
         task = signals.exosystem("reference", reference, len(body.chain.plane), task=True)
-        path = joint_path(body, model.params, task, duration, step, start[: body.size])
+        params, posture = model.joints(model.params, start)
+        swing = getattr(reference, "swing", None)
+        begin = 0.0 if swing is None else scalar("reference.swing.until", swing.until, above=0.0)
+        path = joint_path(body, params, task, max(duration - begin, step), step, posture)
+        if swing is not None:
+            path = after_swing(path, swing)
+            require_range(body.chain, t, path.value(t), path.value(t, 1))
     require_torque(model, path, t)
     return path
 

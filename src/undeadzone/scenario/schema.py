@@ -44,6 +44,7 @@ CURES: Final = {
     "controller": "options such as uz.StateFeedback()",
 }
 VAGUE: Final = 3.0  # in largest widths: where the widths lie if nothing is declared
+SMALL: Final = 0.01  # half of a gap of gears, at least, where its range is not declared [rad]
 BANDWIDTH: Final = 10.0  # of a rigid arm [rad/s]
 UNNAMED: Final[Any] = None  # stands for an observer or a controller until the usual one does
 
@@ -76,13 +77,17 @@ def vague_claims(sensor: Sensor) -> Claims:
     return Claims(right=[0.0, VAGUE * (largest or 1.0)])
 
 
-def usual_observer(sensor: Sensor, declared: Claims | None) -> ObserverOptions:
-    """`auto`, with what is declared.
+def usual_observer(plant: Plant, sensor: Sensor, declared: Claims | None) -> ObserverOptions:
+    """`auto`, with what is declared; `contact` for an arm with gears.
 
     Args:
+        plant: the plant, whose gaps count if it has gears.
         sensor: the dead zone, whose widths count if nothing is declared.
         declared: the claims of the scenario.
     """
+    gears = getattr(plant.arm, "gears", None)
+    if gears is not None:
+        return OBSERVERS.made("contact", half=[0.0, VAGUE * max(float(np.max(gears.half)), SMALL)])
     claims = vague_claims(sensor) if declared is None else declared
     return OBSERVERS.made("auto", **claims.claims())
 
@@ -114,6 +119,7 @@ class Model(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
             estimate it [u].
         play: as in [sensor]; ranges [[lo, hi], [lo, hi]] in place of [c_r, c_l] are estimated by
             `kalman`, `censored` and `auto` [z].
+        delay: as in [plant].
     """
 
     A: Array | None = None
@@ -123,6 +129,7 @@ class Model(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     actuator: ActuatorModel | None = None
     load_friction: Array | None = None
     play: Array | None = None
+    delay: int | None = None
 
 
 class Simulation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -171,7 +178,8 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         sensor: the sensor at its output, with a dead zone.
         reference: the signal that its tracked outputs should follow.
         observer: the method that estimates state and widths; default `auto` with the claims of
-            [declared], or with widths between 0 and three times the largest.
+            [declared], or with widths between 0 and three times the largest; `contact` likewise for
+            an arm with gears.
         controller: the method that computes the input; default `state_feedback`, for rigid arms
             `computed_torque`, for an elastic joint in sampled time `lqr`.
         simulation: length of a run, and how it is computed.
@@ -218,7 +226,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         """Put the usual observer and controller where none is named. Raises InputError."""
         require_kinds({name: getattr(self, name) for name in CURES})
         if self.observer is UNNAMED:
-            observer = usual_observer(self.sensor, self.declared)
+            observer = usual_observer(self.plant, self.sensor, self.declared)
             msgspec.structs.force_setattr(self, "observer", observer)
         if self.controller is UNNAMED:
             controller = usual_controller(self.plant, self.simulation.time == "sampled")

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from undeadzone.observers.contact import MOST_COUPLED
 from undeadzone.plants.robots.survey import Survey
 from undeadzone.plants.robots.urdf_elements import Joint
 from undeadzone.support.arrays import Floats
@@ -18,17 +19,54 @@ SHARE = 0.8  # of the way to a limit, and of the greatest speed
 PERIOD = 4.0  # [s] of the motion
 FASTEST = 2.5  # more than the greatest speed of that motion per swing [1/s]
 PLAY = 6.0  # swings to one side in a width
+GAP, WIDER = 0.2, 0.6  # of a width: half a gap that nobody measured, and where it surely ends
+FRICTION = 0.02  # of a motor's torque, of Coulomb friction that nobody measured
 SENSOR = """
 [sensor]                        # about the reference: the truth; the observer is not told
 right = {right}
 left = {left}
 noise = {noise}
-
+"""
+REFERENCE = """
 [reference]                     # through these positions, again and again
 kind = "quintic"
 points = [{points}]
 times = [0.0, {first}, {second}, {period}]   # s
 repeat = true
+"""
+GEARS = """
+[plant.arm.gears]               # a guess: a URDF knows none of them (docs/robots.md)
+half = {half}  # rad, half of the gap: hold the motor, turn the link, halve the way
+inertia = {inertia}  # kg m^2, rotor times gear ratio squared; here as the links'
+friction = {friction}  # N m, Coulomb friction of the motors; here 2 % of their torque
+measured = "motor"              # where the encoder sits: "motor", "link" or "both"
+"""
+ENCODERS = """
+[sensor]                        # encoders: no dead zone
+right = 0.0
+left = 0.0
+noise = {noise}
+"""
+CONTACT = """
+[observer]
+method = "contact"
+half = [0.0, {most:.3g}]           # rad, claimed range
+payload = [0.0, 1.0]            # kg, claimed range
+"""
+TOLD = """
+[observer]
+method = "full_state"           # told the state: what the gears allow
+"""
+LED = """
+[controller]
+method = "computed_torque"
+bandwidth = 10.0                # rad/s
+
+[simulation]
+time = "sampled"
+duration = {duration}
+step = 0.001
+substeps = 4
 """
 PARAMETERS = """
 [plant.parameters]              # the truth; the file's numbers where they are left out
@@ -62,26 +100,33 @@ substeps = 1
 """
 
 
-def starting_scenario(found: Survey, path: str) -> str:
+def starting_scenario(found: Survey, path: str, gears: bool = False) -> str:
     """A scenario as TOML text: every joint swings about the arm's posture, in a dead zone.
 
     Args:
         found: what the file says.
         path: of the file, relative to the scenario's.
+        gears: whether the arm has gears with a gap in place of dead zones.
     """
     pairs = zip(found.joints, found.q, strict=True)
     swing = np.array([_swing(joint, float(q)) for joint, q in pairs])
     widths = np.array([float(f"{width:.2g}") for width in swing / PLAY])
     start = _listed(np.r_[found.q, np.zeros(found.q.size)])
     points = (found.q, found.q + swing, found.q - swing, found.q)
-    sensor = SENSOR.format(
-        right=_listed(widths),
-        left=_listed(widths / 2),
-        noise=_listed(widths / 50),
+    reference = REFERENCE.format(
         points=", ".join(map(_listed, points)),
         first=PERIOD / 4,
         second=3 * PERIOD / 4,
         period=PERIOD,
+    )
+    if gears:
+        head = _arm(found, path, start, gears) + _gears(found, widths) + PARAMETERS
+        few = len(found.joints) <= MOST_COUPLED
+        observer = CONTACT.format(most=WIDER * widths.max()) if few else TOLD
+        encoders = ENCODERS.format(noise=_listed(widths / 50))
+        return head + encoders + reference + observer + LED.format(duration=2 * PERIOD)
+    sensor = SENSOR.format(
+        right=_listed(widths), left=_listed(widths / 2), noise=_listed(widths / 50)
     )
     observer = OBSERVER.format(
         ranges=", ".join(map(_range, widths)),
@@ -89,11 +134,13 @@ def starting_scenario(found: Survey, path: str) -> str:
         x_std=_listed(np.r_[widths / 5, widths]),
         duration=2 * PERIOD,
     )
-    return _arm(found, path, start) + PARAMETERS + sensor + observer + _units(found.joints)
+    head = _arm(found, path, start) + PARAMETERS + sensor + reference
+    return head + observer + _units(found.joints)
 
 
-def _arm(found: Survey, path: str, start: str) -> str:
-    """The arm, and where it starts."""
+def _arm(found: Survey, path: str, start: str, gears: bool = False) -> str:
+    """The arm, and where it starts, without a zone where it has gears."""
+    zone = [] if gears else [f"reference = {_listed(found.q)}  # where each sensor reads 0"]
     lines = [
         f"title = {_text(f'Arm of {Path(path).name}')}",
         "",
@@ -102,12 +149,21 @@ def _arm(found: Survey, path: str, start: str) -> str:
         f"path = {_text(path)}",
         f"joints = {_texts(found.body.chain.joints)}",
         f"tip = {_text(found.tip)}",
-        f"reference = {_listed(found.q)}  # where each sensor reads 0",
+        *zone,
         "",
         "[plant]",
         f"x0 = {start}  # positions, then speeds",
     ]
     return "\n".join(lines) + "\n"
+
+
+def _gears(found: Survey, widths: Floats) -> str:
+    """Gears that might be the arm's: motors as heavy as what they move."""
+    links = np.diag(found.body.mass(found.body.values, found.q).full())
+    torque = found.body.chain.torque
+    friction = FRICTION * np.where(np.isfinite(torque), torque, np.abs(found.holding))
+    guessed = {"half": GAP * widths, "inertia": links, "friction": friction}
+    return GEARS.format(**{name: _listed(numbers) for name, numbers in guessed.items()})
 
 
 def _swing(joint: Joint, q: float) -> float:

@@ -8,3 +8,4 @@ from .exosystem import Trapezoid as Trapezoid
 from .paths import Circle as Circle
 from .paths import FigureEight as FigureEight
 from .paths import Quintic as Quintic
+from .paths import Swing as Swing

@@ -227,6 +227,10 @@ def exosystem(key: str, signal: Signal, channels: int, task: bool = False) -> Ex
                     f"{key}.space: task, the coordinates of an arm's tip, needs a plant with an "
                     "arm (plant.arm); use space = 'joint'"
                 )
+            if getattr(signal, "swing", None) is not None and not task:
+                raise InputError(
+                    f"{key}.swing: joints swing ahead of a path of an arm's tip; set space = 'task'"
+                )
             path = curve(key, signal, channels)
             exo = piecewise(path.derivatives, channels, path.closure)
             return exo._replace(corners=path.corners, period=path.period)

@@ -49,6 +49,20 @@ class Quintic(
     space: Space = "joint"
 
 
+class Swing(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What the joints of an arm do before a path of its tip begins: through points, and back.
+
+    Attributes:
+        points: positions of the joints between two stays where the path begins (K x joints) [rad].
+        times: times of the points, increasing from above 0 (K) [s].
+        until: when the path of the tip begins [s].
+    """
+
+    points: Array
+    times: Array
+    until: float
+
+
 class _Turn(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A path around a centre in a plane, in two or three coordinates.
 
@@ -61,6 +75,7 @@ class _Turn(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         ramp: the path starts from rest, its speed rising as a quintic for this time [s]; default: a
             quarter of the period; 0: at full speed.
         space: task: coordinates of an arm's tip [m]; or joint.
+        swing: what an arm's joints do first, for a path of its tip; default: nothing.
     """
 
     centre: Array
@@ -68,6 +83,7 @@ class _Turn(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     normal: Array | None = None
     ramp: float | None = None
     space: Space = "task"
+    swing: Swing | None = None
 
 
 class Circle(

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.ends.actuator import through_zone, within_limits, within_rate
+from undeadzone.ends.actuator import through_line, through_zone, within_limits, within_rate
 from undeadzone.ends.limits import at_limit
 from undeadzone.ends.play import contact, held
 from undeadzone.ends.sensor import branch, edges, quantised, side, zone
@@ -65,7 +65,7 @@ class Wiring(NamedTuple):
 
     def ahead_of_zone(self, s: State, w: Exogenous) -> ca.SX:
         """What the dead zone takes: z with the noise ahead of it, or the level of a play (p)."""
-        z, sensor = self.plant.output(self.p.plant, s.plant), self.p.sensor
+        z, sensor = self.plant.read(self.p.plant, s.plant), self.p.sensor
         if sensor.gap_right.numel():
             return held(ca, z, s.sensor, sensor.gap_right, sensor.gap_left)
         return z + w.before
@@ -89,7 +89,9 @@ class Wiring(NamedTuple):
         return Levels(*zip(*pairs, strict=True))
 
     def widths(self, w: Exogenous) -> tuple[ca.SX, ca.SX]:
-        """d_r, d_l at an instant (p each)."""
+        """d_r, d_l at an instant (p each); encoders of an arm with gears have none."""
+        if self.kind == "gears":
+            return ca.SX.zeros(self.plant.p), ca.SX.zeros(self.plant.p)
         return self.p.sensor.right * (1 + w.right), self.p.sensor.left * (1 + w.left)
 
     def exogenous(self, instant: Exogenous, column: ca.SX) -> Exogenous:
@@ -130,13 +132,15 @@ class Wiring(NamedTuple):
             compensator, u = self.compensator.step(*parts)
         if self.plant.limit is not None:
             u = ca.fmax(ca.fmin(u, self.plant.limit), -self.plant.limit)
-        actuator, entering = self._actuated(s, u)
+        line, acting = through_line(s.line, u)
+        actuator, entering = self._actuated(s, acting)
         if self.p.sensor.friction.numel():  # of the load, while it is pushed
             entering = entering - self.p.sensor.friction * contact(level, s.sensor)
         observer = tree.substituted(observer, unused, u)
         plant = self.plant.move(self.p.plant, s.plant, entering + w.w)
         outputs = Outputs(s.plant, z, reading.y, reading.side, u, estimate)
-        return State(plant, observer, controller, level, compensator, actuator), outputs
+        after = State(plant, observer, controller, level, compensator, actuator, line)
+        return after, outputs
 
     def _actuated(self, s: State, u: ca.SX) -> tuple[Any, ca.SX]:
         """(the command within its rate, what enters the plant) of a command u (m)."""
@@ -270,6 +274,7 @@ def _state(problem: Problem) -> loop.State:
         sensor=sensor.start if sensor.moves else np.zeros(0),
         compensator=None if undoing is None else undoing.init(undoing.params),
         actuator=np.zeros(plant.m if drive is not None and drive.rated else 0),
+        line=np.zeros(plant.delay * plant.m),
     )
 
 

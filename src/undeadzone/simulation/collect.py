@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 import undeadzone
@@ -29,6 +30,7 @@ from undeadzone.simulation.verdicts import (
     actuator_unknown,
     as_far_as_known,
     by_claims,
+    late_inputs,
     linear_verdicts,
     told_at_both_ends,
     with_cures,
@@ -48,6 +50,8 @@ def verdicts_of_run(problem: Problem, signal: Outputs) -> list[Verdict]:
         problem: what was simulated.
         signal: the outputs of the loop (a row per sample).
     """
+    if problem.plant.gears is not None:
+        return _verdicts_on_flanks(problem, len(signal.x))
     if problem.sensor.play is not None and (problem.plant.nonlinear or actuator_unknown(problem)):
         why = "a nonlinear plant" if problem.plant.nonlinear else "an actuator that is not known"
         return withdrawn(problem, f"no verdict was derived for a play and a dead zone behind {why}")
@@ -60,6 +64,20 @@ def verdicts_of_run(problem: Problem, signal: Outputs) -> list[Verdict]:
     else:
         found = linear_verdicts(problem, schedule, np.ones(problem.model.p))
     return with_false_claims(problem, found)
+
+
+def _verdicts_on_flanks(problem: Problem, rows: int) -> list[Verdict]:
+    """What the readings tell of the gears of each joint; of encoders at motors besides, nothing."""
+    from undeadzone.analysis.identifiability.flanks import flank_verdicts
+
+    plant, path, step = problem.plant, problem.path, problem.scenario.simulation.step
+    assert plant.arm is not None
+    assert plant.gears is not None
+    assert path is not None
+    t = np.arange(rows) * step
+    along = np.stack([path.value(t, order) for order in range(3)], axis=1)
+    told = flank_verdicts(plant.arm, plant.gears.links(plant.params), along, step)
+    return told * (plant.p // plant.arm.size)
 
 
 def _both_ends(problem: Problem, signal: Outputs, schedule: Schedule) -> list[Verdict]:
@@ -90,7 +108,7 @@ def _verdicts_along(problem: Problem, signal: Outputs) -> list[Verdict]:
         return verdicts_along(
             problem.plant,
             signal.x,
-            signal.u,
+            late_inputs(problem, signal),
             signal.z,
             problem.sensor,
             simulation.step,
@@ -128,10 +146,13 @@ def tips(problem: Problem, x: Floats, x_hat: Floats, t: Floats) -> dict[str, Flo
         "tip_hat": (problem.model, x_hat),
         "tip_r": (problem.model, x_ref),
     }
-    return {
-        name: evaluate_rows(body.tip, system.params, q[:, : body.size])
-        for name, (system, q) in places.items()
-    }
+    return {name: _along(body.tip, *place) for name, place in places.items()}
+
+
+def _along(f: ca.Function, system: System, x: Floats) -> Floats:
+    """A function of an arm's parameters and joints, at each row of states (N x n)."""
+    params, q = system.joints(system.params, x.T)
+    return evaluate_rows(f, params, q.T)
 
 
 def behind_play(problem: Problem, z: Floats) -> Floats:
@@ -148,7 +169,7 @@ def _poses(problem: Problem, x: Floats, t: Floats) -> dict[str, Floats]:
     if body is None:
         return {}
     frames = np.searchsorted(t, np.arange(0, t[-1] + 1e-9, 1 / FRAMES) - 1e-9)
-    return {"poses": evaluate_rows(body.points, problem.plant.params, x[frames, : body.size])}
+    return {"poses": _along(body.points, problem.plant, x[frames])}
 
 
 def certificate(problem: Problem) -> Certificate | None:

@@ -107,6 +107,7 @@ class State(NamedTuple):
         plant, observer, controller, compensator: states of the parts.
         sensor: level of a play (p) [z]; empty of a sensor without one.
         actuator: last command, where its rate has a limit (m) [u]; else empty.
+        line: commands that have not acted yet, the oldest first (delay m) [u].
     """
 
     plant: Any
@@ -115,6 +116,7 @@ class State(NamedTuple):
     sensor: Any
     compensator: Any
     actuator: Any
+    line: Any
 
 
 class Outputs(NamedTuple):

@@ -32,7 +32,7 @@ def what_would_fit(scenario: Scenario, found: Estimation) -> str | None:
     t, y, u = found.t[:SAMPLES], found.y[:SAMPLES], found.u[:SAMPLES]
     best, words = BETTER * _missed(found.innovation[:SAMPLES], y), None
     follower, grid = Follower(scenario), Grid(scenario.simulation.step, "log")
-    for name, readings, inputs in _misreadings(y, u):
+    for name, readings, inputs in _misreadings(y, u, follower.model.delay):
         follower.begin()
         tried, *_ = follower.follow(Regular(t, readings, inputs))
         missed = _missed(tried.innovation, readings)
@@ -41,8 +41,14 @@ def what_would_fit(scenario: Scenario, found: Estimation) -> str | None:
     return words
 
 
-def _misreadings(y: Floats, u: Floats) -> Iterator[tuple[str, Floats, Floats]]:
-    """What may be wrong with a log, in words, and its readings and inputs without that."""
+def _misreadings(y: Floats, u: Floats, known: int) -> Iterator[tuple[str, Floats, Floats]]:
+    """What may be wrong with a log, in words, and its readings and inputs without that.
+
+    Args:
+        y: readings (N x p).
+        u: inputs (N x m).
+        known: samples by which the scenario has the inputs act late.
+    """
     if y.shape == u.shape:
         yield "readings and inputs are exchanged: --columns names them", u, y
     yield "the inputs, or the readings, have the other sign", y, -u
@@ -51,8 +57,9 @@ def _misreadings(y: Floats, u: Floats) -> Iterator[tuple[str, Floats, Floats]]:
         yield f"the inputs are in another unit: times {factor:g} they fit", y, u * factor
     for delay in DELAYS[: int(np.searchsorted(DELAYS, len(u) / 4))]:
         late, early = (later(u, samples, np.zeros(1, int)) for samples in (delay, -delay))
-        yield f"the inputs act {delay} samples after the log has them", y, late
-        yield f"the inputs act {delay} samples before the log has them", y, early
+        yield f"the inputs act {delay} samples later: plant.delay = {known + delay}", y, late
+        earlier = f"plant.delay = {known - delay}" if known >= delay else "the log has them late"
+        yield f"the inputs act {delay} samples earlier: {earlier}", y, early
 
 
 def _missed(innovation: Floats, y: Floats) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import warnings
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
 import casadi as ca
@@ -12,7 +13,7 @@ from undeadzone.catalogue import ObserverOptions
 from undeadzone.compile import interpret
 from undeadzone.compile.interpret import Stepper
 from undeadzone.ends.actuator import ActuatorModel, believed
-from undeadzone.ends.sensor import Sensor, Zone, present, resolve
+from undeadzone.ends.sensor import Sensor, Zone, present
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Estimate, Observer, Reading, graph_of, known_side, received
 from undeadzone.observers.parts.actuated import built as behind
@@ -20,6 +21,8 @@ from undeadzone.observers.parts.motion import require_hearer
 from undeadzone.plants import build as plants
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, pace, sampled
+from undeadzone.scenario.encoders import require_gears, sensed
+from undeadzone.scenario.overrun import overrun_along
 from undeadzone.scenario.problem import require_visible
 from undeadzone.scenario.time_step import require_bounded_error
 from undeadzone.support import tree
@@ -197,6 +200,7 @@ class Online:
         self._entries = cast("memoryview[float]", self._w.data)
         self._last = self._out.data
         self._is_single = (self.model.p, self.model.m) == (1, 1)
+        self._load = zone if zone.inertia.any() and not self.model.nonlinear else None
         self._graph, self._start, self._params = graph, state, params
         self.restart()
 
@@ -264,6 +268,21 @@ class Online:
         self.samples += 1
         if self._last[-1]:
             self.missing += 1
+        if self._load is not None:
+            self._warn(self._out[None, self._where.estimate.x], self._w[None, self._p :])
+
+    def _warn(self, x: Floats, u: Floats) -> None:
+        """Warn, once, of a load that coasts through its gap, where `simulate` would refuse."""
+        assert self._load is not None
+        assert self.model.flow is not None
+        number = overrun_along(self._load, self.model.flow, x, np.nan_to_num(u)).max(initial=0.0)
+        if number > 1:
+            self._load = None
+            warnings.warn(
+                f"sensor.load_inertia: the overrun number J a / f reaches {number:.3g}; above 1 "
+                "the load coasts through its gap, and gaps come out wrong (docs/play.md)",
+                stacklevel=3,
+            )
 
     def update_many(self, y: Floats, u: Floats) -> tuple[Estimate, Floats]:
         """Take a block of samples in, give their estimates out, as `update` does one by one.
@@ -287,6 +306,8 @@ class Online:
             self._out[:] = out[-1]
         self.samples += len(w)
         self.missing += int(out[:, -1].sum())
+        if self._load is not None:
+            self._warn(out[:, self._where.estimate.x], u)
         sides = out[:, self._where.side]
         return Estimate(*[out[:, part] for part in self._where.estimate]), sides
 
@@ -344,7 +365,8 @@ def built_for(
     system = plants.system(plant)
     require_visible(system, "plant")
     model = sampled(system, Ts, substeps)
-    zone = resolve(sensor, model.p, Ts, pace(system.linear))
+    zone = sensed(sensor, system, Ts, pace(system.linear))
+    require_gears("observer", observer, system)
     require_hearer(observer, zone)
     built = behind(observer, model, zone, believed(actuator, model.m))
     require_bounded_error(model, built, Ts)

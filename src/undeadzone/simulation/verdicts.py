@@ -31,7 +31,7 @@ from undeadzone.interfaces import Traits
 from undeadzone.observers.parts.prior import width_ranges
 from undeadzone.scenario.problem import Problem
 from undeadzone.simulation.loop import Outputs
-from undeadzone.support.arrays import Floats
+from undeadzone.support.arrays import Floats, later
 
 NEGLIGIBLE = 1e-6  # share of the motion's range: a smaller deviation is known, also of width 0
 ROUNDING: Final = 1e-9  # share of a gap by which one that is told may miss it
@@ -179,8 +179,13 @@ def told_at_both_ends(problem: Problem, signal: Outputs, schedule: Schedule) -> 
     assert belief is not None
     drive = belief.drive if problem.actuator is None else problem.actuator
     visible = (np.abs(signal.side) == 1).any(axis=1) & np.isfinite(signal.y).all(axis=1)
-    modes = modes_visited(signal.u, visible, drive, linear.A.shape[0])
+    modes = modes_visited(late_inputs(problem, signal), visible, drive, linear.A.shape[0])
     return both_ends(linear, schedule, modes, drive, constant_inputs(problem, linear.B)).outputs
+
+
+def late_inputs(problem: Problem, signal: Outputs) -> Floats:
+    """The inputs of a run at the samples at which they act on the plant (N x m)."""
+    return later(signal.u, problem.plant.delay, np.zeros(1, int))
 
 
 def by_claims(traits: Traits, alone: Verdict, claimed: Verdict) -> Verdict:

@@ -16,7 +16,7 @@ from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.ensemble import metrics
 from undeadzone.ensemble.batch import Batch, prepare
 from undeadzone.ensemble.binding import bind
-from undeadzone.ensemble.metrics import EDGES, true_width
+from undeadzone.ensemble.metrics import EDGES, true_width, widths_in_turn
 from undeadzone.errors import InputError, UndeadzoneError
 from undeadzone.interfaces import graph_of
 from undeadzone.results.run import last_samples
@@ -401,8 +401,8 @@ def losses(metric: str, runs: TestRuns | OneByOne, rows: Floats) -> Floats:
 def _width_error(metric: str, runs: TestRuns | OneByOne, columns: Mapping[str, Floats]) -> Floats:
     """The final error of a width, d^ - d, in runs that vary it or not."""
     edge, _, index = metric.removeprefix("d_").partition("_error")
-    nominal = float(getattr(runs.problem.sensor, edge)[int(index[1:-1])])
-    return columns[f"d_{edge}{index}"] - true_width(f"{edge}{index}", nominal, runs.varied)
+    widths = widths_in_turn(runs.problem.sensor)
+    return columns[f"d_{edge}{index}"] - true_width(f"{edge}{index}", widths, runs.varied)
 
 
 def _rate_of_divergence(columns: Mapping[str, Floats], step: float) -> Floats:

@@ -124,6 +124,9 @@ def _options(kind: Any, part: str, prior: PriorKnowledge, options: Mapping[str, 
         part: observer or controller.
         prior: what is known.
         options: of all parts, by address.
+
+    Raises:
+        InputError: an option that the part needs is not known.
     """
     names = {field.name for field in msgspec.structs.fields(kind)}
     prefix = f"{part}."
@@ -132,6 +135,12 @@ def _options(kind: Any, part: str, prior: PriorKnowledge, options: Mapping[str, 
     for address, value in options.items():
         if address.startswith(prefix):
             chosen[address.removeprefix(prefix)] = value
+    for field in msgspec.structs.fields(kind):
+        if field.required and field.name not in chosen:
+            raise InputError(
+                f"{prefix}{field.name}: {kind.__struct_config__.tag!r} needs it, and nothing that "
+                "is declared of a dead zone says it"
+            )
     return kind(**chosen)
 
 

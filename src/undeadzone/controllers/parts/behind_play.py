@@ -15,32 +15,16 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.ends.sensor import Zone, offset, side
-from undeadzone.errors import InputError, StructureError
+from undeadzone.errors import InputError
+from undeadzone.feedforward.flank_path import crossing, led, turned
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
-from undeadzone.linear.poles import state_gain
 from undeadzone.plants.system import System
 from undeadzone.support import tree
-from undeadzone.support.arrays import Floats, scalar
+from undeadzone.support.arrays import scalar
 
 KEY = "behind_play"
 ROUNDING = 1e-9  # share of r by which it may change without a turn
-
-
-class Crossing(NamedTuple):
-    """Numbers of the filter, the last field of those of the controller.
-
-    Attributes:
-        A, B, C: of the sampled model (n x n, n x 1, 1 x n).
-        K: gain that puts the poles at -w (1 x n).
-        gain: input per wanted z at rest (1).
-    """
-
-    A: Floats
-    B: Floats
-    C: Floats
-    K: Floats
-    gain: Any
 
 
 class State(NamedTuple):
@@ -88,7 +72,8 @@ def led_across(
         raise InputError(
             f"{KEY}: needs a linear plant of one input with one tracked output; leave it out"
         )
-    numbers = _crossing(model, tracked[0], w)
+    linear = model.linear._replace(C=model.linear.C[[tracked[0]]])
+    numbers = crossing(linear, w, model.Ts, KEY)
     zero, kind = np.zeros(1), type(controller.params)
 
     def init(q: Any) -> State:
@@ -100,34 +85,19 @@ def led_across(
     return controller._replace(params=params, init=init, step=step)
 
 
-def _crossing(model: System, output: int, w: float) -> Crossing:
-    """The numbers of the filter. Raises InputError, StructureError."""
-    linear = model.linear
-    K = state_gain(linear, [-w] * model.n, model.Ts, KEY)
-    C = linear.C[[output]]
-    rest = np.eye(model.n) - linear.A + linear.B @ K
-    gain = (C @ np.linalg.solve(rest, linear.B)).item()
-    if abs(gain) < 1e-12 * np.abs(C).max() * np.abs(linear.B).max():
-        raise StructureError(
-            f"{KEY}: no constant input of the plant holds z at another place (a zero at s = 0)"
-        )
-    return Crossing(linear.A, linear.B, C, K, np.float64(1 / gain))
-
-
 def step_across(
     controller: Controller, output: int, q: Any, s: State, estimate: Estimate, target: Target
 ) -> tuple[State, Any]:
-    """One sample of the controller with its target moved; q: its numbers, then `Crossing`."""
+    """One sample of the controller with its target moved; q: its numbers, then the filter's."""
     inner, numbers = tree.parted(q, type(controller.params)), q.crossing
-    turned = side(target.r - s.last, ROUNDING * (ca.fabs(target.r) + ca.fabs(s.last)))
-    towards = ca.if_else(turned != 0, turned, s.towards)
+    moves = side(target.r - s.last, ROUNDING * (ca.fabs(target.r) + ca.fabs(s.last)))
+    towards = turned(moves, s.towards)
     wanted = offset(towards, estimate.right[output], estimate.left[output])
-    push = numbers.gain * wanted - numbers.K @ s.moved
+    push, following = led(numbers, s.moved, wanted)
     moved = target._replace(
         r=target.r + numbers.C @ s.moved,
         x_ref=target.x_ref + s.moved,
         u_ff=target.u_ff + push,
     )
     after, u = controller.step(inner, s.controller, estimate, moved)
-    following = numbers.A @ s.moved + numbers.B @ push
     return State(after, following, target.r, towards), u

@@ -252,6 +252,10 @@ def build(scenario: Scenario) -> Page:
 def _require_shown(problem: Problem) -> None:
     """Raise InputError for what the page does not compute."""
     scenario, sensor = problem.scenario, problem.sensor
+    if problem.plant.gears is not None:
+        raise InputError(
+            "plant.arm.gears: the page draws a band in which a sensor reads 0; encoders have none"
+        )
     if problem.controller.plan is not None:
         raise InputError(
             "controller.method: this one computes its gains ahead of a run, which the page does "

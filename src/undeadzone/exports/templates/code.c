@@ -26,17 +26,3 @@
 @?with_truths@#include <stdbool.h>
 
 @functions@
-
-int @name@_resume(@name@_state *state, const @name@_state *stored, const char *hash)
-{
-    const char *own = @upper@_HASH;
-    while ((*own != '\0') && (*own == *hash)) {
-        own++;
-        hash++;
-    }
-    if (*own != *hash) {
-        return 0;
-    }
-    *state = *stored;
-    return 1;
-}

@@ -19,7 +19,21 @@ extern "C" {
 @structs@
 @prototypes@
 /** Go on from a state that was stored with its @upper@_HASH: 1. With another hash: 0, and state stays. */
-int @name@_resume(@name@_state *state, const @name@_state *stored, const char *hash);
+static inline int @name@_resume(@name@_state *state, const @name@_state *stored, const char *hash)
+{
+    const char *own = @upper@_HASH;
+    const char *given = hash;
+    while ((*own != '\0') && (*own == *given)) {
+        own++;
+        given++;
+    }
+    int same = 0;
+    if (*own == *given) {
+        *state = *stored;
+        same = 1;
+    }
+    return same;
+}
 
 #ifdef __cplusplus
 }

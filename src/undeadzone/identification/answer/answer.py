@@ -16,6 +16,7 @@ from undeadzone.identification.models.kalman_fit import KalmanFit, innovations
 from undeadzone.identification.models.least_squares import CHANCE
 from undeadzone.identification.models.plant import Layout, Simulator
 from undeadzone.identification.models.zone_fit import Fit
+from undeadzone.identification.servo.gap import ServoGap
 from undeadzone.identification.verdict.orders import (
     OrderFit,
     credible,
@@ -118,6 +119,12 @@ class Answer(NamedTuple):
         return self.found.element
 
     @property
+    def servo(self) -> ServoGap | None:
+        """The servo behind a play that it is; None where it is not one."""
+        fit = None if self.element is None else self.element.fit
+        return fit if isinstance(fit, ServoGap) else None
+
+    @property
     def z(self) -> Floats:
         """Output of the plant (N), scaled."""
         return self.fit.z if self.element is None else self.element.z
@@ -199,13 +206,12 @@ def to_answer(case: Case, found: Found) -> Answer:
     best, orders = next(iter(found.kalman), None), credible(case.fitted.fits)
     widths = find_widths(chosen, orders, case.fitted.alike, best, case.quantum, case.offset)
     edges = widths.right.value, widths.left.value
-    loop = loop_chance(chosen.pairs, case.recorded.u) if chosen.white else 1.0
     answer = Answer(
         verdict=found.verdict.word,
         reasons=found.verdict.reasons,
         **dict.fromkeys(DIRECTIONS),
-        remarks=[*case.fitted.prepared.remarks, *found.verdict.cautions, *_loop(loop)],
-        loop=loop,
+        remarks=[*case.fitted.prepared.remarks, *found.verdict.cautions],
+        loop=1.0,
         options=case.options,
         case=case,
         found=found,
@@ -213,6 +219,7 @@ def to_answer(case: Case, found: Found) -> Answer:
         excitation=excitation(data.readings(), chosen.pairs.z, *edges, data.silent_zeros),
         widths=widths,
     )
+    answer = _in_loop(answer)
     if found.element is not None:
         remarks = [*found.element.remarks, *_late(answer)]
         return _showing(answer, found.element.widths, remarks)
@@ -281,15 +288,18 @@ def _late(answer: Answer) -> list[str]:
     return [f"the input acts {delay} samples late{time}"]
 
 
-def _loop(chance: float) -> list[str]:
-    """That the input answers to the readings, where it does."""
-    if chance > CHANCE:
-        return []
-    return [
-        "the input answers to the readings: the log is of a closed loop. Widths of a sensor's zone"
-        " hold in a loop; those of a play and of the input's zone may be off by more than their"
-        " intervals where a disturbance is strong"
-    ]
+def _in_loop(answer: Answer) -> Answer:
+    """The answer with whether the input answers to the readings, and what that means."""
+    servo, chosen, loop = answer.servo, answer.case.chosen, 1.0
+    holds = "Widths of a sensor's zone hold in a loop; those of a play and of the input's zone may"
+    holds += " be off by more than their intervals where a disturbance is strong"
+    if servo is not None:
+        loop, holds = servo.log.loop, "The gap holds in it: each error is that of one prediction"
+    elif chosen.white:
+        loop = loop_chance(chosen.pairs, answer.case.recorded.u)
+    is_closed = loop <= CHANCE if servo is None else servo.log.closed
+    remark = f"the input answers to the readings: the log is of a closed loop. {holds}"
+    return answer._replace(loop=loop, remarks=[*answer.remarks, *([remark] if is_closed else [])])
 
 
 def _edge_remarks(answer: Answer, shown: Shown, heard: bool) -> list[str]:

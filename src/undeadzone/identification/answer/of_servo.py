@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from undeadzone.identification.answer.answer import Answer
-from undeadzone.identification.servo.gap import ServoGap
 from undeadzone.identification.servo.sampled import (
     DAMPING,
     DELAY,
@@ -25,19 +24,13 @@ PRINTED = 4  # crossings on the terminal
 SIDES = {1: "right", -1: "left"}
 
 
-def servo_of(answer: Answer) -> ServoGap | None:
-    """What an answer says of a servo; None where it is not one."""
-    fit = None if answer.element is None else answer.element.fit
-    return fit if isinstance(fit, ServoGap) else None
-
-
 def servo_numbers(answer: Answer) -> dict[str, Any] | None:
     """The servo in units of the log, and its crossings column by column; None without one.
 
     Args:
         answer: what a log says.
     """
-    servo = servo_of(answer)
+    servo = answer.servo
     if servo is None:
         return None
     log, one = servo.log, servo.servo
@@ -54,7 +47,6 @@ def servo_numbers(answer: Answer) -> dict[str, Any] | None:
         "delay": float(theta[DELAY]) * log.seconds,
         "torque": math.exp(theta[TORQUE]) * log.u_scale,
         "slow_torque": math.exp(theta[SLOW]) * log.u_scale if "slow" in parts else 0.0,
-        "closed_loop": log.closed,
         "trends": servo.trends,
         "crossings": {name: column.tolist() for name, column in crossing_columns(answer).items()},
     }
@@ -67,7 +59,7 @@ def _per_time(lag: bool, rate: float) -> float:
 
 def crossing_columns(answer: Answer) -> dict[str, Floats]:
     """The crossings of a servo's gap column by column; empty where there is no servo."""
-    servo = servo_of(answer)
+    servo = answer.servo
     if servo is None:
         return {}
     crossings = servo.crossings
@@ -83,7 +75,7 @@ def crossing_columns(answer: Answer) -> dict[str, Floats]:
 
 def crossings_in_words(answer: Answer, unit: str) -> list[str]:
     """The first crossings, and what all of them say."""
-    columns, servo = crossing_columns(answer), servo_of(answer)
+    columns, servo = crossing_columns(answer), answer.servo
     if servo is None or not columns["t"].size:
         return []
     lines = []

@@ -12,6 +12,7 @@ import numpy as np
 
 from undeadzone.errors import InputError
 from undeadzone.identification.answer.answer import Answer
+from undeadzone.identification.answer.next_log import Next, next_log
 from undeadzone.identification.answer.to_continuous import sampled_matrices
 from undeadzone.identification.answer.to_scenario import scenario_text
 from undeadzone.identification.answer.words import in_words, numbers
@@ -156,6 +157,18 @@ class Identified:
                 f"scenario: the verdict is {self.answer.verdict}: there is no zone to write"
             )
         return scenario_text([self.answer], title)
+
+    def next_log(self) -> Next:
+        """The input to record next: of 30 s, within the amplitude and the rate of this log's.
+
+        Returns:
+            Times, inputs, and what they are for: the width whose interval narrows most, and the
+            share that is left of it with both logs; or the two names that they part.
+
+        Raises:
+            InputError: nothing would be gained.
+        """
+        return next_log(self.answer)
 
     def numbers(self) -> dict[str, Any]:
         """All numbers of the answer, as `--json` prints them."""

@@ -17,7 +17,7 @@ from undeadzone.identification.answer.to_continuous import entry_spread
 from undeadzone.identification.models.estimates import Interval
 from undeadzone.identification.models.kalman import AT_OUTPUT
 from undeadzone.identification.models.plant import input_gain
-from undeadzone.identification.verdict.which import Element
+from undeadzone.identification.verdict.which import MEMORY, Element
 from undeadzone.linear.matrices import Matrices
 from undeadzone.support.arrays import Floats
 from undeadzone.support.text import printable
@@ -41,8 +41,8 @@ def scenario_text(answers: Sequence[Answer], title: str) -> str:
         The text, with remarks on where each number comes from.
 
     Raises:
-        InputError: no plant in continuous time fits, the input acts late, or a zone that does not
-            hold z = 0.
+        InputError: no plant in continuous time fits, outputs whose delays differ, or a zone that
+            does not hold z = 0.
     """
     plants, spreads_A, spreads_B = zip(*[_plant(answer) for answer in answers], strict=True)
     first = answers[0]
@@ -58,6 +58,7 @@ def scenario_text(answers: Sequence[Answer], title: str) -> str:
         f"A = {_rows(plant.A)}",
         f"B = {_rows(plant.B)}",
         f"C = {_rows(plant.C)}",
+        *_delay(answers),
         "",
         "[sensor]",
         *([f'kind = "{first.verdict}"'] if first.verdict in ("jump", "play") else []),
@@ -150,14 +151,20 @@ def _actuator(answer: Answer) -> list[str]:
 
 def _plant(answer: Answer) -> tuple[Matrices, Floats, Floats]:
     """The plant of one output, and relative spreads of its A and B. Raises InputError."""
-    grid, delay = answer.case.grid, answer.found.delay
-    if delay and answer.options.delay == "auto":
-        raise InputError(
-            f"scenario: the input acts {delay} samples ({delay * grid.step:.4g} s) late, and"
-            f" scenarios have no delay; if only the recording is late, say --delay {delay}"
-        )
     layout, a, b, V = answer.plant_numbers
-    return entry_spread(a, b, layout, grid.step, V)
+    return entry_spread(a, b, layout, answer.case.grid.step, V)
+
+
+def _delay(answers: Sequence[Answer]) -> list[str]:
+    """By how much the plant is late, not its recording; nothing if it is not. Raises InputError."""
+    late = {one.found.delay * (one.options.delay == "auto") for one in answers}
+    if len(late) > 1:
+        raise InputError(
+            f"scenario: inputs act {min(late)} to {max(late)} samples late on different outputs,"
+            " and a plant has one delay; identify each output alone"
+        )
+    samples = late.pop()
+    return [f"delay = {samples}  # samples by which the input acts late"] if samples else []
 
 
 def _joined(plants: Sequence[Matrices]) -> Matrices:
@@ -223,6 +230,9 @@ def _noise(answers: Sequence[Answer]) -> list[str]:
         lines.append(f"threshold = {_numbers(silent)}  # the log has exact zeros")
     if any(behind):
         lines.append(f"noise = {_numbers(behind)}  # rms of the residual")
+    quanta = [one.case.grid.quantum * (one.verdict in MEMORY) for one in answers]
+    if any(quanta):
+        lines.append(f"quantum = {_numbers(quanta)}  # of the encoder")
     return lines
 
 

@@ -16,6 +16,9 @@ LONG = 20  # steps; a longer gap begins a new record, since nobody knows the inp
 MOST = 100_000  # samples that are used; more would take minutes and say little more
 MOST_SUMMED = 10_000  # of an integrating plant, whose log has a state every few hundred samples
 STRETCHES = 5  # into which these are cut, of a longer log
+EXACT = 1e-9  # of the range, by which two readings differ
+COARSER = 1e-6  # of the range, from which a quantum matters
+ODD = 0.1  # quanta by which a change may differ from a multiple
 
 
 class Grid(NamedTuple):
@@ -234,15 +237,25 @@ def find_quantum(y: Floats) -> float:
         The spacing [y] of which every reading is a multiple; 0 if the readings are many and
         different, or are rounded to so many digits that no quantum can be told from printing.
     """
-    values: Floats = np.unique(np.abs(y))
-    if values.size < 3 or values.size > 0.5 * max(int(np.count_nonzero(y)), 8):
+    values: Floats = np.unique(np.append(np.abs(y), 0.0))
+    if values.size < 4 or values.size > 0.5 * max(int(np.count_nonzero(y)), 8):
         return 0.0
+    return spacing_of(values)
+
+
+def spacing_of(values: Floats) -> float:
+    """The spacing of which every difference of values is a multiple; 0 where there is none.
+
+    Args:
+        values: in ascending order, all different (N).
+    """
+    moves = values - values[0]
     spacing = np.diff(values)
-    size = float(values[-1])
-    large = spacing[spacing > 1e-9 * size]
-    if not large.size:
+    spacing = spacing[spacing > EXACT * moves[-1]]
+    if not spacing.size:
         return 0.0
-    quantum = float(large.min())
-    if np.abs(values / quantum - np.rint(values / quantum)).max() > 0.02:
-        return 0.0
-    return quantum
+    quantum = float(spacing.min())
+    counts = np.round(moves / quantum)
+    quantum = float(moves @ counts / (counts @ counts))
+    odd = np.abs(moves / quantum - np.round(moves / quantum))
+    return quantum if odd.max() < ODD and quantum > COARSER * moves[-1] else 0.0

@@ -268,6 +268,10 @@ class MapModel:
         holds = shape is absolute or name == "dead_zone"  # whose own numbers are a level too
         self.has_level = not holds and not simulator.layout.integrators
 
+    def along(self, data: Data) -> MapModel:
+        """The same model of other records."""
+        return MapModel(self.simulator.along(data), self.name, self.shape)
+
     def project(self, theta: Floats) -> Floats:
         """Numbers as they are: each pair of them makes sense."""
         return theta

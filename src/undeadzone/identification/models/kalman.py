@@ -61,15 +61,13 @@ def log_mass(a: Any, b: Any) -> Any:
 class Correction:
     """A reading's log density, and g and k of x += P H' g / s, P -= P H' H P k / s^2.
 
-    Without a side the reading is a level that z is near: 0 in a dead zone, y where a play holds.
+    Without a side z lies in the dead zone.
     """
 
-    def __init__(
-        self, y: Any, side: Any, mean: Any, s: Any, right: Any, left: Any, slack: Any
-    ) -> None:
+    def __init__(self, y: Any, side: Any, mean: Any, s: Any, right: Any, left: Any) -> None:
         speaks = side != 0
         v = (y + right * (side > 0) - left * (side < 0) - mean) / s
-        a, b = (y + right + slack - mean) / s, (y - left - slack - mean) / s
+        a, b = (y + right - mean) / s, (y - left - mean) / s
         mass = log_mass(a, b)
         at_a = ca.exp(ca.fmin(-0.5 * a**2 - LOG_ROOT - mass, 700.0))
         at_b = ca.exp(ca.fmin(-0.5 * b**2 - LOG_ROOT - mass, 700.0))
@@ -98,8 +96,7 @@ def kernel(n: int, m: int, model: int, moments: bool = False) -> lanes.Kernel:
     Returns:
         A kernel whose state is (x, P column by column, upper part), whose inputs are (u, y, side,
         ok, start), whose lanes differ in (a, b input by input, q^2, r^2, d_r, d_l, phi, variance
-        of x and of the disturbance at first, slack of a level), and whose output is the log
-        density.
+        of x and of the disturbance at first), and whose output is the log density.
     """
     size = n + (model > 0)
     triangle = []
@@ -107,9 +104,9 @@ def kernel(n: int, m: int, model: int, moments: bool = False) -> lanes.Kernel:
         triangle += [(i, j) for i in range(j + 1)]
     state = ca.SX.sym("s", size + len(triangle))
     exogenous = ca.SX.sym("w", m + 4)
-    numbers = ca.SX.sym("p", n + m * n + 8)
+    numbers = ca.SX.sym("p", n + m * n + 7)
     F, B, G, H = matrices(n, m, model, numbers)
-    q2, r2, right, left, _, first, first_w, slack = ca.vertsplit(numbers[n + m * n :])
+    q2, r2, right, left, _, first, first_w = ca.vertsplit(numbers[n + m * n :])
     u = exogenous[:m]
     y, side, ok, start = ca.vertsplit(exogenous[m:])
     at_start = ca.diag(ca.vertcat(first * ca.SX.ones(n), *([first_w] * (model > 0))))
@@ -124,7 +121,7 @@ def kernel(n: int, m: int, model: int, moments: bool = False) -> lanes.Kernel:
     S = H @ PH + r2
     lost = ca.logic_not(ca.logic_and(S < 1e12, ca.fabs(mean) < 1e9))
     s = ca.sqrt(ca.fmax(ca.if_else(lost, 1.0, S), 1e-12))
-    by_reading = Correction(y, side, ca.if_else(lost, 0.0, mean), s, right, left, slack)
+    by_reading = Correction(y, side, ca.if_else(lost, 0.0, mean), s, right, left)
     g, k = ok * by_reading.g, ok * by_reading.k
     before = [x, *[P[i, j] for i, j in triangle]]
     x = x + PH * g / s
@@ -196,25 +193,21 @@ class KalmanObjective:
         layout: order, inputs and integrators of the plant.
         model: WHITE, AT_INPUT or AT_OUTPUT.
         limits: of the widths.
-        slack: by how much what a play passes on may be beside a reading that holds.
 
     Attributes:
         log_q: place of ln q; ln r, d_r, d_l and atanh phi follow.
         lane_q: place of q^2 among the numbers of a lane; r^2, d_r, d_l, phi, variances at first
-            and the slack follow.
+            follow.
         size: how many numbers there are.
     """
 
     gain = 2e-3
 
-    def __init__(
-        self, data: Data, layout: Layout, model: int, limits: Limits, slack: float = 0.0
-    ) -> None:
+    def __init__(self, data: Data, layout: Layout, model: int, limits: Limits) -> None:
         self.data = data
         self.layout = layout
         self.model = model
         self.limits = limits
-        self.slack = slack
         self.climbs = data.climbs
         self.log_q, self.lane_q = layout.b.stop, layout.n * (1 + layout.m)
         self.size = self.log_q + 4 + (model > 0)
@@ -252,7 +245,7 @@ class KalmanObjective:
         r = max(math.exp(log_r), QUIETEST)
         phi = math.tanh(p[-1]) if self.model else 0.0
         at_first = q * q / max(1 - phi * phi, 1e-4)
-        tail = [q * q, r * r, right, left, phi, 5.0, at_first, self.slack]
+        tail = [q * q, r * r, right, left, phi, 5.0, at_first]
         a = self.layout.denominator(p[self.layout.a])
         return np.concatenate([a, p[self.layout.b], tail])
 

@@ -26,7 +26,6 @@ import numpy as np
 
 from undeadzone.ends.play import ticked
 from undeadzone.identification.models.kalman import matrices
-from undeadzone.identification.models.kalman_fit import KalmanFit
 from undeadzone.identification.models.plant import Simulator, input_gain
 from undeadzone.support.arrays import Flags, Floats, Integers
 
@@ -334,13 +333,3 @@ def moving(simulator: Simulator, theta: Floats, rms: float, noise: float) -> Mov
         power = input_gain(theta[layout.a], theta[layout.b], layout.n, 0.0)
     q = max(rms, FAINTEST) / math.sqrt(max(power, 1e-9))
     return Moving(F, B, H[0], q**2 * G, AT_FIRST**2 * np.eye(layout.n), max(noise, FAINTEST))
-
-
-def moving_with_disturbance(fit: KalmanFit) -> Moving:
-    """A plant of (L3), with its disturbance, as the filter of the four offsets takes it."""
-    layout, lane = fit.objective.layout, fit.objective.lane(fit.theta)
-    F, B, G, H = matrices(layout.n, layout.m, fit.model, lane)
-    q2, r2, *_, first_w, _ = lane[fit.objective.lane_q :]
-    at_first = np.full(F.shape[0], AT_FIRST**2)
-    at_first[layout.n :] = first_w
-    return Moving(F, B, H[0], q2 * G, np.diag(at_first), math.sqrt(r2))

@@ -1,19 +1,10 @@
-"""Gaps with intervals: by least squares that simulated logs correct, or by the ticks of an encoder.
+"""Gaps with intervals: by least squares that simulated logs correct.
 
 Noise behind a play leaves least squares consistent. A disturbance ahead of it does not: it makes
 more turns, and the gap comes out too small. So logs with the plant, the gap and the disturbance of
 the fit are simulated and fitted in the same way, and the numbers are moved until the mean of these
 fits is the fit of the log (indirect inference: Gourieroux, Monfort and Renault 1993). The spread of
 the fits is a second opinion on the interval.
-
-Behind encoders and exact readings each change shows motion. A tick tells the contact and, nearly
-exactly, z. Between two ticks z stays where none would come:
-
-    l - q / 2 - c_l <= z <= l + q / 2 + c_r,   l the reading, q the quantum.                   (L4)
-
-So the filter of (L3) serves, with the reading that holds as the level of its silence. A disturbance
-ahead of the play is part of it, and least squares need no correction. That a bound is heard by mean
-and covariance leaves a small bias, which simulated logs show.
 """
 
 from __future__ import annotations
@@ -27,19 +18,14 @@ from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.identification.models import motion
 from undeadzone.identification.models.elements import PlayFit, PlayModel
 from undeadzone.identification.models.estimates import Interval, climb, quantile
-from undeadzone.identification.models.kalman import AT_INPUT, AT_OUTPUT, QUIETEST, KalmanObjective
-from undeadzone.identification.models.kalman_fit import MODELS, KalmanFit
-from undeadzone.identification.models.least_squares import Fitted, LeastSquares
+from undeadzone.identification.models.least_squares import LeastSquares
 from undeadzone.identification.models.plant import (
-    SETTLED,
     Ahead,
     Data,
     disturbance_ahead,
-    input_gain,
     shaped,
     white,
 )
-from undeadzone.identification.models.zone import Limits
 from undeadzone.support.arrays import Floats
 
 RUNS = 24
@@ -49,7 +35,6 @@ MOST = 2.0  # factor of the disturbance in a round
 STRONGEST = 0.2  # rms of a disturbance ahead, in rms of y, above which no gap is given
 STRONGEST_OF_BOTH = 0.15  # the same where a dead zone follows, which makes y smaller
 FINEST = 2e-4  # rms of y: no interval is narrower
-FIRST, LAST, AGAIN = 30, 50, 10  # steps of climbs: with the first ticks, the final ones, simulated
 
 # Weights of c_r, c_l, and of d_r, d_l after them.
 ROWS: dict[str, tuple[float, ...]] = {
@@ -83,12 +68,11 @@ class Gap(NamedTuple):
     sure: bool
 
 
-def find_gap(fit: PlayFit, others: list[PlayFit], quantum: float) -> Gap:
+def find_gap(fit: PlayFit, quantum: float) -> Gap:
     """The numbers of a play with their intervals.
 
     Args:
         fit: least squares.
-        others: the same of other orders, without a dead zone.
         quantum: of the readings, scaled; 0: none.
 
     Returns:
@@ -98,10 +82,6 @@ def find_gap(fit: PlayFit, others: list[PlayFit], quantum: float) -> Gap:
     how = motion.sensing(data.y, data.ok, data.start, quantum)
     if fit.model.simulator.layout.integrators:
         return _as_fitted(fit, _noise(data, how, quantum))
-    if how.window == 1 and not fit.model.zone:
-        ticks = fit_ticks([fit, *others], how)
-        if ticks is not None:
-            return _of_ticks(ticks, how)
     return _corrected(fit, _noise(data, how, quantum), quantum)
 
 
@@ -213,130 +193,3 @@ def _refitted(
 def _rounded(y: Floats, quantum: float) -> Floats:
     """Readings as they are recorded."""
     return quantum * np.round(y / quantum) if quantum else y
-
-
-# --- By ticks
-
-
-class TickFit(NamedTuple):
-    """A play by (L4).
-
-    Attributes:
-        play: the fit by least squares of the same order.
-        kalman: plant, disturbance, c_r and c_l.
-    """
-
-    play: PlayFit
-    kalman: KalmanFit
-
-    @property
-    def theta(self) -> Floats:
-        """The numbers of the play's model; what (L4) does not fit stays."""
-        model, log_q = self.play.model, self.kalman.objective.log_q
-        theta = self.play.theta.copy()
-        theta[:log_q] = self.kalman.theta[:log_q]
-        theta[model.base : model.base + 2] = self.kalman.right, self.kalman.left
-        return theta
-
-
-def fit_ticks(plays: list[PlayFit], how: motion.Sensing) -> TickFit | None:
-    """The play of least BIC by (L4) over orders and disturbances; None where none can be run.
-
-    Args:
-        plays: by least squares, of different orders; the data are those of the first.
-        how: readings show motion.
-    """
-    data = plays[0].squares.data
-    fits = []
-    for play in plays:
-        squares = LeastSquares(play.model.along(data))
-        fits += _of_order(Fitted(squares, play.theta, play.density), how)
-    return min(fits, key=lambda one: one.kalman.bic, default=None)
-
-
-def _of_order(play: PlayFit, how: motion.Sensing) -> list[TickFit]:
-    """(L4) of one order, for the three models of the disturbance."""
-    model, theta, data = play.model, play.theta, play.squares.data
-    ahead = ahead_of(play)
-    heard = ticked(data, motion.moving(model.simulator, theta, ahead.rms, QUIETEST), how)
-    first = []
-    for kind in MODELS:
-        objective = objective_of(heard, play, kind, how)
-        widths = theta[model.base : model.base + 2]
-        begun = objective.begun(theta, widths, max(ahead.rms, 2 * QUIETEST), 0.0, ahead.phi)
-        if objective.admissible(begun):
-            first.append(KalmanFit(objective, *climb(objective, begun, FIRST)))
-    if not first:
-        return []
-    best = min(first, key=lambda one: one.bic)
-    heard = ticked(data, motion.moving_with_disturbance(best), how)
-    fits = []
-    for one in first:
-        objective = objective_of(heard, play, one.model, how)
-        fits.append(TickFit(play, KalmanFit(objective, *climb(objective, one.theta, LAST))))
-    return fits
-
-
-def objective_of(heard: Data, play: PlayFit, kind: int, how: motion.Sensing) -> KalmanObjective:
-    """(L4) of readings that were heard, for a model of the disturbance."""
-    layout = play.model.simulator.layout
-    return KalmanObjective(heard, layout, kind, Limits(), how.quantum / 2)
-
-
-def ticked(data: Data, plant: motion.Moving, how: motion.Sensing) -> Data:
-    """The readings with their contacts, ticks where z was when they came."""
-    offsets = motion.four_offsets(plant, data.u, data.y, data.ok, data.start, how)
-    return data._replace(y=np.where(offsets.side != 0, offsets.heard, data.y), side=offsets.side)
-
-
-def disturbance_of(fit: KalmanFit) -> Ahead:
-    """The disturbance of a fit, as first-order noise at the first input."""
-    layout, phi = fit.objective.layout, fit.phi
-    a, b = fit.theta[layout.a], fit.theta[layout.b]
-    own = fit.q / math.sqrt(max(1 - phi**2, 1e-9))
-    first = math.sqrt(input_gain(a, b[: layout.n], layout.n, phi))
-    if fit.model == AT_OUTPUT:
-        return Ahead(own, phi, own / first)
-    every = first if fit.model == AT_INPUT else math.sqrt(input_gain(a, b, layout.n, phi))
-    return Ahead(own * every, phi, own * every / first)
-
-
-def _of_ticks(fit: TickFit, how: motion.Sensing) -> Gap:
-    """The numbers by (L4), corrected by what it makes of simulated logs."""
-    model, kalman = fit.play.model, fit.kalman
-    found = simulated(fit, how, RUNS)
-    moved = fit.theta
-    bias = found.mean(axis=0) - moved[model.base : model.base + 2]
-    moved[model.base : model.base + 2] -= bias
-    moved = model.project(moved)
-    spread = kalman.objective.spread(kalman.theta)
-    halves = dict.fromkeys(ROWS, 0.0)
-    for name, row in DIRECTIONS.items():
-        std = float(np.std(found @ row, ddof=1)) * math.sqrt(1 + 1 / RUNS)
-        own = max(spread.half_width(kalman.objective.direction(*row)), quantile(RUNS - 1) * std)
-        halves[name] = math.hypot(own, float(np.dot(row, bias)))
-    intervals = _intervals(moved, model, halves)
-    count = model.simulator.layout.b.stop
-    ahead = disturbance_of(kalman)
-    V, sure = spread.V[:count, :count], ahead.rms < STRONGEST
-    return Gap(fit.play, moved, intervals, V, ahead, 0.0, sure)
-
-
-def simulated(fit: TickFit, how: motion.Sensing, runs: int) -> Floats:
-    """c_r and c_l that (L4) finds in logs simulated with the fit (runs x 2)."""
-    model, theta, kalman = fit.play.model, fit.theta, fit.kalman
-    layout, size = model.simulator.layout, model.data.y.size
-    ahead = disturbance_of(kalman)
-    colour = white(runs, size, ahead.phi)
-    at_output = kalman.model == AT_OUTPUT
-    w = colour[:, SETTLED:] if at_output else shaped(layout, theta, colour)
-    w = w * (ahead.rms / max(float(w.std()), 1e-300))
-    plant, z = motion.moving_with_disturbance(kalman), model.output(theta)
-    found = []
-    for one in w:
-        y = _rounded(model.readings(z + one, theta), how.quantum)
-        heard = ticked(model.of_readings(y).data, plant, how)
-        objective = objective_of(heard, fit.play, kalman.model, how)
-        again = KalmanFit(objective, *climb(objective, kalman.theta, AGAIN))
-        found.append([again.right, again.left])
-    return np.array(found)

@@ -13,12 +13,14 @@ OUTLIER = 5.0  # scatters of what the past leaves: steps of a reference are none
 NORMAL = 1.4826  # standard deviation of a Gaussian by its median deviation
 LEAST = 3e-3  # of du, that the past must leave
 SHARE = 0.01  # of what it leaves, that readings must explain
-CHANCE = 1e-6
+CHANCE = 1e-6  # p from which a loop is closed
 STILL = 0.5  # share of changes that are 0, from which u is a list of steps
 
 
-def is_closed(u: Floats, y: Floats) -> bool:
-    """Whether changes of u are explained by changes of y that came just before.
+def loop_chance(u: Floats, y: Floats) -> float:
+    """p of what changes of y that came just before explain of changes of u, if there is no loop.
+
+    1 where they explain hardly anything, or nothing can be told.
 
     Args:
         u: inputs (N).
@@ -27,7 +29,7 @@ def is_closed(u: Floats, y: Floats) -> bool:
     du, dy = np.diff(u), np.diff(y)
     rows = np.arange(LAGS, du.size)
     if rows.size < 10 * LAGS or np.mean(du == 0) > STILL:
-        return False
+        return 1.0
     now = np.column_stack([dy[rows - lag] for lag in range(OWN)])
     past = [du[rows - lag] for lag in range(1, LAGS + 1)]
     past += [dy[rows - lag] for lag in range(OWN, LAGS)]
@@ -37,12 +39,12 @@ def is_closed(u: Floats, y: Floats) -> bool:
     known, now, target = known[kept], now[kept], target[kept]
     before = _left(known, target)
     if np.std(before) < LEAST * np.std(target):
-        return False
+        return 1.0
     after = _left(np.column_stack([known, now]), target)
     share = 1 - float(after @ after) / float(before @ before)
     degrees = target.size - known.shape[1] - OWN
     ratio = share / max(1 - share, 1e-12) * degrees / OWN
-    return bool(share > SHARE and fisher.sf(ratio, OWN, degrees) < CHANCE)
+    return float(fisher.sf(ratio, OWN, degrees)) if share > SHARE else 1.0
 
 
 def _left(columns: Floats, target: Floats) -> Floats:

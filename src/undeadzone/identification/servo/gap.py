@@ -80,6 +80,11 @@ class ServoGap(NamedTuple):
         return not self.reasons
 
     @property
+    def turns_too_seldom(self) -> bool:
+        """Whether that the readings turn too seldom is all that keeps a gap from being given."""
+        return self.reversals < REVERSALS and len(self.reasons) == 1
+
+    @property
     def integrates(self) -> bool:
         """Whether nothing pulls z back to where it was, or nothing that this log could show."""
         one = self.servo

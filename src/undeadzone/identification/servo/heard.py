@@ -7,8 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from undeadzone.identification.logs.grid import spacing_of
 from undeadzone.identification.models.motion import white_noise
-from undeadzone.identification.servo.feedback import is_closed
+from undeadzone.identification.servo.feedback import CHANCE, loop_chance
 from undeadzone.identification.servo.predictor import LATEST
 from undeadzone.support.arrays import Flags, Floats, Integers, later
 
@@ -16,9 +17,6 @@ USUAL = (5e-4, 0.05)  # of a servo [s]; other samples take as long as those in b
 FEWEST = 20  # changes of readings that are worth a look
 TURNING = 0.2  # share of changes that turn back, from which they are noise
 MOVING = 0.005  # share of readings equal to the one before, below which exact ones are noise
-EXACT = 1e-9  # of the range, by which two readings differ
-COARSER = 1e-6  # of the range, from which a quantum matters
-ODD = 0.1  # quanta by which a change may differ from a multiple
 REACH = 3.0  # of a Schmitt trigger, in standard deviations of the noise
 
 
@@ -37,7 +35,7 @@ class Heard(NamedTuple):
         side: of each tick, 0 where none is (N).
         boundary: that a tick passed (N).
         u_scale, y_scale: what u and y were divided by.
-        closed: whether the input answers to the readings.
+        loop: p of what the readings say of the input, if no loop is closed.
     """
 
     step: float
@@ -52,7 +50,12 @@ class Heard(NamedTuple):
     boundary: Floats
     u_scale: float
     y_scale: float
-    closed: bool
+    loop: float
+
+    @property
+    def closed(self) -> bool:
+        """Whether the input answers to the readings."""
+        return self.loop < CHANCE
 
     @property
     def turns(self) -> Flags:
@@ -129,7 +132,7 @@ def heard(u: Floats, y: Floats, ok: Flags, start: Integers, step: float) -> Hear
     at = np.flatnonzero(side)
     if at.size < FEWEST:
         return None
-    spacing = encoder_of(held[ok])
+    spacing = spacing_of(np.unique(held[ok]))
     none = np.zeros(y.size, int)
     log = Heard(
         step=step if USUAL[0] <= step <= USUAL[1] else math.sqrt(USUAL[0] * USUAL[1]),
@@ -144,29 +147,13 @@ def heard(u: Floats, y: Floats, ok: Flags, start: Integers, step: float) -> Hear
         boundary=held,
         u_scale=u_scale,
         y_scale=y_scale,
-        closed=is_closed(u, held),
+        loop=loop_chance(u, held),
     )
     turning = float(np.mean(side[at[1:]] != side[at[:-1]]))
     exact_enough = spacing > 0 or at.size < (1 - MOVING) * y.size
     if turning < TURNING and exact_enough:
         return log._replace(side=side, boundary=held - side * spacing / 2)
     return log._replace(ticks=False, quantum=0.0)
-
-
-def encoder_of(y: Floats) -> float:
-    """The quantum of which every change of readings is a multiple (N); 0 where there is none."""
-    values = np.unique(y)
-    range_of = float(values[-1] - values[0])
-    spacing = np.diff(values)
-    spacing = spacing[spacing > EXACT * range_of]
-    if not spacing.size:
-        return 0.0
-    quantum = float(spacing.min())
-    moves = values - values[0]
-    counts = np.round(moves / quantum)
-    quantum = float(moves @ counts / (counts @ counts))
-    odd = np.abs(moves / quantum - np.round(moves / quantum))
-    return quantum if odd.max() < ODD and quantum > COARSER * range_of else 0.0
 
 
 def filled(y: Floats, ok: Flags) -> Floats:

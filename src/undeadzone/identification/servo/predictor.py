@@ -22,13 +22,13 @@ with the mean, the slope and the rest of the variance of a dead zone Dz of a Gau
 
 from __future__ import annotations
 
-import math
 from functools import cache
 from typing import Any, NamedTuple
 
 import casadi as ca
 
 from undeadzone.compile import lanes
+from undeadzone.numerics.gaussian import chance
 
 LATEST = 8  # samples by which the input may be late at most
 WIDTH = 64  # lanes of a kernel
@@ -284,20 +284,10 @@ def through_play(mean: Any, variance: Any, half: Any) -> tuple[Any, Any, Any]:
     """
     s = ca.sqrt(variance)
     a, b = (mean - half) / s, (-half - mean) / s
-    mass_a, mass_b = _normal(a), _normal(b)
-    at_a, at_b = _density(a), _density(b)
+    (mass_a, hazard_a), (mass_b, hazard_b) = chance(a), chance(b)
+    at_a, at_b = mass_a * hazard_a, mass_b * hazard_b
     above, below = s * (a * mass_a + at_a), s * (b * mass_b + at_b)
     squares = variance * ((a * a + 1) * mass_a + a * at_a + (b * b + 1) * mass_b + b * at_b)
     passed, slope = above - below, mass_a + mass_b
     rest = ca.fmax(squares - passed**2 - slope**2 * variance, 0.0)
     return passed, slope, rest
-
-
-def _normal(x: Any) -> Any:
-    """Phi(x) on CasADi expressions."""
-    return 0.5 * (1 + ca.erf(ca.fmin(ca.fmax(x, -8.0), 8.0) / math.sqrt(2)))
-
-
-def _density(x: Any) -> Any:
-    """phi(x) on CasADi expressions."""
-    return ca.exp(-0.5 * ca.fmin(x * x, 100.0)) / math.sqrt(2 * math.pi)

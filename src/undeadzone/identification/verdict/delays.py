@@ -17,7 +17,13 @@ from undeadzone.identification.logs.prepare import FAR_EDGE, Prepared
 from undeadzone.identification.models.estimates import climb
 from undeadzone.identification.models.plant import Simulator, delayed, part_of
 from undeadzone.identification.models.zone_fit import Fit, fit_linear
-from undeadzone.identification.verdict.orders import OrderFit, at_limit, best_order, fit_orders
+from undeadzone.identification.verdict.orders import (
+    OrderFit,
+    at_limit,
+    best_order,
+    fit_orders,
+    is_sampled,
+)
 from undeadzone.support.arrays import Floats, Integers
 
 GLITCH = 8.0  # standard deviations beyond which a reading is no reading
@@ -26,7 +32,6 @@ PROBES = (0, 1, 2, 3, 5, 7, 10, 14, 19, 25)  # samples
 SCREENED = 2  # order of the linear plant
 STEPS = 30  # of a climb
 ROUGH = 0.3  # rms of what a linear plant leaves, at the start of a climb
-NEARLY_ZERO = 0.05  # a sampled pole below it is a delay in disguise
 CLEARLY = 20.0  # of BIC, by which a delay must be better than more poles
 REACH = 6.0  # of BIC: odds of 20 to 1, within which a delay may be the true one
 
@@ -221,16 +226,9 @@ def better_delay(fits: list[OrderFit], late: list[OrderFit]) -> bool:
     """
     best = best_order(fits)
     margin = math.log(float(fits[0].pairs.objective.readings.ok.sum()))
-    if _is_sampled(best.pairs):
+    if is_sampled(best.pairs):
         margin += CLEARLY  # a fast pole looks much like a delay
     return best_order(late).pairs.bic + margin < best.pairs.bic
-
-
-def _is_sampled(fit: Fit) -> bool:
-    """Whether a plant in continuous time has these poles: none at 0 nearly, none negative."""
-    poles = fit.objective.simulator.poles(fit.theta)
-    real = np.abs(poles.imag) < 1e-9
-    return bool(np.all(np.where(real, poles.real, np.abs(poles)) > NEARLY_ZERO))
 
 
 def refined_delay(late: list[OrderFit], samples: int) -> int:

@@ -20,6 +20,7 @@ from undeadzone.identification.models.zone import Limits, Objective
 from undeadzone.support.arrays import Flags, Floats, Integers
 
 CREDIBLE = 1.02  # times the least held-out error: orders that may be right as well
+NEARLY_ZERO = 0.05  # a sampled pole below it is a delay in disguise
 BLOCKS = 5  # of held-out samples, spread over a record
 LEAST_BLOCK = 150  # samples of the part that one of them ends
 LAGS = 20
@@ -126,6 +127,20 @@ def best_order(fits: list[OrderFit]) -> OrderFit:
     """The order of least BIC of (L2), those with a pole at the limit of what is allowed last."""
     inside = [one for one in fits if not at_limit(one.pairs)]
     return min(inside or fits, key=lambda one: one.pairs.bic)
+
+
+def order_to_write(fits: list[OrderFit]) -> OrderFit:
+    """The best order; of those that predict alike, one that a plant in continuous time has."""
+    best = best_order(fits)
+    alike = list(filter(lambda one: is_sampled(one.pairs), credible(fits)))
+    return best if is_sampled(best.pairs) or not alike else best_order(alike)
+
+
+def is_sampled(fit: zone_fit.Fit) -> bool:
+    """Whether a plant in continuous time has these poles: none at 0 nearly, none negative."""
+    poles = fit.objective.simulator.poles(fit.theta)
+    real = np.abs(poles.imag) < 1e-9
+    return bool(np.all(np.where(real, poles.real, np.abs(poles)) > NEARLY_ZERO))
 
 
 def at_limit(fit: zone_fit.Fit) -> bool:

@@ -27,7 +27,8 @@ from undeadzone.identification.verdict.which import EVEN, MEMORY, Element, Found
 from undeadzone.support.arrays import Floats, later
 
 POSSIBLE = ("none", "play", "friction", "other", "unclear", "undecided")  # that it may replace
-EXPLAINED = ("play", "none", "friction")  # words that stand where their fit is good
+DENYING = ("none", "friction")  # words by which there is no play
+EXPLAINED = ("play", *DENYING)  # words that stand where their fit is good
 FEW_RETURNS = 3
 MOVED = 1e-4  # of a number, for derivatives of the sampled plant
 
@@ -94,11 +95,19 @@ def may_be_servo(case: Case, found: Found) -> bool:
     if found.element is not None or case.jumps is not None or case.unreached:
         return False
     word = found.verdict.word
+    if _is_denied(case.servo, word):
+        return True
     if word not in POSSIBLE or heard_of(case.grid, case.options) is None:
         return False
     if case.options.integrators or word in ("other", "unclear", "undecided"):
         return True
     return word in EXPLAINED and _share(case, found) < LEAST
+
+
+def _is_denied(servo: ServoGap | None, word: str) -> bool:
+    """Whether a likely play, withheld since its log turns too seldom, is called something else."""
+    likely = servo is not None and servo.turns_too_seldom and servo.odds > LIKELY
+    return likely and word in DENYING
 
 
 def _share(case: Case, found: Found) -> float:
@@ -110,12 +119,16 @@ def _share(case: Case, found: Found) -> float:
 
 def with_servo(case: Case, found: Found) -> Found:
     """What is found with a servo, or why nothing is."""
-    servo = servo_gap(heard_of(case.grid, case.options))
+    servo = case.servo or servo_gap(heard_of(case.grid, case.options))
     if servo is None:
         return found
     if servo.is_given:
         return named_servo(case, servo, found)
     word = found.verdict.word
+    if _is_denied(servo, word):
+        odds = {"play": servo.odds, "none": 1 - servo.odds}
+        verdict = because("undecided", in_words(servo), *servo.reasons)
+        return found._replace(verdict=verdict, odds=odds, plays=None)
     if word in MEMORY:
         stays = not case.options.integrators  # by least squares, or ticks of another plant
     else:
@@ -158,17 +171,12 @@ def in_words(servo: ServoGap) -> str:
 
 def _cautions(servo: ServoGap) -> list[str]:
     """What to know of the gap."""
-    cautions = [
+    return [
         "the gap is one between motor and encoder; of an encoder at the motor's side it shows only"
         " as far as the load is felt (rho c >> q, rho the load's share of the inertia): ask where"
-        " the encoder is"
+        " the encoder is",
+        *servo.trends,
     ]
-    if servo.log.closed:
-        cautions.append(
-            "the input answers to the readings: a loop is closed; the gap holds in it, since each"
-            " error is that of one prediction"
-        )
-    return [*cautions, *servo.trends]
 
 
 def element_of(case: Case, servo: ServoGap) -> Element:

@@ -17,6 +17,7 @@ from undeadzone.identification.models.estimates import long_run_covariance, quan
 from undeadzone.identification.models.least_squares import Density
 from undeadzone.identification.models.plant import Data
 from undeadzone.identification.models.zone_fit import Fit, fit_linear
+from undeadzone.identification.servo.gap import ServoGap
 from undeadzone.identification.verdict import orders
 from undeadzone.identification.verdict.delays import FittedOrders
 from undeadzone.identification.verdict.odds import Family
@@ -74,6 +75,7 @@ class Case(NamedTuple):
         rivals: static rivals, each behind the plant that suits it.
         suited: the order behind which one of them explains the log best.
         advance: called with the number of steps just done.
+        servo: what the predictor of a servo, asked first, withheld; None: it was not asked.
     """
 
     grid: Grid
@@ -87,6 +89,7 @@ class Case(NamedTuple):
     rivals: dict[str, Density]
     suited: orders.OrderFit
     advance: Callable[[int], None]
+    servo: ServoGap | None = None
 
     @property
     def data(self) -> Data:

@@ -90,12 +90,10 @@ class Plays(NamedTuple):
 
     Attributes:
         fits: by the verdict's word, play or both.
-        others: of a play behind plants of other orders.
         whole: all records.
     """
 
     fits: dict[str, PlayFit]
-    others: list[PlayFit]
     whole: plant.Data
 
 
@@ -166,15 +164,15 @@ def with_play(case: Case, found: Found) -> Found:
     for data in logs:
         fits = fit_play(plant.part_of(data), orders, case.options.integrators)
         if fits:
-            plays.append((_without_glitches(fits[0]), fits[1:], data))
+            plays.append((_without_glitches(fits[0]), data))
     if not plays:
         return found
-    play, others, whole = min(plays, key=lambda one: one[0].bic)
+    play, whole = min(plays, key=lambda one: one[0].bic)
     begun = [reduced(one.pairs) for one in case.fitted.fits] if whole is case.data else []
     both = fit_both([play, *begun])
     tops = {"play": play} | ({} if both is None else {"both": both})
     models = {"none": case.rivals["none"]} | {word: one.density for word, one in tops.items()}
-    return found._replace(plays=Plays(tops, others, whole)).judged(case, models)
+    return found._replace(plays=Plays(tops, whole)).judged(case, models)
 
 
 def _is_asked(case: Case, found: Found, offsets: Offsets, brief: Fit) -> bool:
@@ -210,7 +208,7 @@ def with_gap(case: Case, found: Found) -> Found:
     """
     assert found.plays is not None
     fit, whole = found.plays.fits[found.verdict.word], found.plays.whole
-    gap = find_gap(fit, found.plays.others, case.quantum)
+    gap = find_gap(fit, case.quantum)
     case.advance(1)
     rms = gap.fit.squares.rms(gap.fit.theta)
     offsets = along(gap.fit.model.simulator, gap.theta, rms, case.quantum)

@@ -1,4 +1,4 @@
-"""An observer of a plant behind an actuator that is known, or whose widths it estimates."""
+"""An observer of a plant behind an actuator, known or with widths to estimate, or a delay."""
 
 from __future__ import annotations
 
@@ -8,7 +8,13 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.ends.actuator import Belief, through_zone, within_limits, within_rate
+from undeadzone.ends.actuator import (
+    Belief,
+    through_line,
+    through_zone,
+    within_limits,
+    within_rate,
+)
 from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate, Observer, Reading
@@ -38,10 +44,16 @@ def built(options: Any, model: System, sensor: Zone, belief: Belief | None) -> O
         InputError: or a subclass, those of the observer; for a method that cannot estimate what is
             not known.
     """
-    method = str(options.__struct_config__.tag)
-    _require_friction(method, model, sensor)
+    _require_friction(str(options.__struct_config__.tag), model, sensor)
+    observer = _behind_actuator(options, model, sensor, belief)
+    return through_delay(observer, model) if model.delay else observer
+
+
+def _behind_actuator(options: Any, model: System, sensor: Zone, belief: Belief | None) -> Observer:
+    """The observer for a model whose input acts at once; arguments as of `built`."""
     if belief is None:
         return options.build(model, sensor)
+    method = str(options.__struct_config__.tag)
     if belief.ranges is not None and (method not in ESTIMATORS or model.Ts is None):
         raise InputError(
             f"model.actuator.right: {method!r} cannot estimate the widths of an actuator; give "
@@ -90,6 +102,50 @@ def through_actuator(observer: Observer, model: System, belief: Belief) -> Obser
     step = partial(step_through, observer, model, belief.ranges is None)
     params = tree.joined(observer.params, "actuator", belief.drive)
     return Observer(params, init, step, project, observer.traits)
+
+
+class Late(NamedTuple):
+    """The observer's state, and what has not acted yet, the oldest first (delay m)."""
+
+    observer: Any
+    line: Any
+
+
+def through_delay(observer: Observer, model: System) -> Observer:
+    """The observer that is told what acts now in place of the command. Raises InputError.
+
+    Its filter keeps its order: what is under way is known.
+
+    Args:
+        observer: that takes what acts for its input.
+        model: the model.
+    """
+    if observer.python is not None:
+        raise InputError(
+            "plant.delay: an observer that computes in Python knows no delay; use another observer"
+        )
+    smoothing = observer.smoothing
+
+    def init(q: Any) -> Late:
+        return Late(observer.init(q), np.zeros(model.delay * model.m))
+
+    def project(q: Any, s: Late) -> Late:
+        return s._replace(observer=observer.project(q, s.observer))
+
+    def step(q: Any, s: Late, u: Any, reading: Reading) -> tuple[Late, Estimate]:
+        line, acting = through_line(s.line, u)
+        after, estimate = observer.step(q, s.observer, acting, reading)
+        return Late(after, line), estimate
+
+    if smoothing is not None:
+        smoothing = smoothing._replace(
+            moments=lambda q, s, u, reading: observer.smoothing.moments(
+                q, s.observer, through_line(s.line, u)[1], reading
+            ),
+            odds=lambda s: observer.smoothing.odds(s.observer),
+            record=lambda s: observer.smoothing.record(s.observer),
+        )
+    return observer._replace(init=init, step=step, project=project, smoothing=smoothing)
 
 
 def step_through(

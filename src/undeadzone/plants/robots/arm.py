@@ -17,6 +17,7 @@ from undeadzone.errors import InputError
 from undeadzone.support.arrays import Floats, scalar
 
 Numbers = Mapping[str, Any]  # an arm's parameters, by name
+SIGNLESS = r"payload|([mlIJkbf]|half|inertia|friction|viscous|contact)\d*"  # those without a sign
 
 
 class Chain(NamedTuple):
@@ -163,7 +164,7 @@ def evaluate_rows(f: ca.Function, params: Floats, q: Floats) -> Floats:
 
 def signless(name: str) -> bool:
     """Whether a parameter of an arm has no sign: masses, lengths, inertias, stiffness, friction."""
-    return name == "payload" or re.fullmatch(r"[mlIJkbf]\d*", name) is not None
+    return re.fullmatch(SIGNLESS, name) is not None
 
 
 def numbers(

@@ -17,9 +17,10 @@ import numpy as np
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.plants.options import Plant
 from undeadzone.plants.robots.arm import Arm, Chain, Numbers, acceleration, arm, numbers, torque
+from undeadzone.plants.robots.geared import Geared, geared_motion
 from undeadzone.plants.robots.options import URDF, ArmOptions, ElasticJoint, OneLink, Rigid
 from undeadzone.plants.system import Flat, System, linearise
-from undeadzone.support.arrays import Floats, array, positive, scalar, vector
+from undeadzone.support.arrays import Array, Floats, array, positive, scalar, vector
 
 POSTURES = 8  # random ones, in which the mass matrix is checked
 POSITIVE = "mlIJk"  # first letters of masses, lengths, inertias and a spring's stiffness
@@ -44,6 +45,8 @@ def robot(plant: Plant, options: ArmOptions, key: str) -> System:
 def _rigid(plant: Plant, options: Rigid, key: str) -> System:
     """The continuous-time plant of an arm with rigid joints."""
     chain = _limited(options, _chain(options, plant, key), key)
+    if options.gears is not None:
+        return _geared(plant, options, chain, key)
     body = arm(chain, scalar(f"{key}.arm.rest", options.rest, above=0.0))
     params = numbers(body.names, body.values, plant.parameters, key)
     _require_mass(body, params, key)
@@ -75,6 +78,94 @@ def _rigid(plant: Plant, options: Rigid, key: str) -> System:
         limit=chain.torque,
         names=body.names,
     )
+
+
+def _geared(plant: Plant, options: Rigid, chain: Chain, key: str) -> System:
+    """The continuous-time plant of an arm with gears: x = [theta; q; theta'; q'], z = q.
+
+    With encoders at motors and links z = [q; theta]. It is linearised on the flanks that carry the
+    links, locked both ways.
+    """
+    assert options.gears is not None
+    if options.measured == "velocity" or np.any(options.reference):
+        word = "reference" if np.any(options.reference) else "measured"
+        raise InputError(
+            f"{key}.arm.{word}: encoders of an arm with gears read positions, and have no zone "
+            "about a posture; leave it out"
+        )
+    rest = scalar(f"{key}.arm.rest", options.rest, above=0.0)
+    gears = geared_motion(chain, options.gears, rest, plant.parameters, key)
+    params, N = gears.values, gears.size
+    _require_mass(gears.arm, gears.links(params), key)
+    hold = _stops(options, chain, key)
+    at = "x0" if plant.x_eq is None else "x_eq"
+    x_eq = start(gears, getattr(plant, at), f"{key}.{at}")
+    if at == "x0":
+        x_eq[2 * N :] = 0.0
+    load = np.asarray(gears.arm.bias(gears.links(params), x_eq[N : 2 * N], np.zeros(N))).ravel()
+    u_eq = load if plant.u_eq is None else vector(f"{key}.u_eq", plant.u_eq, N, "one per input")
+    carrying = np.where(load < 0, -1.0, 1.0)
+
+    def move(p: Any, x: Any, u: Any, contact: Any = None) -> Any:
+        return gears.motion(p, x, u, contact, hold(x[N : 2 * N], x[3 * N :]))[0]
+
+    def locked(p: Any, x: Any, u: Any) -> Any:
+        return move(p, x, u, carrying)
+
+    def links(p: Any, x: Any) -> Any:
+        return x[N : 2 * N]
+
+    def both(p: Any, x: Any) -> Any:
+        return ca.vertcat(x[N : 2 * N], x[:N])
+
+    def motors(p: Any, x: Any) -> Any:
+        return x[:N]
+
+    output = both if gears.measured == "both" else links
+    return System(
+        params,
+        move,
+        output,
+        linearise(key, locked, output, params, x_eq, u_eq),
+        nonlinear=True,
+        arm=gears.arm,
+        flat=_flat_of_links(gears),
+        limit=chain.torque,
+        names=gears.names,
+        gears=gears,
+        seen=motors if gears.measured == "motor" else None,
+    )
+
+
+def _flat_of_links(gears: Geared) -> Flat:
+    """The links as flat coordinates, their motors in the middle of the gaps."""
+
+    def solve(p: Any, path: Any) -> tuple[Any, Any]:
+        q, v, a = ca.horzsplit(path)
+        tau = torque(gears.arm, gears.links(p), q, v, a)
+        u = tau + gears.number(p, "inertia") * a + gears.friction(p, v)
+        return ca.vertcat(q - gears.number(p, "centre"), q, v, v), u
+
+    return Flat(2, solve)
+
+
+def start(gears: Geared, x: Array | None, key: str) -> Floats:
+    """A state [theta; q; theta'; q'] (4 N) as given, or of links [q; q'] (2 N) on their flanks.
+
+    Args:
+        gears: the arm.
+        x: the state in a user's words; None: at rest at 0.
+        key: of the state in messages.
+
+    Raises:
+        InputError, ShapeError: it is none.
+    """
+    N = gears.size
+    if x is not None and np.size(x) == 4 * N:
+        return vector(key, x, 4 * N).copy()
+    why = "the angles of the links, then their speeds; or motors and links, then their speeds"
+    q, v = np.split(vector(key, np.zeros(2 * N) if x is None else x, 2 * N, why), 2)
+    return np.concatenate([np.asarray(gears.resting(gears.values, q)).ravel(), q, v, v])
 
 
 def flat(body: Arm) -> Flat:

@@ -6,6 +6,7 @@ from typing import Literal
 
 import msgspec
 
+from undeadzone.plants.robots.geared import Gears
 from undeadzone.support.arrays import Array
 
 
@@ -22,6 +23,7 @@ class Rigid(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         stops: stiffness [N m/rad] and damping [N m s/rad] of mechanical stops at the limits;
             default: there are none.
         rest: speed below which Coulomb friction f v / sqrt(v^2 + rest^2) fades [rad/s].
+        gears: with a gap, between motors and links; default: there are none.
     """
 
     measured: Literal["position", "velocity"] = "position"
@@ -30,6 +32,7 @@ class Rigid(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     limits: Array | None = None
     stops: tuple[float, float] | None = None
     rest: float = 0.05
+    gears: Gears | None = None
 
 
 class OneLink(

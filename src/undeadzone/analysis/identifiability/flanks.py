@@ -1,0 +1,129 @@
+"""Which flanks of its gears a joint visits along a path, and what would make it visit both.
+
+A gap shows where the load crosses it: where the torque tau = M(q) a + h(q, v) that a link needs
+changes sign. A joint that gravity holds on one flank is offset by half a gap that no reading tells
+from its centre (docs/robots.md).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.analysis.identifiability.linear import Verdict
+from undeadzone.plants.robots.arm import Arm, torque
+from undeadzone.support.arrays import Flags, Floats, runs
+
+SHARE = 0.02  # of the largest torque at a joint: a smaller one presses on no flank
+LASTING = 0.05  # [s] that a torque must last to carry its link across
+POSTURES = 721  # of a joint within a turn, among which one without torque is sought
+
+
+class Visited(NamedTuple):
+    """What a joint does to its gears along a path.
+
+    Attributes:
+        right, left: whether its load presses on that flank.
+        changes: how often the flank changes.
+    """
+
+    right: bool
+    left: bool
+    changes: int
+
+
+def visited(tau: Floats, step: float) -> list[Visited]:
+    """What each joint does to its gears.
+
+    Args:
+        tau: torque that the links need along the path (N x joints) [N m].
+        step: between two rows [s].
+    """
+    least = SHARE * np.abs(tau).max(axis=0, initial=0.0)
+    told = []
+    for load, small in zip(tau.T, least, strict=True):
+        pressed = 1 * _lasting(load > small, step) - 1 * _lasting(load < -small, step)
+        flanks = pressed[pressed != 0]
+        changes = int(np.count_nonzero(np.diff(flanks)))
+        told.append(Visited(bool((flanks > 0).any()), bool((flanks < 0).any()), changes))
+    return told
+
+
+def _lasting(flags: Flags, step: float) -> Flags:
+    """Those flags that are part of a run that lasts."""
+    kept = np.zeros_like(flags)
+    for first, last in zip(*runs(flags), strict=True):
+        kept[first : last + 1] = (last + 1 - first) * step >= LASTING
+    return kept
+
+
+def torques(body: Arm, params: Floats, path: Floats) -> Floats:
+    """The torque that links need along a path (N x joints) [N m].
+
+    Args:
+        body: the arm.
+        params: its parameters.
+        path: positions, speeds and accelerations of its joints (N x 3 x joints).
+    """
+    q, v, a = (ca.SX.sym(name, body.size) for name in "qva")
+    needed = ca.Function("needed", [q, v, a], [torque(body, ca.SX(params), q, v, a)], {"cse": True})
+    return np.asarray(needed.map(len(path))(*(path[:, k].T for k in range(3)))).T
+
+
+def balanced(body: Arm, params: Floats, q: Floats, i: int) -> float | None:
+    """The position of joint i nearest to a posture at which gravity asks it for no torque [rad].
+
+    Args:
+        body: the arm.
+        params: its parameters.
+        q: the posture, in which the other joints stay (joints) [rad].
+        i: the joint.
+
+    Returns:
+        The position within the joint's limits; None where there is none.
+    """
+    low, high = np.clip(body.chain.limits[i], q[i] - np.pi, q[i] + np.pi)
+    places = np.linspace(low, high, POSTURES)
+    postures = np.repeat(q[:, None], POSTURES, axis=1)
+    postures[i] = places
+    still = np.zeros_like(postures)
+    columns = np.repeat(params[:, None], POSTURES, axis=1)
+    load = np.asarray(body.bias.map(POSTURES)(columns, postures, still))[i]
+    falls = np.flatnonzero(load[:-1] * load[1:] < 0)
+    if not falls.size:
+        return None
+    share = load[falls] / (load[falls] - load[falls + 1])
+    zeros = places[falls] + share * (places[falls + 1] - places[falls])
+    return float(zeros[np.abs(zeros - q[i]).argmin()])
+
+
+def flank_verdicts(body: Arm, params: Floats, path: Floats, step: float) -> list[Verdict]:
+    """What readings along a path tell of each joint's gap.
+
+    Args:
+        body: the arm.
+        params: its parameters.
+        path: positions, speeds and accelerations of its joints (N x 3 x joints).
+        step: between two rows [s].
+    """
+    mean = path[:, 0].mean(axis=0)
+    verdicts = []
+    for i, joint in enumerate(visited(torques(body, params, path), step)):
+        known = joint.right and joint.left
+        unit = "" if body.chain.slides else " rad"
+        reasons = () if known else (_held(balanced(body, params, mean, i), unit),)
+        verdicts.append(Verdict(known, known, known, known, reasons=reasons))
+    return verdicts
+
+
+def _held(place: float | None, unit: str) -> str:
+    """What keeps a gap from being known, and what would help.
+
+    place, unit: where gravity asks the joint for no torque.
+    """
+    what = "held on one flank: its gap cannot be known"
+    if place is None:
+        return f"{what}, nor does gravity change its load anywhere: turn it to and fro faster"
+    return f"{what}; swing it through {place:.3g}{unit}, where it carries no load"

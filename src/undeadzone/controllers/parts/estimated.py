@@ -1,0 +1,42 @@
+"""What a controller knows of an arm's gears is what the observer makes of them.
+
+Gaps, friction and payload stand among the parameters of the model; what the observer estimates of
+them takes the place of the model's, sample by sample (certainty equivalence): the gaps are its
+widths, right = half + centre and left = half - centre, the others its theta.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+
+from undeadzone.feedforward.targets import Target
+from undeadzone.interfaces import Controller, Estimate
+from undeadzone.plants.system import System
+
+
+def with_estimates(controller: Controller, model: System, uncertain: tuple[str, ...]) -> Controller:
+    """The controller of an arm with gears, told what is estimated; of another plant as it is.
+
+    Args:
+        controller: whose params have the model's parameters as `model`, if it uses them.
+        model: the model that it was built for.
+        uncertain: names of the parameters that the observer estimates, as theta.
+    """
+    gears = model.gears
+    if gears is None:
+        return controller
+    N = gears.size
+    places = [model.names.index(name) for name in uncertain]
+    halves, centres = ([f"{name}{i + 1}" for i in range(N)] for name in ("half", "centre"))
+    gaps = [model.names.index(name) for name in (*halves, *centres)]
+
+    def step(p: Any, s: Any, estimate: Estimate, target: Target) -> tuple[Any, Any]:
+        known = ca.SX(p.model)
+        known[places] = estimate.theta
+        right, left = estimate.right[:N], estimate.left[:N]
+        known[gaps] = ca.vertcat(right + left, right - left) / 2
+        return controller.step(p._replace(model=known), s, estimate, target)
+
+    return controller._replace(step=step)

@@ -1,0 +1,92 @@
+"""A controller whose input acts late is told of the state in which it will act.
+
+What is commanded at sample k acts at k + N. Until then the commands that are under way act, which
+are known, so the model is moved on along them from what the observer knows at k (finite spectrum
+assignment: Manitius and Olbrot 1979; of outputs Smith 1957):
+
+    x^(k + N | k) = A^N x^_k + A^(N - 1) B u_(k - N) + ... + B u_(k - 1)
+
+and w^, where the observer has it, goes on. The controller gets this state in the place of x^. With
+a model that is right the loop is the one without a delay, N samples later: so z follows r as r was
+N samples ago.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.ends.actuator import Belief, through_line, through_zone
+from undeadzone.feedforward.targets import Target
+from undeadzone.interfaces import Controller, Estimate
+from undeadzone.plants.system import System, held
+from undeadzone.support import tree
+from undeadzone.support.arrays import LARGEST, Floats
+
+
+class Ahead(NamedTuple):
+    """Numbers of the model that is moved on, the last field of those of the controller.
+
+    Attributes:
+        model: of the sampled model.
+        held: what a sample adds to x per w^ (n x n) [s].
+        low, high: of what acts on the plant (m) [u].
+    """
+
+    model: Any
+    held: Floats
+    low: Floats
+    high: Floats
+
+
+class State(NamedTuple):
+    """The controller's state, and what has not acted yet, the oldest first (delay m)."""
+
+    controller: Any
+    line: Any
+
+
+def predicting(controller: Controller, model: System, belief: Belief | None) -> Controller:
+    """The controller with the estimate of when its input acts; itself without a delay.
+
+    Args:
+        controller: for the model whose input acts at once.
+        model: the sampled model.
+        belief: what is known of the actuator, whose limits count; None: there is none.
+    """
+    if not model.delay:
+        return controller
+    most = np.full(model.m, LARGEST) if model.limit is None else np.minimum(model.limit, LARGEST)
+    low, high = -most, most
+    if belief is not None:
+        drive = belief.drive
+        low = np.maximum(low, through_zone(np, drive.low, drive))
+        high = np.minimum(high, through_zone(np, drive.high, drive))
+    kind = type(controller.params)
+
+    def init(q: Any) -> State:
+        return State(controller.init(tree.parted(q, kind)), np.zeros(model.delay * model.m))
+
+    numbers = Ahead(model.params, held(model), low, high)
+    params = tree.joined(controller.params, "ahead", numbers)
+    step = partial(step_ahead, controller, model)
+    return controller._replace(params=params, init=init, step=step)
+
+
+def step_ahead(
+    controller: Controller, model: System, q: Any, s: State, estimate: Estimate, target: Target
+) -> tuple[State, Any]:
+    """One sample of the controller with the estimate moved on; q: its numbers, then `Ahead`."""
+    inner, ahead = tree.parted(q, type(controller.params)), q.ahead
+    x = estimate.x
+    for acting in ca.vertsplit(s.line, model.m):
+        x = model.move(ahead.model, x, acting)
+        if estimate.w.shape[0]:
+            x = x + ahead.held @ estimate.w
+    then = estimate._replace(x=x, z=model.output(ahead.model, x))
+    after, u = controller.step(inner, s.controller, then, target)
+    line, _ = through_line(s.line, ca.fmax(ca.fmin(u, ahead.high), ahead.low))
+    return State(after, line), u

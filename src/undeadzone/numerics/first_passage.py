@@ -1,0 +1,66 @@
+"""When an uncertain position reaches an edge for the first time, and what is known where it does.
+
+A position that is watched sample by sample stays short of an edge for as long as nothing is heard.
+To cut the belief at the edge in every sample is wrong: each cut takes a tail from what is cut
+already, so that it narrows as if every sample were news. The belief of one that has not arrived is
+therefore left uncut, F_k is the chance beyond the edge under it, and of what has not arrived
+
+    (F_k - F_(k-1)) / (1 - F_(k-1))
+
+arrives in sample k: exact where the motion up to the edge is known, whatever the belief.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import casadi as ca
+
+from undeadzone.numerics.gaussian import Gaussian, update_unless_glitch
+
+LEAST = 1e-6  # chance of not being beyond some edge, below which all has arrived
+
+
+def beyond(belief: Gaussian, h: Any, excess: Any, R: Any) -> Any:
+    """The chance that excess + h (x - x^) + v > 0.
+
+    Args:
+        belief: of x (N).
+        h: row of the edge (1 x N).
+        excess: by which the mean x^ lies beyond it.
+        R: variance of v, of where the edge is.
+    """
+    std = ca.sqrt(ca.fmax(h @ belief.cov @ h.T, 0.0) + R)
+    return (1 + ca.erf(excess / std / math.sqrt(2))) / 2
+
+
+def arriving(before: Sequence[Any], now: Sequence[Any], lost: Any = 0.0) -> list[Any]:
+    """The shares of what has reached no edge that reach each of them in a sample; together <= 1.
+
+    Args:
+        before, now: chances beyond each edge under the uncut belief, a sample ago and now.
+        lost: where the uncut belief says nothing any more of what has not arrived, it all arrives.
+    """
+    left = 1 - sum(before)
+    gained = [ca.fmax(after - was, 0.0) for was, after in zip(before, now, strict=True)]
+    gone = ca.logic_or(lost, ca.logic_or(left < LEAST, sum(gained) > left))
+    total = ca.fmax(left, LEAST)
+    beyond_any = ca.fmax(sum(now), LEAST)
+    shares = []
+    for each, after in zip(gained, now, strict=True):
+        shares.append(ca.if_else(gone, after / beyond_any, each / total))
+    return shares
+
+
+def at_edge(belief: Gaussian, h: Any, excess: Any, R: Any) -> Gaussian:
+    """The belief of what has just arrived: excess + h (x - x^) + v = 0.
+
+    Args:
+        belief: of x (N), uncut.
+        h: row of the edge (1 x N).
+        excess: by which the mean x^ lies beyond it.
+        R: variance of v.
+    """
+    return update_unless_glitch(belief, h, -excess, R, 1.0, None, 0.0).belief

@@ -1,0 +1,345 @@
+"""Filter of contacts for arms whose encoders sit at motors, links or both, with gaps between them.
+
+Each joint is in one of three contacts, right flank, gap or left flank, and each combination is an
+extended Kalman filter (`parts.contact_modes` has the mathematics). It finds link angles, gaps,
+payload and friction on the way.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.catalogue import Options
+from undeadzone.ends.sensor import Zone, present
+from undeadzone.errors import InputError
+from undeadzone.interfaces import Estimate, Observer, Reading, Traits, estimate
+from undeadzone.numerics.gaussian import Gaussian
+from undeadzone.observers.parts.contact_modes import (
+    Contact as Contacts,
+)
+from undeadzone.observers.parts.contact_modes import (
+    Drive,
+    Layout,
+    Modes,
+    Numbers,
+    Told,
+    beliefs_of,
+    corrected,
+    packed,
+    predicted,
+    start,
+)
+from undeadzone.observers.parts.judged_filter import Sums, summed
+from undeadzone.plants.robots.geared import Geared
+from undeadzone.plants.system import System
+from undeadzone.support.arrays import Array, Floats, array, nonnegative, positive, scalar
+
+MOST_COUPLED = 2  # joints with gaps, beyond which there are too many combinations
+RESOLVED = 0.8  # largest product of a Runge-Kutta step and the frequency of contact
+LEAVING = 800.0  # rate at which a link leaves a flank that pulls [1/s]
+FADING = 0.2  # correlation time of the unknown torque of motors [s]
+LASTING = 0.01  # time for which the unknown torque of links lasts [s]
+COMPLIANCE = 3e-4  # deviation of where a flank is [rad]
+JERK = 1e-3  # variance that the speed of a motor gains in a second [rad^2 / s^3]
+STICKING = 0.03  # time for which what static friction takes lasts [s]
+TURNING = 0.2  # deviation of the torque through the gears, over that unknown torque
+RESTITUTION = 0.5  # share by which an impulse is off
+LEAST_TORQUE = 0.01  # of what holds the links, least unknown torque
+MEMORY = 0.2  # time over which innovations are summed [s]
+PATIENCE = 1.0  # time over which the squares of the sums are averaged [s]
+CHANCE = 4.0  # mean square of the sums that is taken for chance
+
+
+class Contact(Options, frozen=True, kw_only=True, tag="contact"):
+    """Filter of contacts of an arm with gears; sampled time.
+
+    Attributes:
+        half: claimed range [lo, hi] of half the gap, or one per joint [rad].
+        payload: claimed range [lo, hi] of the payload [kg]; default: as the model says.
+        centre: standard deviation of the gears' centre about the model's, one or one per joint
+            [rad].
+        friction: standard deviation of the motors' Coulomb friction, as a share of the model's.
+        noise: rms of a reading, one or one per encoder [rad]; default the sensor's.
+        disturbance: rms of an unknown torque of the motors, one or one per joint [N m]; default 0.6
+            of the model's friction, at least of 1 % of the torque that holds the links.
+        load: rms of an unknown torque at the links that lasts 10 ms, one or one per joint [N m];
+            default twice their friction, and at least as above.
+        drift: random walk of the half gaps [rad / sqrt(s)].
+        compliance: standard deviation of where a flank gives way to, which no reading tells [rad].
+    """
+
+    gears = True  # it knows them
+
+    half: Array
+    payload: Array | None = None
+    centre: Array = 0.0
+    friction: float = 0.6
+    noise: Array | None = None
+    disturbance: Array | None = None
+    load: Array | None = None
+    drift: float = 3e-5
+    compliance: float = COMPLIANCE
+
+    def build(self, model: System, sensor: Zone) -> Observer:
+        """The filter for the sampled model of an arm with gears."""
+        gears, Ts = model.gears, model.Ts
+        if gears is None or Ts is None:
+            raise InputError(
+                "observer.method: 'contact' is for an arm with gears in sampled time; give "
+                "plant.arm.gears, or use 'extended'"
+            )
+        if gears.size > MOST_COUPLED:
+            raise InputError(
+                f"observer.method: 'contact' takes arms of one or two joints, this one has "
+                f"{gears.size}: each combination of contacts is a filter of its own"
+            )
+        fastest = float(np.max(np.asarray(gears.number(gears.values, "contact"))))
+        drive = drive_of(gears, Ts, int(np.ceil(Ts * fastest / RESOLVED)))
+        first, numbers = self._numbers(model, gears, Ts, sensor)
+        params = Params(first, numbers, sensor.slope, fading(Ts, MEMORY), fading(Ts, PATIENCE))
+        theta = ("payload", *(f"friction{i + 1}" for i in range(gears.size)))
+        setup = Setup(drive, model, gears, sensor.kind)
+        return Observer(
+            params,
+            partial(_started, setup),
+            partial(_step, setup),
+            traits=Traits(uncertain=theta),
+        )
+
+    def _numbers(
+        self, model: System, gears: Geared, Ts: float, sensor: Zone
+    ) -> tuple[Modes, Numbers]:
+        """The modes at first and the numbers of the filter. Raises InputError, ShapeError."""
+        N, layout = gears.size, Layout(gears.size)
+        of, values = layout.of, model.params
+
+        def told(name: str) -> Floats:
+            return np.asarray(gears.number(values, name), float).ravel()
+
+        mean, std, Q = np.zeros(layout.entries), np.zeros(layout.entries), np.zeros(layout.entries)
+        low, high = np.full(layout.entries, -1e300), np.full(layout.entries, 1e300)
+        ranges = _ranges("observer.half", self.half, N)
+        mass = float(values[model.names.index("payload")])
+        weight = [mass, mass] if self.payload is None else self.payload
+        for name, claimed in (
+            ("half", ranges),
+            ("payload", _ranges("observer.payload", weight, 1)),
+        ):
+            low[of(name)], high[of(name)] = claimed.T
+            mean[of(name)] = claimed.mean(axis=1)
+            std[of(name)] = (claimed[:, 1] - claimed[:, 0]) / np.sqrt(12)
+        unknown, loads, inertia = unknown_torques(model, gears, float(mean[of("payload")][0]))
+        if self.disturbance is not None:
+            unknown = positive("observer.disturbance", self.disturbance, N, "one per joint") / 0.6
+        if self.load is not None:
+            loads = nonnegative("observer.load", self.load, N, "one per joint")
+        friction, rotors = told("friction"), told("inertia")
+        share = scalar("observer.friction", self.friction, least=0.0)
+        mean[of("friction")], std[of("friction")] = friction, share * friction
+        low[of("friction")] = 0.0
+        mean[of("centre")] = told("centre")
+        std[of("centre")] = nonnegative("observer.centre", self.centre, N, "one per joint")
+        std[of("push")] = 0.6 * unknown
+        std[of("motor")], std[of("link")] = 0.02, ranges[:, 1]
+        std[of("motor_speed")] = std[of("link_speed")] = 0.05
+        Q[of("motor_speed")] = JERK * Ts
+        Q[of("link_speed")] = Ts * LASTING * (loads / inertia) ** 2
+        Q[of("push")] = 2 * Ts / FADING * (0.6 * unknown) ** 2
+        Q[of("half")] = scalar("observer.drift", self.drift, least=0.0) ** 2 * Ts
+        rms = sensor.rms if self.noise is None else self.noise
+        slack = scalar("observer.compliance", self.compliance, above=0.0) ** 2
+        return start(layout, mean, std, slack), Numbers(
+            model=values,
+            Q=Q,
+            R=positive("observer.noise", rms, model.p, "one per encoder") ** 2,
+            low=low,
+            high=high,
+            slack=np.asarray(slack),
+            torque=TURNING * unknown,
+            leaving=np.asarray(1 - fading(Ts, 1 / LEAVING)),
+            impact=np.asarray(RESTITUTION),
+            rest=STICKING * Ts / rotors**2,
+            least=friction,
+        )
+
+
+class Params(NamedTuple):
+    """Numbers of the observer.
+
+    Attributes:
+        start: the modes before the first reading.
+        modes: of the filter of contacts.
+        slope: of the encoders (p).
+        fade: share of the sum of innovations that is left after a step.
+        keep: share of the mean of its squares that is left after a step.
+    """
+
+    start: Modes
+    modes: Numbers
+    slope: Floats
+    fade: Floats
+    keep: Floats
+
+
+class State(NamedTuple):
+    """The modes, and the sums of their innovations (p each)."""
+
+    modes: Modes
+    sums: Sums
+
+
+class Setup(NamedTuple):
+    """What the parts of one filter share: the plant as it asks, model, gears, kind of sensor."""
+
+    drive: Drive
+    model: System
+    gears: Geared
+    kind: str
+
+
+def fading(Ts: float, time: float) -> Floats:
+    """What is left after a step of what lasts so long."""
+    return np.asarray(np.exp(-Ts / time))
+
+
+def _ranges(key: str, claimed: Array, N: int) -> Floats:
+    """Claimed ranges [lo, hi] (N x 2). Raises InputError."""
+    value = array(key, claimed)
+    if value.shape not in ((2,), (N, 2)):
+        raise InputError(f"{key}: expected a range [lo, hi], or one per joint ({N} x 2)")
+    if (value[..., 0] > value[..., 1]).any() or (value < 0).any():
+        raise InputError(f"{key}: a range needs 0 <= lo <= hi, found {value.tolist()}")
+    return np.broadcast_to(value, (N, 2))
+
+
+def unknown_torques(model: System, gears: Geared, payload: float) -> tuple[Floats, Floats, Floats]:
+    """(of the motors, of the links, [N m]; inertia of the links (N)): torques that may be unknown.
+
+    Args:
+        model: the model.
+        gears: of the model.
+        payload: as it is taken for [kg].
+    """
+    N, links, names = gears.size, gears.links(model.params).copy(), gears.arm.names
+    links[names.index("payload")] = payload
+    turned = np.linspace(-np.pi, np.pi, 8, endpoint=False)
+    rest = np.zeros(N)
+    held = [np.abs(np.asarray(gears.arm.bias(links, q * np.eye(1, N)[0], rest))) for q in turned]
+    inertia = np.diag(np.asarray(gears.arm.mass(links, rest)))
+    least = LEAST_TORQUE * np.max(held, axis=0).ravel()
+    motors = np.asarray(gears.number(model.params, "friction"), float).ravel()
+    links_own = 2 * np.array([float(links[names.index(f"f{i + 1}")]) for i in range(N)])
+    nothing = np.where(least > 0, least, inertia)
+    return np.maximum(motors, nothing), np.maximum(links_own, nothing), inertia
+
+
+def drive_of(gears: Geared, Ts: float, substeps: int) -> Drive:
+    """What the filter asks of an arm with gears.
+
+    Args:
+        gears: the arm.
+        Ts: sample time [s].
+        substeps: Runge-Kutta steps in a sample.
+    """
+    N, layout = gears.size, Layout(gears.size)
+
+    def known(params: Any, x: Any) -> Any:
+        column = ca.SX(params)
+        for name in ("half", "centre", "friction"):
+            first = gears.names.index(f"{name}1")
+            column[first : first + N] = x[layout.of(name)]
+        column[gears.names.index("payload")] = x[layout.of("payload")]
+        return column
+
+    def rate(params: Any, x: Any, u: Any, contact: Contacts) -> tuple[Any, Any]:
+        push = x[layout.of("push")]
+        dx, tau = gears.motion(known(params, x), x[: 4 * N], u + push, ca.DM(contact))
+        constant = ca.SX.zeros(3 * N)
+        return ca.vertcat(dx, constant, -push / FADING, 0.0), tau
+
+    def mobility(params: Any, x: Any) -> Any:
+        column = known(params, x)
+        M = ca.densify(gears.arm.mass(gears.links(column), x[layout.of("link")]))
+        return ca.vertcat(-ca.diag(1 / gears.number(column, "inertia")), ca.inv(M))
+
+    motors, links = tuple(range(N)), tuple(range(N, 2 * N))
+    readings = {"motor": motors, "link": links, "both": (*links, *motors)}[gears.measured]
+    return Drive(layout, rate, mobility, readings, Ts, substeps)
+
+
+def _started(setup: Setup, q: Params) -> State:
+    """The state before the first reading."""
+    none = np.zeros(setup.model.p)
+    return State(q.start, Sums(none, none, np.ones(setup.model.p)))
+
+
+def _step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> tuple[State, Estimate]:
+    """One sample: the readings, what they show, and the motion to the next sample."""
+    drive, y = setup.drive, reading.y / q.slope
+    before, begun = beliefs_of(drive, s.modes, y)
+    told = corrected(drive, q.modes, s.modes.chances, before, y)
+    seen = ca.logic_and(present(y), s.modes.begun > 0.5)
+    sums = summed(s.sums, ca.if_else(seen, told.e / told.std, 0.0), seen, q.fade, q.keep)
+    moved = predicted(drive, q.modes, told, u)
+    fits = ca.logic_and(ca.mmax(sums.ratio) <= CHANCE, _unbound(drive.layout, q.modes, told.whole))
+    shown = _shown(setup, q, told, reading)._replace(consistent=fits)
+    return State(packed(drive, moved, s.modes, begun), sums), shown
+
+
+def _unbound(layout: Layout, q: Numbers, belief: Gaussian) -> Any:
+    """Whether no gap and no payload is pressed against the end of its claimed range."""
+    bound = ca.SX(0.0)
+    for name in ("half", "payload"):
+        low, high, value = (column[layout.of(name)] for column in (q.low, q.high, belief.mean))
+        off = ca.fmin(value - low, high - value)
+        bound += ca.sum1(ca.logic_and(high > low, off <= 0))
+    return bound == 0
+
+
+def _shown(setup: Setup, q: Params, told: Told, reading: Reading) -> Estimate:
+    """What the readings so far tell."""
+    layout, mean = setup.drive.layout, told.whole.mean
+    N, of = layout.size, layout.of
+    both = ca.SX.zeros(setup.model.p - N)  # of encoders at the motors too, which hide nothing
+    half, centre = mean[of("half")], mean[of("centre")]
+    right, left = ca.vertcat(half + centre, both), ca.vertcat(half - centre, both)
+    xi = mean[:N] - mean[N : 2 * N] + centre
+    if setup.gears.measured == "motor":  # a link that is not seen is never beyond a flank
+        xi = ca.fmax(ca.fmin(xi, half), -half)
+    link = mean[:N] + centre - xi
+    x = ca.vertcat(mean[:N], link, mean[2 * N : 4 * N])
+    z = setup.model.output(q.modes.model, x)
+    std = partial(_deviations, told.whole)
+    sides = ca.DM([list(mode) for mode in layout.modes])
+    contact = sides.T @ ca.vertcat(*told.chances)
+    give = ca.vertcat(q.modes.slack * ca.SX.ones(N), both)
+    halves, centres = (ca.DM.eye(layout.entries)[of(name), :] for name in ("half", "centre"))
+    shown = estimate(x, z, right, left, reading, q.slope, setup.kind, told.e)
+    push = mean[of("push")] / setup.gears.number(q.modes.model, "inertia")
+    free = ca.SX.zeros(2 * N)
+    names = ("payload", "friction")
+    variances = std(ca.DM.eye(layout.entries)[: 4 * N, :])
+    known = ca.fmin(variances[N : 2 * N], half**2 + variances[:N] + std(halves) + std(centres))
+    return shown._replace(
+        x_std=ca.sqrt(ca.vertcat(variances[:N], known, variances[2 * N : 4 * N])),
+        right_std=ca.sqrt(ca.vertcat(std(halves + centres), both) + give),
+        left_std=ca.sqrt(ca.vertcat(std(halves - centres), both) + give),
+        width_std=2 * ca.sqrt(ca.vertcat(std(halves), both) + give),
+        innovation_std=told.std,
+        w=ca.vertcat(free, push, ca.SX.zeros(N)),
+        theta=ca.vertcat(*(mean[of(name)] for name in names)),
+        theta_std=ca.sqrt(
+            ca.vertcat(*(std(ca.DM.eye(layout.entries)[of(name), :]) for name in names))
+        ),
+        contact=ca.vertcat((contact > 0.5) - (contact < -0.5), both),
+    )
+
+
+def _deviations(belief: Gaussian, rows: Any) -> Any:
+    """Variances of some rows times x (k)."""
+    rows = ca.sparsify(rows)
+    return ca.fmax(ca.diag(rows @ belief.cov @ rows.T), 0.0)

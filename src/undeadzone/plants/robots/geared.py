@@ -1,0 +1,208 @@
+"""Arms whose motors move their links through gears with a gap: two masses a joint.
+
+theta is a motor's angle at the joint's side of its gears, q the link's, a half of the gap:
+
+    xi = theta - q + c
+    tau = K Dz(xi; a) + D (theta' - q')  where |xi| > a, else 0
+    J theta'' + b_m theta' + f_m sat(theta') = u - tau
+    M(q) q'' + h(q, q') + friction = tau
+
+The gap is in the transmission, not in the sensor: an encoder at either side reads linearly, and
+the flank that touches follows from motion, gravity and torque (Nordin and Gutman 2002).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, Literal, NamedTuple
+
+import casadi as ca
+import msgspec
+import numpy as np
+
+from undeadzone.plants.robots.arm import Arm, Chain, acceleration, arm, numbers
+from undeadzone.support.arrays import Array, Floats, nonnegative, positive, scalar, vector
+
+
+class Gears(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Gears with a gap between motors and links; each array is one number or one per joint (N).
+
+    Attributes:
+        half: half of the gap, as the link can turn to either side while the motor is held [rad].
+        inertia: of the motor as felt at the joint, gear ratio squared times the rotor's [kg m^2].
+        centre: c, by which the motor's encoder reads less than the link's angle where the link
+            stands in the middle of the gap [rad].
+        contact: natural frequency of motor against link in contact, all joints at 0, no payload
+            [rad/s].
+        damping: ratio of damping in contact.
+        friction: Coulomb friction of the motor [N m].
+        viscous: viscous friction of the motor [N m s/rad].
+        measured: where the encoder sits: at the motor, at the link, or one at both.
+    """
+
+    half: Array
+    inertia: Array
+    centre: Array = 0.0
+    contact: Array = 400.0
+    damping: float = 0.7
+    friction: Array = 0.0
+    viscous: Array = 0.0
+    measured: Literal["motor", "link", "both"] = "motor"
+
+
+class Geared(NamedTuple):
+    """An arm with gears, as pure functions of expressions.
+
+    The state is x = [theta; q; theta'; q'] (4 N). The parameters stand in a column in the order of
+    `names`: half gaps, centres, friction and payload may be numbers or states of a filter.
+
+    Attributes:
+        arm: the links, with payload and friction; its parameters come first in the column.
+        names: names of the parameters: those of the arm, then half1, half2, ..., centre1, ...
+        values: their values.
+        stiffness: of the contacts, by their squared frequency (N) [kg m^2].
+        damping: of the contacts, by their frequency (N) [kg m^2].
+        rest: speed below which the motors' Coulomb friction fades [rad/s].
+        measured: where the encoders sit.
+    """
+
+    arm: Arm
+    names: tuple[str, ...]
+    values: Floats
+    stiffness: Floats
+    damping: Floats
+    rest: float
+    measured: Literal["motor", "link", "both"]
+
+    @property
+    def size(self) -> int:
+        """Number of joints."""
+        return self.arm.size
+
+    def links(self, params: Any) -> Any:
+        """The parameters of `arm` in a column of parameters."""
+        return params[: len(self.arm.names)]
+
+    def number(self, params: Any, name: str) -> Any:
+        """A number of the gears, such as "half", in a column of parameters (N)."""
+        first = self.names.index(f"{name}1")
+        return params[first : first + self.size]
+
+    def angle(self, params: Any, x: Any) -> Any:
+        """xi, by which the motors are ahead of their links (N) [rad]; |xi| > half in contact."""
+        N = self.size
+        return x[:N] - x[N : 2 * N] + self.number(params, "centre")
+
+    def widths(self, params: Any) -> tuple[Any, Any]:
+        """(right, left): how far each link may be ahead of its motor, and behind it [rad].
+
+        right = half + centre, left = half - centre; of encoders at motors and links (2 N) those at
+        the motors come last, with 0.
+        """
+        half, centre = self.number(params, "half"), self.number(params, "centre")
+        motors = ca.DM.zeros(self.size if self.measured == "both" else 0)
+        return ca.vertcat(half + centre, motors), ca.vertcat(half - centre, motors)
+
+    def friction(self, params: Any, turning: Any) -> Any:
+        """Torque of friction at motors of these speeds (N)."""
+        sliding = turning / ca.sqrt(turning**2 + self.rest**2)
+        viscous = self.number(params, "viscous") * turning
+        return viscous + self.number(params, "friction") * sliding
+
+    def torque(self, params: Any, x: Any, contact: Any = None) -> Any:
+        """tau, what the gears transmit to the links (N) [N m]. contact: as of `motion`."""
+        N, half, xi = self.size, self.number(params, "half"), self.angle(params, x)
+        frequency = self.number(params, "contact")
+        if contact is None:
+            closed = ca.fabs(xi) > half
+            pressed = ca.fmax(xi - half, 0.0) + ca.fmin(xi + half, 0.0)
+        else:
+            closed = contact * contact
+            pressed = closed * xi - contact * half
+        closing = closed * (x[2 * N : 3 * N] - x[3 * N :])
+        return frequency * (self.stiffness * frequency * pressed + self.damping * closing)
+
+    def motion(
+        self, params: Any, x: Any, u: Any, contact: Any = None, load: Any = 0.0
+    ) -> tuple[Any, Any]:
+        """(x' (4 N), tau (N)).
+
+        Args:
+            params: column of the parameters.
+            x: state (4 N).
+            u: torque at the motors (N), an unknown one included.
+            contact: None for the true law, or each joint's mode (N): 1 on the right flank, where
+                tau > 0, 0 in the gap, -1 on the left flank. On a flank motor and link are locked
+                both ways, tau = K (xi - mode half) + D (theta' - q'), linear in x and half.
+            load: further torque at the links (N).
+        """
+        N = self.size
+        q, turning, v = x[N : 2 * N], x[2 * N : 3 * N], x[3 * N :]
+        tau = self.torque(params, x, contact)
+        spun = (u - self.friction(params, turning) - tau) / self.number(params, "inertia")
+        swung = acceleration(self.arm, self.links(params), q, v, tau + load)
+        return ca.vertcat(turning, v, spun, swung), tau
+
+    def resting(self, params: Any, q: Any) -> Any:
+        """Where the motors hold links still at q (N), each on the flank that carries its load."""
+        tau = self.arm.bias(self.links(params), q, ca.DM.zeros(self.size))
+        K = self.stiffness * self.number(params, "contact") ** 2
+        flank = ca.sign(tau) * self.number(params, "half")
+        return q - self.number(params, "centre") + flank + tau / K
+
+
+def geared_motion(
+    chain: Chain,
+    gears: Gears,
+    rest: float = 0.05,
+    changes: Mapping[str, float] = MappingProxyType({}),
+    key: str = "plant",
+) -> Geared:
+    """An arm of links behind gears.
+
+    Args:
+        chain: the links.
+        gears: between motors and links.
+        rest: speed [rad/s] below which Coulomb friction fades, f v / sqrt(v^2 + rest^2).
+        changes: other values of parameters, by name.
+        key: name of the plant in messages.
+
+    Raises:
+        InputError: or a subclass, that names the key.
+    """
+    body = arm(chain, rest)
+    table = _numbers(gears, body.size, f"{key}.arm.gears")
+    names = body.names
+    for name in table:
+        names += tuple(f"{name}{i + 1}" for i in range(body.size))
+    values = numbers(names, np.concatenate([body.values, *table.values()]), changes, key)
+    damping = scalar(f"{key}.arm.gears.damping", gears.damping, least=0.0)
+    first = names.index("inertia1")
+    rotors = positive(f"{key}.parameters.inertia", values[first : first + body.size], body.size)
+    links = np.diag(np.asarray(body.mass(_unloaded(body, values), np.zeros(body.size))))
+    reduced = rotors * links / (rotors + links)
+    return Geared(body, names, values, reduced, 2 * damping * reduced, rest, gears.measured)
+
+
+def _numbers(gears: Gears, N: int, key: str) -> dict[str, Floats]:
+    """Each number of the gears that is a parameter (N each). Raises InputError, ShapeError."""
+    checks = {
+        "half": nonnegative,
+        "centre": vector,
+        "inertia": positive,
+        "friction": nonnegative,
+        "viscous": nonnegative,
+        "contact": positive,
+    }
+    why = f"one per joint, there are {N}"
+    return {
+        name: check(f"{key}.{name}", getattr(gears, name), N, why) for name, check in checks.items()
+    }
+
+
+def _unloaded(body: Arm, values: Floats) -> Floats:
+    """The parameters of the links, without payload."""
+    links = values[: len(body.names)].copy()
+    links[body.names.index("payload")] = 0.0
+    return links

@@ -1,0 +1,171 @@
+"""First passages, and the filter of contacts of arms behind gears."""
+
+from __future__ import annotations
+
+import subprocess
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import undeadzone as uz
+from undeadzone.numerics.first_passage import arriving, at_edge, beyond
+from undeadzone.numerics.gaussian import Gaussian, cut_to, mixed
+from undeadzone.scenario.reader import convert
+
+SERVO = """
+sensor = { right = 0.0, left = 0.0, noise = 0.0005 }
+observer = { method = "contact", half = [0.0, 0.06], payload = [0.0, 0.5] }
+controller = { method = "computed_torque", bandwidth = 15.0, crossing = 40.0 }
+simulation = { time = "sampled", duration = 4.5, step = 0.001, substeps = 4 }
+
+[plant]
+x0 = [-1.5708, 0.0]
+parameters = { m = 0.35, l = 0.25, c = 0.125, I = 0.0018, payload = 0.2, f1 = 0.02, b1 = 0.01 }
+
+[plant.arm]
+kind = "one_link"
+torque_max = 3.0
+gears = { half = 0.03, inertia = 0.012, friction = 0.08, viscous = 0.05 }
+
+[model.parameters]
+payload = 0.0
+
+[reference]
+kind = "quintic"
+points = [[-1.57], [-1.07], [-2.07], [-1.07], [-2.07], [-1.07], [-1.57]]
+times = [0.0, 0.7, 1.7, 2.7, 3.7, 4.7, 5.4]
+"""
+
+
+def servo(**changes: Any) -> uz.Scenario:
+    """A hanging servo behind gears whose gap, payload and friction are not told."""
+    tables = tomllib.loads(SERVO)
+    for name, entries in changes.items():
+        tables[name] = tables[name] | entries
+    return convert(tables)
+
+
+@pytest.fixture(scope="module")
+def run() -> uz.Run:
+    return uz.simulate(servo())
+
+
+# --- First passage
+
+
+def passages(samples: int, speed: float, spread: float) -> tuple[Any, Any, Any]:
+    """(shares that arrive in each sample by Monte Carlo, by `arriving`, by cuts; last spread)."""
+    rng = np.random.default_rng(1)
+    place = rng.normal(-1.0, spread, 200_000)
+    h, slack = ca.DM([[1.0]]), 1e-8
+    true, told, cut = [], [], []
+    whole, kept = Gaussian(ca.SX(-1.0), ca.SX(spread**2)), Gaussian(ca.SX(-1.0), ca.SX(spread**2))
+    waiting = place <= 0
+    for _ in range(samples):
+        before = beyond(whole, h, whole.mean, slack)
+        place, whole = place + speed, Gaussian(whole.mean + speed, whole.cov)
+        true.append(np.mean(place[waiting] > 0))
+        waiting &= place <= 0
+        told.append(float(ca.evalf(arriving([before], [beyond(whole, h, whole.mean, slack)])[0])))
+        kept = Gaussian(kept.mean + speed, kept.cov)
+        cut.append(float(ca.evalf(beyond(kept, h, kept.mean, slack))))
+        shift, lost, _ = cut_to(kept.mean, kept.cov, -1e3, 0.0)
+        kept = Gaussian(kept.mean + kept.cov * shift, kept.cov - lost * kept.cov**2)
+    return np.array(true), np.array(told), np.array(cut)
+
+
+def test_shares_of_first_passage_are_those_of_monte_carlo_and_cuts_are_not() -> None:
+    """A belief that is cut in every sample narrows without news: its shares run away."""
+    true, told, cut = passages(60, 0.03, 0.4)
+    near = 4 * np.sqrt(true / 200_000 / np.maximum(np.cumprod(1 - true), 1e-3)) + 1e-4
+    assert (np.abs(told - true) < near).all()
+    assert np.abs(cut[-10:] / true[-10:] - 1).min() > 0.1
+
+
+def test_both_edges_share_what_has_not_arrived() -> None:
+    shares = [float(ca.evalf(ca.SX(each))) for each in arriving([0.2, 0.4], [0.3, 0.4])]
+    assert shares == pytest.approx([0.25, 0.0])
+    shares = [float(ca.evalf(ca.SX(each))) for each in arriving([0.9, 0.1], [0.9, 0.1])]
+    assert sum(shares) == pytest.approx(1.0)  # nothing is left between them
+
+
+def test_at_an_edge_a_position_tells_where_it_is() -> None:
+    """Of x = [position; edge], both unknown, arrival makes them one."""
+    belief = Gaussian(ca.SX([1.0, 2.0]), ca.SX(ca.diag([4.0, 1.0])))
+    h = ca.DM([[1.0, -1.0]])
+    mean, cov = (np.asarray(ca.evalf(part)) for part in at_edge(belief, h, h @ belief.mean, 1e-12))
+    assert mean.ravel() == pytest.approx([1.8, 1.8])
+    assert cov == pytest.approx(np.full((2, 2), 0.8))
+
+
+def test_a_mixture_has_the_moments_of_its_parts() -> None:
+    parts = [Gaussian(ca.SX([0.0]), ca.SX([[1.0]])), Gaussian(ca.SX([2.0]), ca.SX([[3.0]]))]
+    mean, cov = (float(ca.evalf(part)) for part in mixed([0.25, 0.75], parts))
+    assert (mean, cov) == pytest.approx((1.5, 0.25 + 2.25 + 0.25 * 0.75 * 4))
+
+
+# --- The filter
+
+
+def test_gap_payload_and_friction_are_found_on_the_way(run: uz.Run) -> None:
+    """None of them is told; each lies in its 95 % interval twice over."""
+    half, std = float(run.d_hat[-1].ravel()[0]), float(run.d_std[-1].ravel()[0])
+    assert abs(half / 0.03 - 1) < 0.1
+    assert abs(half - 0.03) < 4 * std
+    theta, theta_std = run.theta_hat[-1], run.theta_std[-1]
+    assert (np.abs(theta - [0.2, 0.08]) < 4 * theta_std).all()
+    link = np.abs(run.z - run.z_hat)[-2000:]
+    assert np.sqrt(np.mean(link**2)) < 0.003 < 0.03
+    assert run.consistent[-1].all()
+
+
+def test_engines_agree() -> None:
+    short = servo(simulation={"duration": 0.3})
+    one, other = (uz.simulate(short, engine=engine) for engine in ("interpret", "lanes"))
+    assert np.allclose(one.z_hat, other.z_hat, rtol=0, atol=1e-9)
+    assert np.allclose(one.d_hat, other.d_hat, rtol=0, atol=1e-9)
+
+
+def test_before_a_first_reading_nothing_is_foretold() -> None:
+    """A run whose first reading is missing begins with the next one."""
+    told = servo(simulation={"duration": 0.05}, sensor={"dropout": 0.5})
+    run = uz.simulate(told)
+    assert np.isfinite(run.z_hat).all()
+    assert np.abs(run.z_hat - run.z)[-1] < 0.06
+
+
+@pytest.mark.parametrize(
+    ("changes", "key"),
+    [
+        ({"half": [0.06, 0.0]}, "observer.half"),
+        ({"half": [0.0, 0.06], "payload": [-1.0, 1.0]}, "observer.payload"),
+        ({"half": [0.0, 0.06], "compliance": 0.0}, "observer.compliance"),
+    ],
+)
+def test_claims_that_cannot_be_are_refused(changes: dict[str, Any], key: str) -> None:
+    with pytest.raises(uz.InputError, match=key):
+        uz.simulate(servo(observer=changes))
+
+
+def test_without_gears_it_is_refused() -> None:
+    tables = tomllib.loads(SERVO)
+    del tables["plant"]["arm"]["gears"], tables["model"]
+    tables["plant"]["x0"] = [-1.57, 0.0]
+    with pytest.raises(uz.InputError, match=r"plant\.arm\.gears"):
+        uz.simulate(convert(tables))
+
+
+def test_exported_C_has_every_bit_and_fits_a_microcontroller(tmp_path: Path) -> None:
+    """Its self-test compares the bits with the reference's; step and flash are estimates."""
+    done = uz.export(servo(simulation={"duration": 0.2}), out=tmp_path / "fw")
+    board = next(one for one in done.report["boards"] if "M4F" in one["board"])
+    assert board["fits"]
+    subprocess.run(
+        ["make", "-s", "-C", tmp_path / "fw", "CC=gcc", "CFLAGS=-O0 -std=c99"], check=True
+    )
+    selftest = next((tmp_path / "fw").glob("*_test"))
+    assert subprocess.run([selftest], capture_output=True).returncode == 0

@@ -1,0 +1,284 @@
+"""Arms whose motors move their links through gears with a gap: physics, runs, refusals."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import undeadzone as uz
+from commands import undeadzone
+from undeadzone.errors import InputError
+from undeadzone.numerics.runge_kutta import rk4_change
+from undeadzone.plants.robots.arm import arm
+from undeadzone.plants.robots.build import one_link, two_link
+from undeadzone.plants.robots.geared import Geared, Gears, geared_motion
+from undeadzone.scenario.reader import convert
+from undeadzone.support.arrays import Floats
+
+GEARS: dict[str, Any] = {"half": [0.05, 0.06], "inertia": [0.08, 0.03]}
+FRICTION = {"friction": [0.3, 0.1], "viscous": [0.4, 0.2]}
+EIGHT = {
+    "kind": "figure_eight",
+    "centre": [0.2351, -0.4853],
+    "width": 0.3,
+    "height": 0.2,
+    "period": 4.0,
+}
+SWING = {"points": [[-0.9, 0.6], [-2.2, -0.9], [-0.9, 0.6]], "times": [0.7, 1.6, 2.5], "until": 3.0}
+MJCF = """
+<mujoco>
+  <compiler angle="radian" autolimits="false"/>
+  <option timestep="{dt}" gravity="0 -9.81 0" integrator="implicitfast" tolerance="1e-10"/>
+  <worldbody>
+    <body>
+      <inertial pos=".2 0 0" mass="3" diaginertia="1e-4 .04 .04"/>
+      <joint axis="0 0 1" armature=".08" damping=".4"/>
+      <joint axis="0 0 1" limited="true" range="-.05 .05" solreflimit="-160000 -560"/>
+      <body pos=".4 0 0">
+        <inertial pos=".15 0 0" mass="2" diaginertia="1e-4 .015 .015"/>
+        <joint axis="0 0 1" armature=".03" damping=".2"/>
+        <joint axis="0 0 1" limited="true" range="-.06 .06" solreflimit="-160000 -560"/>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def geared(**changes: Any) -> Geared:
+    return geared_motion(two_link(), Gears(**GEARS, viscous=[0.4, 0.2]), changes=changes)
+
+
+def stepper(plant: Geared, h: float) -> ca.Function:
+    """x+ of x, u after a Runge-Kutta step."""
+    n = 4 * plant.size
+    x, u = ca.SX.sym("x", n), ca.SX.sym("u", plant.size)
+    change = rk4_change(lambda x, _: plant.motion(plant.values, x, u)[0], x, h)
+    return ca.Function("step", [x, u], [x + change], {"cse": True})
+
+
+def along(plant: Geared, x0: Floats, u: Floats, h: float) -> Floats:
+    """States along inputs (N x n), the start first."""
+    following = stepper(plant, h).mapaccum(len(u))(x0, u.T)
+    return np.vstack([x0, np.asarray(following).T])
+
+
+def scenario(**changes: Any) -> uz.Scenario:
+    """The two-link arm with gears on its figure of eight, its state known."""
+    tables: dict[str, Any] = {
+        "plant": {
+            "arm": {"kind": "two_link", "torque_max": [60.0, 25.0], "gears": GEARS | FRICTION},
+            "x0": [-1.7, 1.4, 0.0, 0.0],
+            "parameters": {"payload": 0.5},
+        },
+        "sensor": {"right": 0.0, "left": 0.0, "noise": 0.001},
+        "reference": EIGHT,
+        "observer": {"method": "full_state"},
+        "controller": {"method": "computed_torque", "bandwidth": 14.0},
+        "simulation": {"time": "sampled", "duration": 5.0, "step": 1e-3, "substeps": 4},
+    }
+    return convert(tables | changes)
+
+
+@pytest.fixture(scope="module")
+def known() -> uz.Run:
+    return uz.simulate(scenario())
+
+
+# --- Physics
+
+
+def test_in_the_gap_motors_and_links_move_as_in_mujoco() -> None:
+    mujoco = pytest.importorskip("mujoco")
+    plant, rng = geared(), np.random.default_rng(0)
+    model = mujoco.MjModel.from_xml_string(MJCF.format(dt=1e-4))
+    data = mujoco.MjData(model)
+    move = stepper(plant, 1e-6)
+    for _ in range(20):
+        motor, v, u = rng.uniform(-3, 3, 2), rng.normal(size=4), rng.normal(size=2) * 10
+        gap = rng.uniform(-0.8, 0.8, 2) * [0.05, 0.06]
+        data.qpos[0::2], data.qpos[1::2] = motor, gap
+        data.qvel[0::2], data.qvel[1::2] = v[:2], v[2:] - v[:2]
+        data.qfrc_applied[0::2] = u
+        mujoco.mj_forward(model, data)
+        motors, links = data.qacc[0::2], data.qacc[0::2] + data.qacc[1::2]
+        x = np.concatenate([motor, motor + gap, v])
+        found = (np.asarray(move(x, u)).ravel() - x)[4:] / 1e-6
+        np.testing.assert_allclose(found, [*motors, *links], rtol=1e-3, atol=1e-3)
+
+
+def test_across_the_gap_links_move_as_in_mujoco() -> None:
+    """Through the same contact frequency and damping, in an engine with contacts of its own."""
+    mujoco = pytest.importorskip("mujoco")
+    h, N = 1e-4, 8000
+    t = np.arange(N) * h
+    u = np.stack([6 * np.sin(9 * t), 1.5 * np.sin(13 * t)], axis=1)
+    model = mujoco.MjModel.from_xml_string(MJCF.format(dt=h))
+    data = mujoco.MjData(model)
+    x0 = np.array([-np.pi / 2, 0.0, -np.pi / 2 + 0.02, 0.01, 0, 0, 0, 0])
+    data.qpos[0::2], data.qpos[1::2] = x0[:2], x0[2:4] - x0[:2]
+    links = np.empty((N, 2))
+    for k in range(N):
+        data.qfrc_applied[0::2] = u[k]
+        mujoco.mj_step(model, data)
+        links[k] = data.qpos[0::2] + data.qpos[1::2]
+    x = along(geared(), x0, u, h)[1:]
+    crossings = np.abs(np.diff(np.sign(x[:, :2] - x[:, 2:4]), axis=0)).sum(axis=0) / 2
+    assert (crossings >= 2).all()
+    assert np.abs(x[:, 2:4] - links).max() < 0.05 * np.ptp(links, axis=0).min()
+
+
+def test_without_gap_and_with_stiff_contact_it_is_the_rigid_arm() -> None:
+    """One link whose inertia has grown by the motor's."""
+    h, u = 1e-4, 3 * np.sin(np.arange(6000) * 1e-3)[:, None]
+    stiff = geared_motion(one_link(), Gears(half=0.0, inertia=0.05, contact=2000.0))
+    x = along(stiff, np.zeros(4), u, h)
+    body = arm(one_link()._replace(parameters=one_link().parameters | {"I": 0.025 + 0.05}))
+    y, s = ca.SX.sym("y", 2), ca.SX.sym("s")
+    values = body.values
+    a = (s - body.bias(values, y[0], y[1])) / body.mass(values, y[0])
+    rate = ca.Function("rate", [y, s], [ca.vertcat(y[1], a)])
+    change = rk4_change(lambda y, _: rate(y, s), y, h)
+    rigid = ca.Function("rigid", [y, s], [y + change]).mapaccum(len(u))(np.zeros(2), u.T)
+    assert np.abs(x[1:, 1] - np.asarray(rigid)[0]).max() < 1e-4
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.7])
+def test_energy_does_not_grow_without_friction_and_torque(damping: float) -> None:
+    plant = geared_motion(one_link(), Gears(half=0.04, inertia=0.05, damping=damping))
+    x = along(plant, np.array([0.3, 0.3, 0.0, 0.0]), np.zeros((40_000, 1)), 5e-5)
+    numbers = dict(zip(plant.names, plant.values, strict=True))
+    K = plant.stiffness[0] * numbers["contact1"] ** 2
+    xi = x[:, 0] - x[:, 1]
+    pressed = np.maximum(np.abs(xi) - 0.04, 0.0)
+    inertia = numbers["I"] + numbers["m"] * numbers["c"] ** 2
+    energy = 0.5 * (0.05 * x[:, 2] ** 2 + inertia * x[:, 3] ** 2 + K * pressed**2)
+    energy += numbers["m"] * numbers["g"] * numbers["c"] * np.sin(x[:, 1])
+    swing = np.ptp(energy - 0.5 * K * pressed**2)
+    assert (pressed > 0).any()
+    assert (pressed == 0).any()
+    if damping:
+        assert np.diff(energy).max() < 1e-4 * np.ptp(energy)
+        assert energy[-1] < energy[0]
+    else:
+        assert np.ptp(energy) < 1e-3 * swing
+
+
+def test_a_locked_flank_is_the_true_law_while_it_touches() -> None:
+    plant, rng = geared(centre1=0.01), np.random.default_rng(1)
+    for _ in range(20):
+        x = rng.normal(size=8)
+        xi = x[:2] - x[2:4] + [0.01, 0.0]
+        flank = np.sign(xi) * (np.abs(xi) > [0.05, 0.06])
+        np.testing.assert_allclose(
+            np.asarray(plant.torque(plant.values, x, flank)).ravel(),
+            np.asarray(plant.torque(plant.values, x)).ravel(),
+            rtol=1e-12,
+        )
+    free = np.asarray(plant.torque(plant.values, rng.normal(size=8), np.zeros(2)))
+    assert not free.any()
+
+
+# --- Runs
+
+
+def test_motors_led_across_their_gaps_keep_the_tip_on_its_path(known: uz.Run) -> None:
+    ignoring = scenario(model={"parameters": {"payload": 0.5, "half1": 0.0, "half2": 0.0}})
+    assert known.rms_tip is not None
+    assert known.rms_tip < 1.5e-3
+    blind = uz.simulate(ignoring)
+    assert blind.rms_tip is not None
+    assert blind.rms_tip > 0.02
+    np.testing.assert_allclose(known.widths, [[0.05, 0.05], [0.06, 0.06]])
+    assert known.info.sensor == "gears"
+    q, theta = known.z, known.y
+    assert np.abs(q - theta).max() > 0.05  # encoders at motors do not see the links
+    assert np.abs(q - theta).max() < 0.08
+
+
+def test_readme_path_holds_the_second_joint_on_one_flank(known: uz.Run) -> None:
+    first, second = known.info.identifiable
+    assert first["width"]
+    assert not second["width"]
+    (reason,) = second["reasons"]
+    assert reason.startswith("held on one flank: its gap cannot be known; swing it through ")
+    place = float(reason.partition("through ")[2].split()[0])
+    mean = known.x[:, 2].mean()
+    assert np.cos(mean + place) == pytest.approx(0.0, abs=0.02)  # where the link hangs
+
+
+def test_after_a_swing_both_gaps_can_be_known() -> None:
+    swung = uz.simulate(scenario(reference=EIGHT | {"swing": SWING}))
+    assert swung.fully_identifiable
+    assert swung.rms_tip is not None
+    assert swung.rms_tip < 2e-3
+    np.testing.assert_allclose(swung.tip_r[3000], [0.2351, -0.4853], atol=1e-6)
+
+
+def test_both_encoders_read_links_then_motors() -> None:
+    both = scenario(
+        plant={"arm": {"kind": "one_link", "gears": {"half": 0.03, "inertia": 0.05}}},
+        reference={"kind": "sine", "amplitude": 0.5, "frequency": 0.5, "offset": -1.57},
+        simulation={"time": "sampled", "duration": 1.0, "step": 1e-3, "substeps": 4},
+    ).replace("plant.arm.gears.measured", "both")
+    run = uz.simulate(both)
+    assert run.outputs == ["q1", "motor of q1"]
+    np.testing.assert_allclose(run.z, run.x[:, [1, 0]])
+    assert run.info.tracked == [0]
+    np.testing.assert_allclose(run.widths, [[0.03, 0.03], [0.0, 0.0]])
+
+
+def test_what_an_ensemble_draws_is_the_true_width(tmp_path: Path) -> None:
+    several = scenario(
+        ensemble={"runs": 4, "plant.parameters.half1": {"uniform": [0.02, 0.08]}},
+        simulation={"time": "sampled", "duration": 0.05, "step": 1e-3, "substeps": 4},
+    )
+    found = uz.run_ensemble(several)
+    drawn = found.column("plant.parameters.half1")
+    np.testing.assert_allclose(found.column("d_right_error[0]"), 0.05 - drawn, atol=1e-12)
+
+
+def test_a_file_runs_and_its_numbers_are_json(tmp_path: Path) -> None:
+    short = scenario().replace("simulation.duration", 1.0)
+    short.save(tmp_path / "gears.toml")
+    done = undeadzone("run", tmp_path / "gears.toml", "--json", "--out", tmp_path / "out")
+    numbers = json.loads(done.stdout)
+    assert numbers["d_right"] == [0.05, 0.06]
+    assert len(numbers["identifiable"]) == 2
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "held on one flank" in page
+
+
+# --- Refusals
+
+
+@pytest.mark.parametrize(
+    ("address", "value", "words"),
+    [
+        ("sensor.right", 0.01, "sensor.right: an arm with gears is read by encoders"),
+        ("sensor.play", [0.1, 0.1], "sensor.play: an arm with gears is read by encoders"),
+        ("plant.arm.reference", 0.1, "have no zone about a posture"),
+        ("plant.arm.measured", "velocity", "plant.arm.measured: encoders"),
+        ("plant.arm.gears.inertia", 0.0, "plant.arm.gears.inertia: must be positive"),
+        ("plant.parameters.half1", -0.1, "plant.parameters.half1: must not be negative"),
+        ("plant.x0", [0.0, 1.0], "plant.x0: expected 4 numbers"),
+        ("simulation.time", "continuous", "plant.arm.gears: contacts close and open too fast"),
+        ("observer", {"method": "extended", "right": 0.1}, "'extended' takes motors for links"),
+        ("controller", {"method": "lqr"}, "'lqr' takes motors for links"),
+        ("controller.crossing", 0.0, "controller.crossing: must be greater than 0"),
+    ],
+)
+def test_what_does_not_go_with_gears_is_refused(address: str, value: Any, words: str) -> None:
+    with pytest.raises(InputError) as refusal:
+        uz.simulate(scenario().replace(address, value))
+    assert words in str(refusal.value)
+
+
+def test_online_refuses_what_does_not_know_gears() -> None:
+    with pytest.raises(InputError, match="takes motors for links"):
+        uz.Online(uz.Kalman(right=0.1), scenario().plant, scenario().sensor, 1e-3)
