@@ -244,7 +244,6 @@ CLAIMS: Final = {
         "the readings on the right and on the left part: a width moves",
         "raise observer.drift",
     ),
-    "bias": Claim("the readings lie to one side of what was foretold", "raise observer.bias"),
     "dynamics": Claim(
         "the readings answer changes of the input too late or too early",
         "give the model the lag or delay that is missing, or raise observer.tolerance",
@@ -254,7 +253,8 @@ CLAIMS: Final = {
         "look at the sensor, take an offset from its readings, or raise observer.drift",
     ),
     "gust": Claim(
-        "something lasts in the readings that nobody claimed", "raise observer.disturbance"
+        "something lasts in the readings that nobody claimed",
+        "raise observer.disturbance or observer.bias",
     ),
     "glitches": Claim("most readings of late were taken for wrong", "look at the sensor"),
 }

@@ -332,7 +332,7 @@ def shown_belief(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, A
     stronger.
     """
     limited, chance = limit_widths(setup, q, belief)
-    alone = 0.0 if setup.blind else excess_alone(setup.model.n, q, belief)
+    alone = excess_alone(setup.model.n, q, belief) if setup.bounds else 0.0
     if setup.augmentation.alternative is not None:
         stronger, odds = setup.augmentation.alternative(q, belief)
         stronger, likelier = limit_widths(setup, q, stronger)

@@ -129,7 +129,8 @@ class Record(NamedTuple):
         constant: largest |offset| since the claims were refuted, 0 before (p) [z]; empty for a
             filter that knows of constants, and so recovers.
         opened: 1 once the belief was opened (1); empty as `constant` is.
-        scores: of what innovations depend on.
+        scores: of what innovations depend on; () for a filter that knows of no constants, in whose
+            innovations they stand.
     """
 
     total: Any
@@ -141,7 +142,7 @@ class Record(NamedTuple):
     restarts: Any
     constant: Any
     opened: Any
-    scores: Scores
+    scores: Scores | tuple[()]
 
 
 class State(NamedTuple):
@@ -182,7 +183,8 @@ def judged(
     def init(q: Params) -> State:
         none, once = np.zeros(p), np.zeros(1)
         kept = (np.zeros(0), np.zeros(0)) if recovers else (none, once)
-        record = Record(none, none, np.ones(p), none, none, none, once, *kept, unscored(p))
+        scores = unscored(p) if recovers else ()
+        record = Record(none, none, np.ones(p), none, none, none, once, *kept, scores)
         return State(member.init(q), record)
 
     smoothing = None
@@ -212,7 +214,7 @@ def judged_step(
     """
     step = setup.member.step(q, s.filter, u, reading)
     record = recorded(q, s.record, step, u, reading)
-    ratios = refutations(q, record) | {"range": ca.if_else(step.fits > 0.5, 0.0, BEYOND)}
+    ratios = refutations(q, record) | {"range": BEYOND * (step.fits <= 0.5)}
     bits, suspect = as_bits(ratios)
     estimated = step.estimate._replace(
         consistent=bits == 0,
@@ -240,7 +242,7 @@ def recorded(q: Params, record: Record, step: Step, u: Any, reading: Reading) ->
     e, std = step.estimate.innovation, step.estimate.innovation_std
     used = e != 0
     nu = ca.if_else(used, e / std, 0.0)
-    counted, far = ca.logic_and(used, ca.fabs(nu) <= FAR), ca.fabs(nu) > FORETOLD
+    counted = ca.logic_and(used, ca.fabs(nu) <= FAR)
     fade = q.doubt.fade
     before = Sums(record.total, record.count, record.ratio)
     sums = summed(before, ca.if_else(counted, nu, 0.0), counted, fade, q.doubt.keep)
@@ -248,8 +250,10 @@ def recorded(q: Params, record: Record, step: Step, u: Any, reading: Reading) ->
     asked = ca.logic_or(used, refused)
     share = fade * record.share + (1 - fade) * refused
     offset = ca.if_else(used, fade * record.offset + (1 - fade) * e, record.offset)
-    constant, opened = record.constant, record.opened
-    if constant.numel():
+    constant, opened, scores = record.constant, record.opened, record.scores
+    if scores:
+        scores = scored(q, scores, counted * nu, counted, ca.fabs(nu) > FORETOLD, reading, u)
+    else:
         opened = ca.fmax(opened, step.opened)
         refuted = sums.ratio > ca.if_else(opened, 1.0, REFUTED) * q.doubt.most
         constant = ca.if_else(refuted, ca.fmax(constant, ca.fabs(offset)), constant)
@@ -263,7 +267,7 @@ def recorded(q: Params, record: Record, step: Step, u: Any, reading: Reading) ->
         restarts=record.restarts,
         constant=constant,
         opened=opened,
-        scores=scored(q, record.scores, counted * nu, counted, far, reading, u),
+        scores=scores,
     )
 
 
@@ -273,12 +277,12 @@ def refutations(q: Params, record: Record) -> dict[str, Any]:
     if record.constant.numel():
         lasting = ca.if_else(ca.sum1(record.constant) > 0, ca.fmax(lasting, REFUTED), lasting)
     found = {"gust": lasting, "glitches": ca.mmax(record.share) / LOST}
-    return found | refuted(q.doubt, record.scores)
+    return found | (refuted(q.doubt, record.scores) if record.scores else {})
 
 
 def fitting(q: Params, record: Record) -> Any:
     """Whether the innovations fit the claims, and most readings were not refused."""
-    return as_bits(refutations(q, record))[0] == 0
+    return ca.mmax(ca.vertcat(*refutations(q, record).values())) <= 1
 
 
 def widened(model: System, q: Params, record: Record, estimated: Estimate) -> Estimate:
@@ -291,14 +295,17 @@ def widened(model: System, q: Params, record: Record, estimated: Estimate) -> Es
     """
     worst = ca.mmax(record.ratio)
     worst = ca.if_else(worst > DOUBTFUL * q.doubt.most, worst, 1.0)
-    factor = ca.sqrt(ca.fmax(worst, stretch(q.doubt, record.scores)))
     fits = fitting(q, record)
     off = ca.if_else(fits, 0.0, ca.fabs(record.offset))
-    off = ca.fmax(off, resting(q.doubt, record.scores))
     lost = ca.mmax(record.share) > LOST
-    if record.constant.numel():
+    if record.scores:
+        worst = ca.fmax(worst, stretch(q.doubt, record.scores))
+        off = ca.fmax(off, resting(q.doubt, record.scores))
+    else:
         off = ca.fmax(off, record.constant)
         lost = ca.logic_or(lost, record.opened * ca.sum1(record.constant) > 0)
+
+    factor = ca.sqrt(worst)
 
     def shown(std: Any, off: Any, least: Any) -> Any:
         wider = ca.if_else(fits, factor * std, ca.sqrt((factor * std) ** 2 + off**2))

@@ -245,6 +245,7 @@ FEWEST = 6.0  # readings over which it is averaged at least
 CHANCE, CHANCE_OF_DEFAULTS = 2.3, 4.0
 SCORE, SCORE_OF_DEFAULTS = 3.3**2, 3.8**2  # the same of the squares of scores
 STAYS = 3.0  # rms of its noise within which a reading stays
+MEANS = (1 / 32, 1 / 16, 2.0)  # quarter periods over which inputs are averaged
 HISTORY = 8.0  # quarter periods over which the squares of the sums are averaged
 
 
@@ -264,6 +265,7 @@ class Doubt(NamedTuple):
         limit: square of a score that is taken for chance.
         stays: change of a reading that is none, and |y| from which it counts (p) [y]; 0: never.
         push: what an input shows in z after a quarter period (p x m).
+        means: shares of means of inputs that are left after a step (3), as `MEANS`.
     """
 
     glitch: Floats
@@ -278,6 +280,7 @@ class Doubt(NamedTuple):
     limit: Floats
     stays: Floats
     push: Floats
+    means: Floats
 
 
 def doubt_numbers(
@@ -310,6 +313,7 @@ def doubt_numbers(
         limit=np.asarray(SCORE if claimed else SCORE_OF_DEFAULTS),
         stays=STAYS * np.sqrt(prior.R) * sensor.slope * (noisy & (not sensor.moves)),
         push=model.flow.C @ zoh(model.flow, quarter).B,
+        means=np.exp(-model.Ts / (np.array(MEANS) * quarter)),
     )
 
 

@@ -26,29 +26,27 @@ MOST = 1e100  # of what an input shows in z: its square is finite
 SHARP = {"noise": 1 / 6, "sensor": 1.7, "dynamics": 1.2}
 
 # Share of the square of a score that multiplies variances: what is missed is absorbed in part.
-WIDER = {"bias": 1 / 4, "width": 1 / 4, "slope": 1.0, "dynamics": 1 / 9, "noise": 1 / 64}
+WIDER = {"width": 1 / 4, "slope": 1.0, "dynamics": 1 / 9, "noise": 1 / 64}
 
 
 class Scores(NamedTuple):
     """Fading sums for each output (p), and what the regressors need.
 
     Attributes:
-        mean, side: of nu, and of nu times the side of the reading.
         size: of nu^2 - 1.
-        count: variance of `mean` and `side`, half of that of `size`.
-        lift, lift_square: of nu times what the last input shows in z beyond its mean of late, and
+        side: of nu times the side of the reading.
+        count: variance of `side`, half of that of `size`.
+        lift, lift_square: of nu times what inputs of late show in z beyond their mean, and
             variance of that.
-        rise, rise_square: of nu times what the last change of the input shows, likewise.
+        rise, rise_square: of nu times how that changes, likewise.
         held: share of readings that stay though they were foretold to move.
         rest: the same times where they stay [z].
         last: reading before [y].
-        input, level: what the last input shows in z, and its mean of late [z].
-        change: of `input`, at the last sample [z].
+        quick, brisk, slow: means of what inputs show in z, over the spans of `Doubt.means` [z].
     """
 
-    mean: Any
-    side: Any
     size: Any
+    side: Any
     count: Any
     lift: Any
     lift_square: Any
@@ -57,9 +55,9 @@ class Scores(NamedTuple):
     held: Any
     rest: Any
     last: Any
-    input: Any
-    level: Any
-    change: Any
+    quick: Any
+    brisk: Any
+    slow: Any
 
 
 def unscored(p: int) -> Scores:
@@ -69,6 +67,10 @@ def unscored(p: int) -> Scores:
 
 def scored(q: Any, s: Scores, nu: Any, counted: Any, far: Any, reading: Reading, u: Any) -> Scores:
     """The sums after one more sample.
+
+    A loop that sees more than this filter puts it into its input at once, where it foretells
+    innovations though all claims are true. So inputs count by their means over a while, in which
+    the filter saw it too.
 
     Args:
         q: the filter's numbers.
@@ -81,25 +83,25 @@ def scored(q: Any, s: Scores, nu: Any, counted: Any, far: Any, reading: Reading,
     """
     doubt, keep = q.doubt, q.doubt.keep
     y = ca.if_else(present(reading.y), reading.y, 0.0)
-    lift, rise = counted * (s.input - s.level), counted * s.change
+    lift, rise = counted * (s.brisk - s.slow), counted * (s.quick - s.brisk)
     stays = ca.logic_and(ca.fabs(y - s.last) < doubt.stays, ca.fabs(y) > doubt.stays)
     stays = ca.logic_and(stays, ca.logic_or(far, y == s.last))
     shown = ca.fmax(ca.fmin(doubt.push @ u, MOST), -MOST)
+    means = []
+    for mean, left in zip((s.quick, s.brisk, s.slow), ca.vertsplit(ca.SX(doubt.means)), strict=True):
+        means.append(shown + left * (mean - shown))
     return Scores(
-        mean=keep * s.mean + nu,
-        side=keep * s.side + nu * ca.sign(y),
-        size=keep * s.size + nu**2 - counted,
-        count=keep**2 * s.count + counted,
-        lift=keep * s.lift + nu * lift,
-        lift_square=keep**2 * s.lift_square + lift**2,
-        rise=keep * s.rise + nu * rise,
-        rise_square=keep**2 * s.rise_square + rise**2,
-        held=keep * s.held + (1 - keep) * stays,
-        rest=keep * s.rest + (1 - keep) * stays * ca.fmin(ca.fabs(y / q.slope), doubt.reach),
-        last=y,
-        input=shown,
-        level=doubt.fade * s.level + (1 - doubt.fade) * shown,
-        change=shown - s.input,
+        keep * s.size + nu**2 - counted,
+        keep * s.side + nu * ca.sign(y),
+        keep**2 * s.count + counted,
+        keep * s.lift + nu * lift,
+        keep**2 * s.lift_square + lift**2,
+        keep * s.rise + nu * rise,
+        keep**2 * s.rise_square + rise**2,
+        keep * s.held + (1 - keep) * stays,
+        keep * s.rest + (1 - keep) * stays * ca.fmin(ca.fabs(y / q.slope), doubt.reach),
+        y,
+        *means,
     )
 
 
@@ -108,7 +110,6 @@ def squares(s: Scores) -> dict[str, Any]:
     both = ca.fmax(s.count, LEAST)
     enough = ca.fmin(s.count / ENOUGH, 1.0)
     found = {
-        "bias": s.mean**2 / both,
         "width": s.side**2 / both,
         "slope": s.lift**2 / ca.fmax(s.lift_square, LEAST),
         "dynamics": s.rise**2 / ca.fmax(s.rise_square, LEAST),
@@ -129,17 +130,17 @@ def resting(doubt: Any, s: Scores) -> Any:
 
 def refuted(doubt: Any, s: Scores) -> dict[str, Any]:
     """By how much each claim is refuted: above 1 it is."""
-    ratios = {}
+    ratios = {"sensor": ca.mmax(holding(doubt, s))}
     for name, square in squares(s).items():
         ratios[name] = square / (NOISY**2 if name == "noise" else doubt.limit)
-    return ratios | {"sensor": ca.mmax(holding(doubt, s))}
+    return ratios
 
 
 def stretch(doubt: Any, s: Scores) -> Any:
     """By how much deviations are to be larger, squared, where a score refutes its claim."""
     worst, each = 1.0, squares(s)
     for name, share in WIDER.items():
-        worst = ca.fmax(worst, ca.if_else(each[name] > doubt.limit, share * each[name], 1.0))
+        worst = ca.fmax(worst, (each[name] > doubt.limit) * share * each[name])
     return worst
 
 
@@ -153,7 +154,7 @@ def as_bits(ratios: dict[str, Any]) -> tuple[Any, Any]:
     for k, name in enumerate(CLAIMS):
         if name in ratios:
             false = ratios[name] > 1
-            weight = ca.if_else(false, 1 + SHARP.get(name, 1.0) * ratios[name], 0.0)
+            weight = false * SHARP.get(name, 1.0) * ratios[name]
             bits += 2.0**k * false
             suspect = ca.if_else(weight > worst, k + 1.0, suspect)
             worst = ca.fmax(worst, weight)
