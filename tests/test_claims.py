@@ -22,7 +22,7 @@ RIGHT, LEFT, NOISE = 1.0, 0.7, 0.02
 def test_names_stand_in_order_of_the_bits_but_for_the_likeliest() -> None:
     names = list(CLAIMS)
     assert false_claims(0.0, 0.0) == []
-    assert false_claims(float(2**9 - 1), 3.0) == [names[2], *names[:2], *names[3:]]
+    assert false_claims(float(2 ** len(CLAIMS) - 1), 3.0) == [names[2], *names[:2], *names[3:]]
     assert all(": " in words for words in claims_in_words(names))
 
 
@@ -37,7 +37,12 @@ def followed(regress: Callable[[Any], Any], count: int = 400) -> dict[str, list[
     """Ratios after so many innovations in 200 runs at once, each an output of its own."""
     lanes, rng = 200, np.random.default_rng(3)
     doubt = SimpleNamespace(
-        keep=0.99, fade=0.96, push=np.eye(lanes), stays=0.0, reach=1.0, limit=3.3**2
+        keep=0.99,
+        means=np.array([0.1, 0.5, 0.96]),
+        push=np.eye(lanes),
+        stays=0.0,
+        reach=1.0,
+        limit=3.3**2,
     )
     q: Any = SimpleNamespace(doubt=doubt, slope=1.0)
     symbols = Scores(*[ca.SX.sym(name, lanes) for name in Scores._fields])
@@ -62,16 +67,15 @@ def test_scores_of_white_innovations_refute_nothing() -> None:
     ratios = followed(lambda own: 0.0)
     false = [np.mean(np.array(ratio) > 1) for ratio in ratios.values()]
     assert max(false) <= 0.03
-    for name in ("bias", "width", "slope", "dynamics"):
+    for name in ("width", "slope", "dynamics"):
         assert 0.7 <= np.mean(ratios[name]) * 3.3**2 <= 1.4  # squares of normal numbers
 
 
 @pytest.mark.parametrize(
     ("name", "regress"),
     [
-        ("bias", lambda own: 0.6),
-        ("slope", lambda own: 0.6 * (own.input - own.level)),
-        ("dynamics", lambda own: 0.5 * own.change),
+        ("slope", lambda own: 1.1 * (own.brisk - own.slow)),
+        ("dynamics", lambda own: 1.3 * (own.quick - own.brisk)),
     ],
 )
 def test_a_score_finds_what_innovations_depend_on(name: str, regress: Callable[[Any], Any]) -> None:
@@ -101,7 +105,7 @@ def scenario(**claims: Any) -> uz.Scenario:
     return uz.Scenario(
         plant=uz.Plant(A=[[-RATE]], B=[[RATE]], C=[[1]]),
         sensor=uz.Sensor(right=RIGHT, left=LEFT, noise=NOISE),
-        observer=uz.Kalman(**({"right": [0.3, 2.0], "disturbance": 0.1} | claims)),
+        observer=uz.Extended(**({"right": [0.3, 2.0], "disturbance": 0.1} | claims)),
         reference=uz.Sine(amplitude=1.0, frequency=0.3),
         controller=uz.StateFeedback(poles=[-3.0]),
         simulation=uz.Simulation(duration=1.0, time="sampled", step=TS),
