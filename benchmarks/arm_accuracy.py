@@ -14,7 +14,7 @@ import undeadzone as uz
 from benchmarks.markdown import head, row
 from undeadzone.analysis.identifiability.linear import MARGIN
 from undeadzone.ensemble.batch import Batch, prepare
-from undeadzone.ensemble.metrics import true_width
+from undeadzone.ensemble.metrics import EDGES, true_width, widths_in_turn
 from undeadzone.scenario.reader import read
 from undeadzone.scenario.schema import Scenario
 from undeadzone.statistics.intervals import Interval, proportion, quantile
@@ -98,10 +98,12 @@ def _widths(fleet: Batch, columns: dict[str, Floats]) -> tuple[Floats, Floats]:
     shape = (runs, fleet.problem.plant.p, 2)
     estimate, truth = np.empty(shape), np.empty(shape)
     for i in range(fleet.problem.plant.p):
-        for k, (edge, nominal) in enumerate((("right", sensor.right), ("left", sensor.left))):
+        for k, edge in enumerate(EDGES):
             name = f"{edge}[{i}]"
             estimate[:, i, k] = columns[f"d_{name}"]
-            truth[:, i, k] = true_width(name, nominal[i], varied)
+            truth[:, i, k] = true_width(
+                name, widths_in_turn(sensor), varied, sensor.kind == "gears"
+            )
     return estimate, truth
 
 

@@ -24,6 +24,7 @@ from undeadzone.support.arrays import Floats
 
 ENTRIES = ("sensor.right[0]", "plant.A[1,0] (relative)", "sensor.noise[0]")
 NASTY = "<b>Ω & more</b>"
+WIDTHS = [1.0, 1.0, 1.4, 0.5]  # right and left of two outputs
 
 
 def ensemble(
@@ -166,14 +167,15 @@ def test_errors_of_widths_are_taken_from_each_runs_truth() -> None:
         ("sensor.right + sensor.left", [2.0, 3.0], [2.0, 3.0]),
         ("sensor.left[:] (relative)", 1.4, [1.0, 1.5]),
         ("plant.x0[1]", 1.4, 0.5),
+        ("plant.parameters.half2", 1.4, 0.5),
     ],
 )
 def test_true_widths_are_found_in_whatever_words_they_vary(
     words: str, right: Any, left: Any
 ) -> None:
     varied = {words: np.array([2.0, 3.0])}
-    np.testing.assert_allclose(true_width("right[1]", [1.0, 1.0, 1.4, 0.5], varied), right)
-    np.testing.assert_allclose(true_width("left[1]", [1.0, 1.0, 1.4, 0.5], varied), left)
+    np.testing.assert_allclose(true_width("right[1]", WIDTHS, varied, False), right)
+    np.testing.assert_allclose(true_width("left[1]", WIDTHS, varied, False), left)
 
 
 def test_the_most_influential_entry_comes_first() -> None:

@@ -270,6 +270,7 @@ def test_a_file_runs_and_its_numbers_are_json(tmp_path: Path) -> None:
         ("simulation.time", "continuous", "plant.arm.gears: contacts close and open too fast"),
         ("observer", {"method": "extended", "right": 0.1}, "'extended' takes motors for links"),
         ("controller", {"method": "lqr"}, "'lqr' takes motors for links"),
+        ("plant.delay", 3, "plant.delay: a controller foretells"),
         ("controller.crossing", 0.0, "controller.crossing: must be greater than 0"),
     ],
 )

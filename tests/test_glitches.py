@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
@@ -19,6 +20,8 @@ from scenes import PAPER_PLANT, scene
 from undeadzone.errors import InputError
 from undeadzone.numerics import gaussian
 from undeadzone.numerics.gaussian import Gaussian
+from undeadzone.observers.parts.measured_kalman import foretold
+from undeadzone.observers.parts.measured_reading import Heard
 from undeadzone.plants.system import sampled
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.arrays import Floats
@@ -211,6 +214,18 @@ def test_a_reading_or_a_glitch_is_the_mixture_by_bayes(e: float, R: float, share
     assert mean[0, 0] == pytest.approx(1.0 + beta * gain * e)
     assert cov[0, 0] == pytest.approx(spread)
     assert likely[0, 0] == pytest.approx((regular + wrong) / (1 - share))
+
+
+@pytest.mark.parametrize("size", [1e-200, 1e200])
+def test_what_outputs_foretell_leaves_the_range_of_no_number(size: float) -> None:
+    """In single precision the product of six densities of 1e7 would."""
+    belief = Gaussian(ca.SX(1.0), ca.SX(1.0))
+    one = gaussian.Weighed(belief, ca.SX(0.0), ca.SX(1.0), ca.SX(1.0), ca.SX(size))
+    both = gaussian.together([one, one])
+    heard = Heard(belief, ca.SX(0), both.trust, both.likely)
+    setup: Any = SimpleNamespace(doubts=True)
+    (log,) = numbers(foretold(setup, both, heard))
+    assert log[0, 0] == pytest.approx(2 * math.log(size))
 
 
 @pytest.mark.parametrize("e", [1e3, -1e9, 1e299])

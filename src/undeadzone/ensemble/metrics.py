@@ -217,22 +217,27 @@ def bands(
     return Bands(t, {name: _quantiles(error) for name, error in errors.items()})
 
 
-def true_width(name: str, widths: Sequence[float], varied: Mapping[str, Floats]) -> Floats:
+def true_width(
+    name: str, widths: Sequence[float], varied: Mapping[str, Floats], geared: bool
+) -> Floats:
     """The true width of an edge in each run: a number, or a column (runs) where it varies.
 
     Args:
         name: the edge, such as `right[0]`
         widths: [right, left] of each output in the scenario, one after the other
         varied: columns by the names of `varied.UncertainNumber`, in whatever words they name the
-            edge; of gears their half gaps and centres
+            edge
+        geared: whether the widths are gaps of gears, whose half gaps and centres are drawn
     """
     edge, _, index = name.rstrip("]").partition("[")
     right, left = widths[2 * int(index) : 2 * int(index) + 2]
+    sign, nominal = (1, right) if edge == "right" else (-1, left)
+    if not geared:
+        return _drawn(f"sensor.{name}", nominal, varied)
     joint, half, centre = int(index) + 1, (right + left) / 2, (right - left) / 2
     wider = _drawn(f"plant.parameters.half{joint}", half, varied) - half
     moved = _drawn(f"plant.parameters.centre{joint}", centre, varied) - centre
-    sign, nominal = (1, right) if edge == "right" else (-1, left)
-    return _drawn(f"sensor.{name}", nominal, varied) + (wider + sign * moved)
+    return nominal + wider + sign * moved
 
 
 def widths_in_turn(sensor: Zone) -> list[float]:

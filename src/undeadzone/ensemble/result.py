@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Mapping
+from functools import reduce
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -144,11 +145,7 @@ class Ensemble:
 
     def _largest_width_error(self) -> Floats:
         """The largest |d^ - d| of each run."""
-        first, *others = self.errors
-        largest = np.abs(self.column(first))
-        for name in others:
-            largest = np.maximum(largest, np.abs(self.column(name)))
-        return largest
+        return reduce(np.maximum, (np.abs(self.column(name)) for name in self.errors))
 
     def _width_error(self, name: str) -> Floats:
         """The column d^ - d of a name such as `d_right_error[0]`. Raises InputError."""
@@ -157,7 +154,9 @@ class Ensemble:
             known = ", ".join([*self.varied, *self.quantities])
             raise InputError(f"{name}: is not a column of this ensemble; there are {known}")
         edge = metric.removeprefix("d_")
-        return self.metrics[metric] - true_width(edge, self.info.widths, self.varied)
+        return self.metrics[metric] - true_width(
+            edge, self.info.widths, self.varied, self.info.geared
+        )
 
     def sample(self, name: str) -> Floats:
         """What the statistics of a quantity take in: the independent runs that did not diverge.

@@ -194,6 +194,7 @@ def _info(batch: Batch) -> Info:
         tolerance=vary.tolerance,
         tracked=problem.tracked,
         widths=widths_in_turn(problem.sensor),
+        geared=problem.sensor.kind == "gears",
         scenario=toml.dumps(scenario),
         version=undeadzone.__version__,
         recorded=min(RECORDED, batch.layout.runs),
@@ -219,9 +220,7 @@ def recorded_bands(batch: Batch, runs: int) -> Bands:
     """The bands of the first `runs` runs."""
     p = batch.problem.plant.p
     positions = [f"z[{i}]" for i in range(p)]
-    edges: list[str] = []
-    for i in range(p):
-        edges += [f"{edge}[{i}]" for edge in EDGES]
+    edges = [f"{EDGES[j % 2]}[{j // 2}]" for j in range(2 * p)]
     places = {name: i for i, name in enumerate(tree.names(batch.loop.outputs))}
     estimates = [f"estimate.{edge}" for edge in edges]
     wanted = [places[name] for name in (*positions, *estimates)]
@@ -234,7 +233,8 @@ def recorded_bands(batch: Batch, runs: int) -> Bands:
     slots = {name: i for i, name in enumerate(tree.names(batch.loop.params))}
     varied = dict(zip(batch.binding.names, values.T, strict=True))
     nominal = widths_in_turn(batch.problem.sensor)
-    true = [np.broadcast_to(true_width(edge, nominal, varied), runs) for edge in edges]
+    geared = batch.problem.sensor.kind == "gears"
+    true = [np.broadcast_to(true_width(edge, nominal, varied, geared), runs) for edge in edges]
     widths = np.stack(true, axis=1)
     scale = params[:, slots["scale.reference"], None, None]
     r = scale * batch.problem.reference.value(t)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import struct
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, Final, NamedTuple
 
@@ -25,7 +25,7 @@ from undeadzone.support.files import reason, replacing, require_plain
 HEADER: Final = "undeadzone"
 COLUMNS: Final = "columns/"  # what names of arrays in an `.npz` begin with
 ATTACHED: Final = "attached/"
-CHECKSUM: Final = "checksum"  # of the other metadata of a `.parquet`, whose pages have their own
+CHECKSUM: Final = "digest"  # of names and metadata of a `.parquet`, whose pages have their own
 CHUNK: Final = 2**20  # rows in a row group of Parquet
 ZIP_SIZES: Final = 26  # where a zip file's local header holds the lengths of name and extra field
 IN_OUTPUT_UNIT: Final = (
@@ -132,7 +132,7 @@ def _write_parquet(table: Table, path: Path) -> None:
     metadata: dict[str, str | bytes] = {HEADER: table.header}
     for name, values in table.attached.items():
         metadata[ATTACHED + name] = np.ascontiguousarray(values, "<f8").tobytes()
-    metadata[CHECKSUM] = _checksum(metadata)
+    metadata[CHECKSUM] = _checksum(metadata, list(table.columns))
     schema = arrow.schema([(name, arrow.float64()) for name in table.columns], metadata=metadata)
     runs = len(next(iter(table.columns.values())))
     with (
@@ -155,8 +155,8 @@ def _read_parquet(path: Path) -> Table:
     table = parquet.read_table(path, page_checksum_verification=True)
     metadata = {key.decode(): value for key, value in (table.schema.metadata or {}).items()}
     kept = metadata.pop(CHECKSUM, None)  # earlier versions wrote none
-    if kept is not None and kept.decode() != _checksum(metadata):
-        raise ValueError("its header is damaged")
+    if kept is not None and kept.decode() != _checksum(metadata, table.column_names):
+        raise ValueError("its header or the names of its columns were changed")
     columns = {name: table.column(name).to_numpy() for name in table.column_names}
     attached = {}
     for name, value in _below(ATTACHED, metadata).items():
@@ -164,9 +164,14 @@ def _read_parquet(path: Path) -> Table:
     return Table(metadata[HEADER].decode(), columns, attached)
 
 
-def _checksum(metadata: Mapping[str, str | bytes]) -> str:
-    """The checksum of metadata; what other programs add to them does not count."""
-    digest = hashlib.blake2b(digest_size=16)
+def _checksum(metadata: Mapping[str, str | bytes], columns: Sequence[str]) -> str:
+    """The checksum of metadata and of the columns' names; what other programs add does not count.
+
+    Args:
+        metadata: by name.
+        columns: their names.
+    """
+    digest = hashlib.blake2b(repr(list(columns)).encode(), digest_size=16)
     for name in sorted(metadata):
         if name == HEADER or name.startswith(ATTACHED):
             value = metadata[name]
@@ -201,6 +206,7 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
         tolerance: of |z - r| for settling, as a share of the largest |r|
         tracked: the outputs that follow a reference
         widths: the nominal right and left width of each output in turn (2p)
+        geared: whether these are the gaps of an arm's gears
         scenario: the scenario as TOML; with a run's number it replays the run
         version: of undeadzone
         recorded: number of the first runs, those behind the bands
@@ -221,6 +227,7 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
     widths: list[float]
     scenario: str
     version: str
+    geared: bool = False
     recorded: int = 0
     numbers: str = ""
     units: Units = Units()

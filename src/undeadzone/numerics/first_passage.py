@@ -12,13 +12,12 @@ arrives in sample k: exact where the motion up to the edge is known, whatever th
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
 
-from undeadzone.numerics.gaussian import Gaussian, update_unless_glitch
+from undeadzone.numerics.gaussian import Gaussian, below, update_unless_glitch
 
 LEAST = 1e-6  # chance of not being beyond some edge, below which all has arrived
 
@@ -33,7 +32,7 @@ def beyond(belief: Gaussian, h: Any, excess: Any, R: Any) -> Any:
         R: variance of v, of where the edge is.
     """
     std = ca.sqrt(ca.fmax(h @ belief.cov @ h.T, 0.0) + R)
-    return (1 + ca.erf(excess / std / math.sqrt(2))) / 2
+    return below(excess / std)
 
 
 def arriving(before: Sequence[Any], now: Sequence[Any], lost: Any = 0.0) -> list[Any]:

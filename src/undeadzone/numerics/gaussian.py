@@ -159,7 +159,7 @@ def cut_to(
     std = ca.sqrt(variance)
     a, b = (low - mean) / std, (high - mean) / std
     chance = (ca.erf(b / math.sqrt(2)) - ca.erf(a / math.sqrt(2))) / 2
-    at_a, at_b = _density(a), _density(b)
+    at_a, at_b = density(a), density(b)
     share = ca.if_else(chance > least, 1 / chance, 0.0)
     shift = (at_a - at_b) * share
     lost = (shift**2 + (b * at_b - a * at_a) * share) / variance
@@ -171,19 +171,24 @@ def chance(alpha: Any) -> tuple[Any, Any]:
 
     Below -5 by the asymptotic series of the hazard, 1e-4 accurate there.
     """
-    density, inside = _density(alpha), _inside(alpha)
+    here, inside = density(alpha), _inside(alpha)
     far = ca.fmax(-alpha, DEEP)
     series = far + (1 - (2 - 10 / far**2) / far**2) / far
-    ratio = ca.if_else(alpha > -DEEP, density / inside, series)
-    return ca.if_else(alpha > -DEEP, inside, density / series), ratio
+    ratio = ca.if_else(alpha > -DEEP, here / inside, series)
+    return ca.if_else(alpha > -DEEP, inside, here / series), ratio
 
 
 def _inside(alpha: Any) -> Any:
     """Phi(alpha) of the standard normal distribution; below -5 as there."""
-    return (1 + ca.erf(ca.fmax(alpha, -DEEP) / math.sqrt(2))) / 2
+    return below(ca.fmax(alpha, -DEEP))
 
 
-def _density(x: Any) -> Any:
+def below(x: Any) -> Any:
+    """Phi(x) of the standard normal distribution, to rounding of 1: 0 far below."""
+    return (1 + ca.erf(x / math.sqrt(2))) / 2
+
+
+def density(x: Any) -> Any:
     """phi(x) of the standard normal distribution."""
     return ca.exp(-(x**2) / 2) / math.sqrt(2 * math.pi)
 
@@ -329,7 +334,7 @@ def together(readings: Sequence[Weighed]) -> Weighed:
         e=ca.vertcat(*(one.e for one in readings)),
         std=ca.vertcat(*(one.std for one in readings)),
         trust=ca.vertcat(*(one.trust for one in readings)),
-        likely=math.prod(one.likely for one in readings),
+        likely=ca.vertcat(*(one.likely for one in readings)),
     )
 
 

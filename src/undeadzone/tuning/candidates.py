@@ -401,8 +401,10 @@ def losses(metric: str, runs: TestRuns | OneByOne, rows: Floats) -> Floats:
 def _width_error(metric: str, runs: TestRuns | OneByOne, columns: Mapping[str, Floats]) -> Floats:
     """The final error of a width, d^ - d, in runs that vary it or not."""
     edge, _, index = metric.removeprefix("d_").partition("_error")
-    widths = widths_in_turn(runs.problem.sensor)
-    return columns[f"d_{edge}{index}"] - true_width(f"{edge}{index}", widths, runs.varied)
+    sensor = runs.problem.sensor
+    geared = sensor.kind == "gears"
+    true = true_width(f"{edge}{index}", widths_in_turn(sensor), runs.varied, geared)
+    return columns[f"d_{edge}{index}"] - true
 
 
 def _rate_of_divergence(columns: Mapping[str, Floats], step: float) -> Floats:

@@ -20,6 +20,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.ends.actuator import Belief, through_line, through_zone
+from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
 from undeadzone.plants.system import System, held
@@ -56,9 +57,17 @@ def predicting(controller: Controller, model: System, belief: Belief | None) -> 
         controller: for the model whose input acts at once.
         model: the sampled model.
         belief: what is known of the actuator, whose limits count; None: there is none.
+
+    Raises:
+        InputError: the model has gears: the gaps that it would be moved on with are not known.
     """
     if not model.delay:
         return controller
+    if model.gears is not None:
+        raise InputError(
+            "plant.delay: a controller foretells the state in which its input will act by the "
+            "model's own gaps, which are not known; leave it out, or plant.arm.gears"
+        )
     most = np.full(model.m, LARGEST) if model.limit is None else np.minimum(model.limit, LARGEST)
     low, high = -most, most
     if belief is not None:

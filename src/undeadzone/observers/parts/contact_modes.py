@@ -5,13 +5,12 @@ combination is an extended Kalman filter of x = [theta; q; theta'; q'; a; c; f; 
 contacts held, and a chance. A link leaves a flank where the torque through it changes its sign; it
 reaches one by first passage (`numerics.first_passage`), which is where the gap is measured. What
 comes together in a mode is merged by its moments (interacting multiple models, Blom and Bar-Shalom
-1988, with changes that hang on the state). docs/gears.md derives the weights.
+1988, with changes that hang on the state). docs/methods/contact.md derives the weights.
 """
 
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -23,6 +22,7 @@ from undeadzone.numerics.first_passage import arriving, at_edge, beyond
 from undeadzone.numerics.gaussian import (
     Gaussian,
     advance,
+    below,
     from_upper,
     mixed,
     symmetric,
@@ -30,6 +30,7 @@ from undeadzone.numerics.gaussian import (
     update_unless_glitch,
 )
 from undeadzone.numerics.runge_kutta import rk4_change
+from undeadzone.observers.parts.model_bank import weighted_mean
 from undeadzone.support.arrays import Floats
 
 Contact = tuple[int, ...]  # of each joint: 1, 0 or -1
@@ -218,9 +219,9 @@ def corrected(drive: Drive, q: Numbers, chances: Any, beliefs: list[Gaussian], y
     kept = []
     for share, one in zip(shares, each, strict=True):
         kept.append(one_or_other(share > 0, one.belief, whole))
-    e = weighted(before, [one.e for one in each])
+    e = weighted_mean(before, [one.e for one in each])
     variances = [one.std**2 + (one.e - e) ** 2 for one in each]
-    return Told(shares, kept, whole, e, ca.sqrt(weighted(before, variances)))
+    return Told(shares, kept, whole, e, ca.sqrt(weighted_mean(before, variances)))
 
 
 class Read(NamedTuple):
@@ -281,11 +282,6 @@ def one_or_other(use: Any, one: Gaussian, other: Gaussian) -> Gaussian:
     return Gaussian(
         ca.if_else(use, one.mean, other.mean), from_upper(ca.if_else(use, one.cov, other.cov))
     )
-
-
-def weighted(shares: list[Any], values: list[Any]) -> Any:
-    """The sum of the values, each times its share."""
-    return sum(share * value for share, value in zip(shares, values, strict=True))
 
 
 def normalised(weights: list[Any]) -> list[Any]:
@@ -354,7 +350,7 @@ def _leaving(drive: Drive, q: Numbers, contact: Contact, one: Mode, u: Any) -> A
     end = x + _change(drive, q, contact, u)(x)
     now, then = (drive.rate(q.model, each, u, contact)[1] for each in (x, end))
     pull = -ca.DM(contact) * (now + then) / 2 / q.torque
-    return q.leaving * (1 + ca.erf(pull / math.sqrt(2))) / 2
+    return q.leaving * below(pull)
 
 
 def _sides(layout: Layout, joint: int) -> list[dict[int, int]]:
@@ -381,7 +377,7 @@ def _released(
             parts.append(here._replace(chance=here.chance * share))
             left.append(leaving[places[side]])
         after[gap], weights = _merged(parts)
-        shares[gap] = weighted(weights, left)
+        shares[gap] = weighted_mean(weights, left)
     return after, shares
 
 

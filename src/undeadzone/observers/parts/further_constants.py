@@ -23,7 +23,6 @@ that side: the equations stay linear.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -33,7 +32,7 @@ import numpy as np
 from undeadzone.ends.actuator import Belief
 from undeadzone.ends.sensor import Zone, offset
 from undeadzone.interfaces import Estimate, Reading
-from undeadzone.numerics.gaussian import Gaussian
+from undeadzone.numerics.gaussian import Gaussian, below, density
 from undeadzone.observers.parts.gaussian_filter import Augmentation
 from undeadzone.observers.parts.prior import Prior
 from undeadzone.support.arrays import Floats
@@ -231,10 +230,9 @@ def entering(zones: Zones | None, belief: Gaussian, u: Any) -> tuple[Callable[[A
     std = ca.sqrt(ca.fmax(place[1], 0.0)) + 1e-12 * (1 + ca.fabs(place[0]))
     over = ca.fabs(u) - place[0]
     alpha = over / std
-    share = (1 + ca.erf(alpha / math.sqrt(2))) / 2
-    density = ca.exp(-(alpha**2) / 2) / math.sqrt(2 * math.pi)
-    mean = over * share + std * density
-    square = (over**2 + std**2) * share + over * std * density
+    share, slim = below(alpha), density(alpha)
+    mean = over * share + std * slim
+    square = (over**2 + std**2) * share + over * std * slim
     left = sign**2 * slope**2 * ca.fmax(square - mean**2 - (share * std) ** 2, 0.0)
 
     def drive(X: Any) -> Any:

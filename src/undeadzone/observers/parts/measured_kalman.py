@@ -180,7 +180,7 @@ def moments(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> tupl
 def foretold(setup: Setup, corrected: Weighed, heard: Heard) -> Any:
     """The log of the density with which the filter foretold a sample, up to a constant."""
     if setup.doubts:
-        return ca.log(heard.likely)
+        return ca.sum1(ca.log(heard.likely))
     return log_density(corrected.e, corrected.std)
 
 

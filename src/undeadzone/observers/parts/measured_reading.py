@@ -45,7 +45,7 @@ class Heard(NamedTuple):
         belief: mean and covariance of [x; d; extra].
         wait: steps to wait until an edge is heard again, right edges, then left ones (2p).
         trust: probability that the reading was not wrong (p).
-        likely: the density with which it was foretold.
+        likely: the density with which each output was foretold (p).
         silence: whether a silence was believed, by right edges and by left ones (2 of p).
     """
 
@@ -165,7 +165,7 @@ def use_bounds(
     """
     p = setup.model.p
     waits, believed = [None] * (2 * p), [None] * (2 * p)
-    belief, likely = known.belief, known.likely
+    belief, likely = known.belief, ca.SX(known.likely)
     trust = ca.SX(known.trust)
     for i, edges in _edges(setup):
         bounds = []
@@ -181,7 +181,7 @@ def use_bounds(
             bounds.append(bound_at(setup, q, belief, i, edge, branch, outside, slack, heard))
         one = heard_edges(setup, q, belief, i, bounds)
         belief = one.belief
-        likely *= one.likely
+        likely[i] *= one.likely
         for k, used in zip(edges, one.used, strict=True):
             trust[i] = ca.fmin(trust[i], ca.if_else(used, one.trust, 1.0))
             believed[k] = ca.logic_and(silent[i], one.trust > 0.5)
@@ -375,7 +375,7 @@ def use_limits(setup: Setup, q: Params, known: Heard, wait: Any, y: Any, side: A
         What is known, with the waits of the edges and then of the limits (4p).
     """
     p = setup.model.p
-    belief, likely, trust = known.belief, known.likely, ca.SX(known.trust)
+    belief, likely, trust = known.belief, ca.SX(known.likely), ca.SX(known.trust)
     wait = ca.SX(wait) - 1
     for i in range(p):
         end = ca.sign(side[i])
@@ -384,7 +384,7 @@ def use_limits(setup: Setup, q: Params, known: Heard, wait: Any, y: Any, side: A
         one = heard_limit(setup, q, belief, i, end, y[i], heard)
         (used,) = one.used
         belief = one.belief
-        likely *= one.likely
+        likely[i] *= one.likely
         trust[i] = ca.fmin(trust[i], ca.if_else(used, one.trust, 1.0))
         again = ca.logic_and(used, one.trust > 0.5)
         for k, limit in ((i, RIGHT), (p + i, LEFT)):
