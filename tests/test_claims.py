@@ -12,7 +12,7 @@ import pytest
 
 import undeadzone as uz
 from undeadzone.interfaces import CLAIMS, Estimate, Reading, claims_in_words, false_claims
-from undeadzone.observers.parts.scores import Scores, as_bits, refuted, scored, unscored
+from undeadzone.observers.parts.scores import Scores, refuted, scored, unscored, verdict
 from undeadzone.simulation.consistency import Own
 
 TS, RATE, N = 0.01, 2.0, 2500
@@ -27,10 +27,12 @@ def test_names_stand_in_order_of_the_bits_but_for_the_likeliest() -> None:
 
 
 def test_bits_and_the_likeliest() -> None:
-    bits, suspect = as_bits({"noise": ca.SX(30.0), "dynamics": ca.SX(9.0), "gust": ca.SX(0.9)})
+    found = verdict({"noise": ca.SX(30.0), "dynamics": ca.SX(9.0), "gust": ca.SX(0.9)})
+    bits, suspect = float(found["claims"]), float(found["suspect"])
+    assert not float(found["consistent"])
     names = list(CLAIMS)
-    assert false_claims(float(bits), float(suspect)) == ["dynamics", "noise"]
-    assert float(bits) == 2.0 ** names.index("noise") + 2.0 ** names.index("dynamics")
+    assert false_claims(bits, suspect) == ["dynamics", "noise"]
+    assert bits == 2.0 ** names.index("noise") + 2.0 ** names.index("dynamics")
 
 
 def followed(regress: Callable[[Any], Any], count: int = 400) -> dict[str, list[float]]:
@@ -43,6 +45,7 @@ def followed(regress: Callable[[Any], Any], count: int = 400) -> dict[str, list[
         stays=0.0,
         reach=1.0,
         limit=3.3**2,
+        most=2.3,
     )
     q: Any = SimpleNamespace(doubt=doubt, slope=1.0)
     symbols = Scores(*[ca.SX.sym(name, lanes) for name in Scores._fields])

@@ -234,7 +234,10 @@ class Claim(NamedTuple):
 
 
 CLAIMS: Final = {
-    "range": Claim("a width lies outside its range", "widen observer.right or observer.left"),
+    "range": Claim(
+        "a width, or a payload, lies outside its range",
+        "widen observer.right, observer.left or observer.payload",
+    ),
     "noise": Claim("the noise is larger than claimed", "raise sensor.noise or observer.noise"),
     "slope": Claim(
         "the readings follow the input with another gain than claimed",

@@ -19,12 +19,12 @@ from undeadzone.observers.parts.gaussian_filter import Params
 from undeadzone.observers.parts.scores import (
     FORETOLD,
     Scores,
-    as_bits,
     refuted,
     resting,
     scored,
     stretch,
     unscored,
+    verdict,
 )
 from undeadzone.plants.system import System
 
@@ -215,13 +215,8 @@ def judged_step(
     step = setup.member.step(q, s.filter, u, reading)
     record = recorded(q, s.record, step, u, reading)
     ratios = refutations(q, record) | {"range": BEYOND * (step.fits <= 0.5)}
-    bits, suspect = as_bits(ratios)
     estimated = step.estimate._replace(
-        consistent=bits == 0,
-        claims=bits,
-        suspect=suspect,
-        refused=record.refused,
-        restarts=record.restarts,
+        **verdict(ratios), refused=record.refused, restarts=record.restarts
     )
     if setup.widens:
         estimated = widened(setup.model, q, record, estimated)

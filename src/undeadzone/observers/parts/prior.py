@@ -242,7 +242,7 @@ PATIENCE = 0.54  # quarter periods over which the share of refused readings is a
 FEWEST = 6.0  # readings over which it is averaged at least
 # Mean square of the sums of innovations that is taken for chance: where the disturbance is claimed,
 # and where it is a default, whose colour is not that of the true one.
-CHANCE, CHANCE_OF_DEFAULTS = 2.3, 4.0
+CHANCE, CHANCE_OF_DEFAULTS = 2.3, 5.0
 SCORE, SCORE_OF_DEFAULTS = 3.3**2, 3.8**2  # the same of the squares of scores
 STAYS = 3.0  # rms of its noise within which a reading stays
 MEANS = (1 / 32, 1 / 16, 2.0)  # quarter periods over which inputs are averaged

@@ -15,7 +15,7 @@ import numpy as np
 from undeadzone.ends.sensor import present
 from undeadzone.interfaces import CLAIMS, Reading
 
-NOISY = 4.0  # standard deviations of the size of innovations from which it refutes the noise
+NOISY = 7.0  # square of the score of the size of innovations over `Doubt.most`, to refute the noise
 HELD = 0.01  # share of readings that stay where z^ moves on, likewise
 FEWEST = 4.0  # how many of these there must be of late
 ENOUGH = 10.0  # innovations from which a score is a normal number, however far one of them is
@@ -88,7 +88,9 @@ def scored(q: Any, s: Scores, nu: Any, counted: Any, far: Any, reading: Reading,
     stays = ca.logic_and(stays, ca.logic_or(far, y == s.last))
     shown = ca.fmax(ca.fmin(doubt.push @ u, MOST), -MOST)
     means = []
-    for mean, left in zip((s.quick, s.brisk, s.slow), ca.vertsplit(ca.SX(doubt.means)), strict=True):
+    for mean, left in zip(
+        (s.quick, s.brisk, s.slow), ca.vertsplit(ca.SX(doubt.means)), strict=True
+    ):
         means.append(shown + left * (mean - shown))
     return Scores(
         keep * s.size + nu**2 - counted,
@@ -132,7 +134,7 @@ def refuted(doubt: Any, s: Scores) -> dict[str, Any]:
     """By how much each claim is refuted: above 1 it is."""
     ratios = {"sensor": ca.mmax(holding(doubt, s))}
     for name, square in squares(s).items():
-        ratios[name] = square / (NOISY**2 if name == "noise" else doubt.limit)
+        ratios[name] = square / (NOISY * doubt.most if name == "noise" else doubt.limit)
     return ratios
 
 
@@ -144,12 +146,8 @@ def stretch(doubt: Any, s: Scores) -> Any:
     return worst
 
 
-def as_bits(ratios: dict[str, Any]) -> tuple[Any, Any]:
-    """(bits of the refuted claims, number of the one that is likeliest false; 0: none is).
-
-    Args:
-        ratios: by how much each is refuted, by name.
-    """
+def verdict(ratios: dict[str, Any]) -> dict[str, Any]:
+    """The fields of an estimate about claims, by how much each is refuted: above 1 it is."""
     bits, suspect, worst = 0.0, 0.0, 0.0
     for k, name in enumerate(CLAIMS):
         if name in ratios:
@@ -158,4 +156,4 @@ def as_bits(ratios: dict[str, Any]) -> tuple[Any, Any]:
             bits += 2.0**k * false
             suspect = ca.if_else(weight > worst, k + 1.0, suspect)
             worst = ca.fmax(worst, weight)
-    return bits, suspect
+    return {"consistent": bits == 0, "claims": bits, "suspect": suspect}
