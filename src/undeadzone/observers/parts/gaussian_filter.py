@@ -256,7 +256,6 @@ def white(model: System, variance: Floats) -> Augmentation:
 
 ROUNDING = 1e-12  # of a variance
 FAR = 2.3  # standard deviations beyond its range from which a width refutes its claims
-UNLIKELY = 0.01  # chance of a claimed range below which it is not believed
 BEYOND = 1.6  # the same of what readings alone say, whose range is no prior of theirs
 LEAST = 1e-30  # chance of a range that a belief leaves out; a float holds it
 INSIDE = 6.0  # standard deviations beyond which an end of a range says nothing, to 1e-8 of one
@@ -452,9 +451,9 @@ def _cut_to(pair: Gaussian, ranges: Any, order: tuple[int, int]) -> tuple[Any, A
         (numbers by which the columns of the covariance move it (2), the chance).
     """
     (m, P), (i, j) = pair, order
-    shift, lost, chance = cut_to(m[i], P[i, i], ranges[i, 0], ranges[i, 1], UNLIKELY)
+    shift, lost, chance = cut_to(m[i], P[i, i], ranges[i, 0], ranges[i, 1])
     after, variance = m[j] + shift * P[i, j], P[j, j] - lost * P[i, j] ** 2
-    second, _, likewise = cut_to(after, variance, ranges[j, 0], ranges[j, 1], UNLIKELY)
+    second, _, likewise = cut_to(after, variance, ranges[j, 0], ranges[j, 1])
     moves = {i: shift - lost * P[i, j] * second, j: second}
     return ca.vertcat(moves[0], moves[1]), chance * likewise
 

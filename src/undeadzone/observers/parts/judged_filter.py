@@ -15,17 +15,8 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.interfaces import Estimate, Observer, Reading, Traits
+from undeadzone.observers.parts import scores
 from undeadzone.observers.parts.gaussian_filter import Params
-from undeadzone.observers.parts.scores import (
-    FORETOLD,
-    Scores,
-    refuted,
-    resting,
-    scored,
-    stretch,
-    unscored,
-    verdict,
-)
 from undeadzone.plants.system import System
 
 FAR = 4.5  # standard deviations beyond which an innovation says nothing of a constant
@@ -142,7 +133,7 @@ class Record(NamedTuple):
     restarts: Any
     constant: Any
     opened: Any
-    scores: Scores | tuple[()]
+    scores: Any
 
 
 class State(NamedTuple):
@@ -183,8 +174,8 @@ def judged(
     def init(q: Params) -> State:
         none, once = np.zeros(p), np.zeros(1)
         kept = (np.zeros(0), np.zeros(0)) if recovers else (none, once)
-        scores = unscored(p) if recovers else ()
-        record = Record(none, none, np.ones(p), none, none, none, once, *kept, scores)
+        told = scores.unscored(p) if recovers else ()
+        record = Record(none, none, np.ones(p), none, none, none, once, *kept, told)
         return State(member.init(q), record)
 
     smoothing = None
@@ -216,7 +207,7 @@ def judged_step(
     record = recorded(q, s.record, step, u, reading)
     ratios = refutations(q, record) | {"range": BEYOND * (step.fits <= 0.5)}
     estimated = step.estimate._replace(
-        **verdict(ratios), refused=record.refused, restarts=record.restarts
+        **scores.verdict(ratios), refused=record.refused, restarts=record.restarts
     )
     if setup.widens:
         estimated = widened(setup.model, q, record, estimated)
@@ -245,9 +236,10 @@ def recorded(q: Params, record: Record, step: Step, u: Any, reading: Reading) ->
     asked = ca.logic_or(used, refused)
     share = fade * record.share + (1 - fade) * refused
     offset = ca.if_else(used, fade * record.offset + (1 - fade) * e, record.offset)
-    constant, opened, scores = record.constant, record.opened, record.scores
-    if scores:
-        scores = scored(q, scores, counted * nu, counted, ca.fabs(nu) > FORETOLD, reading, u)
+    constant, opened, told = record.constant, record.opened, record.scores
+    if told:
+        far = ca.fabs(nu) > scores.FORETOLD
+        told = scores.scored(q, told, counted * nu, counted, far, reading, u)
     else:
         opened = ca.fmax(opened, step.opened)
         refuted = sums.ratio > ca.if_else(opened, 1.0, REFUTED) * q.doubt.most
@@ -262,7 +254,7 @@ def recorded(q: Params, record: Record, step: Step, u: Any, reading: Reading) ->
         restarts=record.restarts,
         constant=constant,
         opened=opened,
-        scores=scores,
+        scores=told,
     )
 
 
@@ -272,7 +264,7 @@ def refutations(q: Params, record: Record) -> dict[str, Any]:
     if record.constant.numel():
         lasting = ca.if_else(ca.sum1(record.constant) > 0, ca.fmax(lasting, REFUTED), lasting)
     found = {"gust": lasting, "glitches": ca.mmax(record.share) / LOST}
-    return found | (refuted(q.doubt, record.scores) if record.scores else {})
+    return found | (scores.refuted(q.doubt, record.scores) if record.scores else {})
 
 
 def fitting(q: Params, record: Record) -> Any:
@@ -294,8 +286,8 @@ def widened(model: System, q: Params, record: Record, estimated: Estimate) -> Es
     off = ca.if_else(fits, 0.0, ca.fabs(record.offset))
     lost = ca.mmax(record.share) > LOST
     if record.scores:
-        worst = ca.fmax(worst, stretch(q.doubt, record.scores))
-        off = ca.fmax(off, resting(q.doubt, record.scores))
+        worst = ca.fmax(worst, scores.stretch(q.doubt, record.scores))
+        off = ca.fmax(off, scores.resting(q.doubt, record.scores))
     else:
         off = ca.fmax(off, record.constant)
         lost = ca.logic_or(lost, record.opened * ca.sum1(record.constant) > 0)
