@@ -70,7 +70,7 @@ def test_scores_of_white_innovations_refute_nothing() -> None:
     ratios = followed(lambda own: 0.0)
     false = [np.mean(np.array(ratio) > 1) for ratio in ratios.values()]
     assert max(false) <= 0.03
-    for name in ("width", "slope", "dynamics"):
+    for name in ("slope", "dynamics"):
         assert 0.7 <= np.mean(ratios[name]) * 3.3**2 <= 1.4  # squares of normal numbers
 
 

@@ -234,18 +234,10 @@ class Claim(NamedTuple):
 
 
 CLAIMS: Final = {
-    "range": Claim(
-        "a width, or a payload, lies outside its range",
-        "widen observer.right, observer.left or observer.payload",
-    ),
     "noise": Claim("the noise is larger than claimed", "raise sensor.noise or observer.noise"),
     "slope": Claim(
         "the readings follow the input with another gain than claimed",
         "declare sensor.slope, or raise observer.tolerance",
-    ),
-    "width": Claim(
-        "the readings on the right and on the left part: a width moves",
-        "raise observer.drift",
     ),
     "dynamics": Claim(
         "the readings answer changes of the input too late or too early",
@@ -257,9 +249,13 @@ CLAIMS: Final = {
     ),
     "gust": Claim(
         "something lasts in the readings that nobody claimed",
-        "raise observer.disturbance or observer.bias",
+        "raise observer.disturbance, observer.bias or observer.drift",
     ),
     "glitches": Claim("most readings of late were taken for wrong", "look at the sensor"),
+    "range": Claim(
+        "a width, or a payload, lies outside its range",
+        "widen observer.right, observer.left or observer.payload",
+    ),
 }
 """What readings may refute, in the order of the bits of `Estimate.claims`."""
 

@@ -269,7 +269,7 @@ def refutations(q: Params, record: Record) -> dict[str, Any]:
 
 def fitting(q: Params, record: Record) -> Any:
     """Whether the innovations fit the claims, and most readings were not refused."""
-    return ca.mmax(ca.vertcat(*refutations(q, record).values())) <= 1
+    return scores.verdict(refutations(q, record))["consistent"]
 
 
 def widened(model: System, q: Params, record: Record, estimated: Estimate) -> Estimate:

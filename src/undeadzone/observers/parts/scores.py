@@ -26,7 +26,7 @@ MOST = 1e100  # of what an input shows in z: its square is finite
 SHARP = {"noise": 1 / 6, "sensor": 1.7, "dynamics": 1.2}
 
 # Share of the square of a score that multiplies variances: what is missed is absorbed in part.
-WIDER = {"width": 1 / 4, "slope": 1.0, "dynamics": 1 / 9, "noise": 1 / 64}
+WIDER = {"slope": 1.0, "dynamics": 1 / 9, "noise": 1 / 64}
 
 
 class Scores(NamedTuple):
@@ -34,8 +34,7 @@ class Scores(NamedTuple):
 
     Attributes:
         size: of nu^2 - 1.
-        side: of nu times the side of the reading.
-        count: variance of `side`, half of that of `size`.
+        count: half of its variance.
         lift, lift_square: of nu times what inputs of late show in z beyond their mean, and
             variance of that.
         rise, rise_square: of nu times how that changes, likewise.
@@ -46,7 +45,6 @@ class Scores(NamedTuple):
     """
 
     size: Any
-    side: Any
     count: Any
     lift: Any
     lift_square: Any
@@ -94,7 +92,6 @@ def scored(q: Any, s: Scores, nu: Any, counted: Any, far: Any, reading: Reading,
         means.append(shown + left * (mean - shown))
     return Scores(
         keep * s.size + nu**2 - counted,
-        keep * s.side + nu * ca.sign(y),
         keep**2 * s.count + counted,
         keep * s.lift + nu * lift,
         keep**2 * s.lift_square + lift**2,
@@ -109,13 +106,11 @@ def scored(q: Any, s: Scores, nu: Any, counted: Any, far: Any, reading: Reading,
 
 def squares(s: Scores) -> dict[str, Any]:
     """Squares of the scores that are normal numbers, by claim, the largest of the outputs."""
-    both = ca.fmax(s.count, LEAST)
     enough = ca.fmin(s.count / ENOUGH, 1.0)
     found = {
-        "width": s.side**2 / both,
         "slope": s.lift**2 / ca.fmax(s.lift_square, LEAST),
         "dynamics": s.rise**2 / ca.fmax(s.rise_square, LEAST),
-        "noise": ca.fmax(s.size, 0.0) ** 2 / (2 * both),
+        "noise": ca.fmax(s.size, 0.0) ** 2 / (2 * ca.fmax(s.count, LEAST)),
     }
     return {name: ca.mmax(enough * square) for name, square in found.items()}
 
@@ -134,15 +129,25 @@ def refuted(doubt: Any, s: Scores) -> dict[str, Any]:
     """By how much each claim is refuted: above 1 it is."""
     ratios = {"sensor": ca.mmax(holding(doubt, s))}
     for name, square in squares(s).items():
-        ratios[name] = square / (NOISY * doubt.most if name == "noise" else doubt.limit)
+        ratios[name] = square / limit_of(doubt, name)
     return ratios
+
+
+def limit_of(doubt: Any, name: str) -> Any:
+    """Square of a score that is taken for chance."""
+    return NOISY * doubt.most if name == "noise" else doubt.limit
+
+
+def beyond(ratio: Any) -> Any:
+    """By how much a claim is refuted, 0 where it is not."""
+    return (ratio > 1) * ratio
 
 
 def stretch(doubt: Any, s: Scores) -> Any:
     """By how much deviations are to be larger, squared, where a score refutes its claim."""
-    worst, each = 1.0, squares(s)
+    worst, each = 1.0, refuted(doubt, s)
     for name, share in WIDER.items():
-        worst = ca.fmax(worst, (each[name] > doubt.limit) * share * each[name])
+        worst = ca.fmax(worst, share * limit_of(doubt, name) * beyond(each[name]))
     return worst
 
 
@@ -151,9 +156,9 @@ def verdict(ratios: dict[str, Any]) -> dict[str, Any]:
     bits, suspect, worst = 0.0, 0.0, 0.0
     for k, name in enumerate(CLAIMS):
         if name in ratios:
-            false = ratios[name] > 1
-            weight = false * SHARP.get(name, 1.0) * ratios[name]
-            bits += 2.0**k * false
-            suspect = ca.if_else(weight > worst, k + 1.0, suspect)
-            worst = ca.fmax(worst, weight)
+            weight = SHARP.get(name, 1.0) * beyond(ratios[name])
+            ahead = weight > worst
+            bits += 2.0**k * (ratios[name] > 1)
+            suspect = ca.if_else(ahead, k + 1.0, suspect)
+            worst = ca.if_else(ahead, weight, worst)
     return {"consistent": bits == 0, "claims": bits, "suspect": suspect}
