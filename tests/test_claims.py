@@ -146,4 +146,4 @@ def test_a_log_that_seldom_fitted_names_what_was_likeliest() -> None:
         "refused": np.zeros((4, 1)),
     }
     own.add(Estimate(*[np.zeros((4, 0))] * len(Estimate._fields))._replace(**parts))
-    assert own.claims == ["noise"]
+    assert own.claims == [list(CLAIMS)[1]]

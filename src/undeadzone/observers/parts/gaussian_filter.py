@@ -370,10 +370,9 @@ def excess_alone(n: int, q: Params, belief: Gaussian) -> Any:
     low, high = q.ranges[:, 0], q.ranges[:, 1]
     mean, variance = belief.mean[n : n + count], ca.diag(belief.cov)[n : n + count]
     told = (high - low) ** 2 / 12 - variance
-    share = variance / ca.fmax(told, variance)
-    mean = mean + share * (mean - (low + high) / 2)
-    excess = mean - ca.fmax(ca.fmin(mean, high), low)
-    return ca.mmax(ca.if_else(excess**2 > BEYOND**2 * (1 + share) * variance, excess**2, 0.0))
+    more = 1 + variance / ca.fmax(told, variance)
+    excess = ca.fmax(more * ca.fabs(mean - (low + high) / 2) - (high - low) / 2, 0.0)
+    return ca.mmax(ca.if_else(excess**2 > BEYOND**2 * more * variance, excess**2, 0.0))
 
 
 def clipped(

@@ -19,9 +19,8 @@ NOISY = 7.0  # square of the score of the size of innovations over `Doubt.most`,
 HELD = 0.01  # share of readings that stay where z^ moves on, likewise
 FEWEST = 4.0  # how many of these there must be of late
 ENOUGH = 10.0  # innovations from which a score is a normal number, however far one of them is
-LEAST = 1e-300  # sum of squares of what was not seen yet
 FORETOLD = 3.0  # deviations beyond which a reading is not what was foretold
-MOST = 1e100  # of what an input shows in z: its square is finite
+MOST = 1e15  # of what an input shows in z [z]: a float holds its square
 # By how much a claim that is refuted goes before others: innovations are large whatever is false.
 SHARP = {"noise": 1 / 6, "sensor": 1.7, "dynamics": 1.2}
 
@@ -106,11 +105,12 @@ def scored(q: Any, s: Scores, nu: Any, counted: Any, far: Any, reading: Reading,
 
 def squares(s: Scores) -> dict[str, Any]:
     """Squares of the scores that are normal numbers, by claim, the largest of the outputs."""
+    of_lift, of_rise = (ca.if_else(V > 0, V, 1.0) for V in (s.lift_square, s.rise_square))
     enough = ca.fmin(s.count / ENOUGH, 1.0)
     found = {
-        "slope": s.lift**2 / ca.fmax(s.lift_square, LEAST),
-        "dynamics": s.rise**2 / ca.fmax(s.rise_square, LEAST),
-        "noise": ca.fmax(s.size, 0.0) ** 2 / (2 * ca.fmax(s.count, LEAST)),
+        "slope": s.lift**2 / of_lift,
+        "dynamics": s.rise**2 / of_rise,
+        "noise": ca.fmax(s.size, 0.0) ** 2 / (2 * ca.fmax(s.count, 1.0)),
     }
     return {name: ca.mmax(enough * square) for name, square in found.items()}
 
@@ -122,7 +122,7 @@ def holding(doubt: Any, s: Scores) -> Any:
 
 def resting(doubt: Any, s: Scores) -> Any:
     """Where readings stay (p) [z], 0 where the sensor is sound."""
-    return ca.if_else(holding(doubt, s) > 1, s.rest / ca.fmax(s.held, LEAST), 0.0)
+    return ca.if_else(holding(doubt, s) > 1, s.rest / ca.fmax(s.held, HELD), 0.0)
 
 
 def refuted(doubt: Any, s: Scores) -> dict[str, Any]:
@@ -140,7 +140,7 @@ def limit_of(doubt: Any, name: str) -> Any:
 
 def beyond(ratio: Any) -> Any:
     """By how much a claim is refuted, 0 where it is not."""
-    return (ratio > 1) * ratio
+    return ca.if_else(ratio > 1, ratio, 0.0)
 
 
 def stretch(doubt: Any, s: Scores) -> Any:
