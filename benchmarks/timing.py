@@ -7,7 +7,10 @@ from typing import Any
 
 
 def medians(
-    programs: Mapping[str, Callable[[], Any]], rounds: int, uncounted: int = 0
+    programs: Mapping[str, Callable[[], Any]],
+    rounds: int,
+    uncounted: int = 0,
+    clock: Callable[[], float] = time.perf_counter,
 ) -> dict[str, float]:
     """The median time of each program [s].
 
@@ -15,8 +18,9 @@ def medians(
         programs: by name
         rounds: of which each runs every program once
         uncounted: rounds before these, which compile and warm up
+        clock: tells the time [s]
     """
-    times = _times(programs, rounds, uncounted)
+    times = _times(programs, rounds, uncounted, clock)
     return {name: statistics.median(values) for name, values in times.items()}
 
 
@@ -27,19 +31,24 @@ def least(programs: Mapping[str, Callable[[], Any]], rounds: int) -> dict[str, f
         programs: by name
         rounds: of which each runs every program once
     """
-    return {name: min(values) for name, values in _times(programs, rounds, 1).items()}
+    return {
+        name: min(values) for name, values in _times(programs, rounds, 1, time.perf_counter).items()
+    }
 
 
 def _times(
-    programs: Mapping[str, Callable[[], Any]], rounds: int, uncounted: int
+    programs: Mapping[str, Callable[[], Any]],
+    rounds: int,
+    uncounted: int,
+    clock: Callable[[], float],
 ) -> dict[str, list[float]]:
     """The times of each program [s] in the rounds that count."""
     times: dict[str, list[float]] = {name: [] for name in programs}
     for k in range(uncounted + rounds):
         for name, program in programs.items():
-            began = time.perf_counter()
+            began = clock()
             program()
-            seconds = time.perf_counter() - began
+            seconds = clock() - began
             if k >= uncounted:
                 times[name].append(seconds)
     return times

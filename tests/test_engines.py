@@ -56,6 +56,7 @@ OBSERVERS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
     "robust_gradient": (BOTH, {"width_max": 1.0}),
     "super_twisting": (BOTH, {"lipschitz": 2.0}),
     "taylor_residual": (BOTH, {"reach": 3.0, "degree": 3, "leak": 0.1}),
+    "tobit": (SAMPLED, {"right": [0.1, 1.0]}),
     "ukf": (SAMPLED, {"right": [0.1, 1.0]}),
     "walcott_zak": (BOTH, {"poles": [-4.0], "gamma": 2.0}),
 }

@@ -173,6 +173,30 @@ def test_readings_that_stick_at_both_ends_are_a_saturation() -> None:
     assert "[-0.4, 0.5]" in answer.answer.reasons[0]
 
 
+def test_what_looks_like_friction_is_asked_whether_it_is_a_play() -> None:
+    """The four offsets do not suggest a play here; friction led with odds beyond .99."""
+    rng = np.random.default_rng(990_011)
+    size, pole = int(rng.integers(300, 900)), np.exp(-STEP * rng.uniform(0.5, 2.0))
+    hold = int(rng.uniform(15, 60))
+    u = np.repeat(rng.standard_normal(size // hold + 1), hold)[:size]
+    if rng.random() < 0.3:
+        u = lfilter([1.0], [1.0, -0.95], rng.standard_normal(size))
+    z = lfilter([0.0, 1 - pole], [1.0, -pole], u / u.std())
+    right, left = rng.uniform(0.1, 0.5, 2)
+    noise = rng.choice([0.01, 0.03])
+    y = through_play(z / z.std(), right, left) + noise * rng.standard_normal(size)
+    answer = uz.identify(t=STEP, u=u / u.std(), y=y)
+    assert answer.verdict == "play"
+    assert answer.numbers()["odds"]["play"] > 0.5
+
+
+def through_play(z: Floats, right: float, left: float) -> Floats:
+    held = np.zeros(z.size)
+    for k, value in enumerate(z):
+        held[k] = max(min(held[max(k - 1, 0)], value + left), value - right)
+    return held
+
+
 def test_odds_are_printed_and_sum_to_1() -> None:
     rng, u, z = driven(5)
     answer = found(u, dead_zone(z, 0.4, 0.3) + 0.02 * rng.standard_normal(z.size))

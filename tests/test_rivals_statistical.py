@@ -1,4 +1,4 @@
-"""EKF, UKF, particle filter, moving horizon.
+"""EKF, UKF, Tobit, particle filter, moving horizon.
 
 Where they must coincide with Kalman, filterpy or least squares, and where they fail.
 """
@@ -35,7 +35,7 @@ from undeadzone.simulation import sample_by_sample as live
 from undeadzone.simulation.online import Online
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.arrays import Floats
-from undeadzone_arena import EKF, UKF, MovingHorizon, ParticleFilter
+from undeadzone_arena import EKF, UKF, MovingHorizon, ParticleFilter, Tobit
 from undeadzone_arena.observers import moving_horizon, particle
 from undeadzone_arena.observers.particle import reweighted, systematic
 from undeadzone_arena.observers.parts import window as horizon
@@ -45,7 +45,7 @@ from undeadzone_arena.observers.parts.window import Affine, Weights, Window
 seeds = st.integers(0, 2**32 - 1)
 TS = 0.05
 MODEL = sampled(PAPER_PLANT, TS)
-ALL = [EKF, UKF, ParticleFilter, MovingHorizon]
+ALL = [EKF, UKF, Tobit, ParticleFilter, MovingHorizon]
 PENDULUM = {
     "states": ["angle", "rate"],
     "inputs": ["u"],
@@ -123,12 +123,17 @@ def test_the_measured_ekf_is_kalmans_filter_far_from_the_zone(seed: int, n: int,
 
 @pytest.mark.parametrize(
     "options",
-    [EKF(right=[0.5, 2.0]), UKF(right=[0.5, 2.0]), UKF(right=[0.5, 2.0], alpha=0.6, kappa=2.0)],
+    [
+        EKF(right=[0.5, 2.0]),
+        Tobit(right=[0.5, 2.0]),
+        UKF(right=[0.5, 2.0]),
+        UKF(right=[0.5, 2.0], alpha=0.6, kappa=2.0),
+    ],
 )
 @given(seed=seeds)
 @settings(max_examples=5)
 def test_filters_on_the_dead_zone_are_kalmans_filter_while_belief_and_readings_stay_on_a_side(
-    options: EKF | UKF, seed: int
+    options: EKF | Tobit | UKF, seed: int
 ) -> None:
     rng = np.random.default_rng(seed)
     model, where = sampled(random_plant(rng, 2, 1, 2), 0.01), zone(2)
@@ -156,6 +161,38 @@ def test_filters_on_the_dead_zone_are_kalmans_filter_while_belief_and_readings_s
         # Innovations are Kalman's too, but the UKF's come of sums: to rounding.
         same_but_for_ranges(estimate, expected, 1e-7)
         same_belief(s.filter, t.filter, 1e-7)
+
+
+# --- Tobit
+
+
+@pytest.mark.parametrize("z", [-2.5, -0.9, 0.2, 1.1, 3.0])
+def test_tobit_foretells_the_mean_of_the_reading_over_both_branches(z: float) -> None:
+    """Beside a million draws of z, the edges and the noise; the covariance loses S K K'."""
+    claims: dict[str, Any] = {"right": [0.5, 1.5], "noise": 0.2, "x_std": 0.7, "drift": 0.0}
+    model = sampled(system(Plant(A=[[-1.0]], B=[[1.0]], C=[[1.0]])), TS)
+    observer = Tobit(**claims, disturbance=0.0, glitches=0.0).build(model, zone())
+    units = even_units(model)
+    s = observer.init(observer.params)
+    s = s._replace(filter=s.filter._replace(mean=np.array([z / units[0], 1.0, 1.0])))
+    cov = full(s.filter.cov, 3)
+    _, estimate = OnNumbers(observer, model)(s, np.zeros(1), np.array([0.4]), np.ones(1))
+
+    rng = np.random.default_rng(1)
+    std = np.sqrt(np.diag(cov)) * np.append(units, [1.0, 1.0])
+    drawn = np.array([z, 1.0, 1.0])[:, None] + std[:, None] * rng.standard_normal((3, 1_000_000))
+    v = 0.2 * rng.standard_normal(1_000_000)
+    right, left = drawn[0] + v - drawn[1], -drawn[0] + v - drawn[2]
+    read = np.maximum(right, 0.0) - np.maximum(left, 0.0)
+    assert estimate.innovation[0] == pytest.approx(0.4 - read.mean(), abs=5e-3)
+    slope = np.array(
+        [(right > 0).mean() + (left > 0).mean(), -(right > 0).mean(), (left > 0).mean()]
+    )
+    S = max(read.var(), float(slope**2 @ std**2) + 0.04)
+    assert estimate.innovation_std[0] == pytest.approx(np.sqrt(S), rel=0.02)
+    left_over = std**2 - (std**2 * slope) ** 2 / S
+    found = np.array([estimate.x_std[0], estimate.right_std[0], estimate.left_std[0]])
+    assert found == pytest.approx(np.sqrt(left_over), rel=0.02)
 
 
 # --- UKF
@@ -662,12 +699,16 @@ def test_python_observers_say_where_they_cannot_run() -> None:
 def test_continuous_time_is_refused_with_what_to_do(method: Any) -> None:
     with pytest.raises(InputError, match=r"set simulation\.time"):
         method(right=[0.5, 2.0]).build(PAPER_PLANT, zone())
+    if method is EKF:
+        with pytest.raises(InputError, match=r"set simulation\.time"):
+            method(right=[0.5, 2.0], mode="measured").build(PAPER_PLANT, zone())
 
 
 @pytest.mark.parametrize(
     ("options", "where", "error", "words"),
     [
         (lambda: EKF(right=[0.5, 2.0]), zone(kind="jump"), InputError, "use 'censored'"),
+        (lambda: Tobit(right=[0.5, 2.0]), zone(kind="jump"), InputError, "use 'censored'"),
         (lambda: MovingHorizon(right=[0.5, 2.0]), zone(kind="jump"), InputError, "use 'censored'"),
         (lambda: EKF(right=[2.0, 0.5]), zone(), InputError, "observer.right: a range"),
         (lambda: UKF(right=1.0), zone(), ShapeError, "observer.right: expected the declared range"),

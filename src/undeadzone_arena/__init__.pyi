@@ -18,5 +18,6 @@ from .observers.rbf_residual import RBFResidual as RBFResidual
 from .observers.robust_gradient import RobustGradient as RobustGradient
 from .observers.super_twisting import SuperTwisting as SuperTwisting
 from .observers.taylor_residual import TaylorResidual as TaylorResidual
+from .observers.tobit import Tobit as Tobit
 from .observers.ukf import UKF as UKF
 from .observers.walcott_zak import WalcottZak as WalcottZak

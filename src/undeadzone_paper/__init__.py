@@ -1,9 +1,9 @@
 """The paper's example as printed and as repaired.
 
-The audit holds its variants, facts, figures 3-8, its claims judged and its equations placed.
+The audit holds its variants, facts, figures 3-8, its claims judged and its equations placed. Each
+name is imported when it is first used: `undeadzone --help` lists this command, too.
 """
 
-from undeadzone_paper.audit import Paper, audit
-from undeadzone_paper.report import write
+import lazy_loader
 
-__all__ = ["Paper", "audit", "write"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -44,6 +44,7 @@ from undeadzone_arena.observers.rbf_residual import RBFResidual
 from undeadzone_arena.observers.robust_gradient import RobustGradient
 from undeadzone_arena.observers.super_twisting import SuperTwisting
 from undeadzone_arena.observers.taylor_residual import TaylorResidual
+from undeadzone_arena.observers.tobit import Tobit
 from undeadzone_arena.observers.ukf import UKF
 from undeadzone_arena.observers.walcott_zak import WalcottZak
 from undeadzone_paper.observer import Printed
@@ -195,6 +196,7 @@ METHODS: Final[Mapping[str, Method]] = MappingProxyType(
         "ekf_measured": Method(
             EKF, CLAIMS, {"observer.mode": "measured", "observer.pseudo": False}
         ),
+        "tobit": Method(Tobit, CLAIMS),
         "ukf": Method(
             UKF,
             BLURRED

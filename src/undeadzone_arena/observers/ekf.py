@@ -46,11 +46,11 @@ class EKF(JointClaims, frozen=True, kw_only=True, tag="ekf"):
                 "observer.method: the slope of a jump sensor's reading says nothing of its widths, "
                 "so that 'ekf' cannot find them; use 'censored'"
             )
+        prior = joint_prior(self, model, sensor, DEFAULTS)
         correct = correct_predicted
         if self.mode == "measured":
             counted = in_units(model, even_units(model))
             correct = partial(correct_measured, counted, sensor, self.pseudo)
-        prior = joint_prior(self, model, sensor, DEFAULTS)
         return joint_filter(model, sensor, prior, self.glitches, correct, predict)
 
 

@@ -180,7 +180,7 @@ def _is_asked(case: Case, found: Found, offsets: Offsets, brief: Fit) -> bool:
     kind = case.options.kind
     if kind in ("jump", "deadzone"):
         return False
-    perhaps = found.verdict.word in ("other", "unclear", "undecided") or kind == "play"
+    perhaps = found.verdict.word in ("other", "unclear", "undecided", "friction") or kind == "play"
     if perhaps or offsets.name in ("play", "both"):
         return True
     both = fit_both([brief])  # a lag of the plant may pass for a play

@@ -1,0 +1,88 @@
+"""Tobit Kalman filter on [x; d_r; d_l]: a reading is foretold by its mean over both branches.
+
+More in docs/methods/tobit.md.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import casadi as ca
+
+from undeadzone.ends.sensor import LEFT, RIGHT, Zone
+from undeadzone.errors import InputError
+from undeadzone.interfaces import Observer, no_further
+from undeadzone.numerics.gaussian import (
+    Gaussian,
+    Weighed,
+    below,
+    density,
+    linearise,
+    predict,
+    settle,
+)
+from undeadzone.observers.parts.augmented_state import even_units
+from undeadzone.observers.parts.gaussian_filter import Params
+from undeadzone.plants.system import System, in_units
+from undeadzone_arena.observers.parts.joint_claims import Defaults, JointClaims, joint_prior
+from undeadzone_arena.observers.parts.joint_filter import Sight, joint_filter
+
+DEFAULTS = Defaults(noise=0.01, drift=0.005, x_std=5.0)
+
+
+class Tobit(JointClaims, frozen=True, kw_only=True, tag="tobit"):
+    """Tobit Kalman filter on [x; d_r; d_l] (Allik, Miller, Piovoso, Zurakowski 2016); sampled time.
+
+    Here for the two edges of a dead zone that are not known, with the spread of the prediction in
+    the chances of the branches. Defaults as those of `ekf`.
+    """
+
+    def build(self, model: System, sensor: Zone) -> Observer:
+        """The filter for a sampled model."""
+        if sensor.kind == "jump":
+            raise InputError(
+                "observer.method: 'tobit' takes a reading for what lies beyond an edge, and a jump "
+                "sensor reads z itself; use 'censored'"
+            )
+        prior = joint_prior(self, model, sensor, DEFAULTS)
+        counted = in_units(model, even_units(model))
+        correct = partial(correct_tobit, counted, sensor.limits is not None)
+        return joint_filter(model, sensor, prior, self.glitches, correct, predict)
+
+
+def correct_tobit(
+    model: System,
+    limited: bool,
+    q: Params,
+    belief: Gaussian,
+    i: int,
+    sight: Sight,
+    y: Any,
+    side: Any,
+    seen: Any,
+    odds: Any,
+) -> Weighed:
+    """The correction by the mean of the reading and by its slopes, averaged over the branches.
+
+    On each branch the reading is max(s, 0) of a normal s, whose moments are known; a reading at a
+    limit bounds it.
+    """
+    n, p = model.n, model.p
+    z, row = linearise(lambda X: model.output(q.model, X[:n])[i], belief.mean)
+    expected, square, slope = 0.0, 0.0, ca.SX(1, n + 2 * p)
+    for sign, place in ((RIGHT, n + i), (LEFT, n + p + i)):
+        h = sign * row
+        h[place] -= 1
+        std = ca.sqrt(ca.fmax(h @ belief.cov @ h.T, 0.0) + q.R[i])
+        beyond = (sign * z - belief.mean[place]) / std
+        chance, slim = below(beyond), density(beyond)
+        expected += sign * std * (chance * beyond + slim)
+        square += std**2 * (chance * (1 + beyond**2) + beyond * slim)
+        slope += sign * chance * h
+    along = belief.cov @ slope.T
+    S = ca.fmax(square - expected**2, slope @ along + q.R[i])
+    foretold = no_further(expected, y, side) if limited else expected
+    use = ca.logic_and(seen, foretold == expected)
+    e = ca.if_else(use, y - foretold, 0.0)
+    return settle(belief, along / S, e, S, q.R[i], use, odds, q.doubt.reach[i])
