@@ -27,6 +27,7 @@ NAMES = (
     "coverage",
     "glitches",
     "honesty",
+    "claims",
     "ranges",
     "smoothing",
     "closed_loops",

@@ -108,15 +108,7 @@ def observe(options: Callable[[Problems, int], Any], posed: Problems) -> Verdict
         options: of the observer for a problem
         posed: the problems
     """
-    built = built_of(options, posed)
-    numbers = np.stack([tree.pack(one.params) for one in built])
-    states = np.stack([tree.pack(one.init(one.params)) for one in built])
-    kernel = lanes.build(
-        step_of(built[0], _kept), exogenous=range(2), params=range(numbers.shape[1])
-    )
-    shared = np.zeros((len(posed.y), 2))
-    own = np.stack([posed.y, posed.u], axis=1)
-    out, _ = lanes.run(kernel, states, shared, numbers[0], own, numbers, threads=1)
+    out = along(options, posed, _kept)
     right, left, z, right_std, left_std, width_std, z_std = out[:, -1, :7].T
     used = out[:, :, 7] != 0
     return verdict(
@@ -126,6 +118,30 @@ def observe(options: Callable[[Problems, int], Any], posed: Problems) -> Verdict
         z_std,
         out[used][:, 7] / out[used][:, 8],
     )
+
+
+def along(
+    options: Callable[[Problems, int], Any],
+    posed: Problems,
+    kept: Callable[[Estimate], list[Any]],
+) -> Floats:
+    """What is kept of the estimates of every problem, one lane each (K x samples x numbers).
+
+    Args:
+        options: of the observer for a problem
+        posed: the problems
+        kept: what is kept
+    """
+    built = built_of(options, posed)
+    numbers = np.stack([tree.pack(one.params) for one in built])
+    states = np.stack([tree.pack(one.init(one.params)) for one in built])
+    kernel = lanes.build(
+        step_of(built[0], kept), exogenous=range(2), params=range(numbers.shape[1])
+    )
+    own = np.stack([posed.y, posed.u], axis=1)
+    shared = np.zeros((len(posed.y), 2))
+    out, _ = lanes.run(kernel, states, shared, numbers[0], own, numbers, threads=1)
+    return np.asarray(out)
 
 
 def built_of(options: Callable[[Problems, int], Any], posed: Problems) -> list[Observer]:

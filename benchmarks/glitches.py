@@ -15,10 +15,8 @@ import numpy as np
 from benchmarks import coverage
 from benchmarks.markdown import row
 from benchmarks.random_problems import DURATION, STEP, Problems, World, problems
-from undeadzone.compile import lanes
 from undeadzone.interfaces import Estimate, Observer
 from undeadzone.observers import Auto
-from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 
 ORDER = 2
@@ -157,15 +155,7 @@ def observe(options: Callable[[Problems, int], Any], posed: Problems) -> Outcome
         options: of the observer for a problem.
         posed: the problems.
     """
-    built = coverage.built_of(options, posed)
-    numbers = np.stack([tree.pack(one.params) for one in built])
-    states = np.stack([tree.pack(one.init(one.params)) for one in built])
-    kernel = lanes.build(
-        coverage.step_of(built[0], _kept), exogenous=range(2), params=range(numbers.shape[1])
-    )
-    own = np.stack([posed.y, posed.u], axis=1)
-    shared = np.zeros((len(posed.y), 2))
-    out, _ = lanes.run(kernel, states, shared, numbers[0], own, numbers, threads=1)
+    out = coverage.along(options, posed, _kept)
     right, left, z, right_std, left_std, width_std, z_std, consistent = out[:, -1].T
     verdict = coverage.verdict(
         coverage.truth(posed),

@@ -84,7 +84,7 @@ class Plants(NamedTuple):
     feedback: Floats
 
 
-def problems(kind: Kind, order: int, count: int, seed: int) -> Problems:
+def problems(kind: Kind, order: int, count: int, seed: int, claimed: World = CLAIMED) -> Problems:
     """Problems of a kind.
 
     Args:
@@ -92,6 +92,7 @@ def problems(kind: Kind, order: int, count: int, seed: int) -> Problems:
         order: of the plants
         count: how many
         seed: of everything random
+        claimed: what constants move z, in mean widths, and the model's error
     """
     rng = np.random.default_rng([seed, order])
     plants = _plants(rng, kind.poles, order, count)
@@ -103,15 +104,15 @@ def problems(kind: Kind, order: int, count: int, seed: int) -> Problems:
     lead = _drives(rng, kind.reach, plants.led, d, step)
     static = np.array([response(led, 0.0).real for led in plants.led])
     width = d.mean(axis=1)
-    w_rms = CLAIMED.disturbance * width / np.abs(static)
-    bias_rms = CLAIMED.bias * width / np.abs(static)
+    w_rms = claimed.disturbance * width / np.abs(static)
+    bias_rms = claimed.bias * width / np.abs(static)
     x_std = width * (1.0 if kind.reach in ("both edges", "grazing") else 0.1)
     posed = Problems(
         models=plants.models,
         noise=noise,
         disturbance=w_rms,
         bias=bias_rms,
-        world=CLAIMED,
+        world=claimed,
         x_std=np.repeat(x_std[:, None], order, axis=1),
         u=lead,
         y=np.empty_like(lead),
@@ -187,7 +188,7 @@ def _run(rng: np.random.Generator, kind: Kind, posed: Problems, plants: Plants) 
     count, order = posed.x.shape
     real = []
     for model, Ts in zip(plants.models, posed.step, strict=True):
-        real.append(zoh(wrong_model(rng, model, kind.error * CLAIMED.tolerance), Ts))
+        real.append(zoh(wrong_model(rng, model, kind.error * posed.world.tolerance), Ts))
     A, B, C = (np.stack(part) for part in zip(*real, strict=True))
     x = rng.normal(size=(count, order)) * posed.x_std
     bias = rng.normal(size=count) * posed.bias

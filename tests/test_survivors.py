@@ -37,6 +37,7 @@ from undeadzone.observers.parts.judged_filter import LOST, widened
 from undeadzone.observers.parts.measured_reading import distrusted
 from undeadzone.observers.parts.measured_side import correct_jump
 from undeadzone.observers.parts.prior import _claimed_noise as claimed_noise
+from undeadzone.observers.parts.scores import unscored
 from undeadzone.observers.parts.unknown_inputs import span
 from undeadzone.observers.parts.width_laws import e_modification_move
 from undeadzone.plants.system import sampled
@@ -99,11 +100,16 @@ def test_a_filter_that_is_lost_knows_no_more_than_the_prior() -> None:
 
     The two are independent.
     """
-    doubt = SimpleNamespace(std=np.array([2.0, 2.0, 0.3, 0.4]), most=10.0)
+    doubt = SimpleNamespace(std=np.array([2.0, 2.0, 0.3, 0.4]), most=10.0, limit=10.0, keep=0.5)
     q: Any = SimpleNamespace(doubt=doubt, mean=np.array([0.0, 0.0, 1.0, 2.0]))
     one, none = ca.SX(1.0), ca.SX(0, 1)
     record: Any = SimpleNamespace(
-        ratio=one, offset=0 * one, share=one * (LOST + 0.1), constant=none, opened=none
+        ratio=one,
+        offset=0 * one,
+        share=one * (LOST + 0.1),
+        constant=none,
+        opened=none,
+        scores=unscored(1),
     )
     blind = Estimate(*[ca.SX(0.0)] * len(Estimate._fields))._replace(
         right=ca.SX(1.4), left=ca.SX(1.7), x_std=ca.SX([0.0, 0.0])
@@ -174,11 +180,16 @@ def test_fast_poles_are_placed_as_accurately_as_slow_ones() -> None:
 
 def test_a_filter_whose_claims_are_refuted_gains_the_offset() -> None:
     """The state that is known worst gains all of it, another one as much as it is unknown."""
-    doubt = SimpleNamespace(std=np.array([2.0, 1.0, 0.3, 0.4]), most=10.0)
+    doubt = SimpleNamespace(std=np.array([2.0, 1.0, 0.3, 0.4]), most=10.0, limit=10.0, keep=0.5)
     q: Any = SimpleNamespace(doubt=doubt, mean=np.zeros(4))
     one, none = ca.SX(1.0), ca.SX(0, 1)
     record: Any = SimpleNamespace(
-        ratio=16.0 * one, offset=0.3 * one, share=0 * one, constant=none, opened=none
+        ratio=16.0 * one,
+        offset=0.3 * one,
+        share=0 * one,
+        constant=none,
+        opened=none,
+        scores=unscored(1),
     )
     shown = Estimate(*[ca.SX(0.0)] * len(Estimate._fields))._replace(
         right_std=ca.SX(0.1), x_std=ca.SX([0.0, 0.0])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, Final, Literal, NamedTuple
 
 import casadi as ca
@@ -129,6 +129,8 @@ class Estimate(NamedTuple):
         theta: parameters of the model that the observer estimates.
         theta_std: standard deviations of theta.
         consistent: 1 where the readings of late fit what the observer claims, else 0 (1).
+        claims: bits of the `CLAIMS` that the readings of late refute (1).
+        suspect: number of the one that is likeliest false, from 1 on; 0: none is (1).
         refused: readings that were taken for wrong so far (p).
         restarts: how often the observer lost its state and began anew (1).
         contact: the side of a play that the observer made out itself (p).
@@ -154,6 +156,8 @@ class Estimate(NamedTuple):
     theta: Any = NONE
     theta_std: Any = NONE
     consistent: Any = NONE
+    claims: Any = NONE
+    suspect: Any = NONE
     refused: Any = NONE
     restarts: Any = NONE
     contact: Any = NONE
@@ -192,6 +196,8 @@ _OF_FIELDS = Estimate(
     consistent=Quantity(
         "1 where the readings of late fit the claims, else 0", "1", "consistent", bool
     ),
+    claims=Quantity("bits of the claims that the readings of late refute", "1", "claims"),
+    suspect=Quantity("number of the likeliest of these, from 1 on; 0: none", "1", "suspect"),
     refused=Quantity("readings taken for wrong so far", "1", "refused", int),
     restarts=Quantity("how often the observer lost its state and began anew", "1", "restarts", int),
     contact=Quantity("side of the play that the readings are on: 1 right, -1 left, 0 neither", "1"),
@@ -213,6 +219,63 @@ _OF_FIELDS = Estimate(
     gap_left_std=Quantity("standard deviation of gap_left", "output", "c_std", float),
     gap_std=Quantity("standard deviation of gap_right + gap_left", "output", "gap_std", float),
 )
+
+
+class Claim(NamedTuple):
+    """What may turn out false of what an observer is told.
+
+    Attributes:
+        words: what the readings then do.
+        cure: what to tell it, or to look at.
+    """
+
+    words: str
+    cure: str
+
+
+CLAIMS: Final = {
+    "noise": Claim("the noise is larger than claimed", "raise sensor.noise or observer.noise"),
+    "slope": Claim(
+        "the readings follow the input with another gain than claimed",
+        "declare sensor.slope, or raise observer.tolerance",
+    ),
+    "dynamics": Claim(
+        "the readings answer changes of the input too late or too early",
+        "give the model the lag or delay that is missing, or raise observer.tolerance",
+    ),
+    "sensor": Claim(
+        "readings insist on what was not foretold: a stuck sensor, an offset, an edge that jumped",
+        "look at the sensor, take an offset from its readings, or raise observer.drift",
+    ),
+    "gust": Claim(
+        "something lasts in the readings that nobody claimed",
+        "raise observer.disturbance, observer.bias or observer.drift",
+    ),
+    "glitches": Claim("most readings of late were taken for wrong", "look at the sensor"),
+    "range": Claim(
+        "a width, or a payload, lies outside its range",
+        "widen observer.right, observer.left or observer.payload",
+    ),
+}
+"""What readings may refute, in the order of the bits of `Estimate.claims`."""
+
+
+def false_claims(bits: float, suspect: float) -> list[str]:
+    """The names of claims that are refuted, the likeliest first.
+
+    Args:
+        bits: `Estimate.claims`.
+        suspect: `Estimate.suspect`.
+    """
+    names = list(CLAIMS)
+    found = [name for k, name in enumerate(names) if int(bits) >> k & 1]
+    return sorted(found, key=lambda name: names.index(name) != suspect - 1)
+
+
+def claims_in_words(names: Iterable[str]) -> list[str]:
+    """What the readings say of claims that they refute, and the cure of each."""
+    return [f"{CLAIMS[name].words}: {CLAIMS[name].cure}" for name in names]
+
 
 QUANTITIES: Final[dict[str, Quantity]] = _OF_FIELDS._asdict()
 """What each field of an estimate is, by its name."""

@@ -13,6 +13,7 @@ from undeadzone.compile.simplify import held
 from undeadzone.exports.code import Code
 from undeadzone.exports.parts import Field, Step, members
 from undeadzone.exports.template import filled
+from undeadzone.interfaces import CLAIMS
 from undeadzone.support.text import one_line
 
 
@@ -149,7 +150,21 @@ def _declared(code: Code, name: str, style: Style) -> dict[str, Any]:
     prototypes = []
     for function, text in signatures(code, name).items():
         prototypes.append(f"/** {_MEANINGS[function]} */\n{text};\n")
-    return {"structs": "\n".join(structs), "prototypes": "\n".join(prototypes)}
+    return {
+        "structs": "\n".join(structs),
+        "prototypes": "\n".join(prototypes),
+        "claims": "\n".join(_claims(code, name.upper())),
+    }
+
+
+def _claims(code: Code, upper: str) -> list[str]:
+    """Macros of the bits of `claims`, if that is shown."""
+    if not any(field.name == "claims" for field in code.step.outputs):
+        return []
+    lines = ["/* bits of out->claims[0], a whole number; suspect counts them from 1 */"]
+    for k, (name, claim) in enumerate(CLAIMS.items()):
+        lines.append(f"#define {upper}_CLAIM_{name.upper()} {1 << k} /**< {claim.words} */")
+    return [*lines, ""]
 
 
 _STRUCTS = {

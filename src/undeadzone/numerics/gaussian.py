@@ -15,6 +15,7 @@ import casadi as ca
 CLIP = 30.0  # standard deviations beyond which all readings are alike: all of them are wrong
 DEEP = 5.0  # standard deviations below which chances are told by their asymptotes
 NARROW = 1e-6  # least chance of an interval, over that of its nearer end
+UNLIKELY = 0.01  # chance of a claimed range below which it is not believed
 TAIL = 10.0  # standard deviations over which a glitch is spread, besides its reach
 
 
@@ -148,7 +149,7 @@ def mixed(shares: Sequence[Any], beliefs: Sequence[Gaussian]) -> Gaussian:
 def cut_to(mean: Any, variance: Any, low: Any, high: Any) -> tuple[Any, Any, Any]:
     """What is known given low <= x <= high, by matching mean and variance.
 
-    Nothing changes where the probability of that is below 1e-6.
+    Nothing changes where the probability of that is below `UNLIKELY`: it is not believed.
 
     Returns:
         By how much a mean moves along its covariance with x, by how much a covariance is less along
@@ -158,7 +159,7 @@ def cut_to(mean: Any, variance: Any, low: Any, high: Any) -> tuple[Any, Any, Any
     a, b = (low - mean) / std, (high - mean) / std
     chance = (ca.erf(b / math.sqrt(2)) - ca.erf(a / math.sqrt(2))) / 2
     at_a, at_b = density(a), density(b)
-    share = ca.if_else(chance > 1e-6, 1 / chance, 0.0)
+    share = ca.if_else(chance > UNLIKELY, 1 / chance, 0.0)
     shift = (at_a - at_b) * share
     lost = (shift**2 + (b * at_b - a * at_a) * share) / variance
     return shift / std, lost, chance

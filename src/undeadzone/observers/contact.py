@@ -33,7 +33,8 @@ from undeadzone.observers.parts.contact_modes import (
     predicted,
     start,
 )
-from undeadzone.observers.parts.judged_filter import Sums, summed
+from undeadzone.observers.parts.judged_filter import BEYOND, Sums, summed
+from undeadzone.observers.parts.scores import verdict
 from undeadzone.plants.robots.geared import Geared
 from undeadzone.plants.system import System
 from undeadzone.support.arrays import Array, Floats, array, nonnegative, positive, scalar
@@ -290,19 +291,20 @@ def _step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> tuple[
     seen = ca.logic_and(present(y), s.modes.begun > 0.5)
     sums = summed(s.sums, ca.if_else(seen, told.e / told.std, 0.0), seen, q.fade, q.keep)
     moved = predicted(drive, q.modes, told, u)
-    fits = ca.logic_and(ca.mmax(sums.ratio) <= CHANCE, _unbound(drive.layout, q.modes, told.whole))
-    shown = _shown(setup, q, told, reading)._replace(consistent=fits)
+    bound = _bound(drive.layout, q.modes, told.whole)
+    ratios = {"gust": ca.mmax(sums.ratio) / CHANCE, "range": BEYOND * (bound > 0)}
+    shown = _shown(setup, q, told, reading)._replace(**verdict(ratios))
     return State(packed(drive, moved, s.modes, begun), sums), shown
 
 
-def _unbound(layout: Layout, q: Numbers, belief: Gaussian) -> Any:
-    """Whether no gap, payload or firmness is pressed against the end of its claimed range."""
+def _bound(layout: Layout, q: Numbers, belief: Gaussian) -> Any:
+    """How many gaps, payloads and firmnesses are pressed against an end of their claimed range."""
     bound = ca.SX(0.0)
     for name in ("half", "payload", "firmness"):
         low, high, value = (column[layout.of(name)] for column in (q.low, q.high, belief.mean))
         off = ca.fmin(value - low, high - value)
         bound += ca.sum1(ca.logic_and(high > low, off <= 0))
-    return bound == 0
+    return bound
 
 
 def _shown(setup: Setup, q: Params, told: Told, reading: Reading) -> Estimate:

@@ -8,10 +8,12 @@ from pathlib import Path
 from typing import Any, Final
 
 from undeadzone.ends.sensor import DIRECTIONS
+from undeadzone.interfaces import claims_in_words
 from undeadzone.report import html
 from undeadzone.report.run_figures import overview, phase, tip
 from undeadzone.results.run import Run, actuators, errors, gaps, parameters, widths
 from undeadzone.results.sheet import Row, on_page
+from undeadzone.results.signals import claims_at_end
 from undeadzone.support.text import with_unit
 
 _VARIABLE: Final = "The observer has no constant gains; its options stand in the scenario."
@@ -106,6 +108,9 @@ def _numbers(run: Run) -> dict[str, Any]:
         of = f", {_output(name)}" if len(run.outputs) > 1 else ""
         numbers |= {f"{row.title}{of}": row.words for row in widths(run, i)}
     numbers |= {row.title: row.words for row in parameters(run)}
+    refuted = claims_at_end(run.signals.arrays).get("claims")
+    if refuted:
+        numbers["NOT as told"] = "; ".join(claims_in_words(refuted))
     rise = "largest rise of V above an earlier value, relative to its largest"
     return numbers | {
         "share of silent samples": run.silent_fraction,

@@ -53,6 +53,8 @@ class Estimation:
         w_hat: what the observer's model leaves out (N x n), x' = f(x, u) + w.
         theta_hat: parameters of the model that the observer estimates (info.uncertain).
         theta_std: standard deviations of theta_hat.
+        claims, suspect: bits of the claims that the readings refute, and number of the likeliest
+            (N x 1).
         c_hat: estimates [c_r^, c_l^] of the play ahead of each dead zone (N x 2p) [z].
         c_std: standard deviation of c_hat (N x 2p) [z].
         gap_std: standard deviation of c_r^ + c_l^ (N x p) [z].

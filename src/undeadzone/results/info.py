@@ -115,6 +115,7 @@ class LogInfo(msgspec.Struct, frozen=True, kw_only=True):
         glitches: readings that the filter took for wrong, or beyond 4.5 standard deviations.
         silent_outside: readings that are silent although z^ is far outside the estimated zone.
         reasons: why the record is not consistent, or cannot be tested.
+        claims: names of the claims that a filter finds false, the likeliest first.
         threshold: |y| that counts as silent (p) [y].
         uncertain: names of the parameters that the observer estimates.
         joints: names of an arm's joints; empty without an arm.
@@ -158,6 +159,7 @@ class LogInfo(msgspec.Struct, frozen=True, kw_only=True):
     units: Units = Units()
     limited: list[int] = []
     remarks: list[str] = []
+    claims: list[str] = []
     sensor: str = "deadzone"
     play: dict[str, Any] = {}
     faults: dict[str, int] = {}

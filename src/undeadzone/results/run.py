@@ -12,6 +12,7 @@ import numpy as np
 
 from undeadzone.analysis.identifiability.linear import yes_no
 from undeadzone.ends.sensor import DIRECTIONS
+from undeadzone.interfaces import claims_in_words
 from undeadzone.results import files, sheet
 from undeadzone.results.info import Info
 from undeadzone.results.listening import in_words as listening_in_words
@@ -22,6 +23,7 @@ from undeadzone.results.signals import (
     Signals,
     attribute,
     attributes,
+    claims_at_end,
     ending,
     final,
     output_names,
@@ -71,6 +73,7 @@ class Run:
         theta_hat: the model's parameters that the observer takes for uncertain (info.uncertain).
         theta_std: standard deviations of theta_hat.
         consistent: 1 where the readings of late fit what the observer claims, else 0 (N x 1).
+        claims, suspect: bits of the claims that they refute, and number of the likeliest (N x 1).
         refused: readings that the observer took for wrong so far (N x p).
         restarts: how often the observer lost its state so far (N x 1).
         b_hat: estimates [b_r^, b_l^] of each actuator (N x 2m) [u].
@@ -241,6 +244,7 @@ class Run:
             **final(ends, *ending(float, but=("d_hat", "d_std", "width_std"))),
             **({"width_std": None} | final(ends, "width_std")),
             **final(ends, *ending(bool), *ending(int)),
+            **claims_at_end(ends),
             "listens": one_or_list(np.array(listens, float)) if listens else None,
             "silent_fraction": self.silent_fraction,
             "certified": self.info.certified,
@@ -408,6 +412,8 @@ def in_words(run: Run, of_outputs: Mapping[str, Sequence[float | None]]) -> list
     if run.diverged_at is not None:  # what readings would tell is no use of these
         shown["DIVERGED"] = f"at {run.diverged_at:g} s"
         return [shown] if single else [shown, _rows(run, of_outputs)]
+    if refuted := claims_at_end(run.signals.arrays).get("claims"):
+        shown["claims"] = "NOT as told: " + "; ".join(claims_in_words(refuted))
     if info.listens:
         shown["listens"] = listening_in_words(info.listens)
     shown |= _proof(run) | _identifiable(info, list(of_outputs))

@@ -7,7 +7,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from undeadzone.interfaces import COLUMNS, QUANTITIES, Estimate
+from undeadzone.interfaces import COLUMNS, QUANTITIES, Estimate, false_claims
 from undeadzone.scenario.schema import Units
 from undeadzone.support.arrays import Floats, one_or_list
 
@@ -184,6 +184,13 @@ def final(signals: Mapping[str, Floats], *names: str) -> dict[str, Any]:
         if name in signals:
             numbers |= _final(SIGNALS[name], signals[name][-1])
     return numbers
+
+
+def claims_at_end(signals: Mapping[str, Floats]) -> dict[str, list[str]]:
+    """The names of claims that the last readings refute, for a summary; nothing of no filter."""
+    if "claims" not in signals:
+        return {}
+    return {"claims": false_claims(signals["claims"][-1, 0], signals["suspect"][-1, 0])}
 
 
 def _final(signal: Signal, last: Floats) -> dict[str, Any]:

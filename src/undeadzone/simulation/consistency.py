@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.compile import interpret
-from undeadzone.interfaces import Estimate
+from undeadzone.interfaces import CLAIMS, Estimate, claims_in_words, false_claims
 from undeadzone.observers.parts.judged_filter import FAR, Sums, summed
 from undeadzone.observers.parts.prior import CHANCE, HISTORY, SPAN
 from undeadzone.support.arrays import Floats
@@ -40,6 +40,7 @@ class Verdict(NamedTuple):
         silent_outside: how many readings are silent although z^ lies far outside the estimated
             zone.
         reasons: why not, or why there is no answer, in words; empty if it is consistent.
+        claims: names of the `CLAIMS` that a filter finds false, the likeliest first.
     """
 
     consistent: bool | None
@@ -49,6 +50,7 @@ class Verdict(NamedTuple):
     glitches: int
     silent_outside: int
     reasons: list[str]
+    claims: list[str]
 
 
 class Consistency:
@@ -149,14 +151,14 @@ class Own:
     """What a filter itself says of its claims, block after block.
 
     Attributes:
-        last: whether they fitted at the last sample.
         refused: readings that it took for wrong, so far.
     """
 
-    KEPT: Final = ("last", "refused", "_samples", "_unfit", "_before")
+    KEPT: Final = ("refused", "_last", "_samples", "_unfit", "_before", "_suspected")
 
     def __init__(self) -> None:
-        self.last = True
+        self._last = np.zeros(2)  # bits of claims, and the likeliest, at the last sample
+        self._suspected = np.zeros(len(CLAIMS), int)  # samples at which each was the likeliest
         self.refused = 0
         self._samples = 0
         self._unfit = 0
@@ -171,9 +173,19 @@ class Own:
         fits = estimate.consistent[:, 0] > 0.5
         self._samples += fits.size
         self._unfit += int((~fits).sum())
+        suspects = estimate.suspect[~fits, 0].astype(int) - 1
+        self._suspected += np.bincount(suspects, minlength=len(CLAIMS))
         if fits.size:
-            self.last = bool(fits[-1])
+            self._last = np.array([estimate.claims[-1, 0], estimate.suspect[-1, 0]])
             self.refused = self._before + int(estimate.refused[-1].sum())
+
+    @property
+    def claims(self) -> list[str]:
+        """The claims that do not fit at the end, else the likeliest where they seldom did."""
+        last = false_claims(*self._last)
+        if last or self.unfit <= MOST_OF_THE_TIME:
+            return last
+        return [list(CLAIMS)[int(self._suspected.argmax())]]
 
     @property
     def unfit(self) -> float:
@@ -218,7 +230,7 @@ def verdict_of(
         for test in tests:
             reasons += _sums_too_large(test)
     else:
-        reasons += _own_reasons(own, tests)
+        reasons += claims_in_words(own.claims)
     for test in tests:
         reasons += _reasons(test)
     consistent = None
@@ -239,22 +251,13 @@ def verdict_of(
         refused,
         sum(test.outside for test in tests),
         list(dict.fromkeys(reasons)),
+        [] if own is None else own.claims,
     )
 
 
 def _share(count: int, of: int) -> str:
     """A share in percent."""
     return f"{100 * count / max(of, 1):.0f} %"
-
-
-def _own_reasons(own: Own, tests: list[Consistency]) -> list[str]:
-    """Why the filter says that its claims do not fit; empty if it does not."""
-    B = max((test.B for test in tests), default=1.0)
-    if not own.last:
-        return [f"the readings of late do not fit what the filter claims (B = {B:.3g})"]
-    if own.unfit > MOST_OF_THE_TIME:
-        return [f"the readings did not fit the filter's claims in {100 * own.unfit:.0f} % of time"]
-    return []
 
 
 def _sums_too_large(test: Consistency) -> list[str]:

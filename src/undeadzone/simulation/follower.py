@@ -176,7 +176,7 @@ class Follower:
         quarter, step = time_scale(flow), self._scenario.simulation.step
         outputs = estimate.innovation_std.shape[-1]
         self._tests = [Consistency(step, quarter) for _ in range(outputs)]
-        self._own = Own() if estimate.consistent.shape[-1] else None
+        self._own = Own() if estimate.claims.shape[-1] else None
 
     def info(
         self,

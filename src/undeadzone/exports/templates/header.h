@@ -15,6 +15,7 @@ extern "C" {
 #define @upper@_VERSION "@version@" /**< of undeadzone */
 #define @upper@_HASH "@hash@" /**< of the graph, its numbers and the precision */
 
+@?claims@@claims@
 @structs@
 @prototypes@
 /** Go on from a state that was stored with its @upper@_HASH: 1. With another hash: 0, and state stays. */

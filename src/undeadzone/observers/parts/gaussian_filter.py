@@ -255,7 +255,8 @@ def white(model: System, variance: Floats) -> Augmentation:
 
 
 ROUNDING = 1e-12  # of a variance
-FAR = 4.5  # standard deviations beyond its range from which a width refutes its claims
+FAR = 2.3  # standard deviations beyond its range from which a width refutes its claims
+BEYOND = 1.6  # the same of what readings alone say, whose range is no prior of theirs
 LEAST = 1e-30  # chance of a range that a belief leaves out; a float holds it
 INSIDE = 6.0  # standard deviations beyond which an end of a range says nothing, to 1e-8 of one
 
@@ -330,6 +331,7 @@ def shown_belief(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, A
     stronger.
     """
     limited, chance = limit_widths(setup, q, belief)
+    alone = excess_alone(setup.model.n, q, belief) if setup.bounds else 0.0
     if setup.augmentation.alternative is not None:
         stronger, odds = setup.augmentation.alternative(q, belief)
         stronger, likelier = limit_widths(setup, q, stronger)
@@ -337,7 +339,7 @@ def shown_belief(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, A
         limited = ambiguous(stronger, limited, share)
     if setup.blind:
         return limited, 1.0
-    return clipped(setup.model.n, q, limited, setup.doubts)
+    return clipped(setup.model.n, q, limited, setup.doubts, alone)
 
 
 def ambiguous(stronger: Gaussian, weaker: Gaussian, share: Any) -> Gaussian:
@@ -358,7 +360,24 @@ def ambiguous(stronger: Gaussian, weaker: Gaussian, share: Any) -> Gaussian:
     return Gaussian(share * stronger.mean + (1 - share) * weaker.mean, from_upper(cov))
 
 
-def clipped(n: int, q: Params, belief: Gaussian, doubts: bool) -> tuple[Gaussian, Any]:
+def excess_alone(n: int, q: Params, belief: Gaussian) -> Any:
+    """Square of how far the readings alone put some width beyond its range; 0 if they may not.
+
+    A belief is the product of its prior, of the variance of a uniform distribution over the range,
+    and of what the readings say; a prior that is divided out pulls no mean into the range.
+    """
+    count = q.ranges.shape[0]
+    low, high = q.ranges[:, 0], q.ranges[:, 1]
+    mean, variance = belief.mean[n : n + count], ca.diag(belief.cov)[n : n + count]
+    told = (high - low) ** 2 / 12 - variance
+    more = 1 + variance / ca.fmax(told, variance)
+    excess = ca.fmax(more * ca.fabs(mean - (low + high) / 2) - (high - low) / 2, 0.0)
+    return ca.mmax(ca.if_else(excess**2 > BEYOND**2 * more * variance, excess**2, 0.0))
+
+
+def clipped(
+    n: int, q: Params, belief: Gaussian, doubts: bool, alone: Any = 0.0
+) -> tuple[Gaussian, Any]:
     """The belief with every width's mean in its claimed range, and whether it may lie there.
 
     A width `FAR` beyond its range refutes some claim: its variance gains the square of the excess.
@@ -368,20 +387,20 @@ def clipped(n: int, q: Params, belief: Gaussian, doubts: bool) -> tuple[Gaussian
         q: the filter's numbers.
         belief: about [x; d; extra].
         doubts: whether the variance gains anything.
+        alone: what variances of states and widths gain at least, as `excess_alone`.
     """
     count = q.ranges.shape[0]
     widths = belief.mean[n : n + count]
     inside = ca.fmax(ca.fmin(widths, q.ranges[:, 1]), q.ranges[:, 0])
     excess = widths - inside
     variances = ca.diag(belief.cov)[n : n + count]
-    refuted = excess**2 > FAR**2 * variances
+    gained = ca.fmax(ca.if_else(excess**2 > FAR**2 * variances, excess**2, 0.0), alone)
     mean = ca.vertcat(belief.mean[:n], inside, belief.mean[n + count :])
     cov = belief.cov
     if doubts:
         rest = cov.shape[0] - n - count
-        gained = ca.diag(ca.if_else(refuted, excess**2, 0.0))
-        cov = cov + ca.diagcat(ca.SX(n, n), gained, ca.SX(rest, rest))
-    return Gaussian(mean, cov), ca.logic_not(ca.mmax(refuted))
+        cov = cov + ca.diagcat(alone * ca.SX.eye(n), ca.diag(gained), ca.SX(rest, rest))
+    return Gaussian(mean, cov), ca.mmax(gained) == 0
 
 
 def limit_widths(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, Any]:

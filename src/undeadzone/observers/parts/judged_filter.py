@@ -15,12 +15,15 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.interfaces import Estimate, Observer, Reading, Traits
+from undeadzone.observers.parts import scores
 from undeadzone.observers.parts.gaussian_filter import Params
 from undeadzone.plants.system import System
 
 FAR = 4.5  # standard deviations beyond which an innovation says nothing of a constant
 NO_TRAITS = Traits()
 REFUTED = 3.0  # of what is taken for chance: beyond it, a claim that knows no constant is false
+BEYOND = 1.01  # by how much a width outside its range refutes that: other claims go before it
+DOUBTFUL = 0.7  # of what is taken for chance, from which deviations are shown larger
 LOST = 0.5  # share of refused readings beyond which nothing is known any more
 
 
@@ -117,6 +120,8 @@ class Record(NamedTuple):
         constant: largest |offset| since the claims were refuted, 0 before (p) [z]; empty for a
             filter that knows of constants, and so recovers.
         opened: 1 once the belief was opened (1); empty as `constant` is.
+        scores: of what innovations depend on; () for a filter that knows of no constants, in whose
+            innovations they stand.
     """
 
     total: Any
@@ -128,6 +133,7 @@ class Record(NamedTuple):
     restarts: Any
     constant: Any
     opened: Any
+    scores: Any
 
 
 class State(NamedTuple):
@@ -168,7 +174,8 @@ def judged(
     def init(q: Params) -> State:
         none, once = np.zeros(p), np.zeros(1)
         kept = (np.zeros(0), np.zeros(0)) if recovers else (none, once)
-        record = Record(none, none, np.ones(p), none, none, none, once, *kept)
+        told = scores.unscored(p) if recovers else ()
+        record = Record(none, none, np.ones(p), none, none, none, once, *kept, told)
         return State(member.init(q), record)
 
     smoothing = None
@@ -197,11 +204,10 @@ def judged_step(
     A restart shows at the next sample: it may come from the input, on which no estimate depends.
     """
     step = setup.member.step(q, s.filter, u, reading)
-    record = recorded(q, s.record, step)
+    record = recorded(q, s.record, step, u, reading)
+    ratios = refutations(q, record) | {"range": BEYOND * (step.fits <= 0.5)}
     estimated = step.estimate._replace(
-        consistent=ca.logic_and(step.fits > 0.5, fitting(q, record)),
-        refused=record.refused,
-        restarts=record.restarts,
+        **scores.verdict(ratios), refused=record.refused, restarts=record.restarts
     )
     if setup.widens:
         estimated = widened(setup.model, q, record, estimated)
@@ -217,7 +223,7 @@ def begun_anew(record: Record, restarted: Any) -> Record:
     )
 
 
-def recorded(q: Params, record: Record, step: Step) -> Record:
+def recorded(q: Params, record: Record, step: Step, u: Any, reading: Reading) -> Record:
     """The record after one more sample: of innovations that are used and not far off."""
     e, std = step.estimate.innovation, step.estimate.innovation_std
     used = e != 0
@@ -230,8 +236,11 @@ def recorded(q: Params, record: Record, step: Step) -> Record:
     asked = ca.logic_or(used, refused)
     share = fade * record.share + (1 - fade) * refused
     offset = ca.if_else(used, fade * record.offset + (1 - fade) * e, record.offset)
-    constant, opened = record.constant, record.opened
-    if constant.numel():
+    constant, opened, told = record.constant, record.opened, record.scores
+    if told:
+        far = ca.fabs(nu) > scores.FORETOLD
+        told = scores.scored(q, told, counted * nu, counted, far, reading, u)
+    else:
         opened = ca.fmax(opened, step.opened)
         refuted = sums.ratio > ca.if_else(opened, 1.0, REFUTED) * q.doubt.most
         constant = ca.if_else(refuted, ca.fmax(constant, ca.fabs(offset)), constant)
@@ -245,13 +254,22 @@ def recorded(q: Params, record: Record, step: Step) -> Record:
         restarts=record.restarts,
         constant=constant,
         opened=opened,
+        scores=told,
     )
+
+
+def refutations(q: Params, record: Record) -> dict[str, Any]:
+    """By how much each claim but that of ranges is refuted: above 1 it is."""
+    lasting = ca.mmax(record.ratio) / q.doubt.most
+    if record.constant.numel():
+        lasting = ca.if_else(ca.sum1(record.constant) > 0, ca.fmax(lasting, REFUTED), lasting)
+    found = {"gust": lasting, "glitches": ca.mmax(record.share) / LOST}
+    return found | (scores.refuted(q.doubt, record.scores) if record.scores else {})
 
 
 def fitting(q: Params, record: Record) -> Any:
     """Whether the innovations fit the claims, and most readings were not refused."""
-    fits = ca.logic_and(ca.mmax(record.ratio) <= q.doubt.most, ca.mmax(record.share) <= LOST)
-    return ca.logic_and(fits, ca.sum1(record.constant) == 0) if record.constant.numel() else fits
+    return scores.verdict(refutations(q, record))["consistent"]
 
 
 def widened(model: System, q: Params, record: Record, estimated: Estimate) -> Estimate:
@@ -263,16 +281,21 @@ def widened(model: System, q: Params, record: Record, estimated: Estimate) -> Es
     knows of no constants takes one for a centre: once its claims are refuted, both last.
     """
     worst = ca.mmax(record.ratio)
-    factor = ca.if_else(worst > q.doubt.most, ca.sqrt(worst), 1.0)
+    worst = ca.if_else(worst > DOUBTFUL * q.doubt.most, worst, 1.0)
     fits = fitting(q, record)
     off = ca.if_else(fits, 0.0, ca.fabs(record.offset))
     lost = ca.mmax(record.share) > LOST
-    if record.constant.numel():
+    if record.scores:
+        worst = ca.fmax(worst, scores.stretch(q.doubt, record.scores))
+        off = ca.fmax(off, scores.resting(q.doubt, record.scores))
+    else:
         off = ca.fmax(off, record.constant)
         lost = ca.logic_or(lost, record.opened * ca.sum1(record.constant) > 0)
 
+    factor = ca.sqrt(worst)
+
     def shown(std: Any, off: Any, least: Any) -> Any:
-        wider = ca.if_else(fits, std, ca.sqrt((factor * std) ** 2 + off**2))
+        wider = ca.if_else(fits, factor * std, ca.sqrt((factor * std) ** 2 + off**2))
         return ca.if_else(lost, ca.fmax(wider, least), wider)
 
     n, p = model.n, model.p

@@ -11,6 +11,7 @@ from undeadzone.ends.gaps import largest_gap
 from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Traits
+from undeadzone.linear.hold import zoh
 from undeadzone.plants.system import System, state_units, time_scale
 from undeadzone.support.arrays import Array, Floats, array, nonnegative, scalar, vector
 
@@ -241,7 +242,10 @@ PATIENCE = 0.54  # quarter periods over which the share of refused readings is a
 FEWEST = 6.0  # readings over which it is averaged at least
 # Mean square of the sums of innovations that is taken for chance: where the disturbance is claimed,
 # and where it is a default, whose colour is not that of the true one.
-CHANCE, CHANCE_OF_DEFAULTS = 2.0, 4.0
+CHANCE, CHANCE_OF_DEFAULTS = 2.3, 5.0
+SCORE, SCORE_OF_DEFAULTS = 3.3**2, 3.8**2  # the same of the squares of scores
+STAYS = 3.0  # rms of its noise within which a reading stays
+MEANS = (1 / 32, 1 / 16, 2.0)  # quarter periods over which inputs are averaged
 HISTORY = 8.0  # quarter periods over which the squares of the sums are averaged
 
 
@@ -258,6 +262,10 @@ class Doubt(NamedTuple):
         std: standard deviations of [x; d_r; d_l] before the first reading (n + 2p).
         forget: share of the mean share of refused readings that is left after a reading.
         most: mean square of the sums of innovations that is taken for chance.
+        limit: square of a score that is taken for chance.
+        stays: change of a reading that is none, and |y| from which it counts (p) [y]; 0: never.
+        push: what an input shows in z after a quarter period (p x m).
+        means: shares of means of inputs that are left after a step (3), as `MEANS`.
     """
 
     glitch: Floats
@@ -269,6 +277,10 @@ class Doubt(NamedTuple):
     std: Floats
     forget: Floats
     most: Floats
+    limit: Floats
+    stays: Floats
+    push: Floats
+    means: Floats
 
 
 def doubt_numbers(
@@ -298,6 +310,10 @@ def doubt_numbers(
         std=prior.std,
         forget=np.exp(-1 / max(PATIENCE * quarter / model.Ts, FEWEST)),
         most=np.asarray(CHANCE if claimed else CHANCE_OF_DEFAULTS),
+        limit=np.asarray(SCORE if claimed else SCORE_OF_DEFAULTS),
+        stays=STAYS * np.sqrt(prior.R) * sensor.slope * (noisy & (not sensor.moves)),
+        push=model.flow.C @ zoh(model.flow, quarter).B,
+        means=np.exp(-model.Ts / (np.array(MEANS) * quarter)),
     )
 
 

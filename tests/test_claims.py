@@ -1,0 +1,149 @@
+"""Claims that the readings refute: scores, names, words, bits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import undeadzone as uz
+from undeadzone.interfaces import CLAIMS, Estimate, Reading, claims_in_words, false_claims
+from undeadzone.observers.parts.scores import Scores, refuted, scored, unscored, verdict
+from undeadzone.simulation.consistency import Own
+
+TS, RATE, N = 0.01, 2.0, 2500
+RIGHT, LEFT, NOISE = 1.0, 0.7, 0.02
+
+
+def test_names_stand_in_order_of_the_bits_but_for_the_likeliest() -> None:
+    names = list(CLAIMS)
+    assert false_claims(0.0, 0.0) == []
+    assert false_claims(float(2 ** len(CLAIMS) - 1), 3.0) == [names[2], *names[:2], *names[3:]]
+    assert all(": " in words for words in claims_in_words(names))
+
+
+def test_bits_and_the_likeliest() -> None:
+    found = verdict({"noise": ca.SX(30.0), "dynamics": ca.SX(9.0), "gust": ca.SX(0.9)})
+    bits, suspect = float(found["claims"]), float(found["suspect"])
+    assert not float(found["consistent"])
+    names = list(CLAIMS)
+    assert false_claims(bits, suspect) == ["dynamics", "noise"]
+    assert bits == 2.0 ** names.index("noise") + 2.0 ** names.index("dynamics")
+
+
+def followed(regress: Callable[[Any], Any], count: int = 400) -> dict[str, list[float]]:
+    """Ratios after so many innovations in 200 runs at once, each an output of its own."""
+    lanes, rng = 200, np.random.default_rng(3)
+    doubt = SimpleNamespace(
+        keep=0.99,
+        means=np.array([0.1, 0.5, 0.96]),
+        push=np.eye(lanes),
+        stays=0.0,
+        reach=1.0,
+        limit=3.3**2,
+        most=2.3,
+    )
+    q: Any = SimpleNamespace(doubt=doubt, slope=1.0)
+    symbols = Scores(*[ca.SX.sym(name, lanes) for name in Scores._fields])
+    nu, y, u = (ca.SX.sym(name, lanes) for name in ("nu", "y", "u"))
+    after = scored(q, symbols, nu, 1.0, 0.0, Reading(y, 0.0), u)
+    step = ca.Function("step", [*symbols, nu, y, u], list(after))
+    state: list[Any] = list(unscored(lanes))
+    for _ in range(count):
+        own = Scores(*[ca.DM(part).full().ravel() for part in state])
+        shown = rng.normal(size=(2, lanes))
+        state = step.call([*state, rng.normal(size=lanes) + regress(own), *shown])
+    kept = [ca.DM(part).full().ravel() for part in state]
+    found: dict[str, list[float]] = {}
+    for lane in range(lanes):
+        one = Scores(*[ca.SX(part[lane]) for part in kept])
+        for name, ratio in refuted(doubt, one).items():
+            found.setdefault(name, []).append(float(ratio))
+    return found
+
+
+def test_scores_of_white_innovations_refute_nothing() -> None:
+    ratios = followed(lambda own: 0.0)
+    false = [np.mean(np.array(ratio) > 1) for ratio in ratios.values()]
+    assert max(false) <= 0.03
+    for name in ("slope", "dynamics"):
+        assert 0.7 <= np.mean(ratios[name]) * 3.3**2 <= 1.4  # squares of normal numbers
+
+
+@pytest.mark.parametrize(
+    ("name", "regress"),
+    [
+        ("slope", lambda own: 1.1 * (own.brisk - own.slow)),
+        ("dynamics", lambda own: 1.3 * (own.quick - own.brisk)),
+    ],
+)
+def test_a_score_finds_what_innovations_depend_on(name: str, regress: Callable[[Any], Any]) -> None:
+    ratios = followed(regress)
+    assert np.mean(np.array(ratios[name]) > 1) >= 0.95
+
+
+# --- In a loop and a log
+
+
+def log(lag: float = 0.0, noise: float = 1.0, offset: float = 0.0) -> tuple[Any, Any]:
+    """Readings and inputs of a plant of first order, with something that nobody claims."""
+    rng, t = np.random.default_rng(0), TS * np.arange(N)
+    u = 6.0 * np.sin(1.3 * t) + 3.0 * np.sin(3.1 * t + 1.0)
+    kept = np.exp(-TS / lag) if lag else 0.0
+    x = moved = 0.0
+    y = np.empty(N)
+    for k in range(N):
+        y[k] = x - min(max(x, -LEFT), RIGHT) + offset + noise * NOISE * rng.normal()
+        moved = kept * moved + (1 - kept) * u[k]
+        x = np.exp(-RATE * TS) * x + (1 - np.exp(-RATE * TS)) * moved
+    return y, u
+
+
+def scenario(**claims: Any) -> uz.Scenario:
+    """The filter of that plant, which is told all else."""
+    return uz.Scenario(
+        plant=uz.Plant(A=[[-RATE]], B=[[RATE]], C=[[1]]),
+        sensor=uz.Sensor(right=RIGHT, left=LEFT, noise=NOISE),
+        observer=uz.Extended(**({"right": [0.3, 2.0], "disturbance": 0.1} | claims)),
+        reference=uz.Sine(amplitude=1.0, frequency=0.3),
+        controller=uz.StateFeedback(poles=[-3.0]),
+        simulation=uz.Simulation(duration=1.0, time="sampled", step=TS),
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong", "claims"),
+    [
+        ("", {}, {}),
+        ("noise", {"noise": 4.0}, {}),
+        ("dynamics", {"lag": 0.03}, {}),
+        ("sensor", {"offset": 0.3}, {}),
+        ("range", {}, {"right": [0.3, 0.8], "left": [0.3, 2.0]}),
+    ],
+)
+def test_a_log_names_the_claim_that_is_false(
+    name: str, wrong: dict[str, float], claims: dict[str, Any]
+) -> None:
+    y, u = log(**wrong)
+    result = uz.estimate(scenario(**claims), y=y, u=u, smoothing=False)
+    assert result.info.claims[:1] == [name][: bool(name)]
+    assert result.consistent is not bool(name)
+    if name:
+        assert f"{CLAIMS[name].words}: {CLAIMS[name].cure}" in repr(result)
+        assert result.summary()["claims"][0] == name
+
+
+def test_a_log_that_seldom_fitted_names_what_was_likeliest() -> None:
+    own = Own()
+    parts: dict[str, Any] = {
+        "consistent": np.array([[0.0], [0.0], [0.0], [1.0]]),
+        "claims": np.array([[2.0], [2.0], [4.0], [0.0]]),
+        "suspect": np.array([[2.0], [2.0], [3.0], [0.0]]),
+        "refused": np.zeros((4, 1)),
+    }
+    own.add(Estimate(*[np.zeros((4, 0))] * len(Estimate._fields))._replace(**parts))
+    assert own.claims == [list(CLAIMS)[1]]
