@@ -302,8 +302,7 @@ def _bound(layout: Layout, q: Numbers, belief: Gaussian) -> Any:
     bound = ca.SX(0.0)
     for name in ("half", "payload", "firmness"):
         low, high, value = (column[layout.of(name)] for column in (q.low, q.high, belief.mean))
-        off = ca.fmin(value - low, high - value)
-        bound += ca.sum1(ca.logic_and(high > low, off <= 0))
+        bound += ca.sum1(ca.logic_and(high > low, ca.logic_or(value <= low, value >= high)))
     return bound
 
 
