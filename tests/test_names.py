@@ -160,6 +160,15 @@ def test_a_zone_at_both_ends_is_not_sold_as_the_sensors() -> None:
     assert answer.numbers()["levels"]["two_zones"] == pytest.approx([0.4, 0.3], abs=0.08)
 
 
+def test_steps_of_an_encoder_are_no_zone_beside_the_inputs() -> None:
+    """Rounded readings are silent within half a step; with that, two zones had odds of .99."""
+    _, u, _ = driven(31, 1500)
+    z = lfilter([0.0, 0.05, 0.03], DENOMINATOR, dead_zone(u, 0.4, 0.3))
+    answer = found(u, 0.2 * np.round(z / 0.2))
+    assert answer.verdict == "input_zone"
+    assert answer.numbers()["odds"]["input_zone"] > 0.9
+
+
 def test_a_width_that_may_be_0_is_undecided() -> None:
     _, u, z = driven(4, 400)
     rng = np.random.default_rng(0)

@@ -349,7 +349,7 @@ def _has_a_place(case: Case, found: Found) -> bool:
 
 def _with_place(case: Case, found: Found) -> Found:
     """With models of friction, of a zone of the input, and of two zones."""
-    places = find_places(longest_record(case.suited.pairs))
+    places = find_places(longest_record(case.suited.pairs), case.quantum)
     models = {word: one.density for word, one in places.items()}
     if "none" not in models:  # no plant alone settles within the record: nothing to compare with
         return found

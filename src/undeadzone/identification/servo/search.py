@@ -68,8 +68,7 @@ def searched(log: Heard) -> list[Servo]:
         return []
     likelihood = Likelihood(log)
     tops = likelihood.climbed(fits, 3 * LAST)
-    tops = sorted(filter(lambda one: math.isfinite(one.value), tops), key=likelihood.bic)
-    return tops
+    return sorted(filter(lambda one: math.isfinite(one.value), tops), key=likelihood.bic)
 
 
 # --- Without a gap

@@ -3,25 +3,28 @@
 from __future__ import annotations
 
 from undeadzone.identification.models.elements import best_of_each
-from undeadzone.identification.models.place import (
-    WIDTHS,
-    PlaceFit,
-    PlaceStarts,
-    Shape,
-    fit_place,
-)
+from undeadzone.identification.models.place import WIDTHS, PlaceFit, PlaceStarts, Shape, fit_place
 from undeadzone.identification.models.zone_fit import Fit
 from undeadzone.support.arrays import Floats
 
+STEPS = 1.5  # quanta of rounded readings, below which a zone may be their own
 
-def find_places(fit: Fit) -> dict[str, PlaceFit]:
+
+def find_places(fit: Fit, quantum: float) -> dict[str, PlaceFit]:
     """The best model of each place of the zone, by the verdict's word for it.
 
     Args:
         fit: plant and sensor zone, one record.
+        quantum: of the readings, scaled.
     """
-    fits = _fit_all(fit).values()
+    fits = filter(lambda one: not _is_of_steps(one, quantum), _fit_all(fit).values())
     return best_of_each((one.model.shape.word, one.density.bic, one) for one in fits)
+
+
+def _is_of_steps(one: PlaceFit, quantum: float) -> bool:
+    """Whether a model has a zone of the sensor, beside another one, that rounding explains."""
+    shape, sensor = one.model.shape, one.model.part(one.theta, "sensor")
+    return bool(shape.sensor and (shape.input or shape.inner) and sensor.sum() < STEPS * quantum)
 
 
 def _fit_all(fit: Fit) -> dict[str, PlaceFit]:

@@ -60,10 +60,9 @@ def _falls_silent(grid: Grid) -> bool:
     """Whether readings come back to 0 far more often than to any other value: a sensor's zone."""
     y = grid.y[grid.ok]
     values, counts = np.unique(y, return_counts=True)
-    silent = int(np.count_nonzero(y == 0))
-    others = int(counts[values != 0].max(initial=1))
-    returns = int(np.count_nonzero(np.diff(1 * (y == 0)) > 0))
-    return returns > FEW_RETURNS and silent > SILENCES * others
+    others = counts[values != 0].max(initial=1)
+    returns = np.count_nonzero(np.diff(1 * (y == 0)) > 0)
+    return bool(returns > FEW_RETURNS and np.count_nonzero(y == 0) > SILENCES * others)
 
 
 def told(options: Options, found: ServoGap) -> Options:
@@ -99,9 +98,8 @@ def may_be_servo(case: Case, found: Found) -> bool:
         return True
     if word not in POSSIBLE or heard_of(case.grid, case.options) is None:
         return False
-    if case.options.integrators or word in ("other", "unclear", "undecided"):
-        return True
-    return word in EXPLAINED and _share(case, found) < LEAST
+    asked = case.options.integrators > 0 or word in ("other", "unclear", "undecided")
+    return asked or (word in EXPLAINED and _share(case, found) < LEAST)
 
 
 def _is_denied(servo: ServoGap | None, word: str) -> bool:

@@ -21,6 +21,7 @@ from undeadzone.identification.servo.gap import ServoGap
 from undeadzone.identification.verdict import orders
 from undeadzone.identification.verdict.delays import FittedOrders
 from undeadzone.identification.verdict.odds import Family
+from undeadzone.identification.verdict.place import STEPS
 from undeadzone.support.arrays import Floats
 
 LEAST = 0.5  # share of the held-out readings that a fit must explain
@@ -144,7 +145,7 @@ def named(case: Case, odds: dict[str, float], models: Sequence[Family]) -> Verdi
     word = _claimed(odds)
     if case.jumps:
         return _by_jump(case, odds, models)
-    if word in AS_LINEAR and 0 < case.chosen.pairs.width < 1.5 * case.quantum:
+    if word in AS_LINEAR and 0 < case.chosen.pairs.width < STEPS * case.quantum:
         steps = "the readings are rounded to steps that are larger than any zone"
         return because("none", f"{steps} ({case.quantum:.3g})")
     best = best_of(word, models)
