@@ -35,6 +35,12 @@ def test_bits_and_the_likeliest() -> None:
     assert bits == 2.0 ** names.index("noise") + 2.0 ** names.index("dynamics")
 
 
+def test_what_is_no_number_is_not_consistent() -> None:
+    found = verdict({"noise": ca.SX(0.5), "gust": ca.SX(np.nan)})
+    assert not float(found["consistent"])
+    assert false_claims(float(found["claims"]), float(found["suspect"])) == ["gust"]
+
+
 def followed(regress: Callable[[Any], Any], count: int = 400) -> dict[str, list[float]]:
     """Ratios after so many innovations in 200 runs at once, each an output of its own."""
     lanes, rng = 200, np.random.default_rng(3)

@@ -158,7 +158,7 @@ def verdict(ratios: dict[str, Any]) -> dict[str, Any]:
         if name in ratios:
             weight = SHARP.get(name, 1.0) * beyond(ratios[name])
             ahead = weight > worst
-            bits += 2.0**k * (ratios[name] > 1)
+            bits += 2.0**k * ca.logic_not(ratios[name] <= 1)  # what is no number refutes, too
             suspect = ca.if_else(ahead, k + 1.0, suspect)
             worst = ca.if_else(ahead, weight, worst)
     return {"consistent": bits == 0, "claims": bits, "suspect": suspect}
