@@ -214,6 +214,14 @@ def test_an_encoder_that_falls_silent_is_no_servo_without_a_zone() -> None:
     assert answer.verdict == "both"
 
 
+def test_no_memory_is_named_where_most_readings_stick_at_the_ends() -> None:
+    """Of this saturation 74 % do; a play between them had odds of .9."""
+    log = make(3002, "saturation")
+    answer = uz.identify(t=log.step, u=log.u, y=log.y)
+    assert answer.verdict == "undecided"
+    assert "stick at the ends" in answer.answer.reasons[0]
+
+
 def test_odds_are_printed_and_sum_to_1() -> None:
     rng, u, z = driven(5)
     answer = found(u, dead_zone(z, 0.4, 0.3) + 0.02 * rng.standard_normal(z.size))

@@ -31,6 +31,7 @@ FEW = 0.005  # of the readings, that may lie across 0 of an operating point
 SPRING = 0.03  # share of the one-step residual from which a spring is named
 WELL_INSIDE = 2.0  # rms of the noise between z^ and an edge
 SURE = 0.999  # level of the interval of an offset that must not hold 0
+MOSTLY = 0.5  # share of the readings within their range, below which no memory is named
 RELEVANT = 0.1  # of the residual's rms, below which an offset is no matter
 AS_LINEAR = ("none", "dead_zone", "jump")  # words under which steps may be taken for a zone
 FITTED = ("none", "dead_zone", "zone_and_friction")  # what the fit of a zone of the sensor holds
@@ -156,6 +157,9 @@ def named(case: Case, odds: dict[str, float], models: Sequence[Family]) -> Verdi
     clipped = odds.get("none", 0.0) + odds.get("saturation", 0.0)
     if ends and word in ("none", "saturation", "other") and clipped > UNLIKELY:
         return because("saturation", f"readings stick at the ends of the range {ends}")
+    if ends and word in ("play", "both") and case.data.ok.sum() < MOSTLY * case.grid.ok.sum():
+        told = f"most readings stick at the ends of the range {ends}, and between them"
+        return because("undecided", f"{told} {MODELS[word]} is a guess")
     more = list(filter(lambda one: odds.get(one, 0.0) > UNLIKELY, LARGER.get(word, ())))
     sure = sum(odds.get(one, 0.0) for one in (word, *more))
     if sure < LIKELY and not (word == case.options.kind == "play"):
