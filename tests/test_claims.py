@@ -39,6 +39,9 @@ def test_what_is_no_number_is_not_consistent() -> None:
     found = verdict({"noise": ca.SX(0.5), "gust": ca.SX(np.nan)})
     assert not float(found["consistent"])
     assert false_claims(float(found["claims"]), float(found["suspect"])) == ["gust"]
+    own, column = Own(), {name: np.array([[float(value)]]) for name, value in found.items()}
+    own.add(Estimate(*[np.zeros((1, 1))] * len(Estimate._fields))._replace(**column))
+    assert own.claims == ["gust"]
 
 
 def followed(regress: Callable[[Any], Any], count: int = 400) -> dict[str, list[float]]:

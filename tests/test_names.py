@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from benchmarks.names_logs import make
+from benchmarks.which_logs import through
 from scipy.signal import lfilter
 
 import undeadzone as uz
@@ -194,17 +195,11 @@ def test_what_looks_like_friction_is_asked_whether_it_is_a_play() -> None:
     z = lfilter([0.0, 1 - pole], [1.0, -pole], u / u.std())
     right, left = rng.uniform(0.1, 0.5, 2)
     noise = rng.choice([0.01, 0.03])
-    y = through_play(z / z.std(), right, left) + noise * rng.standard_normal(size)
+    held = through(z / z.std(), np.array([right, left]), np.zeros(2))
+    y = held + noise * rng.standard_normal(size)
     answer = uz.identify(t=STEP, u=u / u.std(), y=y)
     assert answer.verdict == "play"
     assert answer.numbers()["odds"]["play"] > 0.5
-
-
-def through_play(z: Floats, right: float, left: float) -> Floats:
-    held = np.zeros(z.size)
-    for k, value in enumerate(z):
-        held[k] = max(min(held[max(k - 1, 0)], value + left), value - right)
-    return held
 
 
 def test_an_encoder_that_falls_silent_is_no_servo_without_a_zone() -> None:

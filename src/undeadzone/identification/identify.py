@@ -38,14 +38,8 @@ from undeadzone.identification.verdict.servo import (
     told,
     with_servo,
 )
-from undeadzone.identification.verdict.verdict import Case, because, unmodelled
-from undeadzone.identification.verdict.which import (
-    MEMORY,
-    Found,
-    of_input_zone,
-    with_gap,
-    with_play,
-)
+from undeadzone.identification.verdict.verdict import MEMORY, Case, because, unmodelled
+from undeadzone.identification.verdict.which import Found, of_input_zone, with_gap, with_play
 from undeadzone.support.answers import Answers
 from undeadzone.support.progress import in_notebook
 

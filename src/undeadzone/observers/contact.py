@@ -318,7 +318,7 @@ def _shown(setup: Setup, q: Params, told: Told, reading: Reading) -> Estimate:
         xi, unseen = ca.fmax(ca.fmin(xi, half), -half), q.modes.slack
     link = mean[:N] + centre - xi
     x = ca.vertcat(mean[:N], link, mean[2 * N : 4 * N])
-    std = partial(_deviations, told.whole)
+    var = partial(_variances, told.whole)
     contact = ca.DM([list(mode) for mode in layout.modes]).T @ ca.vertcat(*told.chances)
     give = ca.vertcat(q.modes.slack * ca.SX.ones(N), both)
     rows = ca.DM.eye(layout.entries)
@@ -327,22 +327,22 @@ def _shown(setup: Setup, q: Params, told: Told, reading: Reading) -> Estimate:
     shown = estimate(x, z, right, left, reading, q.slope, setup.kind, told.e)
     push = mean[of("push")] / setup.gears.number(q.modes.model, "inertia")
     names = ("payload", *FRICTION)
-    variances = std(rows[: 4 * N, :])
-    known = ca.fmin(variances[N : 2 * N], half**2 + variances[:N] + std(halves) + std(centres))
+    variances = var(rows[: 4 * N, :])
+    known = ca.fmin(variances[N : 2 * N], half**2 + variances[:N] + var(halves) + var(centres))
     return shown._replace(
         x_std=ca.sqrt(ca.vertcat(variances[:N], known + unseen, variances[2 * N : 4 * N])),
-        right_std=ca.sqrt(ca.vertcat(std(halves + centres), both) + give),
-        left_std=ca.sqrt(ca.vertcat(std(halves - centres), both) + give),
-        width_std=2 * ca.sqrt(ca.vertcat(std(halves), both) + give),
+        right_std=ca.sqrt(ca.vertcat(var(halves + centres), both) + give),
+        left_std=ca.sqrt(ca.vertcat(var(halves - centres), both) + give),
+        width_std=2 * ca.sqrt(ca.vertcat(var(halves), both) + give),
         innovation_std=told.std,
         w=ca.vertcat(ca.SX.zeros(2 * N), push, ca.SX.zeros(N)),
         theta=ca.vertcat(*(mean[of(name)] for name in names)),
-        theta_std=ca.sqrt(ca.vertcat(*(std(rows[of(name), :]) for name in names))),
+        theta_std=ca.sqrt(ca.vertcat(*(var(rows[of(name), :]) for name in names))),
         contact=ca.vertcat((contact > 0.5) - (contact < -0.5), both),
     )
 
 
-def _deviations(belief: Gaussian, rows: Any) -> Any:
+def _variances(belief: Gaussian, rows: Any) -> Any:
     """Variances of some rows times x (k)."""
     rows = ca.sparsify(rows)
     return ca.fmax(ca.diag(rows @ belief.cov @ rows.T), 0.0)

@@ -17,7 +17,8 @@ from undeadzone.identification.answer.to_continuous import entry_spread
 from undeadzone.identification.models.estimates import Interval
 from undeadzone.identification.models.kalman import AT_OUTPUT
 from undeadzone.identification.models.plant import input_gain
-from undeadzone.identification.verdict.which import MEMORY, Element
+from undeadzone.identification.verdict.verdict import MEMORY
+from undeadzone.identification.verdict.which import Element
 from undeadzone.linear.matrices import Matrices
 from undeadzone.support.arrays import Floats
 from undeadzone.support.text import printable

@@ -21,8 +21,16 @@ from undeadzone.identification.servo.gap import ServoGap, centre_of, servo_gap
 from undeadzone.identification.servo.heard import Heard, heard, noise_of
 from undeadzone.identification.servo.likelihood import Servo
 from undeadzone.identification.servo.sampled import DELAY, GAIN, discretised
-from undeadzone.identification.verdict.verdict import LEAST, LIKELY, Case, Verdict, because, best_of
-from undeadzone.identification.verdict.which import EVEN, MEMORY, Element, Found
+from undeadzone.identification.verdict.verdict import (
+    LEAST,
+    LIKELY,
+    MEMORY,
+    Case,
+    Verdict,
+    because,
+    best_of,
+)
+from undeadzone.identification.verdict.which import EVEN, Element, Found
 from undeadzone.support.arrays import Floats, later
 
 POSSIBLE = ("none", "play", "friction", "other", "unclear", "undecided")  # that it may replace
@@ -127,11 +135,9 @@ def with_servo(case: Case, found: Found) -> Found:
         odds = {"play": servo.odds, "none": 1 - servo.odds}
         verdict = because("undecided", in_words(servo), *servo.reasons)
         return found._replace(verdict=verdict, odds=odds, plays=None)
-    if word in MEMORY:
-        stays = not case.options.integrators  # by least squares, or ticks of another plant
-    else:
-        stays = word not in EXPLAINED or _share(case, found) >= LEAST
-    if stays:
+    explained = word not in EXPLAINED or _share(case, found) >= LEAST
+    stays = explained if word not in MEMORY else not case.options.integrators
+    if stays:  # a play by least squares, or ticks of another plant
         return found
     return found._replace(verdict=because("undecided", *servo.reasons), plays=None)
 

@@ -33,6 +33,7 @@ WELL_INSIDE = 2.0  # rms of the noise between z^ and an edge
 SURE = 0.999  # level of the interval of an offset that must not hold 0
 MOSTLY = 0.5  # share of the readings within their range, below which no memory is named
 RELEVANT = 0.1  # of the residual's rms, below which an offset is no matter
+MEMORY = ("play", "both")  # words of what a play explains
 AS_LINEAR = ("none", "dead_zone", "jump")  # words under which steps may be taken for a zone
 FITTED = ("none", "dead_zone", "zone_and_friction")  # what the fit of a zone of the sensor holds
 LARGER = {  # words of models that hold a word's model and more
@@ -157,7 +158,7 @@ def named(case: Case, odds: dict[str, float], models: Sequence[Family]) -> Verdi
     clipped = odds.get("none", 0.0) + odds.get("saturation", 0.0)
     if ends and word in ("none", "saturation", "other") and clipped > UNLIKELY:
         return because("saturation", f"readings stick at the ends of the range {ends}")
-    if ends and word in ("play", "both") and case.data.ok.sum() < MOSTLY * case.grid.ok.sum():
+    if ends and word in MEMORY and case.data.ok.sum() < MOSTLY * case.grid.ok.sum():
         told = f"most readings stick at the ends of the range {ends}, and between them"
         return because("undecided", f"{told} {MODELS[word]} is a guess")
     more = list(filter(lambda one: odds.get(one, 0.0) > UNLIKELY, LARGER.get(word, ())))

@@ -28,12 +28,11 @@ from undeadzone.identification.servo.gap import ServoGap
 from undeadzone.identification.verdict.delays import GLITCH, RARE
 from undeadzone.identification.verdict.odds import Family, odds_of
 from undeadzone.identification.verdict.orders import HeldOut, judged, one_step, trained_part
-from undeadzone.identification.verdict.verdict import UNLIKELY, Case, Verdict, named
+from undeadzone.identification.verdict.verdict import MEMORY, UNLIKELY, Case, Verdict, named
 from undeadzone.support.arrays import Floats, Integers
 
 LEAST_GAP = 0.02  # rms of y, below which a gap is no matter
 LEAST_NOISE = 0.01  # rms of y, from which noise that falls silent is told from rounding
-MEMORY = ("play", "both")  # words of what a play explains
 LEAST_ODD = 1e-3  # least rms from which readings are counted as odd, in rms of y
 FINEST = 2e-4  # rms of u: no interval is narrower
 EVEN = "the centre of the gap is not known, and both sides are half of the width"

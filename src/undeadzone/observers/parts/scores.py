@@ -20,6 +20,7 @@ HELD = 0.01  # share of readings that stay where z^ moves on, likewise
 FEWEST = 4.0  # how many of these there must be of late
 ENOUGH = 10.0  # innovations from which a score is a normal number, however far one of them is
 FORETOLD = 3.0  # deviations beyond which a reading is not what was foretold
+NOTHING_KNOWN = 1e6  # by how much what is no number refutes a claim
 MOST = 1e15  # of what an input shows in z [z]: a float holds its square
 # By how much a claim that is refuted goes before others: innovations are large whatever is false.
 SHARP = {"noise": 1 / 6, "sensor": 1.7, "dynamics": 1.2}
@@ -84,11 +85,8 @@ def scored(q: Any, s: Scores, nu: Any, counted: Any, far: Any, reading: Reading,
     stays = ca.logic_and(ca.fabs(y - s.last) < doubt.stays, ca.fabs(y) > doubt.stays)
     stays = ca.logic_and(stays, ca.logic_or(far, y == s.last))
     shown = ca.fmax(ca.fmin(doubt.push @ u, MOST), -MOST)
-    means = []
-    for mean, left in zip(
-        (s.quick, s.brisk, s.slow), ca.vertsplit(ca.SX(doubt.means)), strict=True
-    ):
-        means.append(shown + left * (mean - shown))
+    left, before = ca.vertsplit(ca.SX(doubt.means)), (s.quick, s.brisk, s.slow)
+    means = [shown + share * (mean - shown) for share, mean in zip(left, before, strict=True)]
     return Scores(
         keep * s.size + nu**2 - counted,
         keep**2 * s.count + counted,
@@ -139,8 +137,8 @@ def limit_of(doubt: Any, name: str) -> Any:
 
 
 def beyond(ratio: Any) -> Any:
-    """By how much a claim is refuted, 0 where it is not."""
-    return ca.if_else(ratio > 1, ratio, 0.0)
+    """By how much a claim is refuted, 0 where it is not; what is no number refutes it, too."""
+    return ca.if_else(ratio <= 1, 0.0, ca.if_else(ratio > 1, ratio, NOTHING_KNOWN))
 
 
 def stretch(doubt: Any, s: Scores) -> Any:
@@ -156,9 +154,10 @@ def verdict(ratios: dict[str, Any]) -> dict[str, Any]:
     bits, suspect, worst = 0.0, 0.0, 0.0
     for k, name in enumerate(CLAIMS):
         if name in ratios:
-            weight = SHARP.get(name, 1.0) * beyond(ratios[name])
+            ratio = beyond(ratios[name])
+            weight = SHARP.get(name, 1.0) * ratio
             ahead = weight > worst
-            bits += 2.0**k * ca.logic_not(ratios[name] <= 1)  # what is no number refutes, too
+            bits += 2.0**k * (ratio > 0)
             suspect = ca.if_else(ahead, k + 1.0, suspect)
             worst = ca.if_else(ahead, weight, worst)
     return {"consistent": bits == 0, "claims": bits, "suspect": suspect}
