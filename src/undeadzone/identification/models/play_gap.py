@@ -121,6 +121,7 @@ def _as_fitted(fit: PlayFit, noise: float) -> Gap:
 
 def _corrected(fit: PlayFit, noise: float, quantum: float) -> Gap:
     """The numbers of the fit, moved to where simulated logs are fitted as the log was."""
+    fit = fit.predicting
     model, theta = fit.model, fit.theta
     halves = _own_halves(fit)
     moved, fits, ahead = _matched(fit, noise, quantum)
@@ -154,7 +155,7 @@ def _matched(fit: PlayFit, noise: float, quantum: float) -> tuple[Floats, Floats
     for _ in range(ROUNDS):
         w = shaped(layout, theta, colour)
         w *= rms / max(float(w.std()), 1e-300)
-        fits, residuals = _refitted(fit.model, theta, w, behind, quantum)
+        fits, residuals = _refitted(fit, theta, w, behind, quantum)
         remains = _unexplained(float(np.sqrt(np.mean(residuals**2))), noise)
         rms *= min(math.sqrt(left / remains), MOST)
         theta = _moved(fit, theta, fit.theta - fits.mean(axis=0))
@@ -177,14 +178,15 @@ def _unexplained(rms: float, noise: float) -> float:
 
 
 def _refitted(
-    model: PlayModel, theta: Floats, ahead: Floats, behind: Floats, quantum: float
+    fit: PlayFit, theta: Floats, ahead: Floats, behind: Floats, quantum: float
 ) -> tuple[Floats, Floats]:
     """Fits of logs simulated with theta (RUNS x P), and the rms of what each leaves (RUNS)."""
+    model = fit.model
     z = model.output(theta)
     fits, residuals = [], []
     for w, e in zip(ahead, behind, strict=True):
         y = _rounded(model.readings(z + w, theta) + e, quantum)
-        squares = LeastSquares(model.of_readings(y))
+        squares = LeastSquares(model.of_readings(y), fit.squares.past)
         fits.append(climb(squares, theta, STEPS, 1e-3).theta)
         residuals.append(squares.rms(fits[-1]))
     return np.array(fits), np.array(residuals)

@@ -349,6 +349,7 @@ def of_input_zone(fits: Sequence[Fit]) -> Element | None:
 
 def _of_input(fit: PlaceFit, whole: plant.Data) -> Element:
     """The element of a zone of the input; of the longest record, along all of them."""
+    fit = fit.predicting
     model, data, numbers = fit.model, fit.squares.data, fit.theta
     layout = model.simulator.layout
     passed = dead_zone(whole.u, *model.part(numbers, "input"))
@@ -378,9 +379,9 @@ def _of_input(fit: PlaceFit, whole: plant.Data) -> Element:
         side=np.sign(passed[:, 0]).astype(int),
         widths=widths,
         ahead=plant.disturbance_ahead(layout, numbers, fit.squares.residual(numbers), data.ok),
-        noise=min(white_noise(data.y, data.ok, data.start), fit.density.rms),
+        noise=min(white_noise(data.y, data.ok, data.start), fit.squares.rms(numbers)),
         degrees=degrees,
-        rms=fit.density.rms,
+        rms=fit.squares.rms(numbers),
         remarks=[
             "the widths are those of the input, in its unit; they hold if the input does not answer"
             " to the output"
