@@ -19,6 +19,7 @@ from undeadzone.identification.models.zone_fit import Fit
 from undeadzone.identification.servo.gap import ServoGap
 from undeadzone.identification.verdict.orders import (
     OrderFit,
+    answered,
     credible,
     hears_input,
     is_white,
@@ -39,6 +40,7 @@ from undeadzone.identification.verdict.widths import (
 from undeadzone.support.arrays import Floats
 
 SURE = 0.999  # level of the ranges that an observer is told
+MOSTLY = 0.5  # share of an input beside its reference that is readings', from which a loop is closed
 LEAST = 1e-6  # of a width, by which its range is wide at least
 
 Shown = dict[str, Interval | None]  # right, left, width, centre
@@ -73,6 +75,8 @@ class Answer(NamedTuple):
         right, left, width, centre: (value, low, high) with 95 % intervals, of what the verdict
             names [y], of an input zone [u]; None where the verdict allows no such number.
         remarks: what was done to the log, and what to be careful about.
+        answered: share that readings have of what a recorded reference leaves of the input, nan
+            where it leaves nothing; None without a reference.
         loop: p of what past residuals say of the input, if no loop is closed; 1 where the plant
             does not fit, so that they tell nothing.
         options: what the user said.
@@ -91,6 +95,7 @@ class Answer(NamedTuple):
     centre: Interval | None
     remarks: list[str]
     loop: float
+    answered: float | None
     options: Options
     case: Case
     found: Found
@@ -212,6 +217,7 @@ def to_answer(case: Case, found: Found) -> Answer:
         **dict.fromkeys(DIRECTIONS),
         remarks=[*case.fitted.prepared.remarks, *found.verdict.cautions],
         loop=1.0,
+        answered=None,
         options=case.options,
         case=case,
         found=found,
@@ -291,15 +297,35 @@ def _late(answer: Answer) -> list[str]:
 def _in_loop(answer: Answer) -> Answer:
     """The answer with whether the input answers to the readings, and what that means."""
     servo, chosen, loop = answer.servo, answer.case.chosen, 1.0
-    holds = "Widths of a sensor's zone hold in a loop; those of a play and of the input's zone may"
-    holds += " be off by more than their intervals where a disturbance is strong"
+    holds = "Widths of a sensor's zone and of the input's hold in a loop; those of a play may be"
+    holds += " off by more than their intervals where a disturbance is strong"
     if servo is not None:
         loop, holds = servo.log.loop, "The gap holds in it: each error is that of one prediction"
     elif chosen.white:
         loop = loop_chance(chosen.pairs, answer.case.recorded.u)
     is_closed = loop <= CHANCE if servo is None else servo.log.closed
+    remarks, share = _beside_reference(answer)
+    if share is not None:
+        is_closed = is_closed and math.isfinite(share) or share > MOSTLY
     remark = f"the input answers to the readings: the log is of a closed loop. {holds}"
-    return answer._replace(loop=loop, remarks=[*answer.remarks, *([remark] if is_closed else [])])
+    remarks = [*answer.remarks, *([remark] if is_closed else []), *remarks]
+    return answer._replace(loop=loop, answered=share, remarks=remarks)
+
+
+def _beside_reference(answer: Answer) -> tuple[list[str], float | None]:
+    """What the reference says of a loop, and `answered`; None without one that moves."""
+    grid = answer.case.grid
+    if not grid.r.shape[1]:
+        return [], None
+    if not np.ptp(grid.r[np.isfinite(grid.r)]) > 0:
+        return ["the reference never moves: it is not used"], None
+    share = answered(grid.u, grid.y, grid.ok, grid.r)[0]
+    if math.isnan(share):
+        return ["the reference alone makes the input: no loop is closed"], share
+    if answered(grid.r, grid.y, grid.ok, grid.r[:, :0])[1] > CHANCE:
+        return [], share
+    words = "the reference answers to the readings as well: an outer loop makes it, or columns are"
+    return [f"{words} exchanged (--columns); then nothing of this holds"], share
 
 
 def _edge_remarks(answer: Answer, shown: Shown, heard: bool) -> list[str]:

@@ -83,6 +83,7 @@ def numbers(answer: Answer) -> dict[str, Any]:
             for one in answer.case.fitted.fits
         ],
         "closed_loop": answer.loop,
+        "answered": answer.answered,
         "no_zone": answer.case.no_zone.chance,
         "residual_map": {
             "share": answer.case.residuals.share,

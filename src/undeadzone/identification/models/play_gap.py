@@ -121,7 +121,7 @@ def _as_fitted(fit: PlayFit, noise: float) -> Gap:
 
 def _corrected(fit: PlayFit, noise: float, quantum: float) -> Gap:
     """The numbers of the fit, moved to where simulated logs are fitted as the log was."""
-    fit = fit.predicting
+    simulated, fit = fit.theta, fit.predicting
     model, theta = fit.model, fit.theta
     halves = _own_halves(fit)
     moved, fits, ahead = _matched(fit, noise, quantum)
@@ -131,7 +131,8 @@ def _corrected(fit: PlayFit, noise: float, quantum: float) -> Gap:
         weights[model.base :][: len(row)] = row
         std = math.sqrt(max(float(weights @ scatter @ weights), 0.0) * (1 + 1 / RUNS))
         own = max(halves[name], quantile(RUNS - 1) * std)
-        halves[name] = math.hypot(own, float(weights @ (moved - theta)))
+        apart = float(weights @ (simulated - theta))  # of simulation and prediction
+        halves[name] = math.hypot(own, float(weights @ (moved - theta)), apart)
     intervals = _intervals(moved, model, halves)
     count = model.simulator.layout.b.stop
     most = STRONGEST_OF_BOTH if model.zone else STRONGEST
