@@ -61,8 +61,9 @@ def _drawn(rng: np.random.Generator, kind: str, disturbance: float, closed: bool
     plant = random_plant(rng)
     size = int(math.exp(rng.uniform(math.log(SHORTEST), math.log(LONGEST))))
     r = wanted(rng, plant, size)
-    zone, sensor, gaps = (rng.uniform(low, high, 2) for low, high in ((0.15, 0.6),) * 2 + ((0.1, 0.5),))
-    zone, sensor, gaps = zone * (kind != "play"), sensor * (kind == "both ends"), gaps * (kind == "play")
+    zone = rng.uniform(0.15, 0.6, 2) * (kind != "play")
+    sensor = rng.uniform(0.15, 0.6, 2) * (kind == "both ends")
+    gaps = rng.uniform(0.1, 0.5, 2) * (kind == "play")
     ahead = kind == "both ends" and rng.random() < 0.5  # noise is silent in the sensor's zone
     e = float(rng.choice([0.01, 0.03, 0.05])) * rng.standard_normal(size)
     pole = math.exp(-plant.step * plant.omega / rng.uniform(0.3, 2.0))

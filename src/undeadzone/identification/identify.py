@@ -39,7 +39,13 @@ from undeadzone.identification.verdict.servo import (
     with_servo,
 )
 from undeadzone.identification.verdict.verdict import MEMORY, Case, because, unmodelled
-from undeadzone.identification.verdict.which import Found, of_input_zone, with_gap, with_play
+from undeadzone.identification.verdict.which import (
+    Found,
+    at_both_ends,
+    of_input_zone,
+    with_gap,
+    with_play,
+)
 from undeadzone.support.answers import Answers
 from undeadzone.support.progress import in_notebook
 
@@ -368,12 +374,14 @@ def _with_remainder(case: Case, found: Found) -> Found:
 
 
 def _is_at_input(case: Case, found: Found) -> bool:
-    """Whether the zone is the actuator's."""
-    return found.verdict.word == "input_zone"
+    """Whether there is a zone of the actuator."""
+    return found.verdict.word in ("input_zone", "two_zones")
 
 
 def _with_actuator(case: Case, found: Found) -> Found:
-    """The widths of the actuator's zone, and the plant behind it."""
+    """The widths of the actuator's zone, and of the sensor's if it has one, and the plant."""
+    if found.verdict.word == "two_zones":
+        return found._replace(element=at_both_ends(case, found))
     return found._replace(element=of_input_zone([one.pairs for one in case.fitted.fits]))
 
 

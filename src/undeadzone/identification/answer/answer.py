@@ -75,7 +75,7 @@ class Answer(NamedTuple):
         right, left, width, centre: (value, low, high) with 95 % intervals, of what the verdict
             names [y], of an input zone [u]; None where the verdict allows no such number.
         remarks: what was done to the log, and what to be careful about.
-        answered: share that readings have of what a recorded reference leaves of the input, nan
+        answered: share that readings have of what a recorded reference leaves of the input, 0
             where it leaves nothing; None without a reference.
         loop: p of what past residuals say of the input, if no loop is closed; 1 where the plant
             does not fit, so that they tell nothing.
@@ -306,7 +306,7 @@ def _in_loop(answer: Answer) -> Answer:
     is_closed = loop <= CHANCE if servo is None else servo.log.closed
     remarks, share = _beside_reference(answer)
     if share is not None:
-        is_closed = is_closed and math.isfinite(share) or share > MOSTLY
+        is_closed = share > MOSTLY or (is_closed and share > 0)
     remark = f"the input answers to the readings: the log is of a closed loop. {holds}"
     remarks = [*answer.remarks, *([remark] if is_closed else []), *remarks]
     return answer._replace(loop=loop, answered=share, remarks=remarks)
@@ -320,7 +320,7 @@ def _beside_reference(answer: Answer) -> tuple[list[str], float | None]:
     if not np.ptp(grid.r[np.isfinite(grid.r)]) > 0:
         return ["the reference never moves: it is not used"], None
     share = answered(grid.u, grid.y, grid.ok, grid.r)[0]
-    if math.isnan(share):
+    if share == 0:
         return ["the reference alone makes the input: no loop is closed"], share
     if answered(grid.r, grid.y, grid.ok, grid.r[:, :0])[1] > CHANCE:
         return [], share

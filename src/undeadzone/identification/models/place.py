@@ -9,6 +9,7 @@ friction at a measured velocity.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -16,11 +17,19 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.compile import lanes
-from undeadzone.identification.models.estimates import Latest, around, differences
+from undeadzone.identification.models.elements import MapModel, shifted
+from undeadzone.identification.models.estimates import (
+    Latest,
+    around,
+    best_top,
+    differences,
+    weighing,
+)
 from undeadzone.identification.models.least_squares import Fitted, LeastSquares
 from undeadzone.identification.models.likelihood import dead_zone
 from undeadzone.identification.models.plant import Data, Simulator
-from undeadzone.identification.models.zone_fit import Fit, fit_linear
+from undeadzone.identification.models.zone import Objective
+from undeadzone.identification.models.zone_fit import Fit, fit_linear, refit
 from undeadzone.support.arrays import Floats, Integers
 
 WIDTH = 32
@@ -343,3 +352,78 @@ class PlaceStarts:
             element[PARTS["sensor"]] = np.maximum(part * self.widths, 0.05)
             begun.append(theta)
         return begun
+
+
+# --- Both ends: a zone of the input, the plant, a zone of the sensor
+
+LOUDER = ((1.8, 1.0), (1.4, 0.5), (2.5, 1.3))  # gain of a linear fit, and widths, to begin with
+
+
+class BothEnds(NamedTuple):
+    """Zones of input and sensor with the plant between them.
+
+    Attributes:
+        fit: by least squares, to simulate it.
+        stages: what was maximised and its numbers: the likelihood of single samples, then that of
+            pairs, or prediction errors where noise is behind the zone.
+    """
+
+    fit: Fitted[MapModel]
+    stages: Sequence[tuple[Objective | LeastSquares[MapModel], Floats]]
+
+    def width(self, *weights: float) -> tuple[float, float, float]:
+        """A sum of the input's and the sensor's widths, half its interval, degrees of freedom.
+
+        The half is the widest of the stages', and by how much these differ is added to it.
+        """
+        first, values, halves = self.fit.model.simulator.layout.input.start, [], []
+        for target, theta in self.stages:
+            row = weighing(target.free, theta.size, first, weights)
+            halves.append(target.spread(theta).half_and_degrees(row))
+            values.append(float(np.dot(weights, theta[first : first + len(weights)])))
+        half, degrees = max(halves)
+        return values[-1], math.hypot(half, values[-1] - values[0]), degrees
+
+
+def fit_both_ends(fits: Sequence[Fit], known: PlaceFit) -> BothEnds | None:
+    """The plant of least BIC between zones of input and sensor; None where none fits.
+
+    Args:
+        fits: of every order, with a zone of the sensor.
+        known: both zones behind a plant of one order, by least squares.
+    """
+    ends = []
+    for one in fits:
+        old = one.objective
+        simulator = Simulator(old.data, old.layout.n, zoned=True)
+        kind = "behind" if old.kind == "behind" else "singles"
+        objective = Objective(simulator, kind, old.limits)
+        top = best_top(objective, _between(fit_linear(old.simulator), objective, known), 10, 60)
+        if top is not None:
+            ends.append(Fit(objective, *top))
+    if not ends:
+        return None
+    best = min(ends, key=lambda one: one.bic)
+    squares = LeastSquares(MapModel(best.objective.simulator, "both ends", shifted))
+    theta = best.theta[: squares.model.base + 2]
+    if best.objective.kind == "behind":
+        last = squares.predicted(theta)
+    else:
+        pairs = refit(best, "pairs")
+        last = pairs.objective, pairs.theta
+    density = squares.density(last[1][: theta.size])
+    fit = Fitted(squares, last[1][: theta.size], density)
+    return BothEnds(fit, [(best.objective, best.theta), last])
+
+
+def _between(plain: Fit, objective: Objective, known: PlaceFit) -> list[Floats]:
+    """Where climbs begin: a louder linear plant between zones of several sizes."""
+    layout, begun = objective.layout, []
+    for gain, size in LOUDER:
+        theta = np.zeros(layout.size)
+        theta[layout.a], theta[layout.b] = plain.theta[layout.a], gain * plain.theta[layout.b]
+        theta[layout.input] = size * known.model.part(known.theta, "input")
+        sensor = size * known.model.part(known.theta, "sensor")
+        theta[layout.right : layout.right + 3] = *sensor, math.log(max(known.density.rms, 1e-3))
+        begun.append(theta)
+    return begun

@@ -39,7 +39,7 @@ class Limits(NamedTuple):
 
 
 class Objective:
-    """Log likelihood of theta = [a, b, x0, d_r, d_l, log s, atanh rho].
+    """Log likelihood of theta = [a, b, x0, input's zone, d_r, d_l, log s, atanh rho].
 
     Args:
         simulator: the plant, with its data.
@@ -131,6 +131,7 @@ class Objective:
         """A trial with its widths brought back within their limits."""
         widths = slice(self.layout.right, self.layout.right + 2)
         theta[widths] = self.limits.clip(*theta[widths])
+        theta[self.layout.input] = np.maximum(theta[self.layout.input], 0.0)
         return theta
 
     def scores(self, theta: Floats) -> tuple[Floats, Floats, Floats]:

@@ -269,7 +269,7 @@ def answered(moved: Floats, y: Floats, ok: Flags, beside: Floats) -> tuple[float
     """The share that readings have of what is left of a signal, and p of it.
 
     Of an input beside its reference it is near 1 where a controller without noise makes it, near 0
-    without a loop, and nan where nothing is left: the reference alone makes the input.
+    without a loop, and 0 where nothing is left: the reference alone makes the input.
 
     Args:
         moved: what may answer (N x m), NaN where it is missing; the column that does so most.
@@ -282,7 +282,7 @@ def answered(moved: Floats, y: Floats, ok: Flags, beside: Floats) -> tuple[float
     known = np.isfinite(np.hstack([own, moved])).all(axis=1)
     known &= _lagged(ok[:, None], range(ANSWERED)).all(axis=1)
     known[:HEARD] = False
-    found = [(math.nan, 1.0)]
+    found = [(0.0, 1.0)]
     for column in moved[known].T:
         left, said = _left(own[known], column), _left(own[known], heard[known])
         if np.std(left) > ALONE * np.std(column):

@@ -15,13 +15,27 @@ import numpy as np
 
 from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.identification.models import plant
-from undeadzone.identification.models.elements import PlayFit, PlayModel, fit_both, fit_play
+from undeadzone.identification.models.elements import (
+    MapModel,
+    PlayFit,
+    PlayModel,
+    fit_both,
+    fit_play,
+)
 from undeadzone.identification.models.estimates import Interval, best_top, weighing
 from undeadzone.identification.models.kalman_fit import KalmanFit
-from undeadzone.identification.models.least_squares import LeastSquares
+from undeadzone.identification.models.least_squares import Fitted, LeastSquares
 from undeadzone.identification.models.likelihood import dead_zone
 from undeadzone.identification.models.motion import Offsets, along, white_noise
-from undeadzone.identification.models.place import PARTS, PlaceFit, PlaceStarts, Shape, fit_place
+from undeadzone.identification.models.place import (
+    PARTS,
+    BothEnds,
+    PlaceFit,
+    PlaceStarts,
+    Shape,
+    fit_both_ends,
+    fit_place,
+)
 from undeadzone.identification.models.play_gap import RUNS, Gap, find_gap
 from undeadzone.identification.models.zone_fit import Fit, longest_record, reduced
 from undeadzone.identification.servo.gap import ServoGap
@@ -29,6 +43,7 @@ from undeadzone.identification.verdict.delays import GLITCH, RARE
 from undeadzone.identification.verdict.odds import Family, odds_of
 from undeadzone.identification.verdict.orders import HeldOut, judged, one_step, trained_part
 from undeadzone.identification.verdict.verdict import MEMORY, UNLIKELY, Case, Verdict, named
+from undeadzone.identification.verdict.widths import with_offset
 from undeadzone.support.arrays import Floats, Integers
 
 LEAST_GAP = 0.02  # rms of y, below which a gap is no matter
@@ -36,14 +51,14 @@ LEAST_NOISE = 0.01  # rms of y, from which noise that falls silent is told from 
 LEAST_ODD = 1e-3  # least rms from which readings are counted as odd, in rms of y
 FINEST = 2e-4  # rms of u: no interval is narrower
 EVEN = "the centre of the gap is not known, and both sides are half of the width"
-LAST = {"play": 25, "both": 25, "input_zone": 40}  # steps of a climb that checks a fit
+LAST = {"play": 25, "both": 25, "input_zone": 40, "two_zones": 40}  # steps of a climb that checks a fit
 
 
 class Element(NamedTuple):
     """An element that is no dead zone of the sensor, with the plant of its own fit.
 
     Attributes:
-        kind: play, both or input_zone.
+        kind: play, both, input_zone or two_zones.
         fit: what was fitted.
         simulator: the plant, with all records.
         theta: its numbers a, b, x0, ..., scaled; of an input zone at rest at first.
@@ -59,10 +74,11 @@ class Element(NamedTuple):
         remarks: what to know of the widths.
         zone: both: d_r + d_l beside the play's width [y]; else None.
         edges: both: d_r and d_l if c_r = c_l, the sum of both centres in them [y]; else None.
+        input: two_zones: the widths of the input's zone, as `widths` are the sensor's [u].
     """
 
     kind: str
-    fit: PlayFit | PlaceFit | ServoGap
+    fit: PlayFit | PlaceFit | Fitted[MapModel] | ServoGap
     simulator: plant.Simulator
     theta: Floats
     V: Floats
@@ -77,6 +93,7 @@ class Element(NamedTuple):
     remarks: list[str]
     zone: Interval | None = None
     edges: tuple[Interval, Interval] | None = None
+    input: dict[str, Interval] = {}
 
     @property
     def unseen(self) -> float:
@@ -315,11 +332,8 @@ def _sides(gap: Gap, offset: float | None) -> dict[str, Interval | None]:
     shown: dict[str, Interval | None] = {}
     for name, row in DIRECTIONS.items():
         interval = gap.intervals[name]
-        if shift := abs(row[0] - row[1]):  # by which an offset of 1 moves it
-            above = interval.high - interval.value
-            half = np.inf if offset is None else float(np.hypot(above, shift * offset))
-            interval = Interval.around(interval.value, half)
-        shown[name] = interval.scaled(gap.fit.model.data.y_scale)
+        half = with_offset(interval.half, row, offset)
+        shown[name] = Interval.around(interval.value, half).scaled(gap.fit.model.data.y_scale)
     if gap.fit.model.tied:
         shown["centre"] = None
     return shown
@@ -351,12 +365,8 @@ def _of_input(fit: PlaceFit, whole: plant.Data) -> Element:
     """The element of a zone of the input; of the longest record, along all of them."""
     fit = fit.predicting
     model, data, numbers = fit.model, fit.squares.data, fit.theta
-    layout = model.simulator.layout
-    passed = dead_zone(whole.u, *model.part(numbers, "input"))
-    simulator = plant.Simulator(whole._replace(u=passed), model.n)
-    theta = np.zeros(simulator.layout.size)
-    theta[: layout.b.stop] = numbers[: layout.b.stop]
-    z = simulator.z(theta)
+    simulator, theta = _behind(model.simulator.layout, whole, model.part(numbers, "input"), numbers)
+    layout, z = model.simulator.layout, simulator.z(theta)
     spread = fit.squares.spread(numbers)
     widths: dict[str, Interval | None] = {}
     degrees = math.inf
@@ -376,7 +386,7 @@ def _of_input(fit: PlaceFit, whole: plant.Data) -> Element:
         V=spread.V[: layout.b.stop, : layout.b.stop],
         z=z,
         readings=z,
-        side=np.sign(passed[:, 0]).astype(int),
+        side=np.sign(simulator.data.u[:, 0]).astype(int),
         widths=widths,
         ahead=plant.disturbance_ahead(layout, numbers, fit.squares.residual(numbers), data.ok),
         noise=min(white_noise(data.y, data.ok, data.start), fit.squares.rms(numbers)),
@@ -386,6 +396,67 @@ def _of_input(fit: PlaceFit, whole: plant.Data) -> Element:
             "the widths are those of the input, in its unit; they hold if the input does not answer"
             " to the output"
         ],
+    )
+
+
+def _behind(
+    own: plant.Layout, whole: plant.Data, zone: Floats, numbers: Floats
+) -> tuple[plant.Simulator, Floats]:
+    """The plant behind a zone of the input, at rest at first, and its numbers."""
+    simulator = plant.Simulator(whole._replace(u=dead_zone(whole.u, *zone)), own.n)
+    theta = np.zeros(simulator.layout.size)
+    theta[: own.b.stop] = numbers[: own.b.stop]
+    return simulator, theta
+
+
+# --- Dead zones of both ends
+
+
+def at_both_ends(case: Case, found: Found) -> Element | None:
+    """The zones of input and sensor with their plant; None where none fits.
+
+    Args:
+        case: the log.
+        found: named two_zones.
+    """
+    ends = fit_both_ends([one.pairs for one in case.fitted.fits], found.places["two_zones"])
+    return None if ends is None else _of_both_ends(ends, case.offset)
+
+
+def _of_both_ends(ends: BothEnds, offset: float | None) -> Element:
+    """The element of both zones."""
+    fit, model, numbers = ends.fit, ends.fit.model, ends.fit.theta
+    data, layout = model.simulator.data, model.simulator.layout
+    simulator, theta = _behind(layout, data, numbers[layout.input], numbers)
+    theta[simulator.layout.x0] = numbers[layout.x0]
+    at_input, at_sensor, degrees = {}, {}, math.inf
+    for name, row in DIRECTIONS.items():
+        value, half, freedom = ends.width(*row)
+        u_scale = float(data.u_scale[0])
+        at_input[name] = Interval.around(value, math.hypot(half, FINEST)).scaled(u_scale)
+        value, half, own = ends.width(0.0, 0.0, *row)
+        half = with_offset(math.hypot(half, FINEST), row, offset)
+        at_sensor[name] = Interval.around(value, half).scaled(data.y_scale)
+        degrees = min(degrees, freedom, own)
+    z = simulator.z(theta)
+    readings = model.readings(z, numbers)
+    target, last = ends.stages[-1]
+    return Element(
+        kind="two_zones",
+        fit=fit,
+        simulator=simulator,
+        theta=theta,
+        V=target.spread(last).V[: layout.b.stop, : layout.b.stop],
+        z=z,
+        readings=readings,
+        side=np.sign(readings).astype(int),
+        widths=dict(at_sensor),
+        ahead=plant.disturbance_ahead(layout, numbers, fit.squares.residual(numbers), data.ok),
+        noise=min(white_noise(data.y, data.ok, data.start), fit.density.rms),
+        degrees=degrees,
+        rms=fit.density.rms,
+        remarks=["both ends have a zone: no scenario is written"],
+        input=at_input,
     )
 
 
