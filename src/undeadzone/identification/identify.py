@@ -129,7 +129,9 @@ def identify(
         resample=resample,
         integrators=int(integrators),
     ).checked()
-    logs = [one._replace(y=one.y - options.zero) for one in _logs(log, (t, u, y, r), columns, strict)]
+    logs = [
+        one._replace(y=one.y - options.zero) for one in _logs(log, (t, u, y, r), columns, strict)
+    ]
     with in_notebook(progress, "identifying", None) as advance:
         if keep is None:
             return _identified(logs, options, advance)

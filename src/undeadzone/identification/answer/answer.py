@@ -9,6 +9,7 @@ import numpy as np
 
 from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.errors import InputError
+from undeadzone.identification.logs.grid import Grid
 from undeadzone.identification.logs.log import Options
 from undeadzone.identification.models.estimates import Interval, quantile
 from undeadzone.identification.models.kalman import AT_INPUT, NAMES
@@ -23,10 +24,9 @@ from undeadzone.identification.verdict.orders import (
     credible,
     hears_input,
     is_white,
-    loop_chance,
     trained_part,
 )
-from undeadzone.identification.verdict.verdict import Case
+from undeadzone.identification.verdict.verdict import Case, Loop, heard_loop
 from undeadzone.identification.verdict.which import Element, Found, held_out_of
 from undeadzone.identification.verdict.widths import (
     FEW_VISITS,
@@ -40,7 +40,6 @@ from undeadzone.identification.verdict.widths import (
 from undeadzone.support.arrays import Floats
 
 SURE = 0.999  # level of the ranges that an observer is told
-MOSTLY = 0.5  # share of an input beside its reference that is readings', from which a loop is closed
 LEAST = 1e-6  # of a width, by which its range is wide at least
 
 Shown = dict[str, Interval | None]  # right, left, width, centre
@@ -75,10 +74,7 @@ class Answer(NamedTuple):
         right, left, width, centre: (value, low, high) with 95 % intervals, of what the verdict
             names [y], of an input zone [u]; None where the verdict allows no such number.
         remarks: what was done to the log, and what to be careful about.
-        answered: share that readings have of what a recorded reference leaves of the input, 0
-            where it leaves nothing; None without a reference.
-        loop: p of what past residuals say of the input, if no loop is closed; 1 where the plant
-            does not fit, so that they tell nothing.
+        loop: whether one is closed.
         options: what the user said.
         case: the log, fitted with a zone of the sensor.
         found: what was found of it.
@@ -94,8 +90,7 @@ class Answer(NamedTuple):
     width: Interval | None
     centre: Interval | None
     remarks: list[str]
-    loop: float
-    answered: float | None
+    loop: Loop
     options: Options
     case: Case
     found: Found
@@ -216,8 +211,7 @@ def to_answer(case: Case, found: Found) -> Answer:
         reasons=found.verdict.reasons,
         **dict.fromkeys(DIRECTIONS),
         remarks=[*case.fitted.prepared.remarks, *found.verdict.cautions],
-        loop=1.0,
-        answered=None,
+        loop=Loop(1.0, None),
         options=case.options,
         case=case,
         found=found,
@@ -296,36 +290,31 @@ def _late(answer: Answer) -> list[str]:
 
 def _in_loop(answer: Answer) -> Answer:
     """The answer with whether the input answers to the readings, and what that means."""
-    servo, chosen, loop = answer.servo, answer.case.chosen, 1.0
+    servo, loop = answer.servo, heard_loop(answer.case)
     holds = "Widths of a sensor's zone and of the input's hold in a loop; those of a play may be"
     holds += " off by more than their intervals where a disturbance is strong"
     if servo is not None:
-        loop, holds = servo.log.loop, "The gap holds in it: each error is that of one prediction"
-    elif chosen.white:
-        loop = loop_chance(chosen.pairs, answer.case.recorded.u)
-    is_closed = loop <= CHANCE if servo is None else servo.log.closed
-    remarks, share = _beside_reference(answer)
-    if share is not None:
-        is_closed = share > MOSTLY or (is_closed and share > 0)
+        loop = loop._replace(chance=servo.log.loop)
+        holds = "The gap holds in it: each error is that of one prediction"
+    is_closed = loop.is_closed or (servo is not None and servo.log.closed)
     remark = f"the input answers to the readings: the log is of a closed loop. {holds}"
-    remarks = [*answer.remarks, *([remark] if is_closed else []), *remarks]
-    return answer._replace(loop=loop, answered=share, remarks=remarks)
+    remarks = [remark] if is_closed else []
+    remarks += _of_reference(answer.case.grid, loop)
+    return answer._replace(loop=loop, remarks=[*answer.remarks, *remarks])
 
 
-def _beside_reference(answer: Answer) -> tuple[list[str], float | None]:
-    """What the reference says of a loop, and `answered`; None without one that moves."""
-    grid = answer.case.grid
+def _of_reference(grid: Grid, loop: Loop) -> list[str]:
+    """What is to be known of a reference that was recorded."""
     if not grid.r.shape[1]:
-        return [], None
-    if not np.ptp(grid.r[np.isfinite(grid.r)]) > 0:
-        return ["the reference never moves: it is not used"], None
-    share = answered(grid.u, grid.y, grid.ok, grid.r)[0]
-    if share == 0:
-        return ["the reference alone makes the input: no loop is closed"], share
+        return []
+    if loop.answered is None:
+        return ["the reference never moves: it is not used"]
+    if loop.answered == 0:
+        return ["the reference alone makes the input: no loop is closed"]
     if answered(grid.r, grid.y, grid.ok, grid.r[:, :0])[1] > CHANCE:
-        return [], share
+        return []
     words = "the reference answers to the readings as well: an outer loop makes it, or columns are"
-    return [f"{words} exchanged (--columns); then nothing of this holds"], share
+    return [f"{words} exchanged (--columns); then nothing of this holds"]
 
 
 def _edge_remarks(answer: Answer, shown: Shown, heard: bool) -> list[str]:

@@ -84,8 +84,8 @@ def numbers(answer: Answer) -> dict[str, Any]:
             {"order": one.n, "bic": one.pairs.bic, "held_out_error": one.error * answer.scale}
             for one in answer.case.fitted.fits
         ],
-        "closed_loop": answer.loop,
-        "answered": answer.answered,
+        "closed_loop": answer.loop.chance,
+        "answered": answer.loop.answered,
         "no_zone": answer.case.no_zone.chance,
         "residual_map": {
             "share": answer.case.residuals.share,

@@ -68,12 +68,14 @@ class Gap(NamedTuple):
     sure: bool
 
 
-def find_gap(fit: PlayFit, quantum: float) -> Gap:
+def find_gap(fit: PlayFit, quantum: float, in_loop: bool) -> Gap:
     """The numbers of a play with their intervals.
 
     Args:
         fit: least squares.
         quantum: of the readings, scaled; 0: none.
+        in_loop: whether u answers to readings: then prediction errors are least, in the log and in
+            simulated ones, and by how much that differs from simulation widens the intervals.
 
     Returns:
         Corrected numbers; of an integrating plant, whose disturbances add up, those of the fit.
@@ -82,7 +84,7 @@ def find_gap(fit: PlayFit, quantum: float) -> Gap:
     how = motion.sensing(data.y, data.ok, data.start, quantum)
     if fit.model.simulator.layout.integrators:
         return _as_fitted(fit, _noise(data, how, quantum))
-    return _corrected(fit, _noise(data, how, quantum), quantum)
+    return _corrected(fit, _noise(data, how, quantum), quantum, in_loop)
 
 
 def _noise(data: Data, how: motion.Sensing, quantum: float) -> float:
@@ -119,19 +121,19 @@ def _as_fitted(fit: PlayFit, noise: float) -> Gap:
 # --- By least squares and simulated logs
 
 
-def _corrected(fit: PlayFit, noise: float, quantum: float) -> Gap:
+def _corrected(fit: PlayFit, noise: float, quantum: float, in_loop: bool) -> Gap:
     """The numbers of the fit, moved to where simulated logs are fitted as the log was."""
-    simulated, fit = fit.theta, fit.predicting
+    simulated, fit = fit, fit.predicting if in_loop else fit
     model, theta = fit.model, fit.theta
-    halves = _own_halves(fit)
+    halves, wider = _own_halves(fit), _own_halves(simulated)
     moved, fits, ahead = _matched(fit, noise, quantum)
     scatter = np.cov(fits.T)
     for name, row in ROWS.items():
         weights = np.zeros(model.size)
         weights[model.base :][: len(row)] = row
         std = math.sqrt(max(float(weights @ scatter @ weights), 0.0) * (1 + 1 / RUNS))
-        own = max(halves[name], quantile(RUNS - 1) * std)
-        apart = float(weights @ (simulated - theta))  # of simulation and prediction
+        own = max(halves[name], wider[name], quantile(RUNS - 1) * std)
+        apart = float(weights @ (simulated.theta - theta))
         halves[name] = math.hypot(own, float(weights @ (moved - theta)), apart)
     intervals = _intervals(moved, model, halves)
     count = model.simulator.layout.b.stop

@@ -26,7 +26,7 @@ from undeadzone.identification.models.estimates import Interval, best_top, weigh
 from undeadzone.identification.models.kalman_fit import KalmanFit
 from undeadzone.identification.models.least_squares import Fitted, LeastSquares
 from undeadzone.identification.models.likelihood import dead_zone
-from undeadzone.identification.models.motion import Offsets, along, white_noise
+from undeadzone.identification.models.motion import THERE, Offsets, along, white_noise
 from undeadzone.identification.models.place import (
     PARTS,
     BothEnds,
@@ -42,7 +42,14 @@ from undeadzone.identification.servo.gap import ServoGap
 from undeadzone.identification.verdict.delays import GLITCH, RARE
 from undeadzone.identification.verdict.odds import Family, odds_of
 from undeadzone.identification.verdict.orders import HeldOut, judged, one_step, trained_part
-from undeadzone.identification.verdict.verdict import MEMORY, UNLIKELY, Case, Verdict, named
+from undeadzone.identification.verdict.verdict import (
+    MEMORY,
+    UNLIKELY,
+    Case,
+    Verdict,
+    heard_loop,
+    named,
+)
 from undeadzone.identification.verdict.widths import with_offset
 from undeadzone.support.arrays import Floats, Integers
 
@@ -51,7 +58,12 @@ LEAST_NOISE = 0.01  # rms of y, from which noise that falls silent is told from 
 LEAST_ODD = 1e-3  # least rms from which readings are counted as odd, in rms of y
 FINEST = 2e-4  # rms of u: no interval is narrower
 EVEN = "the centre of the gap is not known, and both sides are half of the width"
-LAST = {"play": 25, "both": 25, "input_zone": 40, "two_zones": 40}  # steps of a climb that checks a fit
+LAST = {
+    "play": 25,
+    "both": 25,
+    "input_zone": 40,
+    "two_zones": 40,
+}  # steps of a climb that checks a fit
 
 
 class Element(NamedTuple):
@@ -224,7 +236,7 @@ def with_gap(case: Case, found: Found) -> Found:
     """
     assert found.plays is not None
     fit, whole = found.plays.fits[found.verdict.word], found.plays.whole
-    gap = find_gap(fit, case.quantum)
+    gap = find_gap(fit, case.quantum, heard_loop(case).is_closed)
     case.advance(1)
     rms = gap.fit.squares.rms(gap.fit.theta)
     offsets = along(gap.fit.model.simulator, gap.theta, rms, case.quantum)
@@ -239,11 +251,16 @@ def with_gap(case: Case, found: Found) -> Found:
 
 
 def _denied(gap: Gap, offsets: Offsets) -> bool:
-    """Whether a width is not above 0 for certain; the four offsets must not deny both of them."""
+    """Whether a width is not above 0 for certain; the four offsets must not deny both of them.
+
+    Offsets that are known so badly that this gap would not show deny nothing.
+    """
+    width = gap.intervals["width"]
     if gap.fit.model.zone:
-        there = all(is_there(gap.intervals[name]) for name in ("width", "zone"))
-        return not there or offsets.name not in ("both", "play")
-    return gap.sure and not is_there(gap.intervals["width"])
+        there = is_there(width) and is_there(gap.intervals["zone"])
+        denies = offsets.name not in ("both", "play") and THERE * offsets.std[0] < width.value
+        return not there or bool(denies)
+    return gap.sure and not is_there(width)
 
 
 def is_there(interval: Interval) -> bool:
@@ -363,7 +380,7 @@ def of_input_zone(fits: Sequence[Fit]) -> Element | None:
 
 def _of_input(fit: PlaceFit, whole: plant.Data) -> Element:
     """The element of a zone of the input; of the longest record, along all of them."""
-    fit = fit.predicting
+    simulated, fit = fit, fit.predicting
     model, data, numbers = fit.model, fit.squares.data, fit.theta
     simulator, theta = _behind(model.simulator.layout, whole, model.part(numbers, "input"), numbers)
     layout, z = model.simulator.layout, simulator.z(theta)
@@ -375,7 +392,8 @@ def _of_input(fit: PlaceFit, whole: plant.Data) -> Element:
         first = model.base + PARTS["input"].start
         row = weighing(model.free, model.size, first, weights)
         half, freedom = spread.half_and_degrees(row)
-        interval = Interval.around(value, math.hypot(half, FINEST))
+        apart = float(row @ (simulated.theta - numbers)[model.free])
+        interval = Interval.around(value, math.hypot(half, apart, FINEST))
         widths[name] = interval.scaled(float(whole.u_scale[0]))
         degrees = min(degrees, freedom)
     return Element(
