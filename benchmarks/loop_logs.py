@@ -1,4 +1,4 @@
-"""Logs of closed loops with a zone of the actuator, of both ends, or a play, and their reference."""
+"""Logs of closed loops with a zone of the actuator, of both ends or a play, and a reference."""
 
 from __future__ import annotations
 

@@ -88,8 +88,8 @@ def test_a_reference_is_found_beside_what_is_needed_and_never_in_its_place() -> 
     """Where the plant is known nobody asks for one; who names it there is not refused."""
     for header in ("t,u,y,r", "time,setpoint,u,y", "t,u,y,Sollwert [deg]"):
         layout = layout_of_titles(titles(header), None, None, {}, "log")
-        assert layout.reference == [k for k, one in enumerate(titles(header)) if one.name.lower()
-                                    in ("r", "setpoint", "sollwert")][0]  # fmt: skip
+        names = [one.name.lower() for one in titles(header)]
+        assert names[layout.reference or 0] in ("r", "setpoint", "sollwert")
         assert layout.columns == [0, *layout.readings, *layout.inputs, layout.reference]
         assert "r from" in layout.said
     assert layout_of_titles(titles("t,u,y,r"), 1, 1, {"r": "r"}, "log").columns == [0, 2, 1]

@@ -13,7 +13,7 @@ import undeadzone as uz
 from undeadzone.identification.answer.answer import _of_reference
 from undeadzone.identification.models.elements import MapModel, cubic, linear
 from undeadzone.identification.models.least_squares import Density, LeastSquares
-from undeadzone.identification.models.place import PlaceStarts, Shape, fit_place
+from undeadzone.identification.models.place import Shape, fit_place
 from undeadzone.identification.models.plant import Data, Simulator
 from undeadzone.identification.models.zone_fit import fit_linear
 from undeadzone.identification.verdict.odds import behind, odds_of
@@ -335,7 +335,7 @@ def said(u: Floats, y: Floats, r: Floats) -> float:
 
 
 def test_beside_its_reference_readings_make_all_of_a_loops_input(loop: loop_logs.LoopLog) -> None:
-    """Whatever the noise; an input made of its reference, or of another one, is none of readings'."""
+    """Whatever the noise; an input made of its reference is none of readings'."""
     assert said(loop.u, loop.y, loop.r) > 0.999
     holes = np.where(np.arange(loop.r.size) % 50 < 5, np.nan, loop.r)
     assert said(loop.u, loop.y, holes) > 0.999
@@ -379,7 +379,7 @@ def test_the_gradient_of_a_plant_behind_an_inputs_zone_is_right(loop: loop_logs.
 
 
 def test_a_larger_model_that_leads_keeps_its_word() -> None:
-    """Its widths are others: a smaller word is claimed where it leads, or friction beside it does."""
+    """Its widths are others; friction beside a zone has none, and leaves its place to the zone."""
     assert _claimed({"two_zones": 0.6, "dead_zone": 0.4}) == "two_zones"
     assert _claimed({"dead_zone": 0.6, "two_zones": 0.4}) == "dead_zone"
     assert _claimed({"zone_and_friction": 0.6, "dead_zone": 0.4}) == "dead_zone"

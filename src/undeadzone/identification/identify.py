@@ -39,13 +39,7 @@ from undeadzone.identification.verdict.servo import (
     with_servo,
 )
 from undeadzone.identification.verdict.verdict import MEMORY, Case, because, unmodelled
-from undeadzone.identification.verdict.which import (
-    Found,
-    at_both_ends,
-    of_input_zone,
-    with_gap,
-    with_play,
-)
+from undeadzone.identification.verdict.which import Found, at_input, with_gap, with_play
 from undeadzone.support.answers import Answers
 from undeadzone.support.progress import in_notebook
 
@@ -382,9 +376,7 @@ def _is_at_input(case: Case, found: Found) -> bool:
 
 def _with_actuator(case: Case, found: Found) -> Found:
     """The widths of the actuator's zone, and of the sensor's if it has one, and the plant."""
-    if found.verdict.word == "two_zones":
-        return found._replace(element=at_both_ends(case, found))
-    return found._replace(element=of_input_zone([one.pairs for one in case.fitted.fits]))
+    return found._replace(element=at_input(case, found))
 
 
 QUESTIONS = (

@@ -97,7 +97,7 @@ class LeastSquares(Generic[M]):
 
     longest = math.inf
 
-    def __init__(self, model: M, past: Sequence[float] = ()) -> None:
+    def __init__(self, model: M, past: Sequence[float] | Floats = ()) -> None:
         self.model = model
         self.past = np.asarray(past)
         self.data = model.simulator.data

@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.compile import lanes
-from undeadzone.identification.models.elements import MapModel, shifted
+from undeadzone.identification.models.elements import MapModel, linear, shifted
 from undeadzone.identification.models.estimates import (
     Latest,
     around,
@@ -28,8 +28,8 @@ from undeadzone.identification.models.estimates import (
 from undeadzone.identification.models.least_squares import Fitted, LeastSquares
 from undeadzone.identification.models.likelihood import dead_zone
 from undeadzone.identification.models.plant import Data, Simulator
-from undeadzone.identification.models.zone import Objective
-from undeadzone.identification.models.zone_fit import Fit, fit_linear, refit
+from undeadzone.identification.models.zone import Kind, Objective
+from undeadzone.identification.models.zone_fit import Fit, fit_linear, longest_record, refit
 from undeadzone.support.arrays import Floats, Integers
 
 WIDTH = 32
@@ -275,7 +275,7 @@ class PlaceStarts:
         """The zone at the sensor."""
         return [numbers_of(self.plant, self.n, sensor=self.widths)]
 
-    def _levels(self) -> list[tuple[Floats, Floats]]:
+    def levels(self) -> list[tuple[Floats, Floats]]:
         """Plants and levels in units of the input to begin with."""
         begun: list[tuple[Floats, Floats]] = []
         for part in (1.0, 0.4):
@@ -288,12 +288,12 @@ class PlaceStarts:
 
     def at_input(self) -> list[Floats]:
         """Zones of the input."""
-        return [numbers_of(plant, self.n, input=level) for plant, level in self._levels()]
+        return [numbers_of(plant, self.n, input=level) for plant, level in self.levels()]
 
     def friction(self) -> list[Floats]:
         """Friction where the input acts: c = b / b_1."""
         begun = []
-        for plant, level in self._levels():
+        for plant, level in self.levels():
             moved, n = plant.copy(), self.n
             if moved[n] <= 1e-3:
                 moved[n] = 0.05 * np.abs(plant[n : 2 * n]).max() + 1e-3
@@ -354,22 +354,23 @@ class PlaceStarts:
         return begun
 
 
-# --- Both ends: a zone of the input, the plant, a zone of the sensor
+# --- A zone of the input, and perhaps one of the sensor, measured
 
 LOUDER = ((1.8, 1.0), (1.4, 0.5), (2.5, 1.3))  # gain of a linear fit, and widths, to begin with
+ZonedTarget = Objective | LeastSquares[MapModel]
 
 
-class BothEnds(NamedTuple):
-    """Zones of input and sensor with the plant between them.
+class Zoned(NamedTuple):
+    """A plant behind a zone of its input, and perhaps ahead of one of the sensor.
 
     Attributes:
         fit: by least squares, to simulate it.
-        stages: what was maximised and its numbers: the likelihood of single samples, then that of
-            pairs, or prediction errors where noise is behind the zone.
+        stages: what was maximised and its numbers: simulation errors, or the likelihood of single
+            samples; then prediction errors, or the likelihood of pairs where noise falls silent.
     """
 
     fit: Fitted[MapModel]
-    stages: Sequence[tuple[Objective | LeastSquares[MapModel], Floats]]
+    stages: Sequence[tuple[ZonedTarget, Floats]]
 
     def width(self, *weights: float) -> tuple[float, float, float]:
         """A sum of the input's and the sensor's widths, half its interval, degrees of freedom.
@@ -385,7 +386,26 @@ class BothEnds(NamedTuple):
         return values[-1], math.hypot(half, values[-1] - values[0]), degrees
 
 
-def fit_both_ends(fits: Sequence[Fit], known: PlaceFit) -> BothEnds | None:
+def fit_at_input(fits: Sequence[Fit]) -> Zoned | None:
+    """The plant of least BIC behind a zone of the input; None where none fits.
+
+    Args:
+        fits: of every order, with a zone of the sensor, where climbs start.
+    """
+    tops = []
+    for one in fits:
+        starts = PlaceStarts(longest_record(one))
+        simulator = Simulator(starts.simulator.data, starts.n, zoned=True)
+        squares = LeastSquares(MapModel(simulator, "input_zone", linear))
+        tops.append(squares.best([np.append(*begun) for begun in starts.levels()]))
+    best = min(filter(None, tops), key=lambda one: one.bic, default=None)
+    if best is None:
+        return None
+    last = best.squares.predicted(best.theta)
+    return Zoned(best._replace(theta=last[1]), [(best.squares, best.theta), last])
+
+
+def fit_both_ends(fits: Sequence[Fit], known: PlaceFit) -> Zoned | None:
     """The plant of least BIC between zones of input and sensor; None where none fits.
 
     Args:
@@ -396,7 +416,7 @@ def fit_both_ends(fits: Sequence[Fit], known: PlaceFit) -> BothEnds | None:
     for one in fits:
         old = one.objective
         simulator = Simulator(old.data, old.layout.n, zoned=True)
-        kind = "behind" if old.kind == "behind" else "singles"
+        kind: Kind = "behind" if old.kind == "behind" else "singles"
         objective = Objective(simulator, kind, old.limits)
         top = best_top(objective, _between(fit_linear(old.simulator), objective, known), 10, 60)
         if top is not None:
@@ -404,21 +424,19 @@ def fit_both_ends(fits: Sequence[Fit], known: PlaceFit) -> BothEnds | None:
     if not ends:
         return None
     best = min(ends, key=lambda one: one.bic)
-    squares = LeastSquares(MapModel(best.objective.simulator, "both ends", shifted))
-    theta = best.theta[: squares.model.base + 2]
-    if best.objective.kind == "behind":
-        last = squares.predicted(theta)
-    else:
+    squares = LeastSquares(MapModel(best.objective.simulator, "two_zones", shifted))
+    last: tuple[ZonedTarget, Floats] = squares.predicted(best.theta[: squares.model.base + 2])
+    if best.objective.kind != "behind":
         pairs = refit(best, "pairs")
         last = pairs.objective, pairs.theta
-    density = squares.density(last[1][: theta.size])
-    fit = Fitted(squares, last[1][: theta.size], density)
-    return BothEnds(fit, [(best.objective, best.theta), last])
+    theta = last[1][: squares.model.base + 2]
+    fit = Fitted(squares, theta, squares.density(theta))
+    return Zoned(fit, [(best.objective, best.theta), last])
 
 
 def _between(plain: Fit, objective: Objective, known: PlaceFit) -> list[Floats]:
     """Where climbs begin: a louder linear plant between zones of several sizes."""
-    layout, begun = objective.layout, []
+    layout, begun = objective.layout, list[Floats]()
     for gain, size in LOUDER:
         theta = np.zeros(layout.size)
         theta[layout.a], theta[layout.b] = plain.theta[layout.a], gain * plain.theta[layout.b]

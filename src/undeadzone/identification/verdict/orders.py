@@ -280,7 +280,7 @@ def answered(moved: Floats, y: Floats, ok: Flags, beside: Floats) -> tuple[float
     wanted, heard = _lagged(beside, range(HEARD + 1)), _lagged(y[:, None], range(ANSWERED))
     own = np.hstack([np.ones((y.size, 1)), _lagged(moved), wanted])
     known = np.isfinite(np.hstack([own, moved])).all(axis=1)
-    known &= _lagged(ok[:, None], range(ANSWERED)).all(axis=1)
+    known &= _lagged(1.0 * ok[:, None], range(ANSWERED)).all(axis=1)
     known[:HEARD] = False
     found = [(0.0, 1.0)]
     for column in moved[known].T:

@@ -22,22 +22,19 @@ from undeadzone.identification.models.elements import (
     fit_both,
     fit_play,
 )
-from undeadzone.identification.models.estimates import Interval, best_top, weighing
+from undeadzone.identification.models.estimates import Interval, best_top
 from undeadzone.identification.models.kalman_fit import KalmanFit
 from undeadzone.identification.models.least_squares import Fitted, LeastSquares
 from undeadzone.identification.models.likelihood import dead_zone
 from undeadzone.identification.models.motion import THERE, Offsets, along, white_noise
 from undeadzone.identification.models.place import (
-    PARTS,
-    BothEnds,
     PlaceFit,
-    PlaceStarts,
-    Shape,
+    Zoned,
+    fit_at_input,
     fit_both_ends,
-    fit_place,
 )
 from undeadzone.identification.models.play_gap import RUNS, Gap, find_gap
-from undeadzone.identification.models.zone_fit import Fit, longest_record, reduced
+from undeadzone.identification.models.zone_fit import Fit, reduced
 from undeadzone.identification.servo.gap import ServoGap
 from undeadzone.identification.verdict.delays import GLITCH, RARE
 from undeadzone.identification.verdict.odds import Family, odds_of
@@ -90,7 +87,7 @@ class Element(NamedTuple):
     """
 
     kind: str
-    fit: PlayFit | PlaceFit | Fitted[MapModel] | ServoGap
+    fit: PlayFit | Fitted[MapModel] | ServoGap
     simulator: plant.Simulator
     theta: Floats
     V: Floats
@@ -356,126 +353,79 @@ def _sides(gap: Gap, offset: float | None) -> dict[str, Interval | None]:
     return shown
 
 
-# --- A dead zone of the actuator
+# --- A dead zone of the actuator, and perhaps one of the sensor
 
 
-def of_input_zone(fits: Sequence[Fit]) -> Element | None:
-    """The zone of the input behind which the plant of least BIC stands; None where none fits.
-
-    Args:
-        fits: of every order, with a zone of the sensor, where climbs start.
-    """
-    tops = []
-    for one in fits:
-        starts = PlaceStarts(longest_record(one))
-        fitted = fit_place(
-            starts.simulator, Shape("input", "input_zone", input=True), starts.at_input()
-        )
-        if fitted is not None:
-            tops.append(fitted)
-    if not tops:
-        return None
-    return _of_input(min(tops, key=lambda one: one.bic), fits[0].objective.data)
-
-
-def _of_input(fit: PlaceFit, whole: plant.Data) -> Element:
-    """The element of a zone of the input; of the longest record, along all of them."""
-    simulated, fit = fit, fit.predicting
-    model, data, numbers = fit.model, fit.squares.data, fit.theta
-    simulator, theta = _behind(model.simulator.layout, whole, model.part(numbers, "input"), numbers)
-    layout, z = model.simulator.layout, simulator.z(theta)
-    spread = fit.squares.spread(numbers)
-    widths: dict[str, Interval | None] = {}
-    degrees = math.inf
-    for name, weights in DIRECTIONS.items():
-        value = float(np.dot(weights, model.part(numbers, "input")))
-        first = model.base + PARTS["input"].start
-        row = weighing(model.free, model.size, first, weights)
-        half, freedom = spread.half_and_degrees(row)
-        apart = float(row @ (simulated.theta - numbers)[model.free])
-        interval = Interval.around(value, math.hypot(half, apart, FINEST))
-        widths[name] = interval.scaled(float(whole.u_scale[0]))
-        degrees = min(degrees, freedom)
-    return Element(
-        kind="input_zone",
-        fit=fit,
-        simulator=simulator,
-        theta=theta,
-        V=spread.V[: layout.b.stop, : layout.b.stop],
-        z=z,
-        readings=z,
-        side=np.sign(simulator.data.u[:, 0]).astype(int),
-        widths=widths,
-        ahead=plant.disturbance_ahead(layout, numbers, fit.squares.residual(numbers), data.ok),
-        noise=min(white_noise(data.y, data.ok, data.start), fit.squares.rms(numbers)),
-        degrees=degrees,
-        rms=fit.squares.rms(numbers),
-        remarks=[
-            "the widths are those of the input, in its unit; they hold if the input does not answer"
-            " to the output"
-        ],
-    )
-
-
-def _behind(
-    own: plant.Layout, whole: plant.Data, zone: Floats, numbers: Floats
-) -> tuple[plant.Simulator, Floats]:
-    """The plant behind a zone of the input, at rest at first, and its numbers."""
-    simulator = plant.Simulator(whole._replace(u=dead_zone(whole.u, *zone)), own.n)
-    theta = np.zeros(simulator.layout.size)
-    theta[: own.b.stop] = numbers[: own.b.stop]
-    return simulator, theta
-
-
-# --- Dead zones of both ends
-
-
-def at_both_ends(case: Case, found: Found) -> Element | None:
-    """The zones of input and sensor with their plant; None where none fits.
+def at_input(case: Case, found: Found) -> Element | None:
+    """The zone of the input, or of both ends, with the plant; None where none fits.
 
     Args:
         case: the log.
-        found: named two_zones.
+        found: named input_zone, or two_zones.
     """
-    ends = fit_both_ends([one.pairs for one in case.fitted.fits], found.places["two_zones"])
-    return None if ends is None else _of_both_ends(ends, case.offset)
+    word, fits = found.verdict.word, [one.pairs for one in case.fitted.fits]
+    both = word == "two_zones"
+    zoned = fit_both_ends(fits, found.places[word]) if both else fit_at_input(fits)
+    return None if zoned is None else _of_zones(zoned, case)
 
 
-def _of_both_ends(ends: BothEnds, offset: float | None) -> Element:
-    """The element of both zones."""
-    fit, model, numbers = ends.fit, ends.fit.model, ends.fit.theta
-    data, layout = model.simulator.data, model.simulator.layout
-    simulator, theta = _behind(layout, data, numbers[layout.input], numbers)
-    theta[simulator.layout.x0] = numbers[layout.x0]
-    at_input, at_sensor, degrees = {}, {}, math.inf
-    for name, row in DIRECTIONS.items():
-        value, half, freedom = ends.width(*row)
-        u_scale = float(data.u_scale[0])
-        at_input[name] = Interval.around(value, math.hypot(half, FINEST)).scaled(u_scale)
-        value, half, own = ends.width(0.0, 0.0, *row)
-        half = with_offset(math.hypot(half, FINEST), row, offset)
-        at_sensor[name] = Interval.around(value, half).scaled(data.y_scale)
-        degrees = min(degrees, freedom, own)
+def _of_zones(zoned: Zoned, case: Case) -> Element:
+    """The element of a fit of the longest record, or of all; along all of them."""
+    fit, model, numbers = zoned.fit, zoned.fit.model, zoned.fit.theta
+    whole, data, layout = case.data, model.simulator.data, model.simulator.layout
+    passed = dead_zone(whole.u, *numbers[layout.input])
+    simulator = plant.Simulator(whole._replace(u=passed), layout.n)
+    theta = np.zeros(simulator.layout.size)
+    known = layout.x0.stop if data.y.size == whole.y.size else layout.b.stop  # else at rest
+    theta[:known] = numbers[:known]
     z = simulator.z(theta)
-    readings = model.readings(z, numbers)
-    target, last = ends.stages[-1]
+    both, readings = model.name == "two_zones", model.readings(z, numbers)
+    widths, degrees = _widths_at_input(zoned, float(whole.u_scale[0]))
+    remarks = ["both ends have a zone: no scenario is written"]
+    at_sensor = _widths_at_sensor(zoned, case.offset, whole.y_scale) if both else None
+    if not both:
+        remarks = ["the widths are those of the input, in its unit"]
+    target, last = zoned.stages[-1]
+    rms = fit.squares.rms(numbers)
     return Element(
-        kind="two_zones",
+        kind=model.name,
         fit=fit,
         simulator=simulator,
         theta=theta,
         V=target.spread(last).V[: layout.b.stop, : layout.b.stop],
         z=z,
         readings=readings,
-        side=np.sign(readings).astype(int),
-        widths=dict(at_sensor),
+        side=np.sign(readings if both else passed[:, 0]).astype(int),
+        widths=at_sensor or dict(widths),
         ahead=plant.disturbance_ahead(layout, numbers, fit.squares.residual(numbers), data.ok),
-        noise=min(white_noise(data.y, data.ok, data.start), fit.density.rms),
+        noise=min(white_noise(data.y, data.ok, data.start), rms),
         degrees=degrees,
-        rms=fit.density.rms,
-        remarks=["both ends have a zone: no scenario is written"],
-        input=at_input,
+        rms=rms,
+        remarks=remarks,
+        input=widths if both else {},
     )
+
+
+def _widths_at_input(zoned: Zoned, scale: float) -> tuple[dict[str, Interval], float]:
+    """The widths of the input's zone [u], and the least degrees of freedom."""
+    widths, least = {}, math.inf
+    for name, row in DIRECTIONS.items():
+        value, half, degrees = zoned.width(*row)
+        widths[name] = Interval.around(value, math.hypot(half, FINEST)).scaled(scale)
+        least = min(least, degrees)
+    return widths, least
+
+
+def _widths_at_sensor(
+    zoned: Zoned, offset: float | None, scale: float
+) -> dict[str, Interval | None]:
+    """The widths of the sensor's zone behind that of the input [y]."""
+    widths: dict[str, Interval | None] = {}
+    for name, row in DIRECTIONS.items():
+        value, half, _ = zoned.width(0.0, 0.0, *row)
+        half = with_offset(math.hypot(half, FINEST), row, offset)
+        widths[name] = Interval.around(value, half).scaled(scale)
+    return widths
 
 
 # --- How it does on data that had no part in its fit
