@@ -50,6 +50,7 @@ NAMES = (
     "behind_play",
     "both_ends",
     "which",
+    "loops",
     "servo",
     "gears",
 )

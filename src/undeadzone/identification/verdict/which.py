@@ -380,11 +380,11 @@ def _of_zones(zoned: Zoned, case: Case) -> Element:
     theta[:known] = numbers[:known]
     z = simulator.z(theta)
     both, readings = model.name == "two_zones", model.readings(z, numbers)
-    widths, degrees = _widths_at_input(zoned, float(whole.u_scale[0]))
-    remarks = ["both ends have a zone: no scenario is written"]
-    at_sensor = _widths_at_sensor(zoned, case.offset, whole.y_scale) if both else None
-    if not both:
-        remarks = ["the widths are those of the input, in its unit"]
+    widths, degrees = _zone_of(zoned, (), float(whole.u_scale[0]), 0.0)
+    at_both, remarks = {}, ["the widths are those of the input, in its unit"]
+    if both:
+        at_both, remarks = widths, ["both ends have a zone: no scenario is written"]
+        widths, degrees = _zone_of(zoned, (0.0, 0.0), whole.y_scale, case.offset)
     target, last = zoned.stages[-1]
     rms = fit.squares.rms(numbers)
     return Element(
@@ -396,36 +396,34 @@ def _of_zones(zoned: Zoned, case: Case) -> Element:
         z=z,
         readings=readings,
         side=np.sign(readings if both else passed[:, 0]).astype(int),
-        widths=at_sensor or dict(widths),
+        widths=dict(widths),
         ahead=plant.disturbance_ahead(layout, numbers, fit.squares.residual(numbers), data.ok),
         noise=min(white_noise(data.y, data.ok, data.start), rms),
         degrees=degrees,
         rms=rms,
         remarks=remarks,
-        input=widths if both else {},
+        input=at_both,
     )
 
 
-def _widths_at_input(zoned: Zoned, scale: float) -> tuple[dict[str, Interval], float]:
-    """The widths of the input's zone [u], and the least degrees of freedom."""
+def _zone_of(
+    zoned: Zoned, before: tuple[float, ...], scale: float, offset: float | None
+) -> tuple[dict[str, Interval], float]:
+    """The widths of a zone, and their least degrees of freedom.
+
+    Args:
+        zoned: the fit.
+        before: weights of the widths before those of this zone.
+        scale: of its signal.
+        offset: rms of an unknown offset, scaled; None: free.
+    """
     widths, least = {}, math.inf
     for name, row in DIRECTIONS.items():
-        value, half, degrees = zoned.width(*row)
-        widths[name] = Interval.around(value, math.hypot(half, FINEST)).scaled(scale)
-        least = min(least, degrees)
-    return widths, least
-
-
-def _widths_at_sensor(
-    zoned: Zoned, offset: float | None, scale: float
-) -> dict[str, Interval | None]:
-    """The widths of the sensor's zone behind that of the input [y]."""
-    widths: dict[str, Interval | None] = {}
-    for name, row in DIRECTIONS.items():
-        value, half, _ = zoned.width(0.0, 0.0, *row)
+        value, half, degrees = zoned.width(*before, *row)
         half = with_offset(math.hypot(half, FINEST), row, offset)
         widths[name] = Interval.around(value, half).scaled(scale)
-    return widths
+        least = min(least, degrees)
+    return widths, least
 
 
 # --- How it does on data that had no part in its fit
