@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from typing import Any, Final, Literal, NamedTuple
 
 import casadi as ca
@@ -272,9 +272,12 @@ def false_claims(bits: float, suspect: float) -> list[str]:
     return sorted(found, key=lambda name: names.index(name) != suspect - 1)
 
 
-def claims_in_words(names: Iterable[str]) -> list[str]:
-    """What the readings say of claims that they refute, and the cure of each."""
-    return [f"{CLAIMS[name].words}: {CLAIMS[name].cure}" for name in names]
+def claims_in_words(names: Sequence[str]) -> list[str]:
+    """What the readings say of the likeliest claim that they refute, its cure, and the others."""
+    told = [f"{CLAIMS[name].words}: {CLAIMS[name].cure}" for name in names[:1]]
+    if len(names) > 1:
+        told.append("the same readings speak against " + ", ".join(names[1:]))
+    return told
 
 
 QUANTITIES: Final[dict[str, Quantity]] = _OF_FIELDS._asdict()
