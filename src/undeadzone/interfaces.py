@@ -274,10 +274,8 @@ def false_claims(bits: float, suspect: float) -> list[str]:
 
 def claims_in_words(names: Sequence[str]) -> list[str]:
     """What the readings say of the likeliest claim that they refute, its cure, and the others."""
-    told = [f"{CLAIMS[name].words}: {CLAIMS[name].cure}" for name in names[:1]]
-    if len(names) > 1:
-        told.append("the same readings speak against " + ", ".join(names[1:]))
-    return told
+    further = ["the same readings speak against " + ", ".join(names[1:])] if names[1:] else []
+    return [f"{CLAIMS[name].words}: {CLAIMS[name].cure}" for name in names[:1]] + further
 
 
 QUANTITIES: Final[dict[str, Quantity]] = _OF_FIELDS._asdict()
