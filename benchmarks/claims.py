@@ -188,7 +188,7 @@ ROWS = {
     "late constant": Row(honest, ("gust",), KINDS["bias steps by 5 rms"]),
     "stuck for a tenth": Row(stuck, ("sensor",)),
     "stuck and noisy for .4": Row(stuck_and_noisy, ("sensor",)),
-    "glued from 21 pieces": Row(glued),
+    "glued from 21 pieces": Row(glued, ("sensor",)),
 }
 CLASSES = {"stable": "both edges", "integrating": "integrator", "unstable": "unstable"}
 POLES = tuple(KINDS[kind].poles for kind in CLASSES.values())

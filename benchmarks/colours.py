@@ -19,7 +19,8 @@ from benchmarks.closed_loops import RANGE, TOLERANCE, loop
 from benchmarks.markdown import head, row
 from undeadzone.controllers import StateFeedback
 from undeadzone.ends.sensor import Sensor
-from undeadzone.observers import Censored, censored
+from undeadzone.observers import Censored
+from undeadzone.observers.parts import model_bank
 from undeadzone.observers.parts.judged_filter import Member
 from undeadzone.observers.parts.model_bank import bank
 from undeadzone.observers.parts.prior import Claims
@@ -133,11 +134,11 @@ def grounds() -> dict[str, Scenario]:
 @contextmanager
 def both_colours() -> Iterator[None]:
     """`censored` with a washout weighs every level in both colours."""
-    censored.bank = _of_both
+    model_bank.bank = _of_both
     try:
         yield
     finally:
-        censored.bank = bank
+        model_bank.bank = bank
 
 
 def _of_both(member: Member, variants: Sequence[Callable[[Any], Any]]) -> Member:

@@ -244,8 +244,9 @@ CLAIMS: Final = {
         "give the model the lag or delay that is missing, or raise observer.tolerance",
     ),
     "sensor": Claim(
-        "readings insist on what was not foretold: a stuck sensor, an offset, an edge that jumped",
-        "look at the sensor, take an offset from its readings, or raise observer.drift",
+        "readings insist on what was not foretold: a stuck sensor, an offset, an edge that jumped, "
+        "a log that is glued",
+        "look at sensor and log, take an offset from its readings, or raise observer.drift",
     ),
     "gust": Claim(
         "something lasts in the readings that nobody claimed",
