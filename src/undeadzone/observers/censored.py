@@ -63,7 +63,10 @@ class Censored(Claims, frozen=True, kw_only=True, tag_field="method", tag="censo
         assert model.flow is not None
         correlation = correlation_time(self.correlation_time, model.flow, Ts)
         washout = None if self.washout_time is None else span("washout_time", self.washout_time, Ts)
-        calibrated = self._checked()
+        calibrated = scalar("observer.calibrated", self.calibrated, least=0.0)
+        if calibrated >= 1:
+            name = "observer.calibrated"
+            raise InputError(f"{name}: must be a probability below 1, found {calibrated:g}")
         usual = default_disturbance(model, prior.largest, correlation)
         rms = per_input("disturbance", self.disturbance, usual)
         bias = per_input("bias", self.bias, OFFSET * usual)
@@ -93,12 +96,3 @@ class Censored(Claims, frozen=True, kw_only=True, tag_field="method", tag="censo
         traits = claimed_traits(prior, self.x_std)
         observer = shown_states(judged(member, even, glitches > 0, traits), units)
         return heard_by_motion(observer, model, sensor)
-
-    def _checked(self) -> float:
-        """The probability of a calibrated input, once it is checked."""
-        calibrated = scalar("observer.calibrated", self.calibrated, least=0.0)
-        if calibrated >= 1:
-            raise InputError(
-                f"observer.calibrated: must be a probability below 1, found {calibrated:g}"
-            )
-        return calibrated

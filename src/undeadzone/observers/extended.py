@@ -122,7 +122,6 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
         units = np.ones(model.n) if self.joints == "separate" else even_units(model)
         even = in_units(model, units)
         augmentation = self._augmentation(even, coloured(correlation, None, Ts), rms, bias)
-        lasting = max(1.0, correlation / Ts)
         bounds = self.silence and not self.blind
         glitches = glitch_share(self.glitches)
         member = measured_filter(
@@ -130,7 +129,7 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
             sensor,
             counted_prior(prior, units),
             augmentation,
-            lasting,
+            max(1.0, correlation / Ts),
             bounds,
             order=1,
             blind=self.blind,
@@ -138,7 +137,8 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
             claimed=self.disturbance is not None,
             careful=self.x_std is None or self.disturbance is None,
         )
-        levels = (LEVELS if doubts else 1) if self.levels is None else self.levels
+        default = LEVELS if doubts else 1
+        levels = default if self.levels is None else self.levels
         member = levelled(member, levels, self.disturbance is not None)
         traits = claimed_traits(prior, self.x_std)
         traits = traits._replace(adapts=not self.blind, uncertain=tuple(self.uncertain))
@@ -162,9 +162,9 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
         """The disturbance, the bias, and the uncertain parameters. Raises InputError."""
         if self.joints == "separate":
             if self.uncertain or bias.any():
-                key, what = ("uncertain", "parameter") if self.uncertain else ("bias", "bias")
+                key = "uncertain: a parameter" if self.uncertain else "bias: a constant"
                 raise InputError(
-                    f'observer.{key}: a {what} binds the joints together; use joints = "coupled"'
+                    f'observer.{key} binds the joints together; take joints = "coupled"'
                 )
             return separate(model, colour, rms)
         augmentation = unknowns(model, colour, rms, bias, 0.0, named(model, self.uncertain))

@@ -30,10 +30,9 @@ def agitation(model: System, rms: float, span: float | None = None) -> Floats:
     """
     assert model.flow is not None
     A, B, C = model.flow
-    span = quarter_period(model) if span is None else span
     reached = []
     for b in B.T:
-        _, covariance = sampled_noise(A, np.outer(b, b), span)
+        _, covariance = sampled_noise(A, np.outer(b, b), span or quarter_period(model))
         reached.append(np.diag(C @ covariance @ C.T).max())
     variance = np.where(np.array(reached) > 0, reached, np.inf)
     return rms / np.sqrt(sample_time(model) * variance)
