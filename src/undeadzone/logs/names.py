@@ -192,24 +192,23 @@ def layout_of_titles(
     layout = _layout(titles, time, readings, inputs, source)
     if m is not None:
         return layout
-    reference = _reference(titles, layout.columns, chosen, source)
-    if reference is None:
-        return layout
-    said = f"{layout.said}, r from {titles[reference].name!r}"
-    return layout._replace(reference=reference, said=said)
+    return _with_reference(layout, titles, chosen, source)
 
 
-def _reference(
-    titles: Sequence[Title], used: list[int], chosen: Mapping[str, str], source: str
-) -> int | None:
-    """The number of the column of the reference: one that is nothing else. Raises FileError."""
+def _with_reference(
+    layout: Layout, titles: Sequence[Title], chosen: Mapping[str, str], source: str
+) -> Layout:
+    """The layout with the reference: a column that is nothing else. Raises FileError."""
+    same = [_same(titles, name) for name in REFERENCES]
     if "r" in chosen:
-        column = _named(titles, chosen["r"], "r", source)
-        if column in used:
-            raise FileError(f"{source}: column {titles[column].name!r} would be used twice")
-        return column
-    of_name = (_same(titles, name) for name in REFERENCES)
-    return next((same[0] for same in of_name if len(same) == 1 and same[0] not in used), None)
+        same = [[_named(titles, chosen["r"], "r", source)]]
+        if same[0][0] in layout.columns:
+            raise FileError(f"{source}: column {titles[same[0][0]].name!r} would be used twice")
+    for one in same:
+        if len(one) == 1 and one[0] not in layout.columns:
+            said = f"{layout.said}, r from {titles[one[0]].name!r}"
+            return layout._replace(reference=one[0], said=said)
+    return layout
 
 
 def layout_of_numbers(
