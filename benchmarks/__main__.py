@@ -51,6 +51,7 @@ NAMES = (
     "both_ends",
     "which",
     "loops",
+    "loops_told",
     "servo",
     "gears",
 )
