@@ -29,7 +29,13 @@ from undeadzone.identification.models.least_squares import Fitted, LeastSquares
 from undeadzone.identification.models.likelihood import dead_zone
 from undeadzone.identification.models.plant import Data, Simulator
 from undeadzone.identification.models.zone import Kind, Objective
-from undeadzone.identification.models.zone_fit import Fit, fit_linear, longest_record, refit
+from undeadzone.identification.models.zone_fit import (
+    Fit,
+    fit_linear,
+    longest_record,
+    polished,
+    refit,
+)
 from undeadzone.support.arrays import Floats, Integers
 
 WIDTH = 32
@@ -423,11 +429,11 @@ def fit_both_ends(fits: Sequence[Fit], known: PlaceFit) -> Zoned | None:
             ends.append(Fit(objective, *top))
     if not ends:
         return None
-    best = min(ends, key=lambda one: one.bic)
+    best = polished(min(ends, key=lambda one: one.bic))
     squares = LeastSquares(MapModel(best.objective.simulator, "two_zones", shifted))
     last: tuple[ZonedTarget, Floats] = squares.predicted(best.theta[: squares.model.base + 2])
     if best.objective.kind != "behind":
-        pairs = refit(best, "pairs")
+        pairs = polished(refit(best, "pairs"))
         last = pairs.objective, pairs.theta
     theta = last[1][: squares.model.base + 2]
     fit = Fitted(squares, theta, squares.density(theta))

@@ -68,7 +68,7 @@ class Gap(NamedTuple):
     sure: bool
 
 
-def find_gap(fit: PlayFit, quantum: float, in_loop: bool) -> Gap:
+def find_gap(fit: PlayFit, quantum: float, in_loop: bool = False) -> Gap:
     """The numbers of a play with their intervals.
 
     Args:
