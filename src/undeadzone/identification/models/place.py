@@ -33,7 +33,6 @@ from undeadzone.identification.models.zone_fit import (
     Fit,
     fit_linear,
     longest_record,
-    polished,
     refit,
 )
 from undeadzone.support.arrays import Floats, Integers
@@ -429,11 +428,11 @@ def fit_both_ends(fits: Sequence[Fit], known: PlaceFit) -> Zoned | None:
             ends.append(Fit(objective, *top))
     if not ends:
         return None
-    best = polished(min(ends, key=lambda one: one.bic))
+    best = min(ends, key=lambda one: one.bic)
     squares = LeastSquares(MapModel(best.objective.simulator, "two_zones", shifted))
     last: tuple[ZonedTarget, Floats] = squares.predicted(best.theta[: squares.model.base + 2])
     if best.objective.kind != "behind":
-        pairs = polished(refit(best, "pairs"))
+        pairs = refit(best, "pairs")
         last = pairs.objective, pairs.theta
     theta = last[1][: squares.model.base + 2]
     fit = Fitted(squares, theta, squares.density(theta))

@@ -215,10 +215,13 @@ class Objective:
         return estimates.sandwich(scores[:, self.free], self.hessian(theta))
 
     def hessian(self, theta: Floats) -> Floats:
-        """Minus the second derivative by the free numbers; Gauss-Newton for noise behind."""
+        """Minus the second derivative by the free numbers.
+
+        Gauss-Newton for noise behind, and behind a zone of the input, at whose edges scores jump.
+        """
         _, _, approximate = self.quadratic(theta)
         approximate = approximate + 1e-12 * np.eye(self.free.size)
-        if self.kind == "behind":
+        if self.kind == "behind" or self.layout.zoned:
             return approximate
         scale = 1 / np.sqrt(np.diag(approximate))
         rows = np.empty_like(approximate)
