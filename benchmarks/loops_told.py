@@ -60,8 +60,8 @@ def table() -> str:
         [
             "## Zones of the input and of both ends, name and order told",
             "",
-            f'{count} logs a row at commit {commit()}: as in "Closed loops", disturbance .1. Errors and'
-            " half intervals in shares of the true width.",
+            f"{count} logs a row at commit {commit()}: loops of the section before, disturbance .1."
+            " Errors and half intervals in shares of the true width.",
             "",
             *lines,
             "",

@@ -433,6 +433,7 @@ def fit_both_ends(fits: Sequence[Fit], known: PlaceFit) -> Zoned | None:
     last: tuple[ZonedTarget, Floats] = squares.predicted(best.theta[: squares.model.base + 2])
     if best.objective.kind != "behind":
         pairs = refit(best, "pairs")
+        best = refit(pairs, "singles")  # once more: kinks of the edges stop a climb early
         last = pairs.objective, pairs.theta
     theta = last[1][: squares.model.base + 2]
     fit = Fitted(squares, theta, squares.density(theta))
