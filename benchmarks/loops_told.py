@@ -60,7 +60,7 @@ def table() -> str:
         [
             "## Zones of the input and of both ends, name and order told",
             "",
-            f"{count} logs a row at commit {commit()}: loops of the section before, disturbance .1."
+            f"{count} logs a row at commit {commit()}: random loops on y or none (`benchmarks/loop_logs.py`), disturbance .1."
             " Errors and half intervals in shares of the true width.",
             "",
             *lines,
