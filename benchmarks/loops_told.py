@@ -60,8 +60,9 @@ def table() -> str:
         [
             "## Zones of the input and of both ends, name and order told",
             "",
-            f"{count} logs a row at commit {commit()}: random loops on y or none (`benchmarks/loop_logs.py`), disturbance .1."
-            " Errors and half intervals in shares of the true width.",
+            f"{count} logs a row at commit {commit()}: random loops on y or none"
+            " (`benchmarks/loop_logs.py`), disturbance .1. Errors and half intervals in shares of"
+            " the true width.",
             "",
             *lines,
             "",
