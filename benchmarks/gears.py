@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.markdown import head, row
-from benchmarks.mujoco_gears import Arm, Twin, servo, two_link
+from benchmarks.mujoco_gears import UR5, Arm, Twin, servo, two_link, ur5
 from benchmarks.names import commit
 from undeadzone.compile.live import CompiledStepper
 from undeadzone.plants.robots.arm import evaluate_rows
@@ -73,6 +73,54 @@ ARM = {
     "observer": {"method": "contact", "half": [0.0, 0.12], "payload": [0.0, 1.0]},
     "controller": {"method": "computed_torque", "bandwidth": 14.0},
     "simulation": {"time": "sampled", "duration": 9.0, "step": 1e-3, "substeps": 1},
+}
+SIX = {
+    "plant": {
+        "arm": {
+            "kind": "urdf",
+            "path": str(UR5),
+            "tip": "tool0",
+            "gears": {
+                "half": 0.025,
+                "inertia": [1.5, 1.5, 0.6, 0.2, 0.2, 0.02],
+                "friction": [2.0, 2.0, 1.0, 0.3, 0.3, 0.1],
+                "viscous": [2.0, 2.0, 1.0, 0.3, 0.3, 0.05],
+            },
+        },
+        "x0": [0.2, -1.2, 2.05, -1.4, -0.9, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        "parameters": {
+            **dict(zip(["f1", "f2", "f3", "f4", "f5", "f6"], [0.2, 0.2, 0.1, 0.03, 0.03, 5e-3])),
+            **dict(zip(["b1", "b2", "b3", "b4", "b5", "b6"], [0.1, 0.1, 0.05, 0.02, 0.02, 3e-3])),
+        },
+    },
+    "sensor": {"right": 0.0, "left": 0.0, "noise": 5e-4},
+    "reference": {
+        "kind": "figure_eight",
+        "centre": [0.3674, 0.2380, 0.0762],
+        "width": 0.4,
+        "height": 0.3,
+        "normal": [-0.5, 0.4, -0.8],
+        "period": 4.0,
+        "swing": {
+            "points": [
+                [0.6, -2.1, 1.6, -0.8, -0.4, 0.7],
+                [-0.2, -1.0, 2.75, -2.0, -1.4, -0.5],
+                [0.6, -2.1, 1.6, -0.8, -0.4, 0.7],
+                [-0.2, -1.0, 2.75, -2.0, -1.4, -0.5],
+                [0.6, -2.1, 1.6, -0.8, -0.4, 0.7],
+            ],
+            "times": [1.0, 2.0, 3.0, 4.0, 5.0],
+            "until": 6.0,
+        },
+    },
+    "observer": {
+        "method": "contact",
+        "half": [0.0, 0.06],
+        "payload": [0.0, 1.0],
+        "joints": "separate",
+    },
+    "controller": {"method": "computed_torque", "bandwidth": 14.0},
+    "simulation": {"time": "sampled", "duration": 10.0, "step": 1e-3, "substeps": 1},
 }
 SWING = {
     "points": [[-1.0, 0.5], [-2.0, -0.8], [-1.0, 0.5], [-2.0, -0.8], [-1.0, 0.5]],
@@ -133,7 +181,12 @@ def rows() -> list[Row]:
     heavy = {"m1": 3.3, "m2": 2.2, "I1": 0.044, "I2": 0.0165}
     told = {**ARM["plant"]["parameters"], **heavy}
     rubbing = {"friction": [0.15, 0.05]}
+    six_ignored = geared(changed(SIX, observer={"half": [0.0, 1e-4]}), half=1e-5)
+    apart = changed(swung, observer={"joints": "separate"})
     return [
+        Row("six joints, swings then figure eight", SIX, ur5),
+        Row("six joints, gears ignored", six_ignored, ur5),
+        Row("two links, joint by joint", apart, two_link),
         Row("two links, swings then figure eight", swung, two_link),
         Row("the same, gears ignored", geared(ignored, half=1e-5), two_link),
         Row("figure eight alone", ARM, two_link),
