@@ -36,6 +36,7 @@ from undeadzone.plants.robots.geared import Geared, Gears, geared_motion
 
 FADING = 0.2  # correlation time of the unknown torque of motors [s]
 LASTING = 0.01  # time for which the unknown torque of links lasts [s]
+SLOW = 0.05  # time for which the place of another link is off [s]
 KNOWN = 1e-9  # variance of a payload that is known [kg^2]
 REST = ("mass", "load", "slope", "place", "weight", "carried")  # what a joint knows of its arm
 FREE = np.full(1, np.inf)
@@ -186,18 +187,14 @@ def pressed(drives: Sequence[Drive], model: Sequence[Any], told: Sequence[Told])
     """
     each = []
     for drive, numbers, one in zip(drives, model, told, strict=True):
-        touching, mean, square = ca.SX(0.0), ca.SX(0.0), ca.SX(0.0)
-        for contact, chance, belief in zip(
-            drive.layout.modes, one.chances, one.beliefs, strict=True
-        ):
-            if contact[0]:
-                def torque(x, drive=drive, numbers=numbers, contact=contact):
-                    return drive.rate(numbers, x, 0.0, contact)[1]
-                tau, row = linearise(torque, belief.mean)
-                touching += chance
-                mean += chance * tau
-                square += chance * (tau**2 + row @ belief.cov @ row.T)
-        each.append((touching, mean, ca.fmax(square - mean**2, 0.0)))
+        chance, mean, square = ca.SX(0.0), ca.SX(0.0), ca.SX(0.0)
+        modes = zip(drive.layout.modes, one.chances, one.beliefs, strict=True)
+        for contact, share, belief in modes:
+            tau = drive.rate(numbers, belief.mean, 0.0, contact)[1]
+            chance += share * abs(contact[0])
+            mean += share * tau
+            square += share * tau**2
+        each.append((chance, mean, ca.fmax(square - mean**2, 0.0)))
     return Pressed(*(ca.vertcat(*column) for column in zip(*each, strict=True)))
 
 
@@ -244,8 +241,10 @@ def surroundings(
 
     slopes = inverse @ linearise(needed, ca.vertcat(place, carried))[1] / ca.repmat(own, 1, N + 1)
     load = tau - held - a / own
-    others = inverse**2 @ now.variance - own**2 * now.variance
-    shaken = Ts * LASTING * others
+    apart = 1 - ca.DM.eye(N)
+    shaken = Ts * LASTING * (apart * inverse**2) @ now.variance
+    spans = ca.vertcat(*(_span(one.whole) for one in told))
+    shaken += Ts * SLOW * own**2 * ((apart * slopes[:, :N] ** 2) @ spans)
     numbers = []
     for joint, one in enumerate(ones):
         column = columns[joint]
@@ -256,6 +255,14 @@ def surroundings(
         Q[QUANTITIES.index("link_speed")] += shaken[joint]
         numbers.append(parts[joint]._replace(model=column, Q=Q))
     return numbers
+
+
+def _span(belief: Gaussian) -> Any:
+    """The variance of a link, which is not beyond its flanks for long (1)."""
+    layout = Layout(1)
+    motor, link, half = (layout.of(name).start for name in ("motor", "link", "half"))
+    bound = belief.mean[half] ** 2 + belief.cov[half, half] + belief.cov[motor, motor]
+    return ca.fmin(belief.cov[link, link], bound)
 
 
 def _column(gears: Geared, one: Geared, params: Any, joint: int) -> Any:
