@@ -226,10 +226,11 @@ def surroundings(
     held = body.friction(links, v)
     D, L, order = ca.ldl(ca.densify(body.mass(links, place)))
     inverse = ca.ldl_solve(ca.SX.eye(N), D, L, order)
-    own = ca.diag(inverse)
     columns = [_column(gears, one, q.model, joint) for joint, one in enumerate(ones)]
     now = pressed(drives, columns, told)
     push = u + mean[layout.of("push")] - gears.friction(params, turning)
+    moved = _moved(gears, params, body.mass(links, place), now.chance)
+    own = ca.diag(moved)
     tau = _lasting(gears, params, now, turning - v, inverse, push, body.bias(links, place, v) + held, drives[0])
     a = inverse @ (tau - body.bias(links, place, v) - held)
     carried = mean[layout.of("payload")]
@@ -239,7 +240,7 @@ def surroundings(
         column[body.names.index("payload")] = at[N]
         return body.mass(column, at[:N]) @ a + body.bias(column, at[:N], v)
 
-    slopes = inverse @ linearise(needed, ca.vertcat(place, carried))[1] / ca.repmat(own, 1, N + 1)
+    slopes = moved @ linearise(needed, ca.vertcat(place, carried))[1] / ca.repmat(own, 1, N + 1)
     load = tau - held - a / own
     apart = 1 - ca.DM.eye(N)
     shaken = Ts * LASTING * (apart * inverse**2) @ now.variance
@@ -255,6 +256,17 @@ def surroundings(
         Q[QUANTITIES.index("link_speed")] += shaken[joint]
         numbers.append(parts[joint]._replace(model=column, Q=Q))
     return numbers
+
+
+def _moved(gears: Geared, params: Any, M: Any, touching: Any) -> Any:
+    """Acceleration of each link by torques (N x N), others turning their motors where they touch."""
+    N, inertia, rows = gears.size, gears.number(params, "inertia"), []
+    for joint in range(N):
+        turned = touching * inertia
+        turned[joint] = 0.0
+        D, L, order = ca.ldl(ca.densify(M + ca.diag(turned)))
+        rows.append(ca.ldl_solve(ca.DM.eye(N)[:, joint], D, L, order).T)
+    return ca.vertcat(*rows)
 
 
 def _span(belief: Gaussian) -> Any:
