@@ -149,6 +149,8 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
             mean[of(name)] = claimed.mean(axis=1)
             std[of(name)] = (claimed[:, 1] - claimed[:, 0]) / np.sqrt(12)
         unknown, loads, inertia = unknown_torques(model, gears, float(mean[of("payload")][0]))
+        if len(drives) > 1:
+            loads = np.maximum(loads, TURNED * inertia)
         if self.disturbance is not None:
             unknown = positive("observer.disturbance", self.disturbance, N, "one per joint")
         if self.load is not None:

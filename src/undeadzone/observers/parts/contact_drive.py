@@ -177,23 +177,26 @@ class Pressed(NamedTuple):
     variance: Any
 
 
-def pressed(drives: Sequence[Drive], model: Sequence[Any], told: Sequence[Told]) -> Pressed:
-    """The torques at the beginning of a sample.
+def pressed(drives: Sequence[Drive], parts: Sequence[Numbers], told: Sequence[Told]) -> Pressed:
+    """The torques at the beginning of a sample; what stops a strike is as uncertain as that one.
 
     Args:
         drives: of each joint.
-        model: numbers of each joint.
+        parts: numbers of each joint.
         told: of each joint, after its readings.
     """
     each = []
-    for drive, numbers, one in zip(drives, model, told, strict=True):
+    for drive, q, one in zip(drives, parts, told, strict=True):
         chance, mean, square = ca.SX(0.0), ca.SX(0.0), ca.SX(0.0)
         modes = zip(drive.layout.modes, one.chances, one.beliefs, strict=True)
         for contact, share, belief in modes:
-            tau = drive.rate(numbers, belief.mean, 0.0, contact)[1]
+            together = ca.SX(belief.mean)
+            together[drive.layout.of("motor_speed")] = together[drive.layout.of("link_speed")]
+            tau = drive.rate(q.model, belief.mean, 0.0, contact)[1]
+            sudden = tau - drive.rate(q.model, together, 0.0, contact)[1]
             chance += share * abs(contact[0])
             mean += share * tau
-            square += share * tau**2
+            square += share * (tau**2 + (q.impact * sudden) ** 2)
         each.append((chance, mean, ca.fmax(square - mean**2, 0.0)))
     return Pressed(*(ca.vertcat(*column) for column in zip(*each, strict=True)))
 
@@ -227,7 +230,8 @@ def surroundings(
     D, L, order = ca.ldl(ca.densify(body.mass(links, place)))
     inverse = ca.ldl_solve(ca.SX.eye(N), D, L, order)
     columns = [_column(gears, one, q.model, joint) for joint, one in enumerate(ones)]
-    now = pressed(drives, columns, told)
+    parts = [q._replace(model=one) for q, one in zip(parts, columns, strict=True)]
+    now = pressed(drives, parts, told)
     push = u + mean[layout.of("push")] - gears.friction(params, turning)
     moved = _moved(gears, params, body.mass(links, place), now.chance)
     own = ca.diag(moved)
@@ -244,6 +248,8 @@ def surroundings(
     load = tau - held - a / own
     apart = 1 - ca.DM.eye(N)
     shaken = Ts * LASTING * (apart * inverse**2) @ now.variance
+    speed = QUANTITIES.index("link_speed")
+    shaken += (apart * (moved / ca.repmat(own.T, N, 1)) ** 2) @ ca.vertcat(*(p.Q[speed] for p in parts))
     spans = ca.vertcat(*(_span(one.whole) for one in told))
     shaken += Ts * SLOW * own**2 * ((apart * slopes[:, :N] ** 2) @ spans)
     numbers = []
