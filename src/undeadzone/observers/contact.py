@@ -26,6 +26,7 @@ from undeadzone.observers.parts.contact_drive import (
     alone,
     drive_of,
     part_of,
+    passed_on,
     places,
     surroundings,
     together,
@@ -294,6 +295,7 @@ def _step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> tuple[
     ratios["range"] = BEYOND * (_bound(layout, q.modes, whole.whole) > 0)
     shown = _shown(setup, q, told, whole, reading)._replace(**verdict(ratios))
     if setup.ones:
+        told = passed_on(setup.gears, q.modes, s.modes, told, whole.whole.mean)
         parts = surroundings(setup.gears, drives, setup.ones, q.modes, parts, told, whole.whole.mean, u)
     after = []
     for joint, (drive, part) in enumerate(zip(drives, parts, strict=True)):

@@ -28,6 +28,7 @@ from undeadzone.observers.parts.contact_modes import (
     Contacts,
     Drive,
     Layout,
+    Modes,
     Numbers,
     Told,
 )
@@ -36,6 +37,7 @@ from undeadzone.plants.robots.geared import Geared, Gears, geared_motion
 
 FADING = 0.2  # correlation time of the unknown torque of motors [s]
 LASTING = 0.01  # time for which the unknown torque of links lasts [s]
+SOON = 2e-3  # time after which readings tell whether a joint touched [s]
 SLOW = 0.05  # time for which the place of another link is off [s]
 KNOWN = 1e-9  # variance of a payload that is known [kg^2]
 REST = ("mass", "load", "slope", "place", "weight", "carried")  # what a joint knows of its arm
@@ -163,6 +165,38 @@ def together(layout: Layout, told: Sequence[Told]) -> Told:
     return Told([], [], Gaussian(mean, cov), e, std)
 
 
+def passed_on(
+    gears: Geared, q: Numbers, were: Sequence[Modes], told: Sequence[Told], mean: Any
+) -> list[Told]:
+    """What the readings of one joint say of its contact, as free links of other joints feel it.
+
+    A joint that touches or not has pushed its link and the others, in the ratio of (M^-1)_ij to
+    (M^-1)_jj. As its modes gain and lose by its readings, so the others have moved.
+    """
+    N, layout, body = gears.size, Layout(gears.size), gears.arm
+    links = gears.links(believed(gears, q.model, mean))
+    D, L, order = ca.ldl(ca.densify(body.mass(links, mean[layout.of("link")])))
+    inverse = ca.ldl_solve(ca.SX.eye(N), D, L, order)
+    one = Layout(1)
+    entries = [one.of(name).start for name in ("link", "link_speed")]
+    news = []
+    for modes, now in zip(were, told, strict=True):
+        changes = ca.vertcat(*now.chances) - modes.chances
+        means = ca.horzcat(*(belief.mean[entries] for belief in now.beliefs))
+        news.append((means @ changes).T)
+    ratio = inverse / ca.repmat(ca.diag(inverse).T, N, 1) - ca.DM.eye(N)
+    shifts = ratio @ ca.vertcat(*news)
+    free, after = one.modes.index((0,)), []
+    for joint, now in enumerate(told):
+        belief = now.beliefs[free]
+        moved = ca.SX(belief.mean)
+        moved[entries] += shifts[joint, :].T
+        beliefs = list(now.beliefs)
+        beliefs[free] = belief._replace(mean=moved)
+        after.append(now._replace(beliefs=beliefs))
+    return after
+
+
 class Pressed(NamedTuple):
     """What is known of the torques through the gears.
 
@@ -247,7 +281,7 @@ def surroundings(
     slopes = moved @ linearise(needed, ca.vertcat(place, carried))[1] / ca.repmat(own, 1, N + 1)
     load = tau - held - a / own
     apart = 1 - ca.DM.eye(N)
-    shaken = Ts * LASTING * (apart * inverse**2) @ now.variance
+    shaken = Ts * SOON * (apart * inverse**2) @ now.variance
     speed = QUANTITIES.index("link_speed")
     shaken += (apart * (moved / ca.repmat(own.T, N, 1)) ** 2) @ ca.vertcat(*(p.Q[speed] for p in parts))
     spans = ca.vertcat(*(_span(one.whole) for one in told))
