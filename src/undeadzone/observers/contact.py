@@ -28,7 +28,6 @@ from undeadzone.observers.parts.contact_drive import (
     part_of,
     passed_on,
     places,
-    shared,
     surroundings,
     together,
     touching,
@@ -288,7 +287,6 @@ def _step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> tuple[
         before, once = beliefs_of(drive, modes, y[joint::count])
         told.append(corrected(drive, part, modes.chances, before, y[joint::count]))
         begun.append(once)
-    told = shared(told) if setup.ones else told
     whole = together(layout, told)
     started = ca.repmat(ca.vertcat(*(modes.begun for modes in s.modes)), y.shape[0] // count)
     seen = ca.logic_and(present(y), started > 0.5)

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.numerics.gaussian import Gaussian, linearise, update_unless_glitch
+from undeadzone.numerics.gaussian import Gaussian, linearise
 from undeadzone.numerics.runge_kutta import rk4_change
 from undeadzone.observers.parts.contact_modes import (
     CONSTANTS,
@@ -37,9 +37,8 @@ from undeadzone.plants.robots.geared import Geared, Gears, geared_motion
 
 FADING = 0.2  # correlation time of the unknown torque of motors [s]
 LASTING = 0.01  # time for which the unknown torque of links lasts [s]
-SOON = 2e-3  # time after which readings tell whether a joint touched [s]
+SOON = 1e-2  # time after which readings tell whether a joint touched [s]
 SLOW = 0.05  # time for which the place of another link is off [s]
-NEWS = 1e-3  # share by which a payload is known better, from which others are told
 KNOWN = 1e-9  # variance of a payload that is known [kg^2]
 REST = ("mass", "load", "slope", "place", "weight", "carried")  # what a joint knows of its arm
 FREE = np.full(1, np.inf)
@@ -143,37 +142,11 @@ def touching(drive: Drive, told: Told) -> Any:
     return ca.DM([list(mode) for mode in drive.layout.modes]).T @ ca.vertcat(*told.chances)
 
 
-def shared(told: Sequence[Told]) -> list[Told]:
-    """The payload as the joint that knows it best knows it, told to all others.
-
-    What two of them know may be one and the same: to take the better one is safe whatever they
-    have in common (covariance intersection, Julier and Uhlmann 1997).
-    """
-    value, variance = told[0].whole.mean[-1], told[0].whole.cov[-1, -1]
-    for one in told[1:]:
-        better = one.whole.cov[-1, -1] < variance
-        value = ca.if_else(better, one.whole.mean[-1], value)
-        variance = ca.if_else(better, one.whole.cov[-1, -1], variance)
-    h = ca.DM.zeros(1, Layout(1).entries)
-    h[0, -1] = 1
-    after = []
-    for one in told:
-        own, known = one.whole.mean[-1], ca.fmax(one.whole.cov[-1, -1], KNOWN)
-        worse = known > (1 + NEWS) * variance
-        gained = ca.fmax(known - variance, NEWS * KNOWN)
-        R, reading = known * variance / gained, own + known * (value - own) / gained
-        beliefs = []
-        for belief in (one.whole, *one.beliefs):
-            e = reading - belief.mean[-1]
-            beliefs.append(update_unless_glitch(belief, h, e, R, worse, None, 0.0).belief)
-        after.append(one._replace(whole=beliefs[0], beliefs=beliefs[1:]))
-    return after
-
-
 def together(layout: Layout, told: Sequence[Told]) -> Told:
     """What is known of all joints, as if what each does not know had no relation.
 
-    All know the payload as well as the one that knows it best (`shared`).
+    Each joint has a payload of its own. One is shown: each counts by its variance, and their errors
+    are taken to be one and the same.
     """
     if len(told) == 1:
         return told[0]
@@ -181,8 +154,12 @@ def together(layout: Layout, told: Sequence[Told]) -> Told:
     for joint, one in enumerate(told):
         here = places(layout, joint)
         mean[here], cov[here, here] = one.whole.mean, one.whole.cov
+    payloads = [one.whole.mean[-1] for one in told]
+    variances = [ca.fmax(one.whole.cov[-1, -1], KNOWN) for one in told]
+    total = sum(1 / variance for variance in variances)
+    mean[-1] = sum(p / variance for p, variance in zip(payloads, variances, strict=True)) / total
     cov[-1, :], cov[:, -1] = 0, 0
-    cov[-1, -1] = told[0].whole.cov[-1, -1]
+    cov[-1, -1] = (sum(1 / ca.sqrt(variance) for variance in variances) / total) ** 2
     e = ca.vec(ca.horzcat(*(one.e for one in told)).T)
     std = ca.vec(ca.horzcat(*(one.std for one in told)).T)
     return Told([], [], Gaussian(mean, cov), e, std)
