@@ -1,8 +1,8 @@
 """Arms behind gears as MuJoCo moves them: a plant that is not made of our own equations.
 
-Links are planar, or those of a URDF that MuJoCo reads. Each joint is two hinges at one place. The first is the motor, with armature, Coulomb and viscous
-friction; the second is the gap, limited to both sides by a stiff contact. Friction of the link
-is that of a tendon over both.
+Links are planar, or those of a URDF that MuJoCo reads. Each joint is two hinges at one place. The
+first is the motor, with armature, Coulomb and viscous friction; the second is the gap, limited to
+both sides by a stiff contact. Friction of the link is that of a tendon over both.
 """
 
 from __future__ import annotations

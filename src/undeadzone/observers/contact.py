@@ -26,8 +26,8 @@ from undeadzone.observers.parts.contact_drive import (
     alone,
     drive_of,
     part_of,
-    passed_on,
     places,
+    posture,
     surroundings,
     together,
     touching,
@@ -295,8 +295,8 @@ def _step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> tuple[
     ratios["range"] = BEYOND * (_bound(layout, q.modes, whole.whole) > 0)
     shown = _shown(setup, q, told, whole, reading)._replace(**verdict(ratios))
     if setup.ones:
-        told = passed_on(setup.gears, q.modes, s.modes, told, whole.whole.mean)
-        parts = surroundings(setup.gears, drives, setup.ones, q.modes, parts, told, whole.whole.mean, u)
+        arm = posture(setup.gears, q.modes.model, whole.whole.mean, u)
+        parts = surroundings(setup.ones, drives, parts, told, arm)
     after = []
     for joint, (drive, part) in enumerate(zip(drives, parts, strict=True)):
         moved = predicted(drive, part, told[joint], u[joint::count])
@@ -313,9 +313,7 @@ def _bound(layout: Layout, q: Numbers, belief: Gaussian) -> Any:
     return bound
 
 
-def _shown(
-    setup: Setup, q: Params, each: Sequence[Told], told: Told, reading: Reading
-) -> Estimate:
+def _shown(setup: Setup, q: Params, each: Sequence[Told], told: Told, reading: Reading) -> Estimate:
     """What the readings so far tell, of each filter and of all joints."""
     layout, mean = Layout(setup.gears.size), told.whole.mean
     N, of = layout.size, layout.of

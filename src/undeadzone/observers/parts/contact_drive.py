@@ -28,7 +28,6 @@ from undeadzone.observers.parts.contact_modes import (
     Contacts,
     Drive,
     Layout,
-    Modes,
     Numbers,
     Told,
 )
@@ -37,10 +36,10 @@ from undeadzone.plants.robots.geared import Geared, Gears, geared_motion
 
 FADING = 0.2  # correlation time of the unknown torque of motors [s]
 LASTING = 0.01  # time for which the unknown torque of links lasts [s]
-SOON = 1e-2  # time after which readings tell whether a joint touched [s]
 SLOW = 0.05  # time for which the place of another link is off [s]
 KNOWN = 1e-9  # variance of a payload that is known [kg^2]
 REST = ("mass", "load", "slope", "place", "weight", "carried")  # what a joint knows of its arm
+SPEED = QUANTITIES.index("link_speed")
 FREE = np.full(1, np.inf)
 
 
@@ -165,36 +164,55 @@ def together(layout: Layout, told: Sequence[Told]) -> Told:
     return Told([], [], Gaussian(mean, cov), e, std)
 
 
-def passed_on(
-    gears: Geared, q: Numbers, were: Sequence[Modes], told: Sequence[Told], mean: Any
-) -> list[Told]:
-    """What the readings of one joint say of its contact, as free links of other joints feel it.
+class Posture(NamedTuple):
+    """An arm where all its joints are in the mean.
 
-    A joint that touches or not has pushed its link and the others, in the ratio of (M^-1)_ij to
-    (M^-1)_jj. As its modes gain and lose by its readings, so the others have moved.
+    Attributes:
+        gears: the arm.
+        params: its parameters.
+        q, v: angles and speeds of the links (N).
+        closing: speeds of motors against links (N).
+        push: torque of the motors less their friction (N) [N m].
+        rubbed: friction of the links (N).
+        needed: torque that the links need to keep their speed (N).
+        mass: M (N x N).
     """
-    N, layout, body = gears.size, Layout(gears.size), gears.arm
-    links = gears.links(believed(gears, q.model, mean))
-    D, L, order = ca.ldl(ca.densify(body.mass(links, mean[layout.of("link")])))
-    inverse = ca.ldl_solve(ca.SX.eye(N), D, L, order)
-    one = Layout(1)
-    entries = [one.of(name).start for name in ("link", "link_speed")]
-    news = []
-    for modes, now in zip(were, told, strict=True):
-        changes = ca.vertcat(*now.chances) - modes.chances
-        means = ca.horzcat(*(belief.mean[entries] for belief in now.beliefs))
-        news.append((means @ changes).T)
-    ratio = inverse / ca.repmat(ca.diag(inverse).T, N, 1) - ca.DM.eye(N)
-    shifts = ratio @ ca.vertcat(*news)
-    free, after = one.modes.index((0,)), []
-    for joint, now in enumerate(told):
-        belief = now.beliefs[free]
-        moved = ca.SX(belief.mean)
-        moved[entries] += shifts[joint, :].T
-        beliefs = list(now.beliefs)
-        beliefs[free] = belief._replace(mean=moved)
-        after.append(now._replace(beliefs=beliefs))
-    return after
+
+    gears: Geared
+    params: Any
+    q: Any
+    v: Any
+    closing: Any
+    push: Any
+    rubbed: Any
+    needed: Any
+    mass: Any
+
+
+def posture(gears: Geared, model: Any, mean: Any, u: Any) -> Posture:
+    """Where an arm is in the mean.
+
+    Args:
+        gears: the arm.
+        model: its parameters, as the model says.
+        mean: of all unknowns.
+        u: torque of the motors (N).
+    """
+    layout, params, body = Layout(gears.size), believed(gears, model, mean), gears.arm
+    links = gears.links(params)
+    q, turning, v = (mean[layout.of(name)] for name in ("link", "motor_speed", "link_speed"))
+    rubbed = body.friction(links, v)
+    return Posture(
+        gears,
+        params,
+        q,
+        v,
+        turning - v,
+        u + mean[layout.of("push")] - gears.friction(params, turning),
+        rubbed,
+        body.bias(links, q, v) + rubbed,
+        ca.densify(body.mass(links, q)),
+    )
 
 
 class Pressed(NamedTuple):
@@ -213,6 +231,9 @@ class Pressed(NamedTuple):
 
 def pressed(drives: Sequence[Drive], parts: Sequence[Numbers], told: Sequence[Told]) -> Pressed:
     """The torques at the beginning of a sample; what stops a strike is as uncertain as that one.
+
+    Nothing is said of how uncertain a torque is within a contact: what is stiff corrects it at
+    once, while the variances of two joints that take it for lasting would drive each other up.
 
     Args:
         drives: of each joint.
@@ -236,85 +257,52 @@ def pressed(drives: Sequence[Drive], parts: Sequence[Numbers], told: Sequence[To
 
 
 def surroundings(
-    gears: Geared,
-    drives: Sequence[Drive],
     ones: Sequence[Geared],
-    q: Numbers,
+    drives: Sequence[Drive],
     parts: Sequence[Numbers],
     told: Sequence[Told],
-    mean: Any,
-    u: Any,
+    arm: Posture,
 ) -> list[Numbers]:
-    """The numbers of each joint's filter in a sample: what it knows of the rest of its arm.
+    """The numbers of each joint's filter, with what it knows of the rest of its arm.
 
     Args:
-        gears: the arm.
-        drives: of each joint.
         ones: each joint `alone`.
-        q: numbers of all.
+        drives: of each joint.
+        parts: numbers of each joint.
         told: of each joint, after its readings.
-        mean: of all unknowns.
-        u: torque of the motors (N).
+        arm: all joints in the mean.
     """
-    N, layout, body, Ts = gears.size, Layout(gears.size), gears.arm, drives[0].Ts
-    params = believed(gears, q.model, mean)
-    links = gears.links(params)
-    place, turning, v = (mean[layout.of(name)] for name in ("link", "motor_speed", "link_speed"))
-    held = body.friction(links, v)
-    D, L, order = ca.ldl(ca.densify(body.mass(links, place)))
-    inverse = ca.ldl_solve(ca.SX.eye(N), D, L, order)
-    columns = [_column(gears, one, q.model, joint) for joint, one in enumerate(ones)]
-    parts = [q._replace(model=one) for q, one in zip(parts, columns, strict=True)]
-    now = pressed(drives, parts, told)
-    push = u + mean[layout.of("push")] - gears.friction(params, turning)
-    moved = _moved(gears, params, body.mass(links, place), now.chance)
-    own = ca.diag(moved)
-    tau = _lasting(gears, params, now, turning - v, inverse, push, body.bias(links, place, v) + held, drives[0])
-    a = inverse @ (tau - body.bias(links, place, v) - held)
-    carried = mean[layout.of("payload")]
+    gears, N, body = arm.gears, arm.gears.size, arm.gears.arm
+    links, names = gears.links(arm.params), body.names
+    carried = links[names.index("payload")]
+    known = []
+    for joint, (one, part) in enumerate(zip(ones, parts, strict=True)):
+        known.append(part._replace(model=_column(gears, one, part.model, joint)))
+    now = pressed(drives, known, told)
+    inverse, moved = _solved(arm.mass, ca.DM.eye(N)), _moved(arm, now.chance)
+    tau = _lasting(arm, now, inverse, drives[0])
+    a = inverse @ (tau - arm.needed)
 
     def needed(at: Any) -> Any:
         column = ca.SX(links)
-        column[body.names.index("payload")] = at[N]
-        return body.mass(column, at[:N]) @ a + body.bias(column, at[:N], v)
+        column[names.index("payload")] = at[N]
+        return body.mass(column, at[:N]) @ a + body.bias(column, at[:N], arm.v)
 
-    slopes = moved @ linearise(needed, ca.vertcat(place, carried))[1] / ca.repmat(own, 1, N + 1)
-    load = tau - held - a / own
-    apart = 1 - ca.DM.eye(N)
-    shaken = Ts * SOON * (apart * inverse**2) @ now.variance
-    speed = QUANTITIES.index("link_speed")
-    shaken += (apart * (moved / ca.repmat(own.T, N, 1)) ** 2) @ ca.vertcat(*(p.Q[speed] for p in parts))
-    spans = ca.vertcat(*(_span(one.whole) for one in told))
-    shaken += Ts * SLOW * own**2 * ((apart * slopes[:, :N] ** 2) @ spans)
-    numbers = []
-    for joint, one in enumerate(ones):
-        column = columns[joint]
-        known = (1 / own[joint], load[joint], slopes[joint, joint], place[joint], slopes[joint, N])
-        for name, value in zip(REST, (*known, carried), strict=True):
-            column[one.names.index(name)] = value
-        Q = ca.SX(parts[joint].Q)
-        Q[QUANTITIES.index("link_speed")] += shaken[joint]
-        numbers.append(parts[joint]._replace(model=column, Q=Q))
-    return numbers
-
-
-def _moved(gears: Geared, params: Any, M: Any, touching: Any) -> Any:
-    """Acceleration of each link by torques (N x N), others turning their motors where they touch."""
-    N, inertia, rows = gears.size, gears.number(params, "inertia"), []
-    for joint in range(N):
-        turned = touching * inertia
-        turned[joint] = 0.0
-        D, L, order = ca.ldl(ca.densify(M + ca.diag(turned)))
-        rows.append(ca.ldl_solve(ca.DM.eye(N)[:, joint], D, L, order).T)
-    return ca.vertcat(*rows)
-
-
-def _span(belief: Gaussian) -> Any:
-    """The variance of a link, which is not beyond its flanks for long (1)."""
-    layout = Layout(1)
-    motor, link, half = (layout.of(name).start for name in ("motor", "link", "half"))
-    bound = belief.mean[half] ** 2 + belief.cov[half, half] + belief.cov[motor, motor]
-    return ca.fmin(belief.cov[link, link], bound)
+    own = ca.diag(moved)
+    each = ca.repmat(own, 1, N + 1)
+    slopes = moved @ linearise(needed, ca.vertcat(arm.q, carried))[1] / each
+    shaken = _shaken(inverse, moved, slopes[:, :N], now.variance, known, told, drives[0].Ts)
+    after = []
+    for joint, (one, part) in enumerate(zip(ones, known, strict=True)):
+        load = tau[joint] - arm.rubbed[joint] - a[joint] / own[joint]
+        slope, weight = slopes[joint, joint], slopes[joint, N]
+        rest = (1 / own[joint], load, slope, arm.q[joint], weight, carried)
+        for name, value in zip(REST, rest, strict=True):
+            part.model[one.names.index(name)] = value
+        Q = ca.SX(part.Q)
+        Q[SPEED] += shaken[joint]
+        after.append(part._replace(Q=Q))
+    return after
 
 
 def _column(gears: Geared, one: Geared, params: Any, joint: int) -> Any:
@@ -326,33 +314,81 @@ def _column(gears: Geared, one: Geared, params: Any, joint: int) -> Any:
     return column
 
 
-def _lasting(
-    gears: Geared,
-    params: Any,
-    now: Pressed,
-    closing: Any,
-    inverse: Any,
-    push: Any,
-    needed: Any,
-    drive: Drive,
-) -> Any:
+def _solved(M: Any, right: Any) -> Any:
+    """M^-1 times a matrix."""
+    return ca.ldl_solve(right, *ca.ldl(M))
+
+
+def _moved(arm: Posture, touching: Any) -> Any:
+    """The acceleration of each link by torques (N x N); others turn their motors where they touch.
+
+    So a link answers to its own contact, which lasts longer than a stiff contact takes.
+    """
+    N, inertia, rows = arm.gears.size, arm.gears.number(arm.params, "inertia"), []
+    for joint in range(N):
+        turned = touching * inertia
+        turned[joint] = 0.0
+        rows.append(_solved(arm.mass + ca.diag(turned), ca.DM.eye(N)[:, joint]).T)
+    return ca.vertcat(*rows)
+
+
+def _lasting(arm: Posture, now: Pressed, inverse: Any, drive: Drive) -> Any:
     """The mean torques through the gears over a sample (N), of joints that stay as they are.
 
     A joint that touches feels its own torque, and those of others by the chance that they touch.
     """
-    N, h = gears.size, drive.Ts / drive.substeps
-    frequency, inertia = (gears.number(params, name) for name in ("contact", "inertia"))
+    gears, N = arm.gears, arm.gears.size
+    frequency, inertia = (gears.number(arm.params, name) for name in ("contact", "inertia"))
     K, damping = gears.stiffness * frequency**2, gears.damping * frequency
-    others = inverse - ca.diag(ca.diag(inverse))
+    own = ca.diag(inverse)
+    others = inverse - ca.diag(own)
     first = now.mean / ca.fmax(now.chance, NONE)
 
     def rate(x: Any, _: float) -> Any:
         wound, faster = x[:N], x[N : 2 * N]
         tau = first + K * wound + damping * faster
-        link = ca.diag(inverse) * tau + others @ (now.chance * tau) - inverse @ needed
-        return ca.vertcat(closing + faster, (push - tau) / inertia - link, tau)
+        link = own * tau + others @ (now.chance * tau) - inverse @ arm.needed
+        return ca.vertcat(arm.closing + faster, (arm.push - tau) / inertia - link, tau)
 
     total = ca.SX.zeros(3 * N)
     for _ in range(drive.substeps):
-        total += rk4_change(rate, total, h)
+        total += rk4_change(rate, total, drive.Ts / drive.substeps)
     return now.chance * total[2 * N :] / drive.Ts
+
+
+def _shaken(
+    inverse: Any,
+    moved: Any,
+    slopes: Any,
+    variance: Any,
+    parts: Sequence[Numbers],
+    told: Sequence[Told],
+    Ts: float,
+) -> Any:
+    """The variance that the speed of each link gains in a sample by what is unknown of others (N).
+
+    Args:
+        inverse: M^-1.
+        moved: the acceleration of each link by torques (N x N).
+        slopes: torque at each link by the angle of another (N x N).
+        variance: of the torques through the gears (N).
+        parts: numbers of each joint.
+        told: of each joint.
+        Ts: sample time [s].
+    """
+    N, own = len(parts), ca.diag(moved)
+    apart = 1 - ca.DM.eye(N)
+    pushed = (apart * inverse**2) @ variance
+    loads = ca.vertcat(*(part.Q[SPEED] for part in parts))
+    loaded = (apart * (moved / ca.repmat(own.T, N, 1)) ** 2) @ loads
+    spans = ca.vertcat(*(_span(one.whole) for one in told))
+    tilted = own**2 * ((apart * slopes**2) @ spans)
+    return loaded + Ts * (LASTING * pushed + SLOW * tilted)
+
+
+def _span(belief: Gaussian) -> Any:
+    """The variance of a link, which is not beyond its flanks for long (1)."""
+    layout = Layout(1)
+    motor, link, half = (layout.of(name).start for name in ("motor", "link", "half"))
+    bound = belief.mean[half] ** 2 + belief.cov[half, half] + belief.cov[motor, motor]
+    return ca.fmin(belief.cov[link, link], bound)
