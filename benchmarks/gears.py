@@ -371,8 +371,8 @@ def told(label: str, results: list[Outcome], N: int) -> str:
 
 
 NOTE = """MuJoCo 4 moves the arms (`benchmarks/mujoco_gears.py`); gaps, payload, friction and
-contact are drawn anew for each seed and not told. The last 4 s of 9 s (arms; 14.2 s with six joints,
-a UR5 joint by joint), of 6.5 s (servos).
+contact are drawn anew for each seed and not told. The last 4 s of 9 s (two links), of 14.2 s (six
+joints: a UR5, joint by joint), of 6.5 s (servos).
 Path: tip of arms [mm], angle of servos [mrad]. Lost without a word: beyond 5 std, or a link's angle
 outside of its interval in half of the samples, with `consistent` 1 in the last 200 samples.
 """

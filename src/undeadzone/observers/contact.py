@@ -83,7 +83,8 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         disturbance: rms of an unknown torque of the motors, one or one per joint [N m]; default 0.3
             of the model's friction, at least 0.6 % of the torque that holds the links.
         load: rms of an unknown torque at the links that lasts 10 ms, one or one per joint [N m];
-            default 0.75 of their friction, at least 1 % of the torque that holds them.
+            default 0.75 of their friction, at least 1 % of the torque that holds them; of separate
+            joints, what makes 0.5 rad/s^2.
         drift: random walk of the half gaps [rad / sqrt(s)].
         compliance: standard deviation of where a flank gives way to, which no reading tells [rad].
         joints: "separate" filters each joint for itself, to which the rest of the arm is known but
