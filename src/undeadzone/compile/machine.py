@@ -89,6 +89,13 @@ class Machine(NamedTuple):
             return Form(lanes, 1, slots, 26)
         return Form(lanes, 2, slots, 20)
 
+    def others(self, form: Form) -> list[Form]:
+        """Forms that may be faster than the one that is assumed, in steps of fewer than `LARGE`."""
+        slots = form.lanes == 8
+        usual = (2, slots, 20), (2, False, 12), (2, False, 0), (1, slots, 26)
+        forms = [Form(form.lanes, *each) for each in usual]
+        return [other for other in forms if other != form]
+
     def target(self, effort: int = 3) -> Any:
         """A compiler for it, of LLVM's effort 0 to 3."""
         from llvmlite import binding
