@@ -129,7 +129,7 @@ class Trial:
         self.codes, self._random = {own: ""}, random.Random(0)
         # Seconds per step and lane of the last calls.
         self.rates: dict[Block, deque[float]] = defaultdict(lambda: deque(maxlen=CALLS))
-        self._seconds, self._begun = 0.0, threading.Lock()
+        self._seconds, self._begun, self.is_done = 0.0, threading.Lock(), False
 
     def __call__(self, steps: int, lanes: int, *addresses: int) -> None:
         """Call the function.
@@ -150,7 +150,7 @@ class Trial:
             threading.Thread(target=self._compile, name="compile").start()
         elif len(self.codes) > 1 and all(len(self.rates[each]) == CALLS for each in self.codes):
             best = min(self.codes, key=self._weighed)
-            self.codes = {best: self.codes[best]}
+            self.codes, self.is_done = {best: self.codes[best]}, True
             self._keep(self.codes[best])
 
     def _compile(self) -> None:

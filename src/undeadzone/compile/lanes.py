@@ -127,11 +127,9 @@ def build(
     return plan.kernel(block)
 
 
-def kept(
-    step: ca.Function, rare: Sequence[ca.Function] = (), *, width: int | None = None
-) -> Kernel | None:
-    """The kernel that `build` would give with no other options, if it is on disk."""
-    plan = _plan(step, rare, width, Arithmetic())
+def kept(step: ca.Function, rare: Sequence[ca.Function] = ()) -> Kernel | None:
+    """The kernel of a single run that `build` would give, if it is on disk."""
+    plan = _plan(step, rare, 1, Arithmetic())
     block = cache.kept(plan.recipe(None), KINDS)
     return None if block is None else plan.kernel(block)
 
@@ -201,8 +199,7 @@ def _trial(plan: _Plan, block: cache.Block, question: str) -> cache.Trial:
     assumed = plan.kernel(block).form
     forms = here().others(assumed)
     group = math.lcm(*(form.lanes * form.streams for form in (assumed, *forms)))
-    makes = [partial(cache.made, plan.recipe(form), KINDS) for form in forms]
-    others = dict(zip(map(json.dumps, forms), makes, strict=True))
+    others = {json.dumps(form): partial(cache.made, plan.recipe(form), KINDS) for form in forms}
     return cache.Trial(block, others, group, partial(cache.keep_answer, question))
 
 
@@ -408,11 +405,7 @@ def checked(
 
 def _held(inputs: Floats) -> Supply:
     """A supply from an array (N x own inputs x lanes)."""
-
-    def of_lanes(lanes: Integers) -> Source:
-        return partial(_steps_of_lanes, inputs, lanes)
-
-    return of_lanes
+    return lambda lanes: partial(_steps_of_lanes, inputs, lanes)
 
 
 def _steps_of_lanes(inputs: Floats, lanes: Integers, first: int, count: int) -> Floats:
