@@ -26,7 +26,7 @@ from undeadzone.compile.machine import NUMBERS, Compiled, Linked, compiled, here
 LONG: Final = 6000  # lines of a text whose code of no effort is worth while
 FRAME: Final = 32  # bytes of the stack that a line takes in such code, which shares nothing
 START: Final = 2.0  # [s] of a function's calls after which other codes of it are compiled
-CALLS: Final = 16  # of each code that are compared
+CALLS: Final = 32  # of each code that are compared
 SHORT: Final = 2e-5  # [s] of a call that tells nothing
 FASTER: Final = 0.95  # below this share of its time a code takes the place of the assumed one
 
