@@ -172,6 +172,7 @@ def _row(loop: Loop, rounds: int) -> str:
 def alone(program: ours.Program, work: Work) -> Callable[[], None]:
     """A kernel's own calls, without `lanes.run`."""
     kernel, states = program.kernel, program.states
+    kernel.block.settle()
     own = np.empty((STEPS, 0, len(states)))
     arrays = lanes._arrays(kernel, len(states), STEPS)
 

@@ -12,6 +12,7 @@ import random
 import threading
 from collections import defaultdict, deque
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
@@ -69,7 +70,7 @@ class Block:
 
     def __init__(self, code: Linked, kinds: tuple[str, ...], note: str, text: str = "") -> None:
         self.note, self.text = note, text
-        self.trial: Callable[..., None] | None = None  # calls this function, or one of its bits
+        self.trial: Callable[..., None] | None = None  # calls it, or a code of the same bits
         self._arrays = tuple(map(_entries, kinds))
         self._codes = [code]  # all are kept, since another thread may be within one
         self._better: threading.Thread | None = None
@@ -144,10 +145,11 @@ class Trial:
         block.function(steps, lanes, *addresses)
         seconds = perf_counter() - began
         if seconds > SHORT:
-            self.rates[block].append(seconds / (steps * lanes))
+            self.rates[block].append(seconds / max(1, steps * lanes))
         self._seconds += seconds
         if self._seconds > START and self._begun.acquire(blocking=False):
-            threading.Thread(target=self._compile, name="compile").start()
+            with suppress(RuntimeError):  # where no thread can be had, nothing is measured
+                threading.Thread(target=self._compile, name="compile").start()
         elif len(self.codes) > 1 and all(len(self.rates[each]) == CALLS for each in self.codes):
             best = min(self.codes, key=self._weighed)
             self.codes, self.is_done = {best: self.codes[best]}, True

@@ -47,7 +47,7 @@ class Kernel(NamedTuple):
         block: block(steps, lanes, work, exogenous, params, own, outputs), of flat arrays, lanes
             last.
         shape: what it was compiled for.
-        form: how lanes are computed.
+        form: how lanes are computed, until a long run finds a faster one (`cache.Trial`).
         width: lanes of a block, at most.
         promises: what it takes for granted of params.
     """

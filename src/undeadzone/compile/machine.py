@@ -90,7 +90,7 @@ class Machine(NamedTuple):
         return Form(lanes, 2, slots, 20)
 
     def others(self, form: Form) -> list[Form]:
-        """Forms that may be faster than the one that is assumed, in steps of fewer than `LARGE`."""
+        """Forms that a long run tries beside the one that is assumed."""
         slots = form.lanes == 8
         usual = (2, slots, 20), (2, False, 12), (2, False, 0), (1, slots, 26)
         forms = [Form(form.lanes, *each) for each in usual]
