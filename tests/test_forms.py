@@ -397,7 +397,7 @@ def test_another_code_has_to_win_clearly(
         def settle(self) -> None:
             """It is the best already."""
 
-    monkeypatch.setattr(cache, "perf_counter", lambda: now[0])
+    monkeypatch.setattr(cache, "clock", lambda: now[0])
     monkeypatch.setattr(cache, "CALLS", 12)
     own: Any = Fake(costs[0])
     others = {name: partial(Fake, cost) for name, cost in zip("bc", costs[1:], strict=True)}

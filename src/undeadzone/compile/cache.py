@@ -9,13 +9,14 @@ import functools
 import hashlib
 import json
 import random
+import sys
 import threading
 from collections import defaultdict, deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from time import perf_counter
+from time import perf_counter, thread_time
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -28,6 +29,8 @@ LONG: Final = 6000  # lines of a text whose code of no effort is worth while
 FRAME: Final = 32  # bytes of the stack that a line takes in such code, which shares nothing
 START: Final = 2.0  # [s] of a function's calls after which other codes of it are compiled
 CALLS: Final = 32  # of each code that are compared
+# What other jobs take is not counted; Windows counts that in 64ths of a second, which is too coarse.
+clock: Final = perf_counter if sys.platform == "win32" else thread_time
 SHORT: Final = 2e-5  # [s] of a call that tells nothing
 FASTER: Final = 0.95  # below this share of its time a code takes the place of the assumed one
 
@@ -141,9 +144,9 @@ class Trial:
         """
         # In turn, a code might get those calls of each run in which most happens.
         block = self._own if lanes % self._group else self._random.choice([*self.codes])
-        began = perf_counter()
+        began = clock()
         block.function(steps, lanes, *addresses)
-        seconds = perf_counter() - began
+        seconds = clock() - began
         if seconds > SHORT:
             self.rates[block].append(seconds / max(1, steps * lanes))
         self._seconds += seconds
