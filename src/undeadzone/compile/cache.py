@@ -29,7 +29,7 @@ LONG: Final = 6000  # lines of a text whose code of no effort is worth while
 FRAME: Final = 32  # bytes of the stack that a line takes in such code, which shares nothing
 START: Final = 2.0  # [s] of a function's calls after which other codes of it are compiled
 CALLS: Final = 32  # of each code that are compared
-# What other jobs take is not counted; Windows counts that in 64ths of a second, which is too coarse.
+# What other jobs take is not counted, but on Windows, which counts it in 64ths of a second.
 clock: Final = perf_counter if sys.platform == "win32" else thread_time
 SHORT: Final = 2e-5  # [s] of a call that tells nothing
 FASTER: Final = 0.95  # below this share of its time a code takes the place of the assumed one
