@@ -2,7 +2,7 @@
 
 `python -m benchmarks.honesty FOLDER` keeps every part in the folder and goes on where it stopped.
 With `--orders 3` that order alone is done; parts of all orders in one folder join when all are
-asked for.
+asked for. `--filters extended` asks `extended`, told the ranges alone, in place of `censored`.
 """
 
 from __future__ import annotations
@@ -19,10 +19,14 @@ from benchmarks.coverage import ROUNDING
 from benchmarks.glitches import doubting, from_ranges, observe
 from benchmarks.honest_problems import KINDS, ORDERS, RATES, SAMPLES, problems
 from benchmarks.markdown import head, row
+from undeadzone.observers import Extended
 from undeadzone.statistics.intervals import proportion
 from undeadzone.support.arrays import Floats
 
 CLAIMS = {"told": doubting, "ranges alone": from_ranges}
+FILTERS = CLAIMS | {
+    "extended": lambda known, k: Extended(right=known.ranges[k, 0], left=known.ranges[k, 1])
+}
 COLUMNS = (
     "world",
     "claims",
@@ -55,7 +59,7 @@ class Part(NamedTuple):
 def part(claims: str, kind: str, order: int, count: int, seed: int) -> Part:
     """Solve the problems of one kind and order."""
     posed = problems(KINDS[kind], order, count, seed)
-    outcome = observe(CLAIMS[claims], posed)
+    outcome = observe(FILTERS[claims], posed)
     errors, stds = outcome.verdict.errors, outcome.verdict.stds
     held = np.abs(errors) <= 1.96 * stds + ROUNDING  # a number that is none holds nothing
     return Part(1.0 * ~held, outcome.consistent, outcome.rms / posed.d.mean(axis=1))
@@ -76,18 +80,22 @@ def kept(folder: Path | None, claims: str, kind: str, order: int, count: int, se
 
 
 def table(
-    count: int = 100, seed: int = 0, folder: Path | None = None, orders: Sequence[int] = ORDERS
+    count: int = 100,
+    seed: int = 0,
+    folder: Path | None = None,
+    orders: Sequence[int] = ORDERS,
+    filters: Sequence[str] = tuple(CLAIMS),
 ) -> str:
     """The table, from `count` problems of each order a row."""
     parts = {}
-    for claims in CLAIMS:
+    for claims in filters:
         for order in orders:
             for kind in KINDS:
                 parts[claims, kind, order] = kept(folder, claims, kind, order, count, seed)
     lines = ["## Honesty: intervals where the world is as declared, and where it is not\n"]
     lines += head(*COLUMNS)
     for kind in KINDS:
-        for claims in CLAIMS:
+        for claims in filters:
             each = [parts[claims, kind, order] for order in orders]
             pooled = Part(*(np.concatenate(values) for values in zip(*each, strict=True)))
             lines.append(row(kind, claims, *_cells(pooled)))
@@ -126,5 +134,6 @@ if __name__ == "__main__":
     parser.add_argument("--orders", nargs="+", type=int, default=ORDERS, choices=ORDERS)
     parser.add_argument("--count", type=int, default=100, help="problems of each order a row")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--filters", nargs="+", default=tuple(CLAIMS), choices=tuple(FILTERS))
     words = parser.parse_args()
-    print(table(words.count, words.seed, words.folder, words.orders))
+    print(table(words.count, words.seed, words.folder, words.orders, words.filters))

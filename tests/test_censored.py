@@ -29,6 +29,7 @@ from undeadzone.linear.hold import zoh
 from undeadzone.linear.matrices import Matrices
 from undeadzone.numerics import gaussian
 from undeadzone.observers import Censored, Kalman
+from undeadzone.observers.parts import model_bank
 from undeadzone.observers.parts.gaussian_filter import Params, ambiguous
 from undeadzone.observers.parts.model_bank import mixture_std, weighted_mean, wider_of_two
 from undeadzone.observers.parts.unknown_inputs import (
@@ -776,12 +777,24 @@ def test_intervals_of_ambiguous_levels_hold_95_percent(shares: list[float]) -> N
     assert 0.949 <= held <= 0.985
 
 
-def test_levels_lie_about_the_claim_and_wider_about_the_default() -> None:
-    np.testing.assert_allclose(Censored(right=[0, 2], disturbance=1.0)._factors(), [4, 1, 1 / 4])
-    np.testing.assert_allclose(
-        Censored(right=[0, 2], disturbance=1.0, levels=2)._factors(), [1, 1 / 4]
-    )
-    np.testing.assert_allclose(Censored(right=[0, 2])._factors(), [4, 0.5**0.5, 1 / 8])
+def test_levels_lie_about_the_claim_and_wider_about_the_default(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As the members of the bank take the variance of the disturbance."""
+
+    def levels(member: Any, variants: Any) -> Any:
+        found.append([variant(member.params).augmentation.variance[0] for variant in variants])
+        return member
+
+    found: list[list[float]] = []
+    monkeypatch.setattr(model_bank, "bank", levels)
+    told: dict[str, Any] = {"disturbance": 1.0}
+    for options in (told, told | {"levels": 2}, {}):
+        Censored(right=[0, 2], **options).build(MODEL, zone())
+    stds = [np.sqrt(variances) for variances in found]
+    np.testing.assert_allclose(stds[0], [4, 1, 1 / 4])
+    np.testing.assert_allclose(stds[1], [1, 1 / 4])
+    np.testing.assert_allclose(stds[2] / stds[2][0], [1, 0.5**0.5 / 4, 1 / 32])
 
 
 @pytest.mark.parametrize("narrow", [1e-6, 0.1, 1.0])

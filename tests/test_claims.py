@@ -23,7 +23,14 @@ def test_names_stand_in_order_of_the_bits_but_for_the_likeliest() -> None:
     names = list(CLAIMS)
     assert false_claims(0.0, 0.0) == []
     assert false_claims(float(2 ** len(CLAIMS) - 1), 3.0) == [names[2], *names[:2], *names[3:]]
-    assert all(": " in words for words in claims_in_words(names))
+
+
+def test_the_likeliest_is_told_in_full_and_the_others_by_name() -> None:
+    assert claims_in_words([]) == []
+    gust = f"{CLAIMS['gust'].words}: {CLAIMS['gust'].cure}"
+    assert claims_in_words(["gust"]) == [gust]
+    told = claims_in_words(["gust", "noise", "slope"])
+    assert told == [gust, "the same readings speak against noise, slope"]
 
 
 def test_bits_and_the_likeliest() -> None:

@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 
 import undeadzone as uz
+from undeadzone.cli import group
 from undeadzone.numerics.first_passage import arriving, at_edge, beyond
 from undeadzone.numerics.gaussian import Gaussian, cut_to, mixed
+from undeadzone.results import mjcf
 from undeadzone.scenario.reader import convert
 
 SERVO = """
@@ -40,6 +42,21 @@ points = [[-1.57], [-1.07], [-2.07], [-1.07], [-2.07], [-1.07], [-1.57]]
 times = [0.0, 0.7, 1.7, 2.7, 3.7, 4.7, 5.4]
 """
 
+HINGES = """
+<mujoco>
+  <compiler angle="radian" autolimits="false"/>
+  <option gravity="0 0 0" timestep="1e-4"/>
+  <include file="gears.xml"/>
+  <worldbody>
+    <body>
+      <inertial pos="0.125 0 0" mass="0.35" diaginertia="1e-4 0.0018 0.0018"/>
+      <joint name="q1" class="q1_motor" axis="0 0 1"/>
+      <joint name="q1_gap" class="q1_gap" axis="0 0 1"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
 
 def servo(**changes: Any) -> uz.Scenario:
     """A hanging servo behind gears whose gap, payload and friction are not told."""
@@ -52,6 +69,29 @@ def servo(**changes: Any) -> uz.Scenario:
 @pytest.fixture(scope="module")
 def run() -> uz.Run:
     return uz.simulate(servo())
+
+
+def test_mujoco_has_the_gap_that_a_run_found(run: uz.Run, tmp_path: Path) -> None:
+    """The link is pushed to both ends by less than what the motor's friction holds."""
+    mujoco: Any = pytest.importorskip("mujoco")
+    (tmp_path / "servo.toml").write_text(SERVO.replace("duration = 4.5", "duration = 0.2"))
+    words = ["run", str(tmp_path / "servo.toml"), "--out", str(tmp_path), "--json"]
+    group.main(words, standalone_mode=False)
+    assert "armature" in (tmp_path / "gears.xml").read_text()
+    [joint] = mjcf.of_run(run)
+    [path] = mjcf.write([joint], tmp_path)
+    model = mujoco.MjModel.from_xml_string(HINGES, {path.name: path.read_bytes()})
+    assert model.dof_armature[0] == pytest.approx(0.012)
+    assert model.dof_damping[0] == pytest.approx(0.05)
+    assert model.dof_frictionloss[0] == pytest.approx(run.parameters["friction1"]["estimate"])
+    ends, data = [], mujoco.MjData(model)
+    for push in (0.05, -0.05):
+        data.qfrc_applied[1] = push
+        mujoco.mj_step(model, data, 6_000)
+        ends.append(data.qpos[1])
+    assert abs(data.qpos[0]) < 5e-3
+    assert ends == pytest.approx([joint.ahead, -joint.behind], abs=2e-4)
+    assert joint.ahead == pytest.approx(0.03, abs=0.003)
 
 
 # --- First passage

@@ -9,11 +9,15 @@ import tempfile
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from commands import Done, undeadzone
 from tools import script_of_docs
 from undeadzone.catalogue import CONTROLLERS, OBSERVERS
+from undeadzone.scenario.reader import read
 from undeadzone.synthesis import gain_search
+from undeadzone_arena.contest.leaderboard import FRAME
+from undeadzone_arena.contest.methods import fitting
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -52,6 +56,24 @@ def test_what_the_front_page_prints_is_what_it_shows(
 ) -> None:
     exec(compile(code, "README.md", "exec"), {"__name__": "__main__"})
     same(capsys.readouterr().out.rstrip("\n").split("\n"), shown.rstrip("\n").split("\n"))
+
+
+def test_pictures_are_of_what_there_is_today() -> None:
+    """Each carries its title, and stands on a page."""
+    folder, pages = ROOT / "docs/figures", "".join(page.read_text() for page in PAGES)
+    titles = {}
+    for path in sorted(folder.iterdir()):
+        if path.suffix in (".png", ".gif"):
+            with Image.open(path) as picture:
+                titles[path.name] = str(picture.info.get("Title", picture.info.get("comment", "")))
+    assert all(f"figures/{name})" in pages for name in titles)
+    gears, zones = (read(ROOT / f"examples/{name}.toml") for name in ("two_link_gears", "two_link"))
+    entered = {*FRAME, *fitting([read(ROOT / "examples/load_cell_limited.toml")])}
+    assert titles["two_link_gears.png"] == f"{gears.title}: the tip"
+    assert titles["two_link.gif"] == str(zones.title.encode())
+    assert titles["leaderboard.png"].startswith(f"{len(entered)} methods, 1 scenario")
+    made = {f"{name}.png" for name in script_of_docs("pictures").PICTURES}
+    assert titles.keys() == made | {"two_link.gif", "live.gif"}
 
 
 @pytest.mark.parametrize(("name", "text"), blocks("console"))

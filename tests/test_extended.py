@@ -134,11 +134,8 @@ def test_on_a_linear_plant_it_is_kalman_and_with_silence_and_disturbance_censore
     model, where = sampled(random_plant(rng, n, 1, p), 0.02), zone(p, 0.02, noise=0.02)
     common: dict[str, Any] = {"right": [0.3, 2.0], "x_std": 2.0, "drift": 0.1}
     if shaken:
-        common["disturbance"] = 3.0
-        twins: Any = (
-            Censored(**common, levels=1, bias=0.0, calibrated=0.0, tolerance=0.0),
-            Extended(**common),
-        )
+        common |= {"disturbance": 3.0, "levels": 1 + 2 * (n % 2), "bias": 0.5 * (n % 2)}
+        twins: Any = Censored(**common, calibrated=0.0, tolerance=0.0), Extended(**common)
     else:
         twins = Kalman(**common, disturbance=0.0), Extended(**common, **EXACT, silence=False)
     pair = [options.build(model, where) for options in twins]

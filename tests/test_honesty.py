@@ -256,6 +256,27 @@ def test_a_tenth_of_wrong_readings_keeps_kalman_in_size() -> None:
 # --- Claims of a disturbance that are too small, and defaults
 
 
+@pytest.mark.parametrize(
+    ("world", "least"), [(honest_problems.World(), 0.95), (honest_problems.CLAIMED, 0.8)]
+)
+def test_what_the_extended_filter_is_not_told_it_doubts(
+    world: honest_problems.World, least: float
+) -> None:
+    """Noise alone; and bias and a model off by 5 %, of which only the width shows too little."""
+    posed = honest_problems.problems(honest_problems.KINDS["both edges"], 1, 60, 21, world)
+
+    def alone(known: coverage.Problems, k: int) -> uz.Extended:
+        return uz.Extended(right=known.ranges[k, 0], left=known.ranges[k, 1])
+
+    def trusting(known: coverage.Problems, k: int) -> uz.Extended:
+        return msgspec.structs.replace(alone(known, k), levels=1, bias=0.0)
+
+    found, plain = glitches.observe(alone, posed), glitches.observe(trusting, posed)
+    assert found.verdict.covered().min() >= least
+    assert found.verdict.covered()[[0, 1, 3, 4]].min() >= 0.92
+    assert np.median(found.rms) < 0.8 * np.median(plain.rms)
+
+
 def test_a_gust_four_times_the_claim_is_followed() -> None:
     """Without a level above the claim z^ is off by a third more, and intervals are far wider."""
     posed = honest_problems.problems(honest_problems.Kind(gust=4.0), 2, 40, 6)

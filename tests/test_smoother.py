@@ -105,7 +105,7 @@ def test_smoothing_ends_where_the_filter_does(method: str) -> None:
     observer = {
         "censored": uz.Censored(right=[0.0, 2.0]),
         "auto": uz.Auto(right=[0.0, 2.0]),
-        "extended": uz.Extended(right=[0.0, 2.0]),
+        "extended": uz.Extended(right=[0.0, 2.0], bias=0.0),
     }[method]
     run = uz.simulate(scenario())
     y = run.y.copy()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from typing import Any, Final, Literal, NamedTuple
 
 import casadi as ca
@@ -244,8 +244,9 @@ CLAIMS: Final = {
         "give the model the lag or delay that is missing, or raise observer.tolerance",
     ),
     "sensor": Claim(
-        "readings insist on what was not foretold: a stuck sensor, an offset, an edge that jumped",
-        "look at the sensor, take an offset from its readings, or raise observer.drift",
+        "readings insist on what was not foretold: a stuck sensor, an offset, an edge that jumped, "
+        "a log that is glued",
+        "look at sensor and log, take an offset from its readings, or raise observer.drift",
     ),
     "gust": Claim(
         "something lasts in the readings that nobody claimed",
@@ -272,9 +273,10 @@ def false_claims(bits: float, suspect: float) -> list[str]:
     return sorted(found, key=lambda name: names.index(name) != suspect - 1)
 
 
-def claims_in_words(names: Iterable[str]) -> list[str]:
-    """What the readings say of claims that they refute, and the cure of each."""
-    return [f"{CLAIMS[name].words}: {CLAIMS[name].cure}" for name in names]
+def claims_in_words(names: Sequence[str]) -> list[str]:
+    """What the readings say of the likeliest claim that they refute, its cure, and the others."""
+    further = ["the same readings speak against " + ", ".join(names[1:])] if names[1:] else []
+    return [f"{CLAIMS[name].words}: {CLAIMS[name].cure}" for name in names[:1]] + further
 
 
 QUANTITIES: Final[dict[str, Quantity]] = _OF_FIELDS._asdict()

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
-
-import numpy as np
-
 from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
@@ -16,27 +12,24 @@ from undeadzone.observers.parts.augmented_state import (
     shown_states,
 )
 from undeadzone.observers.parts.further_constants import zones_of
-from undeadzone.observers.parts.gaussian_filter import Params
 from undeadzone.observers.parts.judged_filter import judged
 from undeadzone.observers.parts.measured_kalman import measured_filter
-from undeadzone.observers.parts.model_bank import bank
+from undeadzone.observers.parts.model_bank import levelled
 from undeadzone.observers.parts.motion import heard_by_motion
 from undeadzone.observers.parts.prior import Claims, build_prior, claimed_traits, glitch_share
 from undeadzone.observers.parts.unknown_inputs import (
+    OFFSET,
     coloured,
     correlation_time,
+    per_input,
     span,
     tolerances,
     unknowns,
 )
-from undeadzone.plants.system import System, arrival, in_units
-from undeadzone.support.arrays import Array, Floats, nonnegative, scalar
+from undeadzone.plants.system import System, in_units
+from undeadzone.support.arrays import scalar
 
-OFFSET = 0.25  # bias, in disturbances, unless it is claimed
 WEAR = 0.0025  # drift, in extents of the range per 1 / sqrt(|pole|), unless it is claimed
-FALL = 4.0  # from one level of the disturbance to the next, if it is claimed
-DOUBTED = 3  # levels from which on one lies above the claim
-LARGEST, LEAST = 4.0, 0.125  # level of the disturbance, in its default, if it is not
 
 
 class Censored(Claims, frozen=True, kw_only=True, tag_field="method", tag="censored"):
@@ -70,11 +63,13 @@ class Censored(Claims, frozen=True, kw_only=True, tag_field="method", tag="censo
         assert model.flow is not None
         correlation = correlation_time(self.correlation_time, model.flow, Ts)
         washout = None if self.washout_time is None else span("washout_time", self.washout_time, Ts)
-        calibrated = self._checked()
-        reached = arrival(model.flow, Ts)
-        usual = default_disturbance(model, prior.largest, correlation, reached)
-        rms = _per_input("disturbance", self.disturbance, usual)
-        bias = _per_input("bias", self.bias, OFFSET * usual)
+        calibrated = scalar("observer.calibrated", self.calibrated, least=0.0)
+        if calibrated >= 1:
+            name = "observer.calibrated"
+            raise InputError(f"{name}: must be a probability below 1, found {calibrated:g}")
+        usual = default_disturbance(model, prior.largest, correlation)
+        rms = per_input("disturbance", self.disturbance, usual)
+        bias = per_input("bias", self.bias, OFFSET * usual)
         colour = coloured(correlation, washout, Ts)
         units = even_units(model)
         even = in_units(model, units)
@@ -97,39 +92,7 @@ class Censored(Claims, frozen=True, kw_only=True, tag_field="method", tag="censo
             careful=careful,
             zones=zones_of(model.actuator),
         )
-        if self.levels > 1 and rms.any():
-            member = bank(member, [partial(scaled, factor) for factor in self._factors()])
+        member = levelled(member, self.levels, self.disturbance is not None)
         traits = claimed_traits(prior, self.x_std)
         observer = shown_states(judged(member, even, glitches > 0, traits), units)
         return heard_by_motion(observer, model, sensor)
-
-    def _factors(self) -> Floats:
-        """The levels of the disturbance, in its claimed or default rms."""
-        if self.disturbance is None:
-            return np.geomspace(LARGEST, LEAST, self.levels)
-        above = self.levels >= DOUBTED
-        return FALL ** (1.0 * above - np.arange(self.levels))
-
-    def _checked(self) -> float:
-        """The probability of a calibrated input, once it and the levels are checked."""
-        if not 1 <= self.levels <= 10:
-            raise InputError(f"observer.levels: expected 1 to 10, found {self.levels}")
-        calibrated = scalar("observer.calibrated", self.calibrated, least=0.0)
-        if calibrated >= 1:
-            raise InputError(
-                f"observer.calibrated: must be a probability below 1, found {calibrated:g}"
-            )
-        return calibrated
-
-
-def _per_input(key: str, claimed: Array | None, default: Floats) -> Floats:
-    """An rms as claimed, or its default (m) [u]. Raises InputError, ShapeError."""
-    if claimed is None:
-        return default
-    return nonnegative(f"observer.{key}", claimed, np.size(default), "one per input")
-
-
-def scaled(factor: float, q: Params) -> Params:
-    """The numbers of the filter with the rms of the disturbance times a factor."""
-    variance = q.augmentation.variance * factor**2
-    return q._replace(augmentation=q.augmentation._replace(variance=variance))

@@ -27,6 +27,7 @@ from undeadzone.observers.parts.augmented_state import (
 from undeadzone.observers.parts.gaussian_filter import Augmentation, Params
 from undeadzone.observers.parts.judged_filter import judged
 from undeadzone.observers.parts.measured_kalman import measured_filter
+from undeadzone.observers.parts.model_bank import levelled
 from undeadzone.observers.parts.prior import (
     GLITCHES,
     Prior,
@@ -35,14 +36,18 @@ from undeadzone.observers.parts.prior import (
     glitch_share,
 )
 from undeadzone.observers.parts.unknown_inputs import (
+    OFFSET,
     Colour,
     coloured,
     correlation_time,
     named,
+    per_input,
     unknowns,
 )
 from undeadzone.plants.system import System, in_units
-from undeadzone.support.arrays import Array, Floats, nonnegative
+from undeadzone.support.arrays import Array, Floats
+
+LEVELS = 3  # of a disturbance that is not claimed
 
 
 class Extended(Options, frozen=True, kw_only=True, tag="extended"):
@@ -61,6 +66,10 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
             times the largest width.
         disturbance: rms of an unknown input, one or one per input [u]; default what moves z by half
             of the largest width in a quarter period; 0 is a claim.
+        bias: rms of an unknown constant input, one or one per input [u]; default a quarter of the
+            disturbance's default where none is claimed, else none.
+        levels: how many rms of the disturbance are weighed by what the readings say (1 to 10), as
+            `censored` does; default 3 where none is claimed, else 1. 1 for separate joints.
         correlation_time: correlation time of the disturbance, first-order noise [s]; default a 16th
             of the plant's period, 12.5 samples if it only integrates.
         drift: random walk of the widths [z / sqrt(s)]; default 0.
@@ -83,6 +92,8 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
     start: Array = 0.0
     x_std: Array | None = None
     disturbance: Array | None = None
+    bias: Array | None = None
+    levels: int | None = None
     correlation_time: float | None = None
     drift: float = 0.0
     glitches: float = GLITCHES
@@ -103,15 +114,14 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
         assert Ts is not None
         assert model.flow is not None
         correlation = correlation_time(self.correlation_time, model.flow, Ts)
-        if self.disturbance is None:
-            rms = default_disturbance(model, prior.ranges.max(), correlation)
-        else:
-            rms = nonnegative("observer.disturbance", self.disturbance, model.m, "one per input")
+        usual = default_disturbance(model, prior.ranges.max(), correlation)
+        rms = per_input("disturbance", self.disturbance, usual)
+        doubts = self.disturbance is None and self.joints == "coupled" and not self.blind
+        bias = per_input("bias", self.bias, OFFSET * usual * doubts)
         # Joints that are filtered each for itself need [q; q'] as it is.
         units = np.ones(model.n) if self.joints == "separate" else even_units(model)
         even = in_units(model, units)
-        augmentation = self._augmentation(even, correlation, rms, Ts)
-        lasting = max(1.0, correlation / Ts)
+        augmentation = self._augmentation(even, coloured(correlation, None, Ts), rms, bias)
         bounds = self.silence and not self.blind
         glitches = glitch_share(self.glitches)
         member = measured_filter(
@@ -119,7 +129,7 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
             sensor,
             counted_prior(prior, units),
             augmentation,
-            lasting,
+            max(1.0, correlation / Ts),
             bounds,
             order=1,
             blind=self.blind,
@@ -127,6 +137,9 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
             claimed=self.disturbance is not None,
             careful=self.x_std is None or self.disturbance is None,
         )
+        default = LEVELS if doubts else 1
+        levels = default if self.levels is None else self.levels
+        member = levelled(member, levels, self.disturbance is not None)
         traits = claimed_traits(prior, self.x_std)
         traits = traits._replace(adapts=not self.blind, uncertain=tuple(self.uncertain))
         judge = judged(member, even, glitches > 0 and not self.blind, traits)
@@ -144,19 +157,17 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
         return prior._replace(mean=mean, std=std, drift=none, centre=None)
 
     def _augmentation(
-        self, model: System, correlation: float, rms: Floats, Ts: float
+        self, model: System, colour: Colour, rms: Floats, bias: Floats
     ) -> Augmentation:
-        """The disturbance, and the uncertain parameters. Raises InputError."""
-        colour = coloured(correlation, None, Ts)
+        """The disturbance, the bias, and the uncertain parameters. Raises InputError."""
         if self.joints == "separate":
-            if self.uncertain:
+            if self.uncertain or bias.any():
+                key = "uncertain: a parameter" if self.uncertain else "bias: a constant"
                 raise InputError(
-                    "observer.uncertain: a parameter binds the joints together; "
-                    'use joints = "coupled"'
+                    f'observer.{key} binds the joints together; take joints = "coupled"'
                 )
             return separate(model, colour, rms)
-        no_bias = np.zeros(model.m)
-        augmentation = unknowns(model, colour, rms, no_bias, 0.0, named(model, self.uncertain))
+        augmentation = unknowns(model, colour, rms, bias, 0.0, named(model, self.uncertain))
         places = tuple(model.names.index(name) for name in self.uncertain)
         return augmentation._replace(parameters=places)
 

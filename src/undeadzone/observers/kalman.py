@@ -21,8 +21,9 @@ from undeadzone.observers.parts.judged_filter import judged
 from undeadzone.observers.parts.measured_kalman import measured_filter
 from undeadzone.observers.parts.motion import heard_by_motion
 from undeadzone.observers.parts.prior import GLITCHES, build_prior, claimed_traits, glitch_share
+from undeadzone.observers.parts.unknown_inputs import per_input
 from undeadzone.plants.system import System, in_units
-from undeadzone.support.arrays import Array, nonnegative
+from undeadzone.support.arrays import Array
 
 SWING = 0.2  # rms, in largest widths, by which the default disturbance moves z (docs/filters.md)
 
@@ -65,10 +66,7 @@ class Kalman(Options, frozen=True, kw_only=True, tag="kalman"):
                 "cannot use; use 'censored'"
             )
         prior = build_prior(self, model, sensor, centre=self.centre)
-        if self.disturbance is None:
-            rms = agitation(model, SWING * prior.largest)
-        else:
-            rms = nonnegative("observer.disturbance", self.disturbance, model.m, "one per input")
+        rms = per_input("disturbance", self.disturbance, agitation(model, SWING * prior.largest))
         glitches = glitch_share(self.glitches)
         units = even_units(model)
         even = in_units(model, units)

@@ -184,6 +184,8 @@ def _write_gif(
 ) -> None:
     """A GIF of some frames, in few colours, of which each picture keeps what does not change.
 
+    Its comment is the run's title.
+
     Args:
         stage: the figure.
         arms: what moves on it.
@@ -209,6 +211,7 @@ def _write_gif(
         append_images=others,
         duration=round(1000 * SKIPPED / FRAMES),
         loop=0,
+        comment=stage.title.encode(),
     )
 
 

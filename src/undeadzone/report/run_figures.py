@@ -45,14 +45,12 @@ def overview(run: Run) -> Figure:
     info, outputs = run.info, run.z.shape[1]
     actuators = 0 if run.b_hat is None else run.b_hat.shape[1] // 2
     gaps = 0 if run.c_hat is None else outputs
-    if outputs > STACKED:
-        rows = rows_beside(outputs, run.V is not None)
-        rows += rows_of_actuators(actuators, 12) + rows_of_gaps(gaps, 12)
-        figure, panels = sheet(rows, run.info.title, width=15.0, height=2.2)
-    else:
-        rows = rows_below(outputs, run.V is not None)
-        rows += rows_of_actuators(actuators, 6) + rows_of_gaps(gaps, 6)
-        figure, panels = sheet(rows, run.info.title)
+    wide = outputs > STACKED
+    layout, columns = (rows_beside, 12) if wide else (rows_below, 6)
+    rows = layout(outputs, run.V is not None)
+    rows += rows_of_actuators(actuators, columns) + rows_of_gaps(gaps, columns)
+    size = {"width": 15.0, "height": 2.2} if wide else {}
+    figure, panels = sheet(rows, info.title, **size)
     for i in range(outputs):
         of = f" {plain(str(run.outputs[i]))}" if outputs > 1 else ""
         output(panels[f"output {i}"], run, i, of)
@@ -261,20 +259,21 @@ def _phase_plane(axes: Axes, run: Run, i: int, name: str) -> None:
 
 def _both(run: Run, rival: Run | None) -> list[tuple[Run, str]]:
     """Each run with its colour."""
-    if rival is None:
-        return [(run, ink.ESTIMATE)]
-    return [(run, ink.ESTIMATE), (rival, ink.PRINTED)]
+    runs = [run] if rival is None else [run, rival]
+    return list(zip(runs, (ink.ESTIMATE, ink.PRINTED), strict=False))
 
 
 def _plane(axes: Axes, run: Run, rival: Run | None, plane: tuple[int, int], where: str) -> None:
     """The tip seen along one direction, equally scaled."""
     assert run.tip_r is not None
     axes.margins(0.05)
-    axes.plot(*run.tip_r[:, plane].T, color=ink.REFERENCE, linewidth=4.0, alpha=0.4, label="path")
+    first = run.t.size // 2 if run.diverged_at is None else 0
+    path = run.tip_r[first:, plane]
+    axes.plot(*path.T, color=ink.REFERENCE, linewidth=4.0, alpha=0.4, label="path")
     for one, colour in reversed(_both(run, rival)):
         assert one.tip is not None
         first = one.t.size // 2 if one.diverged_at is None else 0
-        points = one.tip[first : one.shown.stop][:, plane]
+        points = one.tip[first : one.shown.stop, plane]
         axes.plot(*points.T, color=colour, linewidth=1.1, label=plain(one.name))
     to_the_right, upwards = (axis_label("xyz"[coordinate], "m") for coordinate in plane)
     title = f"The tip{where}, last half of the run"

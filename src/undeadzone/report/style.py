@@ -200,13 +200,13 @@ def png(figure: Figure) -> bytes:
 
 
 def image(figure: Figure, kind: str) -> bytes:
-    """The figure as bytes of a PNG, PDF or SVG; the same figure gives the same SVG."""
+    """The figure as bytes of a PNG, PDF or SVG, with its title; the same gives the same SVG."""
     import matplotlib
 
-    buffer = io.BytesIO()
-    undated: dict[str, Any] = {"metadata": {"Date": None}} if kind == "svg" else {}
+    buffer, dpi = io.BytesIO(), FINE if kind == "svg" else DPI
+    about = {"Title": figure.get_suptitle()} | ({"Date": None} if kind == "svg" else {})
     with matplotlib.rc_context({"svg.hashsalt": "undeadzone"}):
-        figure.savefig(buffer, format=kind, dpi=FINE if kind == "svg" else DPI, **undated)
+        figure.savefig(buffer, format=kind, dpi=dpi, metadata=about)
     return buffer.getvalue()
 
 

@@ -18,7 +18,7 @@ from undeadzone.observers.parts.augmented_state import even_units
 from undeadzone.observers.parts.gaussian_filter import Params
 from undeadzone.plants.system import System, in_units
 from undeadzone_arena.observers.parts.joint_claims import Defaults, JointClaims, joint_prior
-from undeadzone_arena.observers.parts.joint_filter import Sight, joint_filter
+from undeadzone_arena.observers.parts.joint_filter import Sample, Sight, joint_filter
 
 DEFAULTS = Defaults(noise=0.01, drift=0.005, x_std=5.0)
 
@@ -54,13 +54,9 @@ class EKF(JointClaims, frozen=True, kw_only=True, tag="ekf"):
         return joint_filter(model, sensor, prior, self.glitches, correct, predict)
 
 
-def correct_predicted(
-    q: Params, belief: Gaussian, i: int, sight: Sight, y: Any, side: Any, seen: Any, odds: Any
-) -> Weighed:
+def correct_predicted(q: Params, belief: Gaussian, sample: Sample) -> Weighed:
     """The correction on the branch where the estimate is."""
-    expected, h = linearise(sight, belief.mean)
-    e = ca.if_else(seen, y - expected, 0.0)
-    return update_unless_glitch(belief, h, e, q.R[i], seen, odds, q.doubt.reach[i])
+    return corrected(q, belief, sample, sample.sight, sample.seen)
 
 
 def correct_measured(
@@ -69,28 +65,27 @@ def correct_measured(
     pseudo: bool,
     q: Params,
     belief: Gaussian,
-    i: int,
-    sight: Sight,
-    y: Any,
-    side: Any,
-    seen: Any,
-    odds: Any,
+    sample: Sample,
 ) -> Weighed:
     """The correction on the measured branch.
 
     With `pseudo`, a silent sensor is read on the branch where the estimate is.
     """
-    n, p = model.n, model.p
+    n, p, i = model.n, model.p, sample.i
     X = belief.mean
     estimated = zone(model.output(q.model, X[:n])[i], X[n + i], X[n + p + i])
-    taken = ca.if_else(side != 0, side, estimated if pseudo else 0.0)
+    taken = ca.if_else(sample.side != 0, sample.side, estimated if pseudo else 0.0)
 
     def reading_on_branch(X: Any) -> Any:
         z = model.output(q.model, X[:n])[i]
         on_branch = branch(z, taken, X[n + i], X[n + p + i], 1.0, sensor.kind)
-        return on_branch if sensor.limits is None else no_further(on_branch, y, side)
+        return on_branch if sensor.limits is None else no_further(on_branch, sample.y, sample.side)
 
-    expected, h = linearise(reading_on_branch, X)
-    use = ca.logic_and(seen, taken != 0)
-    e = ca.if_else(use, y - expected, 0.0)
-    return update_unless_glitch(belief, h, e, q.R[i], use, odds, q.doubt.reach[i])
+    return corrected(q, belief, sample, reading_on_branch, ca.logic_and(sample.seen, taken != 0))
+
+
+def corrected(q: Params, belief: Gaussian, sample: Sample, sight: Sight, use: Any) -> Weighed:
+    """The correction by a reading that is linearised where the estimate is."""
+    expected, h = linearise(sight, belief.mean)
+    e, i = ca.if_else(use, sample.y - expected, 0.0), sample.i
+    return update_unless_glitch(belief, h, e, q.R[i], use, sample.odds, q.doubt.reach[i])

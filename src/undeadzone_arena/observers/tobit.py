@@ -6,7 +6,6 @@ More in docs/methods/tobit.md.
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
 
 import casadi as ca
 
@@ -26,7 +25,7 @@ from undeadzone.observers.parts.augmented_state import even_units
 from undeadzone.observers.parts.gaussian_filter import Params
 from undeadzone.plants.system import System, in_units
 from undeadzone_arena.observers.parts.joint_claims import Defaults, JointClaims, joint_prior
-from undeadzone_arena.observers.parts.joint_filter import Sight, joint_filter
+from undeadzone_arena.observers.parts.joint_filter import Sample, joint_filter
 
 DEFAULTS = Defaults(noise=0.01, drift=0.005, x_std=5.0)
 
@@ -52,23 +51,14 @@ class Tobit(JointClaims, frozen=True, kw_only=True, tag="tobit"):
 
 
 def correct_tobit(
-    model: System,
-    limited: bool,
-    q: Params,
-    belief: Gaussian,
-    i: int,
-    sight: Sight,
-    y: Any,
-    side: Any,
-    seen: Any,
-    odds: Any,
+    model: System, limited: bool, q: Params, belief: Gaussian, sample: Sample
 ) -> Weighed:
     """The correction by the mean of the reading and by its slopes, averaged over the branches.
 
     On each branch the reading is max(s, 0) of a normal s, whose moments are known; a reading at a
     limit bounds it.
     """
-    n, p = model.n, model.p
+    n, p, i = model.n, model.p, sample.i
     z, row = linearise(lambda X: model.output(q.model, X[:n])[i], belief.mean)
     expected, square, slope = 0.0, 0.0, ca.SX(1, n + 2 * p)
     for sign, place in ((RIGHT, n + i), (LEFT, n + p + i)):
@@ -82,7 +72,7 @@ def correct_tobit(
         slope += sign * chance * h
     along = belief.cov @ slope.T
     S = ca.fmax(square - expected**2, slope @ along + q.R[i])
-    foretold = no_further(expected, y, side) if limited else expected
-    use = ca.logic_and(seen, foretold == expected)
-    e = ca.if_else(use, y - foretold, 0.0)
-    return settle(belief, along / S, e, S, q.R[i], use, odds, q.doubt.reach[i])
+    foretold = no_further(expected, sample.y, sample.side) if limited else expected
+    use = ca.logic_and(sample.seen, foretold == expected)
+    e = ca.if_else(use, sample.y - foretold, 0.0)
+    return settle(belief, along / S, e, S, q.R[i], use, sample.odds, q.doubt.reach[i])

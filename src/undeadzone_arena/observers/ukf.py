@@ -18,7 +18,7 @@ from undeadzone.plants.system import System
 from undeadzone.support.arrays import scalar
 from undeadzone_arena import unscented
 from undeadzone_arena.observers.parts.joint_claims import Defaults, JointClaims, joint_prior
-from undeadzone_arena.observers.parts.joint_filter import Sight, joint_filter
+from undeadzone_arena.observers.parts.joint_filter import Sample, joint_filter
 
 # With less, points astride an edge soon pin the widths where they are not.
 DEFAULTS = Defaults(noise=0.15, drift=0.1, x_std=0.5)
@@ -44,19 +44,11 @@ class UKF(JointClaims, frozen=True, kw_only=True, tag="ukf"):
         """The filter for a sampled model."""
         weights = self._weights(model.n + 2 * model.p)
 
-        def correct(
-            q: Params,
-            belief: Gaussian,
-            i: int,
-            sight: Sight,
-            y: Any,
-            side: Any,
-            seen: Any,
-            odds: Any,
-        ) -> Weighed:
-            expected, S, K = unscented.gain(belief, sight, q.R[i], weights)
-            e = ca.if_else(seen, y - expected, 0.0)
-            return settle(belief, K, e, S, q.R[i], seen, odds, q.doubt.reach[i])
+        def correct(q: Params, belief: Gaussian, sample: Sample) -> Weighed:
+            R, reach = q.R[sample.i], q.doubt.reach[sample.i]
+            expected, S, K = unscented.gain(belief, sample.sight, R, weights)
+            e = ca.if_else(sample.seen, sample.y - expected, 0.0)
+            return settle(belief, K, e, S, R, sample.seen, sample.odds, reach)
 
         def predict(belief: Gaussian, move: Any, Q: Any) -> Gaussian:
             return unscented.predict(belief, move, Q, weights)

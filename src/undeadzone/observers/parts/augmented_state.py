@@ -14,7 +14,7 @@ import numpy as np
 from undeadzone.interfaces import Estimate, Observer, Reading
 from undeadzone.linear.hold import sampled_noise
 from undeadzone.observers.parts.prior import Prior, sample_time
-from undeadzone.plants.system import System, state_units, time_scale
+from undeadzone.plants.system import System, arrival, state_units, time_scale
 from undeadzone.support.arrays import Floats
 
 SWING = 0.5  # rms, in largest widths, by which a disturbance moves z in a quarter period by default
@@ -30,29 +30,27 @@ def agitation(model: System, rms: float, span: float | None = None) -> Floats:
     """
     assert model.flow is not None
     A, B, C = model.flow
-    span = quarter_period(model) if span is None else span
     reached = []
     for b in B.T:
-        _, covariance = sampled_noise(A, np.outer(b, b), span)
+        _, covariance = sampled_noise(A, np.outer(b, b), span or quarter_period(model))
         reached.append(np.diag(C @ covariance @ C.T).max())
     variance = np.where(np.array(reached) > 0, reached, np.inf)
     return rms / np.sqrt(sample_time(model) * variance)
 
 
-def default_disturbance(
-    model: System, largest: float, correlation: float, span: float | None = None
-) -> Floats:
+def default_disturbance(model: System, largest: float, correlation: float) -> Floats:
     """The rms (m) [u] of a coloured disturbance where none is claimed.
 
-    At low frequencies it is as strong as a white one that moves z by `SWING` largest widths.
+    At low frequencies it is as strong as a white one that moves z by `SWING` largest widths until
+    its `arrival`.
 
     Args:
         model: the sampled model.
         largest: largest claimed width [z].
         correlation: correlation time of the disturbance [s].
-        span: time in which it moves z [s]; default a quarter period of the plant.
     """
-    white = agitation(model, SWING * largest, span)
+    assert model.flow is not None
+    white = agitation(model, SWING * largest, arrival(model.flow, model.Ts))
     return white * np.sqrt(sample_time(model) / 2 / correlation)
 
 

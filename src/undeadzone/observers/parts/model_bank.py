@@ -6,18 +6,24 @@ Each counts by how well it foretold the readings (docs/filters.md).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
+from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate, Reading
 from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.observers.parts.judged_filter import Member, Step
 from undeadzone.observers.parts.smoothing import Moments, Smoothing
 from undeadzone.support import tree
+from undeadzone.support.arrays import Floats
 
 LEAST = 1e-6  # odds of a member against the best one, however wrong it was
+FALL = 4.0  # from one level of the disturbance to the next, if it is claimed
+DOUBTED = 3  # levels from which on one lies above the claim
+LOUDEST, FAINTEST = 4.0, 0.125  # level of the disturbance, in its default, if it is not
 
 
 class State(NamedTuple):
@@ -30,6 +36,33 @@ class State(NamedTuple):
 
     members: Any
     odds: Any
+
+
+def levelled(member: Member, levels: int, claimed: bool) -> Member:
+    """The bank of a filter with several rms of its disturbance; the filter if it has none.
+
+    Args:
+        member: the filter.
+        levels: how many are weighed (1 to 10).
+        claimed: whether the rms is claimed: then one level lies above it and one is the claim.
+
+    Raises:
+        InputError: for another number of levels.
+    """
+    if not 1 <= levels <= 10:
+        raise InputError(f"observer.levels: expected 1 to 10, found {levels}")
+    if levels == 1 or not member.params.augmentation.variance.any():
+        return member
+    factors: Floats = np.geomspace(LOUDEST, FAINTEST, levels)
+    if claimed:
+        factors = FALL ** (1.0 * (levels >= DOUBTED) - np.arange(levels))
+    return bank(member, [partial(_scaled, factor) for factor in factors])
+
+
+def _scaled(factor: float, q: Any) -> Any:
+    """The numbers of a filter with the rms of the disturbance times a factor."""
+    variance = q.augmentation.variance * factor**2
+    return q._replace(augmentation=q.augmentation._replace(variance=variance))
 
 
 def bank(member: Member, variants: Sequence[Callable[[Any], Any]]) -> Member:

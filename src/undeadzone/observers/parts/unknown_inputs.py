@@ -19,8 +19,9 @@ from undeadzone.linear.matrices import Matrices, similar
 from undeadzone.numerics.gaussian import Gaussian, update
 from undeadzone.observers.parts.gaussian_filter import Augmentation, Params, informed
 from undeadzone.plants.system import System, held, in_units, state_units, time_scale
-from undeadzone.support.arrays import Floats, scalar
+from undeadzone.support.arrays import Array, Floats, nonnegative, scalar
 
+OFFSET = 0.25  # bias, in disturbances, unless it is claimed
 SMALL = 0.01  # bias of a calibrated input, relative to that of another
 
 BRIEF = 0.25  # correlation time, in quarter periods of the plant, unless it is claimed
@@ -121,6 +122,13 @@ def span(key: str, value: Any, Ts: float) -> float:
             f"found {time:.4g} s"
         )
     return time
+
+
+def per_input(key: str, claimed: Array | None, default: Floats) -> Floats:
+    """An rms as claimed, or its default (m) [u]. Raises InputError, ShapeError."""
+    if claimed is None:
+        return default
+    return nonnegative(f"observer.{key}", claimed, np.size(default), "one per input")
 
 
 def correlation_time(claimed: float | None, flow: Matrices, Ts: float) -> float:

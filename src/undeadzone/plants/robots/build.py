@@ -62,10 +62,8 @@ def _rigid(plant: Plant, options: Rigid, key: str) -> System:
         return x[:N] - offset if options.measured == "position" else x[N:]
 
     x_eq = _equilibrium(plant, N, key)
-    if plant.u_eq is None:
-        u_eq = np.asarray(body.bias(params, x_eq[:N], np.zeros(N))).ravel()  # against gravity
-    else:
-        u_eq = vector(f"{key}.u_eq", plant.u_eq, N, "one per input")
+    load = np.asarray(body.bias(params, x_eq[:N], np.zeros(N))).ravel()
+    u_eq = load if plant.u_eq is None else vector(f"{key}.u_eq", plant.u_eq, N, "one per input")
     linear = linearise(key, move, output, params, x_eq, u_eq)
     return System(
         params,

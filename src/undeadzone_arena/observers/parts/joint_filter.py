@@ -30,8 +30,29 @@ from undeadzone_arena.observers.parts.joint_claims import JointPrior, read
 Sight = Callable[[Any], Any]
 """From [x; d_r; d_l] to the reading y_i / m_i without noise."""
 
-Correct = Callable[[Params, Gaussian, int, Sight, Any, Any, Any, Any], Weighed]
-"""(q, belief, i, sight, y_i / m_i, side_i, present, odds of a glitch or None) -> what is known."""
+
+class Sample(NamedTuple):
+    """The reading of one output, as a correction takes it.
+
+    Attributes:
+        i: the output's number.
+        sight: from the unknowns to what is read.
+        y: the reading y_i / m_i, 0 where none came.
+        side: of the reading.
+        seen: whether one came.
+        odds: of a glitch; None: no reading is one.
+    """
+
+    i: int
+    sight: Sight
+    y: Any
+    side: Any
+    seen: Any
+    odds: Any
+
+
+Correct = Callable[[Params, Gaussian, Sample], Weighed]
+"""(q, belief, reading of an output) -> what is known."""
 
 Predict = Callable[[Gaussian, Callable[[Any], Any], Any], Gaussian]
 """(belief, motion, covariance that it adds) -> belief at the next sample."""
@@ -89,7 +110,8 @@ def joint_filter(
             sight = partial(reading_of, model, sensor.kind, q, i)
             if sensor.limits is not None:
                 sight = partial(seen_from_limit, sight, y[i], reading.side[i])
-            each.append(correct(q, belief, i, sight, y[i], reading.side[i], seen[i], odds))
+            sample = Sample(i, sight, y[i], reading.side[i], seen[i], odds)
+            each.append(correct(q, belief, sample))
             belief = each[-1].belief
         known = together(each)
         shown, fits = clipped(model.n, q, belief, share > 0)

@@ -1,0 +1,79 @@
+"""Makes the pictures of README and of the pages: python docs/pictures.py [NAME ...].
+
+Each file carries its title, by which a test knows a picture of yesterday.
+"""
+
+from __future__ import annotations
+
+import runpy
+import sys
+import tempfile
+from collections.abc import Callable
+from contextlib import chdir
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import undeadzone as uz
+import undeadzone_arena
+from undeadzone.report import animation, gain_figures, identify_figures, run_figures, style
+from undeadzone.results.run import Run
+from undeadzone.simulation.simulate import beside
+from undeadzone_arena.contest.page import figures as of_contest
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+DOCS: Final = Path(__file__).parent
+FIGURES: Final = DOCS / "figures"
+EXAMPLES: Final = DOCS.parent / "examples"
+
+
+def compared(example: str) -> tuple[Run, Run]:
+    """The run of an example, and of the observer that stands beside it."""
+    scenario = uz.read(EXAMPLES / f"{example}.toml")
+    return beside(scenario, uz.simulate(scenario))
+
+
+def gears() -> Figure:
+    """The tip of an arm behind gears with gaps."""
+    return run_figures.tip(*compared("two_link_gears"))
+
+
+def hidden() -> Figure:
+    """The hidden output that `identify` finds in the log of a tutorial."""
+    with tempfile.TemporaryDirectory() as folder, chdir(folder):
+        found = runpy.run_path(str(DOCS / "tutorials/log_to_widths.py"))
+    return identify_figures.figures(found["answer"])["hidden"]
+
+
+def trade() -> Figure:
+    """Certified gains of the paper's example."""
+    return gain_figures.front(uz.design(uz.read(EXAMPLES / "paper_5sin.toml")))
+
+
+def leaderboard() -> Figure:
+    """All methods on a load cell."""
+    found = undeadzone_arena.arena([uz.read(EXAMPLES / "load_cell_limited.toml")])
+    return of_contest(found, [])["leaderboard"]
+
+
+PICTURES: Final[dict[str, Callable[[], Figure]]] = {
+    "two_link_gears": gears,
+    "identify": hidden,
+    "front": trade,
+    "leaderboard": leaderboard,
+}
+
+
+def draw(name: str) -> None:
+    """Write a picture."""
+    if name == "two_link":
+        animation.movie(*compared(name), FIGURES / "two_link.gif")
+    else:
+        style.write(PICTURES[name](), FIGURES / f"{name}.png")
+
+
+if __name__ == "__main__":
+    for each in sys.argv[1:] or [*PICTURES, "two_link"]:
+        sys.stdout.write(f"{each}\n")
+        draw(each)
