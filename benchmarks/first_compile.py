@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import tempfile
 import time
 from pathlib import Path
 from typing import NamedTuple
 
+from benchmarks.kernels import variable
 from benchmarks.markdown import head, row
 from undeadzone.compile import cache, lanes
 from undeadzone.ensemble import metrics
@@ -36,16 +36,9 @@ def table() -> str:
     """Each loop once."""
     columns = ("loop", "for", "instructions", "until it runs", "until it is best")
     lines = ["## First compilation\n", NOTE, *head(*columns)]
-    before = os.environ.get("UNDEADZONE_CACHE")
-    with tempfile.TemporaryDirectory() as folder:
-        os.environ["UNDEADZONE_CACHE"] = str(Path(folder, "kernels"))
-        try:
-            for name in NAMES:
-                lines += _rows(name)
-        finally:
-            os.environ.pop("UNDEADZONE_CACHE")
-            if before is not None:
-                os.environ["UNDEADZONE_CACHE"] = before
+    with tempfile.TemporaryDirectory() as folder, variable("UNDEADZONE_CACHE", folder):
+        for name in NAMES:
+            lines += _rows(name)
     return "\n".join([*lines, ""])
 
 

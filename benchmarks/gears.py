@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.markdown import head, row
-from benchmarks.mujoco_gears import Arm, Twin, servo, two_link
+from benchmarks.mujoco_gears import UR5, Arm, Twin, servo, two_link, ur5
 from benchmarks.names import commit
+from benchmarks.timing import least
 from undeadzone.compile.live import CompiledStepper
 from undeadzone.plants.robots.arm import evaluate_rows
 from undeadzone.scenario.problem import Problem, resolve_scenario
@@ -73,6 +74,58 @@ ARM = {
     "observer": {"method": "contact", "half": [0.0, 0.12], "payload": [0.0, 1.0]},
     "controller": {"method": "computed_torque", "bandwidth": 14.0},
     "simulation": {"time": "sampled", "duration": 9.0, "step": 1e-3, "substeps": 1},
+}
+SIX = {
+    "plant": {
+        "arm": {
+            "kind": "urdf",
+            "path": str(UR5),
+            "tip": "tool0",
+            "gears": {
+                "half": 0.025,
+                "inertia": [1.5, 1.5, 0.6, 0.2, 0.2, 0.02],
+                "friction": [2.0, 2.0, 1.0, 0.3, 0.3, 0.1],
+                "viscous": [2.0, 2.0, 1.0, 0.3, 0.3, 0.05],
+            },
+        },
+        "x0": [0.2, -1.2, 2.05, -1.4, -0.9, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        "parameters": {
+            **{"f1": 0.2, "f2": 0.2, "f3": 0.1, "f4": 0.03, "f5": 0.03, "f6": 0.005},
+            **{"b1": 0.1, "b2": 0.1, "b3": 0.05, "b4": 0.02, "b5": 0.02, "b6": 0.003},
+        },
+    },
+    "sensor": {"right": 0.0, "left": 0.0, "noise": 5e-4},
+    "reference": {
+        "kind": "figure_eight",
+        "centre": [0.3674, 0.2380, 0.0762],
+        "width": 0.4,
+        "height": 0.3,
+        "normal": [-0.5, 0.4, -0.8],
+        "period": 4.0,
+        "swing": {
+            "points": [
+                [0.7, -1.2, 2.05, -0.7, -0.9, 0.1],
+                [-0.3, -1.2, 2.05, -2.1, -0.9, 0.1],
+                [0.7, -1.2, 2.05, -0.7, -0.9, 0.1],
+                [0.2, -2.3, 2.05, -1.4, -0.3, 0.1],
+                [0.2, -1.2, 2.05, -1.4, -1.5, 0.1],
+                [0.2, -2.3, 2.05, -1.4, -0.3, 0.1],
+                [0.2, -0.5, 2.9, -1.4, -0.9, 0.9],
+                [0.2, -0.7, 1.6, -1.4, -0.9, -0.7],
+                [0.2, -0.5, 2.9, -1.4, -0.9, 0.9],
+            ],
+            "times": [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.2, 8.2, 9.2],
+            "until": 10.2,
+        },
+    },
+    "observer": {
+        "method": "contact",
+        "half": [0.0, 0.06],
+        "payload": [0.0, 1.0],
+        "joints": "separate",
+    },
+    "controller": {"method": "computed_torque", "bandwidth": 14.0},
+    "simulation": {"time": "sampled", "duration": 14.2, "step": 1e-3, "substeps": 1},
 }
 SWING = {
     "points": [[-1.0, 0.5], [-2.0, -0.8], [-1.0, 0.5], [-2.0, -0.8], [-1.0, 0.5]],
@@ -133,7 +186,12 @@ def rows() -> list[Row]:
     heavy = {"m1": 3.3, "m2": 2.2, "I1": 0.044, "I2": 0.0165}
     told = {**ARM["plant"]["parameters"], **heavy}
     rubbing = {"friction": [0.15, 0.05]}
+    six_ignored = geared(changed(SIX, observer={"half": [0.0, 1e-4]}), half=1e-5)
+    apart = changed(swung, observer={"joints": "separate"})
     return [
+        Row("six joints, swings then figure eight", SIX, ur5),
+        Row("six joints, gears ignored", six_ignored, ur5),
+        Row("two links, joint by joint", apart, two_link),
         Row("two links, swings then figure eight", swung, two_link),
         Row("the same, gears ignored", geared(ignored, half=1e-5), two_link),
         Row("figure eight alone", ARM, two_link),
@@ -260,9 +318,22 @@ def judged(made: Bench, arm: Arm, outputs: Floats) -> Outcome:
     )
 
 
-def line(one: Row, seconds: float, first: int) -> str:
+def effort(one: Row, made: Bench) -> str:
+    """What a sample of the whole loop takes, plant and controller included."""
+    steps = 200
+
+    def run() -> None:
+        for _ in range(steps):
+            made.stepper()
+
+    made.stepper.state[:] = made.start
+    each = least({"step": run}, 10)["step"] / steps
+    count = made.loop.step.n_instructions()
+    return f"{one.label}: {count} operations a sample, {1e6 * each:.0f} us."
+
+
+def line(one: Row, made: Bench, seconds: float, first: int) -> str:
     """The row of the table; loops are run as long as their time allows."""
-    made = bench(one.scenario)
     began, results = time.process_time(), []
     while len(results) < LOOPS and time.process_time() - began < seconds:
         seed = first + len(results)
@@ -300,7 +371,8 @@ def told(label: str, results: list[Outcome], N: int) -> str:
 
 
 NOTE = """MuJoCo 4 moves the arms (`benchmarks/mujoco_gears.py`); gaps, payload, friction and
-contact are drawn anew for each seed and not told. The last 4 s of 9 s (arms), of 6.5 s (servos).
+contact are drawn anew for each seed and not told. The last 4 s of 9 s (two links), of 14.2 s (six
+joints: a UR5, joint by joint), of 6.5 s (servos).
 Path: tip of arms [mm], angle of servos [mrad]. Lost without a word: beyond 5 std, or a link's angle
 outside of its interval in half of the samples, with `consistent` 1 in the last 200 samples.
 """
@@ -327,7 +399,10 @@ def table() -> str:
     words = os.environ.get("GEARS_ROWS", "")
     chosen = [one for one in rows() if words in one.label]
     lines = ["## Gears as they are\n", f"At {commit()}. {NOTE}", *HEAD]
+    efforts = []
     for one in chosen:
-        lines.append(line(one, seconds, first))
-        print(lines[-1], flush=True)
-    return "\n".join([*lines, ""])
+        made = bench(one.scenario)
+        lines.append(line(one, made, seconds, first))
+        efforts.append(effort(one, made))
+        print(lines[-1], efforts[-1], sep="\n", flush=True)
+    return "\n".join([*lines, "", *efforts, ""])

@@ -1,12 +1,13 @@
 """Arms behind gears as MuJoCo moves them: a plant that is not made of our own equations.
 
-Each joint is two hinges at one place. The first is the motor, with armature, Coulomb and viscous
-friction; the second is the gap, limited to both sides by a stiff contact. Friction of the link
-is that of a tendon over both.
+Links are planar, or those of a URDF that MuJoCo reads. Each joint is two hinges at one place. The
+first is the motor, with armature, Coulomb and viscous friction; the second is the gap, limited to
+both sides by a stiff contact. Friction of the link is that of a tendon over both.
 """
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import mujoco
@@ -14,16 +15,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+UR5 = Path(__file__).parents[1] / "examples" / "ur5.urdf"
 STEP = 1e-4  # of MuJoCo [s]
-FIRM = "0.99 0.99 0.0001"  # solimp of a gap's ends
+FIRM = [0.99, 0.99, 0.0001, 0.5, 2.0]  # solimp of a gap's ends
 
 
-class Arm(NamedTuple):
-    """Numbers of a planar arm of N joints, in SI units; q1 from the x axis, gravity along -y.
+class Links(NamedTuple):
+    """A planar arm of N joints, in SI units; q1 from the x axis, gravity along -y.
 
     Attributes:
         mass, length, centre, inertia: of the links; centre of mass from the joint.
         gravity: along -y.
+    """
+
+    mass: Floats
+    length: Floats
+    centre: Floats
+    inertia: Floats
+    gravity: float
+
+
+class Arm(NamedTuple):
+    """Numbers of an arm of N joints, in SI units.
+
+    Attributes:
+        links: of a planar arm, or the file of an arm in space (URDF).
         payload: at the tip.
         rotor: inertia of the motors as felt at their joints.
         motor_friction, motor_viscous: of the motors.
@@ -33,11 +49,7 @@ class Arm(NamedTuple):
         damping: its damping ratio.
     """
 
-    mass: Floats
-    length: Floats
-    centre: Floats
-    inertia: Floats
-    gravity: float
+    links: Links | Path
     payload: float
     rotor: Floats
     motor_friction: Floats
@@ -49,37 +61,55 @@ class Arm(NamedTuple):
     damping: float
 
 
-def model_of(arm: Arm) -> str:
-    """The arm in MuJoCo's words (MJCF)."""
-    bodies, tendons, motors = "", "", ""
-    limit = f"{-(arm.contact**2)} {-2 * arm.damping * arm.contact}"
-    for i, half in enumerate(arm.half):
-        at = 0.0 if i == 0 else arm.length[i - 1]
-        bodies += (
-            f'<body pos="{at} 0 0"><inertial pos="{arm.centre[i]} 0 0" mass="{arm.mass[i]}" '
-            f'diaginertia="1e-4 {arm.inertia[i]} {arm.inertia[i]}"/>'
-            f'<joint name="m{i}" type="hinge" axis="0 0 1" armature="{arm.rotor[i]}" '
-            f'frictionloss="{arm.motor_friction[i]}" damping="{arm.motor_viscous[i]}"/>'
-            f'<joint name="g{i}" type="hinge" axis="0 0 1" limited="true" range="{-half} {half}" '
-            f'solreflimit="{limit}" solimplimit="{FIRM}"/>'
-        )
-        tendons += (
-            f'<fixed frictionloss="{arm.friction[i]}" damping="{arm.viscous[i]}">'
-            f'<joint joint="m{i}" coef="1"/><joint joint="g{i}" coef="1"/></fixed>'
-        )
-        motors += f'<motor joint="m{i}" gear="1"/>'
+def planar(links: Links) -> Any:
+    """The links as MuJoCo's specification, without motors and gaps."""
+    spec = mujoco.MjSpec()
+    spec.option.gravity = [0.0, -links.gravity, 0.0]
+    body, at = spec.worldbody, 0.0
+    for i, inertia in enumerate(links.inertia):
+        body = body.add_body(name=f"link{i}", pos=[at, 0.0, 0.0], mass=links.mass[i])
+        body.ipos, body.inertia = [links.centre[i], 0.0, 0.0], [1e-4, inertia, inertia]
+        body.explicitinertial = True
+        body.add_joint(name=f"q{i}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0.0, 0.0, 1.0])
+        at = links.length[i]
+    body.add_body(name="tip", pos=[at, 0.0, 0.0])
+    return spec
+
+
+def in_space(path: Path) -> Any:
+    """The arm of a file as MuJoCo's specification, free of its limits."""
+    spec = mujoco.MjSpec.from_file(str(path))
+    spec.compiler.fusestatic = False
+    for joint in spec.joints:
+        joint.limited = mujoco.mjtLimited.mjLIMITED_FALSE
+    return spec
+
+
+def model_of(arm: Arm) -> Any:
+    """The arm with its motors, gaps and payload as MuJoCo's model."""
+    spec = planar(arm.links) if isinstance(arm.links, Links) else in_space(arm.links)
+    spec.compiler.degree = False
+    spec.option.timestep, spec.option.iterations, spec.option.tolerance = STEP, 50, 1e-10
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    limit = [-(arm.contact**2), -2 * arm.damping * arm.contact]
+    for i, motor in enumerate(list(spec.joints)):
+        motor.armature = arm.rotor[i]
+        motor.frictionloss, motor.damping = arm.motor_friction[i], [arm.motor_viscous[i], 0, 0]
+        gap = motor.parent.add_joint(name=f"g{i}", type=motor.type, axis=motor.axis)
+        gap.limited, gap.range = mujoco.mjtLimited.mjLIMITED_TRUE, [-arm.half[i], arm.half[i]]
+        gap.solref_limit, gap.solimp_limit = limit, FIRM
+        both = spec.add_tendon(name=f"t{i}", frictionloss=arm.friction[i])
+        both.damping = [arm.viscous[i], 0, 0]
+        both.wrap_joint(motor.name, 1.0)
+        both.wrap_joint(gap.name, 1.0)
+        drive = spec.add_actuator(name=f"u{i}", target=motor.name)
+        drive.trntype = mujoco.mjtTrn.mjTRN_JOINT
     if arm.payload > 0:
-        bodies += (
-            f'<body pos="{arm.length[-1]} 0 0"><inertial pos="0 0 0" mass="{arm.payload}" '
-            'diaginertia="1e-9 1e-9 1e-9"/></body>'
-        )
-    return (
-        '<mujoco><compiler angle="radian" autolimits="false"/>'
-        f'<option timestep="{STEP}" gravity="0 {-arm.gravity} 0" integrator="implicitfast" '
-        'cone="elliptic" iterations="50" tolerance="1e-10"/>'
-        f"<worldbody>{bodies}{'</body>' * len(arm.half)}</worldbody>"
-        f"<tendon>{tendons}</tendon><actuator>{motors}</actuator></mujoco>"
-    )
+        tip = spec.bodies[-1]
+        tip.mass, tip.ipos, tip.inertia = arm.payload, [0.0] * 3, [1e-9] * 3
+        tip.explicitinertial = True
+    return spec.compile()
 
 
 class Twin:
@@ -92,7 +122,7 @@ class Twin:
     """
 
     def __init__(self, arm: Arm, q: Floats, flank: Floats) -> None:
-        self._model: Any = mujoco.MjModel.from_xml_string(model_of(arm))
+        self._model: Any = model_of(arm)
         self._data: Any = mujoco.MjData(self._model)
         self._data.qpos[0::2], self._data.qpos[1::2] = q + flank * arm.half, -flank * arm.half
         mujoco.mj_forward(self._model, self._data)
@@ -110,14 +140,17 @@ class Twin:
             mujoco.mj_step(self._model, self._data)
 
 
-def two_link(rng: np.random.Generator, **changes: Any) -> Arm:
+def two_link(rng: np.random.Generator) -> Arm:
     """A random arm of two links: half gaps 20 to 80 mrad, payload to 1 kg, unknown friction."""
-    known = Arm(
+    links = Links(
         mass=np.array([3.0, 2.0]),
         length=np.array([0.4, 0.3]),
         centre=np.array([0.2, 0.15]),
         inertia=np.array([0.04, 0.015]),
         gravity=9.81,
+    )
+    return Arm(
+        links,
         payload=float(rng.uniform(0, 1)),
         rotor=np.array([0.08, 0.03]),
         motor_friction=np.array([0.3, 0.1]) * rng.uniform(0, 2, 2),
@@ -128,17 +161,19 @@ def two_link(rng: np.random.Generator, **changes: Any) -> Arm:
         contact=float(rng.uniform(300, 800)),
         damping=float(rng.uniform(0.2, 0.9)),
     )
-    return known._replace(**changes)
 
 
-def servo(rng: np.random.Generator, **changes: Any) -> Arm:
+def servo(rng: np.random.Generator, gravity: float = 9.81) -> Arm:
     """A random servo with a hanging arm: half gap 8 to 40 mrad, payload to 0.4 kg."""
-    known = Arm(
+    links = Links(
         mass=np.array([0.35]),
         length=np.array([0.25]),
         centre=np.array([0.125]),
         inertia=np.array([0.0018]),
-        gravity=9.81,
+        gravity=gravity,
+    )
+    return Arm(
+        links,
         payload=float(rng.uniform(0, 0.4)),
         rotor=np.array([0.012]),
         motor_friction=0.08 * rng.uniform(0, 2, 1),
@@ -149,4 +184,19 @@ def servo(rng: np.random.Generator, **changes: Any) -> Arm:
         contact=float(rng.uniform(300, 800)),
         damping=float(rng.uniform(0.2, 0.9)),
     )
-    return known._replace(**changes)
+
+
+def ur5(rng: np.random.Generator) -> Arm:
+    """A random UR5: half gaps 10 to 40 mrad, payload to 1 kg, unknown friction."""
+    return Arm(
+        UR5,
+        payload=float(rng.uniform(0, 1)),
+        rotor=np.array([1.5, 1.5, 0.6, 0.2, 0.2, 0.02]),
+        motor_friction=np.array([2.0, 2.0, 1.0, 0.3, 0.3, 0.1]) * rng.uniform(0, 2, 6),
+        motor_viscous=np.array([2.0, 2.0, 1.0, 0.3, 0.3, 0.05]) * rng.uniform(0.7, 1.3, 6),
+        friction=np.array([0.2, 0.2, 0.1, 0.03, 0.03, 0.005]) * rng.uniform(0, 2, 6),
+        viscous=np.array([0.1, 0.1, 0.05, 0.02, 0.02, 0.003]) * rng.uniform(0.5, 1.5, 6),
+        half=rng.uniform(0.01, 0.04, 6),
+        contact=float(rng.uniform(300, 800)),
+        damping=float(rng.uniform(0.2, 0.9)),
+    )

@@ -15,28 +15,28 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 41_645, 342
+MOST_CODE, MOST_FILES = 41_984, 344
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
     "(root)": 385,
     "analysis": 3465,
-    "cli": 1895,
+    "cli": 1900,
     "compensators": 170,
-    "compile": 3620,
+    "compile": 3655,
     "controllers": 810,
     "ends": 446,
-    "ensemble": 1985,
+    "ensemble": 1950,
     "exports": 2465,
     "feedforward": 430,
-    "identification": 7065,
+    "identification": 7070,
     "linear": 400,
     "logs": 1240,
     "numerics": 840,
-    "observers": 3560,
+    "observers": 3810,
     "plants": 1715,
     "report": 2970,
-    "results": 905,
+    "results": 980,
     "scenario": 1510,
     "signals": 440,
     "simulation": 2380,

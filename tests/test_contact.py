@@ -12,10 +12,13 @@ import numpy as np
 import pytest
 
 import undeadzone as uz
+from undeadzone.cli import group
 from undeadzone.numerics.first_passage import arriving, at_edge, beyond
 from undeadzone.numerics.gaussian import Gaussian, cut_to, mixed
+from undeadzone.results import mjcf
 from undeadzone.scenario.reader import convert
 
+EXAMPLES = Path(__file__).parents[1] / "examples"
 SERVO = """
 sensor = { right = 0.0, left = 0.0, noise = 0.0005 }
 observer = { method = "contact", half = [0.0, 0.06], payload = [0.0, 0.5] }
@@ -40,6 +43,21 @@ points = [[-1.57], [-1.07], [-2.07], [-1.07], [-2.07], [-1.07], [-1.57]]
 times = [0.0, 0.7, 1.7, 2.7, 3.7, 4.7, 5.4]
 """
 
+HINGES = """
+<mujoco>
+  <compiler angle="radian" autolimits="false"/>
+  <option gravity="0 0 0" timestep="1e-4"/>
+  <include file="gears.xml"/>
+  <worldbody>
+    <body>
+      <inertial pos="0.125 0 0" mass="0.35" diaginertia="1e-4 0.0018 0.0018"/>
+      <joint name="q1" class="q1_motor" axis="0 0 1"/>
+      <joint name="q1_gap" class="q1_gap" axis="0 0 1"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
 
 def servo(**changes: Any) -> uz.Scenario:
     """A hanging servo behind gears whose gap, payload and friction are not told."""
@@ -52,6 +70,29 @@ def servo(**changes: Any) -> uz.Scenario:
 @pytest.fixture(scope="module")
 def run() -> uz.Run:
     return uz.simulate(servo())
+
+
+def test_mujoco_has_the_gap_that_a_run_found(run: uz.Run, tmp_path: Path) -> None:
+    """The link is pushed to both ends by less than what the motor's friction holds."""
+    mujoco: Any = pytest.importorskip("mujoco")
+    (tmp_path / "servo.toml").write_text(SERVO.replace("duration = 4.5", "duration = 0.2"))
+    words = ["run", str(tmp_path / "servo.toml"), "--out", str(tmp_path), "--json"]
+    group.main(words, standalone_mode=False)
+    assert "armature" in (tmp_path / "gears.xml").read_text()
+    [joint] = mjcf.of_run(run)
+    [path] = mjcf.write([joint], tmp_path)
+    model = mujoco.MjModel.from_xml_string(HINGES, {path.name: path.read_bytes()})
+    assert model.dof_armature[0] == pytest.approx(0.012)
+    assert model.dof_damping[0] == pytest.approx(0.05)
+    assert model.dof_frictionloss[0] == pytest.approx(run.parameters["friction1"]["estimate"])
+    ends, data = [], mujoco.MjData(model)
+    for push in (0.05, -0.05):
+        data.qfrc_applied[1] = push
+        mujoco.mj_step(model, data, 6_000)
+        ends.append(data.qpos[1])
+    assert abs(data.qpos[0]) < 5e-3
+    assert ends == pytest.approx([joint.ahead, -joint.behind], abs=2e-4)
+    assert joint.ahead == pytest.approx(0.03, abs=0.003)
 
 
 # --- First passage
@@ -145,6 +186,69 @@ def test_before_a_first_reading_nothing_is_foretold() -> None:
     run = uz.simulate(told)
     assert np.isfinite(run.z_hat).all()
     assert np.abs(run.z_hat - run.z)[-1] < 0.06
+
+
+# --- Joint by joint
+
+
+def test_one_joint_alone_is_the_coupled_filter() -> None:
+    """Where its payload is told, which bends its dynamics; gravity is linear within a sample."""
+    short, told = {"duration": 0.2}, {"payload": [0.2, 0.2]}
+    coupled = uz.simulate(servo(simulation=short, observer=told))
+    alone = uz.simulate(servo(simulation=short, observer=told | {"joints": "separate"}))
+    assert np.allclose(alone.z_hat, coupled.z_hat, rtol=0, atol=1e-6)
+    assert np.allclose(alone.d_std, coupled.d_std, rtol=1e-4)
+
+
+def test_two_links_are_found_joint_by_joint() -> None:
+    """Gaps lie in their intervals, which are no wider than 5 mrad after 3 s of swings."""
+    example = tomllib.loads((EXAMPLES / "two_link_gears.toml").read_text())
+    del example["compare"]
+    example["observer"]["joints"] = "separate"
+    example["simulation"]["duration"] = 3.0
+    run = uz.simulate(convert(example))
+    half, std = run.d_hat[-1].reshape(2, 2)[:, 0], run.d_std[-1].reshape(2, 2)[:, 0]
+    assert (np.abs(half - [0.05, 0.06]) < 3 * std).all()
+    assert (std < 0.005).all()
+    assert np.abs(run.z - run.z_hat)[-300:].max() < 0.004
+    assert abs(run.theta_hat[-1, 0] - 0.5) < 4 * run.theta_std[-1, 0]
+    assert run.consistent[-1].all()
+
+
+def six_joints(**observer: Any) -> uz.Scenario:
+    """A UR5 that stays where it is, behind gears."""
+    start = [0.2, -1.2, 2.05, -1.4, -0.9, 0.1, *[0.0] * 6]
+    arm = {"kind": "urdf", "path": str(EXAMPLES / "ur5.urdf"), "tip": "tool0"}
+    gears = {"half": 0.02, "inertia": [1.5, 1.5, 0.6, 0.2, 0.2, 0.02], "friction": 0.1}
+    return convert(
+        {
+            "plant": {"arm": {**arm, "gears": gears}, "x0": start},
+            "sensor": {"right": 0.0, "left": 0.0, "noise": 5e-4},
+            "reference": {
+                "kind": "quintic",
+                "points": [start[:6], [x + 0.1 for x in start[:6]]],
+                "times": [0.0, 1.0],
+            },
+            "observer": {"method": "contact", "half": [0.0, 0.06], **observer},
+            "controller": {"method": "computed_torque", "bandwidth": 10.0},
+            "simulation": {"time": "sampled", "step": 1e-3, "duration": 0.1, "substeps": 2},
+        }
+    )
+
+
+def test_six_joints_are_filtered_joint_by_joint() -> None:
+    """Readings follow the motors; a link is known by its claim at first, and held there."""
+    pytest.importorskip("adam")
+    run = uz.simulate(six_joints(joints="separate", payload=[0.0, 1.0]))
+    assert (np.abs(run.z - run.z_hat)[-1] < 0.06).all()
+    assert (np.abs(run.d_hat[-1] - 0.02) < 4 * run.d_std[-1]).all()
+    assert abs(run.theta_hat[-1, 0]) < 4 * run.theta_std[-1, 0]
+
+
+def test_six_joints_at_once_are_refused_with_the_way_out() -> None:
+    pytest.importorskip("adam")
+    with pytest.raises(uz.InputError, match=r'observer\.joints: 6 joints have 729.*"separate"'):
+        uz.simulate(six_joints())
 
 
 @pytest.mark.parametrize(

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import itertools
+import json
 import re
+import threading
 from collections.abc import Iterator
-from typing import Any
+from functools import partial
+from pathlib import Path
+from typing import Any, cast
 
 import casadi as ca
 import numpy as np
@@ -324,3 +328,125 @@ def test_the_environment_fixes_the_form(monkeypatch: pytest.MonkeyPatch) -> None
         monkeypatch.setenv("UNDEADZONE_FORM", wrong)
         with pytest.raises(InputError, match="UNDEADZONE_FORM: expected lanes"):
             lanes.build(step)
+
+
+# --- The form is measured
+
+
+@pytest.fixture
+def eager(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """An empty cache, and trials that begin with the first call and end after few."""
+    monkeypatch.setenv("UNDEADZONE_CACHE", str(tmp_path / "own"))
+    monkeypatch.setattr(cache, "START", -1.0)
+    monkeypatch.setattr(cache, "SHORT", -1.0)
+    monkeypatch.setattr(cache, "CALLS", 3)
+    cache.made.cache_clear()
+    return tmp_path / "own"
+
+
+def compiled_beside() -> None:
+    for thread in threading.enumerate():
+        if thread.name == "compile":
+            thread.join()
+
+
+def test_a_run_in_changing_forms_has_the_bits_of_each(
+    eager: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(lanes, "BUFFER", 512)  # some steps a call
+    loop, state, exogenous = prepare(resolve_scenario(small()))
+    assert loop.parts is not None
+    states = np.tile(state, (64, 1))
+    states[:30, 0] += np.linspace(0.2, 1.0, 30)
+    run = (states, exogenous, tree.pack(loop.params))
+    built = lanes.build(*loop.parts, fused=True)
+    trial = built.block.trial
+    assert isinstance(trial, cache.Trial)
+    found = [lanes.run(built, *run)]
+    compiled_beside()
+    forms = [Form(*json.loads(name)) for name in trial.codes.values() if name]
+    assert len({*forms} - {built.form}) == len(forms) >= 3
+    begun = dict(trial.codes)
+    found += [lanes.run(built, *run), lanes.run(built, *run)]
+    assert all(trial.rates[block] for block in begun)
+    assert len(trial.codes) == 1
+    for form in forms:
+        expected = lanes.run(lanes.build(*loop.parts, fused=True, form=form), *run)
+        for each in found:
+            assert all(map(identical, each, expected))
+
+
+@pytest.mark.parametrize(
+    ("costs", "fastest"),
+    [((1.0, 2.0, 3.0), ""), ((1.0, 0.97, 2.0), ""), ((1.0, 0.9, 2.0), "b"), ((3.0, 1.0, 0.8), "c")],
+)
+def test_another_code_has_to_win_clearly(
+    eager: Path, monkeypatch: pytest.MonkeyPatch, costs: tuple[float, ...], fastest: str
+) -> None:
+    """Whatever happens to single calls; calls of odd lanes go to the first code."""
+    now, noise, kept, calls = [0.0], itertools.cycle([1.0, 1.7, 5.0]), [], []
+
+    class Fake:
+        def __init__(self, cost: float) -> None:
+            self.cost = cost
+
+        def function(self, steps: int, lanes: int) -> None:
+            calls.append((self.cost, lanes))
+            now[0] += self.cost * steps * lanes * next(noise)
+
+        def settle(self) -> None:
+            """It is the best already."""
+
+    monkeypatch.setattr(cache, "clock", lambda: now[0])
+    monkeypatch.setattr(cache, "CALLS", 12)
+    own: Any = Fake(costs[0])
+    others = {name: partial(Fake, cost) for name, cost in zip("bc", costs[1:], strict=True)}
+    trial = cache.Trial(own, cast(Any, others), 16, kept.append)
+    trial(10, 32)
+    compiled_beside()
+    while not kept:
+        trial(10, 24)
+        trial(10, 32)
+    assert kept == [fastest]
+    assert {cost for cost, lanes in calls if lanes == 24} == {costs[0]}
+    calls.clear()
+    trial(10, 32)
+    assert [cost for cost, _ in calls] == [costs["abc".index(fastest or "a")]]
+
+
+def test_an_answer_is_kept_for_steps_of_the_same_size(
+    eager: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    step = every_instruction()
+    assumed = lanes.build(step, fused=True)
+    assumed.block.trial._keep(json.dumps(Form(4, 1, False, 0)))
+    again = lanes.build(step, fused=True)
+    assert (again.form, again.block.trial) == (Form(4, 1, False, 0), None)
+    monkeypatch.setenv("UNDEADZONE_FORM", "2,2,0,9")
+    told = lanes.build(step, fused=True)
+    assert (told.form, told.block.trial) == (Form(2, 2, False, 9), None)
+    monkeypatch.delenv("UNDEADZONE_FORM")
+    assert lanes.build(step, fused=True, width=16).form == here().form(1, 16)  # another size
+    (answer,) = [path for path in eager.glob("*.kernel") if path.stat().st_size < 200]
+    for nonsense in (b"", b"[8, 2]", answer.read_bytes()[:-1] + b"x"):
+        answer.write_bytes(nonsense)
+        cache.made.cache_clear()
+        assert lanes.build(step, fused=True).form == assumed.form
+    assumed.block.trial._keep("")  # what was assumed is the fastest
+    cache.made.cache_clear()
+    found = lanes.build(step, fused=True)
+    assert (found.form, found.block.trial) == (assumed.form, None)
+
+
+def test_a_cache_that_cannot_be_written_costs_no_run(
+    eager: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    eager.write_text("no folder")
+    a = ca.SX.sym("a")
+    built = lanes.build(stateless([a], [a * 3.0]), width=16)
+    nothing = np.empty((1, 0)), np.empty(0)
+    for _ in range(40):
+        assert lanes.run(built, np.full((16, 1), 2.0), *nothing)[0].tolist() == [[[6.0]]] * 16
+        compiled_beside()
+    assert len(built.block.trial.codes) == 1
+    assert lanes.build(stateless([a], [a * 3.0]), width=16).block is built.block

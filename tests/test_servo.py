@@ -7,6 +7,7 @@ import math
 import re
 import shutil
 from pathlib import Path
+from xml.etree import ElementTree
 
 import casadi as ca
 import numpy as np
@@ -277,6 +278,10 @@ def test_a_late_log_ends_in_firmware_that_has_followed_it(
     assert len(servo["crossings"]["gap"]) == len(servo["crossings"]["t"]) > 10
     page = Path("log-identify/report.html").read_text(encoding="utf-8")
     assert "The gap at each crossing" in page
+    motor, gap, *_ = ElementTree.parse("log-identify/gears.xml").iter("joint")
+    assert float(motor.get("armature", 0)) == pytest.approx(1 / 8, rel=0.05)
+    low, high = map(float, gap.get("range", "").split())
+    assert (low, high) == pytest.approx((-0.015, 0.015), abs=5e-4)
     scenario = parse(Path("log.toml").read_text(encoding="utf-8"))
     assert (scenario.sensor.kind, scenario.plant.delay) == ("play", 3)
     assert scenario.sensor.quantum == pytest.approx(MOTOR.quantum)

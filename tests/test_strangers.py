@@ -188,7 +188,7 @@ READERS = {
     "design": Design.load,
     "run": Run.load,
     "log": read_log,
-    "ensemble": saved.load,
+    "ensemble": saved.read,
     "journal": lambda path: journal.start(path, Layout(10, ("a",), 10, {})),
 }
 

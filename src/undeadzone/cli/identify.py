@@ -175,11 +175,14 @@ def _scenario(answer: Answers, path: Path, force: bool) -> tuple[list[Path], str
 
 def _pages(answer: Answers, folder: Path, source: str, best: Next | None) -> list[Path]:
     """A page with figures for each output, written to a folder."""
+    from undeadzone.identification.answer.of_servo import joints
     from undeadzone.identification.answer.result import Identified
     from undeadzone.report.identify_page import write_identified
+    from undeadzone.results.mjcf import write
 
     if isinstance(answer, Identified):
-        return write_identified(answer, folder, source, origin(None), best)
+        written = write(joints(answer.answer), folder)
+        return written + write_identified(answer, folder, source, origin(None), best)
     written = []
     for k, (name, one) in enumerate(zip(answer.names, answer.outputs, strict=True)):
         written += write_identified(one, folder / f"output-{k}", f"{source}, {name}", origin(None))

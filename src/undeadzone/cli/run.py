@@ -59,8 +59,9 @@ def run(
 
     Prints the errors over the last 2 s, the final widths, what can be known of them, and whether a
     certificate holds. Writes run.npz, run.csv (if it has at most 10 MB), figure.svg and report.html
-    to DIR (default: NAME-results); with --no-figures and no --out it writes nothing. Exit code 1:
-    it diverged, half the step changes it by more than 1 %, or its widths cannot be identified.
+    to DIR (default: NAME-results), of gears also gears.xml for MuJoCo; with --no-figures and no
+    --out it writes nothing. Exit code 1: it diverged, half the step changes it by more than 1 %, or
+    its widths cannot be identified.
 
     undeadzone run DIR/runs.npz --replay NUMBER shows a run of an ensemble in the same way (default
     folder: run-NUMBER-results), computed again with its own numbers and noise, and reports whether
@@ -92,6 +93,10 @@ def run(
         from undeadzone.report.run_page import write_run
 
         written += write_run(result, folder, output.figures, rival, tables, again)
+        if result.info.sensor == "gears":
+            from undeadzone.results import mjcf
+
+            written += mjcf.write(mjcf.of_run(result), folder)
     if animation is not None:
         written.append(_film(result, rival, animation))
     files = named_files(written) | (left_out if folder is not None else {})

@@ -1,14 +1,22 @@
-"""Kernels compiled once per machine: files of machine code, named by what it depends on."""
+"""Kernels compiled once per machine: files of machine code, named by what it depends on.
+
+Where several codes compute the same bits, a long run finds out which is the fastest (`Trial`).
+"""
 
 from __future__ import annotations
 
 import functools
 import hashlib
 import json
+import random
+import sys
 import threading
-from collections.abc import Callable
+from collections import defaultdict, deque
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from time import perf_counter, thread_time
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -19,6 +27,12 @@ from undeadzone.compile.machine import NUMBERS, Compiled, Linked, compiled, here
 
 LONG: Final = 6000  # lines of a text whose code of no effort is worth while
 FRAME: Final = 32  # bytes of the stack that a line takes in such code, which shares nothing
+START: Final = 2.0  # [s] of a function's calls after which other codes of it are compiled
+CALLS: Final = 32  # of each code that are compared
+# What other jobs take is not counted, but on Windows, which counts it in 64ths of a second.
+clock: Final = perf_counter if sys.platform == "win32" else thread_time
+SHORT: Final = 2e-5  # [s] of a call that tells nothing
+FASTER: Final = 0.95  # below this share of its time a code takes the place of the assumed one
 
 
 class Made(NamedTuple):
@@ -59,6 +73,7 @@ class Block:
 
     def __init__(self, code: Linked, kinds: tuple[str, ...], note: str, text: str = "") -> None:
         self.note, self.text = note, text
+        self.trial: Callable[..., None] | None = None  # calls it, or a code of the same bits
         self._arrays = tuple(map(_entries, kinds))
         self._codes = [code]  # all are kept, since another thread may be within one
         self._better: threading.Thread | None = None
@@ -77,7 +92,7 @@ class Block:
         plain = []
         for value, kind in zip(arguments, self._arrays, strict=True):
             plain.append(value if kind is None else _address(value, kind))
-        self._codes[-1].function(*plain)
+        (self.trial or self.function)(*plain)
 
     def improve(self, better: Callable[[], Linked]) -> None:
         """Compile with more effort in a thread, and change the code between two calls."""
@@ -92,6 +107,70 @@ class Block:
         """Wait for the best code."""
         if self._better is not None:
             self._better.join()
+
+
+class Trial:
+    """A function of steps, lanes and arrays in several codes of the same bits.
+
+    In a long run a thread compiles the others; then calls are shared out among all codes until the
+    fastest is known, which has every call from there on. Nothing is computed twice, no call waits.
+
+    Args:
+        own: the function in the code that is assumed to be the fastest.
+        others: what compiles the others, by name.
+        group: other codes take calls whose lanes are a multiple of it.
+        keep: told the name of the fastest; "" for the assumed one.
+    """
+
+    def __init__(
+        self,
+        own: Block,
+        others: Mapping[str, Callable[[], Block]],
+        group: int,
+        keep: Callable[[str], None],
+    ) -> None:
+        self._own, self._others, self._group, self._keep = own, others, group, keep
+        self.codes, self._random = {own: ""}, random.Random(0)
+        # Seconds per step and lane of the last calls.
+        self.rates: dict[Block, deque[float]] = defaultdict(lambda: deque(maxlen=CALLS))
+        self._seconds, self._begun, self.is_done = 0.0, threading.Lock(), False
+
+    def __call__(self, steps: int, lanes: int, *addresses: int) -> None:
+        """Call the function.
+
+        Args:
+            steps, lanes: how many.
+            addresses: of the arrays.
+        """
+        # In turn, a code might get those calls of each run in which most happens.
+        block = self._own if lanes % self._group else self._random.choice([*self.codes])
+        began = clock()
+        block.function(steps, lanes, *addresses)
+        seconds = clock() - began
+        if seconds > SHORT:
+            self.rates[block].append(seconds / max(1, steps * lanes))
+        self._seconds += seconds
+        if self._seconds > START and self._begun.acquire(blocking=False):
+            with suppress(RuntimeError):  # where no thread can be had, nothing is measured
+                threading.Thread(target=self._compile, name="compile").start()
+        elif len(self.codes) > 1 and all(len(self.rates[each]) == CALLS for each in self.codes):
+            best = min(self.codes, key=self._weighed)
+            self.codes, self.is_done = {best: self.codes[best]}, True
+            self._keep(self.codes[best])
+
+    def _compile(self) -> None:
+        """Compile the other codes, unless the program ends meanwhile."""
+        self._own.settle()
+        codes = dict(self.codes)
+        for name, make in self._others.items():
+            if threading.main_thread().is_alive():
+                codes[make()] = name
+        if threading.main_thread().is_alive():
+            self.codes = codes
+
+    def _weighed(self, block: Block) -> float:
+        """The least time of a code, where another one has to be faster than the assumed one."""
+        return min(self.rates[block]) * (FASTER if block is self._own else 1.0)
 
 
 def load(text: str, kinds: tuple[str, ...]) -> Block:
@@ -132,24 +211,42 @@ def made(recipe: Recipe, kinds: tuple[str, ...], hurry: bool = False) -> Block:
 
 def kept(recipe: Recipe, kinds: tuple[str, ...]) -> Block | None:
     """The function `block` of a recipe, if it is on disk."""
-    folder = cache_folder.chosen()
-    if folder is None or not any(folder.glob(f"{_title(recipe, kinds)}-*")):
-        return None  # without asking LLVM for the processor
-    found = _parsed(cache_folder.read(folder, _name(recipe, kinds)))
-    if found is None:
-        return None
-    note, compiled_before = found
-    code = linked(compiled_before, kinds)
-    return None if code is None else Block(code, kinds, note)
+    found = _read(recipe.key, kinds)
+    code = None if found is None else linked(found[1], kinds)
+    return None if found is None or code is None else Block(code, kinds, found[0])
+
+
+def answer(question: str) -> str | None:
+    """What `keep_answer` kept on this machine, if it is on disk."""
+    found = _read(question, ())
+    return None if found is None else found[0]
+
+
+def keep_answer(question: str, text: str) -> None:
+    """Keep a text on disk for this machine and this engine, beside the kernels."""
+    _keep(question, (), text, Compiled([], b""))
 
 
 def _best(recipe: Recipe, kinds: tuple[str, ...], text: str, note: str) -> Linked:
     """A text compiled with all effort, linked and kept."""
     code = compiled(text)
+    _keep(recipe.key, kinds, note, code)
+    return _sure(linked(code, kinds))
+
+
+def _read(key: str, kinds: tuple[str, ...]) -> tuple[str, Compiled] | None:
+    """Note and machine code of a key, if they are on disk."""
+    folder = cache_folder.chosen()
+    if folder is None or not any(folder.glob(f"{_title(key, kinds)}-*")):
+        return None  # without asking LLVM for the processor
+    return _parsed(cache_folder.read(folder, _name(key, kinds)))
+
+
+def _keep(key: str, kinds: tuple[str, ...], note: str, code: Compiled) -> None:
+    """Write a key's file, where there is a folder for it."""
     folder = cache_folder.chosen()
     if folder is not None:
-        cache_folder.keep(folder, _name(recipe, kinds), _content(note, code))
-    return _sure(linked(code, kinds))
+        cache_folder.keep(folder, _name(key, kinds), _content(note, code))
 
 
 def _sure(code: Linked | None) -> Linked:
@@ -158,15 +255,15 @@ def _sure(code: Linked | None) -> Linked:
     return code
 
 
-def _name(recipe: Recipe, kinds: tuple[str, ...]) -> str:
-    """The name of a recipe's file."""
+def _name(key: str, kinds: tuple[str, ...]) -> str:
+    """The name of a key's file."""
     machine = hashlib.sha256(_machine().encode()).hexdigest()[:16]
-    return f"{_title(recipe, kinds)}-{machine}{cache_folder.SUFFIX}"
+    return f"{_title(key, kinds)}-{machine}{cache_folder.SUFFIX}"
 
 
-def _title(recipe: Recipe, kinds: tuple[str, ...]) -> str:
+def _title(key: str, kinds: tuple[str, ...]) -> str:
     """The first part of that name, the same on all machines."""
-    depends_on = "\n".join((_engine(), *kinds, recipe.key))
+    depends_on = "\n".join((_engine(), *kinds, key))
     return hashlib.sha256(depends_on.encode()).hexdigest()[:32]
 
 

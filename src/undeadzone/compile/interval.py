@@ -179,16 +179,6 @@ def cosh(a: Interval) -> Interval:
     return rising(np.cosh, absolute(a))
 
 
-def sin(a: Interval) -> Interval:
-    """sin a."""
-    return _wave(np.sin, np.pi / 2, a)
-
-
-def cos(a: Interval) -> Interval:
-    """cos a."""
-    return _wave(np.cos, 0.0, a)
-
-
 def tan(a: Interval) -> Interval:
     """tan a = sin a / cos a."""
     return quotient(sin(a), cos(a))
@@ -211,6 +201,12 @@ def _reaches(a: Interval, angle: float) -> np.ndarray:
     first = np.ceil((a.low - slack - angle) / (2 * np.pi))
     last = np.floor((a.high + slack - angle) / (2 * np.pi))
     return last >= first
+
+
+sin = partial(_wave, np.sin, np.pi / 2)
+"""sin a."""
+cos = partial(_wave, np.cos, 0.0)
+"""cos a."""
 
 
 # Conditions (1 where they hold, 0 where they do not) and kinks
@@ -285,48 +281,16 @@ def gated(condition: Interval, value: Interval) -> Interval:
     return Interval(np.where(off, 0.0, value.low), np.where(off, 0.0, value.high))
 
 
-def _same(a: Interval) -> Interval:
-    """a itself."""
-    return a
-
-
+_RISING = {"atan": np.arctan, "sinh": np.sinh, "tanh": np.tanh}  # everywhere
 # Bounds on an instruction from those on its operands.
 _BOUNDS: dict[str, Callable[..., Interval]] = {
-    "assign": _same,
-    "add": add,
-    "sub": subtract,
-    "neg": negative,
-    "twice": twice,
-    "mul": product,
-    "div": quotient,
-    "inv": inverse,
-    "sq": square,
-    "fabs": absolute,
-    "sign": sign,
-    "pow": power,
-    "constpow": power,
-    "sqrt": sqrt,
-    "exp": exp,
-    "log": log,
-    "sin": sin,
-    "cos": cos,
-    "tan": tan,
-    "asin": asin,
-    "acos": acos,
-    "atan": partial(rising, np.arctan),
-    "sinh": partial(rising, np.sinh),
-    "cosh": cosh,
-    "tanh": partial(rising, np.tanh),
-    "fmin": minimum,
-    "fmax": maximum,
-    "lt": less,
-    "le": at_most,
-    "eq": equal,
-    "ne": unequal,
-    "not": negation,
-    "and": both,
-    "or": maximum,
-    "if_else_zero": gated,
+    **{"assign": lambda a: a, "add": add, "sub": subtract, "neg": negative, "twice": twice},
+    **{"mul": product, "div": quotient, "inv": inverse, "sq": square, "fabs": absolute},
+    **{"sign": sign, "pow": power, "constpow": power, "sqrt": sqrt, "exp": exp, "log": log},
+    **{"sin": sin, "cos": cos, "tan": tan, "asin": asin, "acos": acos, "cosh": cosh},
+    **{word: partial(rising, of) for word, of in _RISING.items()},
+    **{"fmin": minimum, "fmax": maximum, "lt": less, "le": at_most, "eq": equal, "ne": unequal},
+    **{"not": negation, "and": both, "or": maximum, "if_else_zero": gated},
 }
 
 

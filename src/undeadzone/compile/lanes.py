@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.compile import cache, promises
-from undeadzone.compile.kernel import KINDS, graphs, source
+from undeadzone.compile.kernel import KINDS, Graphs, graphs, source
 from undeadzone.compile.lower import Arithmetic
 from undeadzone.compile.machine import Form, Shape, here, told_form
 from undeadzone.compile.promises import Promise
@@ -32,6 +32,7 @@ WIDTH = 128
 # 45,000. The kernel serves later runs with other numbers, too.
 WORTH = 20_000
 WIDE = 1024  # lanes of a block that neither records nor has inputs of its own
+MEASURED = 4000  # instructions, at most, of a step and its rare parts whose form is measured
 # Numbers of recorded outputs and lane inputs between two calls of a kernel: 1 MB stays in L2.
 BUFFER = 2**17
 
@@ -46,7 +47,7 @@ class Kernel(NamedTuple):
         block: block(steps, lanes, work, exogenous, params, own, outputs), of flat arrays, lanes
             last.
         shape: what it was compiled for.
-        form: how lanes are computed.
+        form: how lanes are computed, until a long run finds a faster one (`cache.Trial`).
         width: lanes of a block, at most.
         promises: what it takes for granted of params.
     """
@@ -104,8 +105,8 @@ def build(
             not to cross.
         portable: elementary functions of exported code in place of the C library's: with neither
             exceptions nor zeros of the other sign in its numbers, the bits of exported C.
-        form: how lanes are computed; default: what `machine.told_form` says, else as suits this
-            machine.
+        form: how lanes are computed; default: what `machine.told_form` says, else what was
+            measured here in a long run of a step of this size, else what is assumed, and measured.
         hurry: of a large graph, code that is compiled in a quarter of the time and half as fast, at
             once; the best one takes its place when a thread has it.
 
@@ -116,61 +117,90 @@ def build(
     if form is None and width != 1:
         form = told_form()
     known = known_exogenous, known_params
-    own = tuple(exogenous), tuple(params)
-    wanted = _Wanted(rare, width, *own, record, *known, Arithmetic(fused, portable), form)
-    recipe, shape, width = _recipe(step, wanted)
-    return _kernel(cache.made(recipe, KINDS, hurry), shape, width)
+    own = tuple(exogenous), tuple(params), record
+    plan = _plan(step, rare, width, Arithmetic(fused, portable), own, known)
+    measured = plan.size() if form is None and width != 1 else ""
+    answer = cache.answer(measured) if measured else None
+    block = cache.made(plan.recipe(Form(*json.loads(answer)) if answer else form), KINDS, hurry)
+    if measured and answer is None and block.trial is None:
+        block.trial = _trial(plan, block, measured)
+    return plan.kernel(block)
 
 
-def kept(
-    step: ca.Function, rare: Sequence[ca.Function] = (), *, width: int | None = None
-) -> Kernel | None:
-    """The kernel that `build` would give with no other options, if it is on disk."""
-    recipe, shape, width = _recipe(step, _Wanted(rare, width))
-    block = cache.kept(recipe, KINDS)
-    return None if block is None else _kernel(block, shape, width)
+def kept(step: ca.Function, rare: Sequence[ca.Function] = ()) -> Kernel | None:
+    """The kernel of a single run that `build` would give, if it is on disk."""
+    plan = _plan(step, rare, 1, Arithmetic())
+    block = cache.kept(plan.recipe(None), KINDS)
+    return None if block is None else plan.kernel(block)
 
 
-class _Wanted(NamedTuple):
-    """Options of `build` that decide on the text."""
+class _Plan(NamedTuple):
+    """What a kernel depends on besides its form.
 
-    rare: Sequence[ca.Function]
-    width: int | None
-    exogenous: tuple[int, ...] = ()
-    params: tuple[int, ...] = ()
-    record: Sequence[int] | None = None
-    known_exogenous: Mapping[int, float] = MappingProxyType({})
-    known_params: Mapping[int, float] = MappingProxyType({})
-    arithmetic: Arithmetic = Arithmetic()
-    form: Form | None = None
+    Attributes:
+        functions: what it computes.
+        shape: what it is compiled for.
+        width: lanes of a block, at most.
+        arithmetic: how it rounds.
+    """
+
+    functions: Graphs
+    shape: Shape
+    width: int
+    arithmetic: Arithmetic
+
+    def recipe(self, form: Form | None) -> cache.Recipe:
+        """How to make it in a form."""
+        texts = [part.serialize() for part in (self.functions.usual, *self.functions.rare)]
+        of = self.arithmetic, self.width, form
+
+        def make() -> cache.Made:
+            made = source(self.functions, self.shape, here(), *of)
+            return cache.Made(made.text, json.dumps([made.form, made.promises]))
+
+        return cache.Recipe("\n".join([*texts, repr((self.shape, *of))]), make)
+
+    def kernel(self, block: cache.Block) -> Kernel:
+        """It, with its note."""
+        form, granted = json.loads(block.note)
+        return Kernel(block, self.shape, Form(*form), self.width, promises.read(granted))
+
+    def size(self) -> str:
+        """The class of kernels for which one form is the fastest; "" where none is measured."""
+        counts = [part.n_instructions() for part in (self.functions.usual, *self.functions.rare)]
+        octaves = round(2.0 * math.log2(1 + counts[0])) / 2.0
+        is_measured = sum(counts) <= MEASURED
+        return f"form of 2^{octaves} instructions, {self.width} lanes" if is_measured else ""
 
 
-def _recipe(step: ca.Function, wanted: _Wanted) -> tuple[cache.Recipe, Shape, int]:
-    """How to make a kernel, what it is compiled for, and the lanes of a block."""
+def _plan(
+    step: ca.Function,
+    rare: Sequence[ca.Function],
+    width: int | None,
+    arithmetic: Arithmetic,
+    own: tuple[tuple[int, ...], tuple[int, ...], Sequence[int] | None] = ((), (), None),
+    known: tuple[Mapping[int, float], Mapping[int, float]] = ({}, {}),
+) -> _Plan:
+    """A kernel's plan; own: exogenous, params, record, and known: exogenous, params of `build`."""
     sizes = (step.size1_in(0), step.size1_in(1), step.size1_in(2))
     outputs = step.size1_out(1)
-    recorded = range(outputs) if wanted.record is None else wanted.record
-    _require_entries("exogenous", [*wanted.exogenous, *wanted.known_exogenous], sizes[1])
-    _require_entries("params", [*wanted.params, *wanted.known_params], sizes[2])
+    exogenous, params, record = own
+    recorded = range(outputs) if record is None else record
+    _require_entries("exogenous", [*exogenous, *known[0]], sizes[1])
+    _require_entries("params", [*params, *known[1]], sizes[2])
     _require_entries("record", recorded, outputs)
-    shape = Shape(sizes, wanted.exogenous, wanted.params, tuple(recorded))
-    chosen = wanted.width or (WIDTH if shape.exogenous or shape.record else WIDE)
-    functions = graphs(step, wanted.rare, shape, wanted.known_exogenous, wanted.known_params)
-    texts = [part.serialize() for part in (functions.usual, *functions.rare)]
-    of = wanted.arithmetic, chosen, wanted.form
-    key = "\n".join([*texts, repr((shape, *of))])
-
-    def make() -> cache.Made:
-        made = source(functions, shape, here(), *of)
-        return cache.Made(made.text, json.dumps([made.form, made.promises]))
-
-    return cache.Recipe(key, make), shape, chosen
+    shape = Shape(sizes, exogenous, params, tuple(recorded))
+    chosen = width or (WIDTH if shape.exogenous or shape.record else WIDE)
+    return _Plan(graphs(step, rare, shape, *known), shape, chosen, arithmetic)
 
 
-def _kernel(block: cache.Block, shape: Shape, width: int) -> Kernel:
-    """A compiled block with its note."""
-    form, granted = json.loads(block.note)
-    return Kernel(block, shape, Form(*form), width, promises.read(granted))
+def _trial(plan: _Plan, block: cache.Block, question: str) -> cache.Trial:
+    """A kernel's block and its other forms, of which a long run finds the fastest."""
+    assumed = plan.kernel(block).form
+    forms = here().others(assumed)
+    group = math.lcm(*(form.lanes * form.streams for form in (assumed, *forms)))
+    others = {json.dumps(form): partial(cache.made, plan.recipe(form), KINDS) for form in forms}
+    return cache.Trial(block, others, group, partial(cache.keep_answer, question))
 
 
 def run(
@@ -375,11 +405,7 @@ def checked(
 
 def _held(inputs: Floats) -> Supply:
     """A supply from an array (N x own inputs x lanes)."""
-
-    def of_lanes(lanes: Integers) -> Source:
-        return partial(_steps_of_lanes, inputs, lanes)
-
-    return of_lanes
+    return lambda lanes: partial(_steps_of_lanes, inputs, lanes)
 
 
 def _steps_of_lanes(inputs: Floats, lanes: Integers, first: int, count: int) -> Floats:

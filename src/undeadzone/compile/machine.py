@@ -83,11 +83,18 @@ class Machine(NamedTuple):
         """The form of a kernel of so many instructions of a lane, for blocks of so many lanes."""
         lanes, registers = self.vector
         slots = lanes == 8
+        if instructions <= PAIRED and width >= 2 * lanes and lanes * registers > 32:
+            return Form(lanes, 2, slots, 20 if registers == 32 else 12)
         if registers < 32 or instructions > LARGE:
             return Form(lanes, 1, slots, 0, 300)
-        if instructions > PAIRED or width < 2 * lanes:
-            return Form(lanes, 1, slots, 26)
-        return Form(lanes, 2, slots, 20)
+        return Form(lanes, 1, slots, 26)
+
+    def others(self, form: Form) -> list[Form]:
+        """Forms that a long run tries beside the one that is assumed."""
+        slots = form.lanes == 8
+        usual = (2, slots, 20), (2, False, 12), (2, False, 0), (1, slots, 26)
+        forms = [Form(form.lanes, *each) for each in usual]
+        return [other for other in forms if other != form]
 
     def target(self, effort: int = 3) -> Any:
         """A compiler for it, of LLVM's effort 0 to 3."""

@@ -142,11 +142,11 @@ class Text:
         args, last = [names(arg) for arg in node.args], node.args[-1]
         value = self.type(TYPES[last.kind], vector)
         if node.op == "select":
-            return self._choice(args[0], value, args[1], args[2], vector)
+            return self.choice(args[0], value, args[1], args[2], vector)
         if node.op in ("least", "most"):
             relation = "olt" if node.op == "least" else "ogt"
             better = self.add(f"fcmp {relation} {value} {args[0]}, {args[1]}")
-            return self._choice(better, value, args[0], args[1], vector)
+            return self.choice(better, value, args[0], args[1], vector)
         if node.op == "call":
             if node.text in _INTRINSICS:
                 return self._intrinsic(node, args, vector)
@@ -159,7 +159,7 @@ class Text:
         word = (_OF_REALS if last.is_real else words)[node.op]
         return self.add(f"{word} {value} {', '.join(args)}")
 
-    def _choice(self, condition: str, value: str, yes: str, no: str, vector: bool) -> str:
+    def choice(self, condition: str, value: str, yes: str, no: str, vector: bool = True) -> str:
         """One of two values of a type."""
         truth = self.type("i1", vector)
         return self.add(f"select {truth} {condition}, {value} {yes}, {value} {no}")

@@ -87,7 +87,9 @@ class RareParts:
             text.store(f"%s{u}_{place}", self._at(text, f"%before{u}", i), vector=True)
         for i in range(self._written):
             text.store(following[i], self._at(text, f"%next{u}", i), vector=True)
-        text.store(_number(text, flag), f"%flag{u}", vector=True)
+        one = text.splat("1.0", "double")
+        asked = text.choice(flag, text.type("double"), one, text.zero())
+        text.store(asked, f"%flag{u}", vector=True)
         row, own = f"%row{u}_0", f"%own{u}_0" if self._shape.exogenous else "%own"
         given = (f"%before{u}", f"%next{u}", f"%flag{u}", row, own, "%w", "%rare")
         pointers = ", ".join(f"ptr {name}" for name in given)
@@ -120,11 +122,11 @@ class RareParts:
         for i, node in enumerate(results[:-1]):
             address = self._at(text, "%next", i)
             usual = text.load(address, vector=True)
-            choice = f"{text.type('i1')} {flagged}, {vector} {names(node)}, {vector} {usual}"
-            text.store(text.add(f"select {choice}"), address, vector=True)
+            chosen = text.choice(flagged, vector, names(node), usual)
+            text.store(chosen, address, vector=True)
         if part + 1 < len(self._results):
-            choice = f"{text.type('i1')} {flagged}, {vector} {names(results[-1])}, {vector}"
-            flag = text.add(f"select {choice} {text.zero()}")  # of a lane that asked for this part
+            # Of a lane that asked for this part.
+            flag = text.choice(flagged, vector, names(results[-1]), text.zero())
             text.store(flag, "%flag", vector=True)
             again = text.any(text.add(f"fcmp une {vector} {flag}, {text.zero()}"))
             given = ", ".join(f"ptr %{name}" for name in _POINTERS)
@@ -145,13 +147,12 @@ class RareParts:
             if node.text[0] == "s":
                 return text.load(self._at(text, "%before", self._read.index(place)), vector=True)
             if node.text[0] == "p":
-                row = self._shape.sizes[0] + self._shape.params.index(place)
-                return text.load(_row(text, "%row", row), vector=True)
-            if place in self._shape.exogenous:
-                return text.load(
-                    _row(text, "%own", self._shape.exogenous.index(place)), vector=True
-                )
-            return text.load(text.at("%w", place))
+                base, row = "%row", self._shape.sizes[0] + self._shape.params.index(place)
+            elif place in self._shape.exogenous:
+                base, row = "%own", self._shape.exogenous.index(place)
+            else:
+                return text.load(text.at("%w", place))
+            return text.load(text.at(base, text.add(f"mul i64 %lanes, {row}")), vector=True)
 
         return source
 
@@ -161,15 +162,3 @@ def _order(results: list[Node], form: Form) -> list[Node]:
     small = len(of_graph(results)) <= LARGE
     order = ordered(results, form.registers * form.streams if small else 0)
     return [*still(order, results), *order]
-
-
-def _row(text: Text, base: str, row: int) -> str:
-    """The address of a row of an array, each `lanes` numbers after the one before."""
-    numbers = text.add(f"mul i64 %lanes, {row}")
-    return text.at(base, numbers)
-
-
-def _number(text: Text, condition: str) -> str:
-    """1 where a condition holds, else 0."""
-    vector, one = text.type("double"), text.splat("1.0", "double")
-    return text.add(f"select {text.type('i1')} {condition}, {vector} {one}, {vector} {text.zero()}")

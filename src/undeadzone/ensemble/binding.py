@@ -306,13 +306,11 @@ def _noise_streams(problem: Problem, loop: Loop, binding: Binding) -> dict[str, 
 def _sensor_streams(problem: Problem) -> dict[str, int]:
     """The word of each worn edge, then of each reading that may be lost, by exogenous input."""
     sensor, p = problem.sensor, problem.plant.p
+    wear, loss = (noise.WEAR, sensor.drift), (noise.LOSS, sensor.dropout)
     words = {}
-    for channel in np.flatnonzero(sensor.drift).tolist():
-        words[f"right[{channel}]"] = noise.word(noise.WEAR, channel)
-    for channel in np.flatnonzero(sensor.drift).tolist():
-        words[f"left[{channel}]"] = noise.word(noise.WEAR, p + channel)
-    for channel in np.flatnonzero(sensor.dropout).tolist():
-        words[f"lost[{channel}]"] = noise.word(noise.LOSS, channel)
+    for name, first, (stream, has) in (("right", 0, wear), ("left", p, wear), ("lost", 0, loss)):
+        for channel in np.flatnonzero(has).tolist():
+            words[f"{name}[{channel}]"] = noise.word(stream, first + channel)
     return words
 
 

@@ -133,19 +133,8 @@ def columns(plant: System, sensor: str) -> tuple[str, ...]:
     left = [f"d_left[{i}]" for i in range(plant.p)]
     tip = [] if plant.arm is None else ["rms_tip"]
     behind = ["rms_behind_play"] if sensor == "play" else []
-    return (
-        "rms_tracking",
-        "rms_estimation",
-        "peak_tracking",
-        "settling_time",
-        "silent_fraction",
-        "rms_input",
-        *right,
-        *left,
-        *tip,
-        *behind,
-        "diverged",
-    )
+    sums = "rms_tracking", "rms_estimation", "peak_tracking", "settling_time"
+    return (*sums, "silent_fraction", "rms_input", *right, *left, *tip, *behind, "diverged")
 
 
 def rows(

@@ -136,16 +136,12 @@ class Ensemble:
             InputError: there is no such column.
         """
         if name == WIDTHS:
-            return self._largest_width_error()
+            return reduce(np.maximum, (np.abs(self.column(each)) for each in self.errors))
         if name in self.metrics:
             return self.metrics[name]
         if name in self.varied:
             return self.varied[name]
         return self._width_error(name)
-
-    def _largest_width_error(self) -> Floats:
-        """The largest |d^ - d| of each run."""
-        return reduce(np.maximum, (np.abs(self.column(name)) for name in self.errors))
 
     def _width_error(self, name: str) -> Floats:
         """The column d^ - d of a name such as `d_right_error[0]`. Raises InputError."""

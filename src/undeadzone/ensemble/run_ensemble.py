@@ -75,9 +75,8 @@ def run_ensemble(
         saved.require(Path(path))
     scenario = anchored(scenario, Path.cwd())  # for workers, and for replays from elsewhere
     batch = prepare(scenario)
-    make = functools.partial(prepare, scenario)
-    if workers is None and cluster is None:
-        make = functools.partial(_as_it_is, batch)
+    is_here = workers is None and cluster is None  # where it need not be prepared again
+    make = (lambda: batch) if is_here else functools.partial(prepare, scenario)
     with in_notebook(progress, "running", batch.layout.runs, "runs") as advance:
         compute = functools.partial(
             run_blocks.run, make, workers=workers, cluster=cluster, progress=advance
@@ -142,11 +141,6 @@ def deviation(result: Ensemble, run: int) -> float:
     with np.errstate(invalid="ignore"):
         size = np.abs(here - there)[differs] / np.abs(there[differs])
     return float(np.nan_to_num(size, nan=np.inf, posinf=np.inf).max(initial=0.0))
-
-
-def _as_it_is(batch: Batch) -> Batch:
-    """The batch: it need not be prepared again where it is computed in this process."""
-    return batch
 
 
 def _in_memory(batch: Batch, compute: Callable[[Path], Store]) -> Ensemble:

@@ -29,14 +29,9 @@ CHECKSUM: Final = "digest"  # of names and metadata of a `.parquet`, whose pages
 CHUNK: Final = 2**20  # rows in a row group of Parquet
 ZIP_SIZES: Final = 26  # where a zip file's local header holds the lengths of name and extra field
 IN_OUTPUT_UNIT: Final = (
-    "rms_",
-    "peak_",
-    "d_",
-    "sensor.right",
-    "sensor.left",
-    "sensor.noise",
-    "reference.amplitude",
+    *("rms_", "peak_", "d_", "sensor.right", "sensor.left", "sensor.noise", "reference.amplitude"),
 )
+_DAMAGE: Final = (ValueError, KeyError, struct.error, zipfile.BadZipFile, msgspec.DecodeError)
 
 
 class Table(NamedTuple):
@@ -59,29 +54,6 @@ def require(path: Path) -> None:
         raise InputError(f"{path}: the name must end in .npz or .parquet")
     if path.suffix == ".parquet":
         _arrow()
-
-
-def save(table: Table, path: Path) -> Path:
-    """Write a table as its suffix says. Raises FileError, InputError."""
-    require(path)
-    if path.suffix == ".parquet":
-        _write_parquet(table, path)
-    else:
-        _write_npz(table, path)
-    return path
-
-
-def load(path: Path) -> Table:
-    """Read a table. Raises FileError; InputError where pyarrow is missing."""
-    try:
-        require_plain(path)
-        return _read_parquet(path) if path.suffix == ".parquet" else _read_npz(path)
-    except InputError:
-        raise
-    except OSError as error:
-        raise FileError(f"{path}: cannot read: {reason(error)}") from None
-    except (ValueError, KeyError, struct.error, zipfile.BadZipFile) as error:
-        raise FileError(f"{path}: not an ensemble saved by undeadzone ({error})") from None
 
 
 def _write_npz(table: Table, path: Path) -> None:
@@ -273,23 +245,30 @@ class _Header(msgspec.Struct, frozen=True):
 
 
 def write(contents: Contents, path: Path) -> Path:
-    """Write a file, a row for each run. Raises FileError, InputError."""
+    """Write a file, a row for each run, as its suffix says. Raises FileError, InputError."""
+    require(path)
     header = _Header(contents.info, list(contents.varied))
     columns = {**contents.varied, **contents.metrics}
     attached = {}
     if contents.bands is not None:
         attached = {"t": contents.bands.t, **contents.bands.quantiles}
-    text = msgspec.json.encode(header).decode()
-    return save(Table(text, columns, attached), path)
+    table = Table(msgspec.json.encode(header).decode(), columns, attached)
+    (_write_parquet if path.suffix == ".parquet" else _write_npz)(table, path)
+    return path
 
 
 def read(path: Path) -> Contents:
-    """Read a file. Raises FileError, InputError."""
-    table = load(path)
+    """Read a file. Raises FileError; InputError where pyarrow is missing."""
     try:
+        require_plain(path)
+        table = _read_parquet(path) if path.suffix == ".parquet" else _read_npz(path)
         header = msgspec.json.decode(table.header, type=_Header)
         varied = {name: table.columns[name] for name in header.varied}
-    except (KeyError, msgspec.DecodeError) as error:
+    except InputError:
+        raise
+    except OSError as error:
+        raise FileError(f"{path}: cannot read: {reason(error)}") from None
+    except _DAMAGE as error:
         raise FileError(f"{path}: not an ensemble saved by undeadzone ({error})") from None
     metrics = {name: column for name, column in table.columns.items() if name not in varied}
     return Contents(varied, metrics, header.info, _attached_bands(table.attached))
@@ -299,9 +278,5 @@ def _attached_bands(attached: Mapping[str, Floats]) -> Bands | None:
     """The bands among the other arrays of a file, if it has some."""
     if "t" not in attached:
         return None
-    t = attached["t"]
-    quantiles = {}
-    for name, values in attached.items():
-        if name != "t":
-            quantiles[name] = values.reshape(t.size, -1)
-    return Bands(t, quantiles)
+    t, names = attached["t"], [name for name in attached if name != "t"]
+    return Bands(t, {name: attached[name].reshape(t.size, -1) for name in names})

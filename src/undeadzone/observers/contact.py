@@ -7,9 +7,10 @@ payload and friction on the way.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from itertools import product
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -19,9 +20,19 @@ from undeadzone.ends.sensor import Zone, present
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate, Observer, Reading, Traits, estimate
 from undeadzone.numerics.gaussian import Gaussian
+from undeadzone.observers.parts.contact_drive import (
+    FADING,
+    LASTING,
+    alone,
+    drive_of,
+    part_of,
+    places,
+    posture,
+    surroundings,
+    together,
+    touching,
+)
 from undeadzone.observers.parts.contact_modes import (
-    CONSTANTS,
-    Contacts,
     Drive,
     Layout,
     Modes,
@@ -44,8 +55,6 @@ MOST_COUPLED = 2  # joints with gaps, beyond which there are too many combinatio
 RESOLVED = 0.8  # largest product of a Runge-Kutta step and the frequency of contact
 STABLE = 2.0  # the same, beyond which no firmer contact is taken for true
 LEAVING = 800.0  # rate at which a link leaves a flank that pulls [1/s]
-FADING = 0.2  # correlation time of the unknown torque of motors [s]
-LASTING = 0.01  # time for which the unknown torque of links lasts [s]
 COMPLIANCE = 3e-4  # deviation of where a flank is [rad]
 JERK = 1e-3  # variance that the speed of a motor gains in a second [rad^2 / s^3]
 STICKING = 0.03  # time for which what static friction takes lasts [s]
@@ -74,9 +83,12 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         disturbance: rms of an unknown torque of the motors, one or one per joint [N m]; default 0.3
             of the model's friction, at least 0.6 % of the torque that holds the links.
         load: rms of an unknown torque at the links that lasts 10 ms, one or one per joint [N m];
-            default 0.75 of their friction, at least 1 % of the torque that holds them.
+            default 0.75 of their friction, at least 1 % of the torque that holds them; of separate
+            joints, what makes 0.5 rad/s^2.
         drift: random walk of the half gaps [rad / sqrt(s)].
         compliance: standard deviation of where a flank gives way to, which no reading tells [rad].
+        joints: "separate" filters each joint for itself, to which the rest of the arm is known but
+            for noise: 3 N combinations of contacts in place of 3^N.
     """
 
     gears = True  # it knows them
@@ -91,6 +103,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
     load: Array | None = None
     drift: float = 3e-5
     compliance: float = COMPLIANCE
+    joints: Literal["coupled", "separate"] = "coupled"
 
     def build(self, model: System, sensor: Zone) -> Observer:
         """The filter for the sampled model of an arm with gears."""
@@ -100,25 +113,28 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
                 "observer.method: 'contact' is for an arm with gears in sampled time; give "
                 "plant.arm.gears, or use 'extended'"
             )
-        if gears.size > MOST_COUPLED:
+        if gears.size > MOST_COUPLED and self.joints == "coupled":
             raise InputError(
-                f"observer.method: 'contact' takes arms of one or two joints, this one has "
-                f"{gears.size}: each combination of contacts is a filter of its own"
+                f"observer.joints: {gears.size} joints have {3**gears.size} combinations of "
+                f'contacts, each a filter of its own; use joints = "separate" beyond {MOST_COUPLED}'
             )
         fastest = float(np.max(np.asarray(gears.number(gears.values, "contact"))))
-        drive = drive_of(gears, Ts, int(np.ceil(Ts * fastest / RESOLVED)))
-        first, numbers = self._numbers(model, gears, drive, sensor)
+        substeps = int(np.ceil(Ts * fastest / RESOLVED))
+        apart = range(gears.size) if self.joints == "separate" else ()
+        ones = tuple(alone(gears, joint) for joint in apart)
+        drives = tuple(drive_of(one, Ts, substeps) for one in ones or (gears,))
+        first, numbers = self._numbers(model, gears, drives, sensor)
         params = Params(first, numbers, sensor.slope, fading(Ts, MEMORY), fading(Ts, PATIENCE))
         each = product(FRICTION, range(1, gears.size + 1))
         traits = Traits(uncertain=("payload", *(f"{name}{joint}" for name, joint in each)))
-        setup = Setup(drive, model, gears, sensor.kind)
+        setup = Setup(drives, ones, model, gears, sensor.kind)
         return Observer(params, partial(_started, setup), partial(_step, setup), traits=traits)
 
     def _numbers(
-        self, model: System, gears: Geared, drive: Drive, sensor: Zone
-    ) -> tuple[Modes, Numbers]:
+        self, model: System, gears: Geared, drives: tuple[Drive, ...], sensor: Zone
+    ) -> tuple[tuple[Modes, ...], Numbers]:
         """The modes at first and the numbers of the filter. Raises InputError, ShapeError."""
-        N, layout, Ts = gears.size, drive.layout, drive.Ts
+        N, layout, Ts = gears.size, Layout(gears.size), drives[0].Ts
         of, values = layout.of, model.params
 
         def told(name: str) -> Floats:
@@ -135,6 +151,8 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
             mean[of(name)] = claimed.mean(axis=1)
             std[of(name)] = (claimed[:, 1] - claimed[:, 0]) / np.sqrt(12)
         unknown, loads, inertia = unknown_torques(model, gears, float(mean[of("payload")][0]))
+        if len(drives) > 1:
+            loads = np.maximum(loads, TURNED * inertia)
         if self.disturbance is not None:
             unknown = positive("observer.disturbance", self.disturbance, N, "one per joint")
         if self.load is not None:
@@ -143,7 +161,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         for name in FRICTION:
             mean[of(name)], std[of(name)], low[of(name)] = told(name), share * told(name), 0.0
         std[of("firmness")] = np.log(scalar("observer.contact", self.contact, least=1.0))
-        stable = np.log(STABLE * drive.substeps / (Ts * told("contact")))
+        stable = np.log(STABLE * drives[0].substeps / (Ts * told("contact")))
         high[of("firmness")] = np.fmin(3 * std[of("firmness")], stable)
         low[of("firmness")] = -3 * std[of("firmness")]
         mean[of("centre")] = told("centre")
@@ -157,7 +175,11 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         Q[of("half")] = scalar("observer.drift", self.drift, least=0.0) ** 2 * Ts
         rms = sensor.rms if self.noise is None else self.noise
         slack = scalar("observer.compliance", self.compliance, above=0.0) ** 2
-        return start(layout, mean, std, slack), Numbers(
+        first = []
+        for joint, drive in enumerate(drives):
+            here = places(layout, joint) if len(drives) > 1 else slice(None)
+            first.append(start(drive.layout, mean[here], std[here], slack))
+        return tuple(first), Numbers(
             model=values,
             Q=Q,
             R=positive("observer.noise", rms, model.p, "one per encoder") ** 2,
@@ -183,7 +205,7 @@ class Params(NamedTuple):
         keep: share of the mean of its squares that is left after a step.
     """
 
-    start: Modes
+    start: tuple[Modes, ...]
     modes: Numbers
     slope: Floats
     fade: Floats
@@ -191,16 +213,25 @@ class Params(NamedTuple):
 
 
 class State(NamedTuple):
-    """The modes, and the sums of their innovations (p each)."""
+    """The modes, of all joints or of each, and the sums of their innovations (p each)."""
 
-    modes: Modes
+    modes: tuple[Modes, ...]
     sums: Sums
 
 
 class Setup(NamedTuple):
-    """What the parts of one filter share: the plant as it asks, model, gears, kind of sensor."""
+    """What the parts of one filter share.
 
-    drive: Drive
+    Attributes:
+        drives: the plant as the filter asks, of all joints or of each.
+        ones: each joint alone; none where they are coupled.
+        model: the model.
+        gears: of the model.
+        kind: of the sensor.
+    """
+
+    drives: tuple[Drive, ...]
+    ones: tuple[Geared, ...]
     model: System
     gears: Geared
     kind: str
@@ -241,42 +272,6 @@ def unknown_torques(model: System, gears: Geared, payload: float) -> tuple[Float
     return np.maximum(0.3 * motors, 0.6 * least), np.maximum(0.75 * own, least), inertia
 
 
-def drive_of(gears: Geared, Ts: float, substeps: int) -> Drive:
-    """What the filter asks of an arm with gears.
-
-    Args:
-        gears: the arm.
-        Ts: sample time [s].
-        substeps: Runge-Kutta steps in a sample.
-    """
-    N, layout = gears.size, Layout(gears.size)
-
-    def known(params: Any, x: Any) -> Any:
-        column = ca.SX(params)
-        for name in CONSTANTS:
-            first = gears.names.index(f"{name}1")
-            column[first : first + N] = x[layout.of(name)]
-        first = gears.names.index("contact1")
-        column[first : first + N] *= ca.exp(x[layout.of("firmness")])
-        column[gears.names.index("payload")] = x[layout.of("payload")]
-        return column
-
-    def rate(params: Any, x: Any, u: Any, contact: Contacts) -> tuple[Any, Any]:
-        push = x[layout.of("push")]
-        dx, tau = gears.motion(known(params, x), x[: 4 * N], u + push, ca.DM(contact))
-        constant = ca.SX.zeros(5 * N)
-        return ca.vertcat(dx, constant, -push / FADING, 0.0), tau
-
-    def mobility(params: Any, x: Any) -> Any:
-        column = known(params, x)
-        M = ca.densify(gears.arm.mass(gears.links(column), x[layout.of("link")]))
-        return ca.vertcat(-ca.diag(1 / gears.number(column, "inertia")), ca.inv(M))
-
-    motors, links = tuple(range(N)), tuple(range(N, 2 * N))
-    readings = {"motor": motors, "link": links, "both": (*links, *motors)}[gears.measured]
-    return Drive(layout, rate, mobility, readings, Ts, substeps)
-
-
 def _started(setup: Setup, q: Params) -> State:
     """The state before the first reading."""
     none = np.zeros(setup.model.p)
@@ -285,16 +280,29 @@ def _started(setup: Setup, q: Params) -> State:
 
 def _step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> tuple[State, Estimate]:
     """One sample: the readings, what they show, and the motion to the next sample."""
-    drive, y = setup.drive, reading.y / q.slope
-    before, begun = beliefs_of(drive, s.modes, y)
-    told = corrected(drive, q.modes, s.modes.chances, before, y)
-    seen = ca.logic_and(present(y), s.modes.begun > 0.5)
-    sums = summed(s.sums, ca.if_else(seen, told.e / told.std, 0.0), seen, q.fade, q.keep)
-    moved = predicted(drive, q.modes, told, u)
-    bound = _bound(drive.layout, q.modes, told.whole)
-    ratios = {"gust": ca.mmax(sums.ratio) / CHANCE, "range": BEYOND * (bound > 0)}
-    shown = _shown(setup, q, told, reading)._replace(**verdict(ratios))
-    return State(packed(drive, moved, s.modes, begun), sums), shown
+    drives, y = setup.drives, reading.y / q.slope
+    count, layout = len(drives), Layout(setup.gears.size)
+    parts = [part_of(q.modes, layout, joint, count) for joint in range(count)]
+    told, begun = [], []
+    for joint, (drive, part, modes) in enumerate(zip(drives, parts, s.modes, strict=True)):
+        before, once = beliefs_of(drive, modes, y[joint::count])
+        told.append(corrected(drive, part, modes.chances, before, y[joint::count]))
+        begun.append(once)
+    whole = together(layout, told)
+    started = ca.repmat(ca.vertcat(*(modes.begun for modes in s.modes)), y.shape[0] // count)
+    seen = ca.logic_and(present(y), started > 0.5)
+    sums = summed(s.sums, ca.if_else(seen, whole.e / whole.std, 0.0), seen, q.fade, q.keep)
+    ratios = {"gust": ca.mmax(sums.ratio) / CHANCE}
+    ratios["range"] = BEYOND * (_bound(layout, q.modes, whole.whole) > 0)
+    shown = _shown(setup, q, told, whole, reading)._replace(**verdict(ratios))
+    if setup.ones:
+        arm = posture(setup.gears, q.modes.model, whole.whole.mean, u)
+        parts = surroundings(setup.ones, drives, parts, told, arm)
+    after = []
+    for joint, (drive, part) in enumerate(zip(drives, parts, strict=True)):
+        moved = predicted(drive, part, told[joint], u[joint::count])
+        after.append(packed(drive, moved, s.modes[joint], begun[joint]))
+    return State(tuple(after), sums), shown
 
 
 def _bound(layout: Layout, q: Numbers, belief: Gaussian) -> Any:
@@ -306,9 +314,9 @@ def _bound(layout: Layout, q: Numbers, belief: Gaussian) -> Any:
     return bound
 
 
-def _shown(setup: Setup, q: Params, told: Told, reading: Reading) -> Estimate:
-    """What the readings so far tell."""
-    layout, mean = setup.drive.layout, told.whole.mean
+def _shown(setup: Setup, q: Params, each: Sequence[Told], told: Told, reading: Reading) -> Estimate:
+    """What the readings so far tell, of each filter and of all joints."""
+    layout, mean = Layout(setup.gears.size), told.whole.mean
     N, of = layout.size, layout.of
     both = ca.SX.zeros(setup.model.p - N)  # of encoders at the motors too, which hide nothing
     half, centre = mean[of("half")], mean[of("centre")]
@@ -319,7 +327,7 @@ def _shown(setup: Setup, q: Params, told: Told, reading: Reading) -> Estimate:
     link = mean[:N] + centre - xi
     x = ca.vertcat(mean[:N], link, mean[2 * N : 4 * N])
     var = partial(_variances, told.whole)
-    contact = ca.DM([list(mode) for mode in layout.modes]).T @ ca.vertcat(*told.chances)
+    contact = ca.vertcat(*(touching(*pair) for pair in zip(setup.drives, each, strict=True)))
     give = ca.vertcat(q.modes.slack * ca.SX.ones(N), both)
     rows = ca.DM.eye(layout.entries)
     halves, centres = (rows[of(name), :] for name in ("half", "centre"))

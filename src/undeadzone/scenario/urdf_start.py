@@ -54,7 +54,7 @@ half = [0.0, {most:.3g}]           # rad, claimed range
 payload = [0.0, 1.0]            # kg, claimed range
 """
 TOLD = """
-[observer]
+[observer]                      # or "contact" with joints = "separate" (docs/methods/contact.md)
 method = "full_state"           # told the state: what the gears allow
 """
 LED = """

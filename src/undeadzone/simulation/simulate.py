@@ -271,9 +271,7 @@ def engine_for(loop: Loop, engine: Engine, steps: int) -> LoopEngine:
 
         parts = (loop.step, ()) if loop.parts is None else loop.parts
         wait = engine == "lanes" or steps > lanes.WORTH
-        compiled = (
-            lanes.build(*parts, width=1, hurry=False) if wait else lanes.kept(*parts, width=1)
-        )
+        compiled = lanes.build(*parts, width=1, hurry=False) if wait else lanes.kept(*parts)
         if compiled is not None:
             return partial(_compiled_outputs, compiled)
     return partial(_interpreted_outputs, loop.step)

@@ -18,6 +18,7 @@ from undeadzone.identification.servo.sampled import (
     SPRING,
     TORQUE,
 )
+from undeadzone.results.mjcf import Joint
 from undeadzone.support.arrays import Floats
 
 PRINTED = 4  # crossings on the terminal
@@ -50,6 +51,21 @@ def servo_numbers(answer: Answer) -> dict[str, Any] | None:
         "trends": servo.trends,
         "crossings": {name: column.tolist() for name, column in crossing_columns(answer).items()},
     }
+
+
+def joints(answer: Answer) -> list[Joint]:
+    """The gears of a servo, for MuJoCo; none of another answer, or of a servo without inertia.
+
+    Args:
+        answer: of a log whose input is a torque [N m] and whose output is an angle [rad].
+    """
+    servo, numbers = answer.servo, servo_numbers(answer)
+    if servo is None or numbers is None or not numbers["inertia"] or answer.verdict != "play":
+        return []
+    gap, inertia = servo.gap, 1 / abs(numbers["gain"])
+    words = f"gap {gap.value:.4g} rad [{gap.low:.4g}, {gap.high:.4g}], if y is in rad, u in N m"
+    half, friction = gap.value / 2, numbers["friction"]
+    return [Joint("q", words, half, half, inertia, friction, numbers["damping"] * inertia)]
 
 
 def _per_time(lag: bool, rate: float) -> float:

@@ -1,0 +1,120 @@
+"""Gears with a gap as MuJoCo takes them: what a run, or the log of a servo, says of each joint.
+
+Each joint becomes two hinges at one place: the motor, with its inertia and friction, and the gap,
+which the link may turn from there. Friction of the link is that of a tendon over both.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
+
+from undeadzone.results.run import Run, widths
+from undeadzone.scenario.problem import resolve_scenario
+from undeadzone.scenario.reader import parse
+from undeadzone.support.files import write_text
+
+FILE = "gears.xml"
+FIRM = "0.99 0.99 0.0001"  # solimplimit of the ends of a gap
+USE = (
+    ' Include this file in a model whose compiler says angle="radian". Each joint then is two: '
+    '<joint name="q" class="q_motor"/> <joint name="q_gap" class="q_gap"/>, with the same axis. '
+)
+
+
+class Joint(NamedTuple):
+    """The gears of a joint.
+
+    Attributes:
+        name: of the joint.
+        words: what is known of its gap.
+        behind, ahead: how far the link may be behind its motor and ahead of it [rad].
+        inertia: of the motor as felt at the joint [kg m^2].
+        friction, viscous: of the motor [N m], [N m s/rad].
+        link: the same two of the link.
+        contact: natural frequency [rad/s] and damping ratio of the ends; None: as MuJoCo has them.
+    """
+
+    name: str
+    words: str
+    behind: float
+    ahead: float
+    inertia: float
+    friction: float
+    viscous: float
+    link: tuple[float, float] = (0.0, 0.0)
+    contact: tuple[float, float] | None = None
+
+
+def of_run(run: Run) -> list[Joint]:
+    """The gears as a run found them, and as its model has the rest.
+
+    Args:
+        run: of an arm with gears, with its scenario.
+    """
+    gears = resolve_scenario(parse(run.info.scenario)).model.gears
+    assert gears is not None
+    found = dict(zip(gears.names, gears.values.tolist(), strict=True))
+    found |= {name: one["estimate"] for name, one in run.parameters.items()}
+    joints = []
+    for i, name in enumerate(run.info.joints):
+        right, left = widths(run, i)[:2]
+        joint = Joint(
+            name,
+            f"the link may be {right.found} rad ahead of its motor, {left.found} rad behind",
+            behind=left.value or 0.0,
+            ahead=right.value or 0.0,
+            inertia=found[f"inertia{i + 1}"],
+            friction=found[f"friction{i + 1}"],
+            viscous=found[f"viscous{i + 1}"],
+            link=(found.get(f"f{i + 1}", 0.0), found.get(f"b{i + 1}", 0.0)),
+            contact=(found[f"contact{i + 1}"], gears.damping[i] / gears.stiffness[i] / 2),
+        )
+        joints.append(joint)
+    return joints
+
+
+def write(joints: list[Joint], folder: Path) -> list[Path]:
+    """Write joints to a folder, as MuJoCo's default classes and tendons; nothing where none are.
+
+    Args:
+        joints: of an arm.
+        folder: where to.
+
+    Returns:
+        What was written.
+
+    Raises:
+        FileError: the file cannot be written.
+    """
+    if not joints:
+        return []
+    root = Element("mujoco")
+    root.append(Comment(USE))
+    classes, tendons = SubElement(root, "default"), SubElement(root, "tendon")
+    for joint in joints:
+        classes.append(Comment(f" {joint.name}: {joint.words} ".replace("--", "-")))
+        motor, gap = f"{joint.name}_motor", f"{joint.name}_gap"
+        parts = _numbers(armature=joint.inertia, frictionloss=joint.friction, damping=joint.viscous)
+        SubElement(SubElement(classes, "default", {"class": motor}), "joint", parts)
+        ends = _numbers(range=(-joint.behind, joint.ahead)) | {"limited": "true"}
+        if joint.contact is not None:
+            rate, ratio = joint.contact
+            ends |= _numbers(solreflimit=(-(rate**2), -2 * ratio * rate)) | {"solimplimit": FIRM}
+        SubElement(SubElement(classes, "default", {"class": gap}), "joint", ends)
+        parts = _numbers(frictionloss=joint.link[0], damping=joint.link[1])
+        tendon = SubElement(tendons, "fixed", {"name": f"{joint.name}_link"} | parts)
+        for name in (joint.name, gap):
+            SubElement(tendon, "joint", {"joint": name, "coef": "1"})
+    indent(root)
+    return [write_text(tostring(root, encoding="unicode") + "\n", folder / FILE)]
+
+
+def _numbers(**values: float | tuple[float, ...]) -> dict[str, str]:
+    """Attributes of an element."""
+    found = {}
+    for name, value in values.items():
+        entries = value if isinstance(value, tuple) else (value,)
+        found[name] = " ".join(f"{entry:.6g}" for entry in entries)
+    return found
