@@ -379,10 +379,11 @@ def test_the_gradient_of_a_plant_behind_an_inputs_zone_is_right(loop: loop_logs.
 
 
 def test_a_larger_model_that_leads_keeps_its_word() -> None:
-    """Its widths are others; friction beside a zone has none, and leaves its place to the zone."""
+    """Its widths are others; friction beside a zone, or a small play, leaves its place to the zone."""
     assert _claimed({"two_zones": 0.6, "dead_zone": 0.4}) == "two_zones"
     assert _claimed({"dead_zone": 0.6, "two_zones": 0.4}) == "dead_zone"
     assert _claimed({"zone_and_friction": 0.6, "dead_zone": 0.4}) == "dead_zone"
+    assert _claimed({"both": 0.75, "dead_zone": 0.25}) == "dead_zone"
     assert _claimed({"zone_and_friction": 0.5, "none": 0.5}) == "zone_and_friction"
 
 

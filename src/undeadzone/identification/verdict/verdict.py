@@ -215,16 +215,17 @@ def named(case: Case, odds: dict[str, float], models: Sequence[Family]) -> Verdi
 
 
 def _claimed(odds: dict[str, float]) -> str:
-    """The likeliest word; one that is likely together with larger models where these follow it.
+    """The likeliest word; where none is, one that claims less and that larger models hold.
 
-    Where a larger model leads, the widths of a smaller one are not those that are there; only
-    friction beside a zone, which has no widths of its own, leaves its place to a smaller word.
+    Beside a zone of the input that leads, the sensor's alone has other widths; a small play in
+    front of it changes them little.
     """
     first = next(iter(odds))
-    if first != "zone_and_friction":
+    if first == "two_zones" or (first != "zone_and_friction" and odds[first] >= LIKELY):
         return first
     for word, more in LARGER.items():
-        if sum(odds.get(one, 0.0) for one in (word, *more)) >= LIKELY:
+        held = sum(odds.get(one, 0.0) for one in (word, *more))
+        if held >= LIKELY and (first == "zone_and_friction" or odds.get(word, 0.0) > UNLIKELY):
             return word
     return first
 
