@@ -379,7 +379,7 @@ def test_the_gradient_of_a_plant_behind_an_inputs_zone_is_right(loop: loop_logs.
 
 
 def test_a_larger_model_that_leads_keeps_its_word() -> None:
-    """Its widths are others; friction beside a zone, or a small play, leaves its place to the zone."""
+    """Its widths are others; friction beside a zone, or a small play, leaves its place to it."""
     assert _claimed({"two_zones": 0.6, "dead_zone": 0.4}) == "two_zones"
     assert _claimed({"dead_zone": 0.6, "two_zones": 0.4}) == "dead_zone"
     assert _claimed({"zone_and_friction": 0.6, "dead_zone": 0.4}) == "dead_zone"
