@@ -50,6 +50,8 @@ NAMES = (
     "behind_play",
     "both_ends",
     "which",
+    "loops",
+    "loops_told",
     "servo",
     "gears",
 )

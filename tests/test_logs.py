@@ -84,6 +84,25 @@ def test_columns_by_name_and_number() -> None:
             layout_of_titles(titles("a,b,c"), 1, 1, parse_columns(wrong), "log")
 
 
+def test_a_reference_is_found_beside_what_is_needed_and_never_in_its_place() -> None:
+    """Where the plant is known nobody asks for one; who names it there is not refused."""
+    for header in ("t,u,y,r", "time,setpoint,u,y", "t,u,y,Sollwert [deg]"):
+        layout = layout_of_titles(titles(header), None, None, {}, "log")
+        names = [one.name.lower() for one in titles(header)]
+        assert names[layout.reference or 0] in ("r", "setpoint", "sollwert")
+        assert layout.columns == [0, *layout.readings, *layout.inputs, layout.reference]
+        assert "r from" in layout.said
+    assert layout_of_titles(titles("t,u,y,r"), 1, 1, {"r": "r"}, "log").columns == [0, 2, 1]
+    for taken in ("y=r,u=u", "y=y,u=r"):
+        chosen = parse_columns(taken)
+        assert layout_of_titles(titles("t,u,y,r"), None, None, chosen, "log").reference is None
+    with pytest.raises(FileError, match="used twice"):
+        layout_of_titles(titles("t,u,y,r"), None, None, parse_columns("r=u"), "log")
+    with pytest.raises(FileError, match="no name says which column holds u"):
+        layout_of_titles(titles("t,y,r"), None, None, {}, "log")
+    assert layout_of_numbers(4, None, None, parse_columns("t=1,y=4,u=2,r=3"), "log").reference == 2
+
+
 def test_without_a_header_the_user_says_the_columns() -> None:
     assert layout_of_numbers(4, 1, 1, parse_columns("y=4,u=2"), "log").columns == [3, 1]
     assert layout_of_numbers(4, None, None, parse_columns("y=4,u=2"), "log").columns == [3, 1]

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from benchmarks import loop_logs
 from benchmarks.names_logs import make
 from benchmarks.which_logs import through
 from scipy.signal import lfilter
 
 import undeadzone as uz
+from undeadzone.identification.answer.answer import _of_reference
 from undeadzone.identification.models.elements import MapModel, cubic, linear
 from undeadzone.identification.models.least_squares import Density, LeastSquares
-from undeadzone.identification.models.place import Shape
+from undeadzone.identification.models.place import Shape, fit_place
 from undeadzone.identification.models.plant import Data, Simulator
 from undeadzone.identification.models.zone_fit import fit_linear
 from undeadzone.identification.verdict.odds import behind, odds_of
-from undeadzone.identification.verdict.orders import trained_part
+from undeadzone.identification.verdict.orders import answered, trained_part
+from undeadzone.identification.verdict.verdict import _claimed, heard_loop
 from undeadzone.support.arrays import Floats
 
 DENOMINATOR = [1.0, -1.6, 0.68]
@@ -129,7 +132,7 @@ def test_a_level_is_fitted_beside_every_map() -> None:
 def test_derivatives_beside_a_level_and_without_correlation(shape) -> None:
     _, u, z = driven(2, 200)
     data = logged(u, 3.0 + z)._replace(ok=np.arange(200) % 7 > 0)
-    squares = LeastSquares(MapModel(Simulator(data, 2), "map", shape), 0.6)
+    squares = LeastSquares(MapModel(Simulator(data, 2), "map", shape), [0.6])
     theta = np.array([-1.5, 0.6, 0.06, 0.02, 0.1, 0.0, 0.05, 0.1])
     _, score, _ = squares.quadratic(theta)
     for place, index in enumerate(squares.free):
@@ -157,7 +160,15 @@ def test_a_zone_at_both_ends_is_not_sold_as_the_sensors() -> None:
     z = lfilter([0.0, 0.05, 0.03], DENOMINATOR, dead_zone(u, 0.4, 0.3))
     answer = found(u, dead_zone(z, 0.3, 0.4) + 0.01 * rng.standard_normal(z.size))
     assert answer.verdict == "two_zones"
-    assert answer.right is None
+    numbers, truth = answer.numbers(), {"right": (0.3, 0.4), "left": (0.4, 0.3)}
+    for side, (sensor, actuator) in truth.items():
+        for (value, low, high), width in (
+            (numbers[side], sensor),
+            (numbers["input_widths"][side], actuator),
+        ):
+            assert low <= width <= high
+            assert abs(value - width) < 0.03
+    assert "b_right" in str(answer.summary())
     assert answer.numbers()["levels"]["two_zones"] == pytest.approx([0.4, 0.3], abs=0.08)
 
 
@@ -308,3 +319,88 @@ def test_a_closed_loop_is_heard(gain: float) -> None:
     assert closed == (gain > 0)
     assert (answer.numbers()["closed_loop"] < 1e-3) == (gain > 0)
     assert answer.right.low <= 0.2 <= answer.right.high
+
+
+# --- a loop, with its reference
+
+
+@pytest.fixture(scope="module")
+def loop() -> loop_logs.LoopLog:
+    """A loop with a zone of the actuator, and a disturbance."""
+    return loop_logs.make(5, "input zone", 0.1)
+
+
+def said(u: Floats, y: Floats, r: Floats) -> float:
+    return answered(u[:, None], y, np.ones(y.size, bool), r[:, None])[0]
+
+
+def test_beside_its_reference_readings_make_all_of_a_loops_input(loop: loop_logs.LoopLog) -> None:
+    """Whatever the noise; an input made of its reference is none of readings'."""
+    assert said(loop.u, loop.y, loop.r) > 0.999
+    holes = np.where(np.arange(loop.r.size) % 50 < 5, np.nan, loop.r)
+    assert said(loop.u, loop.y, holes) > 0.999
+    alone = loop_logs.make(5, "input zone", 0.1, closed=False)
+    assert said(alone.u, alone.y, alone.r) == 0
+    assert said(alone.u, alone.y, alone.u + lfilter([0.3], [1, -0.7], alone.u)) == 0
+    assert said(alone.u, alone.y, alone.u + 0.3 * alone.u**3) < 0.1
+    assert said(loop.u, loop.y, np.random.default_rng(0).standard_normal(loop.u.size)) < 0.1
+
+
+def test_prediction_errors_know_the_actuators_zone_better_in_a_loop() -> None:
+    """A disturbance that lasts is foretold, and u does not answer to what is left."""
+    halves, errors = {False: [], True: []}, {False: [], True: []}
+    for seed in range(4):
+        log = loop_logs.make(seed, "input zone", 0.2)
+        plain = fit_linear(Simulator(logged(log.u, log.y), log.order))
+        truth = np.zeros(7)
+        truth[5:] = log.input
+        begun = np.concatenate([plain.theta[: plain.objective.layout.right], truth])
+        begun = np.append(begun, np.zeros(log.order))
+        shape = Shape("input", "input_zone", input=True)
+        fit = fit_place(plain.objective.simulator, shape, [begun])
+        assert fit is not None
+        for predicts, one in ((False, fit), (True, fit.predicting)):
+            for k in (5, 6):
+                row = 1.0 * (one.model.free == one.model.base + k)
+                halves[predicts].append(one.squares.spread(one.theta).half_width(row))
+                errors[predicts].append(one.theta[one.model.base + k] - log.input[k - 5])
+    assert np.median(halves[True]) < 0.75 * np.median(halves[False])
+    assert np.mean(np.abs(errors[True]) < halves[True]) > 0.7
+
+
+def test_the_gradient_of_a_plant_behind_an_inputs_zone_is_right(loop: loop_logs.LoopLog) -> None:
+    simulator = Simulator(logged(loop.u, loop.y), 2, zoned=True)
+    theta = np.array([-1.5, 0.6, 0.06, 0.02, 0.1, 0.2, 0.4, 0.3, 0.0, 0.0, 0.0, 0.0])
+    slopes = simulator.gradient(theta, simulator.z(theta).copy())
+    for index in range(8):
+        step = 1e-6 * np.eye(theta.size)[index]
+        slope = (simulator.z(theta + step).copy() - simulator.z(theta - step)) / 2e-6
+        assert slopes[:, index] == pytest.approx(slope, abs=1e-5)
+
+
+def test_a_larger_model_that_leads_keeps_its_word() -> None:
+    """Its widths are others; friction beside a zone, or a small play, leaves its place to it."""
+    assert _claimed({"two_zones": 0.6, "dead_zone": 0.4}) == "two_zones"
+    assert _claimed({"dead_zone": 0.6, "two_zones": 0.4}) == "dead_zone"
+    assert _claimed({"zone_and_friction": 0.6, "dead_zone": 0.4}) == "dead_zone"
+    assert _claimed({"both": 0.75, "dead_zone": 0.25}) == "dead_zone"
+    assert _claimed({"zone_and_friction": 0.5, "none": 0.5}) == "zone_and_friction"
+
+
+def test_a_column_with_the_reference_is_told(loop: loop_logs.LoopLog) -> None:
+    answer = uz.identify(t=loop.step, u=loop.u, y=loop.y, r=loop.r, order=loop.order)
+    assert isinstance(answer, uz.Identified)
+    assert answer.verdict == "input_zone"
+    for name, truth in zip(("right", "left"), loop.input, strict=True):
+        low, high = answer.numbers()[name][1:]
+        assert low <= truth <= high
+    assert answer.numbers()["answered"] > 0.999
+    assert any("closed loop" in one for one in answer.numbers()["remarks"])
+    case = answer.answer.case
+    still = case._replace(grid=case.grid._replace(r=0 * case.grid.r + 2))
+    assert heard_loop(still).answered is None
+    assert _of_reference(still.grid, heard_loop(still)) == [
+        "the reference never moves: it is not used"
+    ]
+    swapped = case.grid._replace(y=case.grid.r[:, 0], r=case.grid.y[:, None])
+    assert "exchanged" in " ".join(_of_reference(swapped, heard_loop(case)))

@@ -39,7 +39,7 @@ from undeadzone.identification.verdict.servo import (
     with_servo,
 )
 from undeadzone.identification.verdict.verdict import MEMORY, Case, because, unmodelled
-from undeadzone.identification.verdict.which import Found, of_input_zone, with_gap, with_play
+from undeadzone.identification.verdict.which import Found, at_input, with_gap, with_play
 from undeadzone.support.answers import Answers
 from undeadzone.support.progress import in_notebook
 
@@ -50,6 +50,7 @@ def identify(
     t: Any = None,
     u: Any = None,
     y: Any = None,
+    r: Any = None,
     order: str | int = "1-4",
     right: str | float | None = None,
     left: str | float | None = None,
@@ -77,6 +78,7 @@ def identify(
         t: times (N) [s], or the step; with u and y, in place of `log`.
         u: inputs (N) or (N x m).
         y: readings (N) or (N x p); NaN where one is missing.
+        r: the reference of a closed loop (N), NaN where it is missing; None: not recorded.
         order: orders of the plant to try, as 2 or "1-4".
         right: d_r if known, "0.2,1.0" for bounds, inf for no such edge [y].
         left: the same for d_l.
@@ -121,7 +123,9 @@ def identify(
         resample=resample,
         integrators=int(integrators),
     ).checked()
-    logs = [one._replace(y=one.y - options.zero) for one in _logs(log, t, u, y, columns, strict)]
+    logs = [
+        one._replace(y=one.y - options.zero) for one in _logs(log, (t, u, y, r), columns, strict)
+    ]
     with in_notebook(progress, "identifying", None) as advance:
         if keep is None:
             return _identified(logs, options, advance)
@@ -176,14 +180,14 @@ def _identified(
     return answers[0] if len(answers) == 1 else IdentifiedOutputs(names, tuple(answers))
 
 
-def _logs(log: Any, t: Any, u: Any, y: Any, columns: str | None, strict: bool) -> list[Log]:
-    """The logs that a user gave as files, frames or arrays. Raises InputError."""
-    arrays = [value is not None for value in (t, u, y)]
+def _logs(log: Any, arrays: tuple[Any, ...], columns: str | None, strict: bool) -> list[Log]:
+    """The logs that a user gave as files, frames or arrays t, u, y, r. Raises InputError."""
+    given = [value is not None for value in arrays]
     if log is None:
-        if not all(arrays):
+        if not all(given[:3]):
             raise InputError("identify: give a log, or t, u and y")
-        return [log_of_arrays(t, u, y)]
-    if any(arrays):
+        return [log_of_arrays(*arrays)]
+    if any(given):
         raise InputError("identify: give a log, or t, u and y, not both")
     sources = log if isinstance(log, list | tuple) else [log]
     if not sources:
@@ -366,13 +370,13 @@ def _with_remainder(case: Case, found: Found) -> Found:
 
 
 def _is_at_input(case: Case, found: Found) -> bool:
-    """Whether the zone is the actuator's."""
-    return found.verdict.word == "input_zone"
+    """Whether there is a zone of the actuator."""
+    return found.verdict.word in ("input_zone", "two_zones")
 
 
 def _with_actuator(case: Case, found: Found) -> Found:
-    """The widths of the actuator's zone, and the plant behind it."""
-    return found._replace(element=of_input_zone([one.pairs for one in case.fitted.fits]))
+    """The widths of the actuator's zone, and of the sensor's if it has one, and the plant."""
+    return found._replace(element=at_input(case, found))
 
 
 QUESTIONS = (

@@ -38,6 +38,10 @@ TIMES: Final = (
 DATES: Final = ("date", "datum", "fecha", "day")  # beside a column of times of day
 READINGS: Final = ("y", "output", "out", "reading", "measured", "measurement")
 INPUTS: Final = ("u", "input", "in", "command", "control")
+REFERENCES: Final = (
+    *("r", "reference", "ref", "setpoint", "set_point", "set point", "sollwert", "consigne"),
+    *("consigna", "target", "desired"),
+)
 INDEXED: Final = re.compile(r"^(.*?)[\[_(]?(\d+)[\])]?$")
 _SHOWN: Final = 12  # names in a message
 
@@ -106,6 +110,7 @@ class Layout(NamedTuple):
         reading_units, input_units: units that the header names, "" where it names none.
         reading_names, input_names: what the header calls the columns.
         said: in words, which column was taken for what.
+        reference: number of the column of the reference; None: there is none, or nobody asks.
     """
 
     time: int | None
@@ -118,12 +123,18 @@ class Layout(NamedTuple):
     reading_names: list[str]
     input_names: list[str]
     said: str
+    reference: int | None = None
+
+    @property
+    def driving(self) -> list[int]:
+        """The columns of the inputs, and behind them that of the reference, if there is one."""
+        return self.inputs + ([] if self.reference is None else [self.reference])
 
     @property
     def columns(self) -> list[int]:
-        """The columns that are used: the time if there is one, readings, inputs."""
+        """The columns that are used: the time if there is one, readings, what drives."""
         first = [] if self.time is None else [self.time]
-        return first + self.readings + self.inputs
+        return first + self.readings + self.driving
 
     @property
     def timed(self) -> bool:
@@ -135,7 +146,7 @@ def parse_columns(text: str | None) -> dict[str, str]:
     """The columns that --columns names, by signal.
 
     Args:
-        text: `y=angle,u=voltage`, `t=1,y[0]=2,y[1]=3,u=4`; None: nothing is named.
+        text: `y=angle,u=voltage,r=wanted`, `t=1,y[0]=2,y[1]=3,u=4`; None: nothing is named.
 
     Returns:
         A column's name or number (from 1) by `t`, `y[0]`, ..., `u[0]`, ...; `y` means `y[0]`.
@@ -146,9 +157,9 @@ def parse_columns(text: str | None) -> dict[str, str]:
     chosen: dict[str, str] = {}
     for part in filter(None, (text or "").split(",")):
         key, equals, name = (piece.strip() for piece in part.partition("="))
-        if not equals or not name or not re.fullmatch(r"t|[yu](\[\d+\])?", key):
+        if not equals or not name or not re.fullmatch(r"[tr]|[yu](\[\d+\])?", key):
             raise InputError(
-                f"--columns: expected t=NAME, y=NAME, u=NAME or y[0]=NAME with commas between, "
+                "--columns: expected t=NAME, y=NAME, u=NAME, r=NAME or y[0]=NAME, with commas, "
                 f"found {part!r}"
             )
         if key in ("y", "u"):
@@ -166,7 +177,8 @@ def layout_of_titles(
 
     Args:
         titles: what its header says.
-        p, m: numbers of readings and inputs that the plant has; None: as many as are named.
+        p, m: numbers of readings and inputs that the plant has; None: as many as are named, and
+            the reference if there is one.
         chosen: columns that the user names; see `parse_columns`.
         source: the log, for messages.
 
@@ -177,7 +189,26 @@ def layout_of_titles(
     time = _time(titles, chosen, source)
     readings = _signals(titles, "y", p, READINGS, chosen, source)
     inputs = _signals(titles, "u", m, INPUTS, chosen, source)
-    return _layout(titles, time, readings, inputs, source)
+    layout = _layout(titles, time, readings, inputs, source)
+    if m is not None:
+        return layout
+    return _with_reference(layout, titles, chosen, source)
+
+
+def _with_reference(
+    layout: Layout, titles: Sequence[Title], chosen: Mapping[str, str], source: str
+) -> Layout:
+    """The layout with the reference: a column that is nothing else. Raises FileError."""
+    same = [_same(titles, name) for name in REFERENCES]
+    if "r" in chosen:
+        same = [[_named(titles, chosen["r"], "r", source)]]
+        if same[0][0] in layout.columns:
+            raise FileError(f"{source}: column {titles[same[0][0]].name!r} would be used twice")
+    for one in same:
+        if len(one) == 1 and one[0] not in layout.columns:
+            said = f"{layout.said}, r from {titles[one[0]].name!r}"
+            return layout._replace(reference=one[0], said=said)
+    return layout
 
 
 def layout_of_numbers(
@@ -250,13 +281,13 @@ def _seconds(title: Title, source: str) -> float | None:
 
 def _refuse_others(chosen: Mapping[str, str], p: int | None, m: int | None) -> None:
     """Raise InputError for a signal that the plant does not have."""
-    known = ["t"]
+    known = ["t", "r"]  # a reference moves no plant: who does not ask for it may have it named
     for signal, count in (("y", p), ("u", m)):
         count = len(_of_signal(chosen, signal)) if count is None else count
         known += [f"{signal}[{i}]" for i in range(count)]
     for key in chosen:
         if key not in known:
-            raise InputError(f"--columns: the plant has no {key}; it has {', '.join(known[1:])}")
+            raise InputError(f"--columns: the plant has no {key}; it has {', '.join(known[2:])}")
 
 
 def _time(titles: Sequence[Title], chosen: Mapping[str, str], source: str) -> int | None:

@@ -66,7 +66,7 @@ def samples_of(
         t = columns[layout.time].values
         t = since_1970(t) if layout.seconds == 1.0 else t * (layout.seconds or 1.0)
     y = np.column_stack([columns[k].values for k in layout.readings])
-    u = np.column_stack([columns[k].values for k in layout.inputs])
+    u = np.column_stack([columns[k].values for k in layout.driving])
     return oldest_first(_usable(t, y, u)), layout
 
 

@@ -33,9 +33,9 @@ LAGS = 25
 POINTS = 9  # of a profile
 MOST = 4000  # samples of a figure over time; of a longer log the last ones are drawn
 MOST_AT_END = 600  # the same of a figure of the end of a log
-NAMES = {"play": "the play", "both": "play and dead zone", "input_zone": "the plant"}
-SIDES = {"input_zone": "Side of the input"}
-MIDDLES = {"input_zone": "silent"}
+NAMES = {"play": "the play", "both": "play and dead zone", "two_zones": "the dead zone"}
+SIDES = {"input_zone": "Side of the input", "two_zones": "Side of the reading"}
+MIDDLES = {"input_zone": "silent", "two_zones": "silent"}
 
 
 def figures(found_log: Identified, further: Next | None = None) -> dict[str, Figure]:

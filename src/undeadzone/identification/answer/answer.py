@@ -9,6 +9,7 @@ import numpy as np
 
 from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.errors import InputError
+from undeadzone.identification.logs.grid import Grid
 from undeadzone.identification.logs.log import Options
 from undeadzone.identification.models.estimates import Interval, quantile
 from undeadzone.identification.models.kalman import AT_INPUT, NAMES
@@ -19,13 +20,13 @@ from undeadzone.identification.models.zone_fit import Fit
 from undeadzone.identification.servo.gap import ServoGap
 from undeadzone.identification.verdict.orders import (
     OrderFit,
+    answered,
     credible,
     hears_input,
     is_white,
-    loop_chance,
     trained_part,
 )
-from undeadzone.identification.verdict.verdict import Case
+from undeadzone.identification.verdict.verdict import Case, Loop, heard_loop
 from undeadzone.identification.verdict.which import Element, Found, held_out_of
 from undeadzone.identification.verdict.widths import (
     FEW_VISITS,
@@ -73,8 +74,7 @@ class Answer(NamedTuple):
         right, left, width, centre: (value, low, high) with 95 % intervals, of what the verdict
             names [y], of an input zone [u]; None where the verdict allows no such number.
         remarks: what was done to the log, and what to be careful about.
-        loop: p of what past residuals say of the input, if no loop is closed; 1 where the plant
-            does not fit, so that they tell nothing.
+        loop: whether one is closed.
         options: what the user said.
         case: the log, fitted with a zone of the sensor.
         found: what was found of it.
@@ -90,7 +90,7 @@ class Answer(NamedTuple):
     width: Interval | None
     centre: Interval | None
     remarks: list[str]
-    loop: float
+    loop: Loop
     options: Options
     case: Case
     found: Found
@@ -211,7 +211,7 @@ def to_answer(case: Case, found: Found) -> Answer:
         reasons=found.verdict.reasons,
         **dict.fromkeys(DIRECTIONS),
         remarks=[*case.fitted.prepared.remarks, *found.verdict.cautions],
-        loop=1.0,
+        loop=Loop(1.0, None),
         options=case.options,
         case=case,
         found=found,
@@ -290,16 +290,31 @@ def _late(answer: Answer) -> list[str]:
 
 def _in_loop(answer: Answer) -> Answer:
     """The answer with whether the input answers to the readings, and what that means."""
-    servo, chosen, loop = answer.servo, answer.case.chosen, 1.0
-    holds = "Widths of a sensor's zone hold in a loop; those of a play and of the input's zone may"
-    holds += " be off by more than their intervals where a disturbance is strong"
+    servo, loop = answer.servo, heard_loop(answer.case)
+    holds = "Widths of a sensor's zone and of the input's hold in a loop; those of a play may be"
+    holds += " off by more than their intervals where a disturbance is strong"
     if servo is not None:
-        loop, holds = servo.log.loop, "The gap holds in it: each error is that of one prediction"
-    elif chosen.white:
-        loop = loop_chance(chosen.pairs, answer.case.recorded.u)
-    is_closed = loop <= CHANCE if servo is None else servo.log.closed
+        loop = loop._replace(chance=servo.log.loop)
+        holds = "The gap holds in it: each error is that of one prediction"
+    is_closed = loop.is_closed or (servo is not None and servo.log.closed)
     remark = f"the input answers to the readings: the log is of a closed loop. {holds}"
-    return answer._replace(loop=loop, remarks=[*answer.remarks, *([remark] if is_closed else [])])
+    remarks = [remark] if is_closed else []
+    remarks += _of_reference(answer.case.grid, loop)
+    return answer._replace(loop=loop, remarks=[*answer.remarks, *remarks])
+
+
+def _of_reference(grid: Grid, loop: Loop) -> list[str]:
+    """What is to be known of a reference that was recorded."""
+    if not grid.r.shape[1]:
+        return []
+    if loop.answered is None:
+        return ["the reference never moves: it is not used"]
+    if loop.answered == 0:
+        return ["the reference alone makes the input: no loop is closed"]
+    if answered(grid.r, grid.y, grid.ok, grid.r[:, :0])[1] > CHANCE:
+        return []
+    words = "the reference answers to the readings as well: an outer loop makes it, or columns are"
+    return [f"{words} exchanged (--columns); then nothing of this holds"]
 
 
 def _edge_remarks(answer: Answer, shown: Shown, heard: bool) -> list[str]:

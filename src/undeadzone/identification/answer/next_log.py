@@ -27,7 +27,6 @@ from undeadzone.identification.answer.answer import Answer
 from undeadzone.identification.models.elements import MapModel, PlayModel, linear, shifted
 from undeadzone.identification.models.estimates import weighing
 from undeadzone.identification.models.least_squares import Fitted
-from undeadzone.identification.models.place import PARTS, PlaceModel
 from undeadzone.identification.models.plant import Data
 from undeadzone.identification.models.zone_fit import Fit, fit_linear
 from undeadzone.identification.verdict.servo import element_of
@@ -111,8 +110,8 @@ class Account(NamedTuple):
         """The row of right, left, width or centre over the numbers but those of the start."""
         model, x0 = self.model, self.model.simulator.layout.x0
         first, size = model.base, self.theta.size
-        if isinstance(model, PlaceModel):
-            first += PARTS["input"].start
+        if isinstance(model, MapModel) and model.shape is linear:
+            first = model.simulator.layout.input.start
         tied = isinstance(model, PlayModel) and model.tied
         row = weighing(model.free, size, first, DIRECTIONS[name], tied)
         return row[(model.free < x0.start) | (model.free >= x0.stop)]

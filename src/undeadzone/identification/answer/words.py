@@ -56,11 +56,13 @@ def numbers(answer: Answer) -> dict[str, Any]:
         alternatives, held_out, and more.
     """
     grid, chosen = answer.case.grid, answer.chosen
+    at_input = None if answer.element is None else answer.element.input
     return {
         "zone": answer.zone,
         "verdict": answer.verdict,
         "reasons": answer.reasons,
         **{name: _listed(getattr(answer, name)) for name in DIRECTIONS},
+        "input_widths": None if not at_input else {k: _listed(one) for k, one in at_input.items()},
         "order": answer.order,
         "plant": {
             "poles": [[float(pole.real), float(pole.imag)] for pole in answer.poles],
@@ -82,7 +84,8 @@ def numbers(answer: Answer) -> dict[str, Any]:
             {"order": one.n, "bic": one.pairs.bic, "held_out_error": one.error * answer.scale}
             for one in answer.case.fitted.fits
         ],
-        "closed_loop": answer.loop,
+        "closed_loop": answer.loop.chance,
+        "answered": answer.loop.answered,
         "no_zone": answer.case.no_zone.chance,
         "residual_map": {
             "share": answer.case.residuals.share,
@@ -179,7 +182,7 @@ def _widths(answer: Answer) -> dict[str, str]:
     """The widths of the sensor's zone, or of what stands in its place, and the four offsets."""
     element, grid = answer.element, answer.case.grid
     letter, unit = "d", _unit(grid.output_unit)
-    if element is not None:
+    if element is not None and element.kind != "two_zones":
         letter = "c"
         if element.kind == "input_zone":
             letter, unit = "b", _unit(grid.input_unit)
@@ -195,6 +198,8 @@ def _widths(answer: Answer) -> dict[str, str]:
             lines[title] += f"  passed {visits} times, {samples} samples"
         if name == "centre" and letter != "b" and np.isfinite(interval.high):
             lines[title] += AT_ZERO
+    for name, interval in ({} if element is None else element.input).items():
+        lines[f"b_{name}"] = _in_words(interval, _unit(grid.input_unit))
     if element is not None and element.zone is not None:
         lines["d width"] = _in_words(element.zone, unit)
     if element is not None and answer.found.offsets is not None:

@@ -37,6 +37,7 @@ class Grid(NamedTuple):
         inputs: names of the inputs.
         input_unit, output_unit: units, "1" if unknown.
         output: name of the output.
+        r: the reference (N x 1), NaN where it is missing; (N x 0) where a log has none.
     """
 
     t: Floats
@@ -51,7 +52,8 @@ class Grid(NamedTuple):
     inputs: tuple[str, ...]
     input_unit: str
     output_unit: str
-    output: str = "y"
+    output: str
+    r: Floats
 
 
 def to_grid(logs: list[Log], resample: float | None = None) -> Grid:
@@ -86,11 +88,14 @@ def to_grid(logs: list[Log], resample: float | None = None) -> Grid:
     sizes = np.cumsum([0] + [piece.t.size for piece in pieces])
     starts = [piece.start + size for piece, size in zip(pieces, sizes[:-1], strict=True)]
     first = logs[0]
-    t, u, y, _ = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
+    m = first.u.shape[1]
+    known = min(log.r.shape[1] for log in logs)  # of one log alone, the reference is not used
+    cut = [piece._replace(u=piece.u[:, : m + known]) for piece in pieces]
+    t, u, y, _ = (np.concatenate(parts) for parts in zip(*cut, strict=True))
     ok = np.isfinite(y)
     return Grid(
         t,
-        u,
+        u[:, :m],
         np.where(ok, y, 0.0),
         ok,
         np.concatenate(starts),
@@ -102,6 +107,7 @@ def to_grid(logs: list[Log], resample: float | None = None) -> Grid:
         first.input_unit,
         first.output_units[0],
         first.outputs[0],
+        u[:, m:],
     )
 
 
@@ -127,6 +133,7 @@ def shortened(grid: Grid, integrators: int = 0) -> Grid:
     return grid._replace(
         t=grid.t[kept],
         u=grid.u[kept],
+        r=grid.r[kept],
         y=grid.y[kept],
         ok=grid.ok[kept],
         start=begins,
@@ -135,7 +142,7 @@ def shortened(grid: Grid, integrators: int = 0) -> Grid:
 
 
 class _Piece(NamedTuple):
-    """One log on its grid; a reading that is missing is NaN."""
+    """One log on its grid; a reading that is missing is NaN; the reference stands behind u."""
 
     t: Floats
     u: Floats
@@ -191,7 +198,7 @@ def _regular(log: Log, step: float, remarks: list[str]) -> _Piece:
     steps[breaks] = 1.0
     start = np.flatnonzero(breaks)
     place = np.cumsum(steps).astype(int) - 1
-    whole = filled(Regular(log.t, log.y, log.u), steps, step)
+    whole = filled(Regular(log.t, log.y, np.hstack([log.u, log.r])), steps, step)
     held = np.maximum.accumulate(np.where(np.isfinite(whole.u[:, 0]), np.arange(whole.t.size), 0))
     missing = whole.t.size - log.t.size
     if missing:
@@ -224,7 +231,7 @@ def _resampled(log: Log, step: float, remarks: list[str]) -> _Piece:
         f"resampled to {step:g} s: {int(np.isfinite(y).sum())} of {log.t.size} readings lie within"
         " a tenth of a step of the grid and are kept"
     )
-    return _Piece(t, log.u[held], y, np.zeros(1, int))
+    return _Piece(t, np.hstack([log.u, log.r])[held], y, np.zeros(1, int))
 
 
 def find_quantum(y: Floats) -> float:

@@ -156,6 +156,7 @@ class Log(NamedTuple):
         source: where the log came from, for messages.
         lines: the line of each sample in its file (N), for messages; empty where there is none.
         counted: whether the times count samples, so that no rate in seconds is known.
+        r: the reference (N x 1), NaN where it is missing; (N x 0) where none was recorded.
         remarks: what was left out, for the user.
     """
 
@@ -169,6 +170,7 @@ class Log(NamedTuple):
     source: str
     lines: Any
     counted: bool
+    r: Floats
     remarks: tuple[str, ...] = ()
 
     def of_output(self, k: int) -> Log:
@@ -184,7 +186,7 @@ def checked_log(samples: Samples, layout: Layout, source: str) -> Log:
     """A log from samples, fit for identification.
 
     Args:
-        samples: times, readings, inputs.
+        samples: times, readings, inputs with the reference behind them.
         layout: where they came from, with units.
         source: the log, for messages.
 
@@ -198,16 +200,19 @@ def checked_log(samples: Samples, layout: Layout, source: str) -> Log:
     outputs, inputs = tuple(layout.reading_names), tuple(layout.input_names)
     y = np.where(np.isfinite(samples.y), samples.y, np.nan)
     _check_times(t, source, lines)
-    _check_inputs(samples.u, inputs, source, lines)
+    u, r = np.split(samples.u, [len(inputs)], axis=1)
+    _check_inputs(u, inputs, source, lines)
     for name, column in zip(outputs, y.T, strict=True):
         if np.isnan(column).all():
             raise FileError(f"{source}: {name} holds no reading: every one is missing")
         if np.nanmax(np.abs(column)) > LARGEST:
             raise FileError(f"{source}: {name} holds numbers beyond {LARGEST:g}")
     units = {unit or "1" for unit in layout.input_units}
+    if r.size and np.isnan(r).all():
+        raise FileError(f"{source}: the reference holds no number: every one is missing")
     return Log(
         t,
-        samples.u,
+        u,
         y,
         inputs,
         outputs,
@@ -216,6 +221,8 @@ def checked_log(samples: Samples, layout: Layout, source: str) -> Log:
         source,
         lines,
         layout.seconds is None,
+        np.where(np.isfinite(r), r, np.nan),
+        () if layout.reference is None else (f"{source}: {layout.said}",),
     )
 
 
@@ -285,7 +292,8 @@ def read_log(source: Any, columns: str | None = None, strict: bool = False) -> L
         raise FileError(
             f"{name}: no name says which column holds the times; say which by --columns t=NAME"
         )
-    return checked_log(samples, layout, name)._replace(remarks=tuple(remarks))
+    log = checked_log(samples, layout, name)
+    return log._replace(remarks=(*log.remarks, *remarks))
 
 
 def _of_text(
@@ -316,13 +324,14 @@ def _readable(samples: Samples, reader: LogReader, path: Path) -> Samples:
     return Samples(*[part[some] for part in samples])
 
 
-def log_of_arrays(t: Any, u: Any, y: Any) -> Log:
+def log_of_arrays(t: Any, u: Any, y: Any, r: Any = None) -> Log:
     """A log from arrays.
 
     Args:
         t: times (N) [s], or one number, the sample time [s].
         u: inputs (N) or (N x m).
         y: readings (N) or (N x p); NaN where one is missing.
+        r: the reference (N), NaN where it is missing; None: it was not recorded.
 
     Returns:
         The log.
@@ -336,13 +345,13 @@ def log_of_arrays(t: Any, u: Any, y: Any) -> Log:
     if times.ndim == 0:
         times = float(times) * np.arange(len(readings))
     times = times.ravel()
-    if not times.size == len(moved) == len(readings):
-        raise InputError(
-            f"t, u, y: expected as many rows in each, found {times.shape}, {moved.shape},"
-            f" {readings.shape}"
-        )
+    wanted = np.empty((len(moved), 0)) if r is None else _rows("r", numbers("r", r, "iuf"))
+    sizes = [times.size, len(moved), len(readings), len(wanted)]
+    if len(set(sizes)) > 1 or wanted.shape[1] > 1:
+        shapes = f"{times.shape}, {moved.shape}, {readings.shape}, {wanted.shape}"
+        raise InputError(f"t, u, y, r: expected as many rows in each, one r, found {shapes}")
     layout = _layout(readings.shape[1], moved.shape[1])
-    samples = Samples(times, readings, moved, np.empty(0, np.int64))
+    samples = Samples(times, readings, np.hstack([moved, wanted]), np.empty(0, np.int64))
     return checked_log(samples, layout, "arrays")
 
 

@@ -273,7 +273,9 @@ class MapModel:
         return MapModel(self.simulator.along(data), self.name, self.shape)
 
     def project(self, theta: Floats) -> Floats:
-        """Numbers as they are: each pair of them makes sense."""
+        """Widths of the input's zone brought back to 0 or above; other numbers make sense."""
+        widths = self.simulator.layout.input
+        theta[widths] = np.maximum(theta[widths], 0.0)
         return theta
 
     def output(self, theta: Floats) -> Floats:

@@ -10,14 +10,17 @@ from collections.abc import Sequence
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
+from scipy.linalg import solve_toeplitz
+from scipy.signal import lfilter
 from scipy.stats import f as fisher
 
 from undeadzone.identification.models import estimates
-from undeadzone.identification.models.plant import Simulator
+from undeadzone.identification.models.plant import Simulator, correlations
 from undeadzone.identification.models.zone import FAR
 from undeadzone.support.arrays import Floats, Integers
 
 ROUNDS, STEPS = 2, 10  # of the climb to the best density, each with a correlation of its own
+HEARD, TURNS = 11, 4  # residuals before one that foretell it, and rounds of that and of a climb
 HATS = 8
 COSINES = 24
 SURE_SHARE = 0.1  # of the residual that a curve explains, from which it is another nonlinearity
@@ -89,14 +92,14 @@ class LeastSquares(Generic[M]):
 
     Args:
         model: the plant and the element.
-        rho: correlation of residuals over one sample, which is taken out of them.
+        past: of the residuals before, what foretells one (lags); it is taken out of them.
     """
 
     longest = math.inf
 
-    def __init__(self, model: M, rho: float = 0.0) -> None:
+    def __init__(self, model: M, past: Sequence[float] | Floats = ()) -> None:
         self.model = model
-        self.rho = rho
+        self.past = np.asarray(past)
         self.data = model.simulator.data
         self.free, self.gain, self.climbs = model.free, model.gain, self.data.climbs
         self._count = int(self.data.ok.sum())
@@ -141,12 +144,11 @@ class LeastSquares(Generic[M]):
         return self._value_of(e), rows.T @ e / variance, hessian
 
     def _whitened(self, columns: Floats) -> Floats:
-        """Less what the sample before says of them."""
-        if not self.rho:
+        """Less what the samples before say of them."""
+        if not self.past.size:
             return columns
-        white = columns.copy()
-        white[1:] -= self.rho * columns[:-1]
-        white[0] *= math.sqrt(1 - self.rho**2)
+        white = np.asarray(lfilter(np.append(1.0, -self.past), [1.0], columns, axis=0))
+        white[0] *= math.sqrt(max(1 - float(self.past @ self.past), 0.0))
         return white
 
     def _gauss_newton(self, e: Floats, rows: Floats) -> tuple[float, Floats]:
@@ -160,7 +162,7 @@ class LeastSquares(Generic[M]):
 
     def spread(self, theta: Floats) -> estimates.Spread:
         """(I1) of the free numbers."""
-        e, rows = self.rows(theta)
+        e, rows = (self._whitened(one) for one in self.rows(theta))
         variance, hessian = self._gauss_newton(e, rows)
         return estimates.sandwich(rows * e[:, None] / variance, hessian)
 
@@ -169,11 +171,25 @@ class LeastSquares(Generic[M]):
         top = estimates.best_top(self, starts, self.model.first, self.model.last)
         return None if top is None else Fitted(self, top.theta, self.best_density(top.theta))
 
+    def predicted(self, theta: Floats) -> tuple[LeastSquares[M], Floats]:
+        """Least squares of prediction errors, and the numbers where they are least, near theta.
+
+        What disturbs the plant is foretold from past residuals, so that an input that answers to
+        these says nothing of the errors (Ljung 1999, section 13.4); no reference is needed.
+        """
+        squares = self
+        for _ in range(TURNS):
+            seen = correlations(self.residual(theta), self.data.ok, HEARD)
+            seen[0] = seen[0] * (1 + 1e-9) + 1e-15
+            squares = LeastSquares(self.model, solve_toeplitz(seen[:-1], seen[1:]))
+            theta = estimates.climb(squares, theta, STEPS).theta
+        return squares, theta
+
     def best_density(self, theta: Floats) -> Density:
         """The model's account of the readings where that is best, near least squares."""
         first = best = self.density(theta)
         for _ in range(ROUNDS):
-            whitened = LeastSquares(self.model, self._correlation(self.residual(theta)))
+            whitened = LeastSquares(self.model, [self._correlation(self.residual(theta))])
             theta = estimates.climb(whitened, theta, STEPS).theta
             best = max(best, self.density(theta), key=lambda one: float(one.value.sum()))
         return best._replace(rms=first.rms, strange=first.strange)
@@ -185,7 +201,7 @@ class LeastSquares(Generic[M]):
     def density(self, theta: Floats) -> Density:
         """The model's account of the readings, residuals taken as first-order Gaussian noise."""
         ok, e = self.data.ok, self.residual(theta)
-        innovation = LeastSquares(self.model, self._correlation(e))._whitened(e)
+        innovation = LeastSquares(self.model, [self._correlation(e)])._whitened(e)
         variance = float(np.mean(innovation**2)) + 1e-12
         value = -0.5 * innovation**2 / variance - 0.5 * math.log(2 * math.pi * variance)
         rms = float(np.sqrt(np.mean(e**2)))
@@ -206,6 +222,12 @@ class Fitted(NamedTuple, Generic[M]):
     def model(self) -> M:
         """The plant and the element."""
         return self.squares.model
+
+    @property
+    def predicting(self) -> Fitted[M]:
+        """The same model where its prediction errors are least."""
+        squares, theta = self.squares.predicted(self.theta)
+        return self._replace(squares=squares, theta=theta)
 
     @property
     def bic(self) -> float:

@@ -9,6 +9,7 @@ friction at a measured velocity.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -16,11 +17,24 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.compile import lanes
-from undeadzone.identification.models.estimates import Latest, around, differences
+from undeadzone.identification.models.elements import MapModel, linear, shifted
+from undeadzone.identification.models.estimates import (
+    Latest,
+    around,
+    best_top,
+    differences,
+    weighing,
+)
 from undeadzone.identification.models.least_squares import Fitted, LeastSquares
 from undeadzone.identification.models.likelihood import dead_zone
 from undeadzone.identification.models.plant import Data, Simulator
-from undeadzone.identification.models.zone_fit import Fit, fit_linear
+from undeadzone.identification.models.zone import Kind, Objective
+from undeadzone.identification.models.zone_fit import (
+    Fit,
+    fit_linear,
+    longest_record,
+    refit,
+)
 from undeadzone.support.arrays import Floats, Integers
 
 WIDTH = 32
@@ -266,7 +280,7 @@ class PlaceStarts:
         """The zone at the sensor."""
         return [numbers_of(self.plant, self.n, sensor=self.widths)]
 
-    def _levels(self) -> list[tuple[Floats, Floats]]:
+    def levels(self) -> list[tuple[Floats, Floats]]:
         """Plants and levels in units of the input to begin with."""
         begun: list[tuple[Floats, Floats]] = []
         for part in (1.0, 0.4):
@@ -279,12 +293,12 @@ class PlaceStarts:
 
     def at_input(self) -> list[Floats]:
         """Zones of the input."""
-        return [numbers_of(plant, self.n, input=level) for plant, level in self._levels()]
+        return [numbers_of(plant, self.n, input=level) for plant, level in self.levels()]
 
     def friction(self) -> list[Floats]:
         """Friction where the input acts: c = b / b_1."""
         begun = []
-        for plant, level in self._levels():
+        for plant, level in self.levels():
             moved, n = plant.copy(), self.n
             if moved[n] <= 1e-3:
                 moved[n] = 0.05 * np.abs(plant[n : 2 * n]).max() + 1e-3
@@ -343,3 +357,97 @@ class PlaceStarts:
             element[PARTS["sensor"]] = np.maximum(part * self.widths, 0.05)
             begun.append(theta)
         return begun
+
+
+# --- A zone of the input, and perhaps one of the sensor, measured
+
+LOUDER = ((1.8, 1.0), (1.4, 0.5), (2.5, 1.3))  # gain of a linear fit, and widths, to begin with
+ZonedTarget = Objective | LeastSquares[MapModel]
+
+
+class Zoned(NamedTuple):
+    """A plant behind a zone of its input, and perhaps ahead of one of the sensor.
+
+    Attributes:
+        fit: by least squares, to simulate it.
+        stages: what was maximised and its numbers: simulation errors, or the likelihood of single
+            samples; then prediction errors, or the likelihood of pairs where noise falls silent.
+    """
+
+    fit: Fitted[MapModel]
+    stages: Sequence[tuple[ZonedTarget, Floats]]
+
+    def width(self, *weights: float) -> tuple[float, float, float]:
+        """A sum of the input's and the sensor's widths, half its interval, degrees of freedom.
+
+        The half is the widest of the stages', and by how much these differ is added to it.
+        """
+        first, values, halves = self.fit.model.simulator.layout.input.start, [], []
+        for target, theta in self.stages:
+            row = weighing(target.free, theta.size, first, weights)
+            halves.append(target.spread(theta).half_and_degrees(row))
+            values.append(float(np.dot(weights, theta[first : first + len(weights)])))
+        half, degrees = max(halves)
+        return values[-1], math.hypot(half, values[-1] - values[0]), degrees
+
+
+def fit_at_input(fits: Sequence[Fit]) -> Zoned | None:
+    """The plant of least BIC behind a zone of the input; None where none fits.
+
+    Args:
+        fits: of every order, with a zone of the sensor, where climbs start.
+    """
+    tops = []
+    for one in fits:
+        starts = PlaceStarts(longest_record(one))
+        simulator = Simulator(starts.simulator.data, starts.n, zoned=True)
+        squares = LeastSquares(MapModel(simulator, "input_zone", linear))
+        tops.append(squares.best([np.append(*begun) for begun in starts.levels()]))
+    best = min(filter(None, tops), key=lambda one: one.bic, default=None)
+    if best is None:
+        return None
+    last = best.squares.predicted(best.theta)
+    return Zoned(best._replace(theta=last[1]), [(best.squares, best.theta), last])
+
+
+def fit_both_ends(fits: Sequence[Fit], known: PlaceFit) -> Zoned | None:
+    """The plant of least BIC between zones of input and sensor; None where none fits.
+
+    Args:
+        fits: of every order, with a zone of the sensor.
+        known: both zones behind a plant of one order, by least squares.
+    """
+    ends = []
+    for one in fits:
+        old = one.objective
+        simulator = Simulator(old.data, old.layout.n, zoned=True)
+        kind: Kind = "behind" if old.kind == "behind" else "singles"
+        objective = Objective(simulator, kind, old.limits)
+        top = best_top(objective, _between(fit_linear(old.simulator), objective, known), 10, 60)
+        if top is not None:
+            ends.append(Fit(objective, *top))
+    if not ends:
+        return None
+    best = min(ends, key=lambda one: one.bic)
+    squares = LeastSquares(MapModel(best.objective.simulator, "two_zones", shifted))
+    last: tuple[ZonedTarget, Floats] = squares.predicted(best.theta[: squares.model.base + 2])
+    if best.objective.kind != "behind":
+        pairs = refit(best, "pairs")
+        best = refit(pairs, "singles")  # once more: kinks of the edges stop a climb early
+        last = pairs.objective, pairs.theta
+    theta = last[1][: squares.model.base + 2]
+    fit = Fitted(squares, theta, squares.density(theta))
+    return Zoned(fit, [(best.objective, best.theta), last])
+
+
+def _between(plain: Fit, objective: Objective, known: PlaceFit) -> list[Floats]:
+    """Where climbs begin: a louder linear plant between zones of several sizes."""
+    layout, begun = objective.layout, list[Floats]()
+    for gain, size in LOUDER:
+        theta = np.zeros(layout.size)
+        theta[layout.a], theta[layout.b] = plain.theta[layout.a], gain * plain.theta[layout.b]
+        theta[layout.input] = size * known.model.part(known.theta, "input")
+        sensor = size * known.model.part(known.theta, "sensor")
+        theta[layout.right : layout.right + 3] = *sensor, math.log(max(known.density.rms, 1e-3))
+        begun.append(theta)
+    return begun

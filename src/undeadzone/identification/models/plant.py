@@ -11,7 +11,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from undeadzone.identification.models.estimates import KeptClimbs, Latest
-from undeadzone.identification.models.likelihood import Readings
+from undeadzone.identification.models.likelihood import Readings, dead_zone
 from undeadzone.support.arrays import Flags, Floats, Integers, later
 
 MANY = 10_000  # samples of a log from which what costs many fits takes a part of it
@@ -145,19 +145,21 @@ def longest_of(data: Data) -> Data:
 
 
 class Layout(NamedTuple):
-    """Places of the numbers in theta = [a, b, x0, d_r, d_l, log s, atanh rho].
+    """Places of the numbers in theta = [a, b, x0, the input's zone, d_r, d_l, log s, atanh rho].
 
     Attributes:
         n: poles, and numerator terms from delay 1 of each input.
         m: inputs.
         records: records, each with n numbers for its initial state.
         integrators: how many of the poles are known to be integrators; a holds the others.
+        zoned: whether the one input passes a dead zone, whose widths are two numbers.
     """
 
     n: int
     m: int
     records: int
     integrators: int = 0
+    zoned: bool = False
 
     @property
     def a(self) -> slice:
@@ -175,9 +177,14 @@ class Layout(NamedTuple):
         return slice(self.b.stop, self.b.stop + self.n * self.records)
 
     @property
+    def input(self) -> slice:
+        """The widths of the input's zone; empty where it has none."""
+        return slice(self.x0.stop, self.x0.stop + 2 * self.zoned)
+
+    @property
     def right(self) -> int:
         """d_r; d_l, log s and atanh rho follow."""
-        return self.x0.stop
+        return self.input.stop
 
     def denominator(self, a: Floats) -> Floats:
         """The coefficients 1, a_1 to a_n of the whole denominator, integrators included."""
@@ -199,7 +206,7 @@ class Layout(NamedTuple):
             theta: a, b, x0, and what follows.
         """
         x0 = np.zeros(self.n * self.records)
-        return np.concatenate([theta[: other.b.stop], x0, theta[other.right :]])
+        return np.concatenate([theta[: other.b.stop], x0, theta[other.x0.stop :]])
 
 
 class Simulator:
@@ -209,23 +216,35 @@ class Simulator:
         data: the records.
         n: number of poles.
         integrators: how many of them are integrators.
+        zoned: whether the one input passes a dead zone.
     """
 
-    def __init__(self, data: Data, n: int, integrators: int = 0) -> None:
+    def __init__(self, data: Data, n: int, integrators: int = 0, zoned: bool = False) -> None:
         self.data = data
-        self.layout = Layout(n, data.u.shape[1], data.start.size, integrators)
+        self.layout = Layout(n, data.u.shape[1], data.start.size, integrators, zoned)
         self.longest = max(part.stop - part.start for part in data.records())
-        self.lagged = np.zeros((data.y.size, n * data.u.shape[1]))
-        for part in data.records():
-            for k in range(data.u.shape[1]):
-                for j in range(n):
-                    delayed = data.u[part.start : part.stop - 1 - j, k]
-                    self.lagged[part.start + 1 + j : part.stop, n * k + j] = delayed
+        self.lagged = self._behind(data.u)
         self._z: Latest[Floats] = Latest()
+
+    def _behind(self, u: Floats) -> Floats:
+        """The last n samples of each input (N x m n)."""
+        n = self.layout.n
+        lagged = np.zeros((len(u), n * u.shape[1]))
+        for part in self.data.records():
+            for k in range(u.shape[1]):
+                for j in range(n):
+                    delayed = u[part.start : part.stop - 1 - j, k]
+                    lagged[part.start + 1 + j : part.stop, n * k + j] = delayed
+        return lagged
 
     def along(self, data: Data) -> Simulator:
         """The same plant along other records."""
-        return Simulator(data, self.layout.n, self.layout.integrators)
+        return Simulator(data, self.layout.n, self.layout.integrators, self.layout.zoned)
+
+    def passed(self, theta: Floats) -> Floats:
+        """The inputs, as they come through the zone (N x m)."""
+        u, zone = self.data.u, theta[self.layout.input]
+        return dead_zone(u, *zone) if self.layout.zoned else u
 
     def z(self, theta: Floats) -> Floats:
         """z (N) for parameters theta, of which those of the plant come first; not to be changed."""
@@ -235,7 +254,8 @@ class Simulator:
         layout = self.layout
         denominator = layout.denominator(theta[layout.a])
         x0 = theta[layout.x0].reshape(layout.records, layout.n)
-        z = self.lagged @ theta[layout.b]  # what drives it, at first
+        lagged = self._behind(self.passed(theta)) if layout.zoned else self.lagged
+        z = lagged @ theta[layout.b]  # what drives it, at first
         for part, state in zip(self.data.records(), x0, strict=True):
             own = z[part]
             own[: layout.n] += state[: own.size]
@@ -247,12 +267,12 @@ class Simulator:
         """dz/dtheta (N x P), exact: one filter for a, one for x(0), one for each input."""
         layout = self.layout
         n, m = layout.n, layout.m
-        whole = layout.denominator(theta[layout.a])
+        whole, u = layout.denominator(theta[layout.a]), self.passed(theta)
         slopes = np.zeros((z.size, layout.size))
         for r, part in enumerate(self.data.records()):
             size = part.stop - part.start
             by_a = lfilter([1.0], np.append(1.0, theta[layout.a]), z[part])
-            sources = np.column_stack([self.data.u[part], np.eye(size, 1)])
+            sources = np.column_stack([u[part], np.eye(size, 1)])
             filtered = lfilter([1.0], whole, sources, axis=0)
             own = slopes[part]
             for i in range(layout.a.stop):
@@ -261,6 +281,10 @@ class Simulator:
                 own[i:, layout.x0.start + n * r + i] = filtered[: size - i, -1]
                 for k in range(m):
                     own[i + 1 :, layout.b.start + n * k + i] = filtered[: size - 1 - i, k]
+            if layout.zoned:
+                moved = np.hstack([-1.0 * (u[part] > 0), 1.0 * (u[part] < 0)])
+                gain = np.append(0.0, theta[layout.b])
+                own[:, layout.input] = lfilter(gain, whole, moved, axis=0)
         return slopes
 
     def gain(self, theta: Floats) -> Floats:

@@ -68,12 +68,14 @@ class Gap(NamedTuple):
     sure: bool
 
 
-def find_gap(fit: PlayFit, quantum: float) -> Gap:
+def find_gap(fit: PlayFit, quantum: float, in_loop: bool = False) -> Gap:
     """The numbers of a play with their intervals.
 
     Args:
         fit: least squares.
         quantum: of the readings, scaled; 0: none.
+        in_loop: whether u answers to readings: then prediction errors are least, in the log and in
+            simulated ones, and by how much that differs from simulation widens the intervals.
 
     Returns:
         Corrected numbers; of an integrating plant, whose disturbances add up, those of the fit.
@@ -82,7 +84,7 @@ def find_gap(fit: PlayFit, quantum: float) -> Gap:
     how = motion.sensing(data.y, data.ok, data.start, quantum)
     if fit.model.simulator.layout.integrators:
         return _as_fitted(fit, _noise(data, how, quantum))
-    return _corrected(fit, _noise(data, how, quantum), quantum)
+    return _corrected(fit, _noise(data, how, quantum), quantum, in_loop)
 
 
 def _noise(data: Data, how: motion.Sensing, quantum: float) -> float:
@@ -119,18 +121,20 @@ def _as_fitted(fit: PlayFit, noise: float) -> Gap:
 # --- By least squares and simulated logs
 
 
-def _corrected(fit: PlayFit, noise: float, quantum: float) -> Gap:
+def _corrected(fit: PlayFit, noise: float, quantum: float, in_loop: bool) -> Gap:
     """The numbers of the fit, moved to where simulated logs are fitted as the log was."""
+    simulated, fit = fit, fit.predicting if in_loop else fit
     model, theta = fit.model, fit.theta
-    halves = _own_halves(fit)
+    halves, wider = _own_halves(fit), _own_halves(simulated)
     moved, fits, ahead = _matched(fit, noise, quantum)
     scatter = np.cov(fits.T)
     for name, row in ROWS.items():
         weights = np.zeros(model.size)
         weights[model.base :][: len(row)] = row
         std = math.sqrt(max(float(weights @ scatter @ weights), 0.0) * (1 + 1 / RUNS))
-        own = max(halves[name], quantile(RUNS - 1) * std)
-        halves[name] = math.hypot(own, float(weights @ (moved - theta)))
+        own = max(halves[name], wider[name], quantile(RUNS - 1) * std)
+        apart = float(weights @ (simulated.theta - theta))
+        halves[name] = math.hypot(own, float(weights @ (moved - theta)), apart)
     intervals = _intervals(moved, model, halves)
     count = model.simulator.layout.b.stop
     most = STRONGEST_OF_BOTH if model.zone else STRONGEST
@@ -154,7 +158,7 @@ def _matched(fit: PlayFit, noise: float, quantum: float) -> tuple[Floats, Floats
     for _ in range(ROUNDS):
         w = shaped(layout, theta, colour)
         w *= rms / max(float(w.std()), 1e-300)
-        fits, residuals = _refitted(fit.model, theta, w, behind, quantum)
+        fits, residuals = _refitted(fit, theta, w, behind, quantum)
         remains = _unexplained(float(np.sqrt(np.mean(residuals**2))), noise)
         rms *= min(math.sqrt(left / remains), MOST)
         theta = _moved(fit, theta, fit.theta - fits.mean(axis=0))
@@ -177,14 +181,15 @@ def _unexplained(rms: float, noise: float) -> float:
 
 
 def _refitted(
-    model: PlayModel, theta: Floats, ahead: Floats, behind: Floats, quantum: float
+    fit: PlayFit, theta: Floats, ahead: Floats, behind: Floats, quantum: float
 ) -> tuple[Floats, Floats]:
     """Fits of logs simulated with theta (RUNS x P), and the rms of what each leaves (RUNS)."""
+    model = fit.model
     z = model.output(theta)
     fits, residuals = [], []
     for w, e in zip(ahead, behind, strict=True):
         y = _rounded(model.readings(z + w, theta) + e, quantum)
-        squares = LeastSquares(model.of_readings(y))
+        squares = LeastSquares(model.of_readings(y), fit.squares.past)
         fits.append(climb(squares, theta, STEPS, 1e-3).theta)
         residuals.append(squares.rms(fits[-1]))
     return np.array(fits), np.array(residuals)

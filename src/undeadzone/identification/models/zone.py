@@ -39,7 +39,7 @@ class Limits(NamedTuple):
 
 
 class Objective:
-    """Log likelihood of theta = [a, b, x0, d_r, d_l, log s, atanh rho].
+    """Log likelihood of theta = [a, b, x0, input's zone, d_r, d_l, log s, atanh rho].
 
     Args:
         simulator: the plant, with its data.
@@ -131,6 +131,7 @@ class Objective:
         """A trial with its widths brought back within their limits."""
         widths = slice(self.layout.right, self.layout.right + 2)
         theta[widths] = self.limits.clip(*theta[widths])
+        theta[self.layout.input] = np.maximum(theta[self.layout.input], 0.0)
         return theta
 
     def scores(self, theta: Floats) -> tuple[Floats, Floats, Floats]:
@@ -214,10 +215,13 @@ class Objective:
         return estimates.sandwich(scores[:, self.free], self.hessian(theta))
 
     def hessian(self, theta: Floats) -> Floats:
-        """Minus the second derivative by the free numbers; Gauss-Newton for noise behind."""
+        """Minus the second derivative by the free numbers.
+
+        Gauss-Newton for noise behind, and behind a zone of the input, at whose edges scores jump.
+        """
         _, _, approximate = self.quadratic(theta)
         approximate = approximate + 1e-12 * np.eye(self.free.size)
-        if self.kind == "behind":
+        if self.kind == "behind" or self.layout.zoned:
             return approximate
         scale = 1 / np.sqrt(np.diag(approximate))
         rows = np.empty_like(approximate)

@@ -247,7 +247,7 @@ def arx(
         need = FEW * (n + simulator.lagged.shape[1])
         if right.sum() < need or left.sum() < need:
             return np.zeros(free), np.zeros(simulator.lagged.shape[1]), None
-        columns += [right[:, None], left[:, None]]
+        columns += [1.0 * right[:, None], 1.0 * left[:, None]]
     else:
         columns.append(np.ones((y.size, 1)))
     matrix = np.hstack(columns)[whole]

@@ -25,7 +25,8 @@ BLOCKS = 5  # of held-out samples, spread over a record
 LEAST_BLOCK = 150  # samples of the part that one of them ends
 LAGS = 20
 HEARD = 8  # past inputs, of which one-step residuals should be free
-ANSWERED = 3  # one-step residuals, to which a loop's input answers
+ANSWERED = 3  # one-step residuals, or readings, to which a loop's input answers
+ALONE = 1e-6  # share of an input's rms that its reference leaves, below which it makes all of it
 SHARE = 0.05  # of the residual's variance that a curve explains, from which it is real
 
 
@@ -252,17 +253,46 @@ def loop_chance(fit: zone_fit.Fit, u: Floats) -> float:
 
     Args:
         fit: plant and zone.
-        u: the inputs as they were recorded (N x m).
+        u: the inputs as they were recorded, or what else may answer (N x m).
     """
     value, use = innovations(fit, fit.objective.data.ok)
     heard = _lagged(np.where(use, value, 0.0)[:, None], range(ANSWERED))
     inside = slice(HEARD, None)
     chances = []
     for column in u.T:
-        own = _lagged(column[:, None])[inside]
-        left = column[inside] - own @ np.linalg.lstsq(own, column[inside], rcond=1e-10)[0]
+        left = _left(_lagged(column[:, None])[inside], column[inside])
         chances.append(explained(heard[inside], left)[-1])
     return min(1.0, len(chances) * min(chances))
+
+
+def answered(moved: Floats, y: Floats, ok: Flags, beside: Floats) -> tuple[float, float]:
+    """The share that readings have of what is left of a signal, and p of it.
+
+    Of an input beside its reference it is near 1 where a controller without noise makes it, near 0
+    without a loop, and 0 where nothing is left: the reference alone makes the input.
+
+    Args:
+        moved: what may answer (N x m), NaN where it is missing; the column that does so most.
+        y: readings (N).
+        ok: whether there is a reading (N).
+        beside: what else makes it, now and before (N x k), NaN where it is missing.
+    """
+    wanted, heard = _lagged(beside, range(HEARD + 1)), _lagged(y[:, None], range(ANSWERED))
+    own = np.hstack([np.ones((y.size, 1)), _lagged(moved), wanted])
+    known = np.isfinite(np.hstack([own, moved])).all(axis=1)
+    known &= _lagged(1.0 * ok[:, None], range(ANSWERED)).all(axis=1)
+    known[:HEARD] = False
+    found = [(0.0, 1.0)]
+    for column in moved[known].T:
+        left, said = _left(own[known], column), _left(own[known], heard[known])
+        if np.std(left) > ALONE * np.std(column):
+            found.append(explained(said, left)[2:])
+    return min(reversed(found), key=lambda one: one[1])
+
+
+def _left(columns: Floats, target: Floats) -> Floats:
+    """What columns leave of a target (n), or of several (n x k)."""
+    return np.asarray(target - columns @ np.linalg.lstsq(columns, target, rcond=1e-10)[0])
 
 
 def _lagged(columns: Floats, lags: range = range(1, HEARD + 1)) -> Floats:

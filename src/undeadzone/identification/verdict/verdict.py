@@ -31,7 +31,8 @@ FEW = 0.005  # of the readings, that may lie across 0 of an operating point
 SPRING = 0.03  # share of the one-step residual from which a spring is named
 WELL_INSIDE = 2.0  # rms of the noise between z^ and an edge
 SURE = 0.999  # level of the interval of an offset that must not hold 0
-MOSTLY = 0.5  # share of the readings within their range, below which no memory is named
+MOSTLY = 0.5  # share of the readings within their range, below which no memory is named; and of
+# what a reference leaves of the input, that is readings', from which a loop is closed
 RELEVANT = 0.1  # of the residual's rms, below which an offset is no matter
 MEMORY = ("play", "both")  # words of what a play explains
 AS_LINEAR = ("none", "dead_zone", "jump")  # words under which steps may be taken for a zone
@@ -133,6 +134,42 @@ def because(word: str, *reasons: str) -> Verdict:
     return Verdict(word, list(reasons), [])
 
 
+# --- Whether a loop is closed
+
+
+class Loop(NamedTuple):
+    """What a log says of a loop.
+
+    Attributes:
+        chance: p of what past residuals say of the input, if no loop is closed; 1 where the plant
+            does not fit, so that they tell nothing.
+        answered: share that readings have of what a recorded reference leaves of the input, 0
+            where it leaves nothing; None without a reference that moves.
+    """
+
+    chance: float
+    answered: float | None
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether the input answers to the readings."""
+        if self.answered is None:
+            return self.chance <= least_squares.CHANCE
+        heard = self.answered > 0 and self.chance <= least_squares.CHANCE
+        return heard or self.answered > MOSTLY
+
+
+def heard_loop(case: Case) -> Loop:
+    """Whether a loop is closed, guessed by residuals, known by a reference that was recorded."""
+    chance, grid, share = 1.0, case.grid, None
+    if case.chosen.white:
+        chance = orders.loop_chance(case.chosen.pairs, case.recorded.u)
+    known = grid.r[np.isfinite(grid.r)]
+    if known.size and np.ptp(known) > 0:
+        share = orders.answered(grid.u, grid.y, grid.ok, grid.r)[0]
+    return Loop(chance, share)
+
+
 # --- By the odds
 
 
@@ -178,9 +215,13 @@ def named(case: Case, odds: dict[str, float], models: Sequence[Family]) -> Verdi
 
 
 def _claimed(odds: dict[str, float]) -> str:
-    """The likeliest word; where none is, one that claims less and that larger models hold."""
+    """The likeliest word; where none is, one that claims less and that larger models hold.
+
+    Beside a zone of the input that leads, the sensor's alone has other widths; a small play in
+    front of it changes them little.
+    """
     first = next(iter(odds))
-    if first != "zone_and_friction" and odds[first] >= LIKELY:
+    if first == "two_zones" or (first != "zone_and_friction" and odds[first] >= LIKELY):
         return first
     for word, more in LARGER.items():
         held = sum(odds.get(one, 0.0) for one in (word, *more))

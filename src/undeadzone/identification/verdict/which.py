@@ -15,20 +15,39 @@ import numpy as np
 
 from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.identification.models import plant
-from undeadzone.identification.models.elements import PlayFit, PlayModel, fit_both, fit_play
-from undeadzone.identification.models.estimates import Interval, best_top, weighing
+from undeadzone.identification.models.elements import (
+    MapModel,
+    PlayFit,
+    PlayModel,
+    fit_both,
+    fit_play,
+)
+from undeadzone.identification.models.estimates import Interval, best_top
 from undeadzone.identification.models.kalman_fit import KalmanFit
-from undeadzone.identification.models.least_squares import LeastSquares
+from undeadzone.identification.models.least_squares import Fitted, LeastSquares
 from undeadzone.identification.models.likelihood import dead_zone
-from undeadzone.identification.models.motion import Offsets, along, white_noise
-from undeadzone.identification.models.place import PARTS, PlaceFit, PlaceStarts, Shape, fit_place
+from undeadzone.identification.models.motion import THERE, Offsets, along, white_noise
+from undeadzone.identification.models.place import (
+    PlaceFit,
+    Zoned,
+    fit_at_input,
+    fit_both_ends,
+)
 from undeadzone.identification.models.play_gap import RUNS, Gap, find_gap
-from undeadzone.identification.models.zone_fit import Fit, longest_record, reduced
+from undeadzone.identification.models.zone_fit import Fit, reduced
 from undeadzone.identification.servo.gap import ServoGap
 from undeadzone.identification.verdict.delays import GLITCH, RARE
 from undeadzone.identification.verdict.odds import Family, odds_of
 from undeadzone.identification.verdict.orders import HeldOut, judged, one_step, trained_part
-from undeadzone.identification.verdict.verdict import MEMORY, UNLIKELY, Case, Verdict, named
+from undeadzone.identification.verdict.verdict import (
+    MEMORY,
+    UNLIKELY,
+    Case,
+    Verdict,
+    heard_loop,
+    named,
+)
+from undeadzone.identification.verdict.widths import with_offset
 from undeadzone.support.arrays import Floats, Integers
 
 LEAST_GAP = 0.02  # rms of y, below which a gap is no matter
@@ -36,14 +55,19 @@ LEAST_NOISE = 0.01  # rms of y, from which noise that falls silent is told from 
 LEAST_ODD = 1e-3  # least rms from which readings are counted as odd, in rms of y
 FINEST = 2e-4  # rms of u: no interval is narrower
 EVEN = "the centre of the gap is not known, and both sides are half of the width"
-LAST = {"play": 25, "both": 25, "input_zone": 40}  # steps of a climb that checks a fit
+LAST = {
+    "play": 25,
+    "both": 25,
+    "input_zone": 40,
+    "two_zones": 40,
+}  # steps of a climb that checks a fit
 
 
 class Element(NamedTuple):
     """An element that is no dead zone of the sensor, with the plant of its own fit.
 
     Attributes:
-        kind: play, both or input_zone.
+        kind: play, both, input_zone or two_zones.
         fit: what was fitted.
         simulator: the plant, with all records.
         theta: its numbers a, b, x0, ..., scaled; of an input zone at rest at first.
@@ -59,10 +83,11 @@ class Element(NamedTuple):
         remarks: what to know of the widths.
         zone: both: d_r + d_l beside the play's width [y]; else None.
         edges: both: d_r and d_l if c_r = c_l, the sum of both centres in them [y]; else None.
+        input: two_zones: the widths of the input's zone, as `widths` are the sensor's [u].
     """
 
     kind: str
-    fit: PlayFit | PlaceFit | ServoGap
+    fit: PlayFit | Fitted[MapModel] | ServoGap
     simulator: plant.Simulator
     theta: Floats
     V: Floats
@@ -77,6 +102,7 @@ class Element(NamedTuple):
     remarks: list[str]
     zone: Interval | None = None
     edges: tuple[Interval, Interval] | None = None
+    input: dict[str, Interval] = {}
 
     @property
     def unseen(self) -> float:
@@ -207,7 +233,7 @@ def with_gap(case: Case, found: Found) -> Found:
     """
     assert found.plays is not None
     fit, whole = found.plays.fits[found.verdict.word], found.plays.whole
-    gap = find_gap(fit, case.quantum)
+    gap = find_gap(fit, case.quantum, heard_loop(case).is_closed)
     case.advance(1)
     rms = gap.fit.squares.rms(gap.fit.theta)
     offsets = along(gap.fit.model.simulator, gap.theta, rms, case.quantum)
@@ -222,11 +248,16 @@ def with_gap(case: Case, found: Found) -> Found:
 
 
 def _denied(gap: Gap, offsets: Offsets) -> bool:
-    """Whether a width is not above 0 for certain; the four offsets must not deny both of them."""
+    """Whether a width is not above 0 for certain; the four offsets must not deny both of them.
+
+    Offsets that are known so badly that this gap would not show deny nothing.
+    """
+    width = gap.intervals["width"]
     if gap.fit.model.zone:
-        there = all(is_there(gap.intervals[name]) for name in ("width", "zone"))
-        return not there or offsets.name not in ("both", "play")
-    return gap.sure and not is_there(gap.intervals["width"])
+        there = is_there(width) and is_there(gap.intervals["zone"])
+        denies = offsets.name not in ("both", "play") and THERE * offsets.std[0] < width.value
+        return not there or bool(denies)
+    return gap.sure and not is_there(width)
 
 
 def is_there(interval: Interval) -> bool:
@@ -315,77 +346,84 @@ def _sides(gap: Gap, offset: float | None) -> dict[str, Interval | None]:
     shown: dict[str, Interval | None] = {}
     for name, row in DIRECTIONS.items():
         interval = gap.intervals[name]
-        if shift := abs(row[0] - row[1]):  # by which an offset of 1 moves it
-            above = interval.high - interval.value
-            half = np.inf if offset is None else float(np.hypot(above, shift * offset))
-            interval = Interval.around(interval.value, half)
-        shown[name] = interval.scaled(gap.fit.model.data.y_scale)
+        half = with_offset(interval.half, row, offset)
+        shown[name] = Interval.around(interval.value, half).scaled(gap.fit.model.data.y_scale)
     if gap.fit.model.tied:
         shown["centre"] = None
     return shown
 
 
-# --- A dead zone of the actuator
+# --- A dead zone of the actuator, and perhaps one of the sensor
 
 
-def of_input_zone(fits: Sequence[Fit]) -> Element | None:
-    """The zone of the input behind which the plant of least BIC stands; None where none fits.
+def at_input(case: Case, found: Found) -> Element | None:
+    """The zone of the input, or of both ends, with the plant; None where none fits.
 
     Args:
-        fits: of every order, with a zone of the sensor, where climbs start.
+        case: the log.
+        found: named input_zone, or two_zones.
     """
-    tops = []
-    for one in fits:
-        starts = PlaceStarts(longest_record(one))
-        fitted = fit_place(
-            starts.simulator, Shape("input", "input_zone", input=True), starts.at_input()
-        )
-        if fitted is not None:
-            tops.append(fitted)
-    if not tops:
-        return None
-    return _of_input(min(tops, key=lambda one: one.bic), fits[0].objective.data)
+    word, fits = found.verdict.word, [one.pairs for one in case.fitted.fits]
+    both = word == "two_zones"
+    zoned = fit_both_ends(fits, found.places[word]) if both else fit_at_input(fits)
+    return None if zoned is None else _of_zones(zoned, case)
 
 
-def _of_input(fit: PlaceFit, whole: plant.Data) -> Element:
-    """The element of a zone of the input; of the longest record, along all of them."""
-    model, data, numbers = fit.model, fit.squares.data, fit.theta
-    layout = model.simulator.layout
-    passed = dead_zone(whole.u, *model.part(numbers, "input"))
-    simulator = plant.Simulator(whole._replace(u=passed), model.n)
+def _of_zones(zoned: Zoned, case: Case) -> Element:
+    """The element of a fit of the longest record, or of all; along all of them."""
+    fit, model, numbers = zoned.fit, zoned.fit.model, zoned.fit.theta
+    whole, data, layout = case.data, model.simulator.data, model.simulator.layout
+    passed = dead_zone(whole.u, *numbers[layout.input])
+    simulator = plant.Simulator(whole._replace(u=passed), layout.n)
     theta = np.zeros(simulator.layout.size)
-    theta[: layout.b.stop] = numbers[: layout.b.stop]
+    known = layout.x0.stop if data.y.size == whole.y.size else layout.b.stop  # else at rest
+    theta[:known] = numbers[:known]
     z = simulator.z(theta)
-    spread = fit.squares.spread(numbers)
-    widths: dict[str, Interval | None] = {}
-    degrees = math.inf
-    for name, weights in DIRECTIONS.items():
-        value = float(np.dot(weights, model.part(numbers, "input")))
-        first = model.base + PARTS["input"].start
-        row = weighing(model.free, model.size, first, weights)
-        half, freedom = spread.half_and_degrees(row)
-        interval = Interval.around(value, math.hypot(half, FINEST))
-        widths[name] = interval.scaled(float(whole.u_scale[0]))
-        degrees = min(degrees, freedom)
+    both, readings = model.name == "two_zones", model.readings(z, numbers)
+    widths, degrees = _zone_of(zoned, (), float(whole.u_scale[0]), 0.0)
+    at_both, remarks = {}, ["the widths are those of the input, in its unit"]
+    if both:
+        at_both, remarks = widths, ["both ends have a zone: no scenario is written"]
+        widths, degrees = _zone_of(zoned, (0.0, 0.0), whole.y_scale, case.offset)
+    target, last = zoned.stages[-1]
+    rms = fit.squares.rms(numbers)
     return Element(
-        kind="input_zone",
+        kind=model.name,
         fit=fit,
         simulator=simulator,
         theta=theta,
-        V=spread.V[: layout.b.stop, : layout.b.stop],
+        V=target.spread(last).V[: layout.b.stop, : layout.b.stop],
         z=z,
-        readings=z,
-        side=np.sign(passed[:, 0]).astype(int),
-        widths=widths,
+        readings=readings,
+        side=np.sign(readings if both else passed[:, 0]).astype(int),
+        widths=dict(widths),
         ahead=plant.disturbance_ahead(layout, numbers, fit.squares.residual(numbers), data.ok),
-        noise=min(white_noise(data.y, data.ok, data.start), fit.density.rms),
+        noise=min(white_noise(data.y, data.ok, data.start), rms),
         degrees=degrees,
-        rms=fit.density.rms,
-        remarks=[
-            "the widths are those of the input, in its unit; they hold if the input does not answer"
-            " to the output"
-        ],
+        rms=rms,
+        remarks=remarks,
+        input=at_both,
     )
+
+
+def _zone_of(
+    zoned: Zoned, before: tuple[float, ...], scale: float, offset: float | None
+) -> tuple[dict[str, Interval], float]:
+    """The widths of a zone, and their least degrees of freedom.
+
+    Args:
+        zoned: the fit.
+        before: weights of the widths before those of this zone.
+        scale: of its signal.
+        offset: rms of an unknown offset, scaled; None: free.
+    """
+    widths, least = {}, math.inf
+    for name, row in DIRECTIONS.items():
+        value, half, degrees = zoned.width(*before, *row)
+        half = with_offset(math.hypot(half, FINEST), row, offset)
+        widths[name] = Interval.around(value, half).scaled(scale)
+        least = min(least, degrees)
+    return widths, least
 
 
 # --- How it does on data that had no part in its fit

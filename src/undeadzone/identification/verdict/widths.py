@@ -88,8 +88,7 @@ def find_widths(
             half = max(half, gap, 0.0 if last == "L3" else _gap(stages, row, "L3"))
             half = math.hypot(half, _hidden(name, others, chosen))
             half = math.hypot(half, 0.5 * quantum)
-        if shift := abs(row[0] - row[1]):  # by which an offset of 1 moves it
-            half = math.inf if offset is None else math.hypot(half, shift * offset)
+        half = with_offset(half, row, offset)
         intervals[name] = Interval.around(float(np.dot(row, stages[last])), half)
         for other in alike:
             gap = _difference(row, other, chosen)
@@ -101,6 +100,20 @@ def find_widths(
         )
     halves = {name: one.halves for name, one in told.items()}
     return Widths(**intervals, stages=stages, halves=halves, degrees=degrees, remarks=remarks)
+
+
+def with_offset(half: float, row: tuple[float, float], offset: float | None) -> float:
+    """Half an interval of right, left, width or centre, with what an offset of the output adds.
+
+    Args:
+        half: without it.
+        row: weights of right and left.
+        offset: its rms; None: free.
+    """
+    shift = abs(row[0] - row[1])  # by which an offset of 1 moves it
+    if not shift:
+        return half
+    return math.inf if offset is None else math.hypot(half, shift * offset)
 
 
 def _gap(stages: dict[str, tuple[float, float]], row: tuple[float, float], stage: str) -> float:

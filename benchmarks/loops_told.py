@@ -1,0 +1,70 @@
+"""Widths at the input and at both ends, name and order told: how often intervals hold.
+
+LOOPS_LOGS: logs a row (20); LOOPS_FIRST: seed of the first (500).
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+
+import numpy as np
+
+from benchmarks.loop_logs import LoopLog, make
+from benchmarks.markdown import head, row
+from benchmarks.names import commit, share
+from undeadzone.identification.logs.grid import to_grid
+from undeadzone.identification.logs.log import Options, log_of_arrays
+from undeadzone.identification.logs.prepare import prepare
+from undeadzone.identification.models.place import fit_at_input, fit_both_ends
+from undeadzone.identification.models.plant import Simulator
+from undeadzone.identification.models.zone_fit import fit_zone
+from undeadzone.identification.verdict.place import find_places
+
+
+def errors(log: LoopLog) -> list[tuple[float, float]]:
+    """Error and half interval of each width, in shares of it; none where nothing fits."""
+    grid = to_grid([log_of_arrays(log.step, log.u, log.y)])
+    prepared = prepare(grid, Options(order=str(log.order)))
+    data = prepared.data
+    kind = "singles" if data.silent_zeros else "behind"
+    fit = fit_zone(Simulator(data, log.order), kind, prepared.limits)  # type: ignore[arg-type]
+    truth = log.input / data.u_scale[0]
+    if log.sensor.any():
+        places = find_places(fit, prepared.quantum)
+        truth = np.append(truth, log.sensor / data.y_scale)
+        zoned = fit_both_ends([fit], places["two_zones"]) if "two_zones" in places else None
+    else:
+        zoned = fit_at_input([fit])
+    if zoned is None:
+        return []
+    told = [zoned.width(*weights) for weights in np.eye(truth.size)]
+    pairs = zip(told, truth, strict=True)
+    return [((value - width) / width, half / width) for (value, half, _), width in pairs]
+
+
+def table() -> str:
+    """The section of RESULTS.md."""
+    first = int(os.environ.get("LOOPS_FIRST", "500"))
+    count = int(os.environ.get("LOOPS_LOGS", "20"))
+    lines = head("log", "loop", "widths", "error", "90 %", "half", "held")
+    for kind, closed in itertools.product(("input zone", "both ends"), (True, False)):
+        found = []
+        for seed in range(first, first + count):
+            found += errors(make(seed, kind, 0.1, closed))
+        off, half = np.abs(np.array(found)).T
+        cells = [f"{number:.3f}" for number in (*np.quantile(off, [0.5, 0.9]), np.median(half))]
+        where = "closed" if closed else "open"
+        lines.append(row(kind, where, str(off.size), *cells, share((off < half).tolist())))
+    return "\n".join(
+        [
+            "## Zones of the input and of both ends, name and order told",
+            "",
+            f"{count} logs a row at commit {commit()}: random loops on y or none"
+            " (`benchmarks/loop_logs.py`), disturbance .1. Errors and half intervals in shares of"
+            " the true width.",
+            "",
+            *lines,
+            "",
+        ]
+    )
