@@ -486,7 +486,10 @@ def test_readings_that_stick_on_their_way_show_a_range(
 
 def test_identify_takes_them_for_missing_and_says_so() -> None:
     y, u = np.clip(SHAKY, -0.5, 0.7), np.cos(TIMES)[:, None]
-    log = Log(TIMES, u, y[:, None], ("u",), ("y",), "1", ("1",), "a test", np.empty(0), False)
+    nothing = np.empty((y.size, 0))
+    log = Log(
+        TIMES, u, y[:, None], ("u",), ("y",), "1", ("1",), "a test", np.empty(0), False, nothing
+    )
     prepared = prepare(to_grid([log]), Options())
     at_end = (y == -0.5) | (y == 0.7)
     assert np.array_equal(prepared.data.ok, ~at_end)
