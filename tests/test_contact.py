@@ -13,6 +13,7 @@ import pytest
 
 import undeadzone as uz
 from undeadzone.cli import group
+from undeadzone.exports import export
 from undeadzone.numerics.first_passage import arriving, at_edge, beyond
 from undeadzone.numerics.gaussian import Gaussian, cut_to, mixed
 from undeadzone.results import mjcf
@@ -273,8 +274,11 @@ def test_without_gears_it_is_refused() -> None:
         uz.simulate(convert(tables))
 
 
-def test_exported_C_has_every_bit_and_fits_a_microcontroller(tmp_path: Path) -> None:
+def test_exported_C_has_every_bit_and_fits_a_microcontroller(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Its self-test compares the bits with the reference's; step and flash are estimates."""
+    monkeypatch.setattr(export, "STEPS", 2000)
     done = uz.export(servo(simulation={"duration": 0.2}), out=tmp_path / "fw")
     board = next(one for one in done.report["boards"] if "M4F" in one["board"])
     assert board["fits"]
