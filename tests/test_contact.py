@@ -96,6 +96,13 @@ def test_mujoco_has_the_gap_that_a_run_found(run: uz.Run, tmp_path: Path) -> Non
     assert joint.ahead == pytest.approx(0.03, abs=0.003)
 
 
+def test_what_found_no_gap_says_none_to_mujoco() -> None:
+    """An observer that is told the state believes the model, which may have no gap."""
+    tables = tomllib.loads(SERVO) | {"observer": {"method": "full_state"}}
+    tables["simulation"] |= {"duration": 0.05}
+    assert mjcf.of_run(uz.simulate(convert(tables))) == []
+
+
 # --- First passage
 
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 from benchmarks import loop_logs
@@ -10,6 +13,7 @@ from benchmarks.which_logs import through
 from scipy.signal import lfilter
 
 import undeadzone as uz
+from undeadzone.cli import group
 from undeadzone.identification.answer.answer import _of_reference
 from undeadzone.identification.models.elements import MapModel, cubic, linear
 from undeadzone.identification.models.least_squares import Density, LeastSquares
@@ -19,6 +23,7 @@ from undeadzone.identification.models.zone_fit import fit_linear
 from undeadzone.identification.verdict.odds import behind, odds_of
 from undeadzone.identification.verdict.orders import answered, trained_part
 from undeadzone.identification.verdict.verdict import _claimed, heard_loop
+from undeadzone.scenario.reader import parse
 from undeadzone.support.arrays import Floats
 
 DENOMINATOR = [1.0, -1.6, 0.68]
@@ -404,3 +409,18 @@ def test_a_column_with_the_reference_is_told(loop: loop_logs.LoopLog) -> None:
     ]
     swapped = case.grid._replace(y=case.grid.r[:, 0], r=case.grid.y[:, None])
     assert "exchanged" in " ".join(_of_reference(swapped, heard_loop(case)))
+
+
+def test_a_log_with_a_setpoint_ends_in_a_scenario(
+    loop: loop_logs.LoopLog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From a file whose header names the reference to what the command leaves behind."""
+    monkeypatch.chdir(tmp_path)
+    columns = np.column_stack([loop.step * np.arange(loop.u.size), loop.u, loop.y, loop.r])
+    np.savetxt("log.csv", columns, delimiter=",", header="t,u,y,setpoint", comments="")
+    words = ["identify", "log.csv", "--order", str(loop.order), "--no-figures", "--out", "found"]
+    assert not group.main(words, standalone_mode=False)
+    numbers = json.loads(Path("found/identify.json").read_text(encoding="utf-8"))
+    assert numbers["answered"] > 0.999
+    assert any("r from 'setpoint'" in one for one in numbers["remarks"])
+    assert parse(Path("found/log.toml").read_text(encoding="utf-8")).actuator is not None

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
 from undeadzone.results.run import Run, widths
-from undeadzone.scenario.problem import resolve_scenario
+from undeadzone.scenario.problem import systems
 from undeadzone.scenario.reader import parse
 from undeadzone.support.files import write_text
 
@@ -48,13 +48,14 @@ class Joint(NamedTuple):
 
 
 def of_run(run: Run) -> list[Joint]:
-    """The gears as a run found them, and as its model has the rest.
+    """The gears as a run found them, and as its model has the rest; none where it found none.
 
     Args:
-        run: of an arm with gears, with its scenario.
+        run: with its scenario.
     """
-    gears = resolve_scenario(parse(run.info.scenario)).model.gears
-    assert gears is not None
+    gears = systems(parse(run.info.scenario))[1].gears
+    if gears is None or run.d_std is None or run.diverged_at is not None:
+        return []
     found = dict(zip(gears.names, gears.values.tolist(), strict=True))
     found |= {name: one["estimate"] for name, one in run.parameters.items()}
     joints = []

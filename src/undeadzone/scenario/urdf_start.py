@@ -31,7 +31,7 @@ REFERENCE = """
 [reference]                     # through these positions, again and again
 kind = "quintic"
 points = [{points}]
-times = [0.0, {first}, {second}, {period}]   # s
+times = {times}   # s
 repeat = true
 """
 GEARS = """
@@ -83,6 +83,8 @@ method = "extended"             # the whole arm at once; joints = "separate" is 
 right = [{ranges}]  # claimed ranges of both widths
 start = {start}
 x_std = {x_std}
+levels = 1                      # 3, and a bias, doubt more, in three times the time
+bias = 0.0
 
 [controller]
 method = "computed_torque"
@@ -113,12 +115,8 @@ def starting_scenario(found: Survey, path: str, gears: bool = False) -> str:
     widths = np.array([float(f"{width:.2g}") for width in swing / PLAY])
     start = _listed(np.r_[found.q, np.zeros(found.q.size)])
     points = (found.q, found.q + swing, found.q - swing, found.q)
-    reference = REFERENCE.format(
-        points=", ".join(map(_listed, points)),
-        first=PERIOD / 4,
-        second=3 * PERIOD / 4,
-        period=PERIOD,
-    )
+    times = [0.0, PERIOD / 4, 3 * PERIOD / 4, PERIOD]
+    reference = REFERENCE.format(points=", ".join(map(_listed, points)), times=times)
     if gears:
         head = _arm(found, path, start, gears) + _gears(found, widths) + PARAMETERS
         few = len(found.joints) <= MOST_COUPLED

@@ -191,7 +191,7 @@ def _widths(answer: Answer) -> dict[str, str]:
         interval: Interval | None = getattr(answer, name)
         if interval is None:
             continue
-        title = f"{letter}_{name}" if place < 2 else f"{letter} {name}".removeprefix("d ")
+        title = _title(letter, name).removeprefix("d ")
         lines[title] = _in_words(interval, unit)
         if element is None and place < 2:
             visits, samples = answer.excitation.visits[place], answer.excitation.samples[place]
@@ -199,12 +199,17 @@ def _widths(answer: Answer) -> dict[str, str]:
         if name == "centre" and letter != "b" and np.isfinite(interval.high):
             lines[title] += AT_ZERO
     for name, interval in ({} if element is None else element.input).items():
-        lines[f"b_{name}"] = _in_words(interval, _unit(grid.input_unit))
+        lines[_title("b", name)] = _in_words(interval, _unit(grid.input_unit))
     if element is not None and element.zone is not None:
         lines["d width"] = _in_words(element.zone, unit)
     if element is not None and answer.found.offsets is not None:
         lines["four offsets"] = answer.found.offsets.name.replace("_", " ")
     return lines
+
+
+def _title(letter: str, name: str) -> str:
+    """What a width is called: d_right, c width."""
+    return f"{letter}_{name}" if name in ("right", "left") else f"{letter} {name}"
 
 
 def _unit(unit: str) -> str:
