@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from benchmarks import loop_logs
 from benchmarks.names_logs import make
+from benchmarks.servo_logs import resting_log
 from benchmarks.which_logs import through
 from scipy.signal import lfilter
 
@@ -223,6 +224,21 @@ def test_an_encoder_that_falls_silent_is_no_servo_without_a_zone() -> None:
     log = make(3002, "play and zone")
     answer = uz.identify(t=log.step, u=log.u, y=log.y, order=2)
     assert answer.verdict == "both"
+
+
+def test_a_short_log_whose_encoder_passes_0_slowly_is_no_servo_without_a_zone() -> None:
+    """As many readings stand at a hold of the play; a motor behind a play had odds beyond .99."""
+    log = make(4001, "play and zone")
+    answer = uz.identify(t=log.step, u=log.u, y=log.y, order=3)
+    assert answer.verdict == "both"
+
+
+def test_a_servo_that_rests_at_0_is_a_servo() -> None:
+    """Its pauses are no sensor's zone: some such logs were a zone of the input, or friction."""
+    log = resting_log(26)
+    answer = uz.identify(t=log.step, u=log.u, y=log.y)
+    assert answer.verdict == "play"
+    assert answer.width.low <= log.servo.gap <= answer.width.high
 
 
 def test_no_memory_is_named_where_most_readings_stick_at_the_ends() -> None:

@@ -65,12 +65,22 @@ def servo_of_ticks(grid: Grid, options: Options) -> ServoGap | None:
 
 
 def _falls_silent(grid: Grid) -> bool:
-    """Whether readings come back to 0 far more often than to any other value: a sensor's zone."""
+    """Whether readings stay at 0 for far longer than at any other value: a sensor's zone.
+
+    Those count that pass, as a loop may rest at 0; where few pass, all.
+    """
     y = grid.y[grid.ok]
-    values, counts = np.unique(y, return_counts=True)
-    others = counts[values != 0].max(initial=1)
-    returns = np.count_nonzero(np.diff(1 * (y == 0)) > 0)
-    return bool(returns > FEW_RETURNS and np.count_nonzero(y == 0) > SILENCES * others)
+    first = np.flatnonzero(np.diff(y, prepend=np.inf))
+    held, stays = y[first], np.diff(first, append=y.size)
+    ways = np.pad(np.sign(np.diff(held)), 1)
+    counted = ways[1:] == ways[:-1]
+    if np.count_nonzero(counted & (held == 0)) <= FEW_RETURNS:
+        counted[1:] = True  # the first stay is no return
+    if np.count_nonzero(counted & (held == 0)) <= FEW_RETURNS:
+        return False
+    values, which = np.unique(held[counted], return_inverse=True)
+    samples = np.bincount(which, stays[counted])
+    return bool(samples[values == 0] > SILENCES * samples[values != 0].max(initial=1))
 
 
 def told(options: Options, found: ServoGap) -> Options:
