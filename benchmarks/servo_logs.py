@@ -195,10 +195,14 @@ def resting_log(seed: int, size: int | None = None) -> Recorded:
     command = levels[at] * 1.5 / proportional
     gap = float(np.ptp(command)) * log_uniform(draw, 5e-3, 0.05)
     quantum = gap / log_uniform(draw, 2.0, 20.0)
-    servo = Servo(damping, gain, 0.0, 0.0, friction, gap, quantum, 0, proportional, rate)
     torque = 0.02 * np.cumsum(draw.standard_normal(count)) / math.sqrt(count)
-    u, y = recorded(servo, step, command, torque, np.zeros(count), True)
-    return Recorded(step, u, y, servo, 0.0, True)
+    noisy = draw.random() < 0.3
+    rms = gap / log_uniform(draw, 4.0, 40.0) if noisy else 0.0
+    quantum = 0.0 if noisy else quantum
+    servo = Servo(damping, gain, 0.0, 0.0, friction, gap, quantum, 0, proportional, rate)
+    noise = rms * draw.standard_normal(count)
+    u, y = recorded(servo, step, command, torque, noise, True)
+    return Recorded(step, u, y, servo, rms, True)
 
 
 def log_uniform(draw: Any, low: float, high: float) -> float:

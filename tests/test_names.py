@@ -16,6 +16,8 @@ from scipy.signal import lfilter
 import undeadzone as uz
 from undeadzone.cli import group
 from undeadzone.identification.answer.answer import _of_reference
+from undeadzone.identification.logs.grid import to_grid
+from undeadzone.identification.logs.log import Options, log_of_arrays
 from undeadzone.identification.models.elements import MapModel, cubic, linear
 from undeadzone.identification.models.least_squares import Density, LeastSquares
 from undeadzone.identification.models.place import Shape, fit_place
@@ -23,6 +25,7 @@ from undeadzone.identification.models.plant import Data, Simulator
 from undeadzone.identification.models.zone_fit import fit_linear
 from undeadzone.identification.verdict.odds import behind, odds_of
 from undeadzone.identification.verdict.orders import answered, trained_part
+from undeadzone.identification.verdict.servo import servo_of_ticks
 from undeadzone.identification.verdict.verdict import _claimed, heard_loop
 from undeadzone.scenario.reader import parse
 from undeadzone.support.arrays import Floats
@@ -226,16 +229,17 @@ def test_an_encoder_that_falls_silent_is_no_servo_without_a_zone() -> None:
     assert answer.verdict == "both"
 
 
-def test_a_short_log_whose_encoder_passes_0_slowly_is_no_servo_without_a_zone() -> None:
+def test_a_short_log_whose_encoder_passes_0_slowly_is_not_asked_for_a_servo() -> None:
     """As many readings stand at a hold of the play; a motor behind a play had odds beyond .99."""
     log = make(4001, "play and zone")
-    answer = uz.identify(t=log.step, u=log.u, y=log.y, order=3)
-    assert answer.verdict == "both"
+    grid = to_grid([log_of_arrays(log.step, log.u, log.y)])
+    assert servo_of_ticks(grid, Options()) is None
 
 
-def test_a_servo_that_rests_at_0_is_a_servo() -> None:
-    """Its pauses are no sensor's zone: some such logs were a zone of the input, or friction."""
-    log = resting_log(26)
+@pytest.mark.parametrize("seed", [26, 60], ids=["encoder", "noise"])
+def test_a_servo_that_rests_at_0_is_a_servo(seed: int) -> None:
+    """Its pauses are no sensor's zone: such logs were a zone of the input, friction or jumps."""
+    log = resting_log(seed, 1500)
     answer = uz.identify(t=log.step, u=log.u, y=log.y)
     assert answer.verdict == "play"
     assert answer.width.low <= log.servo.gap <= answer.width.high
