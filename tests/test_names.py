@@ -15,6 +15,9 @@ from scipy.signal import lfilter
 import undeadzone as uz
 from undeadzone.cli import group
 from undeadzone.identification.answer.answer import _of_reference
+from undeadzone.identification.logs.grid import to_grid
+from undeadzone.identification.logs.log import log_of_arrays
+from undeadzone.identification.logs.usable import usable
 from undeadzone.identification.models.elements import MapModel, cubic, linear
 from undeadzone.identification.models.least_squares import Density, LeastSquares
 from undeadzone.identification.models.place import Shape, fit_place
@@ -336,7 +339,8 @@ def loop() -> loop_logs.LoopLog:
 
 
 def said(u: Floats, y: Floats, r: Floats) -> float:
-    return answered(u[:, None], y, np.ones(y.size, bool), r[:, None])[0]
+    start = np.array([0])
+    return answered(u[:, None], y, np.ones(y.size, bool), r[:, None], start)[0]
 
 
 def test_beside_its_reference_readings_make_all_of_a_loops_input(loop: loop_logs.LoopLog) -> None:
@@ -404,11 +408,23 @@ def test_a_column_with_the_reference_is_told(loop: loop_logs.LoopLog) -> None:
     case = answer.answer.case
     still = case._replace(grid=case.grid._replace(r=0 * case.grid.r + 2))
     assert heard_loop(still).answered is None
-    assert _of_reference(still.grid, heard_loop(still)) == [
+    assert _of_reference(still.grid, case.data.ok, heard_loop(still)) == [
         "the reference never moves: it is not used"
     ]
     swapped = case.grid._replace(y=case.grid.r[:, 0], r=case.grid.y[:, None])
-    assert "exchanged" in " ".join(_of_reference(swapped, heard_loop(case)))
+    assert "exchanged" in " ".join(_of_reference(swapped, case.data.ok, heard_loop(case)))
+
+
+def test_a_glitch_or_a_second_record_hides_no_loop(loop: loop_logs.LoopLog) -> None:
+    """Neither is of the loop: a wrong reading, a wrong reference, the seam of two records."""
+    y, r = loop.y.copy(), loop.r.copy()
+    y[400], r[700] = 1e4, 1e6
+    records = [slice(0, 420), slice(430, None)]
+    grid = to_grid([log_of_arrays(loop.step, loop.u[i], y[i], r[i]) for i in records])
+    ok, _ = usable(grid, [])
+    assert np.flatnonzero(grid.ok & ~ok).tolist() == [400]
+    assert np.flatnonzero(np.isnan(grid.r)).tolist() == [690]  # ten samples are in neither
+    assert answered(grid.u, grid.y, ok, grid.r, grid.start)[0] > 0.999
 
 
 def test_a_log_with_a_setpoint_ends_in_a_scenario(

@@ -37,7 +37,7 @@ from undeadzone.identification.verdict.widths import (
     lower_bound,
     widened,
 )
-from undeadzone.support.arrays import Floats
+from undeadzone.support.arrays import Flags, Floats
 
 SURE = 0.999  # level of the ranges that an observer is told
 LEAST = 1e-6  # of a width, by which its range is wide at least
@@ -299,11 +299,11 @@ def _in_loop(answer: Answer) -> Answer:
     is_closed = loop.is_closed or (servo is not None and servo.log.closed)
     remark = f"the input answers to the readings: the log is of a closed loop. {holds}"
     remarks = [remark] if is_closed else []
-    remarks += _of_reference(answer.case.grid, loop)
+    remarks += _of_reference(answer.case.grid, answer.case.data.ok, loop)
     return answer._replace(loop=loop, remarks=[*answer.remarks, *remarks])
 
 
-def _of_reference(grid: Grid, loop: Loop) -> list[str]:
+def _of_reference(grid: Grid, ok: Flags, loop: Loop) -> list[str]:
     """What is to be known of a reference that was recorded."""
     if not grid.r.shape[1]:
         return []
@@ -311,7 +311,7 @@ def _of_reference(grid: Grid, loop: Loop) -> list[str]:
         return ["the reference never moves: it is not used"]
     if loop.answered == 0:
         return ["the reference alone makes the input: no loop is closed"]
-    if answered(grid.r, grid.y, grid.ok, grid.r[:, :0])[1] > CHANCE:
+    if answered(grid.r, grid.y, ok, grid.r[:, :0], grid.start)[1] > CHANCE:
         return []
     words = "the reference answers to the readings as well: an outer loop makes it, or columns are"
     return [f"{words} exchanged (--columns); then nothing of this holds"]

@@ -237,9 +237,7 @@ def hears_input(fit: zone_fit.Fit) -> bool:
     """Whether past inputs explain one-step residuals: a delay, or too few poles."""
     value, use = innovations(fit, fit.objective.data.ok)
     lagged = _lagged(fit.objective.data.u)
-    use = use.copy()
-    for first in fit.objective.data.start:
-        use[first : first + HEARD] = False
+    use = use & _has_past(fit.objective.data.start, use.size)
     if use.sum() < 20 * HEARD:
         return False
     _, _, share, chance = explained(lagged[use], value[use])
@@ -257,7 +255,7 @@ def loop_chance(fit: zone_fit.Fit, u: Floats) -> float:
     """
     value, use = innovations(fit, fit.objective.data.ok)
     heard = _lagged(np.where(use, value, 0.0)[:, None], range(ANSWERED))
-    inside = slice(HEARD, None)
+    inside = _has_past(fit.objective.data.start, value.size)
     chances = []
     for column in u.T:
         left = _left(_lagged(column[:, None])[inside], column[inside])
@@ -265,7 +263,9 @@ def loop_chance(fit: zone_fit.Fit, u: Floats) -> float:
     return min(1.0, len(chances) * min(chances))
 
 
-def answered(moved: Floats, y: Floats, ok: Flags, beside: Floats) -> tuple[float, float]:
+def answered(
+    moved: Floats, y: Floats, ok: Flags, beside: Floats, start: Integers
+) -> tuple[float, float]:
     """The share that readings have of what is left of a signal, and p of it.
 
     Of an input beside its reference it is near 1 where a controller without noise makes it, near 0
@@ -276,18 +276,27 @@ def answered(moved: Floats, y: Floats, ok: Flags, beside: Floats) -> tuple[float
         y: readings (N).
         ok: whether there is a reading (N).
         beside: what else makes it, now and before (N x k), NaN where it is missing.
+        start: first sample of each record (R).
     """
     wanted, heard = _lagged(beside, range(HEARD + 1)), _lagged(y[:, None], range(ANSWERED))
     own = np.hstack([np.ones((y.size, 1)), _lagged(moved), wanted])
     known = np.isfinite(np.hstack([own, moved])).all(axis=1)
     known &= _lagged(1.0 * ok[:, None], range(ANSWERED)).all(axis=1)
-    known[:HEARD] = False
+    known &= _has_past(start, y.size)
     found = [(0.0, 1.0)]
     for column in moved[known].T:
         left, said = _left(own[known], column), _left(own[known], heard[known])
         if np.std(left) > ALONE * np.std(column):
             found.append(explained(said, left)[2:])
     return min(reversed(found), key=lambda one: one[1])
+
+
+def _has_past(start: Integers, size: int) -> Flags:
+    """Whether a sample has the last values of its own record (N)."""
+    past = np.ones(size, bool)
+    for first in start:
+        past[first : first + HEARD] = False
+    return past
 
 
 def _left(columns: Floats, target: Floats) -> Floats:

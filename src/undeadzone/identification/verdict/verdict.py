@@ -166,7 +166,7 @@ def heard_loop(case: Case) -> Loop:
         chance = orders.loop_chance(case.chosen.pairs, case.recorded.u)
     known = grid.r[np.isfinite(grid.r)]
     if known.size and np.ptp(known) > 0:
-        share = orders.answered(grid.u, grid.y, grid.ok, grid.r)[0]
+        share = orders.answered(grid.u, grid.y, case.data.ok, grid.r, grid.start)[0]
     return Loop(chance, share)
 
 
