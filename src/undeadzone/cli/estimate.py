@@ -9,6 +9,7 @@ import click
 
 from undeadzone.cli.common import (
     PATH,
+    cmd,
     columns_option,
     confined,
     exit_code,
@@ -84,5 +85,5 @@ def estimate(
 def _next(scenario: Path, log: Path, result: Estimation) -> dict[str, str]:
     """What to type after a log: firmware where it fits, else a model that does."""
     if result.info.consistent is False:
-        return to_type(f"undeadzone identify {log} finds a plant and a zone that fit")
-    return to_type(f"undeadzone export {scenario}")
+        return to_type(f"{cmd('undeadzone', 'identify', log)} finds a plant and a zone that fit")
+    return to_type(cmd("undeadzone", "export", scenario))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,7 +27,7 @@ from undeadzone.identification.verdict.orders import (
     is_white,
     trained_part,
 )
-from undeadzone.identification.verdict.verdict import Case, Loop, heard_loop
+from undeadzone.identification.verdict.verdict import Case, Loop, because, heard_loop
 from undeadzone.identification.verdict.which import Element, Found, held_out_of
 from undeadzone.identification.verdict.widths import (
     FEW_VISITS,
@@ -202,6 +203,10 @@ def to_answer(case: Case, found: Found) -> Answer:
         case: the log, fitted with a zone of the sensor.
         found: the verdict, and what stands in the zone's place.
     """
+    if found.element is not None:
+        doubt = _not_wide(found.element.widths) or _not_wide(found.element.input)
+        if doubt:
+            found = found._replace(element=None, verdict=because("undecided", doubt))
     chosen, data = case.chosen, case.data
     best, orders = next(iter(found.kalman), None), credible(case.fitted.fits)
     widths = find_widths(chosen, orders, case.fitted.alike, best, case.quantum, case.offset)
@@ -244,19 +249,23 @@ def _with_edges(answer: Answer) -> Answer:
     shown = _shown_jump(answer.case) or _shown(answer, 2.0 if heard else 1.0)
     remarks = [*_late(answer), *_edge_remarks(answer, shown, heard)]
     remarks += _hardly_passed(answer, shown)
-    doubt = _doubt(answer, shown)
+    doubt = _not_wide(shown) or _unmoved(answer, shown)
     if doubt:
         return answer._replace(verdict="undecided", reasons=[doubt])
     word = "unreached" if answer.case.unreached else answer.verdict
     return _showing(answer, shown, remarks)._replace(verdict=word)
 
 
-def _doubt(answer: Answer, shown: Shown) -> str:
-    """Why the widths do not show a zone; empty where they do, or the user knows of it."""
-    width = shown["width"]
-    if width is not None and width.low <= 0 < width.half:
-        interval = f"{width.value:.4g} [{width.low:.4g}, {width.high:.4g}]"
-        return f"the width's interval holds 0: {interval}"
+def _not_wide(shown: Mapping[str, Interval | None]) -> str:
+    """That a width may be 0; empty where it is not, or where there is none."""
+    width = shown.get("width")
+    if width is None or not width.low <= 0 < width.half:
+        return ""
+    return f"the width's interval holds 0: {width.value:.4g} [{width.low:.4g}, {width.high:.4g}]"
+
+
+def _unmoved(answer: Answer, shown: Shown) -> str:
+    """That a width was never found; empty where each was, or the user knows of it."""
     for name in ("right", "left"):
         low, high = answer.options.bounds(name)
         edge = shown[name]

@@ -146,7 +146,17 @@ def is_sampled(fit: zone_fit.Fit) -> bool:
 
 def at_limit(fit: zone_fit.Fit) -> bool:
     """Whether a pole is as slow as is allowed, so that with x(0) it is an offset or a sine."""
-    return not fit.objective.simulator.admissible(fit.theta, 1.2)
+    return not settles(fit.objective.simulator, fit.theta)
+
+
+def settles(simulator: Simulator, theta: Floats) -> bool:
+    """Whether no pole is as slow as is allowed.
+
+    Args:
+        simulator: the plant.
+        theta: its numbers.
+    """
+    return simulator.admissible(theta, 1.2)
 
 
 def credible(fits: list[OrderFit]) -> list[OrderFit]:

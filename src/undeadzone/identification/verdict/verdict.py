@@ -284,14 +284,17 @@ def _unclear(case: Case, word: str, best: Density) -> Verdict | None:
     fit = chosen.pairs
     if word == "none":
         fit = fit_linear(fit.objective.simulator, fit.objective.readings.ok)
-    if word in FITTED and orders.at_limit(fit):
-        reason = (
-            "the plant seems to integrate, or to ring longer than the record: its state at the"
-            " start and an offset or a sine cannot be told apart; say --integrators 1 if it is the"
-            " position of a motor, or the like; else record for longer"
-        )
-        return because("unclear", reason)
-    return None
+    return unsettled() if word in FITTED and orders.at_limit(fit) else None
+
+
+def unsettled() -> Verdict:
+    """That a pole does not settle within the record."""
+    reason = (
+        "the plant seems to integrate, or to ring longer than the record: its state at the"
+        " start and an offset or a sine cannot be told apart; say --integrators 1 if it is the"
+        " position of a motor, or the like; else record for longer"
+    )
+    return because("unclear", reason)
 
 
 def _by_residual(case: Case) -> Verdict:

@@ -38,7 +38,13 @@ from undeadzone.identification.models.zone_fit import Fit, reduced
 from undeadzone.identification.servo.gap import ServoGap
 from undeadzone.identification.verdict.delays import GLITCH, RARE
 from undeadzone.identification.verdict.odds import Family, odds_of
-from undeadzone.identification.verdict.orders import HeldOut, judged, one_step, trained_part
+from undeadzone.identification.verdict.orders import (
+    HeldOut,
+    judged,
+    one_step,
+    settles,
+    trained_part,
+)
 from undeadzone.identification.verdict.verdict import (
     MEMORY,
     UNLIKELY,
@@ -46,6 +52,7 @@ from undeadzone.identification.verdict.verdict import (
     Verdict,
     heard_loop,
     named,
+    unsettled,
 )
 from undeadzone.identification.verdict.widths import with_offset
 from undeadzone.support.arrays import Floats, Integers
@@ -197,7 +204,10 @@ def with_play(case: Case, found: Found) -> Found:
     both = fit_both([play, *begun])
     tops = {"play": play} | ({} if both is None else {"both": both})
     models = {"none": case.rivals["none"]} | {word: one.density for word, one in tops.items()}
-    return found._replace(plays=Plays(tops, whole)).judged(case, models)
+    found = found._replace(plays=Plays(tops, whole)).judged(case, models)
+    fit = tops.get(found.verdict.word)
+    slow = fit is not None and not settles(fit.model.simulator, fit.theta)
+    return found._replace(verdict=unsettled()) if slow else found
 
 
 def _is_asked(case: Case, found: Found, offsets: Offsets, brief: Fit) -> bool:
