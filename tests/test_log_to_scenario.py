@@ -116,7 +116,7 @@ def test_what_is_not_finite_is_refused_before_its_eigenvalues() -> None:
 def test_what_to_type_next_is_taken_as_it_is_printed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Names with blanks are quoted, a log has the columns that it had, and its --zero is no log's."""
+    """Names with blanks are quoted, a log has its columns again, and no --zero."""
     monkeypatch.chdir(tmp_path)
     made = undeadzone("init", "my plant.toml")
     assert shlex.split(made.stdout.split("next: ")[1]) == ["undeadzone", "run", "my plant.toml"]

@@ -14,11 +14,12 @@ from scipy.signal import lfilter
 
 import undeadzone as uz
 from undeadzone.cli import group
-from undeadzone.identification.answer.answer import _of_reference
+from undeadzone.identification.answer.answer import _of_reference, to_answer
 from undeadzone.identification.logs.grid import to_grid
 from undeadzone.identification.logs.log import log_of_arrays
 from undeadzone.identification.logs.usable import usable
 from undeadzone.identification.models.elements import MapModel, cubic, linear
+from undeadzone.identification.models.estimates import Interval
 from undeadzone.identification.models.least_squares import Density, LeastSquares
 from undeadzone.identification.models.place import Shape, fit_place
 from undeadzone.identification.models.plant import Data, Simulator
@@ -26,6 +27,7 @@ from undeadzone.identification.models.zone_fit import fit_linear
 from undeadzone.identification.verdict.odds import behind, odds_of
 from undeadzone.identification.verdict.orders import answered, trained_part
 from undeadzone.identification.verdict.verdict import _claimed, heard_loop
+from undeadzone.report.identify_page import identified_page
 from undeadzone.scenario.reader import parse
 from undeadzone.support.arrays import Floats
 
@@ -177,6 +179,16 @@ def test_a_zone_at_both_ends_is_not_sold_as_the_sensors() -> None:
             assert low <= width <= high
             assert abs(value - width) < 0.03
     assert "b_right" in str(answer.summary())
+    first = identified_page(answer, {}, "log.csv").split("How it was decided</h2>")[0]
+    assert [
+        name for name in answer.summary() if name.startswith(("d_", "b_")) and name in first
+    ] == ["d_right", "d_left", "b_right", "b_left"]
+    case = answer.answer.case
+    narrow = Interval(0.1, -0.1, 0.3)
+    doubted = answer.answer.found.element._replace(input={"width": narrow})
+    unsure = to_answer(case, answer.answer.found._replace(element=doubted))
+    assert (unsure.verdict, unsure.width) == ("undecided", None)
+    assert "holds 0: 0.1 [-0.1, 0.3]" in unsure.reasons[-1]
     assert answer.numbers()["levels"]["two_zones"] == pytest.approx([0.4, 0.3], abs=0.08)
 
 

@@ -145,7 +145,7 @@ def _next(scenario: Path, logs: tuple[Path, ...], options: dict[str, Any]) -> st
     """What to type next, with the scenario that was written; a log is followed as it is."""
     words = cmd("undeadzone", "run", scenario)
     if len(logs) == 1 and not options["zero"] and options["resample"] is None:
-        columns = [] if options["columns"] is None else ["--columns", options["columns"]]
+        columns = ["--columns", options["columns"]] * bool(options["columns"])
         words = f"{cmd('undeadzone', 'estimate', scenario, *logs, *columns)}, {words}"
     return f"{words}, or {cmd('undeadzone', 'export', scenario)}"
 

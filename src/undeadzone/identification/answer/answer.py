@@ -206,7 +206,9 @@ def to_answer(case: Case, found: Found) -> Answer:
     if found.element is not None:
         doubt = _not_wide(found.element.widths) or _not_wide(found.element.input)
         if doubt:
-            found = found._replace(element=None, verdict=because("undecided", doubt))
+            found = found._replace(
+                element=None, verdict=because("undecided", *found.verdict.reasons, doubt)
+            )
     chosen, data = case.chosen, case.data
     best, orders = next(iter(found.kalman), None), credible(case.fitted.fits)
     widths = find_widths(chosen, orders, case.fitted.alike, best, case.quantum, case.offset)

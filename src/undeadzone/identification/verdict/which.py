@@ -46,6 +46,7 @@ from undeadzone.identification.verdict.orders import (
     trained_part,
 )
 from undeadzone.identification.verdict.verdict import (
+    FITTED,
     MEMORY,
     UNLIKELY,
     Case,
@@ -158,7 +159,12 @@ class Found(NamedTuple):
         """What is found with more models, and perhaps without some words."""
         every = (*self.models, *models)
         odds = odds_of(every, {*without, *excluded(case)})
-        return self._replace(models=every, odds=odds, verdict=named(case, odds, every))
+        verdict = named(case, odds, every)
+        fits = self.places | ({} if self.plays is None else self.plays.fits)
+        fit = None if verdict.word in FITTED else fits.get(verdict.word)
+        if fit is not None and not settles(fit.model.simulator, fit.theta):
+            verdict = unsettled()
+        return self._replace(models=every, odds=odds, verdict=verdict)
 
 
 def excluded(case: Case) -> Collection[str]:
@@ -204,10 +210,7 @@ def with_play(case: Case, found: Found) -> Found:
     both = fit_both([play, *begun])
     tops = {"play": play} | ({} if both is None else {"both": both})
     models = {"none": case.rivals["none"]} | {word: one.density for word, one in tops.items()}
-    found = found._replace(plays=Plays(tops, whole)).judged(case, models)
-    fit = tops.get(found.verdict.word)
-    slow = fit is not None and not settles(fit.model.simulator, fit.theta)
-    return found._replace(verdict=unsettled()) if slow else found
+    return found._replace(plays=Plays(tops, whole)).judged(case, models)
 
 
 def _is_asked(case: Case, found: Found, offsets: Offsets, brief: Fit) -> bool:
