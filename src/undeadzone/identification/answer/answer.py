@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -203,12 +202,11 @@ def to_answer(case: Case, found: Found) -> Answer:
         case: the log, fitted with a zone of the sensor.
         found: the verdict, and what stands in the zone's place.
     """
-    if found.element is not None:
-        doubt = _not_wide(found.element.widths) or _not_wide(found.element.input)
-        if doubt:
-            found = found._replace(
-                element=None, verdict=because("undecided", *found.verdict.reasons, doubt)
-            )
+    element = found.element
+    doubt = element and (_not_wide(element.widths) or _not_wide(element.input))
+    if doubt:
+        verdict = because("undecided", *found.verdict.reasons, doubt)
+        found = found._replace(element=None, verdict=verdict)
     chosen, data = case.chosen, case.data
     best, orders = next(iter(found.kalman), None), credible(case.fitted.fits)
     widths = find_widths(chosen, orders, case.fitted.alike, best, case.quantum, case.offset)
@@ -258,7 +256,7 @@ def _with_edges(answer: Answer) -> Answer:
     return _showing(answer, shown, remarks)._replace(verdict=word)
 
 
-def _not_wide(shown: Mapping[str, Interval | None]) -> str:
+def _not_wide(shown: dict[str, Any]) -> str:
     """That a width may be 0; empty where it is not, or where there is none."""
     width = shown.get("width")
     if width is None or not width.low <= 0 < width.half:

@@ -123,8 +123,7 @@ def spikes(values: Floats, known: Flags) -> Flags:
     size = np.abs(values)
     usual = float(np.quantile(size[known], 0.99)) if known.any() else 0.0
     found = known & (size > SPIKE * usual)
-    rare = usual > 0 and found.sum() <= max(1, RARE * known.sum())
-    return found if rare else np.zeros_like(found)
+    return found & bool(usual > 0 and found.sum() <= max(1, RARE * known.sum()))
 
 
 def shortened(grid: Grid, integrators: int = 0) -> Grid:

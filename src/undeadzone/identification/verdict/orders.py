@@ -27,6 +27,7 @@ LAGS = 20
 HEARD = 8  # past inputs, of which one-step residuals should be free
 ANSWERED = 3  # one-step residuals, or readings, to which a loop's input answers
 ALONE = 1e-6  # share of an input's rms that its reference leaves, below which it makes all of it
+SLOWER = 1.2  # times that poles settle within a record, from which they do for certain
 SHARE = 0.05  # of the residual's variance that a curve explains, from which it is real
 
 
@@ -146,17 +147,7 @@ def is_sampled(fit: zone_fit.Fit) -> bool:
 
 def at_limit(fit: zone_fit.Fit) -> bool:
     """Whether a pole is as slow as is allowed, so that with x(0) it is an offset or a sine."""
-    return not settles(fit.objective.simulator, fit.theta)
-
-
-def settles(simulator: Simulator, theta: Floats) -> bool:
-    """Whether no pole is as slow as is allowed.
-
-    Args:
-        simulator: the plant.
-        theta: its numbers.
-    """
-    return simulator.admissible(theta, 1.2)
+    return not fit.objective.simulator.admissible(fit.theta, SLOWER)
 
 
 def credible(fits: list[OrderFit]) -> list[OrderFit]:
@@ -274,7 +265,7 @@ def loop_chance(fit: zone_fit.Fit, u: Floats) -> float:
 
 
 def answered(
-    moved: Floats, y: Floats, ok: Flags, beside: Floats, start: Integers
+    moved: Floats, y: Floats, ok: Flags, r: Floats, start: Integers
 ) -> tuple[float, float]:
     """The share that readings have of what is left of a signal, and p of it.
 
@@ -285,10 +276,10 @@ def answered(
         moved: what may answer (N x m), NaN where it is missing; the column that does so most.
         y: readings (N).
         ok: whether there is a reading (N).
-        beside: what else makes it, now and before (N x k), NaN where it is missing.
+        r: what else makes it, now and before (N x k), NaN where it is missing.
         start: first sample of each record (R).
     """
-    wanted, heard = _lagged(beside, range(HEARD + 1)), _lagged(y[:, None], range(ANSWERED))
+    wanted, heard = _lagged(r, range(HEARD + 1)), _lagged(y[:, None], range(ANSWERED))
     own = np.hstack([np.ones((y.size, 1)), _lagged(moved), wanted])
     known = np.isfinite(np.hstack([own, moved])).all(axis=1)
     known &= _lagged(1.0 * ok[:, None], range(ANSWERED)).all(axis=1)
@@ -303,10 +294,8 @@ def answered(
 
 def _has_past(start: Integers, size: int) -> Flags:
     """Whether a sample has the last values of its own record (N)."""
-    past = np.ones(size, bool)
-    for first in start:
-        past[first : first + HEARD] = False
-    return past
+    at = np.arange(size)
+    return np.asarray(at - start[np.searchsorted(start, at, "right") - 1] >= HEARD)
 
 
 def _left(columns: Floats, target: Floats) -> Floats:

@@ -111,9 +111,9 @@ def may_be_servo(case: Case, found: Found) -> bool:
 
 
 def _is_denied(servo: ServoGap | None, word: str) -> bool:
-    """Whether a likely play, withheld since its log turns too seldom, is called something else."""
+    """Whether a likely play, withheld since its log turns too seldom, is not what is named."""
     likely = servo is not None and servo.turns_too_seldom and servo.odds > LIKELY
-    return likely and word in DENYING
+    return likely and word in (*DENYING, "unclear")
 
 
 def _share(case: Case, found: Found) -> float:

@@ -38,22 +38,14 @@ from undeadzone.identification.models.zone_fit import Fit, reduced
 from undeadzone.identification.servo.gap import ServoGap
 from undeadzone.identification.verdict.delays import GLITCH, RARE
 from undeadzone.identification.verdict.odds import Family, odds_of
-from undeadzone.identification.verdict.orders import (
-    HeldOut,
-    judged,
-    one_step,
-    settles,
-    trained_part,
-)
+from undeadzone.identification.verdict.orders import HeldOut, judged, one_step, trained_part
 from undeadzone.identification.verdict.verdict import (
-    FITTED,
     MEMORY,
     UNLIKELY,
     Case,
     Verdict,
     heard_loop,
     named,
-    unsettled,
 )
 from undeadzone.identification.verdict.widths import with_offset
 from undeadzone.support.arrays import Floats, Integers
@@ -159,12 +151,8 @@ class Found(NamedTuple):
         """What is found with more models, and perhaps without some words."""
         every = (*self.models, *models)
         odds = odds_of(every, {*without, *excluded(case)})
-        verdict = named(case, odds, every)
         fits = self.places | ({} if self.plays is None else self.plays.fits)
-        fit = None if verdict.word in FITTED else fits.get(verdict.word)
-        if fit is not None and not settles(fit.model.simulator, fit.theta):
-            verdict = unsettled()
-        return self._replace(models=every, odds=odds, verdict=verdict)
+        return self._replace(models=every, odds=odds, verdict=named(case, odds, every, fits))
 
 
 def excluded(case: Case) -> Collection[str]:
