@@ -432,10 +432,14 @@ def test_a_glitch_or_a_second_record_hides_no_loop(loop: loop_logs.LoopLog) -> N
     y, r = loop.y.copy(), loop.r.copy()
     y[400], r[700] = 1e4, 1e6
     records = [slice(0, 420), slice(430, None)]
-    grid = to_grid([log_of_arrays(loop.step, loop.u[i], y[i], r[i]) for i in records])
+    logs = [log_of_arrays(loop.step, loop.u[i], y[i], r[i]) for i in records]
+    grid = to_grid(logs)
     ok, _ = usable(grid, [])
     assert np.flatnonzero(grid.ok & ~ok).tolist() == [400]
     assert np.flatnonzero(np.isnan(grid.r)).tolist() == [690]  # ten samples are in neither
+    without = to_grid([logs[0], logs[1]._replace(r=logs[1].r[:, :0])])
+    assert without.r.shape[1] == 0
+    assert "not every log has a reference: it is not used" in without.remarks
     assert answered(grid.u, grid.y, ok, grid.r, grid.start)[0] > 0.999
 
 

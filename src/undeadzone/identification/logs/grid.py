@@ -92,6 +92,8 @@ def to_grid(logs: list[Log], resample: float | None = None) -> Grid:
     first = logs[0]
     m = first.u.shape[1]
     known = min(log.r.shape[1] for log in logs)  # of one log alone, the reference is not used
+    if known < max(log.r.shape[1] for log in logs):
+        remarks.append("not every log has a reference: it is not used")
     cut = [piece._replace(u=piece.u[:, : m + known]) for piece in pieces]
     t, u, y, _ = (np.concatenate(parts) for parts in zip(*cut, strict=True))
     u, r, ok = u[:, :m], u[:, m:], np.isfinite(y)
