@@ -59,6 +59,8 @@ def runge_kutta(
     point, direction = ca.SX.sym("x", states), ca.SX.sym("v", states)
     along = ca.jtimes(output(point), point, direction)
     slope = ca.Function("slope", [point, direction], [along], {"allow_free": True})
+    # As functions: Python takes long over each operation, and they are asked for often.
+    cubic, tangent = (_of_numbers(curve, along.shape[0]) for curve in (hermite, hermite_slope))
 
     def arc(x: ca.SX, start: Any, mode: Any) -> DenseStep:
         rest = 1.0 - start
@@ -71,11 +73,18 @@ def runge_kutta(
             final=z[2],
             onward=output(x + h * rest / 2 * k1),
             at=partial(hermite, x, k1, end, k5, h * rest),
-            output=partial(hermite, *z),
-            slope=partial(hermite_slope, *z),
+            output=partial(cubic, *z),
+            slope=partial(tangent, *z),
         )
 
     return arc
+
+
+def _of_numbers(curve: Callable[..., ca.SX], p: int) -> ca.Function:
+    """`hermite`, or its slope, of values and slopes (p each), a length, and fractions (p)."""
+    ends = [ca.SX.sym(name, p) for name in ("x0", "dx0", "x1", "dx1")]
+    numbers = [*ends, ca.SX.sym("h"), ca.SX.sym("c", p)]
+    return ca.Function("curve", numbers, [curve(*numbers)])
 
 
 def taylor(
