@@ -67,14 +67,17 @@ def _evaluator(results: Results, functions: dict[str, Callable[..., Any]]) -> Ev
         else:
             own = _OPERATIONS | {"view": operator.methodcaller("view", node.kind)}
             operation = functions[node.text] if node.op == "call" else own[node.op]
-            steps.append((place, operation, [places[one] for one in node.args]))
+            own_places = [places[one] for one in node.args]
+            if len(own_places) == 1:  # of it a slice, so that there is a sequence
+                own_places = [slice(own_places[0], own_places[0] + 1)]
+            steps.append((place, operation, operator.itemgetter(*own_places)))
 
     def evaluate(entries: dict[str, Any]) -> list[list[Any]]:
         values = begun.copy()
         for place, name in inputs:
             values[place] = entries[name]
         for place, operation, operands in steps:
-            values[place] = operation(*[values[one] for one in operands])
+            values[place] = operation(*operands(values))
         return [[values[places[node]] for node in result] for result in results]
 
     return evaluate

@@ -60,7 +60,9 @@ def runge_kutta(
     along = ca.jtimes(output(point), point, direction)
     slope = ca.Function("slope", [point, direction], [along], {"allow_free": True})
     # As functions: Python takes long over each operation, and they are asked for often.
-    cubic, tangent = (_of_numbers(curve, along.shape[0]) for curve in (hermite, hermite_slope))
+    names = ("x0", "dx0", "x1", "dx1", "h", "c")
+    given = [ca.SX.sym(name, along.shape[0]) for name in names]
+    cubic, tangent = (ca.Function("z", given, [f(*given)]) for f in (hermite, hermite_slope))
 
     def arc(x: ca.SX, start: Any, mode: Any) -> DenseStep:
         rest = 1.0 - start
@@ -78,13 +80,6 @@ def runge_kutta(
         )
 
     return arc
-
-
-def _of_numbers(curve: Callable[..., ca.SX], p: int) -> ca.Function:
-    """`hermite`, or its slope, of values and slopes (p each), a length, and fractions (p)."""
-    ends = [ca.SX.sym(name, p) for name in ("x0", "dx0", "x1", "dx1")]
-    numbers = [*ends, ca.SX.sym("h"), ca.SX.sym("c", p)]
-    return ca.Function("curve", numbers, [curve(*numbers)])
 
 
 def taylor(
@@ -133,14 +128,8 @@ def _series(
     """The step whose state and z are the polynomials of c with these coefficients."""
     end = _polynomial(terms, 1.0)
     slopes = [k * term for k, term in enumerate(z)][1:]
-    return DenseStep(
-        end=end,
-        final=output(end),
-        onward=onward,
-        at=partial(_polynomial, terms),
-        output=partial(_polynomial, z),
-        slope=partial(_polynomial, slopes),
-    )
+    at, along, slope = (partial(_polynomial, each) for each in (terms, z, slopes))
+    return DenseStep(end, output(end), onward, at, along, slope)
 
 
 def _moved(inputs: list[ca.SX], begin: Any, rest: Any) -> list[ca.SX]:
