@@ -102,7 +102,7 @@ def _pieces(like: Any, column: ca.SX) -> Iterator[ca.SX]:
         rows = shape[0] if shape else 1
         columns = shape[1] if len(shape) > 1 else 1
         piece = column[start : start + rows * columns]
-        yield piece if columns == 1 else ca.reshape(piece, rows, columns)
+        yield piece if rows and columns == 1 else ca.reshape(piece, rows, columns)
         start += rows * columns
 
 
