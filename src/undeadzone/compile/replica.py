@@ -67,10 +67,10 @@ def _evaluator(results: Results, functions: dict[str, Callable[..., Any]]) -> Ev
         else:
             own = _OPERATIONS | {"view": operator.methodcaller("view", node.kind)}
             operation = functions[node.text] if node.op == "call" else own[node.op]
-            own_places = [places[one] for one in node.args]
-            if len(own_places) == 1:  # of it a slice, so that there is a sequence
-                own_places = [slice(own_places[0], own_places[0] + 1)]
-            steps.append((place, operation, operator.itemgetter(*own_places)))
+            taken: list[Any] = [places[one] for one in node.args]
+            if len(taken) == 1:  # of it a slice, so that there is a sequence
+                taken = [slice(taken[0], taken[0] + 1)]
+            steps.append((place, operation, operator.itemgetter(*taken)))
 
     def evaluate(entries: dict[str, Any]) -> list[list[Any]]:
         values = begun.copy()
