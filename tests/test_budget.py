@@ -9,6 +9,7 @@ import tokenize
 from collections import Counter
 from pathlib import Path
 
+import once
 import undeadzone
 
 ROOT = Path(undeadzone.__file__).parent
@@ -63,7 +64,7 @@ def code_lines(text: str) -> int:
     for token in tokenize.generate_tokens(io.StringIO(text).readline):
         if token.type not in SILENT:
             held.update(range(token.start[0], token.end[0] + 1))
-    for node in ast.walk(ast.parse(text)):
+    for node in once.nodes(text):
         if isinstance(node, DOCUMENTED) and ast.get_docstring(node, clean=False) is not None:
             first = node.body[0]
             held.difference_update(range(first.lineno, (first.end_lineno or first.lineno) + 1))
