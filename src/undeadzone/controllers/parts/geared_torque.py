@@ -71,9 +71,12 @@ def geared_torque(
         return State(np.zeros(2 * N), np.zeros(N))
 
     def step(p: Params, s: State, estimate: Estimate, target: Target) -> tuple[State, Any]:
-        a, *later = ca.vertsplit(target.plan, N)
+        a, *later, swung = ca.vertsplit(target.plan, N)
         q, v = target.x_ref[N : 2 * N], target.x_ref[3 * N :]
-        towards = carrying(gears, p.model, later, s.towards)
+        slow = v - estimate.x[3 * N : 4 * N]
+        astray = q - estimate.x[N : 2 * N] + LEAD / crossing * slow
+        back = swung + (p.k_p * astray / 2 + p.k_d * slow) / 2
+        towards = carrying(gears, p.model, (*later, back), s.towards)
         moved = ca.reshape(s.moved, N, 2).T
         push, following = led(p.crossing, moved, (towards * gears.number(p.model, "half")).T)
         place, turning = q - gears.number(p.model, "centre") + moved[0, :].T, v + moved[1, :].T
