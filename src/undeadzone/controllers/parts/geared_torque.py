@@ -2,8 +2,10 @@
 
 A link follows its path where its motor stands on the flank that carries the load, theta = q_ref - c
 + a sign(tau_ref) with tau_ref = M a_ref + h, payload included. Where that changes sign the link
-needs no torque: there the motor is led across (`feedforward.flank_path`). Gap, friction and payload
-are those of the model, or what the observer makes of them.
+needs no torque: there the motor is led across (`feedforward.flank_path`). A link that needs hardly
+any floats in its gap, off its path: so a_ref has what brings it back from where it is estimated to
+be once the gap is crossed, with half of the motors' bandwidth. Gap, friction and payload are those
+of the model, or what the observer makes of them.
 """
 
 from __future__ import annotations
@@ -73,24 +75,19 @@ def geared_torque(
     def step(p: Params, s: State, estimate: Estimate, target: Target) -> tuple[State, Any]:
         a, *later, swung = ca.vertsplit(target.plan, N)
         q, v = target.x_ref[N : 2 * N], target.x_ref[3 * N :]
-        slow = v - estimate.x[3 * N : 4 * N]
-        astray = q - estimate.x[N : 2 * N] + LEAD / crossing * slow
-        back = swung + (p.k_p * astray / 2 + p.k_d * slow) / 2
+        motor, link, spin, speed = ca.vertsplit(estimate.x, N)
+        slow = v - speed
+        back = swung + p.k_p * (q - link + LEAD / crossing * slow) / 4 + p.k_d * slow / 2
         towards = carrying(gears, p.model, (*later, back), s.towards)
         moved = ca.reshape(s.moved, N, 2).T
         push, following = led(p.crossing, moved, (towards * gears.number(p.model, "half")).T)
         place, turning = q - gears.number(p.model, "centre") + moved[0, :].T, v + moved[1, :].T
-        error = place - estimate.x[:N], turning - estimate.x[2 * N : 3 * N]
-        correction = p.k_p * error[0] + p.k_d * error[1]
+        correction = p.k_p * (place - motor) + p.k_d * (turning - spin)
         links = torque(gears.arm, gears.links(p.model), q, v, a + correction)
-        spinning = a + push.T + correction - left_out(estimate)
+        known = reject and estimate.w.shape[0] > 0  # what the model leaves out
+        spinning = a + push.T + correction - (estimate.w[2 * N : 3 * N] if known else 0.0)
         motors = gears.number(p.model, "inertia") * spinning + gears.friction(p.model, turning)
         return State(ca.reshape(following.T, 2 * N, 1), towards), links + motors
-
-    def left_out(estimate: Estimate) -> Any:
-        """What the model leaves out of the motors' acceleration (N)."""
-        known = reject and estimate.w.shape[0] > 0
-        return estimate.w[2 * N : 3 * N] if known else 0.0
 
     def along(params: Any, target: Target) -> Floats:
         path = np.hstack([target.x_ref[:, N : 2 * N], target.x_ref[:, 3 * N :]])
