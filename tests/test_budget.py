@@ -33,7 +33,7 @@ BUDGET = {
     "linear": 400,
     "logs": 1255,
     "numerics": 840,
-    "observers": 3810,
+    "observers": 3830,
     "plants": 1715,
     "report": 2970,
     "results": 980,
