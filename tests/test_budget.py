@@ -16,7 +16,7 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 42_230, 344
+MOST_CODE, MOST_FILES = 42_255, 344
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
@@ -30,11 +30,11 @@ BUDGET = {
     "ensemble": 1950,
     "exports": 2465,
     "feedforward": 430,
-    "identification": 7285,
+    "identification": 7290,
     "linear": 400,
     "logs": 1255,
     "numerics": 840,
-    "observers": 3810,
+    "observers": 3830,
     "plants": 1715,
     "report": 2970,
     "results": 980,
