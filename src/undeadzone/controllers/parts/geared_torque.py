@@ -4,9 +4,9 @@ A link follows its path where its motor stands on the flank that carries the loa
 + a sign(tau_ref) with tau_ref = M a_ref + h, payload included. Where that changes sign the link
 needs no torque: there the motor is led across (`feedforward.flank_path`). A link that needs hardly
 any floats in its gap, off its path: so a_ref has what brings it back from where it is estimated to
-be once the gap is crossed, with half of the motors' bandwidth, where it is off by more than a quarter
-of its gap: less may be the estimate's own noise. Gap, friction and payload are those of the model, or
-what the observer makes of them.
+be once the gap is crossed, with half of the motors' bandwidth, where it is off by more than a
+quarter of its gap: less may be the estimate's own noise. Gap, friction and payload are those of the
+model, or what the observer makes of them.
 """
 
 from __future__ import annotations
