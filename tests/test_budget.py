@@ -25,7 +25,7 @@ BUDGET = {
     "cli": 1910,
     "compensators": 170,
     "compile": 3655,
-    "controllers": 810,
+    "controllers": 815,
     "ends": 446,
     "ensemble": 1950,
     "exports": 2465,
