@@ -173,6 +173,38 @@ def random_log(seed: int, size: int | None = None) -> Recorded:
     return Recorded(step, u, y, servo, rms, closed)
 
 
+def resting_log(seed: int, size: int | None = None) -> Recorded:
+    """A log of a servo in a loop that rests at three setpoints, 0 among them, drawn at random.
+
+    Args:
+        seed: of everything.
+        size: samples; None: 2500.
+    """
+    draw = np.random.default_rng([5, seed])
+    step, count = 5e-3, size or 2500
+    damping = log_uniform(draw, 2.0, 20.0)
+    gain = damping * log_uniform(draw, 0.3, 3.0)
+    friction = draw.uniform(0.02, 0.1) if draw.random() < 0.5 else 0.0
+    pace = min(0.25 / (1.5 * step), 2 * damping)
+    proportional = pace * damping / gain
+    rate = 0.3 * pace / gain if pace > damping else 0.0
+    moves = int(draw.integers(12, 30))
+    ends = np.cumsum(draw.uniform(0.4, 1.6, moves)) / moves
+    levels = np.cumsum(draw.integers(1, 3, moves + 1)) % 3 - 1.0  # never the same twice
+    at = np.searchsorted(ends, np.arange(count) / count).clip(0, moves)
+    command = levels[at] * 1.5 / proportional
+    gap = float(np.ptp(command)) * log_uniform(draw, 5e-3, 0.05)
+    quantum = gap / log_uniform(draw, 2.0, 20.0)
+    torque = 0.02 * np.cumsum(draw.standard_normal(count)) / math.sqrt(count)
+    noisy = draw.random() < 0.3
+    rms = gap / log_uniform(draw, 4.0, 40.0) if noisy else 0.0
+    quantum = 0.0 if noisy else quantum
+    servo = Servo(damping, gain, 0.0, 0.0, friction, gap, quantum, 0, proportional, rate)
+    noise = rms * draw.standard_normal(count)
+    u, y = recorded(servo, step, command, torque, noise, True)
+    return Recorded(step, u, y, servo, rms, True)
+
+
 def log_uniform(draw: Any, low: float, high: float) -> float:
     """A number whose logarithm is uniform."""
     return float(math.exp(draw.uniform(math.log(low), math.log(high))))

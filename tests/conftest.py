@@ -39,6 +39,9 @@ TOGETHER = {
     "test_report": "design",
     "test_json": "paper",
     "test_paper": "paper",
+    "test_budget": "source",
+    "test_layers": "source",
+    "test_reading": "source",
 }
 
 

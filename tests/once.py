@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import ast
 import functools
 from collections.abc import Callable
 from typing import Any
@@ -16,6 +17,13 @@ from undeadzone.synthesis.design import Aim
 from undeadzone.synthesis.design import design as search
 from undeadzone_paper import Paper
 from undeadzone_paper import audit as audited
+
+
+@functools.cache
+def nodes(text: str) -> list[ast.AST]:
+    """All nodes of a Python text, as `ast.walk` gives them."""
+    return list(ast.walk(ast.parse(text)))
+
 
 _designs: dict[Any, Design] = {}
 

@@ -9,31 +9,32 @@ import tokenize
 from collections import Counter
 from pathlib import Path
 
+import once
 import undeadzone
 
 ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 42_210, 344
+MOST_CODE, MOST_FILES = 42_255, 344
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
     "(root)": 385,
     "analysis": 3465,
-    "cli": 1900,
+    "cli": 1910,
     "compensators": 170,
     "compile": 3655,
-    "controllers": 810,
+    "controllers": 815,
     "ends": 446,
     "ensemble": 1950,
     "exports": 2465,
     "feedforward": 430,
-    "identification": 7285,
+    "identification": 7290,
     "linear": 400,
     "logs": 1255,
     "numerics": 840,
-    "observers": 3810,
+    "observers": 3830,
     "plants": 1715,
     "report": 2970,
     "results": 980,
@@ -63,7 +64,7 @@ def code_lines(text: str) -> int:
     for token in tokenize.generate_tokens(io.StringIO(text).readline):
         if token.type not in SILENT:
             held.update(range(token.start[0], token.end[0] + 1))
-    for node in ast.walk(ast.parse(text)):
+    for node in once.nodes(text):
         if isinstance(node, DOCUMENTED) and ast.get_docstring(node, clean=False) is not None:
             first = node.body[0]
             held.difference_update(range(first.lineno, (first.end_lineno or first.lineno) + 1))

@@ -16,6 +16,10 @@ from undeadzone.cli import group
 from undeadzone.exports import export
 from undeadzone.numerics.first_passage import arriving, at_edge, beyond
 from undeadzone.numerics.gaussian import Gaussian, cut_to, mixed
+from undeadzone.observers.parts.contact_drive import PASSED, drive_of, made_up, posture
+from undeadzone.observers.parts.contact_modes import Told
+from undeadzone.plants.robots.build import two_link
+from undeadzone.plants.robots.geared import Gears, geared_motion
 from undeadzone.results import mjcf
 from undeadzone.scenario.reader import convert
 
@@ -221,6 +225,23 @@ def test_two_links_are_found_joint_by_joint() -> None:
     assert np.abs(run.z - run.z_hat)[-300:].max() < 0.004
     assert abs(run.theta_hat[-1, 0] - 0.5) < 4 * run.theta_std[-1, 0]
     assert run.consistent[-1].all()
+
+
+def test_what_a_motor_tells_of_its_gears_moves_the_free_links_of_others() -> None:
+    """As the arm answers to an impulse at that joint; a link in contact is left to its readings."""
+    gears = geared_motion(two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
+    mean = ca.DM([0.3, 0.8, 0.3, 0.8, *[0.0] * 17])
+    belief = Gaussian(ca.SX(11, 1), ca.SX.eye(11))
+    told = Told([], [belief] * 3, belief, belief.mean, 0.0, 1.0)
+    arm = posture(gears, gears.values, mean, ca.DM.zeros(2))
+    news, impulse = ca.SX(21, 1), 0.2
+    news[5] = -impulse / 0.03  # the second motor, slower than was foretold
+    first, second = made_up([told, told], news, arm)
+    right, free, left = (float(one.mean[3]) for one in first.beliefs)
+    answer = np.asarray(ca.evalf(drive_of(gears, 1e-3, 1).mobility(gears.values, mean)))
+    assert free == pytest.approx(PASSED * impulse * answer[2, 1])
+    assert right == left == 0.0
+    assert all(float(one.mean[3]) == 0.0 for one in second.beliefs)
 
 
 def six_joints(**observer: Any) -> uz.Scenario:

@@ -12,7 +12,7 @@ from pathlib import Path
 import click
 import pytest
 
-from undeadzone.cli import ending
+from undeadzone.cli import ending, group
 from undeadzone.cli.ending import ended
 from undeadzone.errors import InputError, Terminated
 
@@ -98,6 +98,24 @@ def test_the_traceback_is_shown_where_it_is_asked_for(
     monkeypatch.setenv(ending.DEBUG, "1")
     assert ended(raising(TypeError("odd"))) == 70
     assert "Traceback (most recent call last)" in capfd.readouterr().err
+
+
+def test_a_reader_who_has_seen_enough_is_no_failure(capfd: pytest.CaptureFixture[str]) -> None:
+    read, write = os.pipe()
+    os.close(read)
+    with pytest.MonkeyPatch.context() as patch, os.fdopen(write, "w") as unread:
+        patch.setattr(sys, "stdout", unread)
+        assert ended(lambda: group.main(["run", "--help"], standalone_mode=False)) == 0
+    assert not capfd.readouterr().err
+
+
+def test_a_broken_pipe_of_another_is_an_error(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    work = click.Command("work", callback=raising(BrokenPipeError(32, "Broken pipe")))
+    monkeypatch.setitem(group.commands, "work", work)
+    assert ended(lambda: group.main(["work"], standalone_mode=False)) == 70
+    assert "BrokenPipeError" in capfd.readouterr().err
 
 
 def closing(*descriptors: int) -> Callable[[], None]:

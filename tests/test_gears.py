@@ -201,6 +201,23 @@ def test_motors_led_across_their_gaps_keep_the_tip_on_its_path(known: uz.Run) ->
     assert np.abs(q - theta).max() < 0.08
 
 
+def test_a_link_that_needs_no_torque_is_brought_back_to_its_path() -> None:
+    """It floats in its gap, 20 mrad off: no torque is planned that would choose a flank for it."""
+    gears = {"half": 0.03, "inertia": 0.012}
+    tables: dict[str, Any] = {
+        "plant": {
+            "arm": {"kind": "one_link", "torque_max": 3.0, "gears": gears},
+            "x0": [0.02, 0.0],
+            "parameters": {"m": 0.35, "l": 0.25, "c": 0.125, "I": 0.0018, "g": 0.0, "b1": 0.01},
+        },
+        "reference": {"kind": "quintic", "points": [[0.0], [0.0]], "times": [0.0, 1.5]},
+        "simulation": {"time": "sampled", "duration": 1.5, "step": 1e-3, "substeps": 4},
+    }
+    run = uz.simulate(scenario(**tables))
+    assert run.z[0, 0] == pytest.approx(0.02, abs=1e-3)
+    assert np.abs(run.z[-300:]).max() < 0.006
+
+
 def test_readme_path_holds_the_second_joint_on_one_flank(known: uz.Run) -> None:
     first, second = known.info.identifiable
     assert first["width"]

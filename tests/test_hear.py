@@ -207,6 +207,7 @@ def test_a_missing_reading_says_nothing() -> None:
     ("changes", "words"),
     [
         ({"noise": 0.0}, "noise: expected some rms"),
+        ({"noise": -0.1}, "noise: expected some rms"),
         ({"slope": 0.0}, "slope: must be positive"),
         ({"right": -1.0}, "right: a known width"),
         ({"left": [1.0, 0.0]}, "left: expected a row of 3 numbers"),

@@ -8,6 +8,7 @@ from types import ModuleType
 
 import pytest
 
+import once
 import undeadzone
 import undeadzone_arena
 import undeadzone_paper
@@ -58,7 +59,7 @@ MODULES = {module(path) for path in FILES}
 def imports(text: str) -> set[str]:
     """The modules of the package that a text imports, inside functions and for types too."""
     found = set()
-    for node in ast.walk(ast.parse(text)):
+    for node in once.nodes(text):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         if isinstance(node, ast.ImportFrom):
@@ -142,7 +143,7 @@ def test_the_rooms_of_methods_hold_methods_alone(room: str) -> None:
 def packages(text: str) -> set[str]:
     """The packages of the distribution that a text imports."""
     found = set()
-    for node in ast.walk(ast.parse(text)):
+    for node in once.nodes(text):
         if isinstance(node, ast.Import):
             found |= {alias.name.split(".")[0] for alias in node.names}
         if isinstance(node, ast.ImportFrom) and node.module:

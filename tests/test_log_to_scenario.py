@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import re
+import shlex
 import shutil
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import pytest
 
 import undeadzone as uz
 from commands import undeadzone
+from undeadzone.cli.identify import _next
 from undeadzone.exports import export
 from undeadzone.identification.models.estimates import positive
 from undeadzone.identification.models.plant import roots, stabilised
@@ -109,6 +111,26 @@ def test_what_is_not_finite_is_refused_before_its_eigenvalues() -> None:
     wild = np.array([np.nan, 1.0])
     assert np.isinf(roots(wild)).all()
     assert not stabilised(wild).any()
+
+
+def test_what_to_type_next_is_taken_as_it_is_printed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Names with blanks are quoted, a log has its columns again, and no --zero."""
+    monkeypatch.chdir(tmp_path)
+    made = undeadzone("init", "my plant.toml")
+    assert shlex.split(made.stdout.split("next: ")[1]) == ["undeadzone", "run", "my plant.toml"]
+    said: dict[str, Any] = {"zero": 0.0, "resample": None, "columns": "y=a b,u=c"}
+    scenario, log = Path("my log.toml"), Path("my log.csv")
+    estimate, run, export_ = _next(scenario, (log,), said).split(", ")
+    assert shlex.split(estimate)[1:] == [
+        "estimate",
+        *map(str, (scenario, log)),
+        "--columns",
+        "y=a b,u=c",
+    ]
+    assert (run, export_) == ("undeadzone run 'my log.toml'", "or undeadzone export 'my log.toml'")
+    assert "estimate" not in _next(scenario, (log,), said | {"zero": 1.0})
 
 
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="no compiler")

@@ -9,20 +9,27 @@ import numpy as np
 import pytest
 from benchmarks import loop_logs
 from benchmarks.names_logs import make
+from benchmarks.servo_logs import resting_log
 from benchmarks.which_logs import through
 from scipy.signal import lfilter
 
 import undeadzone as uz
 from undeadzone.cli import group
-from undeadzone.identification.answer.answer import _of_reference
+from undeadzone.identification.answer.answer import _of_reference, to_answer
+from undeadzone.identification.logs.grid import to_grid
+from undeadzone.identification.logs.log import Options, log_of_arrays
+from undeadzone.identification.logs.usable import usable
 from undeadzone.identification.models.elements import MapModel, cubic, linear
+from undeadzone.identification.models.estimates import Interval
 from undeadzone.identification.models.least_squares import Density, LeastSquares
 from undeadzone.identification.models.place import Shape, fit_place
 from undeadzone.identification.models.plant import Data, Simulator
 from undeadzone.identification.models.zone_fit import fit_linear
 from undeadzone.identification.verdict.odds import behind, odds_of
 from undeadzone.identification.verdict.orders import answered, trained_part
+from undeadzone.identification.verdict.servo import servo_of_ticks
 from undeadzone.identification.verdict.verdict import _claimed, heard_loop
+from undeadzone.report.identify_page import identified_page
 from undeadzone.scenario.reader import parse
 from undeadzone.support.arrays import Floats
 
@@ -174,6 +181,16 @@ def test_a_zone_at_both_ends_is_not_sold_as_the_sensors() -> None:
             assert low <= width <= high
             assert abs(value - width) < 0.03
     assert "b_right" in str(answer.summary())
+    first = identified_page(answer, {}, "log.csv").split("How it was decided</h2>")[0]
+    assert [
+        name for name in answer.summary() if name.startswith(("d_", "b_")) and name in first
+    ] == ["d_right", "d_left", "b_right", "b_left"]
+    case = answer.answer.case
+    narrow = Interval(0.1, -0.1, 0.3)
+    doubted = answer.answer.found.element._replace(input={"width": narrow})
+    unsure = to_answer(case, answer.answer.found._replace(element=doubted))
+    assert (unsure.verdict, unsure.width) == ("undecided", None)
+    assert "holds 0: 0.1 [-0.1, 0.3]" in unsure.reasons[-1]
     assert answer.numbers()["levels"]["two_zones"] == pytest.approx([0.4, 0.3], abs=0.08)
 
 
@@ -223,6 +240,22 @@ def test_an_encoder_that_falls_silent_is_no_servo_without_a_zone() -> None:
     log = make(3002, "play and zone")
     answer = uz.identify(t=log.step, u=log.u, y=log.y, order=2)
     assert answer.verdict == "both"
+
+
+def test_a_short_log_whose_encoder_passes_0_slowly_is_not_asked_for_a_servo() -> None:
+    """As many readings stand at a hold of the play; a motor behind a play had odds beyond .99."""
+    log = make(4001, "play and zone")
+    grid = to_grid([log_of_arrays(log.step, log.u, log.y)])
+    assert servo_of_ticks(grid, Options()) is None
+
+
+@pytest.mark.parametrize("seed", [26, 60], ids=["encoder", "noise"])
+def test_a_servo_that_rests_at_0_is_a_servo(seed: int) -> None:
+    """Its pauses are no sensor's zone: such logs were a zone of the input, friction or jumps."""
+    log = resting_log(seed, 1500)
+    answer = uz.identify(t=log.step, u=log.u, y=log.y)
+    assert answer.verdict == "play"
+    assert answer.width.low <= log.servo.gap <= answer.width.high
 
 
 def test_no_memory_is_named_where_most_readings_stick_at_the_ends() -> None:
@@ -336,7 +369,8 @@ def loop() -> loop_logs.LoopLog:
 
 
 def said(u: Floats, y: Floats, r: Floats) -> float:
-    return answered(u[:, None], y, np.ones(y.size, bool), r[:, None])[0]
+    start = np.array([0])
+    return answered(u[:, None], y, np.ones(y.size, bool), r[:, None], start)[0]
 
 
 def test_beside_its_reference_readings_make_all_of_a_loops_input(loop: loop_logs.LoopLog) -> None:
@@ -404,11 +438,27 @@ def test_a_column_with_the_reference_is_told(loop: loop_logs.LoopLog) -> None:
     case = answer.answer.case
     still = case._replace(grid=case.grid._replace(r=0 * case.grid.r + 2))
     assert heard_loop(still).answered is None
-    assert _of_reference(still.grid, heard_loop(still)) == [
+    assert _of_reference(still.grid, case.data.ok, heard_loop(still)) == [
         "the reference never moves: it is not used"
     ]
     swapped = case.grid._replace(y=case.grid.r[:, 0], r=case.grid.y[:, None])
-    assert "exchanged" in " ".join(_of_reference(swapped, heard_loop(case)))
+    assert "exchanged" in " ".join(_of_reference(swapped, case.data.ok, heard_loop(case)))
+
+
+def test_a_glitch_or_a_second_record_hides_no_loop(loop: loop_logs.LoopLog) -> None:
+    """Neither is of the loop: a wrong reading, a wrong reference, the seam of two records."""
+    y, r = loop.y.copy(), loop.r.copy()
+    y[400], r[700] = 1e4, 1e6
+    records = [slice(0, 420), slice(430, None)]
+    logs = [log_of_arrays(loop.step, loop.u[i], y[i], r[i]) for i in records]
+    grid = to_grid(logs)
+    ok, _ = usable(grid, [])
+    assert np.flatnonzero(grid.ok & ~ok).tolist() == [400]
+    assert np.flatnonzero(np.isnan(grid.r)).tolist() == [690]  # ten samples are in neither
+    without = to_grid([logs[0], logs[1]._replace(r=logs[1].r[:, :0])])
+    assert without.r.shape[1] == 0
+    assert "not every log has a reference: it is not used" in without.remarks
+    assert answered(grid.u, grid.y, ok, grid.r, grid.start)[0] > 0.999
 
 
 def test_a_log_with_a_setpoint_ends_in_a_scenario(

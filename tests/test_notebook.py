@@ -66,7 +66,7 @@ def cells(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Any]]:
             f"{name}.plot(ax=axes) is axes.figure, axes.has_data(),"
             f" {name}.plot('{name}.svg').axes != []"
         )
-    codes["command"] = f"s.save('mine.toml')\n!{command} ensemble mine.toml --out study"
+    codes["command"] = f"s.save('mine.toml')\n!{command} ensemble mine.toml --no-figures"
     codes["script"] = "bar = uz.simulate(s, progress=lambda done: None)"
     book = nbformat.v4.new_notebook(cells=[*map(nbformat.v4.new_code_cell, codes.values())])
     folder = tmp_path_factory.mktemp("notebook")

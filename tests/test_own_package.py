@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from undeadzone.catalogue import OBSERVERS
+
 ROOT = Path(__file__).parents[1]
 OWN = '''"""An observer whose widths stay where they are, and a command."""
 
@@ -120,6 +122,23 @@ def test_a_registered_observer_is_a_method_as_any_other(command: Run, tmp_path: 
 def test_a_registered_command_is_one_of_undeadzone(command: Run) -> None:
     assert command("greet") == "hello\n"
     assert "Say hello from another package." in command("--help")
+
+
+def test_what_is_installed_meanwhile_is_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As in a notebook; what was found before is not read again."""
+    monkeypatch.syspath_prepend(tmp_path)
+    for name in ("one", "other"):
+        assert OBSERVERS.options(f"held_{name}") is None
+        made = tmp_path / f"{name}-new"
+        made.mkdir()
+        (made / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+        point = f"held_{name} = undeadzone.observers.oracle:Oracle\n"
+        (made / "entry_points.txt").write_text(f"[undeadzone.observers]\n{point}")
+        made.rename(tmp_path / f"{name}-1.0.dist-info")
+        assert f"held_{name}" in OBSERVERS.tags()
+    assert {"held_one", "held_other"} <= set(OBSERVERS.tags())
 
 
 def test_what_is_registered_and_cannot_be_imported_is_said(command: Run, tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import inspect
 import re
 from pathlib import Path
 
+import once
 import undeadzone
 import undeadzone_arena
 import undeadzone_paper
@@ -34,7 +35,7 @@ ITEM = re.compile(r"^    ?(?:    )?([A-Za-z_][\w, ]*): ")
 def tangled(text: str) -> list[int]:
     """The lines of comprehensions with two `for` or with a conditional expression inside."""
     lines = []
-    for node in ast.walk(ast.parse(text)):
+    for node in once.nodes(text):
         if not isinstance(node, COMPREHENSIONS):
             continue
         conditional = any(isinstance(inner, ast.IfExp) for inner in ast.walk(node))
@@ -46,7 +47,7 @@ def tangled(text: str) -> list[int]:
 def nested(text: str) -> list[int]:
     """The lines of conditional expressions inside another one."""
     lines = []
-    for node in ast.walk(ast.parse(text)):
+    for node in once.nodes(text):
         if isinstance(node, ast.IfExp):
             inner = [part for part in ast.walk(node) if isinstance(part, ast.IfExp)]
             if len(inner) > 1:
@@ -97,7 +98,7 @@ def test_conditional_expressions_are_not_nested() -> None:
 def unexplained(text: str) -> dict[str, list[str]]:
     """The fields of each struct to which its docstring gives no line."""
     missing = {}
-    for node in ast.walk(ast.parse(text)):
+    for node in once.nodes(text):
         if isinstance(node, ast.ClassDef) and is_struct(node):
             lines = explained(ast.get_docstring(node) or "", "Attributes")
             missing[node.name] = [name for name in fields(node) if name not in lines]

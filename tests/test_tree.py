@@ -84,6 +84,12 @@ def test_empty_trees() -> None:
     assert tree.stack(None).shape == (0, 1)
 
 
+def test_an_empty_leaf_beside_one_number_has_no_rows() -> None:
+    """CasADi cuts a row of no columns out of a single entry."""
+    view = tree.unpack((np.ones(1), np.empty(0)), ca.SX.sym("x", 1))
+    assert [part.shape for part in view] == [(1, 1), (0, 1)]
+
+
 def test_a_tree_needs_as_many_values_as_leaves() -> None:
     with pytest.raises(StopIteration):
         tree.rebuild((1.0, 2.0), iter([1.0]))

@@ -401,3 +401,17 @@ def test_pictures_are_up_to_date() -> None:
         for one in (shown, text):
             numbers.append([float(number) for number in re.findall(NUMBER, one)])
         assert np.abs(np.subtract(*numbers)).max() < 0.2, "run: python docs/signatures.py"
+
+
+def test_a_plant_that_integrates_is_neither_play_nor_friction() -> None:
+    """A zone behind an integrator that was not declared had odds of .9 of both."""
+    for seed, order in ((105, 2), (101, 2)):
+        rng = np.random.default_rng(seed)
+        u = np.repeat(2 * rng.standard_normal(36), 20)[:700]
+        u -= u.mean()
+        z = 0.05 * np.cumsum(lfilter([0, 0.05], [1, -0.95], u))
+        y = np.maximum(z - 0.3, 0) + np.minimum(z + 0.2, 0) + 0.003 * rng.standard_normal(z.size)
+        answer = uz.identify(t=0.01, u=u, y=y, order=order)
+        assert isinstance(answer, uz.Identified)
+        assert answer.verdict == "unclear"
+        assert "--integrators 1" in answer.answer.reasons[0]

@@ -10,6 +10,9 @@ A package registers an observer by a line in its `pyproject.toml`:
 
 from __future__ import annotations
 
+import functools
+import os
+import sys
 from collections.abc import Mapping
 from contextlib import suppress
 from importlib import import_module
@@ -224,8 +227,7 @@ def _tag(table: Any) -> str:
         raise ValueError("Object missing required field `method`")
     tag = table["method"]
     if not isinstance(tag, str):
-        found = _WORDS.get(type(tag), "object")
-        raise ValueError(f"Expected `str`, got `{found}` - at `$.method`")
+        raise ValueError(f"Expected `str`, got `{_WORDS.get(type(tag), 'object')}` - at `$.method`")
     return tag
 
 
@@ -233,7 +235,14 @@ _WORDS: Final = {int: "int", float: "float", bool: "bool", list: "array", dict: 
 
 
 def _registered(group: str) -> dict[str, str]:
-    """Where other packages' options stand, by method."""
+    """Where other packages' options stand, by method; read again once a package is installed."""
+    folders = filter(os.path.isdir, map(os.path.abspath, sys.path))
+    return _read(group, tuple((folder, os.stat(folder).st_mtime_ns) for folder in folders))
+
+
+@functools.lru_cache
+def _read(group: str, searched: tuple[tuple[str, int], ...]) -> dict[str, str]:
+    """Where options stand, by method, while the folders searched are as old as they were."""
     from importlib.metadata import entry_points
 
     return {point.name: point.value for point in entry_points(group=group)}

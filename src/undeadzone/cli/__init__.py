@@ -13,7 +13,7 @@ import undeadzone
 from undeadzone.cli.arm import arm
 from undeadzone.cli.check import check
 from undeadzone.cli.design import design
-from undeadzone.cli.ending import ended
+from undeadzone.cli.ending import ended, failed
 from undeadzone.cli.ensemble import ensemble
 from undeadzone.cli.estimate import estimate
 from undeadzone.cli.export import export
@@ -55,6 +55,13 @@ class Commands(click.Group):
         if name.endswith(".toml"):
             ctx.fail(f"{name!r} is no command; to run this scenario: undeadzone run {name}")
         return super().resolve_command(ctx, args)
+
+    def invoke(self, ctx: click.Context) -> object:
+        """What a command returns; of a broken pipe click would make an exit code of its own."""
+        try:
+            return super().invoke(ctx)
+        except BrokenPipeError as error:
+            return failed(error)
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """The names of all commands, those of other packages last."""

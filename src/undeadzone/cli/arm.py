@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import PATH, force_option, option, writable
+from undeadzone.cli.common import PATH, cmd, force_option, option, writable
 from undeadzone.cli.output import Output, common
 
 if TYPE_CHECKING:
@@ -150,7 +150,7 @@ def _advice(found: Survey, weak: list[str], written: list[Path], robot: Path) ->
     if weak:
         return f"NO: the motors of {', '.join(weak)} cannot hold the arm there; try another --at"
     if written:
-        return f"wrote {written[0]}; next: undeadzone run {written[0]}"
+        return f"wrote {written[0]}; next: {cmd('undeadzone', 'run', written[0])}"
     missing = []
     if not any(any(joint.friction) for joint in found.joints):
         missing.append("friction (plant.parameters b1, f1, ...)")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from undeadzone.cli.common import PATH, confined, json_text, origin, untrusted, with_schema
+from undeadzone.cli.common import PATH, cmd, confined, json_text, origin, untrusted, with_schema
 from undeadzone.cli.output import Output, common, named_files, to_type
 from undeadzone.support.progress import on_terminal as progress
 
@@ -60,6 +60,6 @@ def check(scenario: Path, output: Output, confine: Path | None) -> int:
 def _next(path: Path, certified: bool | None, varies: bool) -> dict[str, str]:
     """What to type after a verdict; certified: None of an observer without constant gains."""
     if certified is False:
-        return to_type(f"undeadzone design {path} searches gains that have a proof")
-    ensemble = [f"undeadzone ensemble {path} varies what may vary"] * varies
-    return to_type(*ensemble, f"undeadzone export {path}")
+        return to_type(f"{cmd('undeadzone', 'design', path)} searches gains that have a proof")
+    ensemble = [f"{cmd('undeadzone', 'ensemble', path)} varies what may vary"] * varies
+    return to_type(*ensemble, cmd("undeadzone", "export", path))

@@ -140,7 +140,12 @@ def origin(path: Path | None, seed: int | None = None) -> Origin:
     if path is not None:
         with suppress(OSError, ValueError):  # it was there when the command began
             text = read_text(path)
-    return Origin(shlex.join(["undeadzone", *sys.argv[1:]]), text, seed)
+    return Origin(cmd("undeadzone", *sys.argv[1:]), text, seed)
+
+
+def cmd(*words: object) -> str:
+    """A command as a shell takes it: a name with a blank stands in quotes."""
+    return shlex.join(map(str, words))
 
 
 def writable(folder: Path) -> Path:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import PATH, confined, force_option, option, origin, untrusted
+from undeadzone.cli.common import PATH, cmd, confined, force_option, option, origin, untrusted
 from undeadzone.cli.output import Output, common, named_files
 from undeadzone.support.progress import on_terminal as progress
 
@@ -142,7 +142,7 @@ def _impossible(scenario: Scenario, path: Path, reason: str) -> dict[str, str]:
         "scenario": scenario.title,
         "certified": "NO gains can be",
         "why": reason,
-        "next": f"undeadzone check {path} says what can be known",
+        "next": f"{cmd('undeadzone', 'check', path)} says what can be known",
     }
 
 

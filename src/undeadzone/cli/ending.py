@@ -62,11 +62,16 @@ def ended(command: Callable[[], Any]) -> int:
     except Terminated as error:
         return _stopped("terminated", str(error), TERMINATED)
     except Exception as error:
-        if _memory_ran_out(error):
-            return _refused("memory ran out; allow more, or ask for less at once")
-        if isinstance(error, OSError) and _stdout_fails(error):
-            return _stdout_failed(error)
-        return _unexpected(error)
+        return failed(error)
+
+
+def failed(error: Exception) -> int:
+    """What the system denied, or a mistake of the program's own."""
+    if _memory_ran_out(error):
+        return _refused("memory ran out; allow more, or ask for less at once")
+    if isinstance(error, OSError) and _stdout_fails(error):
+        return _stdout_failed(error)
+    return _unexpected(error)
 
 
 def _open_streams() -> bool:

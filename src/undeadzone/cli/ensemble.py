@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import PATH, confined, flag, option, origin, untrusted, writable
+from undeadzone.cli.common import PATH, cmd, confined, flag, option, origin, untrusted, writable
 from undeadzone.cli.output import Output, common, prepare_figures
 from undeadzone.support.progress import on_terminal as progress
 
@@ -104,6 +103,6 @@ def _last(summary: dict[str, Any], folder: Path, written: list[Path]) -> dict[st
     worst = [row["run"] for row in summary["worst"]][:SHOWN]
     return {
         "worst runs": ", ".join(map(str, worst)),
-        "see one": f"undeadzone run {shlex.quote(str(written[0]))} --replay {worst[0]}",
+        "see one": cmd("undeadzone", "run", written[0], "--replay", worst[0]),
         "written": f"{folder}: {', '.join(path.name for path in written)}",
     }

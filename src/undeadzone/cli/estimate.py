@@ -9,6 +9,7 @@ import click
 
 from undeadzone.cli.common import (
     PATH,
+    cmd,
     columns_option,
     confined,
     exit_code,
@@ -76,13 +77,14 @@ def estimate(
         written = write_estimation(result, folder, output.figures, tables, origin(scenario))
     files = named_files(written) | left_out if written else {}
     told = {} if cure is None else {"would fit": cure}
-    last = told | files | _next(scenario, log, result)
+    last = told | files | _next(scenario, log, columns, result)
     output.show(lambda: result.summary() | {"would_fit": cure}, result.blocks, written, last)
     return exit_code(result.info)
 
 
-def _next(scenario: Path, log: Path, result: Estimation) -> dict[str, str]:
+def _next(scenario: Path, log: Path, columns: str | None, result: Estimation) -> dict[str, str]:
     """What to type after a log: firmware where it fits, else a model that does."""
     if result.info.consistent is False:
-        return to_type(f"undeadzone identify {log} finds a plant and a zone that fit")
-    return to_type(f"undeadzone export {scenario}")
+        again = cmd("undeadzone", "identify", log, *["--columns", columns] * bool(columns))
+        return to_type(f"{again} finds a plant and a zone that fit")
+    return to_type(cmd("undeadzone", "export", scenario))

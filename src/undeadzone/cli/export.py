@@ -11,6 +11,7 @@ import click
 
 from undeadzone.cli.common import (
     PATH,
+    cmd,
     confined,
     flag,
     force_option,
@@ -129,9 +130,8 @@ def _in_words(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
         pairs["along the run"] = [_along(*each) for each in report["runs"].items()]
     pairs["written"] = files or "nothing; --out DIR keeps the files"
     if any(name.endswith("Makefile") for name in files):
-        pairs["next"] = (
-            f"make -C {Path(files[0]).parent} builds the self-test; README.md has the rest"
-        )
+        build = cmd("make", "-C", Path(files[0]).parent)
+        pairs["next"] = f"{build} builds the self-test; README.md has the rest"
     return pairs
 
 

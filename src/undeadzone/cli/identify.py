@@ -9,6 +9,7 @@ import click
 
 from undeadzone.cli.common import (
     PATH,
+    cmd,
     columns_option,
     flag,
     force_option,
@@ -121,14 +122,14 @@ def identify(
         keep.unlink(missing_ok=True)
     why |= {} if reason is None else {"no scenario": reason.removeprefix("scenario: ")}
     is_written = path in written
-    follow = {"next": _next(path, first, len(logs))} if is_written else {}
+    follow = {"next": _next(path, logs, options)} if is_written else {}
     is_done, more = is_found or is_written, {}
     if chain is not None and is_written:
         with progress("going on to firmware", None):
             reached = chained(path, first, chain, options["columns"], options["strict"])
         written, is_done = written + reached.files, reached.passed
         why, more = why | reached.words, {"chain": reached.numbers}
-        follow = {"next": f"make -C {chain / 'firmware'} builds the self-test"}
+        follow = {"next": f"{cmd('make', '-C', chain / 'firmware')} builds the self-test"}
     elif chain is not None:
         is_done, why = False, why | {"firmware": "none: there is no scenario to make it of"}
     output.show(
@@ -140,12 +141,13 @@ def identify(
     return 0 if is_done else 1
 
 
-def _next(scenario: Path, log: Path, logs: int) -> str:
-    """What to type next, with the scenario that was written."""
-    words = f"undeadzone run {scenario}"
-    if logs == 1:
-        words = f"undeadzone estimate {scenario} {log}, {words}"
-    return f"{words}, or undeadzone export {scenario}"
+def _next(scenario: Path, logs: tuple[Path, ...], options: dict[str, Any]) -> str:
+    """What to type next, with the scenario that was written; a log is followed as it is."""
+    words = cmd("undeadzone", "run", scenario)
+    if len(logs) == 1 and not options["zero"] and options["resample"] is None:
+        columns = ["--columns", options["columns"]] * bool(options["columns"])
+        words = f"{cmd('undeadzone', 'estimate', scenario, *logs, *columns)}, {words}"
+    return f"{words}, or {cmd('undeadzone', 'export', scenario)}"
 
 
 def _asked_next(answer: Answers) -> tuple[Next | None, dict[str, str]]:

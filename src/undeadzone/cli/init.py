@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import difflib
 import re
+import shlex
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -108,7 +109,7 @@ def _next(path: Path) -> str:
     """What to type after a file was written."""
     starts = {".toml": "undeadzone run", ".py": "python"}
     start = starts.get(path.suffix)
-    return f"; next: {start} {path}" if start else ""
+    return f"; next: {start} {shlex.quote(str(path))}" if start else ""
 
 
 def titles() -> dict[str, str]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from undeadzone.cli.common import PATH, confined, option, origin, untrusted, writable
+from undeadzone.cli.common import PATH, cmd, confined, option, origin, untrusted, writable
 from undeadzone.cli.output import (
     Output,
     common,
@@ -119,11 +119,11 @@ def _next(path: Path, observer: ObserverOptions, run: Run) -> dict[str, str]:
     """What to type after a run: what narrows wide intervals comes first."""
     import numpy as np
 
-    check = f"undeadzone check {path} says what can be known"
+    check = f"{cmd('undeadzone', 'check', path)} says what can be known"
     if not _is_good(run):
         return to_type(check)
     if run.d_std is None or (HALF_95 * run.d_std[-1] <= WIDE * np.abs(run.d_hat[-1])).all():
-        return to_type(check, f"undeadzone export {path}")
+        return to_type(check, cmd("undeadzone", "export", path))
     open_claims = [name for name in CLAIMS if getattr(observer, name, "no such claim") is None]
     narrower = f"narrower intervals: claim observer.{', '.join(open_claims)} if known"
     return to_type(*[narrower] * bool(open_claims), check)

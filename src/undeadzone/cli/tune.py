@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import PATH, confined, flag, force_option, option, origin, untrusted
+from undeadzone.cli.common import PATH, cmd, confined, flag, force_option, option, origin, untrusted
 from undeadzone.cli.output import Output, common, named_files, partial_file, to_type
 from undeadzone.support.progress import on_terminal as progress
 
@@ -91,7 +91,7 @@ def tune(
         written += write_tuned(result, folder, origin(scenario, result.seed))
     last = named_files(written)
     if written:
-        last |= to_type(f"undeadzone run {written[0]}")
+        last |= to_type(cmd("undeadzone", "run", written[0]))
     output.show(result.summary, lambda: [in_words(result.summary())], written, last)
     return 0 if result.improved and result.certified else 1
 

@@ -382,9 +382,7 @@ def checked(
     """The arguments of `run` in the shapes of a kernel. Raises ShapeError."""
     own = None if callable(lane_exogenous) else lane_exogenous
     lanes = _lanes(
-        ("states", states, 2, 0),
-        ("lane_exogenous", own, 3, 2),
-        ("lane_params", lane_params, 2, 0),
+        ("states", states, 2, 0), ("lane_exogenous", own, 3, 2), ("lane_params", lane_params, 2, 0)
     )
     total = len(exogenous)
     states_each, entries_w, entries_p = shape.sizes

@@ -67,14 +67,17 @@ def _evaluator(results: Results, functions: dict[str, Callable[..., Any]]) -> Ev
         else:
             own = _OPERATIONS | {"view": operator.methodcaller("view", node.kind)}
             operation = functions[node.text] if node.op == "call" else own[node.op]
-            steps.append((place, operation, [places[one] for one in node.args]))
+            taken: list[Any] = [places[one] for one in node.args]
+            if len(taken) == 1:  # of it a slice, so that there is a sequence
+                taken = [slice(taken[0], taken[0] + 1)]
+            steps.append((place, operation, operator.itemgetter(*taken)))
 
     def evaluate(entries: dict[str, Any]) -> list[list[Any]]:
         values = begun.copy()
         for place, name in inputs:
             values[place] = entries[name]
         for place, operation, operands in steps:
-            values[place] = operation(*[values[one] for one in operands])
+            values[place] = operation(*operands(values))
         return [[values[places[node]] for node in result] for result in results]
 
     return evaluate

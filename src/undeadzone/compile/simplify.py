@@ -33,10 +33,7 @@ class Exact:
     """
 
     def __init__(
-        self,
-        nodes: Nodes,
-        real: str = "float64",
-        granted: dict[Promise, None] | None = None,
+        self, nodes: Nodes, real: str = "float64", granted: dict[Promise, None] | None = None
     ) -> None:
         self.nodes, self.real, self.granted = nodes, real, granted
         self.zero, self.one = nodes.constant(0.0, real), nodes.constant(1.0, real)

@@ -59,6 +59,10 @@ def runge_kutta(
     point, direction = ca.SX.sym("x", states), ca.SX.sym("v", states)
     along = ca.jtimes(output(point), point, direction)
     slope = ca.Function("slope", [point, direction], [along], {"allow_free": True})
+    # As functions: Python takes long over each operation, and they are asked for often.
+    names = ("x0", "dx0", "x1", "dx1", "h", "c")
+    given = [ca.SX.sym(name, along.shape[0]) for name in names]
+    cubic, tangent = (ca.Function("z", given, [f(*given)]) for f in (hermite, hermite_slope))
 
     def arc(x: ca.SX, start: Any, mode: Any) -> DenseStep:
         rest = 1.0 - start
@@ -71,8 +75,8 @@ def runge_kutta(
             final=z[2],
             onward=output(x + h * rest / 2 * k1),
             at=partial(hermite, x, k1, end, k5, h * rest),
-            output=partial(hermite, *z),
-            slope=partial(hermite_slope, *z),
+            output=partial(cubic, *z),
+            slope=partial(tangent, *z),
         )
 
     return arc
@@ -124,14 +128,8 @@ def _series(
     """The step whose state and z are the polynomials of c with these coefficients."""
     end = _polynomial(terms, 1.0)
     slopes = [k * term for k, term in enumerate(z)][1:]
-    return DenseStep(
-        end=end,
-        final=output(end),
-        onward=onward,
-        at=partial(_polynomial, terms),
-        output=partial(_polynomial, z),
-        slope=partial(_polynomial, slopes),
-    )
+    at, along, slope = (partial(_polynomial, each) for each in (terms, z, slopes))
+    return DenseStep(end, output(end), onward, at, along, slope)
 
 
 def _moved(inputs: list[ca.SX], begin: Any, rest: Any) -> list[ca.SX]:

@@ -122,7 +122,7 @@ def hear(
     if not slope > 0:
         raise InputError(f"slope: must be positive, found {slope:g}")
     rms = float(np.hypot(noise / slope, noise_before))
-    if not rms > 0:
+    if not (rms > 0 and noise >= 0 and noise_before >= 0):
         raise InputError(
             f"noise: expected some rms behind or ahead of the zone, found {noise:g} and "
             f"{noise_before:g}; of a clean sensor give its resolution"

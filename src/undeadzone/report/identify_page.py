@@ -100,8 +100,8 @@ def identified_page(
     rest: list[tuple[str, str]] = []
     for name, value in found_log.summary().items():
         for text in value if isinstance(value, list) else [value]:
-            leads = FIRST.fullmatch(name) is not None and len(first) < html.MOST
-            (first if leads else rest).append((name, text))
+            room = name != "note" or len(first) < html.MOST
+            (first if room and FIRST.fullmatch(name) else rest).append((name, text))
     captions = CAPTIONS if answer.element is None else CAPTIONS | OF_ELEMENT
     shown = html.pictures(images, captions)
     return html.page(

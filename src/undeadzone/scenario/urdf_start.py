@@ -83,7 +83,7 @@ method = "extended"             # the whole arm at once; joints = "separate" is 
 right = [{ranges}]  # claimed ranges of both widths
 start = {start}
 x_std = {x_std}
-levels = 1                      # 3, and a bias, doubt more, in three times the time
+levels = {levels}                      # 3, and a bias, doubt more, in three times the time
 bias = 0.0
 
 [controller]
@@ -117,9 +117,9 @@ def starting_scenario(found: Survey, path: str, gears: bool = False) -> str:
     points = (found.q, found.q + swing, found.q - swing, found.q)
     times = [0.0, PERIOD / 4, 3 * PERIOD / 4, PERIOD]
     reference = REFERENCE.format(points=", ".join(map(_listed, points)), times=times)
+    few = len(found.joints) <= MOST_COUPLED
     if gears:
         head = _arm(found, path, start, gears) + _gears(found, widths) + PARAMETERS
-        few = len(found.joints) <= MOST_COUPLED
         observer = CONTACT.format(most=WIDER * widths.max()) if few else TOLD
         encoders = ENCODERS.format(noise=_listed(widths / 50))
         return head + encoders + reference + observer + LED.format(duration=2 * PERIOD)
@@ -130,6 +130,7 @@ def starting_scenario(found: Survey, path: str, gears: bool = False) -> str:
         ranges=", ".join(map(_range, widths)),
         start=start,
         x_std=_listed(np.r_[widths / 5, widths]),
+        levels=3 if few else 1,
         duration=2 * PERIOD,
     )
     head = _arm(found, path, start) + PARAMETERS + sensor + reference

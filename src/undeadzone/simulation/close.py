@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -221,7 +222,7 @@ def close(problem: Problem) -> loop.Loop:
     moved, outputs = wiring.move(s, w, wiring.mode(s, w))
     inputs = [s_column, ca.vertcat(*columns), p_column]
     out = tree.stack(outputs)
-    step, parts = _Step(wiring, state, instant, s_column, columns), None
+    step, attempts = _Step(wiring, state, instant, s_column, columns), []
     if plant.Ts is not None:
         following = tree.stack(moved)
     elif simulation.switching != "located":
@@ -229,7 +230,9 @@ def close(problem: Problem) -> loop.Loop:
     else:
         attempts = _located(step, simulation.order)
         following = _first_that_suffices(attempts)
-        parts = _in_parts(attempts, inputs, out)
+    # At once: to look for what is computed twice takes longest of all.
+    following, out, *ends = ca.cse([following, out, *itertools.chain(*attempts)])
+    parts = _in_parts(ends, inputs, out) if attempts else None
     sizes = (np.zeros(leaf.shape[0]) for _, leaf in tree.leaves(outputs))
     shapes = tree.rebuild(outputs, sizes)
     whole = _function("step", inputs, next=following, out=out)
@@ -305,21 +308,18 @@ def _first_that_suffices(attempts: list[dense_output.StepAttempt]) -> ca.SX:
     return following
 
 
-def _in_parts(
-    attempts: list[dense_output.StepAttempt], inputs: list[ca.SX], out: ca.SX
-) -> loop.Parts:
-    """The step as one function for each attempt."""
-    first, *others = attempts
-    rare = [_function("rare", inputs, next=other.end, flag=other.more) for other in others]
-    usual = _function("usual", inputs, next=first.end, out=out, flag=first.more)
+def _in_parts(attempts: list[ca.SX], inputs: list[ca.SX], out: ca.SX) -> loop.Parts:
+    """The step as one function for each attempt: of its end, and whether there may be more."""
+    end, more, *others = attempts
+    usual = _function("usual", inputs, next=end, out=out, flag=more)
+    pairs = zip(others[::2], others[1::2], strict=True)
+    rare = [_function("rare", inputs, next=end, flag=more) for end, more in pairs]
     return loop.Parts(usual, tuple(rare))
 
 
 def _function(name: str, inputs: list[ca.SX], **results: ca.SX) -> ca.Function:
     """A function of state, exogenous inputs and params with named results."""
-    return ca.Function(
-        name, inputs, list(results.values()), ["s", "w", "p"], list(results), {"cse": True}
-    )
+    return ca.Function(name, inputs, list(results.values()), ["s", "w", "p"], list(results))
 
 
 class _Step(NamedTuple):

@@ -201,11 +201,7 @@ def _graph() -> ca.Function:
 
 
 def verdict_of(
-    tests: list[Consistency],
-    own: Own | None,
-    widths: Floats,
-    stds: Floats | None,
-    diverged: bool,
+    tests: list[Consistency], own: Own | None, widths: Floats, stds: Floats | None, diverged: bool
 ) -> Verdict:
     """What the tests of all outputs come to.
 

@@ -39,10 +39,7 @@ def heard(scenario: Scenario, progress: Progress | None = None) -> Run:
 
 
 def listening(
-    problem: Problem,
-    run: Run | None,
-    start: Start | None = None,
-    progress: Progress | None = None,
+    problem: Problem, run: Run | None, start: Start | None = None, progress: Progress | None = None
 ) -> list[float]:
     """The share of a lasting error of the model that z^ follows: 1 all of it, 0 none.
 

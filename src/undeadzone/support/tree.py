@@ -62,13 +62,12 @@ def pack(tree: Any) -> Floats:
 
 def stack(tree: Any) -> ca.SX:
     """All entries of a CasADi tree as one column."""
-    columns = [ca.densify(ca.vec(ca.SX(leaf))) for _, leaf in leaves(tree)]
-    return ca.vertcat(ca.SX(0, 1), *columns)
+    return ca.densify(ca.veccat(ca.SX(0, 1), *(leaf for _, leaf in leaves(tree))))
 
 
 def substituted(tree: Any, symbol: ca.SX, value: ca.SX) -> Any:
     """A CasADi tree with an expression in the place of a symbol."""
-    leaves_now = [ca.SX(leaf) for _, leaf in leaves(tree)]
+    leaves_now = [leaf for _, leaf in leaves(tree)]
     return rebuild(tree, iter(ca.substitute(leaves_now, [symbol], [value])))
 
 
@@ -102,7 +101,8 @@ def _pieces(like: Any, column: ca.SX) -> Iterator[ca.SX]:
         shape = np.shape(leaf)
         rows = shape[0] if shape else 1
         columns = shape[1] if len(shape) > 1 else 1
-        yield ca.reshape(column[start : start + rows * columns], rows, columns)
+        piece = column[start : start + rows * columns]
+        yield piece if rows and columns == 1 else ca.reshape(piece, rows, columns)
         start += rows * columns
 
 

@@ -2,8 +2,11 @@
 
 A link follows its path where its motor stands on the flank that carries the load, theta = q_ref - c
 + a sign(tau_ref) with tau_ref = M a_ref + h, payload included. Where that changes sign the link
-needs no torque: there the motor is led across (`feedforward.flank_path`). Gap, friction and payload
-are those of the model, or what the observer makes of them.
+needs no torque: there the motor is led across (`feedforward.flank_path`). A link that needs hardly
+any floats in its gap, off its path: so a_ref has what brings it back from where it is estimated to
+be once the gap is crossed, with half of the motors' bandwidth, where it is off by more than a
+quarter of its gap: less may be the estimate's own noise. Gap, friction and payload are those of the
+model, or what the observer makes of them.
 """
 
 from __future__ import annotations
@@ -13,6 +16,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from undeadzone.ends.sensor import deadzone
 from undeadzone.feedforward.flank_path import LEAD, Crossing, doubly_integrated, led, turned
 from undeadzone.feedforward.targets import Target, along_targets
 from undeadzone.interfaces import Controller, Estimate, Plan
@@ -22,6 +26,7 @@ from undeadzone.plants.system import System
 from undeadzone.support.arrays import Floats, scalar
 
 KEY = "controller.crossing"
+FLOATS = 0.5  # of a gap's half, by which a link that hangs in its gap is off its path
 ROUNDING = 1e-9  # [N m] of a torque that has no sign
 
 
@@ -71,23 +76,22 @@ def geared_torque(
         return State(np.zeros(2 * N), np.zeros(N))
 
     def step(p: Params, s: State, estimate: Estimate, target: Target) -> tuple[State, Any]:
-        a, *later = ca.vertsplit(target.plan, N)
+        a, *later, swung = ca.vertsplit(target.plan, N)
         q, v = target.x_ref[N : 2 * N], target.x_ref[3 * N :]
-        towards = carrying(gears, p.model, later, s.towards)
+        motor, link, spin, speed = ca.vertsplit(estimate.x, N)
+        astray = q - link + (LEAD / crossing + 2 * p.k_d / p.k_p) * (v - speed)
+        half = gears.number(p.model, "half")
+        back = swung + p.k_p / 4 * deadzone(astray, FLOATS * half, FLOATS * half)
+        towards = carrying(gears, p.model, (*later, back), s.towards)
         moved = ca.reshape(s.moved, N, 2).T
-        push, following = led(p.crossing, moved, (towards * gears.number(p.model, "half")).T)
+        push, following = led(p.crossing, moved, (towards * half).T)
         place, turning = q - gears.number(p.model, "centre") + moved[0, :].T, v + moved[1, :].T
-        error = place - estimate.x[:N], turning - estimate.x[2 * N : 3 * N]
-        correction = p.k_p * error[0] + p.k_d * error[1]
+        correction = p.k_p * (place - motor) + p.k_d * (turning - spin)
         links = torque(gears.arm, gears.links(p.model), q, v, a + correction)
-        spinning = a + push.T + correction - left_out(estimate)
+        known = reject and estimate.w.shape[0] > 0  # what the model leaves out
+        spinning = a + push.T + correction - (estimate.w[2 * N : 3 * N] if known else 0.0)
         motors = gears.number(p.model, "inertia") * spinning + gears.friction(p.model, turning)
         return State(ca.reshape(following.T, 2 * N, 1), towards), links + motors
-
-    def left_out(estimate: Estimate) -> Any:
-        """What the model leaves out of the motors' acceleration (N)."""
-        known = reject and estimate.w.shape[0] > 0
-        return estimate.w[2 * N : 3 * N] if known else 0.0
 
     def along(params: Any, target: Target) -> Floats:
         path = np.hstack([target.x_ref[:, N : 2 * N], target.x_ref[:, 3 * N :]])

@@ -26,7 +26,7 @@ from undeadzone.identification.verdict.orders import (
     is_white,
     trained_part,
 )
-from undeadzone.identification.verdict.verdict import Case, Loop, heard_loop
+from undeadzone.identification.verdict.verdict import Case, Loop, because, heard_loop
 from undeadzone.identification.verdict.which import Element, Found, held_out_of
 from undeadzone.identification.verdict.widths import (
     FEW_VISITS,
@@ -37,7 +37,7 @@ from undeadzone.identification.verdict.widths import (
     lower_bound,
     widened,
 )
-from undeadzone.support.arrays import Floats
+from undeadzone.support.arrays import Flags, Floats
 
 SURE = 0.999  # level of the ranges that an observer is told
 LEAST = 1e-6  # of a width, by which its range is wide at least
@@ -202,6 +202,11 @@ def to_answer(case: Case, found: Found) -> Answer:
         case: the log, fitted with a zone of the sensor.
         found: the verdict, and what stands in the zone's place.
     """
+    element = found.element
+    doubt = element and (_not_wide(element.widths) or _not_wide(element.input))
+    if doubt:
+        verdict = because("undecided", *found.verdict.reasons, doubt)
+        found = found._replace(element=None, verdict=verdict)
     chosen, data = case.chosen, case.data
     best, orders = next(iter(found.kalman), None), credible(case.fitted.fits)
     widths = find_widths(chosen, orders, case.fitted.alike, best, case.quantum, case.offset)
@@ -244,19 +249,23 @@ def _with_edges(answer: Answer) -> Answer:
     shown = _shown_jump(answer.case) or _shown(answer, 2.0 if heard else 1.0)
     remarks = [*_late(answer), *_edge_remarks(answer, shown, heard)]
     remarks += _hardly_passed(answer, shown)
-    doubt = _doubt(answer, shown)
+    doubt = _not_wide(shown) or _unmoved(answer, shown)
     if doubt:
         return answer._replace(verdict="undecided", reasons=[doubt])
     word = "unreached" if answer.case.unreached else answer.verdict
     return _showing(answer, shown, remarks)._replace(verdict=word)
 
 
-def _doubt(answer: Answer, shown: Shown) -> str:
-    """Why the widths do not show a zone; empty where they do, or the user knows of it."""
-    width = shown["width"]
-    if width is not None and width.low <= 0 < width.half:
-        interval = f"{width.value:.4g} [{width.low:.4g}, {width.high:.4g}]"
-        return f"the width's interval holds 0: {interval}"
+def _not_wide(shown: dict[str, Any]) -> str:
+    """That a width may be 0; empty where it is not, or where there is none."""
+    width = shown.get("width")
+    if width is None or not width.low <= 0 < width.half:
+        return ""
+    return f"the width's interval holds 0: {width.value:.4g} [{width.low:.4g}, {width.high:.4g}]"
+
+
+def _unmoved(answer: Answer, shown: Shown) -> str:
+    """That a width was never found; empty where each was, or the user knows of it."""
     for name in ("right", "left"):
         low, high = answer.options.bounds(name)
         edge = shown[name]
@@ -299,11 +308,11 @@ def _in_loop(answer: Answer) -> Answer:
     is_closed = loop.is_closed or (servo is not None and servo.log.closed)
     remark = f"the input answers to the readings: the log is of a closed loop. {holds}"
     remarks = [remark] if is_closed else []
-    remarks += _of_reference(answer.case.grid, loop)
+    remarks += _of_reference(answer.case.grid, answer.case.data.ok, loop)
     return answer._replace(loop=loop, remarks=[*answer.remarks, *remarks])
 
 
-def _of_reference(grid: Grid, loop: Loop) -> list[str]:
+def _of_reference(grid: Grid, ok: Flags, loop: Loop) -> list[str]:
     """What is to be known of a reference that was recorded."""
     if not grid.r.shape[1]:
         return []
@@ -311,7 +320,7 @@ def _of_reference(grid: Grid, loop: Loop) -> list[str]:
         return ["the reference never moves: it is not used"]
     if loop.answered == 0:
         return ["the reference alone makes the input: no loop is closed"]
-    if answered(grid.r, grid.y, grid.ok, grid.r[:, :0])[1] > CHANCE:
+    if answered(grid.r, grid.y, ok, grid.r[:, :0], grid.start)[1] > CHANCE:
         return []
     words = "the reference answers to the readings as well: an outer loop makes it, or columns are"
     return [f"{words} exchanged (--columns); then nothing of this holds"]

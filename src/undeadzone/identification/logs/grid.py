@@ -18,6 +18,8 @@ MOST_SUMMED = 10_000  # of an integrating plant, whose log has a state every few
 STRETCHES = 5  # into which these are cut, of a longer log
 EXACT = 1e-9  # of the range, by which two readings differ
 COARSER = 1e-6  # of the range, from which a quantum matters
+SPIKE = 10.0  # times the 99 % quantile of a size, beyond which few values are none
+RARE = 0.005  # share of values that may be such
 ODD = 0.1  # quanta by which a change may differ from a multiple
 
 
@@ -37,7 +39,7 @@ class Grid(NamedTuple):
         inputs: names of the inputs.
         input_unit, output_unit: units, "1" if unknown.
         output: name of the output.
-        r: the reference (N x 1), NaN where it is missing; (N x 0) where a log has none.
+        r: the reference (N x 1), NaN where it is missing or a spike; (N x 0) where a log has none.
     """
 
     t: Floats
@@ -90,12 +92,14 @@ def to_grid(logs: list[Log], resample: float | None = None) -> Grid:
     first = logs[0]
     m = first.u.shape[1]
     known = min(log.r.shape[1] for log in logs)  # of one log alone, the reference is not used
+    if known < max(log.r.shape[1] for log in logs):
+        remarks.append("not every log has a reference: it is not used")
     cut = [piece._replace(u=piece.u[:, : m + known]) for piece in pieces]
     t, u, y, _ = (np.concatenate(parts) for parts in zip(*cut, strict=True))
-    ok = np.isfinite(y)
+    u, r, ok = u[:, :m], u[:, m:], np.isfinite(y)
     return Grid(
         t,
-        u[:, :m],
+        u,
         np.where(ok, y, 0.0),
         ok,
         np.concatenate(starts),
@@ -107,8 +111,21 @@ def to_grid(logs: list[Log], resample: float | None = None) -> Grid:
         first.input_unit,
         first.output_units[0],
         first.outputs[0],
-        u[:, m:],
+        np.where(spikes(r, np.isfinite(r)), np.nan, r),
     )
+
+
+def spikes(values: Floats, known: Flags) -> Flags:
+    """The few values far beyond all others: one would rule every sum.
+
+    Args:
+        values: a signal (N, or N x K).
+        known: which of them there are.
+    """
+    size = np.abs(values)
+    usual = float(np.quantile(size[known], 0.99)) if known.any() else 0.0
+    found = known & (size > SPIKE * usual)
+    return found & bool(usual > 0 and found.sum() <= max(1, RARE * known.sum()))
 
 
 def shortened(grid: Grid, integrators: int = 0) -> Grid:

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from undeadzone.identification.logs.grid import Grid
+from undeadzone.identification.logs.grid import SPIKE, Grid, spikes
 from undeadzone.logs.range_ends import RangeEnds, range_ends
 from undeadzone.support.arrays import Flags, runs
 
-SPIKE = 10.0  # times the 99 % quantile of |y|, beyond which few readings are no readings
-RARE = 0.005  # share of the readings that may be dropped as spikes
 LOUD = 2.0  # times the steps beside it, by which readings beside a dropout are beyond silence
 DROPPED = 0.1  # share of the readings that may be dropouts
 LASTING = 0.01  # share of the readings that are silent in a row, from which there is a silence
@@ -42,17 +40,14 @@ def usable(grid: Grid, remarks: list[str]) -> tuple[Flags, RangeEnds]:
 
 
 def _spikes(grid: Grid, remarks: list[str]) -> Flags:
-    """The few readings far beyond all others (N): one would rule every sum."""
-    size = np.abs(grid.y)
-    usual = float(np.quantile(size[grid.ok], 0.99))
-    spikes = grid.ok & (size > SPIKE * usual)
-    if usual == 0.0 or not 0 < spikes.sum() <= max(1, RARE * grid.ok.sum()):
-        return np.zeros_like(spikes)
-    remarks.append(
-        f"{spikes.sum()} readings beyond {SPIKE:g} times the usual size are taken as missing,"
-        f" the first at {grid.t[spikes][0]:.6g} s"
-    )
-    return spikes
+    """The few readings far beyond all others (N)."""
+    found = spikes(grid.y, grid.ok)
+    if found.any():
+        remarks.append(
+            f"{found.sum()} readings beyond {SPIKE:g} times the usual size are taken as missing,"
+            f" the first at {grid.t[found][0]:.6g} s"
+        )
+    return found
 
 
 def _dropouts(grid: Grid, ok: Flags, remarks: list[str]) -> Flags:

@@ -15,7 +15,7 @@ from typing import TypeVar
 import numpy as np
 from scipy.special import ndtr
 
-from undeadzone.identification.models.estimates import weighing
+from undeadzone.identification.models.estimates import Latest, weighing
 from undeadzone.identification.models.least_squares import Density, Fitted, LeastSquares
 from undeadzone.identification.models.likelihood import dead_zone
 from undeadzone.identification.models.plant import Data, Simulator
@@ -56,6 +56,7 @@ class PlayModel:
         fitted = [True, not self.tied, zone, zone]
         self.free: Integers = np.flatnonzero(np.append(np.ones(self.base, bool), fitted))
         self.begun = [self._first_reading(part) for part in self.data.records()]
+        self._level: Latest[tuple[Floats, Floats]] = Latest()
 
     def _first_reading(self, part: slice) -> float:
         """The level with which a record begins; that of the log where it has no reading."""
@@ -84,17 +85,24 @@ class PlayModel:
 
     def level(self, z: Floats, theta: Floats) -> tuple[Floats, Floats]:
         """What the play passes on, and where it last moved: +1 right, -1 left, 0 not yet (N, N)."""
-        right, left = (float(number) for number in theta[self.base : self.base + 2])
-        level, moved = np.empty(z.size), np.zeros(z.size)
+        gap = theta[self.base : self.base + 2]
+        return self._level.of(np.append(gap, z), self._dragged)
+
+    def _dragged(self, numbers: Floats) -> tuple[Floats, Floats]:
+        """`level` of c_r, c_l and z in one column."""
+        right, left, z = numbers[0], numbers[1], numbers[2:]
+        level, moved = [], []
         for part, begun in zip(self.data.records(), self.begun, strict=True):
-            now, last = min(max(begun, z[part.start] - right), z[part.start] + left), 0.0
-            for k, position in enumerate(z[part].tolist(), part.start):
-                if now > position + left:
-                    now, last = position + left, -1.0
-                elif now < position - right:
-                    now, last = position - right, 1.0
-                level[k], moved[k] = now, last
-        return level, moved
+            lows, highs = (z[part] - right).tolist(), (z[part] + left).tolist()
+            now, last = min(max(begun, lows[0]), highs[0]), 0.0
+            for low, high in zip(lows, highs, strict=True):
+                if now > high:
+                    now, last = high, -1.0
+                elif now < low:
+                    now, last = low, 1.0
+                level.append(now)
+                moved.append(last)
+        return np.array(level), np.array(moved)
 
     def readings(self, z: Floats, theta: Floats) -> Floats:
         """What is read of z without noise (N)."""

@@ -130,11 +130,11 @@ def _climbed(target: Target, theta: Floats, steps: int, gain: float) -> Top:
             if damping > 1e8:
                 return Top(top, current)
             continue
-        top, best = trial, target.quadratic(trial)
         damping = max(damping / 5, 1e-9)
         small = small + 1 if reached - current < gain + 1e-8 * abs(reached) else 0
         if small >= 2:
-            return Top(top, reached)
+            return Top(trial, reached)
+        top, best = trial, target.quadratic(trial)
     return Top(top, best[0])
 
 
@@ -151,11 +151,7 @@ def _step(score: Floats, hessian: Floats, damping: float) -> Floats:
 
 
 def best_top(
-    target: Target,
-    starts: Sequence[Floats],
-    first: int,
-    last: int,
-    lead: float = math.inf,
+    target: Target, starts: Sequence[Floats], first: int, last: int, lead: float = math.inf
 ) -> Top | None:
     """The best of the climbs from several starts.
 

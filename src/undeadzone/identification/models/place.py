@@ -29,12 +29,7 @@ from undeadzone.identification.models.least_squares import Fitted, LeastSquares
 from undeadzone.identification.models.likelihood import dead_zone
 from undeadzone.identification.models.plant import Data, Simulator
 from undeadzone.identification.models.zone import Kind, Objective
-from undeadzone.identification.models.zone_fit import (
-    Fit,
-    fit_linear,
-    longest_record,
-    refit,
-)
+from undeadzone.identification.models.zone_fit import Fit, fit_linear, longest_record, refit
 from undeadzone.support.arrays import Floats, Integers
 
 WIDTH = 32

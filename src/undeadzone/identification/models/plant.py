@@ -5,6 +5,8 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -144,7 +146,8 @@ def longest_of(data: Data) -> Data:
 # --- The plant
 
 
-class Layout(NamedTuple):
+@dataclass(frozen=True)
+class Layout:
     """Places of the numbers in theta = [a, b, x0, the input's zone, d_r, d_l, log s, atanh rho].
 
     Attributes:
@@ -161,27 +164,27 @@ class Layout(NamedTuple):
     integrators: int = 0
     zoned: bool = False
 
-    @property
+    @cached_property
     def a(self) -> slice:
         """The denominator's free coefficients a_1, a_2, ..."""
         return slice(0, self.n - self.integrators)
 
-    @property
+    @cached_property
     def b(self) -> slice:
         """The numerators, input by input."""
         return slice(self.a.stop, self.a.stop + self.n * self.m)
 
-    @property
+    @cached_property
     def x0(self) -> slice:
         """The initial states, record by record."""
         return slice(self.b.stop, self.b.stop + self.n * self.records)
 
-    @property
+    @cached_property
     def input(self) -> slice:
         """The widths of the input's zone; empty where it has none."""
         return slice(self.x0.stop, self.x0.stop + 2 * self.zoned)
 
-    @property
+    @cached_property
     def right(self) -> int:
         """d_r; d_l, log s and atanh rho follow."""
         return self.input.stop
@@ -193,7 +196,7 @@ class Layout(NamedTuple):
             whole = np.convolve(whole, [1.0, -1.0])
         return whole
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Numbers in theta."""
         return self.right + 4
@@ -222,7 +225,8 @@ class Simulator:
     def __init__(self, data: Data, n: int, integrators: int = 0, zoned: bool = False) -> None:
         self.data = data
         self.layout = Layout(n, data.u.shape[1], data.start.size, integrators, zoned)
-        self.longest = max(part.stop - part.start for part in data.records())
+        self.records = data.records()
+        self.longest = max(part.stop - part.start for part in self.records)
         self.lagged = self._behind(data.u)
         self._z: Latest[Floats] = Latest()
 
@@ -230,7 +234,7 @@ class Simulator:
         """The last n samples of each input (N x m n)."""
         n = self.layout.n
         lagged = np.zeros((len(u), n * u.shape[1]))
-        for part in self.data.records():
+        for part in self.records:
             for k in range(u.shape[1]):
                 for j in range(n):
                     delayed = u[part.start : part.stop - 1 - j, k]
@@ -256,7 +260,7 @@ class Simulator:
         x0 = theta[layout.x0].reshape(layout.records, layout.n)
         lagged = self._behind(self.passed(theta)) if layout.zoned else self.lagged
         z = lagged @ theta[layout.b]  # what drives it, at first
-        for part, state in zip(self.data.records(), x0, strict=True):
+        for part, state in zip(self.records, x0, strict=True):
             own = z[part]
             own[: layout.n] += state[: own.size]
             own[:] = lfilter([1.0], denominator, own)
@@ -269,7 +273,7 @@ class Simulator:
         n, m = layout.n, layout.m
         whole, u = layout.denominator(theta[layout.a]), self.passed(theta)
         slopes = np.zeros((z.size, layout.size))
-        for r, part in enumerate(self.data.records()):
+        for r, part in enumerate(self.records):
             size = part.stop - part.start
             by_a = lfilter([1.0], np.append(1.0, theta[layout.a]), z[part])
             sources = np.column_stack([u[part], np.eye(size, 1)])

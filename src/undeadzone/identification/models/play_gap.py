@@ -19,13 +19,7 @@ from undeadzone.identification.models import motion
 from undeadzone.identification.models.elements import PlayFit, PlayModel
 from undeadzone.identification.models.estimates import Interval, climb, quantile
 from undeadzone.identification.models.least_squares import LeastSquares
-from undeadzone.identification.models.plant import (
-    Ahead,
-    Data,
-    disturbance_ahead,
-    shaped,
-    white,
-)
+from undeadzone.identification.models.plant import Ahead, Data, disturbance_ahead, shaped, white
 from undeadzone.support.arrays import Floats
 
 RUNS = 24

@@ -267,7 +267,7 @@ def _doubts(found: ServoGap, spread: _Spread, gaps: Floats) -> list[str]:
             f"the crossings one by one say a gap of {crossings.median:.4g}, all together"
             f" {fitted:.4g}: the motor's motion is not fully held"
         )
-    if np.max(np.abs(gaps * log.y_scale - fitted)) > SCATTERS * fitted:
+    if gap.low > 0 and np.max(np.abs(gaps * log.y_scale - fitted)) > SCATTERS * fitted:
         reasons.append("logs simulated with the fit do not lead back to its gap")
     return reasons
 

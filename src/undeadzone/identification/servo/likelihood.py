@@ -173,7 +173,7 @@ class Likelihood:
         """`climbed`, of motors alone or of lags alone."""
         ticks = self.log.ticks
         free = [one.structure.free(ticks, self.free, fixed) for one in starts]
-        theta = np.array([bounded(one.structure.of(one.theta), self.log) for one in starts])
+        theta = bounded(np.array([one.structure.of(one.theta) for one in starts]), self.log)
         values = self.values(theta, lag)
         idle = np.where(np.isfinite(values), 0, PATIENT)
         for _ in range(steps):
@@ -216,7 +216,7 @@ class Likelihood:
         longest = reach_of(theta)[places]
         trials = np.tile(theta, (DAMPINGS.size, 1))
         trials[:, places] += np.clip(found, -longest, longest)
-        return np.array([bounded(trial, self.log) for trial in trials])
+        return bounded(trials, self.log)
 
     def bic(self, one: Servo) -> float:
         """BIC, with numbers that are dear."""
@@ -266,8 +266,8 @@ def reach_of(theta: Floats) -> Floats:
 
 
 def bounded(theta: Floats, log: Heard) -> Floats:
-    """Numbers within bounds (P); what is not there stays so."""
-    own = theta.copy()
+    """Numbers within bounds (L x P); what is not there stays so."""
+    own = theta.T.copy()
     own[DAMPING] = np.clip(own[DAMPING], math.log(0.02), math.log(min(1.5 / log.step, 2000.0)))
     for place, low, high in (
         (POLE, math.log(5.0), math.log(1.5 / log.step)),
@@ -276,10 +276,10 @@ def bounded(theta: Floats, log: Heard) -> Floats:
         (NOISE, -16.0, 2.0),
         (SLOW, -10.0, 3.0),
     ):
-        if np.isfinite(own[place]):
-            own[place] = np.clip(own[place], low, high)
-    own[FRICTION] = max(own[FRICTION], 0.0)
-    own[GAP] = max(own[GAP], 1e-7)
+        there = np.isfinite(own[place])
+        own[place, there] = np.clip(own[place, there], low, high)
+    own[FRICTION] = np.maximum(own[FRICTION], 0.0)
+    own[GAP] = np.maximum(own[GAP], 1e-7)
     earliest = 0.0 if log.closed else EARLIEST  # in a loop u answers to the reading of its sample
     own[DELAY] = np.clip(own[DELAY], earliest, predictor.LATEST + EARLIEST - 1e-6)
-    return own
+    return np.ascontiguousarray(own.T)

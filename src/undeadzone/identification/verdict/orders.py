@@ -27,6 +27,7 @@ LAGS = 20
 HEARD = 8  # past inputs, of which one-step residuals should be free
 ANSWERED = 3  # one-step residuals, or readings, to which a loop's input answers
 ALONE = 1e-6  # share of an input's rms that its reference leaves, below which it makes all of it
+SLOWER = 1.2  # times that poles settle within a record, from which they do for certain
 SHARE = 0.05  # of the residual's variance that a curve explains, from which it is real
 
 
@@ -146,7 +147,7 @@ def is_sampled(fit: zone_fit.Fit) -> bool:
 
 def at_limit(fit: zone_fit.Fit) -> bool:
     """Whether a pole is as slow as is allowed, so that with x(0) it is an offset or a sine."""
-    return not fit.objective.simulator.admissible(fit.theta, 1.2)
+    return not fit.objective.simulator.admissible(fit.theta, SLOWER)
 
 
 def credible(fits: list[OrderFit]) -> list[OrderFit]:
@@ -237,9 +238,7 @@ def hears_input(fit: zone_fit.Fit) -> bool:
     """Whether past inputs explain one-step residuals: a delay, or too few poles."""
     value, use = innovations(fit, fit.objective.data.ok)
     lagged = _lagged(fit.objective.data.u)
-    use = use.copy()
-    for first in fit.objective.data.start:
-        use[first : first + HEARD] = False
+    use = use & _has_past(fit.objective.data.start, use.size)
     if use.sum() < 20 * HEARD:
         return False
     _, _, share, chance = explained(lagged[use], value[use])
@@ -257,7 +256,7 @@ def loop_chance(fit: zone_fit.Fit, u: Floats) -> float:
     """
     value, use = innovations(fit, fit.objective.data.ok)
     heard = _lagged(np.where(use, value, 0.0)[:, None], range(ANSWERED))
-    inside = slice(HEARD, None)
+    inside = _has_past(fit.objective.data.start, value.size)
     chances = []
     for column in u.T:
         left = _left(_lagged(column[:, None])[inside], column[inside])
@@ -265,7 +264,9 @@ def loop_chance(fit: zone_fit.Fit, u: Floats) -> float:
     return min(1.0, len(chances) * min(chances))
 
 
-def answered(moved: Floats, y: Floats, ok: Flags, beside: Floats) -> tuple[float, float]:
+def answered(
+    moved: Floats, y: Floats, ok: Flags, r: Floats, start: Integers
+) -> tuple[float, float]:
     """The share that readings have of what is left of a signal, and p of it.
 
     Of an input beside its reference it is near 1 where a controller without noise makes it, near 0
@@ -275,19 +276,26 @@ def answered(moved: Floats, y: Floats, ok: Flags, beside: Floats) -> tuple[float
         moved: what may answer (N x m), NaN where it is missing; the column that does so most.
         y: readings (N).
         ok: whether there is a reading (N).
-        beside: what else makes it, now and before (N x k), NaN where it is missing.
+        r: what else makes it, now and before (N x k), NaN where it is missing.
+        start: first sample of each record (R).
     """
-    wanted, heard = _lagged(beside, range(HEARD + 1)), _lagged(y[:, None], range(ANSWERED))
+    wanted, heard = _lagged(r, range(HEARD + 1)), _lagged(y[:, None], range(ANSWERED))
     own = np.hstack([np.ones((y.size, 1)), _lagged(moved), wanted])
     known = np.isfinite(np.hstack([own, moved])).all(axis=1)
     known &= _lagged(1.0 * ok[:, None], range(ANSWERED)).all(axis=1)
-    known[:HEARD] = False
+    known &= _has_past(start, y.size)
     found = [(0.0, 1.0)]
     for column in moved[known].T:
         left, said = _left(own[known], column), _left(own[known], heard[known])
         if np.std(left) > ALONE * np.std(column):
             found.append(explained(said, left)[2:])
     return min(reversed(found), key=lambda one: one[1])
+
+
+def _has_past(start: Integers, size: int) -> Flags:
+    """Whether a sample has the last values of its own record (N)."""
+    at = np.arange(size)
+    return np.asarray(at - start[np.searchsorted(start, at, "right") - 1] >= HEARD)
 
 
 def _left(columns: Floats, target: Floats) -> Floats:

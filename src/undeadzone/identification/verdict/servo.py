@@ -33,9 +33,10 @@ from undeadzone.identification.verdict.verdict import (
 from undeadzone.identification.verdict.which import EVEN, Element, Found
 from undeadzone.support.arrays import Floats, later
 
-POSSIBLE = ("none", "play", "friction", "other", "unclear", "undecided")  # that it may replace
 DENYING = ("none", "friction")  # words by which there is no play
-EXPLAINED = ("play", *DENYING)  # words that stand where their fit is good
+NAMELESS = ("other", "unclear", "undecided")  # words that name nothing
+EXPLAINED = (*MEMORY, *DENYING, "jump")  # that stand where they explain, but of an integrator
+POSSIBLE = (*EXPLAINED, *NAMELESS)  # words that it may replace
 FEW_RETURNS = 3  # to 0, that say nothing of a sensor's zone
 SILENCES = 2  # times the count of any other reading: of 120 random servos none has 1.5
 MOVED = 1e-4  # of a number, for derivatives of the sampled plant
@@ -65,12 +66,22 @@ def servo_of_ticks(grid: Grid, options: Options) -> ServoGap | None:
 
 
 def _falls_silent(grid: Grid) -> bool:
-    """Whether readings come back to 0 far more often than to any other value: a sensor's zone."""
+    """Whether readings stay at 0 for far longer than at any other value: a sensor's zone.
+
+    Those count that pass, as a loop may rest at 0; where few pass, all.
+    """
     y = grid.y[grid.ok]
-    values, counts = np.unique(y, return_counts=True)
-    others = counts[values != 0].max(initial=1)
-    returns = np.count_nonzero(np.diff(1 * (y == 0)) > 0)
-    return bool(returns > FEW_RETURNS and np.count_nonzero(y == 0) > SILENCES * others)
+    first = np.flatnonzero(np.diff(y, prepend=np.inf))
+    held, stays = y[first], np.diff(first, append=y.size)
+    ways = np.pad(np.sign(np.diff(held)), 1)
+    counted = ways[1:] == ways[:-1]
+    if np.count_nonzero(counted & (held == 0)) <= FEW_RETURNS:
+        counted[1:] = True  # the first stay is no return
+    if np.count_nonzero(counted & (held == 0)) <= FEW_RETURNS:
+        return False
+    values, which = np.unique(held[counted], return_inverse=True)
+    samples = np.bincount(which, stays[counted])
+    return bool(samples[values == 0] > SILENCES * samples[values != 0].max(initial=1))
 
 
 def told(options: Options, found: ServoGap) -> Options:
@@ -98,22 +109,21 @@ def order_of(servo: Servo) -> int:
 
 
 def may_be_servo(case: Case, found: Found) -> bool:
-    """Whether a servo behind a play is asked for: of integrators, or where little is explained."""
+    """Whether a servo behind a play is asked for: of integrators, or where something is left."""
     if found.element is not None or case.jumps is not None or case.unreached:
         return False
     word = found.verdict.word
-    if _is_denied(case.servo, word):
+    if _is_likely(case.servo) and word in (*DENYING, *NAMELESS):
         return True
     if word not in POSSIBLE or heard_of(case.grid, case.options) is None:
         return False
-    asked = case.options.integrators > 0 or word in ("other", "unclear", "undecided")
-    return asked or (word in EXPLAINED and _share(case, found) < LEAST)
+    left = word in NAMELESS or _share(case, found) < LEAST or not case.chosen.white
+    return case.options.integrators > 0 or left
 
 
-def _is_denied(servo: ServoGap | None, word: str) -> bool:
-    """Whether a likely play, withheld since its log turns too seldom, is called something else."""
-    likely = servo is not None and servo.turns_too_seldom and servo.odds > LIKELY
-    return likely and word in DENYING
+def _is_likely(servo: ServoGap | None) -> bool:
+    """Whether a play is likely, and withheld since its log turns too seldom."""
+    return servo is not None and servo.turns_too_seldom and servo.odds > LIKELY
 
 
 def _share(case: Case, found: Found) -> float:
@@ -128,18 +138,25 @@ def with_servo(case: Case, found: Found) -> Found:
     servo = case.servo or servo_gap(heard_of(case.grid, case.options))
     if servo is None:
         return found
-    if servo.is_given:
-        return named_servo(case, servo, found)
     word = found.verdict.word
-    if _is_denied(servo, word):
-        odds = {"play": servo.odds, "none": 1 - servo.odds}
-        verdict = because("undecided", in_words(servo), *servo.reasons)
-        return found._replace(verdict=verdict, odds=odds, plays=None)
-    explained = word not in EXPLAINED or _share(case, found) >= LEAST
-    stays = explained if word not in MEMORY else not case.options.integrators
-    if stays:  # a play by least squares, or ticks of another plant
+    explained = word in EXPLAINED and _share(case, found) >= LEAST
+    if servo.is_given:
+        stays = explained and not (servo.integrates or case.options.integrators)
+        return found if stays else named_servo(case, servo, found)
+    likely = _is_likely(servo) and word in (*DENYING, *NAMELESS)
+    likely |= servo.integrates and servo.odds > LIKELY and word in DENYING
+    without_gap = word == "unclear" and case.servo is not None and servo.gap.low <= 0
+    of_another = word in NAMELESS or (word in MEMORY and not case.options.integrators)  # plant
+    if (explained or (of_another and not without_gap)) and not likely:
         return found
-    return found._replace(verdict=because("undecided", *servo.reasons), plays=None)
+    named = [in_words(servo)] if likely else []
+    verdict = because("undecided", *named, *servo.reasons)
+    return found._replace(verdict=verdict, odds=odds_of_gap(servo), plays=None)
+
+
+def odds_of_gap(servo: ServoGap) -> dict[str, float]:
+    """Of a gap against none."""
+    return {"play": servo.odds, "none": 1 - servo.odds}
 
 
 def named_servo(case: Case, servo: ServoGap, found: Found) -> Found:
@@ -150,12 +167,11 @@ def named_servo(case: Case, servo: ServoGap, found: Found) -> Found:
         servo: with its gap.
         found: so far.
     """
-    odds = {"play": servo.odds, "none": 1 - servo.odds}
     word = "play" if servo.odds > LIKELY else "undecided"
     verdict = Verdict(word, [in_words(servo)], _cautions(servo))
     element = element_of(case, servo)
     late = late_of(case.options) + lateness(servo)
-    return found._replace(verdict=verdict, odds=odds, element=element, delay=late)
+    return found._replace(verdict=verdict, odds=odds_of_gap(servo), element=element, delay=late)
 
 
 def in_words(servo: ServoGap) -> str:

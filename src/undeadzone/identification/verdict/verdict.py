@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.signal import lfilter
@@ -37,6 +37,7 @@ RELEVANT = 0.1  # of the residual's rms, below which an offset is no matter
 MEMORY = ("play", "both")  # words of what a play explains
 AS_LINEAR = ("none", "dead_zone", "jump")  # words under which steps may be taken for a zone
 FITTED = ("none", "dead_zone", "zone_and_friction")  # what the fit of a zone of the sensor holds
+Fits = Mapping[str, Any]  # by word, each with a plant of its own: least_squares.Fitted
 LARGER = {  # words of models that hold a word's model and more
     "dead_zone": ("zone_and_friction", "two_zones", "both"),
     "friction": ("zone_and_friction",),
@@ -166,20 +167,21 @@ def heard_loop(case: Case) -> Loop:
         chance = orders.loop_chance(case.chosen.pairs, case.recorded.u)
     known = grid.r[np.isfinite(grid.r)]
     if known.size and np.ptp(known) > 0:
-        share = orders.answered(grid.u, grid.y, grid.ok, grid.r)[0]
+        share = orders.answered(grid.u, grid.y, case.data.ok, grid.r, grid.start)[0]
     return Loop(chance, share)
 
 
 # --- By the odds
 
 
-def named(case: Case, odds: dict[str, float], models: Sequence[Family]) -> Verdict:
+def named(case: Case, odds: dict[str, float], models: Sequence[Family], fits: Fits) -> Verdict:
     """The verdict by the odds of all models, or why there is none.
 
     Args:
         case: the log, fitted with a zone of the sensor.
         odds: by word, largest first.
         models: whose odds they are.
+        fits: those that have a plant of their own, by word.
     """
     word = _claimed(odds)
     if case.jumps:
@@ -188,7 +190,7 @@ def named(case: Case, odds: dict[str, float], models: Sequence[Family]) -> Verdi
         steps = "the readings are rounded to steps that are larger than any zone"
         return because("none", f"{steps} ({case.quantum:.3g})")
     best = best_of(word, models)
-    unclear = _unclear(case, word, best)
+    unclear = _unclear(case, word, best, fits)
     if unclear is not None:
         return unclear
     ends = case.fitted.prepared.ends
@@ -235,7 +237,7 @@ def _by_jump(case: Case, odds: dict[str, float], models: Sequence[Family]) -> Ve
     word = next(iter(odds))
     if odds["jump"] < UNLIKELY:
         return because("other", f"{MODELS[word]} explains the log better than a jump sensor")
-    return _unclear(case, "dead_zone", best_of("jump", models)) or _by_residual(case)
+    return _unclear(case, "dead_zone", best_of("jump", models), {}) or _by_residual(case)
 
 
 def best_of(word: str, models: Sequence[Family]) -> Density:
@@ -257,15 +259,12 @@ def _without_zone(case: Case) -> Verdict:
     low, high = np.quantile(y, [FEW, 1 - FEW])
     if low > 0 or high < 0:
         about = f"{float(y.mean()):.4g}"
-        reason = (
-            f"the log lies about an operating point of {about}: nothing can be known of a zone;"
-            f" --zero {about}, or take it off"
-        )
-        return because("operating_point", reason)
+        point = f"the log lies about an operating point of {about}: nothing can be known of a zone"
+        return because("operating_point", f"{point}; --zero {about}, or take it off")
     return because("none", f"readings need no zone (p = {case.no_zone.chance:.2g})")
 
 
-def _unclear(case: Case, word: str, best: Density) -> Verdict | None:
+def _unclear(case: Case, word: str, best: Density, fits: Fits) -> Verdict | None:
     """That nothing can be said, and why; None where something can."""
     chosen, data = case.chosen, case.data
     within = 1 - best.rms / float(data.y[data.ok].std())
@@ -273,23 +272,21 @@ def _unclear(case: Case, word: str, best: Density) -> Verdict | None:
     if share < LEAST:
         which = "held-out readings" if word in FITTED else "readings"
         explained = f"the best plant explains {100 * max(share, 0.0):.0f} % of the {which}"
+        cure = ": are input and output the right columns? try more inputs, a higher --order, or a"
+        cure += " log with less disturbance"
         if within > LEAST:
             cure = f", and {100 * within:.0f} % of all: it changes, or another input acts"
-        else:
-            cure = (
-                ": are input and output the right columns? try more inputs, a higher --order, or a"
-                " log with less disturbance"
-            )
         return because("unclear", explained + cure)
     fit = chosen.pairs
     if word == "none":
         fit = fit_linear(fit.objective.simulator, fit.objective.readings.ok)
-    if word in FITTED and orders.at_limit(fit):
-        reason = (
-            "the plant seems to integrate, or to ring longer than the record: its state at the"
-            " start and an offset or a sine cannot be told apart; say --integrators 1 if it is the"
-            " position of a motor, or the like; else record for longer"
-        )
+    plant, theta = fit.objective.simulator, fit.theta
+    if word not in FITTED and word in fits:
+        plant, theta = fits[word].model.simulator, fits[word].theta
+    if word in {*FITTED, *fits} and not plant.admissible(theta, orders.SLOWER):
+        reason = "the plant seems to integrate, or to ring longer than the record: its state at the"
+        reason += " start and an offset or a sine cannot be told apart; say --integrators 1 if it"
+        reason += " is the position of a motor, or the like; else record for longer"
         return because("unclear", reason)
     return None
 

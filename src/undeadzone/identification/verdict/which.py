@@ -151,7 +151,8 @@ class Found(NamedTuple):
         """What is found with more models, and perhaps without some words."""
         every = (*self.models, *models)
         odds = odds_of(every, {*without, *excluded(case)})
-        return self._replace(models=every, odds=odds, verdict=named(case, odds, every))
+        fits = self.places | ({} if self.plays is None else self.plays.fits)
+        return self._replace(models=every, odds=odds, verdict=named(case, odds, every, fits))
 
 
 def excluded(case: Case) -> Collection[str]:

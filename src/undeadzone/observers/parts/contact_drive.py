@@ -8,7 +8,7 @@ arm of one link, to which the rest of the arm is numbers of the sample: its link
 with m = 1 / (M^-1)_ii, which is what a link feels of its own torque while the other gears transmit
 theirs. a0 = M^-1 (tau0 - h - friction0) is its acceleration with all joints in the mean, and tau0
 the mean of the torques over the sample. By as much as the torques of the others are uncertain, a
-link is pushed at random.
+link is pushed at random; what their motors tell of these torques later is made up for.
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ from undeadzone.plants.robots.geared import Geared, Gears, geared_motion
 FADING = 0.2  # correlation time of the unknown torque of motors [s]
 LASTING = 0.01  # time for which the unknown torque of links lasts [s]
 SLOW = 0.05  # time for which the place of another link is off [s]
+PASSED = 0.6  # of what readings correct in the speed of a motor, the share that its gears caused
 KNOWN = 1e-9  # variance of a payload that is known [kg^2]
 REST = ("mass", "load", "slope", "place", "weight", "carried")  # what a joint knows of its arm
 SPEED = QUANTITIES.index("link_speed")
@@ -150,9 +151,10 @@ def together(layout: Layout, told: Sequence[Told]) -> Told:
     if len(told) == 1:
         return told[0]
     mean, cov = ca.SX(layout.entries, 1), ca.SX(layout.entries, layout.entries)
+    news = ca.SX(layout.entries, 1)
     for joint, one in enumerate(told):
         here = places(layout, joint)
-        mean[here], cov[here, here] = one.whole.mean, one.whole.cov
+        mean[here], cov[here, here], news[here] = one.whole.mean, one.whole.cov, one.news
     payloads = [one.whole.mean[-1] for one in told]
     variances = [ca.fmax(one.whole.cov[-1, -1], KNOWN) for one in told]
     total = sum(1 / variance for variance in variances)
@@ -161,7 +163,7 @@ def together(layout: Layout, told: Sequence[Told]) -> Told:
     cov[-1, -1] = (sum(1 / ca.sqrt(variance) for variance in variances) / total) ** 2
     e = ca.vec(ca.horzcat(*(one.e for one in told)).T)
     std = ca.vec(ca.horzcat(*(one.std for one in told)).T)
-    return Told([], [], Gaussian(mean, cov), e, std)
+    return Told([], [], Gaussian(mean, cov), news, e, std)
 
 
 class Posture(NamedTuple):
@@ -175,7 +177,7 @@ class Posture(NamedTuple):
         push: torque of the motors less their friction (N) [N m].
         rubbed: friction of the links (N).
         needed: torque that the links need to keep their speed (N).
-        mass: M (N x N).
+        mass, inverse: M and M^-1 (N x N).
     """
 
     gears: Geared
@@ -187,6 +189,7 @@ class Posture(NamedTuple):
     rubbed: Any
     needed: Any
     mass: Any
+    inverse: Any
 
 
 def posture(gears: Geared, model: Any, mean: Any, u: Any) -> Posture:
@@ -201,7 +204,7 @@ def posture(gears: Geared, model: Any, mean: Any, u: Any) -> Posture:
     layout, params, body = Layout(gears.size), believed(gears, model, mean), gears.arm
     links = gears.links(params)
     q, turning, v = (mean[layout.of(name)] for name in ("link", "motor_speed", "link_speed"))
-    rubbed = body.friction(links, v)
+    rubbed, mass = body.friction(links, v), ca.densify(body.mass(links, q))
     return Posture(
         gears,
         params,
@@ -211,8 +214,35 @@ def posture(gears: Geared, model: Any, mean: Any, u: Any) -> Posture:
         u + mean[layout.of("push")] - gears.friction(params, turning),
         rubbed,
         body.bias(links, q, v) + rubbed,
-        ca.densify(body.mass(links, q)),
+        mass,
+        _solved(mass, ca.DM.eye(gears.size)),
     )
+
+
+def made_up(told: Sequence[Told], news: Any, arm: Posture) -> list[Told]:
+    """The joints, after their readings, once each has heard what those of others tell of torques.
+
+    Where readings correct the speed of a motor, its gears have given its link another impulse than
+    was taken for the mean, opposite to that of the motor. Links elsewhere that are free went with
+    it unseen; those in contact are held by their own readings.
+
+    Args:
+        told: of each joint, after its own readings.
+        news: by how much the readings moved the means of all unknowns.
+        arm: all joints in the mean.
+    """
+    layout, inertia = Layout(arm.gears.size), arm.gears.number(arm.params, "inertia")
+    impulses = -PASSED * inertia * news[layout.of("motor_speed")]
+    gained = arm.inverse @ impulses - ca.diag(arm.inverse) * impulses
+    free = Layout(1).modes.index((0,))
+    each = []
+    for joint, one in enumerate(told):
+        beliefs = list(one.beliefs)
+        mean = ca.SX(beliefs[free].mean)
+        mean[SPEED] += gained[joint]
+        beliefs[free] = Gaussian(mean, beliefs[free].cov)
+        each.append(one._replace(beliefs=beliefs))
+    return each
 
 
 class Pressed(NamedTuple):
@@ -279,9 +309,8 @@ def surroundings(
     for joint, (one, part) in enumerate(zip(ones, parts, strict=True)):
         known.append(part._replace(model=_column(gears, one, part.model, joint)))
     now = pressed(drives, known, told)
-    inverse, moved = _solved(arm.mass, ca.DM.eye(N)), _moved(arm, now.chance)
-    tau = _lasting(arm, now, inverse, drives[0])
-    a = inverse @ (tau - arm.needed)
+    moved, tau = _moved(arm, now.chance), _lasting(arm, now, drives[0])
+    a = arm.inverse @ (tau - arm.needed)
 
     def needed(at: Any) -> Any:
         column = ca.SX(links)
@@ -291,7 +320,7 @@ def surroundings(
     own = ca.diag(moved)
     each = ca.repmat(own, 1, N + 1)
     slopes = moved @ linearise(needed, ca.vertcat(arm.q, carried))[1] / each
-    shaken = _shaken(inverse, moved, slopes[:, :N], now.variance, known, told, drives[0].Ts)
+    shaken = _shaken(arm.inverse, moved, slopes[:, :N], now.variance, known, told, drives[0].Ts)
     after = []
     for joint, (one, part) in enumerate(zip(ones, known, strict=True)):
         load = tau[joint] - arm.rubbed[joint] - a[joint] / own[joint]
@@ -332,7 +361,7 @@ def _moved(arm: Posture, touching: Any) -> Any:
     return ca.vertcat(*rows)
 
 
-def _lasting(arm: Posture, now: Pressed, inverse: Any, drive: Drive) -> Any:
+def _lasting(arm: Posture, now: Pressed, drive: Drive) -> Any:
     """The mean torques through the gears over a sample (N), of joints that stay as they are.
 
     A joint that touches feels its own torque, and those of others by the chance that they touch.
@@ -340,14 +369,14 @@ def _lasting(arm: Posture, now: Pressed, inverse: Any, drive: Drive) -> Any:
     gears, N = arm.gears, arm.gears.size
     frequency, inertia = (gears.number(arm.params, name) for name in ("contact", "inertia"))
     K, damping = gears.stiffness * frequency**2, gears.damping * frequency
-    own = ca.diag(inverse)
-    others = inverse - ca.diag(own)
+    own = ca.diag(arm.inverse)
+    others = arm.inverse - ca.diag(own)
     first = now.mean / ca.fmax(now.chance, NONE)
 
     def rate(x: Any, _: float) -> Any:
         wound, faster = x[:N], x[N : 2 * N]
         tau = first + K * wound + damping * faster
-        link = own * tau + others @ (now.chance * tau) - inverse @ arm.needed
+        link = own * tau + others @ (now.chance * tau) - arm.inverse @ arm.needed
         return ca.vertcat(arm.closing + faster, (arm.push - tau) / inertia - link, tau)
 
     total = ca.SX.zeros(3 * N)
@@ -367,6 +396,8 @@ def _shaken(
 ) -> Any:
     """The variance that the speed of each link gains in a sample by what is unknown of others (N).
 
+    What their torques are off by counts for the sample alone, as it is `made_up`.
+
     Args:
         inverse: M^-1.
         moved: the acceleration of each link by torques (N x N).
@@ -383,7 +414,7 @@ def _shaken(
     loaded = (apart * (moved / ca.repmat(own.T, N, 1)) ** 2) @ loads
     spans = ca.vertcat(*(_span(one.whole) for one in told))
     tilted = own**2 * ((apart * slopes**2) @ spans)
-    return loaded + Ts * (LASTING * pushed + SLOW * tilted)
+    return loaded + Ts * (Ts * pushed + SLOW * tilted)
 
 
 def _span(belief: Gaussian) -> Any:

@@ -164,12 +164,14 @@ class Told(NamedTuple):
         chances: of the modes (K).
         beliefs: about x in each mode.
         whole: the belief about x whatever the mode.
+        news: by how much the readings moved its mean (entries).
         e, std: innovations and their deviations, whatever the mode (p).
     """
 
     chances: list[Any]
     beliefs: list[Gaussian]
     whole: Gaussian
+    news: Any
     e: Any
     std: Any
 
@@ -231,7 +233,8 @@ def corrected(drive: Drive, q: Numbers, chances: Any, beliefs: list[Gaussian], y
         kept.append(one_or_other(share > 0, one.belief, whole))
     e = weighted_mean(before, [one.e for one in each])
     variances = [one.std**2 + (one.e - e) ** 2 for one in each]
-    return Told(shares, kept, whole, e, ca.sqrt(weighted_mean(before, variances)))
+    news = whole.mean - weighted_mean(before, [belief.mean for belief in beliefs])
+    return Told(shares, kept, whole, news, e, ca.sqrt(weighted_mean(before, variances)))
 
 
 class Read(NamedTuple):

@@ -113,7 +113,7 @@ def called(step: Callable[..., Step], *like: Any) -> Callable[..., Step]:
     graph = ca.Function("member", symbols, leaves)
 
     def call(*arguments: Any) -> Step:
-        given = [ca.SX(leaf) for _, leaf in tree.leaves(arguments)]
+        given = [leaf for _, leaf in tree.leaves(arguments)]
         found: Step = tree.rebuild(result, iter(graph.call(given)))
         return found
 
