@@ -186,7 +186,8 @@ def named(case: Case, odds: dict[str, float], models: Sequence[Family], fits: Fi
     word = _claimed(odds)
     if case.jumps:
         return _by_jump(case, odds, models)
-    if word in AS_LINEAR and 0 < case.chosen.pairs.width < STEPS * case.quantum:
+    as_linear = word in AS_LINEAR and sum(odds.get(one, 0.0) for one in AS_LINEAR) >= LIKELY
+    if as_linear and 0 < case.chosen.pairs.width < STEPS * case.quantum:
         steps = "the readings are rounded to steps that are larger than any zone"
         return because("none", f"{steps} ({case.quantum:.3g})")
     best = best_of(word, models)
