@@ -16,7 +16,7 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 42_260, 344
+MOST_CODE, MOST_FILES = 42_270, 344
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
@@ -30,7 +30,7 @@ BUDGET = {
     "ensemble": 1950,
     "exports": 2465,
     "feedforward": 430,
-    "identification": 7290,
+    "identification": 7300,
     "linear": 400,
     "logs": 1255,
     "numerics": 840,

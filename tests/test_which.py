@@ -303,9 +303,9 @@ def record_of_gears() -> tuple[float, Floats, Floats]:
     rng = np.random.default_rng(5)
     step, w = 0.02, 2 * math.pi * 0.8
     b, a, _ = cont2discrete(([w * w], [1, 0.8 * w, w * w]), step)
-    u = lfilter([1], [1, -math.exp(-step * w * 0.7)], rng.standard_normal(2000))
+    u = lfilter([1], [1, -math.exp(-step * w * 0.7)], rng.standard_normal(1300))
     z = lfilter(b.ravel(), a, u)
-    e = 0.03 * rng.standard_normal(2000)
+    e = 0.03 * rng.standard_normal(1300)
     return step, u / z.std(), through(z / z.std(), (0.4, 0.4), (0.0, 0.0)) + e
 
 

@@ -39,6 +39,7 @@ EXPLAINED = (*MEMORY, *DENYING, "jump")  # that stand where they explain, but of
 POSSIBLE = (*EXPLAINED, *NAMELESS)  # words that it may replace
 FEW_RETURNS = 3  # to 0, that say nothing of a sensor's zone
 SILENCES = 2  # times the count of any other reading: of 120 random servos none has 1.5
+SETTLES = 40.0  # time constants a record, below which a plant may be an integrator in disguise
 MOVED = 1e-4  # of a number, for derivatives of the sampled plant
 
 
@@ -117,8 +118,17 @@ def may_be_servo(case: Case, found: Found) -> bool:
         return True
     if word not in POSSIBLE or heard_of(case.grid, case.options) is None:
         return False
-    left = word in NAMELESS or _share(case, found) < LEAST or not case.chosen.white
-    return case.options.integrators > 0 or left
+    left = word in NAMELESS or _share(case, found) < LEAST
+    seems = not case.chosen.white and _settles(case) < SETTLES  # to be another plant, an integrator
+    return case.options.integrators > 0 or left or seems
+
+
+def _settles(case: Case) -> float:
+    """Time constants of the slowest pole of the fitted plant, within the longest record."""
+    fit = case.chosen.pairs
+    simulator = fit.objective.simulator
+    slowest = np.abs(plant.roots(fit.theta[simulator.layout.a])).max()
+    return float(-np.log(max(slowest, 1e-300)) * simulator.longest)
 
 
 def _is_likely(servo: ServoGap | None) -> bool:
