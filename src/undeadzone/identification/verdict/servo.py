@@ -127,8 +127,8 @@ def _settles(case: Case) -> float:
     """Time constants of the slowest pole of the fitted plant, within the longest record."""
     fit = case.chosen.pairs
     simulator = fit.objective.simulator
-    slowest = np.abs(plant.roots(fit.theta[simulator.layout.a])).max()
-    return float(-np.log(max(slowest, 1e-300)) * simulator.longest)
+    slowest = np.abs(plant.roots(fit.theta[simulator.layout.a])).max(initial=1e-300)
+    return float(-np.log(slowest) * simulator.longest)
 
 
 def _is_likely(servo: ServoGap | None) -> bool:
