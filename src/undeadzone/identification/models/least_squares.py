@@ -11,7 +11,6 @@ from typing import Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from scipy.linalg import solve_toeplitz
-from scipy.signal import lfilter
 from scipy.stats import f as fisher
 
 from undeadzone.identification.models import estimates
@@ -147,11 +146,9 @@ class LeastSquares(Generic[M]):
         """Less what the samples before say of them."""
         if not self.past.size:
             return columns
-        if self.past.size == 1:  # a filter for general use takes ten times as long
-            white = columns.copy()
-            white[1:] -= self.past[0] * columns[:-1]
-        else:
-            white = np.asarray(lfilter(np.append(1.0, -self.past), [1.0], columns, axis=0))
+        white = columns.copy()
+        for lag, share in enumerate(self.past, 1):  # ten times as fast as a general filter
+            white[lag:] -= share * columns[:-lag]
         white[0] *= math.sqrt(max(1 - float(self.past @ self.past), 0.0))
         return white
 

@@ -21,6 +21,7 @@ STRETCH = 5_000  # samples of a stretch of that part
 
 RINGING = 0.5  # the same for poles that ring: with x(0) they are a free sine, which is no offset
 FAR = 1e100  # a coefficient beyond which no root can be computed
+SLOWER = 1.2  # times that poles settle within a record, from which they do for certain
 SLOW = 6.0  # poles slower than this many of their time constants a record are an offset in disguise
 COLOURS = (0.0, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.98)  # correlations over one sample
 LAGS = 60
@@ -310,6 +311,15 @@ class Simulator:
         slow = np.abs(np.angle(poles)) < 4 * np.pi / self.longest
         limit = 1 - margin * np.where(slow, SLOW, RINGING) / self.longest
         return bool(np.all(np.abs(poles) < limit))
+
+    def at_limit(self, theta: Floats) -> bool:
+        """Whether a pole is as slow as is allowed, so that with x(0) it is an offset or a sine."""
+        return not self.admissible(theta, SLOWER)
+
+    def settles(self, theta: Floats) -> float:
+        """Time constants of the slowest pole within the longest record."""
+        slowest = np.abs(roots(theta[self.layout.a])).max(initial=1e-300)
+        return float(-np.log(slowest) * self.longest)
 
 
 def roots(a: Floats) -> Any:

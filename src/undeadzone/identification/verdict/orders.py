@@ -27,7 +27,6 @@ LAGS = 20
 HEARD = 8  # past inputs, of which one-step residuals should be free
 ANSWERED = 3  # one-step residuals, or readings, to which a loop's input answers
 ALONE = 1e-6  # share of an input's rms that its reference leaves, below which it makes all of it
-SLOWER = 1.2  # times that poles settle within a record, from which they do for certain
 SHARE = 0.05  # of the residual's variance that a curve explains, from which it is real
 
 
@@ -147,7 +146,7 @@ def is_sampled(fit: zone_fit.Fit) -> bool:
 
 def at_limit(fit: zone_fit.Fit) -> bool:
     """Whether a pole is as slow as is allowed, so that with x(0) it is an offset or a sine."""
-    return not fit.objective.simulator.admissible(fit.theta, SLOWER)
+    return fit.objective.simulator.at_limit(fit.theta)
 
 
 def credible(fits: list[OrderFit]) -> list[OrderFit]:

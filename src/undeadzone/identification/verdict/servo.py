@@ -114,26 +114,22 @@ def may_be_servo(case: Case, found: Found) -> bool:
     if found.element is not None or case.jumps is not None or case.unreached:
         return False
     word = found.verdict.word
-    if _is_likely(case.servo) and word in (*DENYING, *NAMELESS):
+    if _is_likely(case.servo, word):
         return True
     if word not in POSSIBLE or heard_of(case.grid, case.options) is None:
         return False
     left = word in NAMELESS or _share(case, found) < LEAST
-    seems = not case.chosen.white and _settles(case) < SETTLES  # to be another plant, an integrator
+    fit = case.chosen.pairs
+    slow = fit.objective.simulator.settles(fit.theta) < SETTLES
+    seems = not case.chosen.white and slow  # to be another plant, an integrator
     return case.options.integrators > 0 or left or seems
 
 
-def _settles(case: Case) -> float:
-    """Time constants of the slowest pole of the fitted plant, within the longest record."""
-    fit = case.chosen.pairs
-    simulator = fit.objective.simulator
-    slowest = np.abs(plant.roots(fit.theta[simulator.layout.a])).max(initial=1e-300)
-    return float(-np.log(slowest) * simulator.longest)
-
-
-def _is_likely(servo: ServoGap | None) -> bool:
-    """Whether a play is likely, and withheld since its log turns too seldom."""
-    return servo is not None and servo.turns_too_seldom and servo.odds > LIKELY
+def _is_likely(servo: ServoGap | None, word: str) -> bool:
+    """Whether a play is likely where a word denies or names none; it turns too seldom to say."""
+    if servo is None or word not in (*DENYING, *NAMELESS):
+        return False
+    return servo.turns_too_seldom and servo.odds > LIKELY
 
 
 def _share(case: Case, found: Found) -> float:
@@ -150,16 +146,22 @@ def with_servo(case: Case, found: Found) -> Found:
         return found
     word = found.verdict.word
     explained = word in EXPLAINED and _share(case, found) >= LEAST
+    integrates = bool(servo.integrates or case.options.integrators)
     if servo.is_given:
-        stays = explained and not (servo.integrates or case.options.integrators)
-        return found if stays else named_servo(case, servo, found)
-    likely = _is_likely(servo) and word in (*DENYING, *NAMELESS)
-    likely |= servo.integrates and servo.odds > LIKELY and word in DENYING
-    without_gap = word == "unclear" and case.servo is not None and servo.gap.low <= 0
-    of_another = word in NAMELESS or (word in MEMORY and not case.options.integrators)  # plant
-    if (explained or (of_another and not without_gap)) and not likely:
+        return found if explained and not integrates else named_servo(case, servo, found)
+    denied = servo.integrates and servo.odds > LIKELY and word in DENYING
+    if denied or _is_likely(servo, word):
+        return _undecided(servo, found, in_words(servo))
+    if explained:
         return found
-    named = [in_words(servo)] if likely else []
+    if word == "unclear" and case.servo is not None and servo.gap.low <= 0:  # it has no gap
+        return _undecided(servo, found)
+    of_another = word in NAMELESS or (word in MEMORY and not case.options.integrators)  # plant
+    return found if of_another else _undecided(servo, found)
+
+
+def _undecided(servo: ServoGap, found: Found, *named: str) -> Found:
+    """What is found where a servo's gap is not given, with the reasons of that."""
     verdict = because("undecided", *named, *servo.reasons)
     return found._replace(verdict=verdict, odds=odds_of_gap(servo), plays=None)
 

@@ -50,6 +50,15 @@ ADVICE = (
     " more, several amplitudes, the largest well outside the zone), 10 or more samples a time"
     " constant"
 )
+UNEXPLAINED = (
+    ": are input and output the right columns? try more inputs, a higher --order, or a log with"
+    " less disturbance"
+)
+UNSETTLED = (
+    "the plant seems to integrate, or to ring longer than the record: its state at the start and"
+    " an offset or a sine cannot be told apart; say --integrators 1 if it is the position of a"
+    " motor, or the like; else record for longer"
+)
 MODELS = {
     "dead_zone": "a dead zone of the sensor",
     "none": "a plant without any zone",
@@ -273,22 +282,16 @@ def _unclear(case: Case, word: str, best: Density, fits: Fits) -> Verdict | None
     if share < LEAST:
         which = "held-out readings" if word in FITTED else "readings"
         explained = f"the best plant explains {100 * max(share, 0.0):.0f} % of the {which}"
-        cure = ": are input and output the right columns? try more inputs, a higher --order, or a"
-        cure += " log with less disturbance"
-        if within > LEAST:
-            cure = f", and {100 * within:.0f} % of all: it changes, or another input acts"
-        return because("unclear", explained + cure)
+        changes = f", and {100 * within:.0f} % of all: it changes, or another input acts"
+        return because("unclear", explained + (changes if within > LEAST else UNEXPLAINED))
     fit = chosen.pairs
     if word == "none":
         fit = fit_linear(fit.objective.simulator, fit.objective.readings.ok)
     plant, theta = fit.objective.simulator, fit.theta
     if word not in FITTED and word in fits:
         plant, theta = fits[word].model.simulator, fits[word].theta
-    if word in {*FITTED, *fits} and not plant.admissible(theta, orders.SLOWER):
-        reason = "the plant seems to integrate, or to ring longer than the record: its state at the"
-        reason += " start and an offset or a sine cannot be told apart; say --integrators 1 if it"
-        reason += " is the position of a motor, or the like; else record for longer"
-        return because("unclear", reason)
+    if word in {*FITTED, *fits} and plant.at_limit(theta):
+        return because("unclear", UNSETTLED)
     return None
 
 
