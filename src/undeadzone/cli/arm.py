@@ -157,7 +157,7 @@ def _advice(found: Survey, weak: list[str], written: list[Path], robot: Path) ->
     missing.append("the dead zone of each joint (sensor.right, sensor.left; --gears: their gaps)")
     return (
         f"the file does not know {' and '.join(missing)}; "
-        f"a scenario to start from: undeadzone arm {robot} --out ."
+        f"a scenario to start from: {cmd('undeadzone', 'arm', robot, '--out', '.')}"
     )
 
 

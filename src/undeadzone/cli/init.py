@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import difflib
 import re
-import shlex
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,7 +15,16 @@ from typing import Any, Final
 import click
 
 import undeadzone
-from undeadzone.cli.common import PATH, flag, force_option, option, print_blocks, print_json, say
+from undeadzone.cli.common import (
+    PATH,
+    cmd,
+    flag,
+    force_option,
+    option,
+    print_blocks,
+    print_json,
+    say,
+)
 from undeadzone.cli.output import Output, common
 from undeadzone.errors import InputError
 from undeadzone.support.files import read_text, write_text
@@ -107,9 +115,9 @@ def _short(template: str) -> str:
 
 def _next(path: Path) -> str:
     """What to type after a file was written."""
-    starts = {".toml": "undeadzone run", ".py": "python"}
+    starts = {".toml": ("undeadzone", "run"), ".py": ("python",)}
     start = starts.get(path.suffix)
-    return f"; next: {start} {shlex.quote(str(path))}" if start else ""
+    return f"; next: {cmd(*start, path)}" if start else ""
 
 
 def titles() -> dict[str, str]:
