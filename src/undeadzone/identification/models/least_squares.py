@@ -18,7 +18,7 @@ from undeadzone.identification.models.plant import Simulator, correlations
 from undeadzone.identification.models.zone import FAR
 from undeadzone.support.arrays import Floats, Integers
 
-ROUNDS, STEPS = 2, 10  # of the climb to the best density, each with a correlation of its own
+ROUNDS, STEPS = 2, 10  # of the climb to the best density, each with a colour of its own
 HEARD, TURNS = 11, 4  # residuals before one that foretell it, and rounds of that and of a climb
 HATS = 8
 COSINES = 24
@@ -180,9 +180,7 @@ class LeastSquares(Generic[M]):
         """
         squares = self
         for _ in range(TURNS):
-            seen = correlations(self.residual(theta), self.data.ok, HEARD)
-            seen[0] = seen[0] * (1 + 1e-9) + 1e-15
-            squares = LeastSquares(self.model, solve_toeplitz(seen[:-1], seen[1:]))
+            squares = LeastSquares(self.model, self._pasts(self.residual(theta))[-1])
             theta = estimates.climb(squares, theta, STEPS).theta
         return squares, theta
 
@@ -190,26 +188,37 @@ class LeastSquares(Generic[M]):
         """The model's account of the readings where that is best, near least squares."""
         first = best = self.density(theta)
         for _ in range(ROUNDS):
-            whitened = LeastSquares(self.model, [self._correlation(self.residual(theta))])
+            whitened = self._coloured(self.residual(theta))
             theta = estimates.climb(whitened, theta, STEPS).theta
-            best = max(best, self.density(theta), key=lambda one: float(one.value.sum()))
+            best = min(best, self.density(theta), key=lambda one: one.bic)
         return best._replace(rms=first.rms, strange=first.strange)
 
-    def _correlation(self, e: Floats) -> float:
-        """Of residuals over one sample."""
-        return float(np.clip(e[1:] @ e[:-1] / (e[:-1] @ e[:-1] + 1e-30), -0.95, 0.995))
+    def _coloured(self, e: Floats) -> LeastSquares[M]:
+        """The same of residuals that as many before them foretell as BIC takes."""
+        every = [LeastSquares(self.model, past) for past in self._pasts(e)]
+        return min(every, key=lambda one: one._cost(e))
+
+    def _cost(self, e: Floats) -> float:
+        """BIC of what foretells residuals."""
+        return -2 * self._value_of(self._whitened(e)) + self.past.size * math.log(self._count)
+
+    def _pasts(self, e: Floats) -> list[Floats]:
+        """What foretells a residual from 1, 2, ... residuals before it (lags each)."""
+        seen = correlations(e, self.data.ok, HEARD)
+        seen[0] = seen[0] * (1 + 1e-9) + 1e-15
+        return [solve_toeplitz(seen[:lags], seen[1 : lags + 1]) for lags in range(1, HEARD)]
 
     def density(self, theta: Floats) -> Density:
-        """The model's account of the readings, residuals taken as first-order Gaussian noise."""
+        """The model's account of the readings, residuals taken as autoregressive Gaussian noise."""
         ok, e = self.data.ok, self.residual(theta)
-        innovation = LeastSquares(self.model, [self._correlation(e)])._whitened(e)
+        coloured = self._coloured(e)
+        innovation = coloured._whitened(e)
         variance = float(np.mean(innovation**2)) + 1e-12
         value = -0.5 * innovation**2 / variance - 0.5 * math.log(2 * math.pi * variance)
         rms = float(np.sqrt(np.mean(e**2)))
         strange = is_strange(*curve_over(self.model.output(theta)[ok], e[ok]))
-        return Density(
-            self.model.name, value, self.free.size + self.model.has_level + 2, rms, strange
-        )
+        numbers = self.free.size + self.model.has_level + coloured.past.size + 1
+        return Density(self.model.name, value, numbers, rms, strange)
 
 
 class Fitted(NamedTuple, Generic[M]):
