@@ -370,7 +370,7 @@ def _disturbance_filler(
         knots[:known] = last
         fresh = knots[known:]
         normal.fill(fresh, first + known, seed, words, runs)
-        normal.colour(fresh, state, first + known, 0, *disturbance.colour)
+        normal.colour(fresh, state, first + known, *disturbance.colour)
         last[:] = knots[-1]
         knots = knots * disturbance.rms[:, None]
         for k, (a, b) in enumerate(disturbance.weights):
