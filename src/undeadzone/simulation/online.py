@@ -109,7 +109,7 @@ def observer_graph(
         [tree.stack((after, used)), tree.stack(out)],
         {"cse": True},
     )
-    shapes: Out = tree.rebuild(out, (np.zeros(part.shape[0]) for _, part in tree.leaves(out)))
+    shapes: Out = tree.mapped(lambda part: np.zeros(part.shape[0]), out)
     return function, known.start, known.numbers, shapes
 
 

@@ -199,8 +199,7 @@ def _at_half_the_step(
     params = start.loop.params
     halved = start.loop._replace(params=params._replace(h=params.h / 2))
     fine = outputs_of(Start(halved, start.state, inputs.exogenous(problem, 2)), run, progress)
-    every_other = (part[::2] for _, part in tree.leaves(fine))
-    outputs: Outputs = tree.rebuild(fine, every_other)
+    outputs: Outputs = tree.mapped(lambda part: part[::2], fine)
     return outputs
 
 
@@ -296,9 +295,7 @@ def _interpreted_outputs(
 
 def named(loop: Loop, outputs: Floats) -> Outputs:
     """The columns of recorded outputs (N x all) by name."""
-    widths = [part.size for _, part in tree.leaves(loop.outputs)]
-    columns = np.split(outputs, np.cumsum(widths)[:-1], axis=1)
-    by_name: Outputs = tree.rebuild(loop.outputs, iter(columns))
+    by_name: Outputs = tree.columns(loop.outputs, outputs)
     return by_name
 
 

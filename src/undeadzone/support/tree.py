@@ -6,7 +6,7 @@ A tree holds NumPy values or CasADi symbols; its leaves are arrays, numbers or N
 from __future__ import annotations
 
 from collections import namedtuple
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import casadi as ca
@@ -52,6 +52,16 @@ def rebuild(like: Any, values: Iterator[Any]) -> Any:
         children = [rebuild(child, values) for child in like]
         return type(like)(*children) if hasattr(like, "_fields") else tuple(children)
     return next(values)
+
+
+def mapped(function: Callable[[Any], Any], tree: Any) -> Any:
+    """The tree of what a function makes of each leaf."""
+    return rebuild(tree, (function(leaf) for _, leaf in leaves(tree)))
+
+
+def columns(like: Any, rows: Floats) -> Any:
+    """The columns of packed rows (N x all) as a tree of the shape of the NumPy tree `like`."""
+    return mapped(lambda part: rows[:, part], slices(like))
 
 
 def pack(tree: Any) -> Floats:
