@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from undeadzone.ends.gaps import largest_gap
+from undeadzone.ends.play import largest_gap
 from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Traits

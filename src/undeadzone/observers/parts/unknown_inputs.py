@@ -17,7 +17,8 @@ from undeadzone.errors import InputError
 from undeadzone.linear.hold import sampled_noise, zoh_slopes
 from undeadzone.linear.matrices import Matrices, similar
 from undeadzone.numerics.gaussian import Gaussian, update
-from undeadzone.observers.parts.gaussian_filter import Augmentation, Params, informed
+from undeadzone.observers.parts.further_constants import informed
+from undeadzone.observers.parts.gaussian_filter import Augmentation, Params
 from undeadzone.plants.system import System, held, in_units, state_units, time_scale
 from undeadzone.support.arrays import Array, Floats, nonnegative, scalar
 
