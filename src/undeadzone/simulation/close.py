@@ -289,12 +289,7 @@ def _instant(problem: Problem) -> loop.Exogenous:
 
 def _exogenous_columns(plant: System, instant: loop.Exogenous, order: int) -> list[ca.SX]:
     """Symbols of the exogenous inputs of a step: one instant, three, or Taylor coefficients."""
-    if plant.Ts is not None:
-        count = 1
-    elif order == loop.RUNGE_KUTTA:
-        count = 3
-    else:
-        count = order
+    count = loop.instants(plant.Ts, order)
     return [ca.SX.sym(f"w{i}", tree.size(instant)) for i in range(count)]
 
 

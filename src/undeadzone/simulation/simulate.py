@@ -230,11 +230,7 @@ def closed(problem: Problem) -> Loop:
 
 
 def run_loop(
-    loop: Loop,
-    state: Floats,
-    exogenous: Floats,
-    progress: Progress | None = None,
-    engine: Engine = "auto",
+    loop: Loop, state: Floats, exogenous: Floats, progress: Progress | None = None
 ) -> Outputs:
     """The outputs of a loop along exogenous inputs, by name (rows: time).
 
@@ -243,12 +239,8 @@ def run_loop(
         state: its packed initial state.
         exogenous: exogenous inputs (one row per step, and one).
         progress: called with the number of steps just done.
-        engine: auto, interpret or lanes.
-
-    Raises:
-        InputError: the engine is unknown.
     """
-    run = engine_for(loop, engine, len(exogenous))
+    run = engine_for(loop, "auto", len(exogenous))
     return outputs_of(Start(loop, state, exogenous), run, progress)
 
 
