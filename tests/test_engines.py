@@ -396,19 +396,14 @@ def shocks(steps: int) -> Floats:
     return np.random.default_rng(0).normal(size=(steps, 2, WIDTHS.size)) * [[0.01], [1.0]]
 
 
-def supplied(inputs: Floats) -> lanes.Supply:
-    """What supplies an array of the inputs of lanes (N x own inputs x lanes)."""
-    return lambda chosen: lambda first, count: inputs[first : first + count, :, chosen]
-
-
 def varied(**options: Any) -> tuple[Floats, Floats]:
     """19 runs that differ in d_r, in noise and disturbance, and in x(0)."""
     step, state, exogenous, params, names = parts(small("sampled"))
     threads = options.pop("threads", None)
+    own = shocks(len(exogenous))
     kernel = lanes.build(step, params=[names.index("sensor.right[0]")], exogenous=[5, 3], **options)
     states = np.tile(state, (WIDTHS.size, 1))
     states[:, 0] = WIDTHS
-    own = supplied(shocks(len(exogenous)))
     return lanes.run(kernel, states, exogenous, params, own, WIDTHS[:, None], threads=threads)
 
 

@@ -28,7 +28,6 @@ from test_engines import (
     parts,
     small,
     stateless,
-    supplied,
 )
 from undeadzone.compile import cache, kernel, lanes
 from undeadzone.compile.lower import Arithmetic
@@ -122,7 +121,7 @@ def test_what_all_lanes_share_means_the_same_as_what_each_has(shared: bool, fuse
                 states,
                 given_w,
                 rows[k],
-                supplied(np.tile(given_w[:, :, None], (1, 1, total))) if shared else None,
+                np.tile(given_w[:, :, None], (1, 1, total)) if shared else None,
                 None if shared else np.tile(rows[k], (total, 1)),
             )
             found = lanes.run(usual, states, given_w, rows[k])

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from test_engines import BOTH, WIDTHS, distance, identical, parts, shocks, small, supplied
+from test_engines import BOTH, WIDTHS, distance, identical, parts, shocks, small
 from undeadzone.compile import lanes
 from undeadzone.ensemble.result import Ensemble
 from undeadzone.errors import InputError
@@ -58,8 +58,7 @@ def test_inputs_may_be_supplied_as_they_are_needed(monkeypatch: pytest.MonkeyPat
     step, state, exogenous, params, _ = parts(small("sampled"))
     kernel = lanes.build(step, exogenous=[5, 3], record=[0, 4], width=8)
     inputs = shocks(len(exogenous))
-    states = np.tile(state, (WIDTHS.size, 1))
-    expected = lanes.run(kernel, states, exogenous, params, supplied(inputs))
+    expected = lanes.run(kernel, state, exogenous, params, inputs)
     asked: list[tuple[int, int, int]] = []
 
     def supply(chosen: Any) -> Callable[[int, int], Floats]:
@@ -70,6 +69,7 @@ def test_inputs_may_be_supplied_as_they_are_needed(monkeypatch: pytest.MonkeyPat
         return source
 
     monkeypatch.setattr(lanes, "BUFFER", 8 * 2 * 40)
+    states = np.tile(state, (WIDTHS.size, 1))
     assert all(map(identical, lanes.run(kernel, states, exogenous, params, supply), expected))
     in_order = [(k, min(40, 301 - k)) for k in range(0, 301, 40)]
     for lane in (0, 8, 16):

@@ -208,7 +208,7 @@ def run(
     states: Floats,
     exogenous: Floats,
     params: Floats,
-    supply: Supply | None = None,
+    lane_exogenous: Floats | Supply | None = None,
     lane_params: Floats | None = None,
     *,
     every: int = 1,
@@ -222,8 +222,8 @@ def run(
         states: at the beginning, (states) or (lanes x states).
         exogenous: w of each step (N x inputs).
         params: p.
-        supply: gives the entries of w that differ by lane, asked from several threads; None: there
-            are none.
+        lane_exogenous: replaces the entries of w that differ by lane (N x own inputs x lanes), or
+            what supplies it, from several threads.
         lane_params: replaces the entries of p that differ by lane (lanes x own params).
         every: keep the outputs of each so many-th step, the first included.
         threads: default one per processor.
@@ -237,7 +237,7 @@ def run(
         InputError: fused, and the edges of a zone cross.
     """
     shape = kernel.shape
-    inputs = checked(shape, states, exogenous, params, supply, lane_params)
+    inputs = checked(shape, states, exogenous, params, lane_exogenous, lane_params)
     promises.require(kernel.promises, inputs.params, shape.params, inputs.own_params)
     total, lanes = len(inputs.exogenous), len(inputs.states)
     outputs = np.empty((lanes, -(-total // every), len(shape.record)))
@@ -376,11 +376,14 @@ def checked(
     states: Floats,
     exogenous: Floats,
     params: Floats,
-    supply: Supply | None,
+    lane_exogenous: Floats | Supply | None,
     lane_params: Floats | None,
 ) -> Inputs:
     """The arguments of `run` in the shapes of a kernel. Raises ShapeError."""
-    lanes = _lanes(("states", states), ("lane_params", lane_params))
+    own = None if callable(lane_exogenous) else lane_exogenous
+    lanes = _lanes(
+        ("states", states, 2, 0), ("lane_exogenous", own, 3, 2), ("lane_params", lane_params, 2, 0)
+    )
     total = len(exogenous)
     states_each, entries_w, entries_p = shape.sizes
     expected = (lanes, states_each) if np.ndim(states) > 1 else (states_each,)
@@ -390,21 +393,36 @@ def checked(
     if lane_params is None:
         lane_params = np.empty((lanes, 0))
     own_params = _shaped("lane_params", lane_params, lanes, len(shape.params))
-    return Inputs(states, exogenous, params, own_params, supply or _nothing)
+    if callable(lane_exogenous):
+        return Inputs(states, exogenous, params, own_params, lane_exogenous)
+    if own is None:
+        own = np.empty((total, 0, lanes))
+    own = _shaped("lane_exogenous", own, total, len(shape.exogenous), lanes)
+    return Inputs(states, exogenous, params, own_params, _held(own))
 
 
-def _nothing(lanes: Integers) -> Source:
-    """The source of lanes without inputs of their own."""
-    return lambda first, count: np.empty((count, 0, lanes.size))
+def _held(inputs: Floats) -> Supply:
+    """A supply from an array (N x own inputs x lanes)."""
+    return lambda lanes: partial(_steps_of_lanes, inputs, lanes)
 
 
-def _lanes(*sources: tuple[str, Any]) -> int:
+def _steps_of_lanes(inputs: Floats, lanes: Integers, first: int, count: int) -> Floats:
+    """Some steps of some lanes of an array (N x own inputs x lanes)."""
+    if not inputs.size:
+        return np.empty((count, 0, lanes.size))
+    return inputs[first : first + count, :, lanes]
+
+
+def _lanes(*sources: tuple[str, Any, int, int]) -> int:
     """The number of lanes that arrays agree on.
 
     Args:
-        sources: name, value, which has a row for each lane if it has two dimensions.
+        sources: name, value, dimensions when it has lanes, axis of lanes.
     """
-    counts = {name: len(value) for name, value in sources if np.ndim(value) == 2}
+    counts = {}
+    for name, value, dimensions, axis in sources:
+        if np.ndim(value) == dimensions:
+            counts[name] = np.shape(value)[axis]
     if len(set(counts.values())) > 1 or 0 in counts.values():
         listed = ", ".join(f"{count} in {name}" for name, count in counts.items())
         raise ShapeError(f"lanes: expected one number of lanes, 1 or more, found {listed}")

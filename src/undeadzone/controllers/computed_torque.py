@@ -20,7 +20,7 @@ import numpy as np
 from undeadzone.catalogue import Options
 from undeadzone.ends.sensor import deadzone
 from undeadzone.errors import InputError, StepError
-from undeadzone.feedforward.flank_path import LEAD, Crossing, doubly_integrated, led, turned
+from undeadzone.feedforward.flank_path import LEAD, doubly_integrated, led, turned
 from undeadzone.feedforward.targets import Target, along_targets
 from undeadzone.interfaces import Controller, Estimate, Plan
 from undeadzone.plants.robots.arm import Arm, acceleration, torque
@@ -116,7 +116,7 @@ class Params(NamedTuple):
     model: Any
     k_p: Floats
     k_d: Floats
-    crossing: Crossing | None = None
+    crossing: Any = None
 
 
 def accelerations(arm: Arm, params: Floats, target: Target) -> Floats:

@@ -25,8 +25,9 @@ FALL = 4.0  # from one level of the disturbance to the next, if it is claimed
 DOUBTED = 3  # levels from which on one lies above the claim
 # Deviations, and what it is that has them: a sum of fields.
 EACH = ("x", "right", "left", "innovation", "actuator_right", "actuator_left")
-SPREAD = {f"{name}_std": (name,) for name in (*EACH, "gap_right", "gap_left")}
-SPREAD |= {"width_std": ("right", "left"), "gap_std": ("gap_right", "gap_left")}
+GAPS = ("gap_right", "gap_left")
+SPREAD: dict[str, tuple[str, ...]] = {f"{name}_std": (name,) for name in (*EACH, *GAPS)}
+SPREAD |= {"width_std": ("right", "left"), "gap_std": GAPS}
 LOUDEST, FAINTEST = 4.0, 0.125  # level of the disturbance, in its default, if it is not
 
 
