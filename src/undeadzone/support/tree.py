@@ -101,19 +101,12 @@ def slices(like: Any) -> Any:
 
 def unpack(like: Any, column: ca.SX) -> Any:
     """The entries of `column` (CasADi) in a tree of the shapes of the NumPy tree `like`."""
-    return rebuild(like, _pieces(like, column))
-
-
-def _pieces(like: Any, column: ca.SX) -> Iterator[ca.SX]:
-    """The leaves of a tree of the shapes of `like`, filled from a column."""
-    start = 0
-    for _, leaf in leaves(like):
-        shape = np.shape(leaf)
-        rows = shape[0] if shape else 1
-        columns = shape[1] if len(shape) > 1 else 1
-        piece = column[start : start + rows * columns]
-        yield piece if rows and columns == 1 else ca.reshape(piece, rows, columns)
-        start += rows * columns
+    pieces = []
+    for (_, leaf), (_, part) in zip(leaves(like), leaves(slices(like)), strict=True):
+        rows, columns = (*np.shape(leaf), 1, 1)[:2]
+        piece = column[part]
+        pieces.append(piece if rows and columns == 1 else ca.reshape(piece, rows, columns))
+    return rebuild(like, iter(pieces))
 
 
 def symbols(like: Any, name: str) -> tuple[ca.SX, Any]:
