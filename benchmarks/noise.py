@@ -20,15 +20,15 @@ def table(rounds: int = 30) -> str:
     """Medians over interleaved rounds, one thread, after one round that compiles."""
     numbers = np.empty((STEPS, CHANNELS, lanes.WIDTH))
     words = [noise.word(noise.AFTER, channel) for channel in range(CHANNELS)]
-    state, colour = np.empty((1, lanes.WIDTH)), noise.colour(0.5, 1e-3)
+    state, colour = np.empty((CHANNELS, lanes.WIDTH)), noise.colour(0.5, 1e-3)
     generator = np.random.default_rng(0)
     draws = {
         "numpy's `Generator.standard_normal`": lambda: generator.standard_normal(out=numbers),
         "numpy, `noise.gaussian`, one run": lambda: noise.gaussian(0, noise.AFTER, ALONE, 1),
         f"lanes, {lanes.WIDTH} runs": lambda: normal.fill(numbers, 0, 0, words, range(lanes.WIDTH)),
-        "lanes, colouring besides": lambda: normal.colour(numbers, state, 0, 0, *colour),
+        "lanes, colouring besides": lambda: normal.colour(numbers, state, 0, *colour),
     }
-    counts = (numbers.size, ALONE, numbers.size, numbers.size // CHANNELS)
+    counts = (numbers.size, ALONE, numbers.size, numbers.size)
     seconds = medians(draws, rounds, uncounted=1)
     each = [value / count for value, count in zip(seconds.values(), counts, strict=True)]
     rows = []

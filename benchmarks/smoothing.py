@@ -21,7 +21,7 @@ from undeadzone.ends.sensor import Sensor
 from undeadzone.interfaces import Estimate, graph_of
 from undeadzone.plants.options import Plant
 from undeadzone.simulation.online import Online, built_for
-from undeadzone.simulation.smoother import Smoothed, smooth
+from undeadzone.simulation.smoother import smooth
 from undeadzone.support.arrays import Floats
 
 ORDERS = (1, 2, 3)
@@ -80,9 +80,10 @@ def _of_filter(known: Estimate) -> tuple[Floats, Floats]:
     return mean, np.hstack([known.x_std[:, :1], known.right_std, known.left_std])
 
 
-def _of_smoother(known: Smoothed) -> tuple[Floats, Floats]:
+def _of_smoother(known: dict[str, Floats]) -> tuple[Floats, Floats]:
     """Means and deviations of z, d_r, d_l (N x 3)."""
-    return np.hstack([known.z, known.d]), np.hstack([known.x_std[:, :1], known.d_std])
+    mean = np.hstack([known["z_smooth"], known["d_smooth"]])
+    return mean, np.hstack([known["x_smooth_std"][:, :1], known["d_smooth_std"]])
 
 
 def kept(folder: Path | None, claims: str, kind: str, count: int, seed: int) -> Part:

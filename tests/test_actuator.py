@@ -38,7 +38,7 @@ from undeadzone.results.run import Run
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.loop import Outputs
-from undeadzone.simulation.simulate import prepare, run_loop, simulate
+from undeadzone.simulation.simulate import outputs_of, prepare, simulate
 from undeadzone.support.arrays import Floats
 
 TS = 0.01
@@ -68,8 +68,7 @@ def loop(**changes: Any) -> Scenario:
 
 def outputs(scenario: Scenario) -> Outputs:
     """All outputs of the loop along a run."""
-    closed, state, exogenous = prepare(resolve_scenario(scenario))
-    return run_loop(closed, state, exogenous)
+    return outputs_of(prepare(resolve_scenario(scenario)))
 
 
 def late(run: Run, error: Floats) -> float:

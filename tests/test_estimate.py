@@ -191,9 +191,9 @@ def test_smoothing_is_the_least_squares_of_the_whole_log(run: uz.Run, disturbanc
     N = 250
     smoothed = smooth(model, graph_of(observer), zone, run.y[:N], run.u[:N])
     expected = batch(run, model, N, disturbance**2)
-    np.testing.assert_allclose(smoothed.x, expected[:, :2], rtol=0, atol=2e-6)
-    np.testing.assert_allclose(smoothed.x_std, expected[:, 2:4], rtol=1e-3, atol=1e-7)
-    np.testing.assert_allclose(smoothed.d, expected[:, 4:], rtol=0, atol=2e-6)
+    np.testing.assert_allclose(smoothed["x_smooth"], expected[:, :2], rtol=0, atol=2e-6)
+    np.testing.assert_allclose(smoothed["x_smooth_std"], expected[:, 2:4], rtol=1e-3, atol=1e-7)
+    np.testing.assert_allclose(smoothed["d_smooth"], expected[:, 4:], rtol=0, atol=2e-6)
 
 
 def test_smoothing_ends_where_the_filter_does_and_is_better(run: uz.Run) -> None:

@@ -36,7 +36,7 @@ from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
-from undeadzone.simulation.simulate import prepare, run_loop, simulate
+from undeadzone.simulation.simulate import outputs_of, prepare, simulate
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 from undeadzone_arena import Interval, SlidingMode, SuperTwisting, WalcottZak
@@ -146,13 +146,14 @@ def bounded(time: str, **observer: Any) -> tuple[Any, Scenario]:
         "simulation": {"duration": 6.0, "step": 2e-3, "time": time},
     }
     scenario = scene(**tables)
-    loop, state, exogenous = prepare(resolve_scenario(scenario))
+    start = prepare(resolve_scenario(scenario))
+    loop, exogenous = start.loop, start.exogenous
     instants = 3 if time == "continuous" else 1
     after = tree.names(loop.instant).index("after[0]") + np.arange(instants) * tree.size(
         loop.instant
     )  # standard normal draws
     exogenous[:, after] = np.random.default_rng(0).uniform(-6, 6, (len(exogenous), 1))
-    return run_loop(loop, state, exogenous), scenario
+    return outputs_of(start), scenario
 
 
 @pytest.mark.parametrize("time", ["continuous", "sampled"])

@@ -27,7 +27,7 @@ from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation import exogenous as inputs
 from undeadzone.simulation.packed import graph
-from undeadzone.simulation.simulate import prepare, run_loop, simulate
+from undeadzone.simulation.simulate import outputs_of, prepare, simulate
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 from undeadzone_arena import GravityPD
@@ -381,12 +381,13 @@ def test_a_reference_twice_as_large_does_not_scale_the_gains() -> None:
         observer={"method": "full_state"},
         simulation={"time": "sampled"},
     )
-    loop, state, exogenous = prepare(resolve_scenario(scene(**data)))
+    start = prepare(resolve_scenario(scene(**data)))
+    loop = start.loop
     scaled = loop._replace(
         params=loop.params._replace(scale=loop.params.scale._replace(reference=2.0))
     )
     doubled = scene(**data | {"reference": data["reference"] | {"amplitude": 10.0}})
-    assert run_loop(scaled, state, exogenous).u == pytest.approx(
+    assert outputs_of(start._replace(loop=scaled)).u == pytest.approx(
         simulate(doubled).u, rel=1e-9, abs=1e-9
     )
 

@@ -96,8 +96,8 @@ def test_where_all_is_linear_and_sure_both_filters_smooth_alike() -> None:
         model, zone, observer = built_for(*parts)
         found.append(smooth(model, graph_of(observer), zone, run.y, run.u))
     for other in found[1:]:
-        for one, two in zip(found[0], other, strict=True):
-            np.testing.assert_allclose(two, one, rtol=0, atol=1e-8)
+        for name, one in found[0].items():
+            np.testing.assert_allclose(other[name], one, rtol=0, atol=1e-8)
 
 
 @pytest.mark.parametrize("method", ["censored", "auto", "extended"])

@@ -31,8 +31,7 @@ from undeadzone.numerics.dense_output import Levels, _crossing
 from undeadzone.numerics.gaussian import TAIL
 from undeadzone.observers import Kalman
 from undeadzone.observers.parts.augmented_state import agitation
-from undeadzone.observers.parts.further_constants import against_friction
-from undeadzone.observers.parts.gaussian_filter import _informed_of_gaps as informed_of_gaps
+from undeadzone.observers.parts.further_constants import against_friction, informed
 from undeadzone.observers.parts.judged_filter import LOST, widened
 from undeadzone.observers.parts.measured_reading import distrusted
 from undeadzone.observers.parts.measured_side import correct_jump
@@ -164,11 +163,13 @@ def test_a_time_is_resolved_from_a_tenth_of_a_sample_on() -> None:
 
 def test_unknowns_behind_gaps_are_taken_for_told() -> None:
     """One other unknown, a gap of which half the variance is left, two widths of an actuator."""
-    cov = ca.SX(np.diag([1.0, 3.0, 0.5, 5.0, 6.0]))
+    model: Any = SimpleNamespace(n=1, p=1)
+    cov = ca.SX(np.diag([1.0, 0.75, 1.0, 3.0, 0.5, 5.0, 6.0]))
     zones = SimpleNamespace(middle=np.zeros(2))
-    q: Any = SimpleNamespace(gaps=SimpleNamespace(std=np.ones(1)), zones=zones)
-    told = ca.DM(informed_of_gaps(q, cov, 1)).full()[:, 0]
-    np.testing.assert_allclose(told, [1.0, np.sqrt(0.5), 1.0, 1.0])
+    doubt = SimpleNamespace(std=np.ones(3))
+    q: Any = SimpleNamespace(doubt=doubt, gaps=SimpleNamespace(std=np.ones(1)), zones=zones)
+    told = ca.DM(informed(q, model, cov)).full()[:, 0]
+    np.testing.assert_allclose(told, [1.0, 0.5, 0.0, 1.0, np.sqrt(0.5), 1.0, 1.0])
 
 
 def test_fast_poles_are_placed_as_accurately_as_slow_ones() -> None:

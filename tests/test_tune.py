@@ -29,8 +29,8 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.tune_table import Range, Tune
 from undeadzone.simulation.exogenous import exogenous
 from undeadzone.simulation.packed import graph
+from undeadzone.simulation.simulate import outputs_of
 from undeadzone.simulation.simulate import prepare as prepare_loop
-from undeadzone.simulation.simulate import run_loop
 from undeadzone.statistics.intervals import Interval
 from undeadzone.support import toml
 from undeadzone.support.arrays import Floats
@@ -308,8 +308,8 @@ def test_an_observer_in_python_runs_the_same_runs() -> None:
     runs = of(Tune(runs=3), scenario, ["observer.gamma"], [[10.0], [5.0]]).test_runs[0]
     problem = resolve_scenario(scenario)
     for k, expected in enumerate(runs.rows([problem])[0]):
-        loop, state, _ = prepare_loop(problem)
-        metrics_of_run = row(problem, run_loop(loop, state, exogenous(problem, run=k)))
+        start = prepare_loop(problem)._replace(exogenous=exogenous(problem, run=k))
+        metrics_of_run = row(problem, outputs_of(start))
         np.testing.assert_allclose(metrics_of_run[0], expected, rtol=1e-9)
     observer = ParticleFilter(right=[0.0, 2.0], particles=10, noise=0.1)
     particles = gusts(ensemble=None, observer=observer)

@@ -13,7 +13,7 @@ from undeadzone.linear.poles import observer_gain
 from undeadzone.linear.riccati import paper_riccati
 from undeadzone.plants.build import matrices, system
 from undeadzone.scenario.problem import resolve_scenario
-from undeadzone.simulation.simulate import prepare, run_loop
+from undeadzone.simulation.simulate import outputs_of, prepare
 from undeadzone.support.arrays import Floats
 from undeadzone_paper.example import (
     ALPHA,
@@ -153,13 +153,14 @@ def forced(amplitude: float) -> tuple[Floats, dict[str, Floats]]:
         Instants t [s], and z at them by reading of the plant.
     """
     problem = resolve_scenario(printed(amplitude))
-    loop, state, exogenous = prepare(problem)
+    start = prepare(problem)
+    loop = start.loop
     law: Any = loop.params.controller
     silent = loop.params._replace(controller=law._replace(k_p=0.0 * law.k_p, k_d=0.0 * law.k_d))
     outputs = {}
     for name, reading in READINGS.items():
         driven = loop._replace(params=silent._replace(plant=system(reading.plant).params))
-        outputs[name] = run_loop(driven, state, exogenous).z[:, 0]
+        outputs[name] = outputs_of(start._replace(loop=driven)).z[:, 0]
     return np.arange(problem.steps + 1) * problem.scenario.simulation.step, outputs
 
 

@@ -118,7 +118,7 @@ def run_variants(progress: Callable[[int], None] | None = None) -> list[Outcome]
             start, feeds_input, sigma, pd_sign, left_sign = choice
             variant = Variant(plant, start, name, feeds_input, sigma, pd_sign, left_sign)
             with_signs, state = _with_signs(with_gains, variant)
-            signal = outputs_of(Start(with_signs, state, exogenous), run, progress)
+            signal = outputs_of(Start(with_signs, state, exogenous), progress, run)
             outcomes.append(_judge(variant, signal))
     return outcomes
 

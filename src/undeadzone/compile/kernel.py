@@ -174,7 +174,7 @@ class Block:
         text.line("%last = select i1 %short, i64 %steps, i64 %far")
         if self.shared.entries:
             with text.loop("ahead", "%first", "%last") as ahead:
-                self._ahead(text, ahead.at)
+                self._ahead(text, ahead)
         text.line("br label %groups")
         text.label("groups")
         text.line("br label %group")

@@ -6,14 +6,16 @@ They are the bits of `noise.gaussian` and `noise.coloured`.
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Iterator, Sequence
 from typing import Final
 
+import casadi as ca
 import numpy as np
 
-from undeadzone.compile import cache, philox
+from undeadzone.compile import cache, lanes, philox
 from undeadzone.compile.graph import LANES, SHARED, STEADY, Node, Nodes, used
-from undeadzone.compile.machine import here
+from undeadzone.compile.machine import Form, here
 from undeadzone.compile.print_llvm import TYPES, Names, Text, in_lanes, once
 from undeadzone.compile.schedule import of_graph
 from undeadzone.compile.trace import Numpy, Value
@@ -47,41 +49,47 @@ def fill(
     kernel(*numbers.shape, numbers, first, seed, streams, lane_runs)
 
 
-def colour(
-    numbers: Floats, state: Floats, first: int, start: int, memory: float, drive: float
-) -> None:
+def colour(numbers: Floats, state: Floats, first: int, memory: float, drive: float) -> None:
     """Make first-order noise of white noise, in place.
 
     Args:
-        numbers: as `fill` left them (steps x channels x lanes).
-        state: the last numbers (coloured channels x lanes), overwritten; at step 0 it is not read.
+        numbers: as `fill` left them (steps x channels x lanes); at least one step.
+        state: the last numbers (channels x lanes), overwritten; at step 0 it is not read.
         first: number of the first step.
-        start: the first channel that is coloured.
         memory, drive: `noise.colour`.
 
     Raises:
         ShapeError: a state of other channels or lanes.
     """
-    steps, channels, width = numbers.shape
-    if state.shape[1:] != (width,) or not 0 <= start <= start + len(state) <= channels:
+    if state.shape != numbers.shape[1:]:
         raise ShapeError(
-            f"state: expected at most {channels - start} channels x {width} lanes, "
+            f"state: expected {shape_text(numbers.shape[1:])} (channels x lanes), "
             f"found {shape_text(state.shape)}"
         )
-    kernel = cache.load(*_colour())
-    kernel(steps, channels, len(state), width, numbers, state, first, start, memory, drive)
+    if first == 0:  # the very first number stays as it is
+        state[:] = numbers[0]
+    white = numbers[first == 0 :]
+    steps, shared, params = len(white), np.zeros(len(white)), np.array([memory, drive])
+    coloured = np.empty_like(white)
+    block = _colouring(math.gcd(state.size, here().vector[0])).block
+    block(steps, state.size, state, shared, params, white, coloured)
+    white[:] = coloured
 
 
-# The arguments of both kernels, by name.
+@functools.cache
+def _colouring(group: int) -> lanes.Kernel:
+    """What colours: a lane for each channel of each run, so many of them in a vector."""
+    last, white, params = ca.SX.sym("s"), ca.SX.sym("w"), ca.SX.sym("p", 2)
+    new = params[0] * last + params[1] * white
+    step = ca.Function("colour", [last, white, params], [new, new])
+    return lanes.build(step, exogenous=[0], form=Form(group, 1, False, 0))
+
+
+# The arguments of what draws, by name.
 _FILL: Final = {
     **dict.fromkeys(("steps", "channels", "lanes"), "int64"),
     **{"numbers": "float64*", "first": "int64", "key": "uint64"},
     **{"words": "uint32*", "runs": "uint64*"},
-}
-_COLOUR: Final = {
-    **dict.fromkeys(("steps", "channels", "coloured", "lanes"), "int64"),
-    **{"numbers": "float64*", "state": "float64*", "first": "int64", "start": "int64"},
-    **{"memory": "float64", "drive": "float64"},
 }
 
 
@@ -91,16 +99,10 @@ def _fill() -> tuple[str, tuple[str, ...]]:
     return fill_text(2 * here().vector[0]), tuple(_FILL.values())
 
 
-@functools.cache
-def _colour() -> tuple[str, tuple[str, ...]]:
-    """Text and arguments of what colours."""
-    return colour_text(here().vector[0]), tuple(_COLOUR.values())
-
-
-def _module(arguments: dict[str, str], text: Text) -> str:
-    """A module with the function `block` of these arguments."""
+def _module(text: Text) -> str:
+    """A module with the function `block` of this text."""
     given = []
-    for name, kind in arguments.items():
+    for name, kind in _FILL.items():
         given.append(f"ptr noalias %{name}" if kind.endswith("*") else f"{TYPES[kind]} %{name}")
     head = f"define void @block({', '.join(given)}) nounwind {{\nentry:"
     return "\n".join([head, *text.lines, "  ret void", "}", *text.declared.values()])
@@ -108,10 +110,10 @@ def _module(arguments: dict[str, str], text: Text) -> str:
 
 def _parts(text: Text, group: int) -> Iterator[str]:
     """Print loops over whole groups of runs, and over those that are left; their counts."""
-    for name, lanes, begin, end in (("many", group, "0", "%whole"), ("few", 1, "%whole", "%lanes")):
-        text.lanes = lanes
-        with text.loop(name, begin, end, lanes) as loop:
-            yield loop.at
+    for name, wide, begin, end in (("many", group, "0", "%whole"), ("few", 1, "%whole", "%lanes")):
+        text.lanes = wide
+        with text.loop(name, begin, end, wide) as loop:
+            yield loop
     text.lanes = 1
 
 
@@ -126,13 +128,13 @@ def fill_text(group: int) -> str:
     row = text.add("mul i64 %channels, %lanes")
     begin, rounded = text.add("udiv i64 %first, 4"), text.add(f"add i64 {last}, 3")
     with text.loop("four", begin, text.add(f"udiv i64 {rounded}, 4")) as four:
-        rows = [_row(text, four.at, i, last, row) for i in range(len(results))]
+        rows = [_row(text, four, i, last, row) for i in range(len(results))]
         with text.loop("channel", "0", "%channels") as channel:
-            address = text.add(f"getelementptr i32, ptr %words, i64 {channel.at}")
+            address = text.add(f"getelementptr i32, ptr %words, i64 {channel}")
             word = text.add(f"zext i32 {text.load(address, 'i32')} to i64")
-            start = text.add(f"mul i64 {channel.at}, %lanes")
+            start = text.add(f"mul i64 {channel}, %lanes")
             have: dict[Node, str] = {}
-            given = {"key": "%key", "counter": four.at, "word": word}
+            given = {"key": "%key", "counter": four, "word": word}
             once(text, below, have, lambda node: given[node.text])
             for count in _parts(text, group):
                 (names,) = in_lanes(text, order, [_source(text, have, count)], False)
@@ -141,7 +143,7 @@ def fill_text(group: int) -> str:
                     with text.where(asked, f"of{text.lanes}.{node.number}"):
                         place = text.add(f"add i64 {first}, {at}")
                         text.store(names(node), text.at("%numbers", place), vector=True)
-    return _module(_FILL, text)
+    return _module(text)
 
 
 def _numbers() -> list[Node]:
@@ -176,38 +178,3 @@ def _source(text: Text, have: dict[Node, str], count: str) -> Names:
         return text.splat(have[node], TYPES[node.kind])
 
     return source
-
-
-def colour_text(group: int) -> str:
-    """The text of what makes first-order noise of white noise, a group of runs at a time."""
-    text = Text(1, {})
-    text.block = "entry"
-    text.line(f"%whole = and i64 %lanes, -{group}")
-    row = text.add("mul i64 %channels, %lanes")
-    with text.loop("channel", "0", "%coloured") as channel:
-        state = text.add(f"mul i64 {channel.at}, %lanes")
-        number = text.add(f"add i64 {channel.at}, %start")
-        at = text.add(f"mul i64 {number}, %lanes")
-        for count in _parts(text, group):
-            _coloured(text, text.add(f"add i64 {state}, {count}"), at, count, row)
-    return _module(_COLOUR, text)
-
-
-def _coloured(text: Text, state: str, at: str, count: str, row: str) -> None:
-    """Print a loop over steps for some runs: the very first number stays as it is."""
-    vector, last = text.type("double"), f"%last{text.lanes}"
-    memory, drive = text.splat("%memory", "double"), text.splat("%drive", "double")
-    address = text.at("%state", state)
-    before = text.load(address, vector=True)
-    with text.loop(f"step{text.lanes}", "0", "%steps") as step:
-        place = text.add(f"add i64 {text.add(f'mul i64 {step.at}, {row}')}, {at}")
-        to = text.at("%numbers", text.add(f"add i64 {place}, {count}"))
-        white = text.load(to, vector=True)
-        kept = text.add(f"fmul {vector} {memory}, {last}")
-        driven = text.add(f"fmul {vector} {drive}, {white}")
-        both = text.add(f"fadd {vector} {kept}, {driven}")
-        later = text.add(f"icmp sgt i64 {text.add(f'add i64 %first, {step.at}')}, 0")
-        new = text.add(f"select i1 {later}, {vector} {both}, {vector} {white}")
-        text.store(new, to, vector=True)
-        step.carried.append((last, vector, before, new))
-    text.store(last, address, vector=True)

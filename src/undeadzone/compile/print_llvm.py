@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
@@ -36,19 +36,6 @@ _OF_WORDS: Final = {
 _OF_TRUTHS: Final = {"and": "and", "or": "or", "ne": "xor"}
 
 Names = Callable[[Node], str]
-
-
-class Loop(NamedTuple):
-    """A loop that is being printed.
-
-    Attributes:
-        at: the name of its count.
-        carried: name, type, first and following value of each number that goes from turn to turn;
-            the body adds them.
-    """
-
-    at: str
-    carried: list[tuple[str, str, str, str]]
 
 
 class Text:
@@ -201,27 +188,24 @@ class Text:
         return self.add(f"call {kind} @{function}({given})")
 
     @contextmanager
-    def loop(self, name: str, begin: str, end: str, stride: int = 1) -> Iterator[Loop]:
-        """Print a loop whose count goes from `begin` by strides while it is below `end`.
+    def loop(self, name: str, begin: str, end: str, stride: int = 1) -> Iterator[str]:
+        """Print a loop; its count goes from `begin` by strides while it is below `end`.
 
         Args:
             name: of its blocks.
             begin, end, stride: of the count; both ends are at least 0.
         """
-        came, counted = self.block, Loop(f"%{name}.count", [])
+        came, count = self.block, f"%{name}.count"
         self.line(f"br label %{name}")
         self.label(name)
         head = len(self.lines)
-        self.line(f"%{name}.more = icmp ult i64 {counted.at}, {end}")
+        self.line(f"%{name}.more = icmp ult i64 {count}, {end}")
         self._entered(f"%{name}.more", name)
-        yield counted
-        self.line(f"%{name}.next = add i64 {counted.at}, {stride}")
+        yield count
+        self.line(f"%{name}.next = add i64 {count}, {stride}")
         self.line(f"br label %{name}")
-        counts = f"i64 [{begin}, %{came}], [%{name}.next, %{self.block}]"
-        phis = [f"  {counted.at} = phi {counts}"]
-        for value, kind, first, following in counted.carried:
-            phis.append(f"  {value} = phi {kind} [{first}, %{came}], [{following}, %{self.block}]")
-        self.lines[head:head] = phis
+        counts = f"[{begin}, %{came}], [%{name}.next, %{self.block}]"
+        self.lines.insert(head, f"  {count} = phi i64 {counts}")
         self.label(f"{name}.past")
 
     @contextmanager

@@ -128,7 +128,7 @@ def rest(model: System) -> Floats:
     There x' = A x + B u + w is 0, and so are the first m outputs. The equations are solved in units
     in which neither the unit of time nor that of u matters.
     """
-    flow = model.linear if model.flow is None else model.flow
+    flow = model.continuous
     A, B, C = flow
     of_x, rate, C = state_units(flow), pace(flow), C[: model.m]
     of_w = (rate * of_x)[:, None]

@@ -13,8 +13,8 @@ import msgspec
 import numpy as np
 
 from undeadzone.ends import play
-from undeadzone.ends.gaps import KEY, Ahead, gaps_of
 from undeadzone.ends.limits import Limits, at_limit, checked_range, limits_of, require_readings
+from undeadzone.ends.play import KEY, Ahead, gaps_of
 from undeadzone.errors import InputError
 from undeadzone.support.arrays import Array, Floats, nonnegative, scalar, vector
 

@@ -90,9 +90,7 @@ class Batch(NamedTuple):
             threads=threads,
         )
         states, tallied = np.split(finals, [own.states.shape[1]], axis=1)
-        ends = np.cumsum([np.size(part) for part in self.measured.tally])
-        parts = np.split(tallied, ends[:-1], axis=1)
-        tally: Tally = tree.rebuild(self.measured.tally, iter(parts))
+        tally: Tally = tree.columns(self.measured.tally, tallied)
         samples, tracked = len(self.exogenous), len(self.problem.tracked)
         scales = plant_scales(self.problem)
         return metrics.rows(tally, states, scales, samples, self.tail, tracked)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -335,48 +334,35 @@ def _weights(problem: Problem) -> tuple[tuple[float, float], ...]:
 
 def _source(own: RunNoise, runs: Integers) -> Source:
     """The entries of some runs (steps x entries x lanes), for steps asked for in order."""
-    from_words = _source_of_words(own, runs)
     if own.disturbance is None:
-        return from_words
-    channels = len(own.words)
-    fill_disturbance = _disturbance_filler(own.disturbance, own.seed, runs)
-
-    def source(first: int, count: int) -> Floats:
-        numbers = np.empty((count, len(own.entries), runs.size))
-        if channels:
-            numbers[:, :channels] = from_words(first, count)
-        fill_disturbance(numbers[:, channels:], first)
-        return numbers
-
-    return source
+        return _source_of_words(own, runs)
+    disturbance = _source_of_disturbance(own.disturbance, own.seed, runs)
+    if not own.words:
+        return disturbance
+    parts = (_source_of_words(own, runs), disturbance)
+    return lambda first, count: np.concatenate([part(first, count) for part in parts], axis=1)
 
 
-def _disturbance_filler(
-    disturbance: RandomDisturbance, seed: int, runs: Integers
-) -> Callable[[Floats, int], None]:
-    """A function of (numbers, first step) that fills steps asked for in order.
-
-    numbers (steps x entries x lanes) get the disturbance at all of its instants, one after the
-    other.
-    """
+def _source_of_disturbance(disturbance: RandomDisturbance, seed: int, runs: Integers) -> Source:
+    """The disturbance at all of its instants, one after the other, for steps asked for in order."""
     m = disturbance.rms.size
     words = [noise.word(noise.DISTURBANCE, i) for i in range(m)]
     state = np.empty((m, runs.size))  # of the colouring filter
     last = np.empty((m, runs.size))  # the last knot of the steps before
 
-    def fill(numbers: Floats, first: int) -> None:
+    def source(first: int, count: int) -> Floats:
         known = 1 if first else 0  # knots of the step that come from the steps before
-        knots = np.empty((len(numbers) + 1, m, runs.size))
+        knots = np.empty((count + 1, m, runs.size))
         knots[:known] = last
         fresh = knots[known:]
         normal.fill(fresh, first + known, seed, words, runs)
-        normal.colour(fresh, state, first + known, 0, *disturbance.colour)
+        normal.colour(fresh, state, first + known, *disturbance.colour)
         last[:] = knots[-1]
         knots = knots * disturbance.rms[:, None]
-        for k, (a, b) in enumerate(disturbance.weights):
-            numbers[:, k * m : (k + 1) * m] = knots[:-1] * a + knots[1:] * b
+        along = [knots[:-1] * a + knots[1:] * b for a, b in disturbance.weights]
+        return np.concatenate(along, axis=1)
 
-    return fill
+    return source
 
 
 def _source_of_words(own: RunNoise, runs: Integers) -> Source:

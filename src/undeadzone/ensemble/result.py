@@ -321,8 +321,7 @@ class Ensemble:
             FileError: where it cannot be written
             InputError: for another suffix, or where pyarrow is missing
         """
-        contents = saved.Contents(self.varied, self.metrics, self.info, self.bands)
-        return saved.write(contents, Path(path))
+        return saved.write(Path(path), self.varied, self.metrics, self.info, self.bands)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Ensemble:

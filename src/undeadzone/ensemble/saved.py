@@ -31,6 +31,7 @@ ZIP_SIZES: Final = 26  # where a zip file's local header holds the lengths of na
 IN_OUTPUT_UNIT: Final = (
     *("rms_", "peak_", "d_", "sensor.right", "sensor.left", "sensor.noise", "reference.amplitude"),
 )
+Columns = dict[str, Floats]  # by name
 _DAMAGE: Final = (ValueError, KeyError, struct.error, zipfile.BadZipFile, msgspec.DecodeError)
 
 
@@ -216,22 +217,6 @@ def unit_of_column(name: str, units: Units) -> str:
     return units.output if stem.startswith(IN_OUTPUT_UNIT) else "1"
 
 
-class Contents(NamedTuple):
-    """What a file holds: the fields of `result.Ensemble`.
-
-    Attributes:
-        varied: the values of the varied entries
-        metrics: what came of each run
-        info: what is known besides the columns
-        bands: of the recorded runs, if there are any
-    """
-
-    varied: dict[str, Floats]
-    metrics: dict[str, Floats]
-    info: Info
-    bands: Bands | None
-
-
 class _Header(msgspec.Struct, frozen=True):
     """What a file says of its columns.
 
@@ -244,21 +229,18 @@ class _Header(msgspec.Struct, frozen=True):
     varied: list[str]
 
 
-def write(contents: Contents, path: Path) -> Path:
+def write(path: Path, varied: Columns, metrics: Columns, info: Info, bands: Bands | None) -> Path:
     """Write a file, a row for each run, as its suffix says. Raises FileError, InputError."""
     require(path)
-    header = _Header(contents.info, list(contents.varied))
-    columns = {**contents.varied, **contents.metrics}
-    attached = {}
-    if contents.bands is not None:
-        attached = {"t": contents.bands.t, **contents.bands.quantiles}
-    table = Table(msgspec.json.encode(header).decode(), columns, attached)
+    header = msgspec.json.encode(_Header(info, list(varied))).decode()
+    attached = {} if bands is None else {"t": bands.t, **bands.quantiles}
+    table = Table(header, {**varied, **metrics}, attached)
     (_write_parquet if path.suffix == ".parquet" else _write_npz)(table, path)
     return path
 
 
-def read(path: Path) -> Contents:
-    """Read a file. Raises FileError; InputError where pyarrow is missing."""
+def read(path: Path) -> tuple[Columns, Columns, Info, Bands | None]:
+    """The fields of an ensemble. Raises FileError; InputError where pyarrow is missing."""
     try:
         require_plain(path)
         table = _read_parquet(path) if path.suffix == ".parquet" else _read_npz(path)
@@ -271,7 +253,7 @@ def read(path: Path) -> Contents:
     except _DAMAGE as error:
         raise FileError(f"{path}: not an ensemble saved by undeadzone ({error})") from None
     metrics = {name: column for name, column in table.columns.items() if name not in varied}
-    return Contents(varied, metrics, header.info, _attached_bands(table.attached))
+    return varied, metrics, header.info, _attached_bands(table.attached)
 
 
 def _attached_bands(attached: Mapping[str, Floats]) -> Bands | None:

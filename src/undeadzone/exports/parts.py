@@ -132,12 +132,13 @@ def estimate_fields(sizes: Estimate, units: Units) -> list[Field]:
         sizes: arrays of the sizes of its fields.
         units: names of the scenario's units.
     """
-    meanings = estimate_meanings(units)
-    fields: list[Field] = []
-    for name, part in zip(Estimate._fields, sizes, strict=True):
-        if np.size(part):
-            fields.append(Field(name, int(np.size(part)), meanings[name]))
-    return fields
+    return _named_fields(sizes, estimate_meanings(units))
+
+
+def _named_fields(parts: Any, meanings: dict[str, str]) -> list[Field]:
+    """The fields of a named tuple of arrays that are not empty."""
+    named = zip(parts._fields, map(np.size, parts), strict=True)
+    return [Field(name, int(size), meanings[name]) for name, size in named if size]
 
 
 def total(fields: list[Field]) -> int:
@@ -357,11 +358,7 @@ def _target_fields(like: Target, units: Units) -> list[Field]:
         "u_ff": f"input that belongs to it [{units.input}]",
         "plan": "numbers that the controller computed ahead",
     }
-    fields: list[Field] = []
-    for name, part in zip(Target._fields, like, strict=True):
-        if np.size(part):
-            fields.append(Field(name, int(np.size(part)), meanings[name]))
-    return fields
+    return _named_fields(like, meanings)
 
 
 def _estimated(problem: Problem, estimate: Estimate) -> list[Field]:

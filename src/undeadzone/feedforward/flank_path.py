@@ -3,7 +3,7 @@
 What should be on one flank of a gap at first and on the other later is moved by a step of the gap's
 width. The step passes a copy of a linear model with all poles at -w, so that state and input on the
 way belong to each other. `controllers.parts.behind_play` leads the input of a play across where the
-reference turns, `controllers.parts.geared_torque` motors of an arm where the torque that their
+reference turns, `controllers.computed_torque` motors of an arm where the torque that their
 links need changes sign: there a link needs none, and may be free.
 """
 

@@ -60,8 +60,7 @@ class Censored(Claims, frozen=True, kw_only=True, tag_field="method", tag="censo
         )
         Ts = model.Ts
         assert Ts is not None
-        assert model.flow is not None
-        correlation = correlation_time(self.correlation_time, model.flow, Ts)
+        correlation = correlation_time(self.correlation_time, model.continuous, Ts)
         washout = None if self.washout_time is None else span("washout_time", self.washout_time, Ts)
         calibrated = scalar("observer.calibrated", self.calibrated, least=0.0)
         if calibrated >= 1:

@@ -112,8 +112,7 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
         prior = self._prior(model, sensor)
         Ts = model.Ts
         assert Ts is not None
-        assert model.flow is not None
-        correlation = correlation_time(self.correlation_time, model.flow, Ts)
+        correlation = correlation_time(self.correlation_time, model.continuous, Ts)
         usual = default_disturbance(model, prior.ranges.max(), correlation)
         rms = per_input("disturbance", self.disturbance, usual)
         doubts = self.disturbance is None and self.joints == "coupled" and not self.blind

@@ -64,7 +64,7 @@ class HighGain(Options, frozen=True, kw_only=True, tag="high_gain"):
 
 def high_gain(model: System, epsilon: float) -> Floats:
     """L (n x p) [1/s] in continuous time; epsilon: as in `HighGain` [s]."""
-    flow = model.linear if model.flow is None else model.flow
+    flow = model.continuous
     chains = output_chains(flow.A, flow.C)
     gains = np.zeros((model.n, model.p))
     for i, rows in enumerate(chains.rows):

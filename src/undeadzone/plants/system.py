@@ -79,6 +79,11 @@ class System(NamedTuple):
     seen: Callable[[Any, Any], Any] | None = None
 
     @property
+    def continuous(self) -> Matrices:
+        """The matrices in continuous time, of a sampled plant too."""
+        return self.linear if self.flow is None else self.flow
+
+    @property
     def n(self) -> int:
         """Number of states."""
         return self.linear.A.shape[0]
@@ -204,7 +209,6 @@ def in_units(system: System, units: Floats) -> System:
         return system
     move, output, change, rate = system.move, system.output, system.change, system.rate
     assert change is not None
-    assert system.flow is not None
 
     params = system.params
     if not system.nonlinear:
@@ -223,7 +227,7 @@ def in_units(system: System, units: Floats) -> System:
         change=counted(change),
         rate=None if rate is None else counted(rate),
         linear=_counted_matrices(system.linear, units),
-        flow=_counted_matrices(system.flow, units),
+        flow=_counted_matrices(system.continuous, units),
     )
 
 
@@ -238,9 +242,8 @@ def held(model: System) -> Floats:
 
     w is held over a step: the integral of e^(A t).
     """
-    assert model.flow is not None
     assert model.Ts is not None
-    return zoh(model.flow._replace(B=np.eye(model.n)), model.Ts).B
+    return zoh(model.continuous._replace(B=np.eye(model.n)), model.Ts).B
 
 
 # --- How fast a plant moves
@@ -274,8 +277,7 @@ def moving_poles(model: System) -> Floats:
 
     One rate of 1 for a chain of integrators.
     """
-    flow = model.linear if model.flow is None else model.flow
-    moving = rates_of_motion(flow.A)
+    moving = rates_of_motion(model.continuous.A)
     return moving if moving.size else np.ones(1)
 
 

@@ -76,6 +76,7 @@ EVERY: Final = tuple(
 )
 FURTHER: Final = tuple(name for name in ESTIMATED if name not in EVERY)
 DEVIATIONS: Final = ("x_std", "d_std", "width_std", "innovation_std")
+SMOOTHED: Final = ("x_smooth", "z_smooth", "d_smooth", "x_smooth_std", "d_smooth_std")
 NOT_OF_LOGS: Final = ("consistent", "refused", "restarts", "b_hat", "b_std")
 
 
@@ -109,7 +110,7 @@ LOG: Final = _layout(
         *DEVIATIONS,
         "B",
         *(name for name in FURTHER if name not in (*DEVIATIONS, *NOT_OF_LOGS)),
-        *("x_smooth", "z_smooth", "d_smooth", "x_smooth_std", "d_smooth_std"),
+        *SMOOTHED,
     ),
 )
 

@@ -15,7 +15,7 @@ from undeadzone.controllers.parts.behind_play import led_across
 from undeadzone.controllers.parts.estimated import with_estimates
 from undeadzone.controllers.parts.predicted import predicting
 from undeadzone.ends.actuator import ActuatorModel, Belief, Drive, believed, resolve_actuator
-from undeadzone.ends.gaps import gaps_of
+from undeadzone.ends.play import gaps_of
 from undeadzone.ends.sensor import Sensor, Zone
 from undeadzone.errors import InputError
 from undeadzone.feedforward.joint_path import (

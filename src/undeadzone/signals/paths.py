@@ -22,14 +22,11 @@ ORDER = 4  # derivatives of a turning path
 START = np.polynomial.Polynomial([0, 0, 0, 0, 2.5, -3, 1])
 
 
-class Quintic(
-    msgspec.Struct,
-    frozen=True,
-    kw_only=True,
-    forbid_unknown_fields=True,
-    tag_field="kind",
-    tag="quintic",
-):
+class Kind(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind"):
+    """A kind of signal, which `kind` names in a file."""
+
+
+class Quintic(Kind, frozen=True, kw_only=True, tag="quintic"):
     """A path through points, at rest at both ends: that of least mean square jerk.
 
     It is the quintic spline with speed and acceleration 0 at the ends (Flash, Hogan 1985, for two
@@ -63,7 +60,7 @@ class Swing(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     until: float
 
 
-class _Turn(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class _Turn(Kind, frozen=True, kw_only=True):
     """A path around a centre in a plane, in two or three coordinates.
 
     Attributes:
@@ -86,9 +83,7 @@ class _Turn(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     swing: Swing | None = None
 
 
-class Circle(
-    _Turn, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="circle"
-):
+class Circle(_Turn, frozen=True, kw_only=True, tag="circle"):
     """A circle around `centre`, once per period, in two or three coordinates.
 
     Attributes:
@@ -100,14 +95,7 @@ class Circle(
     phase: float = 0.0
 
 
-class FigureEight(
-    _Turn,
-    frozen=True,
-    kw_only=True,
-    forbid_unknown_fields=True,
-    tag_field="kind",
-    tag="figure_eight",
-):
+class FigureEight(_Turn, frozen=True, kw_only=True, tag="figure_eight"):
     """A figure of eight from `centre`, once per period, in two or three coordinates.
 
     It is width / 2 sin(angle) across and height / 2 sin(2 angle) along its plane. Across is the

@@ -233,8 +233,7 @@ def close(problem: Problem) -> loop.Loop:
     # At once: to look for what is computed twice takes longest of all.
     following, out, *ends = ca.cse([following, out, *itertools.chain(*attempts)])
     parts = _in_parts(ends, inputs, out) if attempts else None
-    sizes = (np.zeros(leaf.shape[0]) for _, leaf in tree.leaves(outputs))
-    shapes = tree.rebuild(outputs, sizes)
+    shapes = tree.mapped(lambda leaf: np.zeros(leaf.shape[0]), outputs)
     whole = _function("step", inputs, next=following, out=out)
     return loop.Loop(whole, state, params, shapes, instant, parts)
 
@@ -290,12 +289,7 @@ def _instant(problem: Problem) -> loop.Exogenous:
 
 def _exogenous_columns(plant: System, instant: loop.Exogenous, order: int) -> list[ca.SX]:
     """Symbols of the exogenous inputs of a step: one instant, three, or Taylor coefficients."""
-    if plant.Ts is not None:
-        count = 1
-    elif order == loop.RUNGE_KUTTA:
-        count = 3
-    else:
-        count = order
+    count = loop.instants(plant.Ts, order)
     return [ca.SX.sym(f"w{i}", tree.size(instant)) for i in range(count)]
 
 

@@ -134,14 +134,7 @@ def _smoothed(
     observer = follower.observer
     if observer.smoothing is None or not regular.t.size:
         return {}
-    smoothed = smooth(follower.model, observer, follower.zone, regular.y, regular.u, progress)
-    return {
-        "x_smooth": smoothed.x,
-        "z_smooth": smoothed.z,
-        "d_smooth": smoothed.d,
-        "x_smooth_std": smoothed.x_std,
-        "d_smooth_std": smoothed.d_std,
-    }
+    return smooth(follower.model, observer, follower.zone, regular.y, regular.u, progress)
 
 
 def _collected(

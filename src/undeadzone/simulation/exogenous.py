@@ -11,7 +11,7 @@ from undeadzone.feedforward.targets import Target, flat_targets, inverted_target
 from undeadzone.scenario.problem import Problem
 from undeadzone.signals import exosystem as signals
 from undeadzone.signals import noise
-from undeadzone.simulation.loop import HELD, RUNGE_KUTTA
+from undeadzone.simulation.loop import HELD, RUNGE_KUTTA, instants
 from undeadzone.support.arrays import Floats, Integers, vector
 
 NUDGE: Final = 1e-9  # of a step: a reference's corners on the grid belong to the step that follows
@@ -166,12 +166,8 @@ def _held(problem: Problem, seed: int, run: int) -> list[Floats]:
 def widths(problem: Problem, exogenous: Floats) -> Floats:
     """The true d_r, d_l at the start of each step (N x 2 x p)."""
     p = problem.plant.p
-    order = problem.scenario.simulation.order
-    if problem.plant.Ts is not None:
-        instants = 1
-    else:
-        instants = order if order > RUNGE_KUTTA else len(INSTANTS)
-    first = exogenous[:, : exogenous.shape[1] // instants]
+    count = instants(problem.plant.Ts, problem.scenario.simulation.order)
+    first = exogenous[:, : exogenous.shape[1] // count]
     wear = first[:, -3 * p : -p]
     return np.stack([problem.sensor.right, problem.sensor.left]) * (1 + wear.reshape(-1, 2, p))
 

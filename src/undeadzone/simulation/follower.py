@@ -147,8 +147,7 @@ class Follower:
             self._counts[row] += (present & (sides == side)).sum(axis=0)
         self._counts[3] += (np.abs(sides) == 2).sum(axis=0)
         with np.errstate(invalid="ignore"):
-            flow = self.model.linear if self.model.flow is None else self.model.flow
-            counted = estimate.x / state_units(flow)  # as they show in z
+            counted = estimate.x / state_units(self.model.continuous)  # as they show in z
             worst = np.abs(np.hstack([counted, estimate.z, estimate.right, estimate.left]))
             self._diverged = self._diverged or not bool((worst < LIMIT).all())
         if len(sides):
@@ -172,8 +171,7 @@ class Follower:
 
     def _make_tests(self, estimate: Estimate) -> None:
         """The tests that estimates like this one allow."""
-        flow = self.model.linear if self.model.flow is None else self.model.flow
-        quarter, step = time_scale(flow), self._scenario.simulation.step
+        quarter, step = time_scale(self.model.continuous), self._scenario.simulation.step
         outputs = estimate.innovation_std.shape[-1]
         self._tests = [Consistency(step, quarter) for _ in range(outputs)]
         self._own = Own() if estimate.claims.shape[-1] else None

@@ -17,10 +17,7 @@ from undeadzone.results.listening import LARGER
 from undeadzone.results.run import Run
 from undeadzone.scenario.problem import Problem
 from undeadzone.scenario.schema import Scenario
-from undeadzone.simulation import exogenous as inputs
-from undeadzone.simulation import sample_by_sample as live
-from undeadzone.simulation.loop import Outputs
-from undeadzone.simulation.simulate import Progress, Start, prepare, run_loop, simulated
+from undeadzone.simulation.simulate import Progress, Start, prepare, signals_of, simulated
 from undeadzone.support.arrays import Floats
 
 STILL: Final = 1e-6  # of the largest |z|: an output that moves less says nothing
@@ -59,12 +56,12 @@ def listening(
     if start is None and problem.observer.python is None:
         start = prepare(problem)
     if run is None:
-        signal = _signals(problem, start, progress)
+        signal, _ = signals_of(problem, start, progress)
         z, z_hat = signal.z, signal.estimate.z
     else:
         z, z_hat = run.z, run.z_hat
     other = problem._replace(plant=_larger(problem.plant))
-    larger = _signals(other, _moved(start, other), progress)
+    larger, _ = signals_of(other, _moved(start, other), progress)
     half = slice(len(z) // 2, None)
     with np.errstate(all="ignore"):
         left = (larger.z - larger.estimate.z) - (z - z_hat)
@@ -86,14 +83,6 @@ def _moved(start: Start | None, other: Problem) -> Start | None:
 def _known(share: float) -> float | None:
     """A share; None in place of NaN."""
     return None if np.isnan(share) else share
-
-
-def _signals(problem: Problem, start: Start | None, progress: Progress | None) -> Outputs:
-    """The signals of a run."""
-    if start is None:
-        exogenous = inputs.exogenous(problem)
-        return live.run_sample_by_sample(problem, exogenous, progress)
-    return run_loop(*start, progress)
 
 
 def _larger(plant: System) -> System:

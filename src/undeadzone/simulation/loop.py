@@ -18,6 +18,18 @@ RUNGE_KUTTA: Final = 4  # the order that needs no Taylor series
 HELD: Final = 5  # exogenous inputs of an output that keep their value within a step: the last ones
 
 
+def instants(Ts: float | None, order: int) -> int:
+    """How often a step has exogenous inputs: once, at three instants, or as Taylor coefficients.
+
+    Args:
+        Ts: sample time [s]; None in continuous time.
+        order: RUNGE_KUTTA, or that of a Taylor series.
+    """
+    if Ts is not None:
+        return 1
+    return order if order > RUNGE_KUTTA else 3
+
+
 class Exogenous(NamedTuple):
     """What comes from outside at one instant.
 

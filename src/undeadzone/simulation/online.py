@@ -109,7 +109,7 @@ def observer_graph(
         [tree.stack((after, used)), tree.stack(out)],
         {"cse": True},
     )
-    shapes: Out = tree.rebuild(out, (np.zeros(part.shape[0]) for _, part in tree.leaves(out)))
+    shapes: Out = tree.mapped(lambda part: np.zeros(part.shape[0]), out)
     return function, known.start, known.numbers, shapes
 
 
@@ -274,8 +274,9 @@ class Online:
     def _warn(self, x: Floats, u: Floats) -> None:
         """Warn, once, of a load that coasts through its gap, where `simulate` would refuse."""
         assert self._load is not None
-        assert self.model.flow is not None
-        number = overrun_along(self._load, self.model.flow, x, np.nan_to_num(u)).max(initial=0.0)
+        number = overrun_along(self._load, self.model.continuous, x, np.nan_to_num(u)).max(
+            initial=0.0
+        )
         if number > 1:
             self._load = None
             warnings.warn(

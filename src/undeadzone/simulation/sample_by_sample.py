@@ -74,7 +74,7 @@ def run_sample_by_sample(
         last = k + 1 == exogenous.shape[0]
         if progress is not None and (last or (k + 1) % CHUNK == 0):
             progress(k % CHUNK + 1)
-    by_name: Outputs = tree.rebuild(where, (outputs[:, part] for _, part in tree.leaves(where)))
+    by_name: Outputs = tree.columns(loop.outputs, outputs)
     return by_name
 
 

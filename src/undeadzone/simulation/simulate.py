@@ -10,7 +10,6 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
-import casadi as ca
 import msgspec
 import numpy as np
 
@@ -101,7 +100,7 @@ def simulated(
             problem = _under(controller, problem, engine)
             return Simulated(_run_under(controller, problem, advance, began), problem, None)
         start = None if _in_python(problem, engine) else prepare(problem)
-        signal, error = _signals(problem, start, check_step, advance, engine)
+        signal, error = signals_of(problem, start, advance, check_step, engine)
     return Simulated(collect(problem, signal, error, began), problem, start)
 
 
@@ -141,21 +140,29 @@ def _under(law: live.ControlLaw, problem: Problem, engine: Engine) -> Problem:
     return problem._replace(controller=live.commanded(problem.plant.m))
 
 
-def _signals(
+def signals_of(
     problem: Problem,
     start: Start | None,
-    check_step: bool,
     progress: Progress | None,
-    engine: Engine,
+    check_step: bool = False,
+    engine: Engine = "auto",
 ) -> tuple[Outputs, IntegrationError | None]:
-    """The signals of a run, and the error of its integration where that is measured."""
+    """The signals of a run, and the error of its integration where that is measured.
+
+    Args:
+        problem: the scenario's parts.
+        start: what the run starts from; None: an observer computes in Python.
+        progress: called with the number of steps just done.
+        check_step: as for `simulate`.
+        engine: as for `simulate`.
+    """
     if start is None:
         return live.run_sample_by_sample(problem, inputs.exogenous(problem), progress), None
     twin = check_step and problem.plant.Ts is None
     run = engine_for(start.loop, engine, len(start.exogenous) * (3 if twin else 1))
     if twin:
         return _with_error(problem, start, progress, run)
-    return outputs_of(start, run, progress), None
+    return outputs_of(start, progress, run), None
 
 
 def _with_error(
@@ -173,21 +180,26 @@ def _with_error(
     with ThreadPoolExecutor(1) as beside:
         twin = beside.submit(_at_half_the_step, problem, start, tick, run)
         try:
-            signal = outputs_of(start, run, progress)
+            signal = outputs_of(start, progress, run)
             return signal, _difference(signal, twin.result())
         except BaseException:
             interrupted.set()
             raise
 
 
-def outputs_of(start: Start, run: LoopEngine, progress: Progress | None) -> Outputs:
+def outputs_of(
+    start: Start, progress: Progress | None = None, run: LoopEngine | None = None
+) -> Outputs:
     """The outputs of a run, by name.
 
     Args:
         start: what it starts from.
-        run: what runs its loop, from `engine_for`; loops that differ in numbers alone share one.
         progress: called with the number of steps just done.
+        run: what runs its loop, from `engine_for`; loops that differ in numbers alone share one.
+            None: one of its own.
     """
+    if run is None:
+        run = engine_for(start.loop, "auto", len(start.exogenous))
     packed = run(start.state, start.exogenous, tree.pack(start.loop.params), progress)
     return named(start.loop, packed)
 
@@ -198,9 +210,8 @@ def _at_half_the_step(
     """The signals of a run with half the step, at the instants of the whole ones."""
     params = start.loop.params
     halved = start.loop._replace(params=params._replace(h=params.h / 2))
-    fine = outputs_of(Start(halved, start.state, inputs.exogenous(problem, 2)), run, progress)
-    every_other = (part[::2] for _, part in tree.leaves(fine))
-    outputs: Outputs = tree.rebuild(fine, every_other)
+    fine = outputs_of(Start(halved, start.state, inputs.exogenous(problem, 2)), progress, run)
+    outputs: Outputs = tree.mapped(lambda part: part[::2], fine)
     return outputs
 
 
@@ -230,29 +241,6 @@ def closed(problem: Problem) -> Loop:
     return close(problem._replace(observer=graph_of(problem.observer)))
 
 
-def run_loop(
-    loop: Loop,
-    state: Floats,
-    exogenous: Floats,
-    progress: Progress | None = None,
-    engine: Engine = "auto",
-) -> Outputs:
-    """The outputs of a loop along exogenous inputs, by name (rows: time).
-
-    Args:
-        loop: the closed loop.
-        state: its packed initial state.
-        exogenous: exogenous inputs (one row per step, and one).
-        progress: called with the number of steps just done.
-        engine: auto, interpret or lanes.
-
-    Raises:
-        InputError: the engine is unknown.
-    """
-    run = engine_for(loop, engine, len(exogenous))
-    return outputs_of(Start(loop, state, exogenous), run, progress)
-
-
 def engine_for(loop: Loop, engine: Engine, steps: int) -> LoopEngine:
     """What runs a loop: run(state, exogenous, params, progress) gives its recorded outputs.
 
@@ -274,7 +262,7 @@ def engine_for(loop: Loop, engine: Engine, steps: int) -> LoopEngine:
         compiled = lanes.build(*parts, width=1, hurry=False) if wait else lanes.kept(*parts)
         if compiled is not None:
             return partial(_compiled_outputs, compiled)
-    return partial(_interpreted_outputs, loop.step)
+    return lambda *given: interpret.run(loop.step, *given)[0]
 
 
 def _compiled_outputs(
@@ -287,18 +275,9 @@ def _compiled_outputs(
     return np.asarray(outputs[0])
 
 
-def _interpreted_outputs(
-    step: ca.Function, state: Floats, exogenous: Floats, params: Floats, progress: Progress | None
-) -> Floats:
-    """The outputs of a loop on the virtual machine."""
-    return interpret.run(step, state, exogenous, params, progress)[0]
-
-
 def named(loop: Loop, outputs: Floats) -> Outputs:
     """The columns of recorded outputs (N x all) by name."""
-    widths = [part.size for _, part in tree.leaves(loop.outputs)]
-    columns = np.split(outputs, np.cumsum(widths)[:-1], axis=1)
-    by_name: Outputs = tree.rebuild(loop.outputs, iter(columns))
+    by_name: Outputs = tree.columns(loop.outputs, outputs)
     return by_name
 
 

@@ -23,29 +23,14 @@ from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.observers.parts.model_bank import LEAST
 from undeadzone.observers.parts.smoothing import Moments
 from undeadzone.plants.system import System
+from undeadzone.results.signals import SMOOTHED
 from undeadzone.simulation.online import Out, observer_graph, symbols
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 
 MAPPED = 500  # samples of which a function is evaluated at once
 BLOCK = 5000  # samples whose moments are in memory at once
-
-
-class Smoothed(NamedTuple):
-    """What a whole log says of each of its samples.
-
-    Attributes:
-        x: state (N x n).
-        z: output (N x p) [z].
-        d: widths [d_r, d_l] of each output (N x 2p) [z].
-        x_std, d_std: standard deviations of x and d.
-    """
-
-    x: Floats
-    z: Floats
-    d: Floats
-    x_std: Floats
-    d_std: Floats
+SHOWN = ("x", "z", "right", "left", "x_std", "right_std", "left_std")  # of an estimate
 
 
 class _Graphs(NamedTuple):
@@ -54,8 +39,7 @@ class _Graphs(NamedTuple):
     Attributes:
         step: step(s, w, p) is (next state, estimate).
         moments: moments(rows of [s; w]) are those of its members.
-        shown: shown(rows of [beliefs; share; record]) are rows of [x; z; d_r; d_l; x_std; d_r_std;
-            d_l_std].
+        shown: shown(rows of [beliefs; share; record]) are rows of what is `SHOWN`.
         start, numbers: values of s and p.
         out: where the estimate stands in what `step` gives.
         like: `Moments` of the members, of arrays of their shapes.
@@ -80,8 +64,8 @@ def smooth(
     y: Floats,
     u: Floats,
     progress: Callable[[int], None] | None = None,
-) -> Smoothed:
-    """The smoothed estimates along a log.
+) -> dict[str, Floats]:
+    """The smoothed signals along a log: what it says as a whole of each of its samples.
 
     Args:
         model: the sampled model.
@@ -120,13 +104,13 @@ def _graphs(model: System, observer: Observer, sensor: Zone) -> _Graphs:
     moments = ca.Function(
         "moments", [ca.vertcat(known.s, known.w), known.p], [tree.stack(every)], {"cse": True}
     )
-    like = tree.rebuild(every, (np.zeros(part.shape) for _, part in tree.leaves(_dense(every))))
+    like = tree.mapped(lambda leaf: np.zeros(ca.SX(leaf).shape), every)
     init = observer.init(observer.params)
     record = smoothing.record(init)
     beliefs = [Gaussian(np.zeros(one.before.mean.shape), one.before.cov) for one in like]
     row, (seen, share, kept) = tree.symbols((tuple(beliefs), np.zeros(len(like)), record), "r")
     shown: Estimate = smoothing.shown(known.params, seen, share, kept)
-    out = (shown.x, shown.z, shown.right, shown.left, shown.x_std, shown.right_std, shown.left_std)
+    out = tuple(getattr(shown, name) for name in SHOWN)
     where = tree.slices((init, np.zeros(model.m)))[0]
     return _Graphs(
         step,
@@ -154,11 +138,6 @@ def _along(function: ca.Function, numbers: Floats) -> Callable[[Floats], Floats]
         return np.vstack(out)
 
     return along
-
-
-def _dense(every: Any) -> Any:
-    """Moments whose leaves are all CasADi expressions."""
-    return tree.rebuild(every, (ca.SX(leaf) for _, leaf in tree.leaves(every)))
 
 
 def _block(
@@ -269,17 +248,14 @@ def _records(graphs: _Graphs, states: Floats, worst: Any) -> tuple[Floats, Any]:
 
 def _causal(graphs: _Graphs, out: Floats) -> Floats:
     """What the filter itself shows, where no belief can be smoothed."""
-    where: Estimate = graphs.out.estimate
-    means = (where.x, where.z, where.right, where.left)
-    parts = (*means, where.x_std, where.right_std, where.left_std)
-    return np.hstack([out[:, part] for part in parts])
+    return np.hstack([out[:, getattr(graphs.out.estimate, name)] for name in SHOWN])
 
 
-def _arranged(model: System, shown: Floats) -> Smoothed:
-    """The smoothed signals, right and left of each output in turn."""
+def _arranged(model: System, shown: Floats) -> dict[str, Floats]:
+    """The smoothed signals by name, right and left of each output in turn."""
     n, p = model.n, model.p
     ends = np.cumsum([n, p, p, p, n, p])
     x, z, right, left, x_std, right_std, left_std = np.split(shown, ends, axis=1)
     d = np.stack([right, left], axis=2).reshape(len(shown), -1)
     d_std = np.stack([right_std, left_std], axis=2).reshape(len(shown), -1)
-    return Smoothed(x, z, d, x_std, d_std)
+    return dict(zip(SMOOTHED, (x, z, d, x_std, d_std), strict=True))

@@ -25,7 +25,7 @@ from undeadzone.analysis.identifiability.linear import Verdict, verdicts
 from undeadzone.analysis.identifiability.play_and_zone import Told, told_of_both
 from undeadzone.analysis.identifiability.second_truth import farthest, second_truth
 from undeadzone.analysis.side_schedule import Schedule, reading_levels
-from undeadzone.ends.gaps import gaps_of
+from undeadzone.ends.play import gaps_of
 from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.interfaces import Traits
 from undeadzone.observers.parts.prior import width_ranges

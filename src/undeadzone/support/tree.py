@@ -6,7 +6,7 @@ A tree holds NumPy values or CasADi symbols; its leaves are arrays, numbers or N
 from __future__ import annotations
 
 from collections import namedtuple
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import casadi as ca
@@ -54,6 +54,16 @@ def rebuild(like: Any, values: Iterator[Any]) -> Any:
     return next(values)
 
 
+def mapped(function: Callable[[Any], Any], tree: Any) -> Any:
+    """The tree of what a function makes of each leaf."""
+    return rebuild(tree, (function(leaf) for _, leaf in leaves(tree)))
+
+
+def columns(like: Any, rows: Floats) -> Any:
+    """The columns of packed rows (N x all) as a tree of the shape of the NumPy tree `like`."""
+    return mapped(lambda part: rows[:, part], slices(like))
+
+
 def pack(tree: Any) -> Floats:
     """All numbers of a NumPy tree as one vector (matrices column by column, as CasADi does)."""
     parts = [np.ravel(np.asarray(leaf, float), order="F") for _, leaf in leaves(tree)]
@@ -91,19 +101,12 @@ def slices(like: Any) -> Any:
 
 def unpack(like: Any, column: ca.SX) -> Any:
     """The entries of `column` (CasADi) in a tree of the shapes of the NumPy tree `like`."""
-    return rebuild(like, _pieces(like, column))
-
-
-def _pieces(like: Any, column: ca.SX) -> Iterator[ca.SX]:
-    """The leaves of a tree of the shapes of `like`, filled from a column."""
-    start = 0
-    for _, leaf in leaves(like):
-        shape = np.shape(leaf)
-        rows = shape[0] if shape else 1
-        columns = shape[1] if len(shape) > 1 else 1
-        piece = column[start : start + rows * columns]
-        yield piece if rows and columns == 1 else ca.reshape(piece, rows, columns)
-        start += rows * columns
+    pieces = []
+    for (_, leaf), (_, part) in zip(leaves(like), leaves(slices(like)), strict=True):
+        rows, columns = (*np.shape(leaf), 1, 1)[:2]
+        piece = column[part]
+        pieces.append(piece if rows and columns == 1 else ca.reshape(piece, rows, columns))
+    return rebuild(like, iter(pieces))
 
 
 def symbols(like: Any, name: str) -> tuple[ca.SX, Any]:

@@ -67,7 +67,7 @@ class PriorKnowledge(NamedTuple):
     @property
     def flow(self) -> Matrices:
         """The model in continuous time."""
-        return self.model.linear if self.model.flow is None else self.model.flow
+        return self.model.continuous
 
     @property
     def quarter(self) -> float:

@@ -112,7 +112,7 @@ def approximating(
             "controller.method: this method is for a linear model of one input and one output, "
             f"found {model.m} and {model.p}{nonlinear}"
         )
-    flow = model.linear if model.flow is None else model.flow
+    flow = model.continuous
     r = relative_degree(flow)
     rates = _rates(model, options)
     derivatives = f"|z| and its derivatives up to order {r - 1}"

@@ -73,7 +73,7 @@ class Interval(Options, frozen=True, kw_only=True, tag="interval"):
         )
         x_max = 5 * ranges.max() if self.x_max is None else self.x_max
         start = nonnegative("observer.x_max", x_max, n, "one per state")
-        flow = model.linear if model.flow is None else model.flow
+        flow = model.continuous
         L = self._gain(model, flow)
         form = modes(model.linear.A - L @ model.linear.C, 1 / sizes(flow.A.T, flow.C.T), model.Ts)
         rounding = FLOOR * np.ptp(ranges, axis=1).reshape(2, p).max(axis=0)

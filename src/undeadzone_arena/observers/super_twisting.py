@@ -58,7 +58,7 @@ class SuperTwisting(Options, frozen=True, kw_only=True, tag="super_twisting"):
         """The observer for a model, continuous or sampled."""
         widths = adapted(self.gamma, self.widths0, self.width_max, model, sensor)
         L = self._linear_gain(model)
-        flow = model.linear if model.flow is None else model.flow
+        flow = model.continuous
         chains = output_chains(flow.A, flow.C)
         orders = [len(rows) for rows in chains.rows]
         if max(orders) > len(LEVANT):

@@ -28,8 +28,7 @@ def agitation(model: System, rms: float, span: float | None = None) -> Floats:
         rms: that of z in the end [z].
         span: time that it has [s]; default a quarter period of the plant.
     """
-    assert model.flow is not None
-    A, B, C = model.flow
+    A, B, C = model.continuous
     reached = []
     for b in B.T:
         _, covariance = sampled_noise(A, np.outer(b, b), span or quarter_period(model))
@@ -49,21 +48,18 @@ def default_disturbance(model: System, largest: float, correlation: float) -> Fl
         largest: largest claimed width [z].
         correlation: correlation time of the disturbance [s].
     """
-    assert model.flow is not None
-    white = agitation(model, SWING * largest, arrival(model.flow, model.Ts))
+    white = agitation(model, SWING * largest, arrival(model.continuous, model.Ts))
     return white * np.sqrt(sample_time(model) / 2 / correlation)
 
 
 def quarter_period(model: System) -> float:
     """`time_scale` [s] of a sampled model."""
-    assert model.flow is not None
-    return time_scale(model.flow, model.Ts)
+    return time_scale(model.continuous, model.Ts)
 
 
 def even_units(model: System) -> Floats:
     """The powers of two next to `state_units` (n) of a sampled model."""
-    assert model.flow is not None
-    return np.asarray(2.0 ** np.round(np.log2(state_units(model.flow, model.Ts))))
+    return np.asarray(2.0 ** np.round(np.log2(state_units(model.continuous, model.Ts))))
 
 
 def counted_prior(prior: Prior, units: Floats) -> Prior:

@@ -35,6 +35,7 @@ from undeadzone.interfaces import Estimate, Reading
 from undeadzone.numerics.gaussian import Gaussian, below, density
 from undeadzone.observers.parts.gaussian_filter import Augmentation
 from undeadzone.observers.parts.prior import Prior
+from undeadzone.plants.system import System
 from undeadzone.support.arrays import Floats
 
 SAME = 20.0  # steps for which an error of the side keeps its sign, and counts that much more
@@ -135,6 +136,26 @@ def gaps_at(q: Any, X: Any) -> Any:
     if not q.gaps.std.shape[0]:
         return q.gaps.middle
     return q.gaps.middle + X[place(q, X.shape[0])]
+
+
+def informed(q: Any, model: System, cov: Any) -> Any:
+    """How far readings have told of each width: its correlation with what they said (N).
+
+    The root of the share that they took from its prior variance; 1 for all that is not a width.
+
+    Args:
+        q: the filter's numbers.
+        model: the model.
+        cov: covariance of [x; d; extra] (N x N).
+    """
+    n, known = model.n, model.n + 2 * model.p
+    first = q.doubt.std[n:known] ** 2
+    told = ca.sqrt(ca.fmax(1 - ca.diag(cov)[n:known] / first, 0.0))
+    shares = ca.vertcat(ca.SX.ones(n), told, ca.SX.ones(cov.shape[0] - known))
+    if q.gaps is not None and q.gaps.std.shape[0]:
+        gaps = place(q, cov.shape[0])
+        shares[gaps] = ca.sqrt(ca.fmax(1 - ca.diag(cov)[gaps] / q.gaps.std**2, 0.0))
+    return shares
 
 
 def taken_by_play(q: Any, i: int, contact: Any, X: Any) -> Any:

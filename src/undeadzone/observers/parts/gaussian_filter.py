@@ -130,34 +130,6 @@ def kept_entries(model: System, augmentation: Augmentation) -> ca.Sparsity:
     return ca.Sparsity.upper(model.n + 2 * model.p + len(augmentation.cov))
 
 
-def informed(q: Params, model: System, cov: Any) -> Any:
-    """How far readings have told of each width: its correlation with what they said (N).
-
-    The root of the share that they took from its prior variance; 1 for all that is not a width.
-
-    Args:
-        q: the filter's numbers.
-        model: the model.
-        cov: covariance of [x; d; extra] (N x N).
-    """
-    n, known = model.n, model.n + 2 * model.p
-    first = q.doubt.std[n:known] ** 2
-    told = ca.sqrt(ca.fmax(1 - ca.diag(cov)[n:known] / first, 0.0))
-    return ca.vertcat(ca.SX.ones(n), told, _informed_of_gaps(q, cov, known))
-
-
-def _informed_of_gaps(q: Params, cov: Any, known: int) -> Any:
-    """`informed` of the unknowns after the widths, of which there are `known` with the state."""
-    rest = cov.shape[0] - known
-    if q.gaps is None or not q.gaps.std.shape[0]:
-        return ca.SX.ones(rest)
-    after = 0 if q.zones is None else q.zones.middle.shape[0]
-    count = q.gaps.std.shape[0]
-    variance = ca.diag(cov)[cov.shape[0] - after - count : cov.shape[0] - after]
-    told = ca.sqrt(ca.fmax(1 - variance / q.gaps.std**2, 0.0))
-    return ca.vertcat(ca.SX.ones(rest - after - count), told, ca.SX.ones(after))
-
-
 def motion(
     model: System,
     q: Params,

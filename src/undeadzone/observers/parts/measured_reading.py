@@ -27,8 +27,8 @@ from undeadzone.numerics.gaussian import (
     together,
     update_unless_glitch,
 )
-from undeadzone.observers.parts.further_constants import taken_by_play
-from undeadzone.observers.parts.gaussian_filter import Params, Setup, informed
+from undeadzone.observers.parts.further_constants import informed, taken_by_play
+from undeadzone.observers.parts.gaussian_filter import Params, Setup
 from undeadzone.observers.parts.prior import HELD, SILENT, Prior
 from undeadzone.plants.system import System, pace, time_scale
 from undeadzone.support.arrays import Floats

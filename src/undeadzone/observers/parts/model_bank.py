@@ -23,6 +23,11 @@ from undeadzone.support.arrays import Floats
 LEAST = 1e-6  # odds of a member against the best one, however wrong it was
 FALL = 4.0  # from one level of the disturbance to the next, if it is claimed
 DOUBTED = 3  # levels from which on one lies above the claim
+# Deviations, and what it is that has them: a sum of fields.
+EACH = ("x", "right", "left", "innovation", "actuator_right", "actuator_left")
+GAPS = ("gap_right", "gap_left")
+SPREAD: dict[str, tuple[str, ...]] = {f"{name}_std": (name,) for name in (*EACH, *GAPS)}
+SPREAD |= {"width_std": ("right", "left"), "gap_std": GAPS}
 LOUDEST, FAINTEST = 4.0, 0.125  # level of the disturbance, in its default, if it is not
 
 
@@ -145,27 +150,15 @@ def mixture(estimates: Sequence[Estimate], share: Any) -> Estimate:
     mixture's own.
     """
     wide = wider_of_two(share)
-
-    def each(name: str) -> list[Any]:
-        return [getattr(one, name) for one in estimates]
-
     means = [weighted_mean(share, values) for values in zip(*estimates, strict=True)]
-    widths = [one.right + one.left for one in estimates]
-    further = {}
-    for side in ("actuator_right", "actuator_left", "gap_right", "gap_left"):
-        if getattr(estimates[0], f"{side}_std").shape[0]:
-            further[f"{side}_std"] = mixture_std(share, wide, each(side), each(f"{side}_std"))
-    if estimates[0].gap_std.shape[0]:
-        gaps = [one.gap_right + one.gap_left for one in estimates]
-        further["gap_std"] = mixture_std(share, wide, gaps, each("gap_std"))
-    return Estimate(*means)._replace(
-        **further,
-        x_std=mixture_std(share, wide, each("x"), each("x_std")),
-        right_std=mixture_std(share, wide, each("right"), each("right_std")),
-        left_std=mixture_std(share, wide, each("left"), each("left_std")),
-        width_std=mixture_std(share, wide, widths, each("width_std")),
-        innovation_std=mixture_std(share, share, each("innovation"), each("innovation_std")),
-    )
+    stds = {}
+    for field, parts in SPREAD.items():
+        if getattr(estimates[0], field).shape[0]:
+            counted = share if field == "innovation_std" else wide
+            values = [sum(getattr(one, part) for part in parts) for one in estimates]
+            each = [getattr(one, field) for one in estimates]
+            stds[field] = mixture_std(share, counted, values, each)
+    return Estimate(*means)._replace(**stds)
 
 
 def weighted_mean(share: Any, values: Sequence[Any]) -> Any:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from undeadzone.ends.gaps import largest_gap
+from undeadzone.ends.play import largest_gap
 from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Traits
@@ -110,12 +110,12 @@ def build_prior(
         rms = shown = _claimed_noise(claims.noise, p)
         least = np.zeros(p)
     if claims.x_std is None:
-        spread = reach * largest * state_units(model.flow or model.linear, Ts)
+        spread = reach * largest * state_units(model.continuous, Ts)
     else:
         spread = nonnegative("observer.x_std", claims.x_std, model.n, "one per state")
     drift, worn = claims.drift, 0.0
     if drift is None:
-        worn = wear**2 * np.pi / 2 * Ts / time_scale(model.flow or model.linear, Ts)
+        worn = wear**2 * np.pi / 2 * Ts / time_scale(model.continuous, Ts)
     growth = scalar("observer.drift", 0.0 if drift is None else drift, least=0.0) ** 2 * Ts
     x0 = vector("observer.start", start, model.n, "one per state")
     return Prior(
@@ -295,9 +295,8 @@ def doubt_numbers(
         glitches: probability that a reading is wrong; 0: none is.
         claimed: whether the disturbance is claimed, and no default.
     """
-    assert model.flow is not None
     assert model.Ts is not None
-    quarter = time_scale(model.flow, model.Ts)
+    quarter = time_scale(model.continuous, model.Ts)
     share = max(glitches, np.finfo(float).tiny)
     noisy = (sensor.noise > 0) | (sensor.noise_before > 0)
     return Doubt(
@@ -312,7 +311,7 @@ def doubt_numbers(
         most=np.asarray(CHANCE if claimed else CHANCE_OF_DEFAULTS),
         limit=np.asarray(SCORE if claimed else SCORE_OF_DEFAULTS),
         stays=STAYS * np.sqrt(prior.R) * sensor.slope * (noisy & (not sensor.moves)),
-        push=model.flow.C @ zoh(model.flow, quarter).B,
+        push=model.continuous.C @ zoh(model.continuous, quarter).B,
         means=np.exp(-model.Ts / (np.array(MEANS) * quarter)),
     )
 

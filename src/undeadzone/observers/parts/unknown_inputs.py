@@ -17,7 +17,8 @@ from undeadzone.errors import InputError
 from undeadzone.linear.hold import sampled_noise, zoh_slopes
 from undeadzone.linear.matrices import Matrices, similar
 from undeadzone.numerics.gaussian import Gaussian, update
-from undeadzone.observers.parts.gaussian_filter import Augmentation, Params, informed
+from undeadzone.observers.parts.further_constants import informed
+from undeadzone.observers.parts.gaussian_filter import Augmentation, Params
 from undeadzone.plants.system import System, held, in_units, state_units, time_scale
 from undeadzone.support.arrays import Array, Floats, nonnegative, scalar
 
@@ -200,9 +201,8 @@ def rest_under_bias(model: System, biased: Floats) -> Floats:
     The tolerance acts on x less that state: else estimates of theta would seem to tell bias from
     centre.
     """
-    assert model.flow is not None
-    A, B, _ = model.flow
-    units = state_units(model.flow)
+    A, B, _ = model.continuous
+    units = state_units(model.continuous)
     even = similar(A, units)
     rest = np.linalg.lstsq(even, -(B / units[:, None]) @ biased, rcond=None)[0]
     return np.asarray(units[:, None] * rest)
@@ -325,8 +325,7 @@ def tolerances(
     if model.nonlinear:
         return _of_parameters(model, claimed)
     assert model.Ts is not None
-    assert model.flow is not None
-    AB = np.hstack(model.flow[:2])
+    AB = np.hstack(model.continuous[:2])
     places = _entry_names(model.n, model.m)
     if not isinstance(claimed, dict):
         claimed = _dynamic_entries(AB, places, claimed)
@@ -342,8 +341,7 @@ def tolerances(
             std.append(relative)
             entries.append(places[name])
     even = in_units(model, np.ones(model.n) if units is None else units)
-    assert even.flow is not None
-    AB = np.hstack(even.flow[:2])
+    AB = np.hstack(even.continuous[:2])
     return Tolerance(
         np.array(std),
         sampled_slopes(AB, entries, model.Ts),

@@ -84,32 +84,23 @@ def gradient_move(numbers: Any, edge: Edge) -> tuple[Any, Any]:
     return edge.gamma * edge.drive, NONE
 
 
-def leave_innovation(numbers: Any, y: Any) -> Any:
-    """The factor 1: the innovation counts as it is."""
-    return 1.0
-
-
-def leave_gain(numbers: Any, gain: Any, gamma: Any) -> Any:
-    """The gain as it is."""
-    return gain
-
-
 class Law(NamedTuple):
     """A law as pure functions; gains and rates are per step in sampled time.
 
     Attributes:
         numbers: run-time numbers; None for the one law whose gains are constant.
-        soften: soften(numbers, y) is the factor in (0, 1] on the innovation.
+        soften: soften(numbers, y) is the factor in (0, 1] on the innovation; default 1.
         gains: whether each edge has a gain that moves, from gamma on.
         move: move(numbers, edge) is (what is added to d^, the gain's derivative or next value).
-        reset: reset(numbers, gain, gamma) is the gain in place of one that has become too small.
+        reset: reset(numbers, gain, gamma) is the gain in place of one that has become too small;
+            default: it stays.
     """
 
     numbers: Any = None
-    soften: Callable[[Any, Any], Any] = leave_innovation
+    soften: Callable[[Any, Any], Any] = lambda numbers, y: 1.0
     gains: bool = False
     move: Callable[[Any, Edge], tuple[Any, Any]] = gradient_move
-    reset: Callable[[Any, Any, Any], Any] = leave_gain
+    reset: Callable[[Any, Any, Any], Any] = lambda numbers, gain, gamma: gain
 
 
 GRADIENT = Law()
