@@ -40,10 +40,10 @@ def mujoco_log(seed: int) -> Recorded:
     quantum = 0.0 if noisy else gap / log_uniform(draw, 0.5, 50.0)
     rms = gap / log_uniform(draw, 3.0, 60.0) if noisy else 0.0
     kp = proportional if closed else 0.0
-    servo = Servo(damping, gain, 0.0, 0.0, friction, gap, quantum, delay, kp, 0.0)
     noise = rms * draw.standard_normal(count)
-    load = draw.uniform(0.002, 0.15)  # friction of the link, in units of the input
-    twin = Twin(_arm(servo, load), np.zeros(1), np.ones(1))
+    load = draw.uniform(0.002, 0.15)
+    servo = Servo(damping, gain, 0.0, 0.0, friction, gap, quantum, delay, kp, 0.0, load)
+    twin = Twin(_arm(servo), np.zeros(1), np.ones(1))
     u, y = np.empty(count), np.empty(count)
     late = deque([0.0] * delay)
     for k in range(count):
@@ -55,10 +55,10 @@ def mujoco_log(seed: int) -> Recorded:
     return Recorded(step, u, y, servo, rms, closed)
 
 
-def _arm(servo: Servo, load: float) -> Arm:
+def _arm(servo: Servo) -> Arm:
     """A servo as an arm of one link on a level plane, too light to coast."""
     torque = servo.gain * ROTOR
-    inertia = LIGHT * load * ROTOR
+    inertia = LIGHT * servo.load * ROTOR
     links = Links(np.array([1e-6]), np.ones(1), np.zeros(1), np.array([inertia]), 0.0)
     return Arm(
         links,
@@ -66,7 +66,7 @@ def _arm(servo: Servo, load: float) -> Arm:
         rotor=np.array([ROTOR]),
         motor_friction=np.array([servo.friction * torque]),
         motor_viscous=np.array([servo.damping * ROTOR]),
-        friction=np.array([load * torque]),
+        friction=np.array([servo.load * torque]),
         viscous=np.array([1e-9]),
         half=np.array([servo.gap / 2]),
         contact=FIRM,

@@ -9,7 +9,8 @@ import numpy as np
 from undeadzone.identification.servo.predictor import LATEST, NUMBERS, SURE
 from undeadzone.support.arrays import Floats
 
-# ln p, g, ln p_e, ln k, f, o, c, ln of the rms of white torque, of noise, of slow torque, delay, f_l
+# ln p, g, ln p_e, ln k, f, o, c, ln of the rms of white torque, of noise, of slow torque, delay,
+# friction of the load
 NAMES = (
     *("damping", "gain", "pole", "spring", "friction", "offset", "gap"),
     *("torque", "noise", "slow", "delay", "load"),

@@ -25,7 +25,6 @@ from undeadzone.identification.servo.sampled import (
     FRICTION,
     GAIN,
     GAP,
-    LOAD,
     NAMES,
     NOISE,
     POLE,
