@@ -47,6 +47,7 @@ class Arm(NamedTuple):
         half: of the gaps.
         contact: natural frequency that MuJoCo's limits aim at [rad/s].
         damping: its damping ratio.
+        stops: time in which friction stops what slides [s].
     """
 
     links: Links | Path
@@ -59,6 +60,7 @@ class Arm(NamedTuple):
     half: Floats
     contact: float
     damping: float
+    stops: float = 0.02
 
 
 def planar(links: Links) -> Any:
@@ -93,14 +95,16 @@ def model_of(arm: Arm) -> Any:
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     limit = [-(arm.contact**2), -2 * arm.damping * arm.contact]
+    stops = [arm.stops, 1.0]
     for i, motor in enumerate(list(spec.joints)):
         motor.armature = arm.rotor[i]
         motor.frictionloss, motor.damping = arm.motor_friction[i], [arm.motor_viscous[i], 0, 0]
+        motor.solref_friction = stops
         gap = motor.parent.add_joint(name=f"g{i}", type=motor.type, axis=motor.axis)
         gap.limited, gap.range = mujoco.mjtLimited.mjLIMITED_TRUE, [-arm.half[i], arm.half[i]]
         gap.solref_limit, gap.solimp_limit = limit, FIRM
         both = spec.add_tendon(name=f"t{i}", frictionloss=arm.friction[i])
-        both.damping = [arm.viscous[i], 0, 0]
+        both.damping, both.solref_friction = [arm.viscous[i], 0, 0], stops
         both.wrap_joint(motor.name, 1.0)
         both.wrap_joint(gap.name, 1.0)
         drive = spec.add_actuator(name=f"u{i}", target=motor.name)

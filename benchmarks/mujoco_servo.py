@@ -10,10 +10,11 @@ from collections import deque
 
 import numpy as np
 
-from benchmarks.mujoco_gears import Arm, Links, Twin
+from benchmarks.mujoco_gears import STEP, Arm, Links, Twin
 from benchmarks.servo_logs import LATEST, Recorded, Servo, input_at_random, log_uniform
 
 ROTOR = 1.0  # [kg m^2]
+LIGHT = 0.1  # inertia of the link over the rotor's, for its friction in units of the input
 FIRM = 3000.0  # natural frequency of a link at an end of the gap [rad/s]
 
 
@@ -39,10 +40,10 @@ def mujoco_log(seed: int) -> Recorded:
     quantum = 0.0 if noisy else gap / log_uniform(draw, 0.5, 50.0)
     rms = gap / log_uniform(draw, 3.0, 60.0) if noisy else 0.0
     kp = proportional if closed else 0.0
-    servo = Servo(damping, gain, 0.0, 0.0, friction, gap, quantum, delay, kp, 0.0)
     noise = rms * draw.standard_normal(count)
-    link = draw.uniform(5e-4, 2e-3), 0.01  # its inertia and friction, as shares of the motor's
-    twin = Twin(_arm(servo, link, draw), np.zeros(1), np.ones(1))
+    load = draw.uniform(0.002, 0.15)
+    servo = Servo(damping, gain, 0.0, 0.0, friction, gap, quantum, delay, kp, 0.0, load)
+    twin = Twin(_arm(servo), np.zeros(1), np.ones(1))
     u, y = np.empty(count), np.empty(count)
     late = deque([0.0] * delay)
     for k in range(count):
@@ -54,10 +55,10 @@ def mujoco_log(seed: int) -> Recorded:
     return Recorded(step, u, y, servo, rms, closed)
 
 
-def _arm(servo: Servo, link: tuple[float, float], draw: np.random.Generator) -> Arm:
-    """A servo as an arm of one link on a level plane."""
+def _arm(servo: Servo) -> Arm:
+    """A servo as an arm of one link on a level plane, too light to coast."""
     torque = servo.gain * ROTOR
-    inertia, held = link[0] * ROTOR, link[1] * torque
+    inertia = LIGHT * servo.load * ROTOR
     links = Links(np.array([1e-6]), np.ones(1), np.zeros(1), np.array([inertia]), 0.0)
     return Arm(
         links,
@@ -65,9 +66,10 @@ def _arm(servo: Servo, link: tuple[float, float], draw: np.random.Generator) -> 
         rotor=np.array([ROTOR]),
         motor_friction=np.array([servo.friction * torque]),
         motor_viscous=np.array([servo.damping * ROTOR]),
-        friction=np.array([held]),
+        friction=np.array([servo.load * torque]),
         viscous=np.array([1e-9]),
         half=np.array([servo.gap / 2]),
         contact=FIRM,
         damping=1.0,
+        stops=2 * STEP,
     )

@@ -37,6 +37,7 @@ class Servo(NamedTuple):
         delay: of the input [samples].
         proportional: gain of the loop; 0: open.
         rate: gain of the loop on the rate.
+        load: friction of what the gear pushes, in units of the input.
     """
 
     damping: float
@@ -49,6 +50,7 @@ class Servo(NamedTuple):
     delay: int
     proportional: float
     rate: float
+    load: float = 0.0
 
 
 class Recorded(NamedTuple):
@@ -76,13 +78,12 @@ def kernel() -> lanes.Kernel:
     """One sample: the reading and the input that answers to it, then motion until the next."""
     state = ca.SX.sym("s", 6 + LATEST)
     signals = ca.SX.sym("w", 3)
-    p = ca.SX.sym("p", 12)
+    p = ca.SX.sym("p", 13)
     z, v, current, level, before, slope = ca.vertsplit(state[:6])
     late = ca.vertsplit(state[6:])
     command, torque, noise = ca.vertsplit(signals)
-    damping, gain, spring, pole, friction, gap, quantum, delay, kp, kd, closed, step = ca.vertsplit(
-        p
-    )
+    damping, gain, spring, pole, friction, gap, quantum, delay, kp, kd = ca.vertsplit(p[:10])
+    load, closed, step = ca.vertsplit(p[10:])
     y = level + noise
     y = ca.if_else(quantum > 0, quantum * ca.floor(y / ca.fmax(quantum, 1e-12) + 0.5), y)
     slope = slope + 0.2 * ((y - before) / step - slope)
@@ -97,9 +98,11 @@ def kernel() -> lanes.Kernel:
         current = ca.if_else(pole > 0, current + h * pole * (acting - current), acting)
         push = current + torque - spring * z / gain
         sign = ca.if_else(v == 0, ca.sign(push), ca.sign(v))
-        stays = ca.logic_and(v == 0, ca.fabs(push) <= friction)
-        faster = v + h * (gain * (push - sign * friction) - damping * v)
-        turns = ca.logic_and(friction > 0, faster * sign < 0)
+        pushes = sign * (z - level) >= gap / 2 * (1 - 1e-9)
+        rubs = friction + ca.if_else(pushes, load, 0.0)
+        stays = ca.logic_and(v == 0, ca.fabs(push) <= rubs)
+        faster = v + h * (gain * (push - sign * rubs) - damping * v)
+        turns = ca.logic_and(rubs > 0, faster * sign < 0)
         faster = ca.if_else(ca.logic_or(stays, turns), 0.0, faster)
         z = z + 0.5 * h * (v + faster)
         v = faster

@@ -167,6 +167,14 @@ def test_a_log_about_an_operating_point_tells_nothing_of_a_zone(seed: int) -> No
 # --- names
 
 
+def test_the_colour_of_a_loops_disturbance_is_no_friction() -> None:
+    """By noise of first order it was friction, with odds of .985."""
+    log = make(7001, "operating point")
+    found = uz.identify(t=log.step, u=log.u, y=log.y)
+    assert found.verdict == "operating_point"
+    assert found.numbers()["odds"]["none"] > 0.9
+
+
 def test_a_zone_at_both_ends_is_not_sold_as_the_sensors() -> None:
     rng, u, _ = driven(3, 1200)
     z = lfilter([0.0, 0.05, 0.03], DENOMINATOR, dead_zone(u, 0.4, 0.3))

@@ -24,6 +24,7 @@ from undeadzone.identification.servo.sampled import (
     FRICTION,
     GAIN,
     GAP,
+    LOAD,
     NAMES,
     NOISE,
     OFFSET,
@@ -40,8 +41,8 @@ OF_SPREAD = 1.6  # curvature of ln S: 2 nu / (nu + 3), a little more
 DEAR = 2.5  # nats of BIC a number, in ln N: errors of ticks are not independent
 GAINED = 1e-3  # nats below which a climb is done
 PATIENT = 2  # steps that gain so little
-PARTS = {"friction": FRICTION, "spring": SPRING, "pole": POLE, "slow": SLOW}
-NONE = {FRICTION: 0.0, SPRING: -math.inf, POLE: math.inf, SLOW: -math.inf}
+PARTS = {"friction": FRICTION, "load": LOAD, "spring": SPRING, "pole": POLE, "slow": SLOW}
+NONE = {FRICTION: 0.0, LOAD: 0.0, SPRING: -math.inf, POLE: math.inf, SLOW: -math.inf}
 ALWAYS = (DAMPING, GAIN, OFFSET, TORQUE, DELAY)
 
 
@@ -49,7 +50,7 @@ class Structure(NamedTuple):
     """What a servo has.
 
     Attributes:
-        parts: of friction, spring, pole and slow.
+        parts: of friction, friction of the load, spring, pole and slow.
         lag: whether it is a plant of first order instead of a motor.
     """
 
@@ -248,7 +249,8 @@ def steps_of(theta: Floats) -> Floats:
     """By how much each number is moved for derivatives (P)."""
     steps = np.full(len(NAMES), 2e-3)
     steps[GAIN] = 1e-3 * abs(theta[GAIN]) + 1e-9
-    steps[FRICTION] = 1e-3 + 0.01 * abs(theta[FRICTION])
+    for place in (FRICTION, LOAD):
+        steps[place] = 1e-3 + 0.01 * abs(theta[place])
     steps[GAP] = 0.005 * theta[GAP] + 1e-6
     steps[DELAY] = 0.02
     return steps
@@ -258,7 +260,7 @@ def reach_of(theta: Floats) -> Floats:
     """By how much each number may change in a step (P)."""
     reach = np.ones(len(NAMES))
     reach[GAIN] = 0.5 * abs(theta[GAIN]) + 0.02
-    reach[FRICTION] = 0.1
+    reach[[FRICTION, LOAD]] = 0.1
     reach[OFFSET] = 0.3
     reach[GAP] = 0.5 * theta[GAP] + 0.02
     reach[DELAY] = 1.0
@@ -278,7 +280,7 @@ def bounded(theta: Floats, log: Heard) -> Floats:
     ):
         there = np.isfinite(own[place])
         own[place, there] = np.clip(own[place, there], low, high)
-    own[FRICTION] = np.maximum(own[FRICTION], 0.0)
+    own[[FRICTION, LOAD]] = np.maximum(own[[FRICTION, LOAD]], 0.0)
     own[GAP] = np.maximum(own[GAP], 1e-7)
     earliest = 0.0 if log.closed else EARLIEST  # in a loop u answers to the reading of its sample
     own[DELAY] = np.clip(own[DELAY], earliest, predictor.LATEST + EARLIEST - 1e-6)

@@ -5,7 +5,8 @@ A motor, its slow torque d and its current i, in physical coordinates, sampled e
     z' = v,   v' = -p v - k z + g (i - f sign v + o + d + w),   i' = p_e (u(t - delay) - i)    (S1)
 
 **Friction** takes g f dt a sample from v and lets it rest at 0 where what drives it is less. At
-rest the spread of v loses as much, and no torque enters once it is 0.                         (S2)
+rest the spread of v loses as much, and no torque enters once it is 0. Friction of the load is felt
+besides where the gear pushes it, and not in the gap.                                          (S2)
 
 **Ticks.** Of an encoder, or of exact readings, each change is a tick. Its side s says the contact,
 its boundary B where the level was:
@@ -41,7 +42,10 @@ PLANT = (
     *("bz", "bv", "bi", "fz", "fv"),
     *("q00", "q01", "q11", "q02", "q12", "q22"),
 )
-OTHERS = ("friction", "offset", "gap", "rms", "quantum", "step", "first_v", "first_d", "free")
+OTHERS = (
+    *("friction", "load", "offset", "gap", "rms", "quantum"),
+    *("step", "first_v", "first_d", "free"),
+)
 NUMBERS = (*PLANT, *OTHERS)  # then the weights of u(t), u(t - 1), ...
 MEAN = 4  # z, v, d, i
 TRIANGLE = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))  # of the covariance of z, v, d
@@ -62,41 +66,79 @@ class Lane:
         return self._named[name]
 
 
-def moved(lane: Lane, x: list[Any], u: Any, torque: Any) -> tuple[list[Any], Any]:
-    """The mean a sample later, and whether it came to rest.
+class _Motion(NamedTuple):
+    """What a sample does to a motor.
+
+    Attributes:
+        x: the mean of z, v, d, i after it.
+        rests: whether it came to rest.
+        brake: what friction takes from v at rest.
+    """
+
+    x: list[Any]
+    rests: Any
+    brake: Any
+
+
+def moved(lane: Lane, x: list[Any], u: Any, torque: Any, contact: Any) -> _Motion:
+    """The mean a sample later.
 
     Args:
         lane: its numbers.
         x: z, v, d, i.
         u: the input that acts.
         torque: that acts besides, in units of the input.
+        contact: share of the sample in which the gear pushes the load, with the sign of its way.
     """
     z, v, d, i = x
     push = lane.a10 * z + lane.a12 * d + lane.a13 * i + lane.bv * u + lane.fv * torque
     rolled = lane.a00 * z + lane.a01 * v + lane.a02 * d + lane.a03 * i + lane.bz * u
     rolled = rolled + lane.fz * torque
-    brake = ca.fabs(lane.fv) * lane.friction
     sign = ca.if_else(v == 0, ca.sign(push), ca.sign(v))
-    ahead = lane.a11 * v + push - sign * brake
-    passes = ca.logic_and(ahead * sign < 0, lane.friction > 0)
-    held = ca.fabs(push) <= brake
-    at_rest = ca.logic_and(v == 0, held)
-    rests = ca.logic_and(lane.friction > 0, ca.logic_or(at_rest, ca.logic_and(passes, held)))
+    friction = lane.friction + lane.load * ca.fmax(sign * contact, 0.0)
+    turned = lane.friction + lane.load * ca.fmax(-sign * contact, 0.0)  # once it turned
+    rubs = lane.friction + lane.load > 0
+    ahead = lane.a11 * v + push - sign * ca.fabs(lane.fv) * friction
+    passes = ca.logic_and(ahead * sign < 0, rubs)
+    brake = ca.fabs(lane.fv) * ca.if_else(v == 0, friction, turned)
+    stops = ca.logic_or(v == 0, passes)
+    rests = ca.logic_and(rubs, ca.logic_and(stops, ca.fabs(push) <= brake))
     before = ca.fabs(v) / ca.fmax(ca.fabs(v) + ca.fabs(ahead), 1e-300)  # share until it stops
-    share = ca.if_else(passes, 2 * before - 1, 1.0) * sign
-    share = ca.if_else(lane.friction > 0, share, 0.0)
-    slid_z = rolled - ca.fabs(lane.fz) * lane.friction * share
-    slid_v = lane.a11 * v + push - brake * share
+    taken = sign * ca.if_else(passes, before * friction - (1 - before) * turned, friction)
+    slid_z = rolled - ca.fabs(lane.fz) * taken
+    slid_v = lane.a11 * v + push - ca.fabs(lane.fv) * taken
     stopped = z + 0.5 * before * v * lane.step * ca.if_else(v == 0, 0.0, 1.0)
     new_z = ca.if_else(rests, stopped, slid_z)
     new_v = ca.if_else(rests, 0.0, slid_v)
-    return [new_z, new_v, lane.a22 * d, lane.a33 * i + lane.bi * u], rests
+    return _Motion([new_z, new_v, lane.a22 * d, lane.a33 * i + lane.bi * u], rests, brake)
 
 
-def _spread(lane: Lane, P: Any, rests: Any) -> Any:
+def contact_of(lane: Lane, z: Any, v: Any, level: Any) -> Any:
+    """Share of a sample in which the gear pushes the load, with the sign of its way.
+
+    Args:
+        lane: its numbers.
+        z, v: of the motor.
+        level: of the load.
+    """
+    apart, half = z - level, lane.gap / 2
+    swept = ca.fabs(v) * lane.step
+    beyond = ca.sign(v) * apart + swept - half
+    moving = ca.sign(v) * ca.fmax(ca.fmin(beyond / ca.fmax(swept, 1e-300), 1.0), 0.0)
+    resting = ca.if_else(ca.fabs(apart) >= half * (1 - 1e-9), ca.sign(apart), 0.0)
+    return ca.if_else(v == 0, resting, moving)
+
+
+def pulled(lane: Lane, level: Any, z: Any) -> Any:
+    """The level of the load that the motor takes along."""
+    return ca.fmax(ca.fmin(level, z + lane.gap / 2), z - lane.gap / 2)
+
+
+def _spread(lane: Lane, P: Any, motion: _Motion) -> Any:
     """The covariance of z, v, d a sample later, and the matrix that carried it."""
+    rests = motion.rests
     deviation = ca.sqrt(ca.fmax(P[1, 1], 0.0))
-    kept = ca.fmax(1 - ca.fabs(lane.fv) * lane.friction / ca.fmax(deviation, 1e-300), 0.0)
+    kept = ca.fmax(1 - motion.brake / ca.fmax(deviation, 1e-300), 0.0)
     kept = ca.if_else(deviation > 0, kept, 0.0)
     loose = ca.if_else(rests, ca.if_else(kept > 0, 1.0, 0.0), 1.0)
     F = ca.SX.zeros(3, 3)
@@ -182,15 +224,17 @@ def ticks(what: str = "all") -> lanes.Kernel:
         Errors are of ticks alone; a free one forgets z at a reversal, so that nothing is heard of
         the gap.
     """
-    state = ca.SX.sym("s", MEAN + len(TRIANGLE))
+    state = ca.SX.sym("s", MEAN + len(TRIANGLE) + 1)
     signals = ca.SX.sym("w", LATEST + 1 + 6)
     numbers = ca.SX.sym("p", len(NUMBERS) + LATEST + 1)
     lane = Lane(numbers)
     side, boundary, turns, first, starts, counts = ca.vertsplit(signals[LATEST + 1 :])
     inputs = signals[: LATEST + 1]
-    x, rests = moved(lane, ca.vertsplit(state[:MEAN]), ca.dot(lane.taps, inputs), lane.offset)
-    P, _ = _spread(lane, _symmetric(ca.vertsplit(state[MEAN:])), rests)
-    x = [ca.if_else(starts, 0.0, one) for one in x]
+    acting, level = ca.dot(lane.taps, inputs), state[-1]
+    contact = contact_of(lane, state[0], state[1], level)
+    motion = moved(lane, ca.vertsplit(state[:MEAN]), acting, lane.offset, contact)
+    P, _ = _spread(lane, _symmetric(ca.vertsplit(state[MEAN:-1])), motion)
+    x = [ca.if_else(starts, 0.0, one) for one in motion.x]
     P = ca.if_else(starts, _first(lane, 0.0), P)
     swept = ca.fmin(ca.fabs(x[1]) * lane.step, lane.quantum)
     swept = ca.fmax(swept, SURE * lane.quantum)
@@ -215,7 +259,8 @@ def ticks(what: str = "all") -> lanes.Kernel:
     against = ca.logic_and(side != 0, heard[1] * side <= 0)
     against = ca.logic_and(against, ca.logic_not(turned))
     heard[1] = ca.if_else(against, side * SLOWEST, heard[1])
-    following = ca.vertcat(*heard, x[3], *_upper(P))
+    level = ca.if_else(side != 0, heard[0] - side * lane.gap / 2, pulled(lane, level, heard[0]))
+    following = ca.vertcat(*heard, x[3], *_upper(P), ca.if_else(starts, 0.0, level))
     return _compiled("ticks", state, signals, numbers, _Out(following, seen, counts), what)
 
 
@@ -238,10 +283,13 @@ def noise(what: str = "all") -> lanes.Kernel:
     lane = Lane(numbers)
     reading, there, starts, counts = ca.vertsplit(signals[LATEST + 1 :])
     inputs = signals[: LATEST + 1]
-    x, rests = moved(lane, ca.vertsplit(state[:MEAN]), ca.dot(lane.taps, inputs), lane.offset)
     upper = ca.vertsplit(state[MEAN : MEAN + len(TRIANGLE)])
-    P, F = _spread(lane, _symmetric(upper), rests)
     level, of_level = state[MEAN + len(TRIANGLE)], state[MEAN + len(TRIANGLE) + 1 :]
+    contact = contact_of(lane, state[0], state[1], level)
+    acting = ca.dot(lane.taps, inputs)
+    motion = moved(lane, ca.vertsplit(state[:MEAN]), acting, lane.offset, contact)
+    x = motion.x
+    P, F = _spread(lane, _symmetric(upper), motion)
     with_level, own = F @ of_level[:3], of_level[3]
     R = lane.rms**2
     at_start = [reading, 0.0, 0.0, 0.0]

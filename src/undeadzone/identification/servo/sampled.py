@@ -9,12 +9,13 @@ import numpy as np
 from undeadzone.identification.servo.predictor import LATEST, NUMBERS, SURE
 from undeadzone.support.arrays import Floats
 
-# ln p, g, ln p_e, ln k, f, o, c, ln of the rms of white torque, of noise, of slow torque, delay
+# ln p, g, ln p_e, ln k, f, o, c, ln of the rms of white torque, of noise, of slow torque, delay,
+# friction of the load
 NAMES = (
     *("damping", "gain", "pole", "spring", "friction", "offset", "gap"),
-    *("torque", "noise", "slow", "delay"),
+    *("torque", "noise", "slow", "delay", "load"),
 )
-DAMPING, GAIN, POLE, SPRING, FRICTION, OFFSET, GAP, TORQUE, NOISE, SLOW, DELAY = range(11)
+DAMPING, GAIN, POLE, SPRING, FRICTION, OFFSET, GAP, TORQUE, NOISE, SLOW, DELAY, LOAD = range(12)
 SLOW_TIME = 0.5  # correlation time of the slow torque [s]
 EARLIEST = -1  # delay of a log whose input was recorded after it had acted [samples]
 COARSEST = 0.05  # of a step of the series, in rates
@@ -106,9 +107,8 @@ def lanes_of(
         rows[:, place[name]] = Q[:, int(name[1]), int(name[2])]
     quantum = max(quantum, FINEST)
     slow = np.exp(2 * theta[:, SLOW])
-    rows[:, place["friction"]] = theta[:, FRICTION]
-    rows[:, place["offset"]] = theta[:, OFFSET]
-    rows[:, place["gap"]] = theta[:, GAP]
+    for name, number in (("friction", FRICTION), ("load", LOAD), ("offset", OFFSET), ("gap", GAP)):
+        rows[:, place[name]] = theta[:, number]
     rows[:, place["rms"]] = SURE * quantum if ticks else np.exp(theta[:, NOISE])
     rows[:, place["quantum"]] = quantum
     rows[:, place["step"]] = step

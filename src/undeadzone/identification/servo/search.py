@@ -204,7 +204,7 @@ def neighbours(one: Servo, step: float) -> list[Servo]:
     """Servos with a part more, or less, where climbs begin."""
     found = []
     for name, place in PARTS.items():
-        if one.structure.lag and name in ("friction", "spring"):
+        if one.structure.lag and name in ("friction", "load", "spring"):
             continue
         parts = one.structure.parts ^ {name}
         structure = one.structure._replace(parts=parts)
@@ -214,6 +214,8 @@ def neighbours(one: Servo, step: float) -> list[Servo]:
         for value in _values(name, one, step):
             theta = one.theta.copy()
             theta[place] = value
+            if name == "load":  # of what rubbed at the motor
+                theta[FRICTION] = max(theta[FRICTION] - value, 0.0)
             if name == "pole":  # what a pole is late
                 theta[DELAY] = max(theta[DELAY] - math.exp(-value) / step, 0.0)
             found.append(Servo(structure, theta, -math.inf))
@@ -222,7 +224,7 @@ def neighbours(one: Servo, step: float) -> list[Servo]:
 
 def _values(name: str, one: Servo, step: float) -> list[float]:
     """Where a part begins that is added."""
-    if name == "friction":
+    if name in ("friction", "load"):
         return [0.003, 0.02, 0.1]
     if name == "spring":
         rate = 2 * one.theta[DAMPING]

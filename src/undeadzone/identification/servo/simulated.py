@@ -36,11 +36,11 @@ def _kernel() -> lanes.Kernel:
     lane = predictor.Lane(numbers)
     begun, starts, torque = ca.vertsplit(signals[LATEST + 1 :])
     acting = ca.dot(lane.taps, signals[: LATEST + 1])
-    x, _ = predictor.moved(lane, ca.vertsplit(state[:MEAN]), acting, lane.offset + torque)
+    contact = predictor.contact_of(lane, state[0], state[1], state[MEAN])
+    pushed = lane.offset + torque
+    x = predictor.moved(lane, ca.vertsplit(state[:MEAN]), acting, pushed, contact).x
     x = [ca.if_else(starts, first, one) for first, one in zip([begun, 0, 0, 0], x, strict=True)]
-    half = lane.gap / 2
-    level = ca.fmax(ca.fmin(state[MEAN], x[0] + half), x[0] - half)
-    level = ca.if_else(starts, begun, level)
+    level = ca.if_else(starts, begun, predictor.pulled(lane, state[MEAN], x[0]))
     step = ca.Function("simulated", [state, signals, numbers], [ca.vertcat(*x, level), level])
     own = LATEST + 1 + 2
     return lanes.build(step, exogenous=[own], width=16, fused=True)

@@ -191,7 +191,7 @@ def in_words(servo: ServoGap) -> str:
     one = servo.servo
     name = "a lag of first order" if one.structure.lag else "a motor"
     names = {"pole": "an electrical pole", "slow": "slow torques", "friction": "friction"}
-    names["spring"] = "a spring"
+    names |= {"spring": "a spring", "load": "friction of the load"}
     parts = [names[part] for part in sorted(one.structure.parts)]
     with_parts = f" with {', '.join(parts)}" if parts else ""
     return (
