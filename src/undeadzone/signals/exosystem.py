@@ -21,6 +21,7 @@ from undeadzone.errors import FileError, InputError
 from undeadzone.signals.paths import Circle, FigureEight, Path, Quintic, curve
 from undeadzone.support.arrays import Array, Floats, scalar, vector
 from undeadzone.support.files import LARGEST_TABLE, read_text, reason
+from undeadzone.support.toml import Kind
 
 Derivatives = Callable[[Floats], Floats]
 
@@ -78,9 +79,7 @@ class Tone(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     phase: Array = 0.0
 
 
-class Sine(
-    Tone, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="sine"
-):
+class Sine(Tone, frozen=True, kw_only=True, tag_field="kind", tag="sine"):
     """One sine about an offset.
 
     Attributes:
@@ -90,14 +89,7 @@ class Sine(
     offset: Array = 0.0
 
 
-class Sines(
-    msgspec.Struct,
-    frozen=True,
-    kw_only=True,
-    forbid_unknown_fields=True,
-    tag_field="kind",
-    tag="sines",
-):
+class Sines(Kind, frozen=True, kw_only=True, tag="sines"):
     """A sum of sines about an offset.
 
     Attributes:
@@ -109,14 +101,7 @@ class Sines(
     offset: Array = 0.0
 
 
-class Step(
-    msgspec.Struct,
-    frozen=True,
-    kw_only=True,
-    forbid_unknown_fields=True,
-    tag_field="kind",
-    tag="step",
-):
+class Step(Kind, frozen=True, kw_only=True, tag="step"):
     """A step from one constant value to another.
 
     Attributes:
@@ -130,14 +115,7 @@ class Step(
     before: Array = 0.0
 
 
-class Trapezoid(
-    msgspec.Struct,
-    frozen=True,
-    kw_only=True,
-    forbid_unknown_fields=True,
-    tag_field="kind",
-    tag="trapezoid",
-):
+class Trapezoid(Kind, frozen=True, kw_only=True, tag="trapezoid"):
     """A periodic trapezoid.
 
     It rises to +amplitude, holds, falls to -amplitude, holds, and so on, starting at 0.
@@ -153,14 +131,7 @@ class Trapezoid(
     hold: float
 
 
-class Samples(
-    msgspec.Struct,
-    frozen=True,
-    kw_only=True,
-    forbid_unknown_fields=True,
-    tag_field="kind",
-    tag="csv",
-):
+class Samples(Kind, frozen=True, kw_only=True, tag="csv"):
     """Samples in a CSV file, held at its ends.
 
     Attributes:
@@ -172,14 +143,7 @@ class Samples(
     smooth: bool = True
 
 
-class Random(
-    msgspec.Struct,
-    frozen=True,
-    kw_only=True,
-    forbid_unknown_fields=True,
-    tag_field="kind",
-    tag="random",
-):
+class Random(Kind, frozen=True, kw_only=True, tag="random"):
     """Seeded Gaussian noise, first-order; a disturbance only.
 
     Attributes:

@@ -14,6 +14,7 @@ import numpy as np
 
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.support.arrays import Array, Floats, array, matrix, scalar, series, vector
+from undeadzone.support.toml import Kind
 
 Space = Literal["joint", "task"]
 ORDER = 4  # derivatives of a turning path
@@ -22,14 +23,7 @@ ORDER = 4  # derivatives of a turning path
 START = np.polynomial.Polynomial([0, 0, 0, 0, 2.5, -3, 1])
 
 
-class Quintic(
-    msgspec.Struct,
-    frozen=True,
-    kw_only=True,
-    forbid_unknown_fields=True,
-    tag_field="kind",
-    tag="quintic",
-):
+class Quintic(Kind, frozen=True, kw_only=True, tag="quintic"):
     """A path through points, at rest at both ends: that of least mean square jerk.
 
     It is the quintic spline with speed and acceleration 0 at the ends (Flash, Hogan 1985, for two
@@ -86,9 +80,7 @@ class _Turn(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     swing: Swing | None = None
 
 
-class Circle(
-    _Turn, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="circle"
-):
+class Circle(_Turn, frozen=True, kw_only=True, tag_field="kind", tag="circle"):
     """A circle around `centre`, once per period, in two or three coordinates.
 
     Attributes:
@@ -100,14 +92,7 @@ class Circle(
     phase: float = 0.0
 
 
-class FigureEight(
-    _Turn,
-    frozen=True,
-    kw_only=True,
-    forbid_unknown_fields=True,
-    tag_field="kind",
-    tag="figure_eight",
-):
+class FigureEight(_Turn, frozen=True, kw_only=True, tag_field="kind", tag="figure_eight"):
     """A figure of eight from `centre`, once per period, in two or three coordinates.
 
     It is width / 2 sin(angle) across and height / 2 sin(2 angle) along its plane. Across is the

@@ -8,6 +8,7 @@ import msgspec
 
 from undeadzone.plants.robots.geared import Gears
 from undeadzone.support.arrays import Array
+from undeadzone.support.toml import Kind
 
 
 class Rigid(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -35,24 +36,18 @@ class Rigid(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     gears: Gears | None = None
 
 
-class OneLink(
-    Rigid, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="one_link"
-):
+class OneLink(Rigid, frozen=True, kw_only=True, tag_field="kind", tag="one_link"):
     """One link in a plane; q from the x axis, gravity along -y (g = 0: a horizontal table)."""
 
 
-class TwoLink(
-    Rigid, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="two_link"
-):
+class TwoLink(Rigid, frozen=True, kw_only=True, tag_field="kind", tag="two_link"):
     """Two links in a plane, gravity along -y (g = 0: a horizontal table).
 
     q1 is measured from the x axis, q2 from the first link.
     """
 
 
-class URDF(
-    Rigid, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="urdf"
-):
+class URDF(Rigid, frozen=True, kw_only=True, tag_field="kind", tag="urdf"):
     """A serial arm of N joints from a URDF file; needs the extra `robots`.
 
     Attributes:
@@ -69,14 +64,7 @@ class URDF(
     gravity: Array = (0.0, 0.0, -9.81)
 
 
-class ElasticJoint(
-    msgspec.Struct,
-    frozen=True,
-    kw_only=True,
-    forbid_unknown_fields=True,
-    tag_field="kind",
-    tag="elastic_joint",
-):
+class ElasticJoint(Kind, frozen=True, kw_only=True, tag="elastic_joint"):
     """A motor that moves a link through a spring, one of them measured (Spong 1987).
 
     Attributes:
