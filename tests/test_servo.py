@@ -22,12 +22,10 @@ from undeadzone.exports import export
 from undeadzone.identification.logs.grid import spacing_of
 from undeadzone.identification.servo import predictor
 from undeadzone.identification.servo.crossings import Crossings, crossings_of
-from undeadzone.identification.servo.feedback import CHANCE, loop_chance
 from undeadzone.identification.servo.gap import ServoGap, servo_gap
-from undeadzone.identification.servo.heard import Heard, heard
-from undeadzone.identification.servo.likelihood import Likelihood
+from undeadzone.identification.servo.heard import CHANCE, Heard, heard, loop_chance
+from undeadzone.identification.servo.likelihood import FRICTION, Likelihood
 from undeadzone.identification.servo.likelihood import Servo as Fitted
-from undeadzone.identification.servo.sampled import FRICTION
 from undeadzone.identification.servo.search import neighbours
 from undeadzone.scenario.reader import parse
 from undeadzone.support.arrays import Floats

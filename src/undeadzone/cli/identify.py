@@ -173,8 +173,8 @@ def _scenario(answer: Answers, path: Path, force: bool) -> tuple[list[Path], str
 
 def _pages(answer: Answers, folder: Path, source: str, best: Next | None) -> list[Path]:
     """A page with figures for each output, written to a folder."""
-    from undeadzone.identification.answer.of_servo import joints
     from undeadzone.identification.answer.result import Identified
+    from undeadzone.identification.answer.words import joints
     from undeadzone.report.identify_page import write_identified
     from undeadzone.results.mjcf import write
 

@@ -15,10 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.identification.servo.feedback import NORMAL
-from undeadzone.identification.servo.heard import REACH, Heard, noise_of, triggered
-from undeadzone.identification.servo.likelihood import Likelihood, Servo
-from undeadzone.identification.servo.sampled import GAP
+from undeadzone.identification.servo.heard import NORMAL, REACH, Heard, noise_of, triggered
+from undeadzone.identification.servo.likelihood import GAP, Likelihood, Servo
 from undeadzone.support.arrays import Floats, Integers
 
 FEW = 12  # crossings from which a trend is looked for

@@ -18,8 +18,7 @@ from scipy.signal import lfilter
 
 from undeadzone.identification.servo.crossings import crossings_of
 from undeadzone.identification.servo.heard import REACH, Heard, noise_of, triggered
-from undeadzone.identification.servo.likelihood import PARTS, Likelihood, Servo, Structure
-from undeadzone.identification.servo.sampled import (
+from undeadzone.identification.servo.likelihood import (
     DAMPING,
     DELAY,
     FRICTION,
@@ -27,10 +26,14 @@ from undeadzone.identification.servo.sampled import (
     GAP,
     NAMES,
     NOISE,
+    PARTS,
     POLE,
     SLOW,
     SPRING,
     TORQUE,
+    Likelihood,
+    Servo,
+    Structure,
     discretised,
 )
 from undeadzone.support.arrays import Floats, later

@@ -19,8 +19,7 @@ from undeadzone.identification.models import plant
 from undeadzone.identification.models.estimates import Interval
 from undeadzone.identification.servo.gap import ServoGap, centre_of, servo_gap
 from undeadzone.identification.servo.heard import Heard, heard, noise_of
-from undeadzone.identification.servo.likelihood import Servo
-from undeadzone.identification.servo.sampled import DELAY, GAIN, discretised
+from undeadzone.identification.servo.likelihood import DELAY, GAIN, Servo, discretised
 from undeadzone.identification.verdict.verdict import (
     LEAST,
     LIKELY,
