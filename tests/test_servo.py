@@ -24,7 +24,7 @@ from undeadzone.identification.servo import predictor
 from undeadzone.identification.servo.crossings import Crossings, crossings_of
 from undeadzone.identification.servo.gap import ServoGap, servo_gap
 from undeadzone.identification.servo.heard import CHANCE, Heard, heard, loop_chance
-from undeadzone.identification.servo.likelihood import FRICTION, Likelihood
+from undeadzone.identification.servo.likelihood import At, Likelihood
 from undeadzone.identification.servo.likelihood import Servo as Fitted
 from undeadzone.identification.servo.search import neighbours
 from undeadzone.scenario.reader import parse
@@ -139,7 +139,7 @@ def test_friction_that_is_left_out_shows_in_the_crossings(
 ) -> None:
     log, found = with_friction
     assert "friction" in found.servo.structure.parts
-    assert found.servo.theta[FRICTION] * log.u_scale == pytest.approx(0.3, rel=0.15)
+    assert found.servo.theta[At.FRICTION] * log.u_scale == pytest.approx(0.3, rel=0.15)
     structure = found.servo.structure._replace(parts=frozenset())
     theta = structure.of(found.servo.theta)
     bare = crossings_of(log, Fitted(structure, theta, 0.0))

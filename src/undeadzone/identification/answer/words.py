@@ -13,16 +13,7 @@ import numpy as np
 from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.identification.answer.answer import Answer
 from undeadzone.identification.models.estimates import Interval
-from undeadzone.identification.servo.likelihood import (
-    DAMPING,
-    DELAY,
-    FRICTION,
-    GAIN,
-    POLE,
-    SLOW,
-    SPRING,
-    TORQUE,
-)
+from undeadzone.identification.servo.likelihood import At
 from undeadzone.identification.verdict.odds import behind
 from undeadzone.identification.verdict.place import levels_of
 from undeadzone.identification.verdict.verdict import MODELS
@@ -46,17 +37,18 @@ def servo_numbers(answer: Answer) -> dict[str, Any] | None:
     log, one = servo.log, servo.servo
     theta, parts = one.theta, one.structure.parts
     rate = log.step / log.seconds
+    gain = float(theta[At.GAIN]) * log.y_scale / log.u_scale
     return {
         "parts": sorted(parts),
         "inertia": not one.structure.lag,
-        "damping": math.exp(theta[DAMPING]) * rate,
-        "gain": float(theta[GAIN]) * log.y_scale / log.u_scale * _per_time(one.structure.lag, rate),
-        "friction": float(theta[FRICTION]) * log.u_scale if "friction" in parts else 0.0,
-        "spring": math.exp(theta[SPRING]) * rate**2 if "spring" in parts else 0.0,
-        "electrical_pole": math.exp(theta[POLE]) * rate if "pole" in parts else None,
-        "delay": float(theta[DELAY]) * log.seconds,
-        "torque": math.exp(theta[TORQUE]) * log.u_scale,
-        "slow_torque": math.exp(theta[SLOW]) * log.u_scale if "slow" in parts else 0.0,
+        "damping": math.exp(theta[At.DAMPING]) * rate,
+        "gain": gain * (rate if one.structure.lag else rate**2),
+        "friction": float(theta[At.FRICTION]) * log.u_scale if "friction" in parts else 0.0,
+        "spring": math.exp(theta[At.SPRING]) * rate**2 if "spring" in parts else 0.0,
+        "electrical_pole": math.exp(theta[At.POLE]) * rate if "pole" in parts else None,
+        "delay": float(theta[At.DELAY]) * log.seconds,
+        "torque": math.exp(theta[At.TORQUE]) * log.u_scale,
+        "slow_torque": math.exp(theta[At.SLOW]) * log.u_scale if "slow" in parts else 0.0,
         "trends": servo.trends,
         "crossings": {name: column.tolist() for name, column in crossing_columns(answer).items()},
     }
@@ -75,11 +67,6 @@ def joints(answer: Answer) -> list[Joint]:
     words = f"gap {gap.value:.4g} rad [{gap.low:.4g}, {gap.high:.4g}], if y is in rad, u in N m"
     half, friction = gap.value / 2, numbers["friction"]
     return [Joint("q", words, half, half, inertia, friction, numbers["damping"] * inertia)]
-
-
-def _per_time(lag: bool, rate: float) -> float:
-    """What a gain of the predictor's unit of time is per second, or per second squared."""
-    return rate if lag else rate**2
 
 
 def crossing_columns(answer: Answer) -> dict[str, Floats]:

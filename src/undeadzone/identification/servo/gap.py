@@ -30,16 +30,9 @@ from undeadzone.identification.servo import predictor
 from undeadzone.identification.servo.crossings import Crossings, crossings_of
 from undeadzone.identification.servo.heard import Heard, changes, noise_of, triggered
 from undeadzone.identification.servo.likelihood import (
-    DAMPING,
     DEAR,
-    GAIN,
-    GAP,
-    NOISE,
-    OFFSET,
-    SLOW,
     SLOW_TIME,
-    SPRING,
-    TORQUE,
+    At,
     Likelihood,
     Servo,
     Slopes,
@@ -84,10 +77,10 @@ def simulated(log: Heard, one: Servo, runs: int = RUNS) -> list[Heard]:
     """
     theta, size = one.theta, log.u.size
     draw = np.random.default_rng(5)
-    torque = math.exp(theta[TORQUE]) * draw.standard_normal((size, runs))
+    torque = math.exp(theta[At.TORQUE]) * draw.standard_normal((size, runs))
     keep = math.exp(-log.step / SLOW_TIME)
     white = math.sqrt(1 - keep * keep) * draw.standard_normal((size, runs))
-    torque += math.exp(theta[SLOW]) * lfilter([1.0], [1.0, -keep], white, axis=0)
+    torque += math.exp(theta[At.SLOW]) * lfilter([1.0], [1.0, -keep], white, axis=0)
     rows = lanes_of(theta[None], log.step, log.quantum, log.ticks, False, one.structure.lag)
     signals = np.column_stack([log.signals(log.ok)[:, : LATEST + 1], np.zeros((size, 3))])
     signals[log.start, LATEST + 1] = log.y[log.start]
@@ -101,7 +94,7 @@ def simulated(log: Heard, one: Servo, runs: int = RUNS) -> list[Heard]:
 def _recorded(log: Heard, theta: Floats, level: Floats, draw: np.random.Generator) -> Heard:
     """Levels as the log's encoder reads them, or with its noise."""
     if not log.ticks:
-        return log._replace(y=level + math.exp(theta[NOISE]) * draw.standard_normal(level.size))
+        return log._replace(y=level + math.exp(theta[At.NOISE]) * draw.standard_normal(level.size))
     y = log.quantum * np.round(level / log.quantum) if log.quantum else level
     side = changes(y, log.ok, log.start)
     return log._replace(y=y, side=side, boundary=y - side * log.quantum / 2)
@@ -112,7 +105,7 @@ def refitted(logs: Sequence[Heard], one: Servo) -> Floats:
     gaps = []
     for log in logs:
         top = Likelihood(log).climbed([one], STEPS)[0]
-        gaps.append(top.theta[GAP])
+        gaps.append(top.theta[At.GAP])
     return np.array(gaps)
 
 
@@ -178,7 +171,7 @@ class ServoGap(NamedTuple):
         one = self.servo
         if not one.structure.lag:
             return "spring" not in one.structure.parts
-        return math.exp(one.theta[DAMPING]) * self.log.step * self.log.u.size < SETTLES
+        return math.exp(one.theta[At.DAMPING]) * self.log.step * self.log.u.size < SETTLES
 
     @property
     def odds(self) -> float:
@@ -194,7 +187,7 @@ class ServoGap(NamedTuple):
         """z as it is predicted, what is read of it, and the contact then (N each), scaled."""
         log = self.log
         z = Likelihood(log).run(one.theta[None], one.structure.lag)[0][:, 2]
-        half = float(one.theta[GAP]) / 2
+        half = float(one.theta[At.GAP]) / 2
         before = later(log.y, 1, log.start)
         readings = np.maximum(np.minimum(before, z + half), z - half)
         if log.quantum:
@@ -229,7 +222,7 @@ def servo_gap(log: Heard | None) -> ServoGap | None:
     spread = _Spread(part, best, slopes)
     logs = simulated(part, best)
     gaps = refitted(logs, best)
-    gap = _corrected(part, best, spread, gaps, [one.theta[GAP] for one in tops])
+    gap = _corrected(part, best, spread, gaps, [one.theta[At.GAP] for one in tops])
     found = ServoGap(
         log=log,
         servo=best,
@@ -270,15 +263,13 @@ def centre_of(found: ServoGap, level: float) -> Interval | None:
 def _rest(one: Servo) -> float:
     """Where z rests at u = 0, from the first reading on."""
     theta = one.theta
-    stiffness = math.exp(theta[DAMPING] if one.structure.lag else theta[SPRING])
-    return float(theta[GAIN] * theta[OFFSET]) / stiffness
+    stiffness = math.exp(theta[At.DAMPING] if one.structure.lag else theta[At.SPRING])
+    return float(theta[At.GAIN] * theta[At.OFFSET]) / stiffness
 
 
 def _without(log: Heard, one: Servo) -> float:
     """The log likelihood of a servo without a gap."""
-    theta = one.theta.copy()
-    theta[GAP] = 0.0
-    return Likelihood(log).climbed([one._replace(theta=theta)], STEPS, (GAP,))[0].value
+    return Likelihood(log).climbed([one.changed(At.GAP, 0.0)], STEPS, (At.GAP,))[0].value
 
 
 def _slopes(log: Heard, one: Servo) -> Slopes:
@@ -291,7 +282,7 @@ class _Spread:
     """How surely a gap is known by the log itself."""
 
     def __init__(self, log: Heard, one: Servo, slopes: Slopes) -> None:
-        place = list(one.structure.free(log.ticks, False)).index(GAP)
+        place = list(one.structure.free(log.ticks, False)).index(At.GAP)
         score, (_, hessian) = scores(slopes), newton(slopes)
         spread = sandwich(score, hessian)
         self.covariance = spread.V
@@ -311,7 +302,7 @@ def _corrected(
     log: Heard, one: Servo, spread: _Spread, gaps: Floats, others: list[float]
 ) -> Interval:
     """The gap less the bias that simulated logs show, with its interval, scaled."""
-    gap = float(one.theta[GAP])
+    gap = float(one.theta[At.GAP])
     least = log.quantum if log.ticks else noise_of(log)
     reach = 4 * spread.error + 0.2 * least
     middle = float(np.median(gaps))
@@ -326,7 +317,7 @@ def _corrected(
 def _unbiased(crossings: Crossings, logs: list[Heard], one: Servo) -> Crossings:
     """Crossings less what those of simulated logs are beside the truth."""
     medians = [crossings_of(log, one).median for log in logs[:LOOKED]]
-    shift = float(np.nanmedian(medians)) - float(one.theta[GAP]) * logs[0].y_scale
+    shift = float(np.nanmedian(medians)) - float(one.theta[At.GAP]) * logs[0].y_scale
     return crossings._replace(gap=crossings.gap - shift) if math.isfinite(shift) else crossings
 
 
@@ -346,7 +337,7 @@ def _doubts(found: ServoGap, spread: _Spread, gaps: Floats) -> list[str]:
             f"the gap lies between {gap.low:.3g} and {gap.high:.3g}, which is hardly known; record"
             " for longer, or with more reversals"
         )
-    fitted = float(found.servo.theta[GAP]) * log.y_scale
+    fitted = float(found.servo.theta[At.GAP]) * log.y_scale
     margin = TICKS * log.quantum if log.ticks else NOISES * noise_of(log)
     error = math.hypot(spread.error * log.y_scale, crossings.error)
     allowed = DISAGREES * error + margin * log.y_scale + CLOSE * fitted

@@ -11,22 +11,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
 
 from undeadzone.compile import lanes
+from undeadzone.identification.models.estimates import around
 from undeadzone.identification.servo import predictor
 from undeadzone.identification.servo.heard import Heard
-from undeadzone.identification.servo.predictor import DEGREES, LATEST, NUMBERS, SURE
+from undeadzone.identification.servo.predictor import DEGREES, LATEST, NUMBERS, PLANT, SURE
 from undeadzone.support.arrays import Flags, Floats, Integers
 
 # ln p, g, ln p_e, ln k, f, o, c, ln of the rms of white torque, of noise, of slow torque, delay
-NAMES = (
-    *("damping", "gain", "pole", "spring", "friction", "offset", "gap"),
-    *("torque", "noise", "slow", "delay"),
-)
-DAMPING, GAIN, POLE, SPRING, FRICTION, OFFSET, GAP, TORQUE, NOISE, SLOW, DELAY = range(11)
+At = IntEnum("At", "DAMPING GAIN POLE SPRING FRICTION OFFSET GAP TORQUE NOISE SLOW DELAY", start=0)
 SLOW_TIME = 0.5  # correlation time of the slow torque [s]
 EARLIEST = -1  # delay of a log whose input was recorded after it had acted [samples]
 COARSEST = 0.05  # of a step of the series, in rates
@@ -39,14 +37,15 @@ def discretised(theta: Floats, step: float, lag: bool) -> tuple[Floats, Floats, 
     """Transitions of (z, v, d, i), of u and torque, and the covariance of a sample.
 
     Args:
-        theta: numbers by `NAMES` (L x P); what is not there is -inf, the pole +inf.
+        theta: numbers by `At` (L x P); what is not there is -inf, the pole +inf.
         step: sample time [s].
         lag: whether the plant is z' = -p z + g u, without inertia.
 
     Returns:
         A (L x 4 x 4), B (L x 4 x 2) of u and of a torque, Q (L x 3 x 3).
     """
-    p, g, pole, k = (np.exp(theta[:, DAMPING]), theta[:, GAIN], *np.exp(theta[:, [POLE, SPRING]].T))
+    p, g = np.exp(theta[:, At.DAMPING]), theta[:, At.GAIN]
+    pole, k = np.exp(theta[:, [At.POLE, At.SPRING]].T)
     electric = np.isfinite(pole)
     rate = np.where(electric, pole, 0.0)
     A = np.zeros((len(theta), 6, 6))
@@ -60,8 +59,8 @@ def discretised(theta: Floats, step: float, lag: bool) -> tuple[Floats, Floats, 
     A[:, row, 3], A[:, row, 4] = np.where(electric, g, 0.0), np.where(electric, 0.0, g)
     A[:, 2, 2] = -1 / SLOW_TIME
     A[:, 3, 3], A[:, 3, 4] = -rate, rate
-    white = g**2 * np.exp(2 * theta[:, TORQUE]) * step
-    slow = np.exp(2 * theta[:, SLOW]) * 2 / SLOW_TIME
+    white = g**2 * np.exp(2 * theta[:, At.TORQUE]) * step
+    slow = np.exp(2 * theta[:, At.SLOW]) * 2 / SLOW_TIME
     fastest = float(np.max(p + np.sqrt(k) + rate + 1 / SLOW_TIME))
     halvings = max(0, math.ceil(math.log2(fastest * step / COARSEST)))
     h = step / 2**halvings
@@ -95,7 +94,7 @@ def lanes_of(
     """The numbers of the predictor's lanes (L x numbers).
 
     Args:
-        theta: by `NAMES` (L x P).
+        theta: by `At` (L x P).
         step: sample time [s].
         quantum: of the readings, scaled.
         ticks: whether the readings are ticks; else they are noisy.
@@ -104,30 +103,28 @@ def lanes_of(
     """
     A, B, Q = discretised(theta, step, lag)
     rows = np.zeros((len(theta), len(NUMBERS) + LATEST + 1))
-    place = {name: k for k, name in enumerate(NUMBERS)}
-    for i, name in enumerate(("a00", "a01", "a02", "a03")):
-        rows[:, place[name]] = A[:, 0, i]
-    for i, name in enumerate(("a10", "a11", "a12", "a13")):
-        rows[:, place[name]] = A[:, 1, i]
-    rows[:, place["a22"]], rows[:, place["a33"]] = A[:, 2, 2], A[:, 3, 3]
-    for i, name in enumerate(("bz", "bv")):
-        rows[:, place[name]] = B[:, i, 0]
-    rows[:, place["bi"]] = B[:, 3, 0]
-    rows[:, place["fz"]], rows[:, place["fv"]] = B[:, 0, 1], B[:, 1, 1]
-    for name in ("q00", "q01", "q11", "q02", "q12", "q22"):
-        rows[:, place[name]] = Q[:, int(name[1]), int(name[2])]
+    for place, name in enumerate(PLANT):
+        letter, at = name[0], name[1:]
+        if letter in "bf":  # of u, or of a torque
+            rows[:, place] = B[:, "zvdi".index(at[0]), "bf".index(letter)]
+        else:
+            rows[:, place] = (A if letter == "a" else Q)[:, int(at[0]), int(at[1])]
     quantum = max(quantum, FINEST)
-    slow = np.exp(2 * theta[:, SLOW])
-    rows[:, place["friction"]] = theta[:, FRICTION]
-    rows[:, place["offset"]] = theta[:, OFFSET]
-    rows[:, place["gap"]] = theta[:, GAP]
-    rows[:, place["rms"]] = SURE * quantum if ticks else np.exp(theta[:, NOISE])
-    rows[:, place["quantum"]] = quantum
-    rows[:, place["step"]] = step
-    rows[:, place["first_v"]] = AT_FIRST**2 * (theta[:, GAIN] ** 2 / np.exp(2 * theta[:, DAMPING]))
-    rows[:, place["first_d"]] = slow
-    rows[:, place["free"]] = float(free)
-    late = np.clip(theta[:, DELAY] - EARLIEST, 0.0, LATEST)
+    speed = theta[:, At.GAIN] ** 2 / np.exp(2 * theta[:, At.DAMPING])
+    others = {
+        "friction": theta[:, At.FRICTION],
+        "offset": theta[:, At.OFFSET],
+        "gap": theta[:, At.GAP],
+        "rms": SURE * quantum if ticks else np.exp(theta[:, At.NOISE]),
+        "quantum": quantum,
+        "step": step,
+        "first_v": AT_FIRST**2 * speed,
+        "first_d": np.exp(2 * theta[:, At.SLOW]),
+        "free": float(free),
+    }
+    for name, value in others.items():
+        rows[:, NUMBERS.index(name)] = value
+    late = np.clip(theta[:, At.DELAY] - EARLIEST, 0.0, LATEST)
     whole = np.minimum(late.astype(int), LATEST - 1)
     each = np.arange(len(theta))
     rows[each, len(NUMBERS) + whole] = 1 - (late - whole)
@@ -143,9 +140,9 @@ OF_SPREAD = 1.6  # curvature of ln S: 2 nu / (nu + 3), a little more
 DEAR = 2.5  # nats of BIC a number, in ln N: errors of ticks are not independent
 GAINED = 1e-3  # nats below which a climb is done
 PATIENT = 2  # steps that gain so little
-PARTS = {"friction": FRICTION, "spring": SPRING, "pole": POLE, "slow": SLOW}
-NONE = {FRICTION: 0.0, SPRING: -math.inf, POLE: math.inf, SLOW: -math.inf}
-ALWAYS = (DAMPING, GAIN, OFFSET, TORQUE, DELAY)
+PARTS = {"friction": At.FRICTION, "spring": At.SPRING, "pole": At.POLE, "slow": At.SLOW}
+NONE = {At.FRICTION: 0.0, At.SPRING: -math.inf, At.POLE: math.inf, At.SLOW: -math.inf}
+ALWAYS = (At.DAMPING, At.GAIN, At.OFFSET, At.TORQUE, At.DELAY)
 
 
 class Structure(NamedTuple):
@@ -163,9 +160,9 @@ class Structure(NamedTuple):
         """The places of its numbers that are fitted."""
         places = [*ALWAYS, *(PARTS[name] for name in self.parts)]
         if not free:
-            places.append(GAP)
+            places.append(At.GAP)
         if not ticks:
-            places.append(NOISE)
+            places.append(At.NOISE)
         return np.array(sorted(set(places) - set(fixed)))
 
     def of(self, theta: Floats) -> Floats:
@@ -183,6 +180,12 @@ class Servo(NamedTuple):
     structure: Structure
     theta: Floats
     value: float
+
+    def changed(self, place: int, value: float) -> Servo:
+        """A servo with another number."""
+        theta = self.theta.copy()
+        theta[place] = value
+        return self._replace(theta=theta)
 
 
 class Slopes(NamedTuple):
@@ -235,9 +238,7 @@ class Likelihood:
         """Errors and derivatives at points (M x P) by the free numbers of each."""
         rows = []
         for theta, places in zip(points, free, strict=True):
-            moves = np.zeros((places.size, theta.size))
-            moves[np.arange(places.size), places] = steps_of(theta)[places]
-            rows += [theta[None], theta + moves, theta - moves]
+            rows.append(around(theta, places, steps_of(theta)[places]))
         seen, _ = self._run(self.kernel("errors"), np.concatenate(rows), lag)
         found, row = [], 0
         for theta, places in zip(points, free, strict=True):
@@ -349,40 +350,40 @@ def newton(slopes: Slopes) -> tuple[Floats, Floats]:
 
 def steps_of(theta: Floats) -> Floats:
     """By how much each number is moved for derivatives (P)."""
-    steps = np.full(len(NAMES), 2e-3)
-    steps[GAIN] = 1e-3 * abs(theta[GAIN]) + 1e-9
-    steps[FRICTION] = 1e-3 + 0.01 * abs(theta[FRICTION])
-    steps[GAP] = 0.005 * theta[GAP] + 1e-6
-    steps[DELAY] = 0.02
+    steps = np.full(len(At), 2e-3)
+    steps[At.GAIN] = 1e-3 * abs(theta[At.GAIN]) + 1e-9
+    steps[At.FRICTION] = 1e-3 + 0.01 * abs(theta[At.FRICTION])
+    steps[At.GAP] = 0.005 * theta[At.GAP] + 1e-6
+    steps[At.DELAY] = 0.02
     return steps
 
 
 def reach_of(theta: Floats) -> Floats:
     """By how much each number may change in a step (P)."""
-    reach = np.ones(len(NAMES))
-    reach[GAIN] = 0.5 * abs(theta[GAIN]) + 0.02
-    reach[FRICTION] = 0.1
-    reach[OFFSET] = 0.3
-    reach[GAP] = 0.5 * theta[GAP] + 0.02
-    reach[DELAY] = 1.0
+    reach = np.ones(len(At))
+    reach[At.GAIN] = 0.5 * abs(theta[At.GAIN]) + 0.02
+    reach[At.FRICTION] = 0.1
+    reach[At.OFFSET] = 0.3
+    reach[At.GAP] = 0.5 * theta[At.GAP] + 0.02
+    reach[At.DELAY] = 1.0
     return reach
 
 
 def bounded(theta: Floats, log: Heard) -> Floats:
     """Numbers within bounds (L x P); what is not there stays so."""
     own = theta.T.copy()
-    own[DAMPING] = np.clip(own[DAMPING], math.log(0.02), math.log(min(1.5 / log.step, 2000.0)))
     for place, low, high in (
-        (POLE, math.log(5.0), math.log(1.5 / log.step)),
-        (SPRING, -12.0, math.log(0.25 / log.step**2)),
-        (TORQUE, -14.0, 5.0),
-        (NOISE, -16.0, 2.0),
-        (SLOW, -10.0, 3.0),
+        (At.DAMPING, math.log(0.02), math.log(min(1.5 / log.step, 2000.0))),
+        (At.POLE, math.log(5.0), math.log(1.5 / log.step)),
+        (At.SPRING, -12.0, math.log(0.25 / log.step**2)),
+        (At.TORQUE, -14.0, 5.0),
+        (At.NOISE, -16.0, 2.0),
+        (At.SLOW, -10.0, 3.0),
     ):
         there = np.isfinite(own[place])
         own[place, there] = np.clip(own[place, there], low, high)
-    own[FRICTION] = np.maximum(own[FRICTION], 0.0)
-    own[GAP] = np.maximum(own[GAP], 1e-7)
+    own[At.FRICTION] = np.maximum(own[At.FRICTION], 0.0)
+    own[At.GAP] = np.maximum(own[At.GAP], 1e-7)
     earliest = 0.0 if log.closed else EARLIEST  # in a loop u answers to the reading of its sample
-    own[DELAY] = np.clip(own[DELAY], earliest, predictor.LATEST + EARLIEST - 1e-6)
+    own[At.DELAY] = np.clip(own[At.DELAY], earliest, predictor.LATEST + EARLIEST - 1e-6)
     return np.ascontiguousarray(own.T)
