@@ -28,7 +28,7 @@ from undeadzone.compile import lanes
 from undeadzone.identification.models.estimates import Interval, quantile, sandwich
 from undeadzone.identification.servo import predictor
 from undeadzone.identification.servo.crossings import Crossings, crossings_of
-from undeadzone.identification.servo.heard import Heard, changes, noise_of, triggered
+from undeadzone.identification.servo.heard import Heard, noise_of, sides, triggered
 from undeadzone.identification.servo.likelihood import (
     DEAR,
     SLOW_TIME,
@@ -96,7 +96,7 @@ def _recorded(log: Heard, theta: Floats, level: Floats, draw: np.random.Generato
     if not log.ticks:
         return log._replace(y=level + math.exp(theta[At.NOISE]) * draw.standard_normal(level.size))
     y = log.quantum * np.round(level / log.quantum) if log.quantum else level
-    side = changes(y, log.ok, log.start)
+    side = sides(y, log.ok, log.start)
     return log._replace(y=y, side=side, boundary=y - side * log.quantum / 2)
 
 

@@ -12,7 +12,8 @@ import numpy as np
 from scipy.stats import f as fisher
 
 from undeadzone.identification.logs.grid import spacing_of
-from undeadzone.identification.models.motion import white_noise
+from undeadzone.identification.models.least_squares import left_by
+from undeadzone.identification.models.motion import changes, white_noise
 from undeadzone.identification.servo.predictor import LATEST
 from undeadzone.support.arrays import Flags, Floats, Integers, later
 
@@ -46,19 +47,14 @@ def loop_chance(u: Floats, y: Floats) -> float:
     target = du[rows]
     kept = _usual(known, target)
     known, now, target = known[kept], now[kept], target[kept]
-    before = _left(known, target)
+    before = left_by(known, target)
     if np.std(before) < LEAST * np.std(target):
         return 1.0
-    after = _left(np.column_stack([known, now]), target)
+    after = left_by(np.column_stack([known, now]), target)
     share = 1 - float(after @ after) / float(before @ before)
     degrees = target.size - known.shape[1] - OWN
     ratio = share / max(1 - share, 1e-12) * degrees / OWN
     return float(fisher.sf(ratio, OWN, degrees)) if share > SHARE else 1.0
-
-
-def _left(columns: Floats, target: Floats) -> Floats:
-    """What columns leave of a target (n)."""
-    return np.asarray(target - columns @ np.linalg.lstsq(columns, target, rcond=1e-10)[0])
 
 
 def _usual(columns: Floats, target: Floats) -> Flags:
@@ -188,7 +184,7 @@ def heard(u: Floats, y: Floats, ok: Flags, start: Integers, step: float) -> Hear
         return None
     level = float(y[ok][0])
     held = filled(np.where(ok, (y - level) / y_scale, 0.0), ok)
-    side = changes(held, ok, start)
+    side = sides(held, ok, start)
     at = np.flatnonzero(side)
     if at.size < FEWEST:
         return None
@@ -222,11 +218,10 @@ def filled(y: Floats, ok: Flags) -> Floats:
     return np.where(last >= 0, y[np.maximum(last, 0)], 0.0)
 
 
-def changes(y: Floats, ok: Flags, start: Integers) -> Integers:
+def sides(y: Floats, ok: Flags, start: Integers) -> Integers:
     """The side of each change from a reading just before (N)."""
-    known = ok & np.append(False, ok[:-1])
-    known[start] = False
-    return np.where(known, np.sign(np.append(0.0, np.diff(y))), 0.0).astype(int)
+    change, known = changes(y, ok, start)
+    return np.where(known, np.sign(change), 0.0).astype(int)
 
 
 def noise_of(log: Heard) -> float:
@@ -243,7 +238,7 @@ def triggered(log: Heard) -> Heard:
         held[k] = level
     spacing = 2 / REACH * reach
     steps = np.round(held / spacing) * spacing
-    side = changes(steps, log.ok, log.start)
+    side = sides(steps, log.ok, log.start)
     return log._replace(
         ticks=True, quantum=spacing, side=side, boundary=steps - side * spacing / 2
     )  # fmt: skip
