@@ -16,12 +16,12 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 41_940, 334
+MOST_CODE, MOST_FILES = 41_930, 334
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
     "(root)": 385,
-    "analysis": 3460,
+    "analysis": 3450,
     "cli": 1910,
     "compensators": 170,
     "compile": 3655,
