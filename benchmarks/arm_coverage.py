@@ -20,9 +20,8 @@ from undeadzone.ends.sensor import Sensor, Zone, resolve
 from undeadzone.interfaces import Estimate, Reading
 from undeadzone.observers import Extended
 from undeadzone.plants.build import system
-from undeadzone.plants.options import Plant
+from undeadzone.plants.options import Plant, TwoLink
 from undeadzone.plants.robots.arm import torque
-from undeadzone.plants.robots.options import TwoLink
 from undeadzone.plants.system import System, sampled
 from undeadzone.scenario.reader import read
 from undeadzone.signals import noise as noises

@@ -16,9 +16,8 @@ from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Estimate, Reading
 from undeadzone.observers import Extended
 from undeadzone.plants.build import system
-from undeadzone.plants.options import Plant
+from undeadzone.plants.options import URDF, Plant
 from undeadzone.plants.robots.arm import acceleration
-from undeadzone.plants.robots.options import URDF
 from undeadzone.plants.system import System, sampled
 from undeadzone.support import tree
 from undeadzone_arena import GravityPD

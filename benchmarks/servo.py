@@ -196,8 +196,8 @@ def table() -> str:
         " (20 %), 100 Hz to 1 kHz, 1,000 to 12,000 samples, inputs 0 to 3 samples late, torques to"
         " .1, a loop in 40 %; gaps of .001 to .1 of the travel, encoders of .5 to 50 ticks a gap,"
         " in 22 % noise instead. In MuJoCo, a quarter as many, the gear pushes a light link whose"
-        " friction is .002 to .15 of the input. Nothing is told. Half: half the 95 % interval; CPU: for 4,000"
-        " samples.",
+        " friction is .002 to .15 of the input. Nothing is told. Half: half the 95 % interval; CPU:"
+        " for 4,000 samples.",
         "",
         *predictor(count, first),
         "",

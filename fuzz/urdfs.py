@@ -11,9 +11,8 @@ from xml.etree import ElementTree
 from fuzz.case import Case
 from fuzz.damage import TEXTS, bent, number
 from undeadzone.plants.build import system
-from undeadzone.plants.options import Plant
+from undeadzone.plants.options import URDF, Plant
 from undeadzone.plants.robots import urdf_elements
-from undeadzone.plants.robots.options import URDF
 
 NAME = "arm.urdf"
 ARM = (Path(__file__).parents[1] / "examples" / "ur5.urdf").read_bytes()

@@ -16,12 +16,12 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 42_090, 342
+MOST_CODE, MOST_FILES = 41_800, 332
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
     "(root)": 385,
-    "analysis": 3465,
+    "analysis": 3450,
     "cli": 1910,
     "compensators": 170,
     "compile": 3630,
@@ -30,15 +30,15 @@ BUDGET = {
     "ensemble": 1930,
     "exports": 2460,
     "feedforward": 430,
-    "identification": 7300,
+    "identification": 7190,
     "linear": 400,
     "logs": 1255,
     "numerics": 840,
     "observers": 3810,
-    "plants": 1715,
-    "report": 2970,
+    "plants": 1680,
+    "report": 2950,
     "results": 980,
-    "scenario": 1510,
+    "scenario": 1420,
     "signals": 390,
     "simulation": 2330,
     "statistics": 265,

@@ -23,8 +23,7 @@ from undeadzone.interfaces import Estimate
 from undeadzone.observers import Censored, Extended, Kalman
 from undeadzone.observers.parts.augmented_state import even_units
 from undeadzone.plants.build import system
-from undeadzone.plants.options import Plant
-from undeadzone.plants.robots.options import OneLink, TwoLink
+from undeadzone.plants.options import OneLink, Plant, TwoLink
 from undeadzone.plants.system import System, sampled
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support import tree

@@ -18,7 +18,7 @@ from undeadzone.cli import group
 from undeadzone.identification.answer.answer import _of_reference, to_answer
 from undeadzone.identification.logs.grid import to_grid
 from undeadzone.identification.logs.log import Options, log_of_arrays
-from undeadzone.identification.logs.usable import usable
+from undeadzone.identification.logs.prepare import usable
 from undeadzone.identification.models.elements import MapModel, cubic, linear
 from undeadzone.identification.models.estimates import Interval
 from undeadzone.identification.models.least_squares import Density, LeastSquares

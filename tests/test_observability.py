@@ -25,8 +25,7 @@ from undeadzone.analysis.identifiability.nonlinear import (
 from undeadzone.analysis.side_schedule import reading_levels, recorded
 from undeadzone.ends.sensor import Sensor, Zone, deadzone, resolve, zone
 from undeadzone.plants.build import initial_state, system
-from undeadzone.plants.options import Plant
-from undeadzone.plants.robots.options import ElasticJoint, OneLink, TwoLink
+from undeadzone.plants.options import ElasticJoint, OneLink, Plant, TwoLink
 from undeadzone.plants.system import System, sampled
 from undeadzone.scenario.reader import convert
 from undeadzone.signals.exosystem import Step

@@ -26,9 +26,8 @@ from undeadzone.analysis.error_dynamics import Dynamics
 from undeadzone.compile.interval import Interval, enclosure
 from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.plants.build import system
-from undeadzone.plants.options import Plant
+from undeadzone.plants.options import ElasticJoint, Plant, TwoLink
 from undeadzone.plants.region import Box, Region, box
-from undeadzone.plants.robots.options import ElasticJoint, TwoLink
 from undeadzone.plants.system import System, sampled
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.support.arrays import Floats

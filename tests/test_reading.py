@@ -23,6 +23,7 @@ COMPREHENSIONS = (ast.ListComp, ast.SetComp, ast.DictComp, ast.GeneratorExp)
 STRUCTS = {
     "msgspec.Struct",
     "Options",
+    "Kind",
     "Coasts",
     "Claims",
     "JointClaims",

@@ -27,9 +27,8 @@ from undeadzone.ensemble.batch import prepare
 from undeadzone.ensemble.run_ensemble import replay
 from undeadzone.errors import FileError, InputError, ShapeError, StepError, TrackingError
 from undeadzone.plants.build import system
-from undeadzone.plants.options import Plant
+from undeadzone.plants.options import URDF, OneLink, Plant, TwoLink
 from undeadzone.plants.robots.arm import evaluate_rows, torque
-from undeadzone.plants.robots.options import URDF, OneLink, TwoLink
 from undeadzone.report import animation, run_figures
 from undeadzone.report.run_figures import overview
 from undeadzone.report.run_page import write_run as write

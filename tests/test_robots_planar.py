@@ -13,10 +13,9 @@ from scipy.integrate import solve_ivp
 
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.plants.build import system
-from undeadzone.plants.options import Plant
+from undeadzone.plants.options import ElasticJoint, OneLink, Plant, TwoLink
 from undeadzone.plants.robots import build
 from undeadzone.plants.robots.arm import Arm, acceleration, arm, torque
-from undeadzone.plants.robots.options import ElasticJoint, OneLink, TwoLink
 from undeadzone.plants.system import System
 from undeadzone.support.arrays import Floats
 

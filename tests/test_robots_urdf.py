@@ -14,10 +14,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from undeadzone.errors import FileError, InputError
-from undeadzone.plants.options import Plant
+from undeadzone.plants.options import URDF, Plant
 from undeadzone.plants.robots.arm import Arm, acceleration, arm
 from undeadzone.plants.robots.build import robot
-from undeadzone.plants.robots.options import URDF
 from undeadzone.plants.robots.urdf import chain
 from undeadzone.support.arrays import Floats
 

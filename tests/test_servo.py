@@ -23,12 +23,10 @@ from undeadzone.exports import export
 from undeadzone.identification.logs.grid import spacing_of
 from undeadzone.identification.servo import predictor
 from undeadzone.identification.servo.crossings import Crossings, crossings_of
-from undeadzone.identification.servo.feedback import CHANCE, loop_chance
 from undeadzone.identification.servo.gap import ServoGap, servo_gap
-from undeadzone.identification.servo.heard import Heard, heard
-from undeadzone.identification.servo.likelihood import Likelihood
+from undeadzone.identification.servo.heard import CHANCE, Heard, heard, loop_chance
+from undeadzone.identification.servo.likelihood import At, Likelihood
 from undeadzone.identification.servo.likelihood import Servo as Fitted
-from undeadzone.identification.servo.sampled import FRICTION, LOAD
 from undeadzone.identification.servo.search import neighbours
 from undeadzone.scenario.reader import parse
 from undeadzone.support.arrays import Floats
@@ -116,7 +114,7 @@ def test_friction_of_the_load_is_not_felt_in_the_gap(reading: str) -> None:
     found = answered(u, y)
     one = found.servo
     assert "load" in one.structure.parts
-    assert abs(float(one.theta[LOAD]) * found.log.u_scale / 0.15 - 1) < 0.15
+    assert abs(float(one.theta[At.LOAD]) * found.log.u_scale / 0.15 - 1) < 0.15
     assert not found.reasons
     assert found.gap.low <= 0.03 <= found.gap.high
     assert abs(found.gap.value / 0.03 - 1) < 0.03
@@ -165,7 +163,7 @@ def test_friction_that_is_left_out_shows_in_the_crossings(
 ) -> None:
     log, found = with_friction
     assert "friction" in found.servo.structure.parts
-    assert found.servo.theta[FRICTION] * log.u_scale == pytest.approx(0.3, rel=0.15)
+    assert found.servo.theta[At.FRICTION] * log.u_scale == pytest.approx(0.3, rel=0.15)
     structure = found.servo.structure._replace(parts=frozenset())
     theta = structure.of(found.servo.theta)
     bare = crossings_of(log, Fitted(structure, theta, 0.0))

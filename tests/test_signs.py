@@ -20,7 +20,7 @@ from undeadzone.analysis.certificate.robust import l2_gain
 from undeadzone.analysis.convergence.falsify import falsify
 from undeadzone.analysis.dissipation import _lyapunov
 from undeadzone.analysis.identifiability.disturbance import unknown_bias
-from undeadzone.analysis.identifiability.edges import reaching
+from undeadzone.analysis.identifiability.linear import reaching
 from undeadzone.analysis.identifiability.linearised_run import _run
 from undeadzone.analysis.side_schedule import _samples, arriving
 from undeadzone.ends.sensor import Sensor, resolve

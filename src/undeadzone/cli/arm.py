@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import PATH, cmd, force_option, option, writable
+from undeadzone.cli.common import PATH, cmd, flag, force_option, option, writable
 from undeadzone.cli.output import Output, common
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ HEAD = ("joint", "moves", "from", "to", "speed", "torque", "to hold", "b", "f", 
     "Joints that move, from base to tip (default: all; the others are fixed at 0).",
 )
 @option("--at", "Q1,...", "Posture [rad or m] (default: 0, or the middle between limits).")
-@click.option("--gears", is_flag=True, help="Write gears with a gap in place of dead zones.")
+@flag("--gears", "Write gears with a gap in place of dead zones.")
 @force_option
 @common
 def arm(

@@ -37,14 +37,16 @@ VERDICT = re.compile(
 PATH = click.Path(path_type=Path)
 
 
-def option(name: str, metavar: str | None, words: str, **more: Any) -> Callable[..., Any]:
-    """An option that takes a value; more: what click knows of it besides."""
-    return click.option(name, metavar=metavar, help=words, **more)
+def option(
+    name: str, metavar: str | None, words: str, *into: str, **more: Any
+) -> Callable[..., Any]:
+    """An option that takes a value; into: its argument, if another; more: what click knows."""
+    return click.option(name, *into, metavar=metavar, help=words, **more)
 
 
-def flag(name: str, words: str, **more: Any) -> Callable[..., Any]:
-    """An option that is given or not; more: what click knows of it besides."""
-    return click.option(name, is_flag=True, help=words, **more)
+def flag(name: str, words: str, *into: str, **more: Any) -> Callable[..., Any]:
+    """An option that is given or not; into: its argument, if another; more: what click knows."""
+    return click.option(name, *into, is_flag=True, help=words, **more)
 
 
 rarely = functools.partial(option, hidden=True)  # `--help-all` shows it, `--help` does not
@@ -64,13 +66,12 @@ def _all_options(context: click.Context, _: click.Parameter, asked: bool) -> Non
 
 
 # Options that several commands have
-help_all = click.option(
+help_all = flag(
     "--help-all",
-    is_flag=True,
+    "Show this message with the options that are rarely needed, and exit.",
     is_eager=True,
     expose_value=False,
     callback=_all_options,
-    help="Show this message with the options that are rarely needed, and exit.",
 )
 confined = option(
     "--confine",
@@ -78,6 +79,7 @@ confined = option(
     "Refuse files that the scenario names outside of DIR, as a service should.",
     type=PATH,
 )
+force_option = flag("--force", "Replace what someone else wrote or edited.")
 strict_option = flag("--strict", "Stop at the first line that cannot be read.")
 columns_option = option(
     "--columns",
@@ -118,12 +120,6 @@ def _written_folder(options: Mapping[str, Any]) -> Path | None:
     file = out if options.get("to") == "page" else state
     folder: Path | None = out if file is None else file.parent
     return folder
-
-
-def force_option(command: Command) -> Command:
-    """Add --force."""
-    words = "Replace what someone else wrote or edited."
-    return click.option("--force", is_flag=True, help=words)(command)
 
 
 def origin(path: Path | None, seed: int | None = None) -> Origin:

@@ -13,6 +13,7 @@ from undeadzone.cli.common import (
     columns_option,
     confined,
     exit_code,
+    flag,
     origin,
     strict_option,
     untrusted,
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 @click.argument("log", type=PATH, metavar="LOG")
 @columns_option
 @strict_option
-@click.option("--causal", is_flag=True, help="The filter alone: no smoothing with the whole log.")
+@flag("--causal", "The filter alone: no smoothing with the whole log.")
 @csv_option
 @untrusted
 @confined

@@ -54,7 +54,7 @@ if TYPE_CHECKING:
     "Build the self-test with this computer's compiler, run it, print the accuracy table.",
 )
 @force_option
-@click.option("--json", "as_json", is_flag=True, help="Print the report as one JSON object.")
+@flag("--json", "Print the report as one JSON object.", "as_json")
 @untrusted
 @confined
 def export(

@@ -37,9 +37,7 @@ PLACES = click.Choice(["auto", "sensor"])
 
 
 @click.command(epilog="Example: undeadzone identify log.csv && undeadzone run log.toml")
-@click.argument(
-    "logs", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="LOG [LOG ...]"
-)
+@click.argument("logs", nargs=-1, required=True, type=PATH, metavar="LOG [LOG ...]")
 @columns_option
 @option("--kind", None, "What stands at the output; auto finds out.", type=KINDS, default="auto")
 @option("--order", "N|LOW-HIGH", "Poles of the plant, or a range to choose from.", default="1-4")
@@ -56,9 +54,7 @@ PLACES = click.Choice(["auto", "sensor"])
 @rarely("--resample", "STEP", "Step [s] to put the samples on.", type=float)
 @strict_option
 @option("--chain", "DIR", "Go on to firmware in DIR: check, estimate, export, replay.", type=PATH)
-@click.option(
-    "--next", "further", metavar="FILE", type=PATH, help="CSV of the input to record next."
-)
+@option("--next", "FILE", "CSV of the input to record next.", "further", type=PATH)
 @flag("--resume", "Continue where it was stopped, from DIR/identify.json.partial.")
 @help_all
 @force_option
@@ -177,8 +173,8 @@ def _scenario(answer: Answers, path: Path, force: bool) -> tuple[list[Path], str
 
 def _pages(answer: Answers, folder: Path, source: str, best: Next | None) -> list[Path]:
     """A page with figures for each output, written to a folder."""
-    from undeadzone.identification.answer.of_servo import joints
     from undeadzone.identification.answer.result import Identified
+    from undeadzone.identification.answer.words import joints
     from undeadzone.report.identify_page import write_identified
     from undeadzone.results.mjcf import write
 

@@ -41,7 +41,7 @@ OTHERS: Final = {
     "--example", "NAME", "Write an example, with the files that it names, in place of the template."
 )
 @flag("--full", "Write the template with all its remarks and alternatives, 80 lines.")
-@click.option("--list", "as_list", is_flag=True, help="List the examples and write nothing.")
+@flag("--list", "List the examples and write nothing.", "as_list")
 @force_option
 @common
 def init(

@@ -15,20 +15,12 @@ from undeadzone.support.shown import Block
 
 LARGE = 1e7  # [bytes] of a table of signals that is written unasked
 
-csv_option = click.option(
-    "--csv",
-    "as_csv",
-    is_flag=True,
-    help=f"Write the table of signals too where it is larger than {LARGE / 1e6:g} MB.",
+csv_option = flag(
+    "--csv", f"Write the table of signals too where it is larger than {LARGE / 1e6:g} MB.", "as_csv"
 )
 OUTPUTS = (
     flag("--no-figures", "Compute only; draw nothing."),
-    click.option(
-        "--json",
-        "as_json",
-        is_flag=True,
-        help="Print one JSON object on stdout and nothing else there.",
-    ),
+    flag("--json", "Print one JSON object on stdout and nothing else there.", "as_json"),
     option("--out", "DIR", "Folder for the files written (made if missing).", type=PATH),
 )
 

@@ -19,6 +19,7 @@ from undeadzone.cli.common import (
     columns_option,
     confined,
     exit_code,
+    flag,
     option,
     print_blocks,
     say,
@@ -46,9 +47,7 @@ TIME = click.FloatRange(min=0, min_open=True, max=threading.TIMEOUT_MAX)  # [s]
     "type samples.csv | undeadzone watch mine.toml > estimates.csv"
 )
 @click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
-@click.option(
-    "--json", "as_json", is_flag=True, help="Print one JSON object per sample instead of CSV."
-)
+@flag("--json", "Print one JSON object per sample instead of CSV.", "as_json")
 @columns_option
 @strict_option
 @option("--state", "FILE", "Keep the observer's state there, and go on from it.", type=PATH)

@@ -20,9 +20,9 @@ import numpy.typing as npt
 
 from undeadzone.ensemble.job import Layout
 from undeadzone.errors import FileError, InputError, ShapeError
+from undeadzone.support.answers import lock
 from undeadzone.support.arrays import Floats
 from undeadzone.support.files import open_kept, writing
-from undeadzone.support.stopped import lock
 from undeadzone.support.versions import versions
 
 PAGE = 4096  # [bytes] the columns begin at a multiple of it

@@ -10,7 +10,7 @@ from pathlib import Path
 from undeadzone.ensemble import journal
 from undeadzone.ensemble.job import Job, results
 from undeadzone.errors import InputError
-from undeadzone.support import stopped
+from undeadzone.support import answers
 from undeadzone.support.arrays import Floats
 from undeadzone.support.progress import silent
 
@@ -64,7 +64,7 @@ def keeping(store: journal.Store) -> Iterator[None]:
 
     What stops it then says what is kept; a store without runs is removed.
     """
-    with stopped.keeping(functools.partial(_leave, store)):
+    with answers.keeping(functools.partial(_leave, store)):
         yield
 
 

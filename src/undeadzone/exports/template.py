@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import re
 from importlib.resources import files
-from typing import Any, Final
+from typing import Any
 
-_ASKED: Final = re.compile(r"^@\?([a-z_]+)@(.*\n)", re.MULTILINE)
-_WORD: Final = re.compile("@([a-z_]+)@")
+from undeadzone.support import text
 
 
 def text_of(path: str) -> str:
@@ -20,14 +18,13 @@ def text_of(path: str) -> str:
 
 
 def filled(path: str, words: dict[str, Any]) -> str:
-    """A file of this room: each `@word@` is filled in, what begins with `@?word@` needs its truth.
+    """A file of this room with its words filled in, as `support.text.filled` does.
 
     Args:
         path: as seen from here.
         words: what stands for each word, as text.
     """
-    lines = _ASKED.sub(lambda line: line[2] if words[line[1]] else "", text_of(path))
-    return _WORD.sub(lambda word: str(words[word[1]]), lines)
+    return text.filled(text_of(path), words)
 
 
 def called(name: str, tunable: bool) -> dict[str, Any]:

@@ -42,26 +42,11 @@ _BINARY: dict[type, Any] = {
     ast.Pow: operator.pow,
 }
 _UNARY: dict[type, Any] = {ast.USub: operator.neg, ast.UAdd: operator.pos}
-_FUNCTIONS = {
-    "sin": ca.sin,
-    "cos": ca.cos,
-    "tan": ca.tan,
-    "asin": ca.asin,
-    "acos": ca.acos,
-    "atan": ca.atan,
-    "sinh": ca.sinh,
-    "cosh": ca.cosh,
-    "tanh": ca.tanh,
-    "exp": ca.exp,
-    "log": ca.log,
-    "sqrt": ca.sqrt,
-    "abs": ca.fabs,
-    "sign": ca.sign,
-    "min": ca.fmin,
-    "max": ca.fmax,
-    "atan2": ca.atan2,
-}
-_OF_TWO = ("min", "max", "atan2")  # these take two arguments, the others one
+_ELSEWHERE = {"abs": "fabs", "min": "fmin", "max": "fmax"}  # what CasADi calls by another name
+_OF_ONE = "sin cos tan asin acos atan sinh cosh tanh exp log sqrt abs sign"  # with one argument
+_OF_TWO = ("min", "max", "atan2")  # with two
+_NAMES = (*_OF_ONE.split(), *_OF_TWO)
+_FUNCTIONS = {name: getattr(ca, _ELSEWHERE.get(name, name)) for name in _NAMES}
 _CONSTANTS = {"pi": math.pi}
 LATEST = 1000  # samples by which an input may act late
 

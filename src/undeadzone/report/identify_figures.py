@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from undeadzone.identification.answer.next_log import Next
-from undeadzone.identification.answer.of_servo import crossing_columns
 from undeadzone.identification.answer.result import Identified
+from undeadzone.identification.answer.words import crossing_columns
 from undeadzone.identification.models.kalman_fit import innovations as filtered
 from undeadzone.identification.models.plant import MANY
 from undeadzone.identification.models.zone_fit import expected_reading

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from undeadzone.identification.answer.next_log import Next
-from undeadzone.identification.answer.of_servo import crossing_columns
 from undeadzone.identification.answer.result import Identified
-from undeadzone.identification.answer.words import HEADS, rivals_in_words
+from undeadzone.identification.answer.words import HEADS, crossing_columns, rivals_in_words
 from undeadzone.identification.verdict.orders import OrderFit, at_limit
 from undeadzone.report import html
 from undeadzone.report.identify_figures import figures

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import io
 import os
 import sys
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -30,33 +30,14 @@ FLOOR: Final = 1e-16  # least value on a logarithmic axis
 SPANS: Final = 120  # of time, in each of which the largest sample is shown
 LEGEND_ROOM: Final = 0.22  # share of an axis that a legend adds above it
 
-_STYLE: Final[Any] = {
-    "font.size": 9.0,
-    "axes.titlesize": 9.5,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "axes.edgecolor": "#6b7079",
-    "axes.linewidth": 0.8,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "axes.xmargin": 0.0,
-    "grid.color": "#e4e6ea",
-    "grid.linewidth": 0.7,
-    "xtick.color": "#4a4f57",
-    "ytick.color": "#4a4f57",
-    "lines.linewidth": 1.3,
-    "lines.solid_capstyle": "round",
-    "legend.frameon": False,
-    "legend.fontsize": 8.5,
-    "legend.handlelength": 1.8,
-    "legend.columnspacing": 1.4,
-    "figure.constrained_layout.h_pad": 0.08,
-    "figure.constrained_layout.w_pad": 0.08,
-    "figure.titlesize": 11.0,
-    "figure.titleweight": "bold",
-}
+
+@functools.cache
+def _look() -> Any:
+    """Matplotlib's settings that make the look."""
+    import matplotlib
+
+    path = Path(__file__).parent / "figures.mplstyle"
+    return matplotlib.rc_params_from_file(path, use_default_template=False)
 
 
 def own_settings() -> None:
@@ -88,10 +69,10 @@ def sheet(
     import matplotlib
     from matplotlib.figure import Figure
 
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(_look()):
         figure = Figure(figsize=(width, height * len(rows) + 0.4), layout="constrained")
         figure.suptitle(plain(title), x=0.01, ha="left")
-        vars(figure)["_repr_png_"] = partial(png, figure)  # so that a notebook shows it
+        vars(figure)["_repr_png_"] = functools.partial(png, figure)  # so that a notebook shows it
         mosaic: Any = rows
         return figure, figure.subplot_mosaic(mosaic)
 
@@ -108,7 +89,7 @@ def finish(
     """
     import matplotlib
 
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(_look()):
         axes.set_title(title)
         axes.set_xlabel(x_label)
         axes.set_ylabel(y_label)

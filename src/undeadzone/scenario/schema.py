@@ -25,9 +25,8 @@ from undeadzone.ends.actuator import Actuator, ActuatorModel
 from undeadzone.ends.sensor import Sensor
 from undeadzone.errors import InputError
 from undeadzone.observers.parts.prior import Claims
-from undeadzone.plants.options import Plant
+from undeadzone.plants.options import ElasticJoint, Plant
 from undeadzone.plants.region import Region
-from undeadzone.plants.robots.options import ElasticJoint
 from undeadzone.scenario.address import with_tables, with_value
 from undeadzone.scenario.ensemble_table import Vary
 from undeadzone.scenario.tune_table import Tune

@@ -18,9 +18,10 @@ import msgspec
 import numpy as np
 
 from undeadzone.errors import FileError, InputError
-from undeadzone.signals.paths import Circle, FigureEight, Kind, Path, Quintic, curve
+from undeadzone.signals.paths import Circle, FigureEight, Path, Quintic, curve
 from undeadzone.support.arrays import Array, Floats, scalar, vector
 from undeadzone.support.files import LARGEST_TABLE, read_text, reason
+from undeadzone.support.toml import Kind
 
 Derivatives = Callable[[Floats], Floats]
 

@@ -14,16 +14,13 @@ import numpy as np
 
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.support.arrays import Array, Floats, array, matrix, scalar, series, vector
+from undeadzone.support.toml import Kind
 
 Space = Literal["joint", "task"]
 ORDER = 4  # derivatives of a turning path
 
 # The angle turned after a share of the ramp: its slope is the quintic from 0 to 1.
 START = np.polynomial.Polynomial([0, 0, 0, 0, 2.5, -3, 1])
-
-
-class Kind(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind"):
-    """A kind of signal, which `kind` names in a file."""
 
 
 class Quintic(Kind, frozen=True, kw_only=True, tag="quintic"):
@@ -60,7 +57,7 @@ class Swing(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     until: float
 
 
-class _Turn(Kind, frozen=True, kw_only=True):
+class _Turn(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A path around a centre in a plane, in two or three coordinates.
 
     Attributes:
@@ -83,7 +80,7 @@ class _Turn(Kind, frozen=True, kw_only=True):
     swing: Swing | None = None
 
 
-class Circle(_Turn, frozen=True, kw_only=True, tag="circle"):
+class Circle(_Turn, frozen=True, kw_only=True, tag_field="kind", tag="circle"):
     """A circle around `centre`, once per period, in two or three coordinates.
 
     Attributes:
@@ -95,7 +92,7 @@ class Circle(_Turn, frozen=True, kw_only=True, tag="circle"):
     phase: float = 0.0
 
 
-class FigureEight(_Turn, frozen=True, kw_only=True, tag="figure_eight"):
+class FigureEight(_Turn, frozen=True, kw_only=True, tag_field="kind", tag="figure_eight"):
     """A figure of eight from `centre`, once per period, in two or three coordinates.
 
     It is width / 2 sin(angle) across and height / 2 sin(2 angle) along its plane. Across is the

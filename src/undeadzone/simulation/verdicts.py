@@ -10,10 +10,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from undeadzone.analysis.identifiability.beforehand import beforehand
 from undeadzone.analysis.identifiability.both_ends import both_ends, modes_visited
 from undeadzone.analysis.identifiability.disturbance import unknown_bias, unknown_inputs
-from undeadzone.analysis.identifiability.edges import MARGIN, largest_deviations, vague
 from undeadzone.analysis.identifiability.information import (
     EXACT,
     SMALLEST,
@@ -21,7 +19,14 @@ from undeadzone.analysis.identifiability.information import (
     Readings,
     deviations,
 )
-from undeadzone.analysis.identifiability.linear import Verdict, verdicts
+from undeadzone.analysis.identifiability.linear import (
+    MARGIN,
+    Verdict,
+    largest_deviations,
+    vague,
+    verdicts,
+)
+from undeadzone.analysis.identifiability.nonlinear import beforehand
 from undeadzone.analysis.identifiability.play_and_zone import Told, told_of_both
 from undeadzone.analysis.identifiability.second_truth import farthest, second_truth
 from undeadzone.analysis.side_schedule import Schedule, reading_levels

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
+import re
 import unicodedata
-from typing import Final
+from collections.abc import Mapping
+from typing import Any, Final
 
 # Controls, invisible formats (which also turn the direction of writing), half characters, line and
 # paragraph separators.
 UNPRINTABLE: Final = ("Cc", "Cf", "Cs", "Zl", "Zp")
 HALF_95: Final = 1.959964  # standard deviations in half of a 95 % interval
+_ASKED: Final = re.compile(r"^@\?([a-z_]+)@(.*\n)", re.MULTILINE)
+_WORD: Final = re.compile("@([a-z_]+)@")
 
 
 def printable(text: str) -> str:
@@ -74,6 +78,17 @@ def json_line(text: str) -> str:
     if text.isprintable():
         return text
     return "".join(map(_in_json, text))
+
+
+def filled(text: str, words: Mapping[str, Any]) -> str:
+    """A text: each `@word@` is filled in, a line that begins with `@?word@` needs its truth.
+
+    Args:
+        text: of lines.
+        words: what stands for each word, as text.
+    """
+    lines = _ASKED.sub(lambda line: line[2] if words[line[1]] else "", text)
+    return _WORD.sub(lambda word: str(words[word[1]]), lines)
 
 
 def _printable(character: str) -> str:

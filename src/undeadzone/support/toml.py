@@ -11,6 +11,10 @@ import tomli_w
 from undeadzone.errors import InputError
 
 
+class Kind(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind"):
+    """A table of a scenario, of which there are several kinds."""
+
+
 def dumps(value: msgspec.Struct) -> str:
     """The TOML text of a struct.
 

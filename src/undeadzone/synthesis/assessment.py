@@ -23,8 +23,7 @@ from undeadzone.analysis.convergence.trajectories import (
     trajectory,
 )
 from undeadzone.analysis.error_dynamics import Dynamics, Storage
-from undeadzone.analysis.identifiability.edges import Cure, reaching
-from undeadzone.analysis.identifiability.linear import cures, invisible
+from undeadzone.analysis.identifiability.linear import Cure, cures, invisible, reaching
 from undeadzone.analysis.identifiability.play_and_zone import states_told
 from undeadzone.analysis.side_schedule import Schedule, arriving, planned, recorded
 from undeadzone.controllers.state_feedback import StateFeedback

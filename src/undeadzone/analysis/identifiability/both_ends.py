@@ -7,7 +7,7 @@ A v - B chi_j b lies in U for each mode j that the actuator visits, chi = (m_r, 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -76,15 +76,13 @@ def both_ends(
         outputs.append(Verdict(right, left, width, centre, reasons=()))
     inputs = []
     for i in range(m):
-        seen: dict[str, bool] = {}
+        seen: dict[str, Any] = {}
         for name, pair in DIRECTIONS.items():
             direction = np.zeros(hidden.scale.size)
             if drives:
                 direction[[first + i, first + m + i]] = pair
             seen[name] = bool(drives) and hidden.sees(direction)
-        inputs.append(
-            Verdict(seen["right"], seen["left"], seen["width"], seen["centre"], reasons=())
-        )
+        inputs.append(Verdict(**seen, reasons=()))
     reason = _reason(outputs, inputs, modes)
     return BothEnds(*([one._replace(reasons=reason) for one in part] for part in (outputs, inputs)))
 

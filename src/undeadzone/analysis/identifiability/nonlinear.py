@@ -4,6 +4,8 @@ The plant is linearised along the run. The information that the readings hold of
 [x(0); d; beta; theta] is kept as a square root: no product of readings is formed. d = [right, left]
 per output, beta a constant input bias, theta uncertain parameters. docs/identifiability.md says how
 and why.
+
+What is known of x(0) and of centres before the first reading, as rows of information.
 """
 
 from __future__ import annotations
@@ -14,20 +16,46 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.analysis.identifiability import linear
-from undeadzone.analysis.identifiability.beforehand import beforehand
-from undeadzone.analysis.identifiability.edges import (
+from undeadzone.analysis.identifiability.information import EXACT
+from undeadzone.analysis.identifiability.linear import (
     largest_deviations,
     rarely_exact,
     unreached,
     vague,
 )
-from undeadzone.analysis.identifiability.information import EXACT
 from undeadzone.analysis.identifiability.linearised_run import LinearisedRun, linearised, symmetric
 from undeadzone.analysis.identifiability.second_truth import farthest, second_truth
 from undeadzone.analysis.side_schedule import reading, reading_levels, recorded
 from undeadzone.ends.sensor import DIRECTIONS, Zone
 from undeadzone.plants.system import System
 from undeadzone.support.arrays import Floats, Integers
+
+
+def beforehand(
+    n: int, p: int, start_std: Floats | None, centre_std: Floats | None, least: float
+) -> Floats:
+    """Rows (k x n + 2p) on [x(0); d] whose squares are the information known beforehand.
+
+    Args:
+        n: number of states.
+        p: number of outputs.
+        start_std: standard deviations of x(0), infinite where it is not known (n); None: unknown.
+        centre_std: those of each d_r - d_l (p), infinite where it is not known; None: unknown.
+        least: deviation of a centre that is known exactly [z].
+    """
+    rows = []
+    if start_std is not None:
+        for i in np.flatnonzero(np.isfinite(start_std) & (start_std > 0)):
+            rows.append(np.eye(n + 2 * p)[i] / start_std[i])
+    if centre_std is not None:
+        for i in np.flatnonzero(np.isfinite(centre_std)):
+            right = n + 2 * i
+            row = np.eye(n + 2 * p)[right] - np.eye(n + 2 * p)[right + 1]
+            rows.append(row / max(float(centre_std[i]), least))
+    return np.array(rows).reshape(len(rows), n + 2 * p)
+
+
+# --- What the readings along a run tell
 
 LIMIT = 1e9  # beyond this a state has diverged
 SHARE = 1e-3  # of the largest change: less is not named

@@ -10,9 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.analysis.identifiability.edges import unreached
 from undeadzone.analysis.identifiability.information import EXACT, SMALLEST, Readings, deviations
-from undeadzone.analysis.identifiability.linear import Verdict, invisible
+from undeadzone.analysis.identifiability.linear import Verdict, invisible, unreached
 from undeadzone.analysis.side_schedule import Schedule
 from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.linear.matrices import Matrices

@@ -6,6 +6,7 @@ import itertools
 import json
 import math
 from collections.abc import Iterable, Sequence
+from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -21,12 +22,10 @@ from undeadzone.identification.verdict.verdict import MEMORY
 from undeadzone.identification.verdict.which import Element
 from undeadzone.linear.matrices import Matrices
 from undeadzone.support.arrays import Floats
-from undeadzone.support.text import printable
+from undeadzone.support.text import filled, printable
 
 UNSEEN = 0.1  # of the readings' noise: what a disturbance makes of z, and no log of this kind shows
 SIDES = ("right", "left")
-NO_ZONE = ("right = 0.0  # the sensor has no zone", "left = 0.0")
-NO_ZONE_CLAIMED = ("right = [0.0, 1e-09]  # no zone", "left = [0.0, 1e-09]")
 LEAST, MOST = 1e-3, 0.5  # tolerance of an entry
 
 
@@ -46,64 +45,50 @@ def scenario_text(answers: Sequence[Answer], title: str) -> str:
             does not hold z = 0.
     """
     plants, spreads_A, spreads_B = zip(*[_plant(answer) for answer in answers], strict=True)
-    first = answers[0]
+    first, plant = answers[0], _joined(plants)
     step = first.case.grid.step
-    plant = _joined(plants)
-    spread_A, spread_B = block_diag(*spreads_A), np.vstack(spreads_B)
     at_input = first.verdict == "input_zone"
     driven = plant.B.shape[1] >= len(answers)
-    lines = [
-        f"title = {json.dumps(title, ensure_ascii=False)}",
-        "",
-        "[plant]  # from the sampled plant by the matrix logarithm, companion form",
-        f"A = {_rows(plant.A)}",
-        f"B = {_rows(plant.B)}",
-        f"C = {_rows(plant.C)}",
-        *_delay(answers),
-        "",
-        "[sensor]",
-        *([f'kind = "{first.verdict}"'] if first.verdict in ("jump", "play") else []),
-        *(NO_ZONE if at_input else _widths(answers)),
-        *_gaps(first),
-        *_noise(answers),
-        "",
-        *_told_gaps(first),
-        *(_actuator(first) if at_input else []),
-        *(_reference(answers, plant.A) if driven else []),
-        "[observer]",
-        'method = "censored"',
-        *(NO_ZONE_CLAIMED if at_input else _claimed(answers)),
-        *_disturbance(answers),
-        f"tolerance = {_tolerance(spread_A, spread_B)}  # relative, from the fit's covariance",
-        "",
-        *(["[controller]", 'method = "state_feedback"', "alpha = 1.0", ""] if driven else []),
-        "[simulation]",
-        f"duration = {_number(_duration(answers, plant.A))}",
-        'time = "sampled"',
-        f"step = {float(f'{step:.12g}')!r}  # of the log",
-        "",
-        "[units]",
-        f"output = {_text(first.case.grid.output_unit)}",
-        f"input = {_text(first.case.grid.input_unit)}",
-    ]
+    words: dict[str, Any] = {
+        "title": json.dumps(title, ensure_ascii=False),
+        **{name.lower(): _rows(matrix) for name, matrix in plant._asdict().items()},
+        "delay": _delay(answers),
+        "kind": first.verdict if first.verdict in ("jump", "play") else "",
+        "at_input": at_input,
+        "at_sensor": not at_input,
+        "widths": _widths(answers),
+        **_gap(first),
+        **_noise(answers),
+        "driven": driven,
+        "amplitude": _numbers(np.quantile(np.abs(one.z) * one.scale, 0.98) for one in answers),
+        "frequency": _number(_frequency(first, plant.A)),
+        "claimed": _claimed(answers),
+        **_disturbance(answers),
+        "tolerance": _tolerance(block_diag(*spreads_A), np.vstack(spreads_B)),
+        "duration": _number(_duration(answers, plant.A)),
+        "step": repr(float(f"{step:.12g}")),
+        "output": _text(first.case.grid.output_unit),
+        "input": _text(first.case.grid.input_unit),
+    }
     remarks = list(dict.fromkeys(itertools.chain(*[answer.remarks for answer in answers])))
     if not driven:
         remarks.append("fewer inputs than outputs: no controller follows references; for logs only")
-    cautions = [f"# {printable(remark)}" for remark in remarks]
-    return "\n".join(["# Written by undeadzone identify.", *cautions, *lines]) + "\n"
+    words["cautions"] = "".join(f"# {printable(remark)}\n" for remark in remarks)
+    template = files("undeadzone.identification.answer").joinpath("scenario.toml")
+    return filled(template.read_text(encoding="utf-8"), words)
 
 
-def _widths(answers: Sequence[Answer]) -> list[str]:
+def _widths(answers: Sequence[Answer]) -> str:
     """The widths of a sensor, or of an actuator. Raises InputError."""
     zones = [_edges(answer) for answer in answers]
     lines = []
     for side, edges in zip(SIDES, zip(*zones, strict=True), strict=True):
         values = _numbers(edge.value for edge in edges)
         lines.append(f"{side} = {values}  # 95 %: {_intervals(edges)}")
-    return lines
+    return "\n".join(lines)
 
 
-def _claimed(answers: Sequence[Answer]) -> list[str]:
+def _claimed(answers: Sequence[Answer]) -> str:
     """The widths as the observer knows them. Raises InputError."""
     element, remark = answers[0].element, "99.9 % interval"
     edges = None if element is None else element.edges
@@ -114,40 +99,22 @@ def _claimed(answers: Sequence[Answer]) -> list[str]:
         else:
             ranges = [told_range(one, side) for one in answers]
         lines.append(f"{side} = {_listed([_pair(*ends) for ends in ranges])}  # {remark}")
-    return lines
+    return "\n".join(lines)
 
 
-def _gaps(answer: Answer) -> list[str]:
-    """The gaps of a play ahead of the dead zone; nothing without one."""
+def _gap(answer: Answer) -> dict[str, str]:
+    """The gap of a play ahead of the dead zone; empty without one. Raises InputError."""
+    element, gap = answer.element, answer.width
     if answer.verdict != "both":
-        return []
-    gap = _gap(answer)
-    even = _pair(gap.value / 2, gap.value / 2)
-    remark = "the sum of both centres stands in right and left"
-    return [f"play = {even}  # c_r + c_l, 95 %: {_intervals([gap])}; {remark}"]
-
-
-def _told_gaps(answer: Answer) -> list[str]:
-    """The gaps as the observer knows them; nothing without a play ahead of the dead zone."""
-    element = answer.element
-    if answer.verdict != "both" or element is None:
-        return []
-    low, high = told_element(element, _gap(answer))
-    half = _pair(low / 2, high / 2)
-    return ["[model]", f"play = [{half}, {half}]  # 99.9 % interval of the gap, even", ""]
-
-
-def _gap(answer: Answer) -> Interval:
-    """The gap of a play ahead of a dead zone. Raises InputError."""
-    if answer.width is None:
+        return {"gap": ""}
+    if element is None or gap is None:
         raise InputError("scenario: both widths must be known")
-    return answer.width
-
-
-def _actuator(answer: Answer) -> list[str]:
-    """The actuator's dead zone, and what is known of it. Raises InputError."""
-    widths, claimed = _widths([answer]), _claimed([answer])
-    return ["[actuator]", *widths, "", "[model.actuator]", *claimed, ""]
+    low, high = told_element(element, gap)
+    return {
+        "gap": _pair(gap.value / 2, gap.value / 2),
+        "gap_interval": _intervals([gap]),
+        "told_gap": _pair(low / 2, high / 2),
+    }
 
 
 def _plant(answer: Answer) -> tuple[Matrices, Floats, Floats]:
@@ -156,16 +123,15 @@ def _plant(answer: Answer) -> tuple[Matrices, Floats, Floats]:
     return entry_spread(a, b, layout, answer.case.grid.step, V)
 
 
-def _delay(answers: Sequence[Answer]) -> list[str]:
-    """By how much the plant is late, not its recording; nothing if it is not. Raises InputError."""
+def _delay(answers: Sequence[Answer]) -> int:
+    """Samples by which the plant is late, not its recording. Raises InputError."""
     late = {one.found.delay * (one.options.delay == "auto") for one in answers}
     if len(late) > 1:
         raise InputError(
             f"scenario: inputs act {min(late)} to {max(late)} samples late on different outputs,"
             " and a plant has one delay; identify each output alone"
         )
-    samples = late.pop()
-    return [f"delay = {samples}  # samples by which the input acts late"] if samples else []
+    return late.pop()
 
 
 def _joined(plants: Sequence[Matrices]) -> Matrices:
@@ -221,20 +187,14 @@ def _edges(answer: Answer) -> tuple[Interval, Interval]:
     return right, left
 
 
-def _noise(answers: Sequence[Answer]) -> list[str]:
-    """Noise of the sensor, its threshold and quantum."""
-    before, behind = zip(*[_rms_of_noise(answer) for answer in answers], strict=True)
-    lines = []
-    if any(before):
-        silent = [max(0.5 * one.case.grid.quantum, one.options.threshold or 0.0) for one in answers]
-        lines.append(f"noise_before = {_numbers(before)}  # white part of what disturbs z")
-        lines.append(f"threshold = {_numbers(silent)}  # the log has exact zeros")
-    if any(behind):
-        lines.append(f"noise = {_numbers(behind)}  # rms of the residual")
+def _noise(answers: Sequence[Answer]) -> dict[str, str]:
+    """Noise of the sensor, its threshold and quantum; empty where there is none."""
+    ahead, behind = zip(*[_rms_of_noise(answer) for answer in answers], strict=True)
     quanta = [one.case.grid.quantum * (one.verdict in MEMORY) for one in answers]
-    if any(quanta):
-        lines.append(f"quantum = {_numbers(quanta)}  # of the encoder")
-    return lines
+    silent = [max(0.5 * one.case.grid.quantum, one.options.threshold or 0.0) for one in answers]
+    noise = {"ahead": ahead, "behind": behind, "quantum": quanta}
+    shown = {name: any(values) * _numbers(values) for name, values in noise.items()}
+    return shown | {"threshold": _numbers(silent)}
 
 
 def _rms_of_noise(answer: Answer) -> tuple[float, float]:
@@ -244,18 +204,6 @@ def _rms_of_noise(answer: Answer) -> tuple[float, float]:
     if answer.element is not None:
         return 0.0, white
     return (white, 0.0) if disturbance.ahead else (0.0, disturbance.rms)
-
-
-def _reference(answers: Sequence[Answer], A: Floats) -> list[str]:
-    """A sine within the range of z and the bandwidth of the plant."""
-    reached = [np.quantile(np.abs(one.z) * one.scale, 0.98) for one in answers]
-    return [
-        "[reference]  # fits the range of z in the log",
-        'kind = "sine"',
-        f"amplitude = {_numbers(reached)}",
-        f"frequency = {_number(_frequency(answers[0], A))}",
-        "",
-    ]
 
 
 def _frequency(answer: Answer, A: Floats) -> float:
@@ -280,17 +228,14 @@ def _duration(answers: Sequence[Answer], A: Floats) -> float:
     return float(f"{step * math.ceil(min(periods / step, 20000)):.12g}")
 
 
-def _disturbance(answers: Sequence[Answer]) -> list[str]:
+def _disturbance(answers: Sequence[Answer]) -> dict[str, str]:
     """What disturbs the input, for the observer: the strongest of the outputs' disturbances."""
     claims = [_claim(answer) for answer in answers]
     known = [claim for claim in claims if claim is not None]
     if len(known) < len(claims):
-        return []  # something disturbs z, and nobody knows what: the observer's own default
+        return {"disturbance": ""}  # something disturbs z: the observer's own default
     rms, time = max(known)
-    return [
-        f"disturbance = {_number(rms)}  # rms at the input",
-        f"correlation_time = {_number(time)}",
-    ]
+    return {"disturbance": _number(rms), "correlation_time": _number(time)}
 
 
 def _claim(answer: Answer) -> tuple[float, float] | None:

@@ -275,6 +275,11 @@ def hats(z: Floats, centres: Floats) -> Floats:
     return np.column_stack([np.interp(z, centres, row) for row in unit])
 
 
+def left_by(columns: Floats, target: Floats) -> Floats:
+    """What columns leave of a target (n), or of several (n x k)."""
+    return np.asarray(target - columns @ np.linalg.lstsq(columns, target, rcond=1e-10)[0])
+
+
 def explained(columns: Floats, residual: Floats) -> tuple[Floats, Floats, float, float]:
     """A residual by functions, by least squares.
 

@@ -74,7 +74,7 @@ def sensing(
     Returns:
         The rule; of noisy readings with the window that makes out most sides.
     """
-    change, known = _changes(y, ok, start)
+    change, known = changes(y, ok, start)
     spoken = change[known & (y != 0)]
     if spoken.size and (spoken == 0).mean() > HELD and not _chatters(np.where(known, change, 0.0)):
         return Sensing(0.0, quantum, 1)
@@ -100,7 +100,7 @@ def sides(y: Floats, ok: Flags, start: Integers, how: Sensing) -> Integers:
         moved = moved_before(y, ok, start, how.window)
         least = SURE * how.noise * np.sqrt(12 / how.window)
     else:
-        change, known = _changes(y, ok, start)
+        change, known = changes(y, ok, start)
         moved = np.where(known, change, 0.0)
         least = how.quantum / 2
     return ok * (1 * (moved > least) - 1 * (moved < -least))
@@ -135,7 +135,7 @@ def white_noise(y: Floats, ok: Flags, start: Integers) -> float:
     return float(np.median(np.abs(difference[known])) / 0.6745 / np.sqrt(20))
 
 
-def _changes(y: Floats, ok: Flags, start: Integers) -> tuple[Floats, Flags]:
+def changes(y: Floats, ok: Flags, start: Integers) -> tuple[Floats, Flags]:
     """Changes from the reading before (N), and where they are known (N)."""
     change = np.append(0.0, np.diff(y))
     known = ok & np.append(False, ok[:-1])

@@ -15,10 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.identification.servo.feedback import NORMAL
-from undeadzone.identification.servo.heard import REACH, Heard, noise_of, triggered
-from undeadzone.identification.servo.likelihood import Likelihood, Servo
-from undeadzone.identification.servo.sampled import GAP
+from undeadzone.identification.servo.heard import NORMAL, REACH, Heard, noise_of, triggered
+from undeadzone.identification.servo.likelihood import At, Likelihood, Servo
 from undeadzone.support.arrays import Floats, Integers
 
 FEW = 12  # crossings from which a trend is looked for
@@ -118,8 +116,7 @@ def crossings_of(log: Heard, one: Servo, free: bool = False) -> Crossings:
     ticked, wider = log, 0.0
     if not log.ticks:
         ticked, wider = triggered(log), 2 * REACH * noise_of(log)
-    theta = one.theta.copy()
-    theta[GAP] += wider
+    theta = one.changed(At.GAP, one.theta[At.GAP] + wider).theta
     seen = Likelihood(ticked, free).run(theta[None], one.structure.lag)[0]
     at, ticks = np.flatnonzero(ticked.turns), np.flatnonzero(ticked.side)
     before = ticks[np.maximum(np.searchsorted(ticks, at) - 1, 0)]
@@ -131,5 +128,5 @@ def crossings_of(log: Heard, one: Servo, free: bool = False) -> Crossings:
         speed=seen[at, 3] * scale * (log.step / log.seconds),
         duration=(at - before) * log.seconds,
         y=log.y[at] * scale,
-        gap=(theta[GAP] - side * seen[at, 0] - wider) * scale,
+        gap=(theta[At.GAP] - side * seen[at, 0] - wider) * scale,
     )

@@ -4,31 +4,112 @@ The interval is as wide as the widest of what the log itself says (scores in cos
 sample, and between reversals) and of what twelve logs simulated with the fit say; these also take
 off a bias. It reaches to the gaps of other structures that may be the true one. Where the crossings
 say another gap, or the errors are none of a servo's, no gap is given.
+
+Logs simulated with a fit: what the predictor makes of a gap that is known.
+
+Ticks that come early are heard with little variance, so they weigh more, and a torque that nobody
+knows makes the gap a little too small. Logs with the plant, gap, torque and encoder of the fit show
+by how much, and how far the gap scatters.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from functools import cache
 from typing import NamedTuple
 
+import casadi as ca
 import numpy as np
+from scipy.signal import lfilter
 from scipy.special import expit
 
+from undeadzone.compile import lanes
 from undeadzone.identification.models.estimates import Interval, quantile, sandwich
+from undeadzone.identification.servo import predictor
 from undeadzone.identification.servo.crossings import Crossings, crossings_of
-from undeadzone.identification.servo.heard import Heard, noise_of, triggered
+from undeadzone.identification.servo.heard import Heard, noise_of, sides, triggered
 from undeadzone.identification.servo.likelihood import (
     DEAR,
+    SLOW_TIME,
+    At,
     Likelihood,
     Servo,
     Slopes,
+    lanes_of,
     newton,
     scores,
 )
-from undeadzone.identification.servo.sampled import DAMPING, GAIN, GAP, OFFSET, SPRING
+from undeadzone.identification.servo.predictor import LATEST, MEAN, NUMBERS
 from undeadzone.identification.servo.search import searched
-from undeadzone.identification.servo.simulated import STEPS, refitted, simulated
 from undeadzone.support.arrays import Flags, Floats, Integers, later
+
+RUNS = 12
+STEPS = 8  # of a climb from the fit
+
+
+@cache
+def _kernel() -> lanes.Kernel:
+    """A servo and its play, with a torque of each lane's own."""
+    state = ca.SX.sym("s", MEAN + 1)
+    signals = ca.SX.sym("w", LATEST + 1 + 3)
+    numbers = ca.SX.sym("p", len(NUMBERS) + LATEST + 1)
+    lane = predictor.Lane(numbers)
+    begun, starts, torque = ca.vertsplit(signals[LATEST + 1 :])
+    acting = ca.dot(lane.taps, signals[: LATEST + 1])
+    contact = predictor.contact_of(lane, state[0], state[1], state[MEAN])
+    pushed = lane.offset + torque
+    x = predictor.moved(lane, ca.vertsplit(state[:MEAN]), acting, pushed, contact).x
+    x = [ca.if_else(starts, first, one) for first, one in zip([begun, 0, 0, 0], x, strict=True)]
+    level = ca.if_else(starts, begun, predictor.pulled(lane, state[MEAN], x[0]))
+    step = ca.Function("simulated", [state, signals, numbers], [ca.vertcat(*x, level), level])
+    own = LATEST + 1 + 2
+    return lanes.build(step, exogenous=[own], width=16, fused=True)
+
+
+def simulated(log: Heard, one: Servo, runs: int = RUNS) -> list[Heard]:
+    """Logs of a servo with the log's input.
+
+    Args:
+        log: as the predictor hears it.
+        one: the servo.
+        runs: how many.
+    """
+    theta, size = one.theta, log.u.size
+    draw = np.random.default_rng(5)
+    torque = math.exp(theta[At.TORQUE]) * draw.standard_normal((size, runs))
+    keep = math.exp(-log.step / SLOW_TIME)
+    white = math.sqrt(1 - keep * keep) * draw.standard_normal((size, runs))
+    torque += math.exp(theta[At.SLOW]) * lfilter([1.0], [1.0, -keep], white, axis=0)
+    rows = lanes_of(theta[None], log.step, log.quantum, log.ticks, False, one.structure.lag)
+    signals = np.column_stack([log.signals(log.ok)[:, : LATEST + 1], np.zeros((size, 3))])
+    signals[log.start, LATEST + 1] = log.y[log.start]
+    signals[log.start, LATEST + 2] = 1.0
+    levels, _ = lanes.run(
+        _kernel(), np.zeros(MEAN + 1), signals, rows[0], torque[:, None, :], threads=1
+    )
+    return [_recorded(log, theta, level, draw) for level in levels[:, :, 0]]
+
+
+def _recorded(log: Heard, theta: Floats, level: Floats, draw: np.random.Generator) -> Heard:
+    """Levels as the log's encoder reads them, or with its noise."""
+    if not log.ticks:
+        return log._replace(y=level + math.exp(theta[At.NOISE]) * draw.standard_normal(level.size))
+    y = log.quantum * np.round(level / log.quantum) if log.quantum else level
+    side = sides(y, log.ok, log.start)
+    return log._replace(y=y, side=side, boundary=y - side * log.quantum / 2)
+
+
+def refitted(logs: Sequence[Heard], one: Servo) -> Floats:
+    """The gaps that climbs from a servo find in logs (runs)."""
+    gaps = []
+    for log in logs:
+        top = Likelihood(log).climbed([one], STEPS)[0]
+        gaps.append(top.theta[At.GAP])
+    return np.array(gaps)
+
+
+# --- The gap, and when none is given
 
 LONGEST = 20_000  # samples that are fitted
 REVERSALS = 10  # crossings that a gap is read off, at least
@@ -90,7 +171,7 @@ class ServoGap(NamedTuple):
         one = self.servo
         if not one.structure.lag:
             return "spring" not in one.structure.parts
-        return math.exp(one.theta[DAMPING]) * self.log.step * self.log.u.size < SETTLES
+        return math.exp(one.theta[At.DAMPING]) * self.log.step * self.log.u.size < SETTLES
 
     @property
     def odds(self) -> float:
@@ -106,7 +187,7 @@ class ServoGap(NamedTuple):
         """z as it is predicted, what is read of it, and the contact then (N each), scaled."""
         log = self.log
         z = Likelihood(log).run(one.theta[None], one.structure.lag)[0][:, 2]
-        half = float(one.theta[GAP]) / 2
+        half = float(one.theta[At.GAP]) / 2
         before = later(log.y, 1, log.start)
         readings = np.maximum(np.minimum(before, z + half), z - half)
         if log.quantum:
@@ -141,7 +222,7 @@ def servo_gap(log: Heard | None) -> ServoGap | None:
     spread = _Spread(part, best, slopes)
     logs = simulated(part, best)
     gaps = refitted(logs, best)
-    gap = _corrected(part, best, spread, gaps, [one.theta[GAP] for one in tops])
+    gap = _corrected(part, best, spread, gaps, [one.theta[At.GAP] for one in tops])
     found = ServoGap(
         log=log,
         servo=best,
@@ -182,15 +263,13 @@ def centre_of(found: ServoGap, level: float) -> Interval | None:
 def _rest(one: Servo) -> float:
     """Where z rests at u = 0, from the first reading on."""
     theta = one.theta
-    stiffness = math.exp(theta[DAMPING] if one.structure.lag else theta[SPRING])
-    return float(theta[GAIN] * theta[OFFSET]) / stiffness
+    stiffness = math.exp(theta[At.DAMPING] if one.structure.lag else theta[At.SPRING])
+    return float(theta[At.GAIN] * theta[At.OFFSET]) / stiffness
 
 
 def _without(log: Heard, one: Servo) -> float:
     """The log likelihood of a servo without a gap."""
-    theta = one.theta.copy()
-    theta[GAP] = 0.0
-    return Likelihood(log).climbed([one._replace(theta=theta)], STEPS, (GAP,))[0].value
+    return Likelihood(log).climbed([one.changed(At.GAP, 0.0)], STEPS, (At.GAP,))[0].value
 
 
 def _slopes(log: Heard, one: Servo) -> Slopes:
@@ -203,7 +282,7 @@ class _Spread:
     """How surely a gap is known by the log itself."""
 
     def __init__(self, log: Heard, one: Servo, slopes: Slopes) -> None:
-        place = list(one.structure.free(log.ticks, False)).index(GAP)
+        place = list(one.structure.free(log.ticks, False)).index(At.GAP)
         score, (_, hessian) = scores(slopes), newton(slopes)
         spread = sandwich(score, hessian)
         self.covariance = spread.V
@@ -223,7 +302,7 @@ def _corrected(
     log: Heard, one: Servo, spread: _Spread, gaps: Floats, others: list[float]
 ) -> Interval:
     """The gap less the bias that simulated logs show, with its interval, scaled."""
-    gap = float(one.theta[GAP])
+    gap = float(one.theta[At.GAP])
     least = log.quantum if log.ticks else noise_of(log)
     reach = 4 * spread.error + 0.2 * least
     middle = float(np.median(gaps))
@@ -238,7 +317,7 @@ def _corrected(
 def _unbiased(crossings: Crossings, logs: list[Heard], one: Servo) -> Crossings:
     """Crossings less what those of simulated logs are beside the truth."""
     medians = [crossings_of(log, one).median for log in logs[:LOOKED]]
-    shift = float(np.nanmedian(medians)) - float(one.theta[GAP]) * logs[0].y_scale
+    shift = float(np.nanmedian(medians)) - float(one.theta[At.GAP]) * logs[0].y_scale
     return crossings._replace(gap=crossings.gap - shift) if math.isfinite(shift) else crossings
 
 
@@ -258,7 +337,7 @@ def _doubts(found: ServoGap, spread: _Spread, gaps: Floats) -> list[str]:
             f"the gap lies between {gap.low:.3g} and {gap.high:.3g}, which is hardly known; record"
             " for longer, or with more reversals"
         )
-    fitted = float(found.servo.theta[GAP]) * log.y_scale
+    fitted = float(found.servo.theta[At.GAP]) * log.y_scale
     margin = TICKS * log.quantum if log.ticks else NOISES * noise_of(log)
     error = math.hypot(spread.error * log.y_scale, crossings.error)
     allowed = DISAGREES * error + margin * log.y_scale + CLOSE * fitted

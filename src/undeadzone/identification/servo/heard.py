@@ -1,4 +1,7 @@
-"""A log as the predictor hears it: ticks with their boundaries, or readings with noise."""
+"""A log as the predictor hears it: ticks with their boundaries, or readings with noise.
+
+Does the input answer to the readings? A loop shows in the change of u at a tick itself.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +9,65 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import f as fisher
 
 from undeadzone.identification.logs.grid import spacing_of
-from undeadzone.identification.models.motion import white_noise
-from undeadzone.identification.servo.feedback import CHANCE, loop_chance
+from undeadzone.identification.models.least_squares import left_by
+from undeadzone.identification.models.motion import changes, white_noise
 from undeadzone.identification.servo.predictor import LATEST
 from undeadzone.support.arrays import Flags, Floats, Integers, later
+
+LAGS = 10  # samples of the past that are taken out
+OWN = 3  # changes of readings, of now and before, to which u may answer
+OUTLIER = 5.0  # scatters of what the past leaves: steps of a reference are none of the loop's
+NORMAL = 1.4826  # standard deviation of a Gaussian by its median deviation
+LEAST = 3e-3  # of du, that the past must leave
+SHARE = 0.01  # of what it leaves, that readings must explain
+CHANCE = 1e-6  # p from which a loop is closed
+STILL = 0.5  # share of changes that are 0, from which u is a list of steps
+
+
+def loop_chance(u: Floats, y: Floats) -> float:
+    """p of what changes of y that came just before explain of changes of u, if there is no loop.
+
+    1 where they explain hardly anything, or nothing can be told.
+
+    Args:
+        u: inputs (N).
+        y: readings (N).
+    """
+    du, dy = np.diff(u), np.diff(y)
+    rows = np.arange(LAGS, du.size)
+    if rows.size < 10 * LAGS or np.mean(du == 0) > STILL:
+        return 1.0
+    now = np.column_stack([dy[rows - lag] for lag in range(OWN)])
+    past = [du[rows - lag] for lag in range(1, LAGS + 1)]
+    past += [dy[rows - lag] for lag in range(OWN, LAGS)]
+    known = np.column_stack([np.ones(rows.size), *past])
+    target = du[rows]
+    kept = _usual(known, target)
+    known, now, target = known[kept], now[kept], target[kept]
+    before = left_by(known, target)
+    if np.std(before) < LEAST * np.std(target):
+        return 1.0
+    after = left_by(np.column_stack([known, now]), target)
+    share = 1 - float(after @ after) / float(before @ before)
+    degrees = target.size - known.shape[1] - OWN
+    ratio = share / max(1 - share, 1e-12) * degrees / OWN
+    return float(fisher.sf(ratio, OWN, degrees)) if share > SHARE else 1.0
+
+
+def _usual(columns: Floats, target: Floats) -> Flags:
+    """The rows without outliers (n)."""
+    kept = np.ones(target.size, bool)
+    for _ in range(3):
+        slopes = np.linalg.lstsq(columns[kept], target[kept], rcond=1e-10)[0]
+        left = np.abs(target - columns @ slopes)
+        kept = left <= OUTLIER * NORMAL * float(np.median(left))
+    return kept
+
+
+# --- What the predictor hears
 
 USUAL = (5e-4, 0.05)  # of a servo [s]; other samples take as long as those in between
 FEWEST = 20  # changes of readings that are worth a look
@@ -128,7 +184,7 @@ def heard(u: Floats, y: Floats, ok: Flags, start: Integers, step: float) -> Hear
         return None
     level = float(y[ok][0])
     held = filled(np.where(ok, (y - level) / y_scale, 0.0), ok)
-    side = changes(held, ok, start)
+    side = sides(held, ok, start)
     at = np.flatnonzero(side)
     if at.size < FEWEST:
         return None
@@ -162,11 +218,10 @@ def filled(y: Floats, ok: Flags) -> Floats:
     return np.where(last >= 0, y[np.maximum(last, 0)], 0.0)
 
 
-def changes(y: Floats, ok: Flags, start: Integers) -> Integers:
+def sides(y: Floats, ok: Flags, start: Integers) -> Integers:
     """The side of each change from a reading just before (N)."""
-    known = ok & np.append(False, ok[:-1])
-    known[start] = False
-    return np.where(known, np.sign(np.append(0.0, np.diff(y))), 0.0).astype(int)
+    change, known = changes(y, ok, start)
+    return np.where(known, np.sign(change), 0.0).astype(int)
 
 
 def noise_of(log: Heard) -> float:
@@ -183,7 +238,7 @@ def triggered(log: Heard) -> Heard:
         held[k] = level
     spacing = 2 / REACH * reach
     steps = np.round(held / spacing) * spacing
-    side = changes(steps, log.ok, log.start)
+    side = sides(steps, log.ok, log.start)
     return log._replace(
         ticks=True, quantum=spacing, side=side, boundary=steps - side * spacing / 2
     )  # fmt: skip

@@ -18,19 +18,12 @@ from scipy.signal import lfilter
 
 from undeadzone.identification.servo.crossings import crossings_of
 from undeadzone.identification.servo.heard import REACH, Heard, noise_of, triggered
-from undeadzone.identification.servo.likelihood import PARTS, Likelihood, Servo, Structure
-from undeadzone.identification.servo.sampled import (
-    DAMPING,
-    DELAY,
-    FRICTION,
-    GAIN,
-    GAP,
-    NAMES,
-    NOISE,
-    POLE,
-    SLOW,
-    SPRING,
-    TORQUE,
+from undeadzone.identification.servo.likelihood import (
+    PARTS,
+    At,
+    Likelihood,
+    Servo,
+    Structure,
     discretised,
 )
 from undeadzone.support.arrays import Floats, later
@@ -77,14 +70,14 @@ def searched(log: Heard) -> list[Servo]:
 def without_gap(log: Heard) -> list[Servo]:
     """The best servos of a few structures that know of no gap, best first."""
     likelihood = Likelihood(log, free=True)
-    if likelihood.used.size < 3 * len(NAMES):
+    if likelihood.used.size < 3 * len(At):
         return []
     begun = starts(log)
     families = sorted({one.structure for one in begun}, key=repr)
-    tops = likelihood.climbed(begun, FIRST, (TORQUE,))
+    tops = likelihood.climbed(begun, FIRST, (At.TORQUE,))
     tops = list(itertools.chain(*(_best(tops, family, KEPT) for family in families)))
-    weaker = [_changed(one, TORQUE, math.log(TORQUES[-1])) for one in tops]
-    tops += likelihood.climbed(weaker, THEN, (TORQUE,))
+    weaker = [one.changed(At.TORQUE, math.log(TORQUES[-1])) for one in tops]
+    tops += likelihood.climbed(weaker, THEN, (At.TORQUE,))
     tops = likelihood.climbed(tops, LAST)
     tops = list(itertools.chain(*(_best(tops, family, 2) for family in families)))
     return sorted(tops, key=likelihood.bic)
@@ -115,17 +108,17 @@ def _begun(
     log: Heard, structure: Structure, rate: float, spring: float, friction: float, late: float
 ) -> Servo:
     """A start with the gain that suits it."""
-    theta = np.zeros(len(NAMES))
-    theta[DAMPING], theta[GAIN], theta[POLE] = math.log(rate), 1.0, math.inf
-    theta[SPRING] = math.log(spring) if spring else -math.inf
-    theta[SLOW], theta[GAP] = -math.inf, max(MEMORY * log.quantum, 1e-6)
-    theta[TORQUE], theta[DELAY] = math.log(TORQUES[0]), late
+    theta = np.zeros(len(At))
+    theta[At.DAMPING], theta[At.GAIN], theta[At.POLE] = math.log(rate), 1.0, math.inf
+    theta[At.SPRING] = math.log(spring) if spring else -math.inf
+    theta[At.SLOW], theta[At.GAP] = -math.inf, max(MEMORY * log.quantum, 1e-6)
+    theta[At.TORQUE], theta[At.DELAY] = math.log(TORQUES[0]), late
     z = _linear(log, theta, structure.lag)
     wide = max(5, log.u.size // WINDOWS)
     moved = np.column_stack([np.diff(z[::wide]), np.ones(z[::wide].size - 1)])
     gain = float(np.linalg.lstsq(moved, np.diff(log.y[::wide]), rcond=None)[0][0])
-    theta[GAIN] = gain if abs(gain) > 1e-9 else 1.0
-    theta[FRICTION] = friction
+    theta[At.GAIN] = gain if abs(gain) > 1e-9 else 1.0
+    theta[At.FRICTION] = friction
     return Servo(structure, theta, -math.inf)
 
 
@@ -133,17 +126,10 @@ def _linear(log: Heard, theta: Floats, lag: bool) -> Floats:
     """z of a servo without friction (N)."""
     A, B, _ = discretised(theta[None], log.step, lag)
     F, b = A[0, :2, :2], B[0, :2, 0]
-    late = later(log.u, 1 + round(theta[DELAY]), log.start)
+    late = later(log.u, 1 + round(theta[At.DELAY]), log.start)
     denominator = np.array([1.0, -np.trace(F), np.linalg.det(F)])
     numerator = np.array([b[0], F[0, 1] * b[1] - F[1, 1] * b[0]])
     return np.asarray(lfilter(numerator, denominator, late))
-
-
-def _changed(one: Servo, place: int, value: float) -> Servo:
-    """A servo with another number."""
-    theta = one.theta.copy()
-    theta[place] = value
-    return one._replace(theta=theta)
 
 
 # --- The gap
@@ -152,13 +138,10 @@ def _changed(one: Servo, place: int, value: float) -> Servo:
 def _gapped(log: Heard, ticked: Heard, one: Servo) -> Servo:
     """A servo with the median of the gaps of its reversals."""
     gap = crossings_of(ticked, one, free=True).median / ticked.y_scale
-    theta = one.theta.copy()
-    theta[GAP] = max(gap, MEMORY * log.quantum, 1e-4)
-    if not log.ticks:
-        rms = noise_of(log)
-        theta[GAP] = max(gap - 2 * REACH * rms, rms)
-        theta[NOISE] = math.log(rms)
-    return one._replace(theta=theta)
+    if log.ticks:
+        return one.changed(At.GAP, max(gap, MEMORY * log.quantum, 1e-4))
+    rms = noise_of(log)
+    return one.changed(At.GAP, max(gap - 2 * REACH * rms, rms)).changed(At.NOISE, math.log(rms))
 
 
 def with_gap(log: Heard, begun: Sequence[Servo]) -> list[Servo]:
@@ -171,15 +154,15 @@ def with_gap(log: Heard, begun: Sequence[Servo]) -> list[Servo]:
     likelihood = Likelihood(log)
     first = []
     for one in begun:
-        first += [_changed(one, TORQUE, math.log(torque)) for torque in TORQUES]
-    first = likelihood.climbed(first, THEN, (TORQUE,))
+        first += [one.changed(At.TORQUE, math.log(torque)) for torque in TORQUES]
+    first = likelihood.climbed(first, THEN, (At.TORQUE,))
     fits = _kept({}, likelihood, likelihood.climbed(first, LAST))
     for _ in range(ROUNDS):
         if not fits:
             return []
         best = min(fits.values(), key=likelihood.bic)
         trials = [one for one in neighbours(best, log.step) if one.structure not in fits]
-        more = likelihood.climbed(trials, THEN, (TORQUE,))
+        more = likelihood.climbed(trials, THEN, (At.TORQUE,))
         fits = _kept(fits, likelihood, likelihood.climbed(more, LAST))
         if min(fits.values(), key=likelihood.bic).structure == best.structure:
             break
@@ -212,13 +195,13 @@ def neighbours(one: Servo, step: float) -> list[Servo]:
             found.append(Servo(structure, structure.of(one.theta), -math.inf))
             continue
         for value in _values(name, one, step):
-            theta = one.theta.copy()
-            theta[place] = value
+            more = one.changed(place, value)
             if name == "load":  # of what rubbed at the motor
-                theta[FRICTION] = max(theta[FRICTION] - value, 0.0)
+                more = more.changed(At.FRICTION, max(more.theta[At.FRICTION] - value, 0.0))
             if name == "pole":  # what a pole is late
-                theta[DELAY] = max(theta[DELAY] - math.exp(-value) / step, 0.0)
-            found.append(Servo(structure, theta, -math.inf))
+                late = more.theta[At.DELAY] - math.exp(-value) / step
+                more = more.changed(At.DELAY, max(late, 0.0))
+            found.append(more._replace(structure=structure, value=-math.inf))
     return found
 
 
@@ -227,7 +210,7 @@ def _values(name: str, one: Servo, step: float) -> list[float]:
     if name in ("friction", "load"):
         return [0.003, 0.02, 0.1]
     if name == "spring":
-        rate = 2 * one.theta[DAMPING]
+        rate = 2 * one.theta[At.DAMPING]
         return [rate + math.log(share) for share in (1e-3, *SPRINGS)]
     if name == "pole":
         return [math.log(rate / step) for rate in (0.1, 0.3, 0.8)]

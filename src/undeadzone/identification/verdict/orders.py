@@ -14,7 +14,7 @@ from scipy.stats import chi2
 
 from undeadzone.identification.models import zone_fit
 from undeadzone.identification.models.estimates import climb
-from undeadzone.identification.models.least_squares import CHANCE, HATS, explained, hats
+from undeadzone.identification.models.least_squares import CHANCE, HATS, explained, hats, left_by
 from undeadzone.identification.models.plant import Data, Simulator
 from undeadzone.identification.models.zone import Limits, Objective
 from undeadzone.support.arrays import Flags, Floats, Integers
@@ -258,7 +258,7 @@ def loop_chance(fit: zone_fit.Fit, u: Floats) -> float:
     inside = _has_past(fit.objective.data.start, value.size)
     chances = []
     for column in u.T:
-        left = _left(_lagged(column[:, None])[inside], column[inside])
+        left = left_by(_lagged(column[:, None])[inside], column[inside])
         chances.append(explained(heard[inside], left)[-1])
     return min(1.0, len(chances) * min(chances))
 
@@ -285,7 +285,7 @@ def answered(
     known &= _has_past(start, y.size)
     found = [(0.0, 1.0)]
     for column in moved[known].T:
-        left, said = _left(own[known], column), _left(own[known], heard[known])
+        left, said = left_by(own[known], column), left_by(own[known], heard[known])
         if np.std(left) > ALONE * np.std(column):
             found.append(explained(said, left)[2:])
     return min(reversed(found), key=lambda one: one[1])
@@ -295,11 +295,6 @@ def _has_past(start: Integers, size: int) -> Flags:
     """Whether a sample has the last values of its own record (N)."""
     at = np.arange(size)
     return np.asarray(at - start[np.searchsorted(start, at, "right") - 1] >= HEARD)
-
-
-def _left(columns: Floats, target: Floats) -> Floats:
-    """What columns leave of a target (n), or of several (n x k)."""
-    return np.asarray(target - columns @ np.linalg.lstsq(columns, target, rcond=1e-10)[0])
 
 
 def _lagged(columns: Floats, lags: range = range(1, HEARD + 1)) -> Floats:

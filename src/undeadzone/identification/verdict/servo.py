@@ -19,8 +19,7 @@ from undeadzone.identification.models import plant
 from undeadzone.identification.models.estimates import Interval
 from undeadzone.identification.servo.gap import ServoGap, centre_of, servo_gap
 from undeadzone.identification.servo.heard import Heard, heard, noise_of
-from undeadzone.identification.servo.likelihood import Servo
-from undeadzone.identification.servo.sampled import DELAY, GAIN, discretised
+from undeadzone.identification.servo.likelihood import At, Servo, discretised
 from undeadzone.identification.verdict.verdict import (
     LEAST,
     LIKELY,
@@ -98,7 +97,7 @@ def late_of(options: Options) -> int:
 
 def lateness(found: ServoGap) -> int:
     """Samples by which a servo's input acts late."""
-    return max(round(float(found.servo.theta[DELAY])), 0)
+    return max(round(float(found.servo.theta[At.DELAY])), 0)
 
 
 def order_of(servo: Servo) -> int:
@@ -307,7 +306,7 @@ def _covariance(servo: ServoGap, scale: float, count: int) -> Floats:
     rows = np.zeros((count, free.size))
     for column, place in enumerate(free):
         move = np.zeros(theta.size)
-        move[place] = MOVED * max(abs(theta[place]), 1.0 if place != GAIN else 0.0)
+        move[place] = MOVED * max(abs(theta[place]), 1.0 if place != At.GAIN else 0.0)
         more = sampled_plant(servo, theta + move, scale)
         less = sampled_plant(servo, theta - move, scale)
         rows[:, column] = (more - less) / (2 * move[place])

@@ -390,8 +390,7 @@ def cubic_share(fit: Fit) -> tuple[float, float, float]:
     rows = whitened[use]
     if len(rows) < 10 * columns.shape[1]:
         return 0.0, 1.0, 0.0
-    others, cube = rows[:, :-1], rows[:, -1]
-    cube = cube - others @ np.linalg.lstsq(others, cube, rcond=1e-10)[0]
+    cube = least_squares.left_by(rows[:, :-1], rows[:, -1])
     coefficients, _, share, chance = least_squares.explained(cube[:, None], value[use])
     return share, chance, float(coefficients[0])
 

@@ -15,10 +15,9 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.plants.options import Plant
+from undeadzone.plants.options import URDF, ArmOptions, ElasticJoint, OneLink, Plant, Rigid
 from undeadzone.plants.robots.arm import Arm, Chain, Numbers, acceleration, arm, numbers, torque
 from undeadzone.plants.robots.geared import Geared, geared_motion
-from undeadzone.plants.robots.options import URDF, ArmOptions, ElasticJoint, OneLink, Rigid
 from undeadzone.plants.system import Flat, System, linearise
 from undeadzone.support.arrays import Array, Floats, array, positive, scalar, vector
 
