@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from undeadzone.errors import InputError
 from undeadzone.observers.contact import MOST_COUPLED
 from undeadzone.plants.robots.survey import Survey
 from undeadzone.plants.robots.urdf_elements import Joint
@@ -21,6 +22,7 @@ FASTEST = 2.5  # more than the greatest speed of that motion per swing [1/s]
 PLAY = 6.0  # swings to one side in a width
 GAP, WIDER = 0.2, 0.6  # of a width: half a gap that nobody measured, and where it surely ends
 FRICTION = 0.02  # of a motor's torque, of Coulomb friction that nobody measured
+LEFT_OUT = 0.005  # of the torque of a motion, of what nobody modelled
 SENSOR = """
 [sensor]                        # about the reference: the truth; the observer is not told
 right = {right}
@@ -36,9 +38,9 @@ repeat = true
 """
 GEARS = """
 [plant.arm.gears]               # a guess: a URDF knows none of them (docs/robots.md)
-half = {half}  # rad, half of the gap: hold the motor, turn the link, halve the way
-inertia = {inertia}  # kg m^2, rotor times gear ratio squared; here as the links'
-friction = {friction}  # N m, Coulomb friction of the motors; here 2 % of their torque
+half = {half}  # rad or m, half of the gap: hold the motor, turn the link, halve the way
+inertia = {inertia}  # kg m^2 or kg, rotor times gear ratio squared; here as the links'
+friction = {friction}  # N m or N, Coulomb friction of the motors; here 2 % of their torque
 measured = "motor"              # where the encoder sits: "motor", "link" or "both"
 """
 ENCODERS = """
@@ -83,8 +85,7 @@ method = "extended"             # the whole arm at once; joints = "separate" is 
 right = [{ranges}]  # claimed ranges of both widths
 start = {start}
 x_std = {x_std}
-levels = {levels}                      # 3, and a bias, doubt more, in three times the time
-bias = 0.0
+disturbance = {disturbance}  # rms of what the model leaves out; here 0.5 % of all
 
 [controller]
 method = "computed_torque"
@@ -117,12 +118,13 @@ def starting_scenario(found: Survey, path: str, gears: bool = False) -> str:
     points = (found.q, found.q + swing, found.q - swing, found.q)
     times = [0.0, PERIOD / 4, 3 * PERIOD / 4, PERIOD]
     reference = REFERENCE.format(points=", ".join(map(_listed, points)), times=times)
-    few = len(found.joints) <= MOST_COUPLED
     if gears:
+        few = len(found.joints) <= MOST_COUPLED
         head = _arm(found, path, start, gears) + _gears(found, widths) + PARAMETERS
         observer = CONTACT.format(most=WIDER * widths.max()) if few else TOLD
         encoders = ENCODERS.format(noise=_listed(widths / 50))
-        return head + encoders + reference + observer + LED.format(duration=2 * PERIOD)
+        led = LED.format(duration=2 * PERIOD)
+        return head + encoders + reference + observer + led + _units(found.joints, bodies=2)
     sensor = SENSOR.format(
         right=_listed(widths), left=_listed(widths / 2), noise=_listed(widths / 50)
     )
@@ -130,7 +132,7 @@ def starting_scenario(found: Survey, path: str, gears: bool = False) -> str:
         ranges=", ".join(map(_range, widths)),
         start=start,
         x_std=_listed(np.r_[widths / 5, widths]),
-        levels=3 if few else 1,
+        disturbance=_listed(LEFT_OUT * (abs(found.holding) + FASTEST**2 * _links(found) * swing)),
         duration=2 * PERIOD,
     )
     head = _arm(found, path, start) + PARAMETERS + sensor + reference
@@ -158,23 +160,31 @@ def _arm(found: Survey, path: str, start: str, gears: bool = False) -> str:
 
 def _gears(found: Survey, widths: Floats) -> str:
     """Gears that might be the arm's: motors as heavy as what they move."""
-    links = np.diag(found.body.mass(found.body.values, found.q).full())
     torque = found.body.chain.torque
     friction = FRICTION * np.where(np.isfinite(torque), torque, np.abs(found.holding))
-    guessed = {"half": GAP * widths, "inertia": links, "friction": friction}
+    guessed = {"half": GAP * widths, "inertia": _links(found), "friction": friction}
     return GEARS.format(**{name: _listed(numbers) for name, numbers in guessed.items()})
 
 
+def _links(found: Survey) -> Floats:
+    """Inertia of the links as felt at each joint in the posture (N) [kg m^2 or kg]."""
+    return np.diag(found.body.mass(found.body.values, found.q).full())
+
+
 def _swing(joint: Joint, q: float) -> float:
-    """How far a joint swings to each side of a position [rad or m]."""
+    """How far a joint swings to each side of a position [rad or m]. Raises InputError."""
     low, high = joint.limits
+    if not low < q < high:
+        raise InputError(
+            f"at: {joint.name} stands at its limit {q:g} and cannot swing: move it off"
+        )
     return min(SWING[joint.kind], SHARE * min(q - low, high - q, joint.velocity / FASTEST))
 
 
-def _units(joints: list[Joint]) -> str:
-    """The names of the units."""
+def _units(joints: list[Joint], bodies: int = 1) -> str:
+    """The names of the units, with two bodies a joint where motors are apart from links."""
     slides = [joint.kind == "prismatic" for joint in joints]
-    units = list(np.where(slides, "m", "rad"))
+    units = list(np.where(slides, "m", "rad")) * bodies
     speeds = [f"{unit}/s" for unit in units]
     both = len(set(slides)) == 2
     output, force = ("m", "N") if slides[0] else ("rad", "N m")
