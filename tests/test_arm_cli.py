@@ -186,6 +186,16 @@ def test_with_gears_a_started_scenario_follows_its_path(tmp_path: Path) -> None:
     assert run.rms_tip < 2e-3
 
 
+def test_an_upright_lift_is_drawn(tmp_path: Path) -> None:
+    """Seen from above it is a point, and the page's grid had no spacing."""
+    rail = joint("shoulder", "base", "upper", 0.0, kind="prismatic").replace("1 0 0", "0 0 1")
+    hand = joint("hand", "upper", "tip", 0.0, "fixed")
+    text = starting_scenario(survey(written(tmp_path, rail, hand, links="upper")), "two.urdf")
+    (tmp_path / "lift.toml").write_text(text.replace("duration = 8.0", "duration = 1.0"))
+    done = undeadzone("run", "lift.toml", "--out", "seen", cwd=tmp_path)
+    assert "report.html" in done.stdout, done.stderr
+
+
 def test_weak_motors_are_named(tmp_path: Path) -> None:
     file = two(tmp_path, effort=10.0)
     done = undeadzone("arm", file, "--at", "1.57,0")

@@ -137,7 +137,7 @@ def prepare_figures() -> None:
 
 def to_type(*words: str) -> dict[str, str]:
     """The line that says what to type next, for `print_blocks`; each command with its purpose."""
-    return {"next": "; ".join(words)}
+    return {"next": "; ".join(words)} if words else {}
 
 
 def named_files(written: Sequence[Path]) -> dict[str, Any]:
