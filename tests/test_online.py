@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
+
 import msgspec
 import numpy as np
 import pytest
 
 import undeadzone as uz
+from scenes import scene
 from test_engines import OBSERVERS, small
 from undeadzone.compile import live
 
@@ -151,3 +155,21 @@ def test_what_cannot_be_compiled_runs_on_the_virtual_machine_and_says_so(
     online = uz.Online(OBSERVER, PLANT, SENSOR, STEP, compiled=True)
     assert online.engine == "virtual machine: no instruction OP_OF_TOMORROW"
     assert np.isfinite(online.update(2.0, 1.0).x).all()
+
+
+def test_it_can_be_copied_and_pickled() -> None:
+    """What it is made of holds functions: it is built again, and goes on where it was."""
+    online = uz.Online(OBSERVER, PLANT, SENSOR, STEP)
+    for k in range(30):
+        online.update(0.3 * k, 1.0)
+    again = [pickle.loads(pickle.dumps(online)), copy.deepcopy(online)]
+    first = online.update(np.nan, 0.5)
+    for other in again:
+        assert repr(other.update(np.nan, 0.5)) == repr(first)
+        assert (other.samples, other.missing) == (31, 1)
+
+
+def test_a_check_can_be_copied_and_pickled() -> None:
+    found = uz.check(scene())
+    for again in (pickle.loads(pickle.dumps(found)), copy.deepcopy(found)):
+        assert again.summary() == found.summary()

@@ -188,6 +188,7 @@ class Online:
         compiled: bool = False,
         actuator: ActuatorModel | None = None,
     ) -> None:
+        self._asked = observer, plant, sensor, step, substeps, compiled, actuator
         self.model, zone, built = built_for(observer, plant, sensor, step, substeps, actuator)
         graph, state, params, shapes = observer_graph(self.model, graph_of(built), zone)
         self.samples = 0
@@ -209,6 +210,15 @@ class Online:
         self._step.state[:] = self._start
         self._out[:] = np.nan
         self._out[self._where.side] = 0.0
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Built again from what it was made of, then as it was."""
+        return Online, self._asked, {name: getattr(self, name) for name in self.KEPT}
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        """Go on where another one was."""
+        for name, value in kept.items():
+            setattr(self, name, value)
 
     @property
     def digest(self) -> str:
