@@ -7,17 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from undeadzone.cli.common import (
-    PATH,
-    cmd,
-    confined,
-    export_of,
-    json_text,
-    origin,
-    untrusted,
-    with_schema,
-)
-from undeadzone.cli.output import Output, common, named_files, to_type
+from undeadzone.cli.common import PATH, cmd, confined, json_text, origin, untrusted, with_schema
+from undeadzone.cli.output import Output, common, export_of, named_files, to_type
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:

@@ -24,7 +24,6 @@ from undeadzone.support.text import printable
 if TYPE_CHECKING:
     from undeadzone.report.html import Origin
     from undeadzone.results.info import LogInfo
-    from undeadzone.scenario.schema import Scenario
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 SCHEMA = 2  # of JSON: raised when a key goes or changes its meaning; keys may be added
@@ -147,14 +146,6 @@ def origin(path: Path | None, seed: int | None = None) -> Origin:
 def cmd(*words: object) -> str:
     """A command as a shell takes it: a name with a blank stands in quotes."""
     return shlex.join(map(str, words))
-
-
-def export_of(path: Path, scenario: Scenario) -> list[str]:
-    """The command that exports a scenario, and what it asks for first; none of a told observer."""
-    if scenario.observer.__struct_config__.tag == "full_state":
-        return []
-    first = ' takes it with simulation.time = "sampled"' * (scenario.simulation.time != "sampled")
-    return [cmd("undeadzone", "export", path) + first]
 
 
 def writable(folder: Path) -> Path:

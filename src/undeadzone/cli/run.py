@@ -7,20 +7,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from undeadzone.cli.common import (
-    PATH,
-    cmd,
-    confined,
-    export_of,
-    option,
-    origin,
-    untrusted,
-    writable,
-)
+from undeadzone.cli.common import PATH, cmd, confined, option, origin, untrusted, writable
 from undeadzone.cli.output import (
     Output,
     common,
     csv_option,
+    export_of,
     named_files,
     prepare_figures,
     to_type,
