@@ -134,6 +134,40 @@ def test_a_started_scenario_of_one_joint_is_as_told() -> None:
     assert run.rms_estimation < 0.002
 
 
+def test_a_started_scenario_of_a_light_arm_is_as_told(tmp_path: Path) -> None:
+    """Three levels of the default disturbance erred by .008 rad and blamed the sensor's slope."""
+    hand = joint("hand", "upper", "tip", -0.4, "fixed")
+    file = written(tmp_path, joint("shoulder", "base", "upper", 0.0), hand, links="upper")
+    file.write_text(file.read_text().replace("0 0 -0.2", "0.29 0 0").replace("0.03", "0.07"))
+    text = starting_scenario(survey(file), str(file))
+    run = uz.simulate(parse(text))
+    assert "NOT as told" not in str(run)
+    assert run.rms_estimation < 0.002
+
+
+@pytest.mark.parametrize("gears", [[], ["--gears"]])
+def test_a_joint_at_its_limit_starts_no_scenario(tmp_path: Path, gears: list[str]) -> None:
+    """It was written with a range of no width, which `run` refused."""
+    done = undeadzone("arm", two(tmp_path), "--at", "0,3", *gears, "--out", tmp_path)
+    assert done.returncode == 2
+    assert "at: elbow stands at its limit 3 and cannot swing" in done.stderr
+    assert not (tmp_path / "two.toml").exists()
+
+
+def test_the_reach_of_an_arm_on_a_slide_counts_the_slide(tmp_path: Path) -> None:
+    """It was counted from where the slide stands."""
+    rail = joint("shoulder", "base", "upper", 0.0, kind="prismatic", low=0.0, high=0.5)
+    hand = joint("hand", "lower", "tip", -0.3, "fixed")
+    file = written(tmp_path, rail, joint("elbow", "upper", "lower"), hand)
+    assert survey(file).reach == pytest.approx(max_reach(0.5))
+
+
+def max_reach(slide: float) -> float:
+    """Of two links of .4 m and .3 m, the second of which turns, on a slide across the first [m]."""
+    turns = np.linspace(-3.0, 3.0, 600_001)
+    return float(np.hypot(slide + 0.3 * np.sin(turns), 0.4 + 0.3 * np.cos(turns)).max())
+
+
 @pytest.mark.parametrize("at", [None, [0.4, -1.57, 1.57, 0.0, 0.5, 0.0]])
 def test_a_started_scenario_of_a_large_arm_is_accepted(at: list[float] | None) -> None:
     text = starting_scenario(survey(UR5, at=at), str(UR5))
@@ -144,11 +178,22 @@ def test_with_gears_a_started_scenario_follows_its_path(tmp_path: Path) -> None:
     done = undeadzone("arm", two(tmp_path), "--at", "0.3,-0.5", "--gears", "--out", tmp_path)
     assert "two.toml" in done.stdout
     scenario = uz.read(tmp_path / "two.toml").replace("simulation.duration", 2.0)
+    assert scenario.units.state == ["rad"] * 4 + ["rad/s"] * 4
     assert isinstance(scenario.observer, uz.observers.Contact)
     run = uz.simulate(scenario.replace("observer", {"method": "full_state"}))
     assert run.info.sensor == "gears"
     assert run.rms_tip is not None
     assert run.rms_tip < 2e-3
+
+
+def test_an_upright_lift_is_drawn(tmp_path: Path) -> None:
+    """Seen from above it is a point, and the page's grid had no spacing."""
+    rail = joint("shoulder", "base", "upper", 0.0, kind="prismatic").replace("1 0 0", "0 0 1")
+    hand = joint("hand", "upper", "tip", 0.0, "fixed")
+    text = starting_scenario(survey(written(tmp_path, rail, hand, links="upper")), "two.urdf")
+    (tmp_path / "lift.toml").write_text(text.replace("duration = 8.0", "duration = 1.0"))
+    done = undeadzone("run", "lift.toml", "--out", "seen", cwd=tmp_path)
+    assert "report.html" in done.stdout, done.stderr
 
 
 def test_weak_motors_are_named(tmp_path: Path) -> None:

@@ -498,6 +498,20 @@ def test_every_command_says_what_it_sets_up(
     assert "setting up kalman" in terminal.getvalue()
 
 
+@pytest.mark.parametrize("command", ["run", "check"])
+def test_export_is_named_where_it_is_taken(command: str, tmp_path: Path) -> None:
+    """Of a continuous scenario, and of an observer that is told the state, it is refused."""
+    text = (EXAMPLES / "paper_2sin.toml").read_text()
+    (tmp_path / "mine.toml").write_text(text)
+    asked = 'undeadzone export mine.toml takes it with simulation.time = "sampled"'
+    assert asked in undeadzone(command, "mine.toml", "--no-figures", cwd=tmp_path).stdout
+    told = re.sub(r"(?s)\[observer\].*?\n\n", '[observer]\nmethod = "full_state"\n\n', text)
+    (tmp_path / "mine.toml").write_text(told)
+    done = undeadzone(command, "mine.toml", "--no-figures", cwd=tmp_path)
+    assert done.returncode != 2, done.stderr
+    assert "undeadzone export" not in done.stdout
+
+
 def test_what_is_to_be_typed_next_works(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """From the first command on, each that another names ends without a complaint."""
     monkeypatch.setattr(export, "STEPS", 2000)

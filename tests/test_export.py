@@ -230,7 +230,7 @@ def test_a_drive_limit_limits_u(tmp_path: Path) -> None:
 
 
 def test_tunable_numbers_are_parameters(tmp_path: Path) -> None:
-    names = ("observer.gamma", "sensor.threshold")
+    names = ("observer.gamma", "sensor.threshold", "observer.gamma")  # once is enough
     done = uz.export(certified(), out=tmp_path / "fw", tunable=names, name="joint", check=True)
     text = (tmp_path / "fw" / "joint.h").read_text()
     assert "float observer_gamma[1];" in text

@@ -24,6 +24,7 @@ from undeadzone.compile.lower import portable
 from undeadzone.compile.replica import elementary
 from undeadzone.errors import FileError, InputError
 from undeadzone.exports.page.build import build
+from undeadzone.report import html
 from undeadzone.scenario.schema import Scenario
 from undeadzone.support.arrays import Floats
 
@@ -451,3 +452,19 @@ def test_the_flat_ends_of_a_range_are_explained() -> None:
     for sensor, explained in (({}, False), ({"range": [-3.0, 3.0]}, True)):
         text = build(scene(simulation=SAMPLED, sensor=sensor)).text
         assert ("stays flat" in text) == explained
+
+
+def test_no_table_beside_a_picture_is_cut(page: Browser, tmp_path: Path) -> None:
+    """The last column of intervals was, on a screen of 1280."""
+    interval = "0.9936 [0.9867, 1.0004]"
+    table = html.table(("likelihood of", "d_r [rad]", "d_l [rad]"), [("pairs", interval, interval)])
+    drawn = html.Html("<figure><svg width='900' height='300'></svg></figure>")
+    text = html.page("Widths", html.section("How sure?", table, drawn))
+    path = tmp_path / "report.html"
+    path.write_text(text.replace("<html", "<html data-numbers='1'", 1))
+    page.open(path.as_uri())
+    for width in (1100, 1280, 1440):
+        page.sized(width, 900)
+        assert page.value(
+            "[...document.querySelectorAll('.wide')].every(t => t.scrollWidth <= t.clientWidth)"
+        )

@@ -324,7 +324,7 @@ def test_the_environment_fixes_the_form(monkeypatch: pytest.MonkeyPatch) -> None
     assert lanes.build(step).form == Form(2, 2, False, 9)
     assert lanes.build(step, width=1).form.lanes == 1
     assert lanes.build(step, form=Form(4, 1, False, 0)).form == Form(4, 1, False, 0)
-    for wrong in ("8", "3,1,0,0", "8,2,x,0", "8,2,0,0,1,1", "-8,2,0,0"):
+    for wrong in ("8", "3,1,0,0", "8,2,x,0", "8,2,2,0", "8,2,0,0,1,1", "-8,2,0,0"):
         monkeypatch.setenv("UNDEADZONE_FORM", wrong)
         with pytest.raises(InputError, match="UNDEADZONE_FORM: expected lanes"):
             lanes.build(step)

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
+from typing import Any
+
 import msgspec
 import numpy as np
 import pytest
 
 import undeadzone as uz
+from scenes import scene
 from test_engines import OBSERVERS, small
 from undeadzone.compile import live
 
@@ -151,3 +156,65 @@ def test_what_cannot_be_compiled_runs_on_the_virtual_machine_and_says_so(
     online = uz.Online(OBSERVER, PLANT, SENSOR, STEP, compiled=True)
     assert online.engine == "virtual machine: no instruction OP_OF_TOMORROW"
     assert np.isfinite(online.update(2.0, 1.0).x).all()
+
+
+def test_it_can_be_copied_and_pickled() -> None:
+    """What it is made of holds functions: it is built again, and goes on where it was."""
+    online = uz.Online(OBSERVER, PLANT, SENSOR, STEP)
+    for k in range(30):
+        online.update(0.3 * k, 1.0)
+    again = [pickle.loads(pickle.dumps(online)), copy.deepcopy(online)]
+    first = online.update(np.nan, 0.5)
+    for other in again:
+        assert repr(other.update(np.nan, 0.5)) == repr(first)
+        assert (other.samples, other.missing) == (31, 1)
+
+
+def test_a_check_can_be_copied_and_pickled() -> None:
+    found = uz.check(scene())
+    for again in (pickle.loads(pickle.dumps(found)), copy.deepcopy(found)):
+        assert again.summary() == found.summary()
+
+
+def test_a_block_may_be_of_plain_lists_and_what_is_masked_is_missing() -> None:
+    """Lists were taken for rows of y and u in turn, what is masked for a reading."""
+    y, u = [2.0, 2.5, 3.0], [1.0, 0.5, 0.0]
+    one, many = (uz.Online(OBSERVER, PLANT, SENSOR, STEP) for _ in range(2))
+    z = [one.update(*sample).z for sample in zip(y, u, strict=True)]
+    np.testing.assert_array_equal(many.update_many(y, u)[0].z, z)
+    hidden = np.ma.array([9.0], mask=[True])
+    assert repr(one.update(hidden, 1.0)) == repr(many.update(np.nan, 1.0))
+    assert one.missing == 1
+    with pytest.raises(uz.ShapeError, match="as many rows, found"):
+        many.update_many(np.zeros((3, 1)), np.zeros((2, 1)))
+
+
+@pytest.mark.parametrize(
+    ("plant", "sensor", "message"),
+    [
+        (OBSERVER, SENSOR, r"plant: expected uz.Plant\(...\), found Certified"),
+        (PLANT, None, r"sensor: expected uz.Sensor\(...\), found NoneType"),
+    ],
+)
+def test_wrong_parts_are_named(plant: Any, sensor: Any, message: str) -> None:
+    with pytest.raises(uz.InputError, match=message):
+        uz.Online(OBSERVER, plant, sensor, STEP)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("simulation", {"step": 0.01}, r"simulation: expected uz.Simulation\(...\), found dict"),
+        ("simulation", uz.Simulation(time="discrete"), "simulation.time: unknown choice"),  # type: ignore[arg-type]
+        ("simulation", uz.Simulation(seed=1.5), "simulation.seed: expected a whole number"),  # type: ignore[arg-type]
+        ("plant", msgspec.structs.replace(PLANT, A=np.ma.array(np.eye(2), mask=np.eye(2))), "A: "),
+    ],
+)
+def test_a_scenario_of_a_program_is_read_as_closely_as_a_file(
+    key: str, value: Any, message: str
+) -> None:
+    """An unknown word of time was taken for continuous."""
+    with pytest.raises(uz.InputError, match=message):
+        uz.simulate(msgspec.structs.replace(scene(), **{key: value}))
+    with pytest.raises(uz.InputError, match="scenario: expected"):
+        uz.design(None)  # type: ignore[arg-type]

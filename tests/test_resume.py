@@ -254,6 +254,15 @@ def arena(scenario: Path, out: Path, *more: str) -> Done:
     return undeadzone("arena", scenario, "--methods", METHODS, "--out", out, *more)
 
 
+def test_a_refused_log_leaves_no_folder(tmp_path: Path) -> None:
+    """An empty one stayed behind; what someone made stays."""
+    (tmp_path / "short.csv").write_text("t,y,u\n0,1,2\n")
+    (tmp_path / "mine").mkdir()
+    for options in ([], ["--out", "mine"]):
+        assert undeadzone("identify", "short.csv", *options, cwd=tmp_path).returncode == 2
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["mine", "short.csv"]
+
+
 def stopped(how: int, partial: Path, command: list[str], cwd: Path) -> tuple[int, str]:
     """Exit code and messages of a command that is stopped once it has kept something."""
     with subprocess.Popen(

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from undeadzone.cli.common import PATH, cmd, confined, json_text, origin, untrusted, with_schema
-from undeadzone.cli.output import Output, common, named_files, to_type
+from undeadzone.cli.output import Output, common, export_of, named_files, to_type
 from undeadzone.support.progress import on_terminal as progress
+
+if TYPE_CHECKING:
+    from undeadzone.scenario.schema import Scenario
 
 
 @click.command(
@@ -51,15 +55,15 @@ def check(scenario: Path, output: Output, confine: Path | None) -> int:
             again = origin(scenario, judged.simulation.seed)
             advance(1)
             written += write_gains(result.assessment, attempts, folder, origin=again)
-    certified, varies = result.summary()["certified"], judged.ensemble is not None
-    last = named_files(written) | _next(scenario, certified, varies)
+    last = named_files(written) | _next(scenario, judged, result.summary()["certified"])
     output.show(result.summary, result.blocks, written, last)
     return 0 if result.affirmed else 1
 
 
-def _next(path: Path, certified: bool | None, varies: bool) -> dict[str, str]:
+def _next(path: Path, scenario: Scenario, certified: bool | None) -> dict[str, str]:
     """What to type after a verdict; certified: None of an observer without constant gains."""
     if certified is False:
         return to_type(f"{cmd('undeadzone', 'design', path)} searches gains that have a proof")
+    varies = scenario.ensemble is not None
     ensemble = [f"{cmd('undeadzone', 'ensemble', path)} varies what may vary"] * varies
-    return to_type(*ensemble, cmd("undeadzone", "export", path))
+    return to_type(*ensemble, *export_of(path, scenario))

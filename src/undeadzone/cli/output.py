@@ -6,12 +6,15 @@ import logging
 from collections.abc import Callable, Mapping, Sequence
 from functools import reduce, wraps
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
-from undeadzone.cli.common import PATH, flag, option, print_blocks, print_json, writable
+from undeadzone.cli.common import PATH, cmd, flag, option, print_blocks, print_json, writable
 from undeadzone.support.shown import Block
+
+if TYPE_CHECKING:
+    from undeadzone.scenario.schema import Scenario
 
 LARGE = 1e7  # [bytes] of a table of signals that is written unasked
 
@@ -129,7 +132,15 @@ def prepare_figures() -> None:
 
 def to_type(*words: str) -> dict[str, str]:
     """The line that says what to type next, for `print_blocks`; each command with its purpose."""
-    return {"next": "; ".join(words)}
+    return {"next": "; ".join(words)} if words else {}
+
+
+def export_of(path: Path, scenario: Scenario) -> list[str]:
+    """The command that exports a scenario, and what it asks for first; none of a told observer."""
+    if scenario.observer.__struct_config__.tag == "full_state":
+        return []
+    first = ' takes it with simulation.time = "sampled"' * (scenario.simulation.time != "sampled")
+    return [cmd("undeadzone", "export", path) + first]
 
 
 def named_files(written: Sequence[Path]) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from undeadzone.cli.output import (
     Output,
     common,
     csv_option,
+    export_of,
     named_files,
     prepare_figures,
     to_type,
@@ -21,7 +22,6 @@ from undeadzone.support.progress import on_terminal as progress
 from undeadzone.support.text import HALF_95
 
 if TYPE_CHECKING:
-    from undeadzone.catalogue import ObserverOptions
     from undeadzone.results.run import Run
     from undeadzone.scenario.schema import Scenario
 
@@ -81,7 +81,7 @@ def run(
     if replay is None:
         wanted = _read(scenario, animation is not None, confine)
         result, rival = _simulated(wanted)
-        follow = _next(scenario, wanted.observer, result)
+        follow = _next(scenario, wanted, result)
     else:
         with progress("replaying", None):
             result, deviation = _replayed(scenario, replay, confine)
@@ -115,7 +115,7 @@ def _is_good(run: Run) -> bool:
     return run.diverged_at is None and not run.inexact and known
 
 
-def _next(path: Path, observer: ObserverOptions, run: Run) -> dict[str, str]:
+def _next(path: Path, scenario: Scenario, run: Run) -> dict[str, str]:
     """What to type after a run: what narrows wide intervals comes first."""
     import numpy as np
 
@@ -123,8 +123,9 @@ def _next(path: Path, observer: ObserverOptions, run: Run) -> dict[str, str]:
     if not _is_good(run):
         return to_type(check)
     if run.d_std is None or (HALF_95 * run.d_std[-1] <= WIDE * np.abs(run.d_hat[-1])).all():
-        return to_type(check, cmd("undeadzone", "export", path))
-    open_claims = [name for name in CLAIMS if getattr(observer, name, "no such claim") is None]
+        return to_type(check, *export_of(path, scenario))
+    claims = scenario.observer
+    open_claims = [name for name in CLAIMS if getattr(claims, name, "no such claim") is None]
     narrower = f"narrower intervals: claim observer.{', '.join(open_claims)} if known"
     return to_type(*[narrower] * bool(open_claims), check)
 

@@ -124,7 +124,8 @@ def told_form() -> Form | None:
         return None
     words = text.split(",")
     numbers = [int(word) for word in words if word.strip().isdecimal()]
-    if len(words) != len(numbers) or len(numbers) not in (4, 5) or numbers[0] not in (1, 2, 4, 8):
+    are_all = len(words) == len(numbers) and len(numbers) in (4, 5)
+    if not are_all or numbers[0] not in (1, 2, 4, 8) or numbers[2] > 1:
         raise InputError(
             f"{FIXED}: expected lanes (1, 2, 4 or 8), streams, slots (0 or 1) and registers, such "
             f"as 8,2,0,20, found {text!r}"

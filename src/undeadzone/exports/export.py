@@ -102,6 +102,7 @@ def export(
     _require("to", to, tuple(targets.PRECISION))
     precision = targets.PRECISION[to] if precision is None else precision
     _require("precision", precision, PRECISIONS)
+    tunable = tuple(dict.fromkeys(tunable))
     if to == "page":
         _require_plain(precision, part, tunable, name, check)
         return Exported([Path(out)], write_page(scenario, Path(out), force))
@@ -109,7 +110,7 @@ def export(
     targets.require_replaceable(Path(out), force)
     targets.require_possible(to, prefix)
     problem = resolve_scenario(scenario)
-    step = parts.build(problem, part, tuple(tunable))
+    step = parts.build(problem, part, tunable)
     double = code(step, single=False)
     printed = code(step, single=True) if precision == "single" else double
     labels = Labels(prefix, scenario.title, part)

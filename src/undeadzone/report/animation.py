@@ -351,7 +351,8 @@ def face_seen(normal: Floats, turn: float) -> float:
 
 def _spacing(size: float) -> float:
     """The distance [m] of some five to ten lines over a size [m]: 1, 2 or 5 times 10^k."""
-    power = 10.0 ** np.floor(np.log10(max(size, 1e-3) / 5))
+    size = max(size, 1e-3)
+    power = 10.0 ** np.floor(np.log10(size / 5))
     fitting = [factor for factor in (1, 2, 5) if factor * power <= size / 5 + 1e-12]
     return float(power * max(fitting))
 

@@ -35,12 +35,13 @@ from undeadzone.plants.region import box
 from undeadzone.plants.system import System, pace
 from undeadzone.scenario.encoders import require_gears, sensed
 from undeadzone.scenario.overrun import require_contact
-from undeadzone.scenario.schema import Model, Scenario, Units
+from undeadzone.scenario.schema import Model, Scenario, Simulation, Units
 from undeadzone.scenario.time_step import (
     checked_time,
     require_bounded_error,
     require_fine_step,
     require_resolved,
+    require_words,
     sampled_within_limits,
 )
 from undeadzone.signals import exosystem as signals
@@ -95,11 +96,6 @@ def resolve_scenario(scenario: Scenario) -> Problem:
     Raises:
         InputError: or a subclass, naming the key, what was found and what to do.
     """
-    if not isinstance(scenario, Scenario):
-        raise InputError(
-            f"scenario: expected uz.Scenario(...), found {type(scenario).__name__}; a file is read "
-            'by uz.read("mine.toml")'
-        )
     true, flow, x0 = systems(scenario)
     step, steps = checked_time(scenario, true)
     rate = pace(flow.linear)
@@ -256,6 +252,13 @@ def systems(scenario: Scenario) -> tuple[System, System, Floats]:
     Raises:
         InputError: or a subclass, naming the key.
     """
+    if not isinstance(scenario, Scenario):
+        raise InputError(
+            f"scenario: expected uz.Scenario(...), found {type(scenario).__name__}; a file is read "
+            'by uz.read("mine.toml")'
+        )
+    for key, options in (("sensor", Sensor), ("simulation", Simulation)):
+        require_words(key, getattr(scenario, key), options)
     plant = plants.system(scenario.plant)
     require_visible(plant, "plant")
     model = plant

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final, Literal, get_args, get_origin
 
+import msgspec
 import numpy as np
 
 from undeadzone.errors import InputError, ShapeError, StepError, StructureError
@@ -41,6 +42,25 @@ def checked_time(scenario: Scenario, plant: System) -> tuple[float, int]:
     return step, round(duration / step)
 
 
+def require_words(key: str, options: Any, kind: type[msgspec.Struct]) -> None:
+    """Raise InputError where a field of a few words, such as simulation.time, holds another one.
+
+    Args:
+        key: of the options.
+        options: as a program may give them.
+        kind: what they should be.
+    """
+    if not isinstance(options, kind):
+        found = type(options).__name__
+        raise InputError(f"{key}: expected uz.{kind.__name__}(...), found {found}")
+    for field in msgspec.structs.fields(kind):
+        words, value = get_args(field.type), getattr(options, field.name)
+        if get_origin(field.type) is Literal and value not in words:
+            raise InputError(
+                f"{key}.{field.name}: unknown choice {value!r}; expected one of {', '.join(words)}"
+            )
+
+
 def _require_order(simulation: Simulation, plant: System) -> None:
     """Raise InputError for an order of integration that there is not, or not for this plant."""
     order = simulation.order
@@ -55,7 +75,9 @@ def _require_order(simulation: Simulation, plant: System) -> None:
 
 
 def _require_seed(seed: int) -> None:
-    """Raise InputError for a seed that is negative or too large."""
+    """Raise InputError for a seed that is no whole number, negative or too large."""
+    if not isinstance(seed, int | np.integer):
+        raise InputError(f"simulation.seed: expected a whole number, found {seed!r}")
     if not 0 <= seed < 2**63:
         limit = "must not be negative" if seed < 0 else "must be below 2^63"
         raise InputError(f"simulation.seed: {limit}, found {seed}")

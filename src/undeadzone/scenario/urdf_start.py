@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from undeadzone.errors import InputError
 from undeadzone.observers.contact import MOST_COUPLED
 from undeadzone.plants.robots.survey import Survey
 from undeadzone.plants.robots.urdf_elements import Joint
@@ -23,6 +24,7 @@ FASTEST = 2.5  # more than the greatest speed of that motion per swing [1/s]
 PLAY = 6.0  # swings to one side in a width
 GAP, WIDER = 0.2, 0.6  # of a width: half a gap that nobody measured, and where it surely ends
 FRICTION = 0.02  # of a motor's torque, of Coulomb friction that nobody measured
+LEFT_OUT = 0.005  # of the torque of a motion, of what nobody modelled
 
 
 def starting_scenario(found: Survey, path: str, gears: bool = False) -> str:
@@ -38,6 +40,7 @@ def starting_scenario(found: Survey, path: str, gears: bool = False) -> str:
     widths = np.array([float(f"{width:.2g}") for width in swing / PLAY])
     points = (found.q, found.q + swing, found.q - swing, found.q)
     few = len(found.joints) <= MOST_COUPLED
+    torque = abs(found.holding) + FASTEST**2 * _links(found) * swing
     words: dict[str, Any] = {
         "zone": not gears,
         "gears": gears,
@@ -56,33 +59,42 @@ def starting_scenario(found: Survey, path: str, gears: bool = False) -> str:
         "times": [0.0, PERIOD / 4, 3 * PERIOD / 4, PERIOD],
         "ranges": ", ".join(map(_range, widths)),
         "x_std": _listed(np.r_[widths / 5, widths]),
-        "levels": 3 if few else 1,
+        "disturbance": _listed(LEFT_OUT * torque),
         "most": f"{WIDER * widths.max():.3g}",
         "duration": 2 * PERIOD,
     }
     template = files("undeadzone.scenario").joinpath("urdf_start.toml").read_text(encoding="utf-8")
-    return filled(template, words | (_gears(found, widths) if gears else _units(found.joints)))
+    words |= _units(found.joints, bodies=1 + gears)
+    return filled(template, words | (_gears(found, widths) if gears else {}))
 
 
 def _gears(found: Survey, widths: Floats) -> dict[str, str]:
     """Gears that might be the arm's: motors as heavy as what they move."""
-    links = np.diag(found.body.mass(found.body.values, found.q).full())
     torque = found.body.chain.torque
     friction = FRICTION * np.where(np.isfinite(torque), torque, np.abs(found.holding))
-    guessed = {"half": GAP * widths, "inertia": links, "friction": friction}
+    guessed = {"half": GAP * widths, "inertia": _links(found), "friction": friction}
     return {name: _listed(numbers) for name, numbers in guessed.items()}
 
 
+def _links(found: Survey) -> Floats:
+    """Inertia of the links as felt at each joint in the posture (N) [kg m^2 or kg]."""
+    return np.diag(found.body.mass(found.body.values, found.q).full())
+
+
 def _swing(joint: Joint, q: float) -> float:
-    """How far a joint swings to each side of a position [rad or m]."""
+    """How far a joint swings to each side of a position [rad or m]. Raises InputError."""
     low, high = joint.limits
+    if not low < q < high:
+        raise InputError(
+            f"at: {joint.name} stands at its limit {q:g} and cannot swing: move it off"
+        )
     return min(SWING[joint.kind], SHARE * min(q - low, high - q, joint.velocity / FASTEST))
 
 
-def _units(joints: list[Joint]) -> dict[str, str]:
-    """The names of the units."""
+def _units(joints: list[Joint], bodies: int) -> dict[str, str]:
+    """The names of the units, with two bodies a joint where motors are apart from links."""
     slides = [joint.kind == "prismatic" for joint in joints]
-    units = list(np.where(slides, "m", "rad"))
+    units = list(np.where(slides, "m", "rad")) * bodies
     speeds = [f"{unit}/s" for unit in units]
     both = len(set(slides)) == 2
     output, force = ("m", "N") if slides[0] else ("rad", "N m")

@@ -24,9 +24,9 @@ from undeadzone.plants.system import System, pace, sampled
 from undeadzone.scenario.encoders import require_gears, sensed
 from undeadzone.scenario.overrun import overrun_along
 from undeadzone.scenario.problem import require_visible
-from undeadzone.scenario.time_step import require_bounded_error
+from undeadzone.scenario.time_step import require_bounded_error, require_words
 from undeadzone.support import tree
-from undeadzone.support.arrays import Array, Floats, scalar
+from undeadzone.support.arrays import Array, Floats, scalar, unmasked
 
 if TYPE_CHECKING:
     from undeadzone.compile.live import CompiledStepper
@@ -188,6 +188,7 @@ class Online:
         compiled: bool = False,
         actuator: ActuatorModel | None = None,
     ) -> None:
+        self._asked = observer, plant, sensor, step, substeps, compiled, actuator
         self.model, zone, built = built_for(observer, plant, sensor, step, substeps, actuator)
         graph, state, params, shapes = observer_graph(self.model, graph_of(built), zone)
         self.samples = 0
@@ -209,6 +210,15 @@ class Online:
         self._step.state[:] = self._start
         self._out[:] = np.nan
         self._out[self._where.side] = 0.0
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Built again from what it was made of, then as it was."""
+        return Online, self._asked, {name: getattr(self, name) for name in self.KEPT}
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        """Go on where another one was."""
+        for name, value in kept.items():
+            setattr(self, name, value)
 
     @property
     def digest(self) -> str:
@@ -257,8 +267,8 @@ class Online:
             self._entries[1] = u
         else:
             try:
-                self._w[: self._p] = y
-                self._w[self._p :] = u
+                self._w[: self._p] = unmasked(y)
+                self._w[self._p :] = unmasked(u)
             except (ValueError, TypeError):
                 raise ShapeError(
                     f"sample: expected y and u with {self._p} and {self._w.size - self._p} "
@@ -298,7 +308,15 @@ class Online:
         Returns:
             The estimates, a row for each sample in each field, and the measured sides (N x p).
         """
-        w = np.hstack([y, u])
+        try:
+            columns = self._p, self._w.size - self._p
+            pairs = zip((y, u), columns, strict=True)
+            w = np.hstack([np.reshape(unmasked(one), (-1, many)) for one, many in pairs])
+        except ValueError:
+            raise ShapeError(
+                f"samples: expected y and u with {self._p} and {self._w.size - self._p} columns, "
+                f"and as many rows, found {np.shape(y)} and {np.shape(u)}"
+            ) from None
         if self._blocks is not None and len(w) >= FEW:
             out = self._blocks.run(self._step.state, w)
         else:
@@ -362,6 +380,8 @@ def built_for(
     Raises:
         InputError: or a subclass, as a scenario would.
     """
+    require_words("sensor", sensor, Sensor)
+    require_words("plant", plant, Plant)
     Ts = scalar("step", step, above=0.0)
     system = plants.system(plant)
     require_visible(system, "plant")

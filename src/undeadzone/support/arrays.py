@@ -43,7 +43,7 @@ def numeric(value: Any) -> Floats:
     if isinstance(value, str):
         value = matlab(value)
     try:
-        array = np.asarray(value)
+        array = np.asarray(unmasked(value))
     except ValueError:
         raise ValueError(
             "expected numbers in a rectangular list, found rows of different lengths"
@@ -59,6 +59,13 @@ def numeric(value: Any) -> Floats:
     if largest > LARGEST:
         raise ValueError(f"every number must be below {LARGEST:g} in size, found {largest:g}")
     return array
+
+
+def unmasked(value: Any) -> Any:
+    """The value, NaN in place of what an array masks: what is under the mask is no number."""
+    if not isinstance(value, np.ma.MaskedArray):
+        return value
+    return np.ma.filled(value.astype(float), np.nan)
 
 
 def matlab(text: str) -> list[list[float]]:

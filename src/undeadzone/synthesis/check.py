@@ -153,6 +153,10 @@ class Check:
     plot = shown.plot
     """Draw it."""
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Checked again from its scenario: what the report draws holds functions."""
+        return check, (self.scenario,)
+
 
 PROOF: Final = (
     "certified",

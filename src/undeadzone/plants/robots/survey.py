@@ -34,8 +34,8 @@ class Survey(NamedTuple):
         q: the posture (N) [rad or m].
         place: of the tip there (3) [m].
         holding: torques that hold the arm there (N) [N m or N].
-        reach: greatest distance of the tip from the first joint within the limits [m]; None where a
-            sliding joint has no limits.
+        reach: greatest distance of the tip from the first joint's place at q = 0, within the limits
+            [m]; None where a sliding joint has no limits.
     """
 
     body: Arm
@@ -128,11 +128,12 @@ def _reach(body: Arm, moving: list[Joint]) -> float | None:
     if not np.isfinite([low, high]).all():
         return None
     postures = np.random.default_rng(0).uniform(low, high, (POSTURES, body.size))
-    distances = _distances(evaluate_rows(body.points, body.values, postures))
+    points = evaluate_rows(body.points, body.values, postures)
+    origin = body.points(body.values, np.zeros(body.size))[1, :]  # a sliding joint leaves it
+    distances = np.linalg.norm(points[:, -1] - origin.full(), axis=1)
     best = postures[np.argsort(distances)[-CLIMBS:]]
     q = ca.SX.sym("q", body.size)
-    points = body.points(ca.SX(body.values), q)
-    squared = -ca.sumsqr(points[-1, :] - points[1, :])
+    squared = -ca.sumsqr(body.points(ca.SX(body.values), q)[-1, :] - origin)
     slope = ca.Function("slope", [q], [squared, ca.gradient(squared, q)])
 
     def value(at: Floats) -> tuple[float, Floats]:
@@ -142,8 +143,3 @@ def _reach(body: Arm, moving: list[Joint]) -> float | None:
     bounds = list(zip(low, high, strict=True))
     tops = [minimize(value, start, jac=True, bounds=bounds).fun for start in best]
     return float(np.sqrt(max(0.0, -min(tops))))
-
-
-def _distances(points: Floats) -> Floats:
-    """Of the tip from the first joint (N) for N chains of points (N x K x 3)."""
-    return np.linalg.norm(points[:, -1] - points[:, 1], axis=1)
