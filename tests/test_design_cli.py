@@ -321,7 +321,10 @@ def test_no_design_for_a_chain_of_integrators(tmp_path: Path) -> None:
     assert "NO gains" in run("design", EXAMPLES / "integrators.toml").out
 
 
-def test_weights_make_another_trade(paper: Callable[..., Path], knee: tuple[Path, Done]) -> None:
+def test_weights_make_another_trade(
+    paper: Callable[..., Path], knee: tuple[Path, Done], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    once.in_haste(monkeypatch)
     calm = run("design", paper(), "--weights", "0,0,1.5", *QUIET).found
     assert "noise^1.5" in calm["chosen"]
 

@@ -29,7 +29,6 @@ from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.arrays import Floats
-from undeadzone.synthesis import gain_search
 from undeadzone.synthesis.check import check
 from undeadzone.synthesis.design import design, rounds
 from undeadzone.synthesis.gain_search import Weights
@@ -234,7 +233,7 @@ def test_gains_near_the_present_ones_that_beat_them_are_found(
 
     The front's search passes it by, a short one as well as a long one.
     """
-    monkeypatch.setattr(gain_search, "ROUNDS", 40)
+    once.in_haste(monkeypatch)
     third = scene(
         plant={"companion": [6.0, 11.0, 6.0]},
         observer={"method": "certified", "gamma": 5.0},
@@ -270,7 +269,7 @@ def test_what_cannot_be_had_at_once_is_said(
     quickest: Design, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nothing beats the fastest gains in rate, however long one searches."""
-    monkeypatch.setattr(gain_search, "ROUNDS", 40)
+    once.in_haste(monkeypatch)
     again = design(
         scene(observer={"method": "certified", "L": quickest.best.L, "gamma": quickest.best.gamma})
     )
@@ -279,7 +278,8 @@ def test_what_cannot_be_had_at_once_is_said(
     assert "rate" in remark.partition("these lose in")[2]
 
 
-def test_weights_move_the_trade(quickest: Design) -> None:
+def test_weights_move_the_trade(quickest: Design, monkeypatch: pytest.MonkeyPatch) -> None:
+    once.in_haste(monkeypatch)
     quiet = once.design(scene(), Weights(noise=1.5))
     assert quiet.chosen == "rate / (disturbance^0 mismatch^0 noise^1.5)"
     assert quiet.best.noise < quickest.best.noise
@@ -289,7 +289,8 @@ def test_weights_move_the_trade(quickest: Design) -> None:
     ) - 1.5 * np.log(quickest.best.noise)
 
 
-def test_several_outputs_sampled() -> None:
+def test_several_outputs_sampled(monkeypatch: pytest.MonkeyPatch) -> None:
+    once.in_haste(monkeypatch)
     found = design(scene(**COUPLED, simulation=SAMPLED), "rate")
     assert found.Ts == 1e-2
     assert found.present is not None
@@ -297,7 +298,10 @@ def test_several_outputs_sampled() -> None:
     assert certify(found.model, found.L, found.gamma, found.Ts).margin >= 0.01 * (1 - 1e-6)
 
 
-def test_an_edge_that_is_not_reached_is_left_out_and_named() -> None:
+def test_an_edge_that_is_not_reached_is_left_out_and_named(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    once.in_haste(monkeypatch)
     found = design(
         scene(reference={"kind": "sine", "amplitude": 2.0, "frequency": 1.0, "offset": 2.0}), "rate"
     )
@@ -539,11 +543,12 @@ def test_check_of_what_has_no_certificate() -> None:
     assert "the error grows along the reference" in growing["reasons"]
 
 
-def test_a_slow_plant_needs_no_fast_step() -> None:
+def test_a_slow_plant_needs_no_fast_step(monkeypatch: pytest.MonkeyPatch) -> None:
     """A time constant of ten thousand seconds, a step of a hundred.
 
     What `Certified` assumes by default is not in the way.
     """
+    once.in_haste(monkeypatch)
     slow = scene(
         plant={"A": [[-1e-4]], "B": [[1e-4]], "C": [[1.0]]},
         reference={"kind": "sine", "amplitude": 5.0, "frequency": 1e-5},

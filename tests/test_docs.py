@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+import once
 from commands import Done, undeadzone
 from tools import script_of_docs
 from undeadzone.catalogue import CONTROLLERS, OBSERVERS
 from undeadzone.scenario.reader import read
-from undeadzone.synthesis import gain_search
 from undeadzone_arena.contest.leaderboard import FRAME
 from undeadzone_arena.contest.methods import fitting
 
@@ -43,7 +43,7 @@ def test_python_blocks_run(
     name: str, code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(gain_search, "ROUNDS", 40)  # of the one block that asks for a front
+    once.in_haste(monkeypatch)  # in the one block that asks for a front
     exec(compile(code, name, "exec"), {"__name__": "__main__"})
 
 

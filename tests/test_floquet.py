@@ -192,16 +192,20 @@ def test_a_long_span_beside_a_short_one_holds_the_integrals_of_each() -> None:
     rng, none = np.random.default_rng(0), np.zeros(1)
     F = rng.normal(size=(3, 2, 2)) - 3 * np.eye(2)
     H, lengths = np.array([[2.0, 0.5], [0.5, 1.0]]), np.array([0.01, 1.0, 30.0])
-    whole = spans(F, H, Schedule(
+    schedule = Schedule(
         np.zeros((3, 1)), lengths, None, True, 0.0, none, none, none, np.ones((1, 2))
-    ))  # fmt: skip
+    )
+    whole, plain = spans(F, [H, 2 * H], schedule, 1), spans(F, [H], schedule)
+    assert (plain.G[0] == whole.G[0]).all()
+    assert (whole.G[1] == 2 * whole.G[0]).all()
+    assert (len(whole.GG), len(plain.GG)) == (1, 0)
     for k, (f, length) in enumerate(zip(F, lengths, strict=True)):
         Phi = expm(f * length)
         G = solve_continuous_lyapunov(f.T, Phi.T @ H @ Phi - H)
         GG = solve_continuous_lyapunov(f.T, G - length * H)
         assert whole.Phi[k] == pytest.approx(Phi, abs=1e-12)
-        assert whole.G[k] == pytest.approx(G, rel=1e-9)
-        assert whole.GG[k] == pytest.approx(GG, rel=1e-9)
+        assert whole.G[0, k] == pytest.approx(G, rel=1e-9)
+        assert whole.GG[0, k] == pytest.approx(GG, rel=1e-9)
 
 
 def test_a_run_that_does_not_repeat_is_predicted_by_its_recorded_sides() -> None:

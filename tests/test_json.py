@@ -49,7 +49,7 @@ COMMANDS: dict[str, list[list[str]]] = {
         ["arena", "examples/load_cell_limited.toml", "--methods", "kalman", "--seeds", "1",
          "--json"],
     ],
-    "identify": [["identify", LOG, "--delay", "0", "--chain", "chain", *COMMON]],
+    "identify": [["identify", LOG, "--order", "3", "--delay", "0", "--chain", "chain", *COMMON]],
     "estimate": [
         ["estimate", "examples/asymmetric_noise.toml", LOG, *COMMON],
         ["estimate", "examples/load_cell_limited.toml", LOG, "--columns", "t=t,y=y,u=u", *COMMON],
@@ -138,6 +138,7 @@ def test_the_page_lists_the_keys_of_a_command(
 ) -> None:
     monkeypatch.chdir(folder)
     monkeypatch.setattr(export, "STEPS", 2000)
+    once.in_haste(monkeypatch)
     monkeypatch.setattr(undeadzone_paper, "audit", lambda progress: once.audit()[0])
     if name in BEFORE:
         asked(BEFORE[name], capsys)

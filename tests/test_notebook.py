@@ -17,10 +17,13 @@ TESTS = Path(__file__).parent
 BEGIN = """
 import matplotlib
 import numpy as np
+import once
+import pytest
 import undeadzone as uz
 from scenes import scene
 from undeadzone.support import progress
 from undeadzone_arena.contest.contest import run_contest
+once.in_haste(pytest.MonkeyPatch())
 progress.PATIENCE = 0.0
 progress.PAUSE = 0.0
 short = {"time": "sampled", "step": 1e-2, "duration": 2.0}

@@ -261,10 +261,10 @@ def test_a_pass_lasts_as_long_as_its_schedule(Ts: float | None) -> None:
 
 def test_what_does_not_move_grows_as_time_and_its_square() -> None:
     schedule = visiting([True], [True])
-    still = spans(np.zeros((3, 2, 2)), np.eye(2), schedule)
+    still = spans(np.zeros((3, 2, 2)), [np.eye(2)], schedule, 1)
     for k, t in enumerate(schedule.spans):
-        np.testing.assert_allclose(still.G[k], t * np.eye(2), rtol=1e-12)
-        np.testing.assert_allclose(still.GG[k], t**2 / 2 * np.eye(2), rtol=1e-12)
+        np.testing.assert_allclose(still.G[0, k], t * np.eye(2), rtol=1e-12)
+        np.testing.assert_allclose(still.GG[0, k], t**2 / 2 * np.eye(2), rtol=1e-12)
 
 
 def test_errors_may_need_many_passes_to_settle() -> None:

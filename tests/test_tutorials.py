@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
+import once
 import undeadzone as uz
 from scenes import scene
 from undeadzone.support import shown
 from undeadzone.support.text import with_interval
-from undeadzone.synthesis import gain_search
 
 FOLDER = Path(__file__).parents[1] / "docs/tutorials"
 SCRIPTS = sorted(FOLDER.glob("*.py"))
@@ -23,7 +23,7 @@ def test_tutorials_run(
     script: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(gain_search, "ROUNDS", 40)  # test_design_synthesis.py searches for long
+    once.in_haste(monkeypatch)  # test_design_synthesis.py searches for long
     code = script.read_text(encoding="utf-8")
     exec(compile(code, script.name, "exec"), {"__name__": "__main__"})
     assert "nan" not in capsys.readouterr().out

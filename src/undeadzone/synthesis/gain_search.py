@@ -7,6 +7,7 @@ the result is proved anew. The knee is that of the Pareto front of rate, disturb
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ from undeadzone.numerics.optimise import evolve, pareto, scalar, undominated
 from undeadzone.support.arrays import Floats
 from undeadzone.synthesis.task import (
     Candidate,
+    Scores,
     Task,
     box,
     candidate_at,
@@ -93,12 +95,8 @@ def fastest(
         seed: of the search.
         tick: tick(1) is called STARTS times.
     """
-
-    def cost_in(task: Task) -> Cost:
-        return _cost(task, weights)
-
     task, start = search(task, weights, seed, tick)
-    best, certificate = proved(task, linear, start, cost_in)
+    best, certificate = proved(task, linear, start, partial(_cost, weights=weights))
     return Synthesis(best, certificate, [best], at_the_limit(task, best))
 
 
@@ -232,9 +230,8 @@ def balanced(
         tick: tick(1) is called STARTS + ROUNDS times.
     """
     task, quickest = search(task, RATE, seed, tick)
-    L, gamma = gains_at(task, quickest[None])
-    best_rate = score(task, L, gamma, mismatch=False, gains=False).rate[0]
-    limit = float(best_rate) * FLOOR
+    quick = score(task, *gains_at(task, quickest[None]), mismatch=False, gains=False)
+    limit = float(quick.rate[0]) * FLOOR
     points, costs = _explored(task, quickest, limit, seed, tick)
     bars = [np.full(3, np.inf)]
     if present is not None:
@@ -246,7 +243,8 @@ def balanced(
         admitted = np.isfinite(costs).all(axis=1)
         points, costs = points[admitted], costs[admitted]
     bar = next(bar for bar in bars if (costs < bar).all(axis=1).any())
-    every = np.hstack([_mismatch(task, points)[:, None], costs])
+    mismatch = score(task, *gains_at(task, points), gains=False).mismatch
+    every = np.hstack([np.log(mismatch)[:, None], costs])
     least, greatest = every.min(axis=0), every.max(axis=0)
 
     def loss_in(task: Task) -> Cost:
@@ -278,30 +276,28 @@ class _Loss(NamedTuple):
 
     def of(self, points: Floats) -> Floats:
         """The loss of points (b, d): b numbers."""
-        costs = _costs(self.task, points, self.limit)
-        every = np.hstack([_mismatch(self.task, points)[:, None], costs])
+        scores = score(self.task, *gains_at(self.task, points))
+        costs = _traded(scores, self.limit)
+        every = np.hstack([np.log(scores.mismatch)[:, None], costs])
         weights = np.array([[FIRST, 1.0, 1.0, 1.0]])
         loss = scalar(every, self.least, self.greatest, weights)[0]
         return np.asarray(loss + WORSE * (costs >= self.bar).any(axis=1))
 
 
 def _costs(task: Task, points: Floats, limit: float) -> Floats:
-    """Logarithms of 1 / rate, disturbance and noise at points (b, 3).
+    """What points (b, d) cost, see `_traded`."""
+    return _traded(score(task, *gains_at(task, points), mismatch=False), limit)
+
+
+def _traded(scores: Scores, limit: float) -> Floats:
+    """Logarithms of 1 / rate, disturbance and noise (b, 3).
 
     They are inf where the rate is not above the limit [1/s].
     """
-    L, gamma = gains_at(task, points)
-    scores = score(task, L, gamma, mismatch=False)
     admitted = scores.rate > limit
     slowness = 1 / np.where(admitted, scores.rate, 1.0)
     logs = np.log(np.stack([slowness, scores.disturbance, scores.noise], axis=1))
     return np.where(admitted[:, None], logs, np.inf)
-
-
-def _mismatch(task: Task, points: Floats) -> Floats:
-    """Logarithms of the error per relative error of the model, at points (b, d): b numbers."""
-    L, gamma = gains_at(task, points)
-    return np.asarray(np.log(score(task, L, gamma, gains=False).mismatch))
 
 
 def _explored(
@@ -313,14 +309,8 @@ def _explored(
         if tick is not None:
             tick(1)
 
-    return pareto(
-        lambda points: _costs(task, points, limit),
-        *box(task),
-        seed,
-        quickest[None],
-        rounds=ROUNDS,
-        tick=advance,
-    )
+    costs = partial(_costs, task, limit=limit)
+    return pareto(costs, *box(task), seed, quickest[None], rounds=ROUNDS, tick=advance)
 
 
 def _around(task: Task, present: Candidate, level: Floats, limit: float, seed: int) -> Floats:

@@ -224,12 +224,12 @@ def power(X: Floats, times: Floats) -> Floats:
 
 
 class Span(NamedTuple):
-    """K spans of constant side (..., K, N, N each).
+    """K spans of constant side, weighted by S matrices H.
 
     Attributes:
-        Phi: the transition matrix.
-        G: the sum of Phi_t'H Phi_t over the span.
-        GG: the sum over the span of G_t, which is that sum up to t.
+        Phi: the transition matrix (..., K, N, N).
+        G: the sum of Phi_t'H Phi_t over the span (S, ..., K, N, N).
+        GG: the sum over the span of G_t, which is that sum up to t, of the first H (S or less).
         length: of the span, in its unit (K, 1, 1).
     """
 
@@ -239,37 +239,36 @@ class Span(NamedTuple):
     length: Floats
 
 
-def spans(F: Floats, H: Floats, schedule: Schedule) -> Span:
+def spans(F: Floats, weights: Sequence[Floats], schedule: Schedule, twice: int = 0) -> Span:
     """Every span of a schedule for x' = F x (or x+ = (I + Ts F) x).
 
     Args:
         F: the dynamics in each span (..., K, N, N) [1/s].
-        H: the weight of x (..., N, N).
+        weights: S weights of x (..., N, N each).
         schedule: of the sides.
+        twice: the sum of sums is asked of so many of them.
     """
+    H = np.stack([np.broadcast_to(weight, F.shape) for weight in weights])
     if schedule.Ts is not None:
         step = np.broadcast_to(np.eye(F.shape[-1]), F.shape) + schedule.Ts * F
         length = np.ones((F.shape[-3], 1, 1))
-        return _power(
-            Span(step, np.broadcast_to(H, F.shape), 0 * F, length), schedule.spans.astype(int)
-        )
+        return _power(Span(step, H, 0 * H[:twice], length), schedule.spans.astype(int))
     norm = np.abs(F).sum(axis=-1).max(axis=-1).reshape(-1, F.shape[-3]).max(axis=0)
     halvings = np.ceil(np.log2(np.maximum(8 * norm * schedule.spans, 1.0))).astype(int)
     h = (schedule.spans / 2.0**halvings)[:, None, None]
     # Taylor series over h: of Phi with terms (F h)^k / k!, of G and GG with derivatives of G_t.
     power = Phi = np.eye(F.shape[-1]) + 0 * F
-    G, GG, term = 0 * F, 0 * F, H + 0 * F
+    G, GG, term = 0 * H, 0 * H[:twice], H + 0 * F
     for k in range(1, TERMS):
         coefficient = h / k
         power = power @ F * coefficient
         Phi = Phi + power
         G = G + coefficient * term
-        GG = GG + coefficient * (h / (k + 1)) * term
+        GG = GG + coefficient * (h / (k + 1)) * term[:twice]
         term = coefficient * (_t(F) @ term + term @ F)
     whole = Span(Phi, G, GG, h)
     for k in range(halvings.max(initial=0)):
-        pairs = zip(_then(whole, whole), whole, strict=True)
-        whole = Span(*[np.where((halvings > k)[:, None, None], *pair) for pair in pairs])
+        whole = _chosen(halvings > k, _then(whole, whole), whole)
     return whole
 
 
@@ -286,15 +285,14 @@ def mean_squares(
         sources: covariances of v (..., K, N, N), per second, or per step if sampled.
         schedule: of the sides.
     """
-    over = spans(F, Z.T @ Z, schedule)
-    K = F.shape[-3]
+    over = spans(F, [Z.T @ Z], schedule, 1)
     means = []
-    for source in sources:
-        spread = spans(_t(F), source, schedule).G  # what one span adds to the covariance
+    spreads = spans(_t(F), sources, schedule).G  # what one span adds to the covariance
+    for source, spread in zip(sources, spreads, strict=True):
         covariance = _settled(over.Phi, spread)
-        total = (over.GG * source).sum(axis=(-3, -2, -1))
-        for k in range(K):
-            total = total + (over.G[..., k, :, :] * covariance).sum(axis=(-2, -1))
+        total = (over.GG[0] * source).sum(axis=(-3, -2, -1))
+        for k in range(F.shape[-3]):
+            total = total + (over.G[0, ..., k, :, :] * covariance).sum(axis=(-2, -1))
             covariance = _along(over.Phi, covariance, k) + spread[..., k, :, :]
         means.append(np.asarray(total / schedule.spans.sum()))
     return means
@@ -333,7 +331,7 @@ def forced_mean_square(
     weight[:N, :N] = Z.T @ Z
     total = np.zeros(F.shape[:-3])
     for E in push:
-        over = spans(_with_exosystem(F, E, S), weight, schedule)
+        over = spans(_with_exosystem(F, E, S), [weight], schedule)
         x: Floats = np.zeros((*F.shape[:-3], N))
         for span, w in enumerate(starts):
             x = _onward(x, w, over.Phi[..., span, :, :])
@@ -342,7 +340,7 @@ def forced_mean_square(
         x = (np.linalg.pinv(once, rcond=1e-12) @ x[..., None])[..., 0]
         for span, w in enumerate(starts):
             both = np.concatenate([x, np.broadcast_to(w, (*x.shape[:-1], k))], axis=-1)
-            G = over.G[..., span, :, :]
+            G = over.G[0, ..., span, :, :]
             total = total + (both[..., None, :] @ G @ both[..., None])[..., 0, 0]
             x = _onward(x, w, over.Phi[..., span, :, :])
     return np.asarray(total / schedule.spans.sum())
@@ -371,14 +369,19 @@ def _power(one: Span, times: Floats) -> Span:
     while True:
         odd = times % 2 == 1
         if odd.any():
-            longer = _then(whole, one)
-            chosen = odd[:, None, None]
-            parts = [np.where(chosen, new, old) for new, old in zip(longer, whole, strict=True)]
-            whole = Span(*parts)
+            whole = _chosen(odd, _then(whole, one), whole)
         times = times // 2
         if not times.any():
             return whole
         one = _then(one, one)
+
+
+def _chosen(which: np.ndarray, new: Span, old: Span) -> Span:
+    """The new spans where `which` (K) says so, and the old ones elsewhere."""
+    if which.all():
+        return new
+    pairs = zip(new, old, strict=True)
+    return Span(*[np.where(which[:, None, None], *pair) for pair in pairs])
 
 
 def _then(a: Span, b: Span) -> Span:
@@ -387,7 +390,7 @@ def _then(a: Span, b: Span) -> Span:
     return Span(
         b.Phi @ a.Phi,
         a.G + Pt @ b.G @ a.Phi,
-        a.GG + b.length * a.G + Pt @ b.GG @ a.Phi,
+        a.GG + b.length * a.G[: len(a.GG)] + Pt @ b.GG @ a.Phi,
         a.length + b.length,
     )
 
