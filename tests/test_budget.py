@@ -16,13 +16,13 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 41_800, 332
+MOST_CODE, MOST_FILES = 41_910, 332
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
     "(root)": 385,
-    "analysis": 3450,
-    "cli": 1910,
+    "analysis": 3455,
+    "cli": 1920,
     "compensators": 170,
     "compile": 3630,
     "controllers": 800,
@@ -30,7 +30,7 @@ BUDGET = {
     "ensemble": 1930,
     "exports": 2460,
     "feedforward": 430,
-    "identification": 7190,
+    "identification": 7230,
     "linear": 400,
     "logs": 1255,
     "numerics": 840,
@@ -38,11 +38,11 @@ BUDGET = {
     "plants": 1680,
     "report": 2950,
     "results": 980,
-    "scenario": 1420,
+    "scenario": 1440,
     "signals": 390,
-    "simulation": 2330,
+    "simulation": 2345,
     "statistics": 265,
-    "support": 820,
+    "support": 825,
     "synthesis": 1040,
     "tuning": 890,
 }

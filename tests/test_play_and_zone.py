@@ -10,7 +10,7 @@ import pytest
 from benchmarks import play_and_zone as bench
 from benchmarks.play import WORLDS
 from benchmarks.random_loops import Loops, run_loops
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import undeadzone as uz
@@ -95,6 +95,7 @@ def test_the_run_reads_what_the_element_says(changes: dict[str, Any]) -> None:
 
 @settings(max_examples=20)
 @given(c=st.tuples(WIDTHS, WIDTHS), d=st.tuples(WIDTHS, WIDTHS))
+@example(c=(0.0, 0.0), d=(0.0, 0.0))
 def test_what_is_read_bounds_z(c: tuple[float, float], d: tuple[float, float]) -> None:
     """Silence within gap and zone; a reading within the gap about itself."""
     sensor = {"right": d[0], "left": d[1], "play": list(c)}

@@ -14,7 +14,6 @@ from undeadzone.analysis.identifiability.both_ends import both_ends, modes_visit
 from undeadzone.analysis.identifiability.disturbance import unknown_bias, unknown_inputs
 from undeadzone.analysis.identifiability.information import (
     EXACT,
-    SMALLEST,
     Deviations,
     Readings,
     deviations,
@@ -116,7 +115,7 @@ def readings_of(problem: Problem, schedule: Schedule, arrive: Floats) -> Reading
     """What tells of the widths; arguments as of `linear_verdicts`."""
     simulation, disturbance = problem.scenario.simulation, problem.scenario.disturbance
     traits, model = problem.observer.traits, problem.model
-    least = EXACT * float(schedule.levels.max(initial=0.0)) or SMALLEST
+    least = EXACT * float(schedule.levels.max(initial=0.0)) or EXACT
     told = beforehand(model.n, model.p, traits.start_std, traits.centre_std, least)
     return Readings(
         noise=problem.sensor.rms,

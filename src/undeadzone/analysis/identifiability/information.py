@@ -16,8 +16,8 @@ from undeadzone.analysis.side_schedule import Schedule, merged
 from undeadzone.linear.matrices import Matrices
 from undeadzone.support.arrays import Floats
 
+NO_WIDTH = 1e-8  # edge below which there is none: information of it would not be solved for
 EXACT = 1e-6  # of an edge: the least rms that a reading is taken to have
-SMALLEST = 1e-100  # rms of a reading where nothing has a width: information must not overflow
 BLURRED = 1e-4  # the same beside process noise, whose vague directions rounding would hide
 
 
@@ -96,8 +96,8 @@ def deviations(linear: Matrices, schedule: Schedule, readings: Readings) -> Devi
     if colour is not None:
         linear, process, bias, prior = _coloured(linear, schedule.Ts, colour, process, bias)
     n, p = linear.A.shape[0], linear.C.shape[0]
-    least = (EXACT if process is None else BLURRED) * schedule.levels.max(axis=1)
-    variance = np.maximum(np.maximum(noise, least), SMALLEST) ** 2
+    least = (EXACT if process is None else BLURRED) * scale_of(schedule.levels)
+    variance = np.maximum(noise, least) ** 2
     if arrive is not None:
         variance = variance / arrive
     fisher = information(linear, schedule, variance, step, duration, bias, process)
@@ -188,6 +188,12 @@ def information(
         once = stretch if once is None else then(once, stretch)
     assert once is not None
     return repeat(once, max(1, int(duration / schedule.duration * (1 + 1e-12)))).H
+
+
+def scale_of(levels: Floats) -> Floats:
+    """The larger edge of each output (p), by which readings are exact; 1 where none has a width."""
+    level = levels.max(axis=1)
+    return np.where(level > NO_WIDTH, level, 1.0)
 
 
 def then(first: Stretch, second: Stretch) -> Stretch:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.analysis.identifiability import linear
-from undeadzone.analysis.identifiability.information import EXACT
+from undeadzone.analysis.identifiability.information import EXACT, scale_of
 from undeadzone.analysis.identifiability.linear import (
     largest_deviations,
     rarely_exact,
@@ -139,8 +139,7 @@ def verdicts_along(
 
 def variance(sensor: Zone) -> Floats:
     """Of a reading's noise (p), as noise of z; never 0."""
-    level = reading_levels(sensor).max(axis=1)
-    return np.maximum(sensor.rms, EXACT * np.where(level > 0, level, 1.0)) ** 2
+    return np.maximum(sensor.rms, EXACT * scale_of(reading_levels(sensor))) ** 2
 
 
 def _confounded(

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.analysis.identifiability.information import EXACT, SMALLEST, Readings, deviations
+from undeadzone.analysis.identifiability.information import EXACT, Readings, deviations
 from undeadzone.analysis.identifiability.linear import Verdict, invisible, unreached
 from undeadzone.analysis.side_schedule import Schedule
 from undeadzone.ends.sensor import DIRECTIONS
@@ -115,7 +115,7 @@ def told_of_both(linear: Matrices, schedule: Schedule, readings: Readings) -> li
     n, p = linear.A.shape[0], linear.C.shape[0]
     whole, twice = with_gaps(linear, schedule.Ts), by_contact(schedule)
     swing = float((schedule.high - schedule.low).max())
-    least = EXACT * max(float(schedule.levels.max()), EXACT * swing) or SMALLEST
+    least = EXACT * max(float(schedule.levels.max()), EXACT * swing) or EXACT
     twofold, told = _twofold(linear, readings), beforehand_of_gaps(linear, readings, least)
     visited = twice.visited(n + 2 * p)
     hidden = invisible(whole, visited, schedule.Ts, twofold.bias).told(told)
