@@ -414,4 +414,4 @@ def test_a_plant_that_integrates_is_neither_play_nor_friction() -> None:
         answer = uz.identify(t=0.01, u=u, y=y, order=order)
         assert isinstance(answer, uz.Identified)
         assert answer.verdict == "unclear"
-        assert "--integrators 1" in answer.answer.reasons[0]
+        assert "--integrators 1" in answer.answer.reasons[-1]

@@ -23,13 +23,11 @@ class Riccati(NamedTuple):
     Attributes:
         P: the solution (n x n).
         K: the gain (m x n).
-        left: what is left of the equation (n x n).
-        residual: the same, relative to the terms of the equation.
+        residual: of the equation, relative to its terms.
     """
 
     P: Floats
     K: Floats
-    left: Floats
     residual: float
 
 
@@ -41,6 +39,22 @@ class _Equation(NamedTuple):
     Q: Floats
     R: Floats
     Ts: float | None
+
+
+class _Candidate(NamedTuple):
+    """A matrix P put into the equation.
+
+    Attributes:
+        P: the matrix (n x n).
+        K: its gain (m x n).
+        left: what is left of the equation (n x n).
+        residual: the same, relative to the terms of the equation.
+    """
+
+    P: Floats
+    K: Floats
+    left: Floats
+    residual: float
 
 
 def weight(key: str, Q: Array, n: int, why: str = "states x states") -> Floats:
@@ -96,7 +110,7 @@ def riccati(linear: Matrices, Q: Floats, R: Floats, Ts: float | None = None) -> 
         if not candidate.residual < best.residual / 2:
             break
         best = candidate
-    return best
+    return Riccati(best.P, best.K, best.residual)
 
 
 def _solution(equation: _Equation) -> Floats:
@@ -112,7 +126,7 @@ def _solution(equation: _Equation) -> Floats:
         raise StructureError(f"the {name} has no stabilising solution here: {error}") from None
 
 
-def _candidate(equation: _Equation, P: Floats) -> Riccati:
+def _candidate(equation: _Equation, P: Floats) -> _Candidate:
     """A matrix put into the equation."""
     A, B, Q, R, Ts = equation
     terms: tuple[Floats, ...]
@@ -124,7 +138,7 @@ def _candidate(equation: _Equation, P: Floats) -> Riccati:
         terms = (A.T @ P @ A, -P, -(A.T @ P @ B) @ K, Q)
     left = sum(terms[1:], terms[0])
     scale = max(sum(np.linalg.norm(term) for term in terms), 1e-300)
-    return Riccati(P, K, left, float(np.linalg.norm(left) / scale))
+    return _Candidate(P, K, left, float(np.linalg.norm(left) / scale))
 
 
 def riccati_along(A: Floats, B: Floats, Q: Floats, R: Floats, P: Floats) -> Floats:

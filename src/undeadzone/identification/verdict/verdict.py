@@ -279,20 +279,21 @@ def _unclear(case: Case, word: str, best: Density, fits: Fits) -> Verdict | None
     chosen, data = case.chosen, case.data
     within = 1 - best.rms / float(data.y[data.ok].std())
     share = chosen.share if word in FITTED else within
+    reasons = []
     if share < LEAST:
         which = "held-out readings" if word in FITTED else "readings"
         explained = f"the best plant explains {100 * max(share, 0.0):.0f} % of the {which}"
         changes = f", and {100 * within:.0f} % of all: it changes, or another input acts"
-        return because("unclear", explained + (changes if within > LEAST else UNEXPLAINED))
+        reasons.append(explained + (changes if within > LEAST else UNEXPLAINED))
     fit = chosen.pairs
     if word == "none":
         fit = fit_linear(fit.objective.simulator, fit.objective.readings.ok)
     plant, theta = fit.objective.simulator, fit.theta
     if word not in FITTED and word in fits:
         plant, theta = fits[word].model.simulator, fits[word].theta
-    if word in {*FITTED, *fits} and plant.at_limit(theta):
-        return because("unclear", UNSETTLED)
-    return None
+    if (reasons or word in {*FITTED, *fits}) and plant.at_limit(theta):
+        reasons.append(UNSETTLED)
+    return because("unclear", *reasons) if reasons else None
 
 
 def _by_residual(case: Case) -> Verdict:
