@@ -13,6 +13,7 @@ from typing import Any
 import msgspec
 
 from undeadzone.catalogue import CATALOGUES
+from undeadzone.errors import InputError
 
 _WORDS = {
     "object": "a table",
@@ -88,13 +89,35 @@ def explain(message: str, data: dict[str, Any], root: type[msgspec.Struct]) -> s
     invalid = re.match(r"(?s)Invalid (?:enum )?value '(.*)'", body)
     choices = _choices(root, key, data)
     if invalid and choices:
-        advice = _advice(invalid[1], choices, "expected one of")
-        if invalid[1] in _SYNONYMS:
-            advice = f"{advice}; {_SYNONYMS[invalid[1]]}"
-        return f"{key}: unknown choice {invalid[1]!r}; {advice}"
+        return _unknown_choice(key, invalid[1], choices)
     body = re.sub(r"`([\w| ]+)`", _in_words, body)
     where = f"{key}: " if key else ""
     return f"{where}{body[:1].lower()}{body[1:]}".replace(", got ", ", found ")
+
+
+def require_words(key: str, options: Any, kind: type[msgspec.Struct]) -> None:
+    """Raise InputError where a field of a few words, such as simulation.time, holds another one.
+
+    Args:
+        key: of the options.
+        options: as a program may give them.
+        kind: what they should be.
+    """
+    if not isinstance(options, kind):
+        found = type(options).__name__
+        raise InputError(f"{key}: expected uz.{kind.__name__}(...), found {found}")
+    for field in msgspec.structs.fields(kind):
+        words, value = typing.get_args(field.type), getattr(options, field.name)
+        if typing.get_origin(field.type) is typing.Literal and value not in words:
+            raise InputError(_unknown_choice(f"{key}.{field.name}", value, list(words)))
+
+
+def _unknown_choice(key: str, word: Any, choices: list[str]) -> str:
+    """The message about a word that is none of those that may stand at a key."""
+    advice = _advice(str(word), choices, "expected one of")
+    if str(word) in _SYNONYMS:
+        advice = f"{advice}; {_SYNONYMS[str(word)]}"
+    return f"{key}: unknown choice {word!r}; {advice}"
 
 
 def _missing(key: str, name: str, root: type[msgspec.Struct]) -> str:

@@ -34,6 +34,7 @@ from undeadzone.plants.options import Plant
 from undeadzone.plants.region import box
 from undeadzone.plants.system import System, pace
 from undeadzone.scenario.encoders import require_gears, sensed
+from undeadzone.scenario.messages import require_words
 from undeadzone.scenario.overrun import require_contact
 from undeadzone.scenario.schema import Model, Scenario, Simulation, Units
 from undeadzone.scenario.time_step import (
@@ -41,7 +42,6 @@ from undeadzone.scenario.time_step import (
     require_bounded_error,
     require_fine_step,
     require_resolved,
-    require_words,
     sampled_within_limits,
 )
 from undeadzone.signals import exosystem as signals

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, Final, Literal, get_args, get_origin
+from typing import Final
 
-import msgspec
 import numpy as np
 
 from undeadzone.errors import InputError, ShapeError, StepError, StructureError
@@ -40,25 +39,6 @@ def checked_time(scenario: Scenario, plant: System) -> tuple[float, int]:
             f"units.state: expected one unit, or {plant.n} (one per state), found {len(names)}"
         )
     return step, round(duration / step)
-
-
-def require_words(key: str, options: Any, kind: type[msgspec.Struct]) -> None:
-    """Raise InputError where a field of a few words, such as simulation.time, holds another one.
-
-    Args:
-        key: of the options.
-        options: as a program may give them.
-        kind: what they should be.
-    """
-    if not isinstance(options, kind):
-        found = type(options).__name__
-        raise InputError(f"{key}: expected uz.{kind.__name__}(...), found {found}")
-    for field in msgspec.structs.fields(kind):
-        words, value = get_args(field.type), getattr(options, field.name)
-        if get_origin(field.type) is Literal and value not in words:
-            raise InputError(
-                f"{key}.{field.name}: unknown choice {value!r}; expected one of {', '.join(words)}"
-            )
 
 
 def _require_order(simulation: Simulation, plant: System) -> None:

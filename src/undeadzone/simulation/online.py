@@ -22,9 +22,10 @@ from undeadzone.plants import build as plants
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, pace, sampled
 from undeadzone.scenario.encoders import require_gears, sensed
+from undeadzone.scenario.messages import require_words
 from undeadzone.scenario.overrun import overrun_along
 from undeadzone.scenario.problem import require_visible
-from undeadzone.scenario.time_step import require_bounded_error, require_words
+from undeadzone.scenario.time_step import require_bounded_error
 from undeadzone.support import tree
 from undeadzone.support.arrays import Array, Floats, scalar, unmasked
 
