@@ -66,6 +66,12 @@ def logged(
     )
 
 
+def write_log(u: Floats, y: Floats) -> None:
+    """Write the log to log.csv."""
+    rows = np.column_stack([STEP * np.arange(SIZE), u, y])
+    np.savetxt("log.csv", rows, delimiter=",", header="t,u,y", comments="", fmt="%.12g")
+
+
 def listened(u: Floats, y: Floats, step: float = STEP) -> Heard:
     """The log as the predictor hears it."""
     found = heard(u, y, np.ones(y.size, bool), START, step)
@@ -118,6 +124,22 @@ def test_friction_of_the_load_is_not_felt_in_the_gap(reading: str) -> None:
     assert not found.reasons
     assert found.gap.low <= 0.03 <= found.gap.high
     assert abs(found.gap.value / 0.03 - 1) < 0.03
+
+
+def test_friction_of_the_load_goes_from_a_log_to_mujoco(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As that of the link, on a tendon over both hinges; the motor's is the motor's alone."""
+    u, y = logged(MOTOR._replace(friction=0.05, load=0.15))
+    monkeypatch.chdir(tmp_path)
+    write_log(u, y)
+    assert not group.main(["identify", "log.csv"], standalone_mode=False)
+    servo = json.loads(Path("log-identify/identify.json").read_text(encoding="utf-8"))["servo"]
+    assert servo["load_friction"] == pytest.approx(0.15, rel=0.15)
+    root = ElementTree.parse("log-identify/gears.xml")
+    motor, [link] = next(root.iter("joint")), root.iter("fixed")
+    for part, name in ((motor, "friction"), (link, "load_friction")):
+        assert float(part.get("frictionloss", 0)) == pytest.approx(servo[name], rel=1e-4)
 
 
 def test_the_gap_of_a_joint_in_mujoco() -> None:
@@ -285,8 +307,7 @@ def test_a_late_log_ends_in_firmware_that_has_followed_it(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(export, "STEPS", 2000)
     u, y = logged(MOTOR._replace(delay=3))
-    rows = np.column_stack([STEP * np.arange(SIZE), u, y])
-    np.savetxt("log.csv", rows, delimiter=",", header="t,u,y", comments="", fmt="%.12g")
+    write_log(u, y)
     words = ["identify", "log.csv", "--order", "2", "--chain", "fw"]
     assert not group.main(words, standalone_mode=False)
     out = capsys.readouterr().out

@@ -66,8 +66,8 @@ def joints(answer: Answer) -> list[Joint]:
         return []
     gap, inertia = servo.gap, 1 / abs(numbers["gain"])
     words = f"gap {gap.value:.4g} rad [{gap.low:.4g}, {gap.high:.4g}], if y is in rad, u in N m"
-    half, friction = gap.value / 2, numbers["friction"]
-    return [Joint("q", words, half, half, inertia, friction, numbers["damping"] * inertia)]
+    half, motor = gap.value / 2, (numbers["friction"], numbers["damping"] * inertia)
+    return [Joint("q", words, half, half, inertia, *motor, link=(numbers["load_friction"], 0.0))]
 
 
 def crossing_columns(answer: Answer) -> dict[str, Floats]:
