@@ -102,6 +102,7 @@ class LeastSquares(Generic[M]):
         self.data = model.simulator.data
         self.free, self.gain, self.climbs = model.free, model.gain, self.data.climbs
         self._count = int(self.data.ok.sum())
+        self._colours: estimates.Latest[LeastSquares[M]] = estimates.Latest()
 
     def residual(self, theta: Floats) -> Floats:
         """y less what is expected (N); 0 where a reading is missing."""
@@ -188,13 +189,13 @@ class LeastSquares(Generic[M]):
         """The model's account of the readings where that is best, near least squares."""
         first = best = self.density(theta)
         for _ in range(ROUNDS):
-            whitened = self._coloured(self.residual(theta))
-            theta = estimates.climb(whitened, theta, STEPS).theta
+            theta = estimates.climb(self._colours.of(theta, self._coloured), theta, STEPS).theta
             best = min(best, self.density(theta), key=lambda one: one.bic)
         return best._replace(rms=first.rms, strange=first.strange)
 
-    def _coloured(self, e: Floats) -> LeastSquares[M]:
-        """The same of residuals that as many before them foretell as BIC takes."""
+    def _coloured(self, theta: Floats) -> LeastSquares[M]:
+        """The same, with residuals that as many before them foretell as BIC takes."""
+        e = self.residual(theta)
         every = [LeastSquares(self.model, past) for past in self._pasts(e)]
         return min(every, key=lambda one: one._cost(e))
 
@@ -211,7 +212,7 @@ class LeastSquares(Generic[M]):
     def density(self, theta: Floats) -> Density:
         """The model's account of the readings, residuals taken as autoregressive Gaussian noise."""
         ok, e = self.data.ok, self.residual(theta)
-        coloured = self._coloured(e)
+        coloured = self._colours.of(theta, self._coloured)
         innovation = coloured._whitened(e)
         variance = float(np.mean(innovation**2)) + 1e-12
         value = -0.5 * innovation**2 / variance - 0.5 * math.log(2 * math.pi * variance)

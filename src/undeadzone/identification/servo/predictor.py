@@ -29,6 +29,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 from undeadzone.compile import lanes
+from undeadzone.ends.play import held
 from undeadzone.numerics.gaussian import chance
 
 LATEST = 8  # samples by which the input may be late at most
@@ -131,7 +132,7 @@ def contact_of(lane: Lane, z: Any, v: Any, level: Any) -> Any:
 
 def pulled(lane: Lane, level: Any, z: Any) -> Any:
     """The level of the load that the motor takes along."""
-    return ca.fmax(ca.fmin(level, z + lane.gap / 2), z - lane.gap / 2)
+    return held(ca, z, level, lane.gap / 2, lane.gap / 2)
 
 
 def _spread(lane: Lane, P: Any, motion: _Motion) -> Any:
@@ -288,12 +289,11 @@ def noise(what: str = "all") -> lanes.Kernel:
     contact = contact_of(lane, state[0], state[1], level)
     acting = ca.dot(lane.taps, inputs)
     motion = moved(lane, ca.vertsplit(state[:MEAN]), acting, lane.offset, contact)
-    x = motion.x
     P, F = _spread(lane, _symmetric(upper), motion)
     with_level, own = F @ of_level[:3], of_level[3]
     R = lane.rms**2
     at_start = [reading, 0.0, 0.0, 0.0]
-    x = [ca.if_else(starts, begun, one) for begun, one in zip(at_start, x, strict=True)]
+    x = [ca.if_else(starts, begun, one) for begun, one in zip(at_start, motion.x, strict=True)]
     P = ca.if_else(starts, _first(lane, lane.gap**2 / 12 + R), P)
     level = ca.if_else(starts, reading, level)
     own = ca.if_else(starts, R, own)
