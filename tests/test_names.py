@@ -19,12 +19,13 @@ from undeadzone.identification.answer.answer import _of_reference, to_answer
 from undeadzone.identification.logs.grid import to_grid
 from undeadzone.identification.logs.log import Options, log_of_arrays
 from undeadzone.identification.logs.prepare import usable
-from undeadzone.identification.models.elements import MapModel, cubic, linear
+from undeadzone.identification.models.elements import BREAKS, MapModel, cubic, linear, static_rivals
 from undeadzone.identification.models.estimates import Interval
 from undeadzone.identification.models.least_squares import Density, LeastSquares
 from undeadzone.identification.models.place import Shape, fit_place
 from undeadzone.identification.models.plant import Data, Simulator
-from undeadzone.identification.models.zone_fit import fit_linear
+from undeadzone.identification.models.zone import Limits
+from undeadzone.identification.models.zone_fit import fit_linear, fit_zone
 from undeadzone.identification.verdict.odds import behind, odds_of
 from undeadzone.identification.verdict.orders import answered, trained_part
 from undeadzone.identification.verdict.servo import servo_of_ticks
@@ -153,6 +154,22 @@ def test_derivatives_beside_a_level_and_without_correlation(shape) -> None:
         assert score[place] == pytest.approx(slope, rel=1e-4, abs=1e-4)
 
 
+def test_no_zone_is_not_said_against_the_test_of_one() -> None:
+    """Of a few steps a zone of the input explains too little for odds, and too much for chance."""
+    log = make(8007, "input")
+    answer = uz.identify(t=log.step, u=log.u, y=log.y)
+    assert answer.verdict == "undecided"
+    assert "p = 0.00" in answer.answer.reasons[0]
+
+
+def test_a_saturation_pays_for_edges_that_few_readings_tell() -> None:
+    rng, u, z = driven(3)
+    data = logged(u, z + 0.05 * rng.standard_normal(z.size))
+    fit = fit_zone(Simulator(data, 2), "behind", Limits())
+    rivals = static_rivals(fit)
+    assert rivals["saturation"].numbers - rivals["none"].numbers == 2 + BREAKS
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_log_about_an_operating_point_tells_nothing_of_a_zone(seed: int) -> None:
     rng, u, z = driven(seed)
@@ -248,6 +265,14 @@ def test_an_encoder_that_falls_silent_is_no_servo_without_a_zone() -> None:
     log = make(3002, "play and zone")
     answer = uz.identify(t=log.step, u=log.u, y=log.y, order=2)
     assert answer.verdict == "both"
+
+
+def test_a_play_with_a_zone_behind_an_encoder_is_no_servo_that_is_asked_late() -> None:
+    """A lag behind a play, asked once no other plant settled, had odds of 1 in its place."""
+    log = make(8003, "play and zone")
+    answer = uz.identify(t=log.step, u=log.u, y=log.y)
+    assert answer.verdict == "both"
+    assert answer.width.low < sum(log.widths) < answer.width.high
 
 
 def test_a_short_log_whose_encoder_passes_0_slowly_is_not_asked_for_a_servo() -> None:

@@ -222,7 +222,7 @@ def test_a_disturbance_ahead_of_an_encoder_leaves_the_gap_right(quantum: float) 
     level = through(z + disturbed(rng, 0.08), (0.3, 0.25), (0.0, 0.0))
     data = logged(u, quantum * np.round(level / quantum) if quantum else level)
     assert sensing(data.y, data.ok, data.start, quantum).window == 1
-    gap = find_gap(fit_play(data, [2], 0)[0], quantum).intervals["width"]
+    gap = find_gap(fit_play(data, [2], 0), quantum).intervals["width"]
     assert gap.low <= 0.55 <= gap.high
     assert gap.half < 0.1
 

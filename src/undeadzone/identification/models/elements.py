@@ -18,7 +18,7 @@ from scipy.special import ndtr
 from undeadzone.identification.models.estimates import Latest, weighing
 from undeadzone.identification.models.least_squares import Density, Fitted, LeastSquares
 from undeadzone.identification.models.likelihood import dead_zone
-from undeadzone.identification.models.plant import Data, Simulator
+from undeadzone.identification.models.plant import CREDIBLE, Data, Simulator
 from undeadzone.identification.models.zone_fit import Fit, about_level, fit_linear
 from undeadzone.support.arrays import Floats, Integers
 
@@ -26,7 +26,8 @@ HALVES = (0.15, 0.5, 1.0)  # of the gap, in rms of y, where climbs begin
 LOUDER = 1.1  # the gain behind a play is larger than a linear fit's
 BLURS = (1.0, 0.3, 0.1)  # of what disturbs z: rms of noise ahead of a map
 LEAST_BLUR = 0.02
-BREAKS = 2  # numbers that two edges cost besides where a map breaks (Zhang and Siegmund 2007)
+BREAKS = 2  # numbers that two edges cost besides (Zhang and Siegmund 2007), where a map breaks,
+# or where a few extreme readings tell of an edge
 BLUR_BEHIND = 0.03  # where noise is behind the zone
 ROOT = math.sqrt(2 * math.pi)
 
@@ -144,27 +145,20 @@ class PlayModel:
 PlayFit = Fitted[PlayModel]
 
 
-def fit_play(data: Data, orders: list[int], integrators: int) -> list[PlayFit]:
-    """The play behind a plant of each order, the one of least BIC first.
+def fit_play(data: Data, orders: list[int], integrators: int) -> PlayFit | None:
+    """The play behind the plant that suits it best; None where none is stable.
 
     Args:
         data: the records.
         orders: of the plant, to be tried.
         integrators: of the plant.
-
-    Returns:
-        One fit an order; those without a stable plant are left out.
     """
-    fits = []
-    for n in orders:
-        model = PlayModel(Simulator(data, n, integrators))
-        linear = fit_linear(model.simulator, data.ok)
-        fits.append(LeastSquares(model).best(_gaps(model, linear)))
-    return _ranked(fits)
+    models = [PlayModel(Simulator(data, n, integrators)) for n in orders]
+    return _best([LeastSquares(model).best(_gaps(model)) for model in models])
 
 
 def fit_both(begun: Sequence[PlayFit | Fit]) -> PlayFit | None:
-    """The play that a dead zone follows, with the plant of least BIC.
+    """The play that a dead zone follows, with the plant that suits it best.
 
     Args:
         begun: fits of a play, or of a dead zone, where climbs start.
@@ -179,11 +173,12 @@ def fit_both(begun: Sequence[PlayFit | Fit]) -> PlayFit | None:
                 half = 0.8 * float(one.theta[model.base : model.base + 2].mean())
             starts.append(np.append(one.theta[: model.base], [half, half, width, width]))
         fits.append(LeastSquares(model).best(starts))
-    return next(iter(_ranked(fits)), None)
+    return _best(fits)
 
 
-def _gaps(model: PlayModel, linear: Fit) -> list[Floats]:
+def _gaps(model: PlayModel) -> list[Floats]:
     """Gaps of several sizes behind a plant somewhat louder than a linear fit's."""
+    linear = fit_linear(model.simulator, model.data.ok)
     begun = [[*about_level(linear, half), 0.0, 0.0] for half in HALVES]
     return [_begun(model, linear, LOUDER, numbers) for numbers in begun]
 
@@ -195,9 +190,12 @@ def _begun(model: PlayModel | MapModel, plant: Fit, gain: float, p: Sequence[flo
     return theta
 
 
-def _ranked(fits: list[PlayFit | None]) -> list[PlayFit]:
-    """The fits that there are, that of least BIC first."""
-    return sorted((one for one in fits if one is not None), key=lambda one: one.bic)
+def _best(fits: list[PlayFit | None]) -> PlayFit | None:
+    """The fit of least BIC; of those that leave as little, one whose plant settles."""
+    there = sorted(filter(None, fits), key=lambda one: one.bic)
+    alike = (one for one in there if one.density.rms <= CREDIBLE * there[0].density.rms)
+    settled = (one for one in alike if not one.model.simulator.at_limit(one.theta))
+    return next(settled, next(iter(there), None))
 
 
 # --- Static maps: (z (N), two numbers p) -> (g (N), dg/dz (N), dg/dp (N x 2))
@@ -319,7 +317,7 @@ def static_rivals(fit: Fit) -> dict[str, Density]:
         squares = LeastSquares(MapModel(fit.objective.simulator, name, shape))
         fitted = squares.best([_begun(squares.model, *start) for start in starts])
         density = _nothing(squares) if fitted is None else fitted.density
-        breaks = BREAKS if name == "jump" else 0
+        breaks = BREAKS if name in ("jump", "saturation") else 0
         densities.append(density._replace(numbers=density.numbers + breaks))
     return best_densities(densities)
 

@@ -22,6 +22,7 @@ STRETCH = 5_000  # samples of a stretch of that part
 RINGING = 0.5  # the same for poles that ring: with x(0) they are a free sine, which is no offset
 FAR = 1e100  # a coefficient beyond which no root can be computed
 SLOWER = 1.2  # times that poles settle within a record, from which they do for certain
+CREDIBLE = 1.02  # times the least error of all orders: those that may be right as well
 SLOW = 6.0  # poles slower than this many of their time constants a record are an offset in disguise
 COLOURS = (0.0, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.98)  # correlations over one sample
 LAGS = 60

@@ -15,11 +15,10 @@ from scipy.stats import chi2
 from undeadzone.identification.models import zone_fit
 from undeadzone.identification.models.estimates import climb
 from undeadzone.identification.models.least_squares import CHANCE, HATS, explained, hats, left_by
-from undeadzone.identification.models.plant import Data, Simulator
+from undeadzone.identification.models.plant import CREDIBLE, Data, Simulator
 from undeadzone.identification.models.zone import Limits, Objective
 from undeadzone.support.arrays import Flags, Floats, Integers
 
-CREDIBLE = 1.02  # times the least held-out error: orders that may be right as well
 NEARLY_ZERO = 0.05  # a sampled pole below it is a delay in disguise
 BLOCKS = 5  # of held-out samples, spread over a record
 LEAST_BLOCK = 150  # samples of the part that one of them ends

@@ -43,7 +43,7 @@ MOVED = 1e-4  # of a number, for derivatives of the sampled plant
 
 
 def heard_of(grid: Grid, options: Options) -> Heard | None:
-    """A log as a servo's predictor hears it; None where it is not one input's, or another's.
+    """A log as a servo's predictor hears it; None where it is not one input's, or a sensor's.
 
     Args:
         grid: the records.
@@ -54,15 +54,14 @@ def heard_of(grid: Grid, options: Options) -> Heard | None:
     if options.place != "auto" or options.right or options.left:
         return None
     u = later(grid.u[:, 0], late_of(options), grid.start)
-    return heard(u, grid.y, grid.ok, grid.start, grid.step)
+    log = heard(u, grid.y, grid.ok, grid.start, grid.step)
+    return None if log is not None and log.ticks and _falls_silent(grid) else log
 
 
 def servo_of_ticks(grid: Grid, options: Options) -> ServoGap | None:
     """What a log of ticks says of a servo; None of other logs."""
     log = heard_of(grid, options)
-    if log is None or not log.ticks or _falls_silent(grid):
-        return None
-    return servo_gap(log)
+    return servo_gap(log) if log is not None and log.ticks else None
 
 
 def _falls_silent(grid: Grid) -> bool:
@@ -86,18 +85,14 @@ def _falls_silent(grid: Grid) -> bool:
 
 def told(options: Options, found: ServoGap) -> Options:
     """Options of the fit beside a servo, whose plant is known: of first order, its delay alone."""
-    late = late_of(options) + lateness(found)
-    return msgspec.structs.replace(options, order="1", integrators=0, delay=str(late))
+    late = str(late_of(options, found))
+    return msgspec.structs.replace(options, order="1", integrators=0, delay=late)
 
 
-def late_of(options: Options) -> int:
-    """Samples by which the user said that the input is late."""
-    return 0 if options.delay == "auto" else int(options.delay)
-
-
-def lateness(found: ServoGap) -> int:
-    """Samples by which a servo's input acts late."""
-    return max(round(float(found.servo.theta[At.DELAY])), 0)
+def late_of(options: Options, found: ServoGap | None = None) -> int:
+    """Samples by which the user said that the input is late, and a servo's acts later."""
+    said = 0 if options.delay == "auto" else int(options.delay)
+    return said if found is None else said + max(round(float(found.servo.theta[At.DELAY])), 0)
 
 
 def order_of(servo: Servo) -> int:
@@ -134,8 +129,7 @@ def _is_likely(servo: ServoGap | None, word: str) -> bool:
 def _share(case: Case, found: Found) -> float:
     """Share of the readings that the model of the verdict explains."""
     y = case.data.y[case.data.ok]
-    best = best_of(found.verdict.word, found.models)
-    return 1 - best.rms / max(float(y.std()), 1e-300)
+    return 1 - best_of(found.verdict.word, found.models).rms / max(float(y.std()), 1e-300)
 
 
 def with_servo(case: Case, found: Found) -> Found:
@@ -181,7 +175,7 @@ def named_servo(case: Case, servo: ServoGap, found: Found) -> Found:
     word = "play" if servo.odds > LIKELY else "undecided"
     verdict = Verdict(word, [in_words(servo)], _cautions(servo))
     element = element_of(case, servo)
-    late = late_of(case.options) + lateness(servo)
+    late = late_of(case.options, servo)
     return found._replace(verdict=verdict, odds=odds_of_gap(servo), element=element, delay=late)
 
 
@@ -218,8 +212,7 @@ def element_of(case: Case, servo: ServoGap) -> Element:
         servo: with its gap.
     """
     grid, data, one = case.grid, case.data, servo.servo
-    late = late_of(case.options) + lateness(servo)
-    u = later(grid.u[:, 0], late, grid.start)
+    u = later(grid.u[:, 0], late_of(case.options, servo), grid.start)
     own = data._replace(
         u=u[:, None] / data.u_scale,
         y=np.where(grid.ok, grid.y / data.y_scale, 0.0),

@@ -26,6 +26,7 @@ from undeadzone.support.arrays import Floats
 
 LEAST = 0.5  # share of the held-out readings that a fit must explain
 LIKELY = 0.8  # odds from which a name is given
+DOUBT = 0.01  # p of a plant without a zone, below which it is not named
 UNLIKELY = 0.05  # odds below which a name is not worth a word
 FEW = 0.005  # of the readings, that may lie across 0 of an operating point
 SPRING = 0.03  # share of the one-step residual from which a spring is named
@@ -271,7 +272,11 @@ def _without_zone(case: Case) -> Verdict:
         about = f"{float(y.mean()):.4g}"
         point = f"the log lies about an operating point of {about}: nothing can be known of a zone"
         return because("operating_point", f"{point}; --zero {about}, or take it off")
-    return because("none", f"readings need no zone (p = {case.no_zone.chance:.2g})")
+    chance = case.no_zone.chance
+    if case.chosen.pairs.objective.kind == "behind" and chance < DOUBT:
+        tested = f"a zone explains more than chance does (p = {chance:.2g}), and no model of one is"
+        return because("undecided", f"{tested} likely; record for longer")
+    return because("none", f"readings need no zone (p = {chance:.2g})")
 
 
 def _unclear(case: Case, word: str, best: Density, fits: Fits) -> Verdict | None:

@@ -186,11 +186,9 @@ def with_play(case: Case, found: Found) -> Found:
     logs, orders = [case.data], [one.n for one in case.fitted.fits]
     if case.options.delay == "auto" and case.fitted.delay:  # a play is late, so a delay may be one
         logs = [case.recorded, case.data]
-    plays = []
-    for data in logs:
-        fits = fit_play(plant.part_of(data), orders, case.options.integrators)
-        if fits:
-            plays.append((_without_glitches(fits[0]), data))
+    fits = [fit_play(plant.part_of(data), orders, case.options.integrators) for data in logs]
+    there = zip(fits, logs, strict=True)
+    plays = [(_without_glitches(fit), data) for fit, data in there if fit is not None]
     if not plays:
         return found
     play, whole = min(plays, key=lambda one: one[0].bic)
