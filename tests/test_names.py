@@ -275,6 +275,14 @@ def test_a_play_with_a_zone_behind_an_encoder_is_no_servo_that_is_asked_late() -
     assert answer.width.low < sum(log.widths) < answer.width.high
 
 
+def test_a_play_with_a_zone_is_asked_of_the_input_as_it_was_recorded() -> None:
+    """A delay had taken the lag's place, and the play behind fewer poles was no better than it."""
+    log = make(9001, "play and zone")
+    answer = uz.identify(t=log.step, u=log.u, y=log.y)
+    assert answer.verdict == "both"
+    assert answer.width.low < sum(log.widths) < answer.width.high
+
+
 def test_a_short_log_whose_encoder_passes_0_slowly_is_not_asked_for_a_servo() -> None:
     """As many readings stand at a hold of the play; a motor behind a play had odds beyond .99."""
     log = make(4001, "play and zone")

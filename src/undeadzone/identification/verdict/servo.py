@@ -35,7 +35,6 @@ from undeadzone.support.arrays import Floats, later
 DENYING = ("none", "friction")  # words by which there is no play
 NAMELESS = ("other", "unclear", "undecided")  # words that name nothing
 EXPLAINED = (*MEMORY, *DENYING, "jump")  # that stand where they explain, but of an integrator
-POSSIBLE = (*EXPLAINED, *NAMELESS)  # words that it may replace
 FEW_RETURNS = 3  # to 0, that say nothing of a sensor's zone
 SILENCES = 2  # times the count of any other reading: of 120 random servos none has 1.5
 SETTLES = 40.0  # time constants a record, below which a plant may be an integrator in disguise
@@ -110,7 +109,7 @@ def may_be_servo(case: Case, found: Found) -> bool:
     word = found.verdict.word
     if _is_likely(case.servo, word):
         return True
-    if word not in POSSIBLE or heard_of(case.grid, case.options) is None:
+    if word not in (*EXPLAINED, *NAMELESS) or heard_of(case.grid, case.options) is None:
         return False
     left = word in NAMELESS or _share(case, found) < LEAST
     fit = case.chosen.pairs

@@ -183,20 +183,25 @@ def with_play(case: Case, found: Found) -> Found:
     found = found._replace(offsets=offsets)
     if not _is_asked(case, found, offsets, brief):
         return found
-    logs, orders = [case.data], [one.n for one in case.fitted.fits]
-    if case.options.delay == "auto" and case.fitted.delay:  # a play is late, so a delay may be one
-        logs = [case.recorded, case.data]
-    fits = [fit_play(plant.part_of(data), orders, case.options.integrators) for data in logs]
-    there = zip(fits, logs, strict=True)
-    plays = [(_without_glitches(fit), data) for fit, data in there if fit is not None]
-    if not plays:
+    late = case.options.delay == "auto" and case.fitted.delay  # a play is late, so it may be one
+    logs = [case.recorded, case.data] if late else [case.data]
+    plays = [Plays(_tops(case, data), data) for data in logs]
+    best = min(plays, key=lambda one: min((fit.bic for fit in one.fits.values()), default=math.inf))
+    if not best.fits:
         return found
-    play, whole = min(plays, key=lambda one: one[0].bic)
-    begun = [reduced(one.pairs) for one in case.fitted.fits] if whole is case.data else []
+    models = {"none": case.rivals["none"]} | {word: fit.density for word, fit in best.fits.items()}
+    return found._replace(plays=best).judged(case, models)
+
+
+def _tops(case: Case, data: plant.Data) -> dict[str, PlayFit]:
+    """The fits of a play, and of a play and a dead zone, by word; none where none is stable."""
+    begun = [reduced(one.pairs) for one in (case.chosen, *case.fitted.fits) if data is case.data]
+    play = fit_play(plant.part_of(data), case.fitted.prepared.orders, case.options.integrators)
+    if play is None:
+        return {}
+    play = _without_glitches(play)
     both = fit_both([play, *begun])
-    tops = {"play": play} | ({} if both is None else {"both": both})
-    models = {"none": case.rivals["none"]} | {word: one.density for word, one in tops.items()}
-    return found._replace(plays=Plays(tops, whole)).judged(case, models)
+    return {"play": play} | ({} if both is None else {"both": both})
 
 
 def _is_asked(case: Case, found: Found, offsets: Offsets, brief: Fit) -> bool:
