@@ -242,6 +242,13 @@ def test_readings_that_stick_at_both_ends_are_a_saturation() -> None:
     assert "[-0.4, 0.5]" in answer.answer.reasons[0]
 
 
+def test_most_readings_at_both_ends_are_a_saturation_whatever_curve_fits_the_rest() -> None:
+    """In a loop that winds up the few readings between the ends were another curve."""
+    rng, u, z = driven(12, 1000)
+    answer = found(u, np.clip(z + 0.3 * z**2 + 0.01 * rng.standard_normal(z.size), -0.3, 0.3))
+    assert answer.verdict == "saturation"
+
+
 def test_what_looks_like_friction_is_asked_whether_it_is_a_play() -> None:
     """The four offsets do not suggest a play here; friction led with odds beyond .99."""
     rng = np.random.default_rng(990_011)

@@ -206,9 +206,10 @@ def named(case: Case, odds: dict[str, float], models: Sequence[Family], fits: Fi
         return unclear
     ends = case.fitted.prepared.ends
     clipped = odds.get("none", 0.0) + odds.get("saturation", 0.0)
-    if ends and word in ("none", "saturation", "other") and clipped > UNLIKELY:
+    mostly = bool(ends) and case.data.ok.sum() < MOSTLY * case.grid.ok.sum()
+    if ends and word in ("none", "saturation", "other") and (mostly or clipped > UNLIKELY):
         return because("saturation", f"readings stick at the ends of the range {ends}")
-    if ends and word in MEMORY and case.data.ok.sum() < MOSTLY * case.grid.ok.sum():
+    if mostly and word in MEMORY:
         told = f"most readings stick at the ends of the range {ends}, and between them"
         return because("undecided", f"{told} {MODELS[word]} is a guess")
     more = list(filter(lambda one: odds.get(one, 0.0) > UNLIKELY, LARGER.get(word, ())))
@@ -267,13 +268,12 @@ def _undecided(odds: dict[str, float]) -> Verdict:
 def _without_zone(case: Case) -> Verdict:
     """The verdict on readings that a linear plant explains best."""
     y = case.grid.y[case.grid.ok]
-    low, high = np.quantile(y, [FEW, 1 - FEW])
-    if low > 0 or high < 0:
+    if np.quantile(y, FEW) > 0 or np.quantile(y, 1 - FEW) < 0:
         about = f"{float(y.mean()):.4g}"
         point = f"the log lies about an operating point of {about}: nothing can be known of a zone"
         return because("operating_point", f"{point}; --zero {about}, or take it off")
-    chance = case.no_zone.chance
-    if case.chosen.pairs.objective.kind == "behind" and chance < DOUBT:
+    chance, behind = case.no_zone.chance, case.chosen.pairs.objective.kind == "behind"
+    if behind and chance < DOUBT:
         tested = f"a zone explains more than chance does (p = {chance:.2g}), and no model of one is"
         return because("undecided", f"{tested} likely; record for longer")
     return because("none", f"readings need no zone (p = {chance:.2g})")
