@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import gc
 import hashlib
 import os
@@ -21,6 +22,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import undeadzone
 from tools import pytest_terminal_summary as pytest_terminal_summary
 from undeadzone.ensemble import journal
+from undeadzone.report.style import own_settings
 
 gc.set_threshold(100_000)  # as the command line does
 settings.register_profile(
@@ -82,6 +84,22 @@ def code_of_no_effort(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None
     with pytest.MonkeyPatch.context() as patch:
         if shutil.which("gcc"):
             patch.setenv("CC", str(script))
+        yield
+
+
+@pytest.fixture(autouse=True, scope="session")
+def formulas_read_once() -> Iterator[None]:
+    """Each formula of a figure is set once: Matplotlib's renderers, three a figure, set their own.
+
+    What is set depends on nothing but words, font and resolution, so pictures keep their bytes.
+    """
+    own_settings()
+    from matplotlib import textpath
+    from matplotlib.backends import backend_agg
+
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (textpath, backend_agg):
+            patch.setattr(module, "MathTextParser", functools.cache(module.MathTextParser))
         yield
 
 
