@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import gc
 import hashlib
 import os
 import random
 import shutil
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -21,6 +23,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import undeadzone
 from tools import pytest_terminal_summary as pytest_terminal_summary
 from undeadzone.ensemble import journal
+from undeadzone.exports import compiler
+from undeadzone.report.style import own_settings
 
 gc.set_threshold(100_000)  # as the command line does
 settings.register_profile(
@@ -82,6 +86,53 @@ def code_of_no_effort(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None
     with pytest.MonkeyPatch.context() as patch:
         if shutil.which("gcc"):
             patch.setenv("CC", str(script))
+        yield
+
+
+@pytest.fixture(autouse=True, scope="session")
+def compiled_once() -> Iterator[None]:
+    """The same C is compiled once by the same compiler: float's accuracy asks for much of it again.
+
+    A copy of what was made then, libraries and accounts of the stack, stands in the new folder.
+    """
+    kept: dict[Any, tuple[subprocess.CompletedProcess[str], dict[str, bytes]]] = {}
+    compile_ = compiler._called
+
+    def called(line: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
+        codes = sorted(path for path in folder.iterdir() if path.suffix in (".c", ".h"))
+        words = tuple(word.replace(f"{folder.absolute()}{os.sep}", "") for word in line)
+        key = words, os.environ.get("PATH"), tuple((one.name, one.read_bytes()) for one in codes)
+        if key not in kept:
+            before = {(path, path.stat().st_mtime_ns) for path in folder.iterdir()}
+            done = compile_(line, folder)
+            after = {(path, path.stat().st_mtime_ns) for path in folder.iterdir()}
+            made = {path.name: path.read_bytes() for path, _ in after - before}
+            kept[key] = done, made
+            return done
+        done, made = kept[key]
+        for name, content in made.items():
+            (folder / name).write_bytes(content)
+            (folder / name).chmod(0o755)
+        return done
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(compiler, "_called", called)
+        yield
+
+
+@pytest.fixture(autouse=True, scope="session")
+def formulas_read_once() -> Iterator[None]:
+    """Each formula of a figure is set once: Matplotlib's renderers, three a figure, set their own.
+
+    What is set depends on nothing but words, font and resolution, so pictures keep their bytes.
+    """
+    own_settings()
+    from matplotlib import textpath
+    from matplotlib.backends import backend_agg
+
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (textpath, backend_agg):
+            patch.setattr(module, "MathTextParser", functools.cache(module.MathTextParser))
         yield
 
 

@@ -14,6 +14,7 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from scipy.fft import dct
+from scipy.linalg.lapack import dgesv
 from scipy.stats import t as student
 
 from undeadzone.errors import InputError
@@ -140,13 +141,12 @@ def _climbed(target: Target, theta: Floats, steps: int, gain: float) -> Top:
 
 def _step(score: Floats, hessian: Floats, damping: float) -> Floats:
     """The damped Newton step, scaled by the Hessian's diagonal."""
-    diagonal = np.maximum(np.diag(hessian), 0.0)
+    diagonal = np.maximum(hessian.diagonal(), 0.0)
     scale = np.sqrt(diagonal + 1e-14 * diagonal.sum()) + 1e-12
-    scaled = hessian / np.outer(scale, scale)
-    try:
-        step = np.linalg.solve(scaled + damping * np.eye(scale.size), score / scale) / scale
-    except np.linalg.LinAlgError:
-        step = score / scale**2
+    damped = hessian / (scale[:, None] * scale)
+    damped.flat[:: scale.size + 1] += damping
+    *_, step, singular = dgesv(damped, score / scale)
+    step = score / scale**2 if singular else step / scale
     return step if np.isfinite(step).all() else np.zeros(scale.size)
 
 
@@ -184,7 +184,7 @@ class Latest(Generic[Found]):
     """What was computed of numbers last, kept: a climb asks for the same again."""
 
     def __init__(self) -> None:
-        self._theta: Floats | None = None
+        self._numbers: bytes | None = None
 
     def of(self, theta: Floats, compute: Callable[[Floats], Found]) -> Found:
         """What was kept, or computed.
@@ -193,9 +193,10 @@ class Latest(Generic[Found]):
             theta: the numbers (P).
             compute: of these.
         """
-        if self._theta is None or not np.array_equal(self._theta, theta):
+        numbers = theta.tobytes()
+        if self._numbers != numbers:
             self._found = compute(theta)
-            self._theta = theta.copy()
+            self._numbers = numbers
         return self._found
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import itertools
 import math
 from collections.abc import Sequence
@@ -10,6 +11,7 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.linalg.lapack import dgeev
 from scipy.signal import lfilter
 
 from undeadzone.identification.models.estimates import KeptClimbs, Latest
@@ -308,10 +310,11 @@ class Simulator:
         """Whether the poles are stable and settle, `margin` times over, within a record."""
         if not np.isfinite(theta).all():
             return False
-        poles = roots(theta[self.layout.a])
-        slow = np.abs(np.angle(poles)) < 4 * np.pi / self.longest
-        limit = 1 - margin * np.where(slow, SLOW, RINGING) / self.longest
-        return bool(np.all(np.abs(poles) < limit))
+        for pole in roots(theta[self.layout.a]).tolist():
+            slow = abs(cmath.phase(pole)) < 4 * math.pi / self.longest
+            if not abs(pole) < 1 - margin * (SLOW if slow else RINGING) / self.longest:
+                return False
+        return True
 
     def at_limit(self, theta: Floats) -> bool:
         """Whether a pole is as slow as is allowed, so that with x(0) it is an offset or a sine."""
@@ -331,10 +334,12 @@ def roots(a: Floats) -> Any:
     """
     if not np.abs(a).max(initial=0.0) < FAR:
         return np.full(a.size, np.inf)
+    if not a.size:
+        return a
     companion = np.eye(a.size, k=-1)
-    if a.size:
-        companion[0] = -a
-    return np.linalg.eigvals(companion)
+    companion[0] = -a
+    real, imaginary, *_ = dgeev(companion, compute_vl=False, compute_vr=False)
+    return real + 1j * imaginary if imaginary.any() else real
 
 
 def stabilised(a: Floats, radius: float = 0.98) -> Floats:
