@@ -693,6 +693,29 @@ def test_mistakes_are_named(mine: Path, tmp_path: Path) -> None:
         from_files([mine, other])
 
 
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--methods", ","], "expected names with commas between them, found ','"),
+        (["--methods", ""], "expected names with commas between them"),
+        (["--budget", "5"], "--budget has no effect without --tune"),
+        (["--tune", "--seeds", "2"], "--seeds has no effect with --tune"),
+        (["--tune", "--html"], "--html has no effect with --tune"),
+    ],
+)
+def test_options_that_would_do_nothing_are_refused(options: list[str], told: str) -> None:
+    done = run(*options)
+    assert done.exit_code == 2
+    assert told in done.output
+
+
+def test_gears_are_refused_by_their_name() -> None:
+    """Else a width of 0 was blamed, which nobody wrote."""
+    geared = read(ROOT / "examples" / "two_link_gears.toml")
+    with pytest.raises(InputError, match=r"arm\.gears: the arena has no gears with gaps"):
+        situation(geared)
+
+
 def test_tune_writes_what_the_arena_reads(mine: Path, tmp_path: Path) -> None:
     done = run(
         mine,

@@ -16,11 +16,11 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 41_910, 332
+MOST_CODE, MOST_FILES = 41_910, 333
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
-    "(root)": 385,
+    "(root)": 390,
     "analysis": 3455,
     "cli": 1920,
     "compensators": 170,
@@ -32,19 +32,19 @@ BUDGET = {
     "feedforward": 430,
     "identification": 7230,
     "linear": 400,
-    "logs": 1255,
+    "logs": 1250,
     "numerics": 840,
     "observers": 3810,
     "plants": 1680,
     "report": 2950,
-    "results": 980,
+    "results": 970,
     "scenario": 1440,
     "signals": 390,
     "simulation": 2345,
     "statistics": 265,
-    "support": 825,
-    "synthesis": 1040,
-    "tuning": 890,
+    "support": 840,
+    "synthesis": 1050,
+    "tuning": 885,
 }
 SILENT = {
     tokenize.COMMENT,

@@ -446,7 +446,7 @@ def refused(done: Done, *words: str) -> None:
 
 def test_wrong_use_is_one_clear_line(undeadzone: Call, study: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    refused(undeadzone("ensemble", study, "--runs", 0, "--out", out), "--runs", "found 0")
+    refused(undeadzone("ensemble", study, "--runs", 0, "--out", out), "--runs", "0 is not in")
     refused(undeadzone("ensemble", study, "--out", study), "cannot write")
     refused(
         undeadzone("ensemble", study, "--workers", 2, "--cluster", "127.0.0.1:9", "--out", out),
@@ -539,8 +539,11 @@ def test_resume_leaves_a_finished_file_as_it_is(tmp_path: Path) -> None:
     again = run_ensemble(named("sampled"), path, resume=True, progress=told.append)
     assert again.info == first.info
     assert told == []
+    before = path.read_bytes()
+    words = r"holds another problem \(runs: 150 there, 151 here.*; leave --resume out to replace it"
+    with pytest.raises(InputError, match=words):
+        run_ensemble(named("sampled", 151), path, resume=True, progress=told.append)
+    assert path.read_bytes() == before
+    path.write_bytes(before[:-100])
     run_ensemble(named("sampled", 151), path, resume=True, progress=told.append)
     assert told == [151]
-    path.write_bytes(path.read_bytes()[:-100])
-    run_ensemble(named("sampled", 151), path, resume=True, progress=told.append)
-    assert told == [151, 151]

@@ -32,10 +32,25 @@ assert two.out.x[0] != one.out.x[0]
 assert "undeadzone" not in sys.modules and "numpy" not in sys.modules
 one.reset()
 first = one.update([-1.0], (0.0,))
-try:
-    one.update([1.0, 2.0], 0.0)
-except ValueError as error:
-    rows.append(str(error))
+
+
+class Scalar:  # as an array of no axes
+    shape = ()
+
+    def __len__(self):
+        raise TypeError("len() of unsized object")
+
+    def __float__(self):
+        return -1.0
+
+
+one.reset()
+assert one.update(Scalar(), 0.0) == first
+for y in (None, "far", [1.0, 2.0]):
+    try:
+        one.update(y, 0.0)
+    except ValueError as error:
+        rows.append(str(error))
 print(json.dumps([rows, one.params.observer_gamma[0], arm_joint.STEP, first.x]))
 """
 
@@ -76,6 +91,8 @@ def test_the_module_gives_the_numbers_of_online(folder: Path) -> None:
     assert code == 0, problems
     rows, gamma, step, first = json.loads(out)
     assert rows.pop() == "y: expected 1 numbers, found 2"
+    assert rows.pop() == "y: expected 1 numbers, found 3"
+    assert rows.pop() == "y: expected numbers, found None; nan stands for a missing one"
     assert (gamma, step) == (0.01, 1e-3)
     for (y, u), row in zip(samples, rows, strict=True):
         estimate = online.update(np.nan if y is None else y, u)

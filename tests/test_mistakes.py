@@ -136,12 +136,74 @@ def test_a_mistake_on_the_command_line_names_its_cure(
         ({"reference": 5.0}, "reference: expected a signal such as uz.Sine"),
         ({"observer": "kalman"}, "observer: expected options such as uz.Auto"),
         ({"controller": "pid"}, "controller: expected options"),
+        (
+            {"observer": uz.Auto},
+            "expected options such as uz.Auto(right=[0.0, 2.0]), found the class",
+        ),
+        ({"observer": uz.PD()}, "observer: expected options such as uz.Auto"),
+        ({"controller": uz.Certified()}, "controller: expected options"),
+        ({"model": PARTS["plant"]}, "model: expected uz.Model(...), found Plant"),
+        ({"disturbance": 0.5}, "disturbance: expected uz.Sine(...), found float"),
+        ({"actuator": {}}, "actuator: expected uz.Actuator(...), found dict"),
+        ({"compensator": "inverse"}, "compensator: expected options such as uz.Smooth"),
+        ({"compare": uz.Kalman}, "compare: expected options such as uz.Auto"),
+        ({"units": "mm"}, "units: expected uz.Units(...), found str"),
+        ({"simulation": 10.0}, "simulation: expected uz.Simulation(...), found float"),
         ({"sensor": uz.Sensor(right="1", left=1.0)}, "sensor.right: expected numbers"),
     ],
 )
 def test_a_part_of_the_wrong_kind_is_named(parts: dict[str, Any], told: str) -> None:
     with pytest.raises(InputError, match=re.escape(told)):
         uz.Scenario(**(PARTS | parts))
+
+
+@pytest.mark.parametrize("tracked", [0, "0", [1], [0, 0], [], ["0"], None])
+def test_tracked_outputs_are_numbers_of_outputs(tracked: Any) -> None:
+    scenario = uz.Scenario(**PARTS, tracked=tracked, simulation=uz.Simulation(duration=0.01))
+    if tracked is None:
+        assert uz.simulate(scenario).info.tracked == [0]
+        return
+    with pytest.raises(InputError, match="tracked: expected different output numbers from 0 to 0"):
+        uz.simulate(scenario)
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ({"seed": -1}, "seed: expected a whole number from 0 to 2^63 - 2, found -1"),
+        ({"seed": 1.5}, "seed: expected a whole number"),
+        ({"seed": None}, "seed: expected a whole number"),
+        ({"margin": "0.1"}, "margin: expected numbers"),
+        (
+            {"maximise": "fast"},
+            "maximise: expected 'knee', 'rate' or uz.Weights(...), found 'fast'",
+        ),
+        ({"maximise": (1.0, 0.0, 0.0)}, "maximise: expected"),
+        ({"maximise": uz.Weights(noise=-1.0)}, "maximise.noise: must be at least 0"),
+    ],
+)
+def test_an_option_of_design_is_refused_by_its_name(options: dict[str, Any], told: str) -> None:
+    scenario = uz.Scenario(**PARTS, controller=uz.StateFeedback())
+    with pytest.raises(InputError, match=re.escape(told)):
+        uz.design(scenario, **options)
+
+
+@pytest.mark.parametrize("name", [None, 3, ["a.toml"]])
+@pytest.mark.parametrize(
+    "take",
+    [
+        uz.read,
+        uz.Run.load,
+        uz.Estimation.load,
+        uz.Ensemble.load,
+        uz.Design.load,
+        uz.Scenario(**PARTS).save,
+        lambda name: uz.run_ensemble(uz.Scenario(**PARTS, ensemble=uz.Vary()), [name]),
+    ],
+)
+def test_what_is_no_name_of_a_file_is_refused(take: Any, name: Any) -> None:
+    with pytest.raises(uz.FileError):
+        take(name)
 
 
 def test_only_scenarios_are_simulated() -> None:
@@ -156,6 +218,39 @@ def test_a_sample_of_another_size_is_refused() -> None:
         with pytest.raises(InputError, match="expected y and u with 1 and 1 numbers"):
             online.update(y=y, u=u)
     assert online.samples == 0
+
+
+@pytest.mark.parametrize("observer", [uz.Auto, None, "auto", uz.PD()])
+def test_live_use_takes_the_options_of_an_observer(observer: Any) -> None:
+    with pytest.raises(InputError, match=r"observer: expected options such as uz\.Auto"):
+        uz.Online(observer, PARTS["plant"], PARTS["sensor"], step=0.01)
+
+
+@pytest.mark.parametrize("state", [[], [1.0], None, "far", 1.0])
+def test_a_state_of_another_size_is_refused_and_changes_nothing(state: Any) -> None:
+    online = uz.Online(uz.Certified(), PARTS["plant"], PARTS["sensor"], step=0.01)
+    online.update(2.0, 1.0)
+    before = online.state
+    with pytest.raises(uz.ShapeError, match=f"state: expected the {before.size} numbers"):
+        online.state = state
+    assert (online.state == before).all()
+    online.state = list(before)
+    assert (online.state == before).all()
+
+
+def test_check_says_that_widths_without_gain_keep_their_error() -> None:
+    """Rate and bounds are of x^ alone then; the oracle has no error to keep."""
+    told = {}
+    for name, observer in {
+        "still": uz.Certified(gamma=0.0),
+        "adapting": uz.Certified(gamma=1.0),
+        "true": uz.Certified(gamma=0.0, widths0=[1.0, 1.0]),
+        "oracle": uz.Oracle(),
+    }.items():
+        check = uz.check(uz.Scenario(**PARTS, observer=observer))
+        told[name] = [reason for reason in check.reasons if reason.startswith("gamma = 0")]
+        assert all(reason in str(check) for reason in told[name])
+    assert [name for name, reasons in told.items() if reasons] == ["still"]
 
 
 def test_a_claim_that_excludes_the_truth_is_called_false() -> None:

@@ -192,7 +192,7 @@ def test_a_block_may_be_of_plain_lists_and_what_is_masked_is_missing() -> None:
 @pytest.mark.parametrize(
     ("plant", "sensor", "message"),
     [
-        (OBSERVER, SENSOR, r"plant: expected uz.Plant\(...\), found Certified"),
+        (OBSERVER, SENSOR, r"plant: expected uz.Plant\(A=.*\), found Certified"),
         (PLANT, None, r"sensor: expected uz.Sensor\(...\), found NoneType"),
     ],
 )

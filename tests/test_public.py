@@ -101,6 +101,13 @@ def test_what_public_functions_return_is_public() -> None:
     assert classes <= set(NAMES)
 
 
+def test_help_says_where_claims_are_explained() -> None:
+    """`help(uz.Auto)` named a class whose own help has no claims."""
+    for options in (undeadzone.Auto, undeadzone.Censored):
+        assert "options are those of `Claims`" in (options.__doc__ or "")
+    assert "right, left: ranges [lo, hi] of d_r and d_l" in (undeadzone.Claims.__doc__ or "")
+
+
 @pytest.mark.parametrize(
     ("code", "absent"),
     [

@@ -382,7 +382,7 @@ WRONG: list[tuple[dict[str, Any], type[InputError], str]] = [
         StepError,
         "simulation.step: 5 s is longer than the duration, 2 s",
     ),
-    ({"simulation": {"seed": -1}}, InputError, "simulation.seed: must not be negative, found -1"),
+    ({"simulation": {"seed": -1}}, InputError, "simulation.seed: expected a whole number from 0"),
     (
         {"simulation": AT_100_HZ | {"substeps": 0}},
         InputError,

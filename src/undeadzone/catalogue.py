@@ -96,6 +96,11 @@ class Catalogue(NamedTuple):
         place = self.own.get(tag) or _registered(self.group).get(tag)
         return None if place is None else _loaded(f"{self.group}: {tag!r}", place)
 
+    def has(self, options: type) -> bool:
+        """Whether options of this class are of this kind."""
+        place = f"{options.__module__}:{options.__name__}"
+        return place in self.own.values() or place in _registered(self.group).values()
+
     def every(self) -> list[type[Options]]:
         """The options of every method, but of those whose package cannot be imported."""
         found = []

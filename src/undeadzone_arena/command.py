@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+from click.core import ParameterSource
 
 from undeadzone.cli.common import (
     confined,
@@ -136,6 +137,7 @@ def arena(
 
     if chosen and scenarios:
         raise click.UsageError("--set names scenarios of the arena; leave your own out, or --set")
+    _require_used(tuning)
     tuned_on, held_out = SETS[chosen or "dead_zones"]
     names = None if methods is None else _names(methods)
     own = from_files(scenarios, confine)
@@ -163,6 +165,17 @@ def arena(
     return 0
 
 
+def _require_used(tuning: bool) -> None:
+    """Raise UsageError for an option that would have no effect."""
+    context = click.get_current_context()
+    unused = ("seeds", "tuned", "html") if tuning else ("budget",)
+    for name in unused:
+        if context.get_parameter_source(name) is ParameterSource.COMMANDLINE:
+            raise click.UsageError(
+                f"--{name} has no effect {'with' if tuning else 'without'} --tune; leave it out"
+            )
+
+
 def _keeps(folder: Path, writes: bool) -> bool:
     """Whether what is done can be kept in a folder.
 
@@ -182,9 +195,14 @@ def _keeps(folder: Path, writes: bool) -> bool:
 
 
 def _names(methods: str) -> list[str]:
-    """The names in a list with commas between them."""
+    """The names in a list with commas between them. Raises BadParameter where there is none."""
     names = [name.strip() for name in methods.split(",")]
-    return [name for name in names if name]
+    named = [name for name in names if name]
+    if not named:
+        raise click.BadParameter(
+            f"expected names with commas between them, found {methods!r}", param_hint="'--methods'"
+        )
+    return named
 
 
 def _held(

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @click.command(epilog="Example: undeadzone ensemble examples/ensemble.toml --out study")
 @click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
-@option("--runs", "N", "How many (default: [ensemble] runs, 10000).", type=int)
+@option("--runs", "N", "How many (default: [ensemble] runs, 10000).", type=click.IntRange(1))
 @flag("--resume", "Compute what an interrupted command left to do in DIR; the bits are the same.")
 @option(
     "--workers", "N", "Compute on N processes of this computer; the bits are the same.", type=int
@@ -86,12 +86,8 @@ def _sized(scenario: Scenario, runs: int | None) -> Scenario:
     """The scenario with that many runs. Raises InputError."""
     import msgspec
 
-    from undeadzone.errors import InputError
-
     if runs is None or scenario.ensemble is None:
         return scenario
-    if runs < 1:
-        raise InputError(f"--runs: expected 1 or more, found {runs}")
     ensemble = msgspec.structs.replace(scenario.ensemble, runs=runs)
     return msgspec.structs.replace(scenario, ensemble=ensemble)
 

@@ -21,7 +21,7 @@ from undeadzone.simulation.loop import RUNGE_KUTTA, Loop
 from undeadzone.simulation.simulate import closed
 from undeadzone.statistics import sampling
 from undeadzone.support import tree
-from undeadzone.support.arrays import Floats, Integers, scalar
+from undeadzone.support.arrays import Floats, Integers, scalar, seed_of
 
 
 class Lanes(NamedTuple):
@@ -194,12 +194,10 @@ def require_bound(scenario: Scenario) -> None:
 def _checked(vary: Vary, problem: Problem) -> int:
     """The seed. Raises InputError."""
     seed = problem.scenario.simulation.seed if vary.seed is None else vary.seed
-    if not 0 <= seed < 2**63:
-        raise InputError(f"ensemble.seed: expected a whole number, 0 or more, found {seed}")
     if vary.runs < 1:
         raise InputError(f"ensemble.runs: expected 1 or more, found {vary.runs}")
     scalar("ensemble.tolerance", vary.tolerance, above=0.0)
-    return seed
+    return seed_of("ensemble.seed", seed)
 
 
 def _sampled(problem: Problem, loop: Loop) -> list[Sampled]:

@@ -13,7 +13,7 @@ import json
 import os
 from itertools import zip_longest
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -166,9 +166,7 @@ def _check(path: Path, beginning: bytes, header: bytes, resume: bool) -> None:
         there = json.loads(beginning.partition(b"\n")[0])
         here = json.loads(header.partition(b"\n")[0])
         there["ensemble"]
-        differing = [key for key in here | there if there.get(key) != here.get(key)]
-        differences = [_difference(key, there.get(key), here.get(key)) for key in differing]
-    except (ValueError, TypeError, AttributeError, KeyError):
+    except (ValueError, TypeError, KeyError):
         raise FileError(
             f"{path}: is not an unfinished ensemble; choose another name or delete it"
         ) from None
@@ -177,21 +175,28 @@ def _check(path: Path, beginning: bytes, header: bytes, resume: bool) -> None:
             f"{path}: an unfinished ensemble is there; continue it with --resume, "
             "or delete it to start anew"
         )
-    if differences:
-        raise InputError(
-            f"{path}: holds another problem ({'; '.join(differences)}); "
-            "delete it to start anew, or choose another name"
-        )
+    require_same(path, there, here, "delete it to start anew, or choose another name")
+
+
+def require_same(path: Path, there: dict[str, Any], here: dict[str, Any], cure: str) -> None:
+    """Raise InputError where a file holds another problem than this one.
+
+    Args:
+        path: of the file
+        there: what determines the numbers that it holds
+        here: what determines those to be computed
+        cure: what to do about it
+    """
+    differing = [key for key in here | there if there.get(key) != here.get(key)]
+    if differing:
+        found = "; ".join(_difference(key, there.get(key), here.get(key)) for key in differing)
+        raise InputError(f"{path}: holds another problem ({found}); {cure}")
 
 
 def _difference(key: str, there: object, here: object) -> str:
     """The first lines in which two values differ."""
-    was, now = there, here
     lines = zip_longest(str(there).splitlines(), str(here).splitlines(), fillvalue="nothing")
-    for line_there, line_here in lines:
-        if line_there != line_here:
-            was, now = line_there, line_here
-            break
+    was, now = next((pair for pair in lines if pair[0] != pair[1]), (there, here))
     return f"{key}: {was!s:.60} there, {now!s:.60} here"
 
 

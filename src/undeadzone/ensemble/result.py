@@ -321,7 +321,7 @@ class Ensemble:
             FileError: where it cannot be written
             InputError: for another suffix, or where pyarrow is missing
         """
-        return saved.write(Path(path), self.varied, self.metrics, self.info, self.bands)
+        return saved.write(path, self.varied, self.metrics, self.info, self.bands)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Ensemble:
@@ -337,7 +337,7 @@ class Ensemble:
             FileError: where it cannot be read or is no ensemble
             InputError: where pyarrow is missing
         """
-        return cls(*saved.read(Path(path)))
+        return cls(*saved.read(path))
 
 
 def _share(runs: npt.NDArray[np.bool_]) -> dict[str, Any]:

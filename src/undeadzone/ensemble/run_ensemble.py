@@ -19,7 +19,7 @@ from undeadzone.compile import interpret, lanes
 from undeadzone.ends.sensor import Zone
 from undeadzone.ensemble import run_blocks, saved
 from undeadzone.ensemble.batch import Batch, prepare
-from undeadzone.ensemble.journal import Store
+from undeadzone.ensemble.journal import Store, require_same
 from undeadzone.ensemble.metrics import EDGES, Bands, bands, true_width, widths_in_turn
 from undeadzone.ensemble.result import Ensemble
 from undeadzone.ensemble.saved import Info
@@ -72,7 +72,7 @@ def run_ensemble(
             where the cluster fails
     """
     if path is not None:
-        saved.require(Path(path))
+        path = saved.require(path)
     scenario = anchored(scenario, Path.cwd())  # for workers, and for replays from elsewhere
     batch = prepare(scenario)
     is_here = workers is None and cluster is None  # where it need not be prepared again
@@ -83,7 +83,7 @@ def run_ensemble(
         )
         if path is None:
             return _in_memory(batch, compute)
-        return _on_disk(batch, compute, Path(path), resume)
+        return _on_disk(batch, compute, path, resume)
 
 
 def _on_disk(batch: Batch, compute: Callable[..., Store], path: Path, resume: bool) -> Ensemble:
@@ -155,12 +155,14 @@ def _in_memory(batch: Batch, compute: Callable[[Path], Store]) -> Ensemble:
 
 
 def _finished(path: Path, batch: Batch) -> Ensemble | None:
-    """What a file holds if that is what would be computed."""
+    """What a file holds; None where it cannot be read. Raises InputError for another problem."""
     try:
         saved = Ensemble.load(path)
     except FileError:
         return None
-    return saved if saved.info == _info(batch) else None
+    there, here = msgspec.structs.asdict(saved.info), msgspec.structs.asdict(_info(batch))
+    require_same(path, there, here, "leave --resume out to replace it, or choose another name")
+    return saved
 
 
 def _result(batch: Batch, store: Store) -> Ensemble:

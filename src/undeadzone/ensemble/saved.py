@@ -20,7 +20,7 @@ from undeadzone.ensemble.metrics import Bands
 from undeadzone.errors import FileError, InputError
 from undeadzone.scenario.schema import Units
 from undeadzone.support.arrays import Floats
-from undeadzone.support.files import reason, replacing, require_plain
+from undeadzone.support.files import Name, path_of, reason, replacing, require_plain
 
 HEADER: Final = "undeadzone"
 COLUMNS: Final = "columns/"  # what names of arrays in an `.npz` begin with
@@ -49,12 +49,14 @@ class Table(NamedTuple):
     attached: Mapping[str, Floats]
 
 
-def require(path: Path) -> None:
-    """Raise InputError where no table can be written: another suffix, or pyarrow is missing."""
+def require(path: Name) -> Path:
+    """The path. Raises InputError where no table can be written: its suffix, or no pyarrow."""
+    path = path_of(path)
     if path.suffix not in (".npz", ".parquet"):
         raise InputError(f"{path}: the name must end in .npz or .parquet")
     if path.suffix == ".parquet":
         _arrow()
+    return path
 
 
 def _write_npz(table: Table, path: Path) -> None:
@@ -229,9 +231,9 @@ class _Header(msgspec.Struct, frozen=True):
     varied: list[str]
 
 
-def write(path: Path, varied: Columns, metrics: Columns, info: Info, bands: Bands | None) -> Path:
+def write(path: Name, varied: Columns, metrics: Columns, info: Info, bands: Bands | None) -> Path:
     """Write a file, a row for each run, as its suffix says. Raises FileError, InputError."""
-    require(path)
+    path = require(path)
     header = msgspec.json.encode(_Header(info, list(varied))).decode()
     attached = {} if bands is None else {"t": bands.t, **bands.quantiles}
     table = Table(header, {**varied, **metrics}, attached)
@@ -239,8 +241,9 @@ def write(path: Path, varied: Columns, metrics: Columns, info: Info, bands: Band
     return path
 
 
-def read(path: Path) -> tuple[Columns, Columns, Info, Bands | None]:
+def read(path: Name) -> tuple[Columns, Columns, Info, Bands | None]:
     """The fields of an ensemble. Raises FileError; InputError where pyarrow is missing."""
+    path = path_of(path)
     try:
         require_plain(path)
         table = _read_parquet(path) if path.suffix == ".parquet" else _read_npz(path)

@@ -21,9 +21,9 @@ from undeadzone.scenario.address import entries_there, index_of, matching, simil
 from undeadzone.scenario.encoders import sensed
 from undeadzone.scenario.ensemble_table import (
     POSITIVE,
+    TABLE,
     CheckedDistribution,
     Distribution,
-    entry_name,
     spread,
 )
 from undeadzone.scenario.problem import Problem, known_sensor
@@ -242,7 +242,7 @@ def uncertain_numbers(
         for slot, _ in number.slots:
             if slot in owners:
                 raise InputError(
-                    f"{entry_name(number.name)}: varies what {owners[slot]} varies already; "
+                    f"{TABLE.entry_name(number.name)}: varies what {owners[slot]} varies already; "
                     "keep one of them"
                 )
             owners[slot] = number.name
@@ -282,8 +282,8 @@ def _require_values(address: str, names: list[str], known: dict[str, Quantity]) 
     for name in names:
         if known[name].nominal < 0 < known[name].least:
             raise InputError(
-                f"{entry_name(address)}: {name} is negative and varies by a factor alone; set "
-                "relative = true and give factors"
+                f"{TABLE.entry_name(address)}: {name} is negative and varies by a factor alone; "
+                "set relative = true and give factors"
             )
 
 
@@ -298,8 +298,8 @@ def _with_factors(
     fixed = [name for name in names if name not in changed]
     if fixed and (not changed or set(fixed) & set(parts)):
         raise InputError(
-            f"{entry_name(address)}: {fixed[0]} is {known[fixed[0]].nominal:g}, which no factor "
-            "changes; leave out relative and give values"
+            f"{TABLE.entry_name(address)}: {fixed[0]} is {known[fixed[0]].nominal:g}, which no "
+            "factor changes; leave out relative and give values"
         )
     return changed
 
@@ -312,7 +312,7 @@ def _named(address: str, part: str, known: dict[str, Quantity], problem: Problem
     if extent := entries_there(part, known):
         why = f"no entry {part}; there is {extent}"
     why = why or f"nothing of that name can vary; {similar(part, known, 'what can:')}"
-    raise InputError(f"{entry_name(address)}: {why}")
+    raise InputError(f"{TABLE.entry_name(address)}: {why}")
 
 
 def _advice(part: str, problem: Problem) -> str | None:

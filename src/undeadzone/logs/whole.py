@@ -20,13 +20,7 @@ from undeadzone.logs.samples import Samples, oldest_first
 from undeadzone.logs.stamps import since_1970
 from undeadzone.logs.text import LARGEST
 from undeadzone.support.arrays import Floats
-from undeadzone.support.files import (
-    LARGEST_RUN,
-    LARGEST_TABLE,
-    reason,
-    require_plain,
-    require_unpacked,
-)
+from undeadzone.support.files import LARGEST_RUN, LARGEST_TABLE, arrays_of, reason, require_plain
 
 BINARY: Final = (".npz", ".mat")  # endings of files that are no CSV text
 LARGEST_MATRICES: Final = LARGEST_RUN // 8  # [bytes] of a .mat file, of which each may be a number
@@ -146,10 +140,8 @@ def of_frame(frame: Any) -> list[Column]:
 def of_npz(path: Path) -> list[Column]:
     """The arrays of an .npz file as columns. Raises FileError."""
     try:
-        require_plain(path, LARGEST_RUN)
-        require_unpacked(path, LARGEST_RUN)
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files if name != "info"}
+        arrays = arrays_of(path, LARGEST_RUN)
+        arrays.pop("info", None)
     except (OSError, ValueError, EOFError, zipfile.BadZipFile, KeyError) as error:
         raise FileError(f"{path}: cannot read: {reason(error)}") from None
     except Exception as error:  # damaged archives raise whatever their decoders raise

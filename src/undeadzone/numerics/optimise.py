@@ -51,7 +51,7 @@ def evolve(
     else:
         mean = (start - low) / span
         sigma = spread
-    search = CMA(mean=mean, sigma=sigma, seed=seed, population_size=size)
+    search = CMA(mean=mean, sigma=sigma, seed=seed % 2**32, population_size=size)
     best, least = mean, np.inf
     for _ in range(rounds):
         points = np.stack([search.ask() for _ in range(size)])

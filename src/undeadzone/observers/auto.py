@@ -18,7 +18,7 @@ GAMMA = 4.5
 
 
 class Auto(Claims, frozen=True, kw_only=True, tag_field="method", tag="auto"):
-    """The observer that suits what is claimed; claims as for `Censored`.
+    """The observer that suits what is claimed; its options are those of `Claims`.
 
     Sampled: `censored`. Continuous: `certified` where disturbance, bias and tolerance are claimed
     to be 0 and the model is linear and stable, so that there is a proof; else `high_gain`.

@@ -5,11 +5,11 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from importlib import import_module
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 from undeadzone.errors import InputError
 from undeadzone.report.style import write
+from undeadzone.support.files import path_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -103,7 +103,7 @@ def plot(
             legend.set_ncols(NARROW)
         figure = ax.figure  # type: ignore[assignment]
     if path is not None:
-        write(figure, Path(path))
+        write(figure, path_of(path))
     return figure
 
 

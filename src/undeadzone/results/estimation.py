@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, ClassVar, Final
 
 import numpy as np
@@ -128,7 +127,7 @@ class Estimation:
         Raises:
             FileError: it cannot be read, or holds no estimates of a log.
         """
-        return cls(*files.read(Path(path), LOG, LogInfo))
+        return cls(*files.read(path, LOG, LogInfo))
 
 
 FAULTS: Final = {  # by kind, after a number

@@ -7,9 +7,6 @@ from __future__ import annotations
 
 import csv
 import hashlib
-import os
-import zipfile
-import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -19,8 +16,9 @@ import numpy as np
 
 from undeadzone.errors import FileError, InputError
 from undeadzone.results.signals import Layout, Signals, from_columns, unit_of
+from undeadzone.support import files
 from undeadzone.support.arrays import Floats
-from undeadzone.support.files import LARGEST_RUN, reason, replacing, require_plain, require_unpacked
+from undeadzone.support.files import LARGEST_RUN, Name, path_of, reason, replacing
 from undeadzone.support.text import json_line, printable
 
 CHECKSUM: Final = '"sha256":"'  # the last key of the info in a `.csv`
@@ -28,16 +26,7 @@ DIGITS: Final = 20  # bytes of a number in a `.csv`, about
 NO_SUM: Final = 64 * "0"
 
 # What NumPy, msgspec and the zip file around them raise of a file that is no run.
-NOT_A_RUN: Final = (
-    ValueError,
-    KeyError,
-    TypeError,
-    StopIteration,
-    EOFError,
-    msgspec.DecodeError,
-    zipfile.BadZipFile,
-    zlib.error,
-)
+NOT_A_RUN: Final = (*files.NO_ARRAYS, StopIteration, msgspec.DecodeError)
 
 
 def columns(result: Any) -> dict[str, Floats]:
@@ -70,7 +59,7 @@ def table_size(result: Any) -> float:
     return DIGITS * sum(float(column.size) for column in columns(result).values())
 
 
-def save(result: Any, path: str | os.PathLike[str]) -> Path:
+def save(result: Any, path: Name) -> Path:
     """Write the signals to a file.
 
     Args:
@@ -85,7 +74,7 @@ def save(result: Any, path: str | os.PathLike[str]) -> Path:
         FileError: it cannot be written.
         InputError: the name ends otherwise.
     """
-    path, info = Path(path), untimed(result.info)
+    path, info = path_of(path), untimed(result.info)
     if path.suffix == ".npz":
         _write_npz(path, info, result.signals.arrays)
     elif path.suffix == ".csv":
@@ -100,7 +89,7 @@ def untimed(info: Any) -> Any:
     return msgspec.structs.replace(info, seconds=0.0) if hasattr(info, "seconds") else info
 
 
-def read(path: Path, layout: Layout, kind: type[msgspec.Struct]) -> tuple[Any, Signals]:
+def read(path: Name, layout: Layout, kind: type[msgspec.Struct]) -> tuple[Any, Signals]:
     """The info and the signals of a result. Raises FileError.
 
     Args:
@@ -108,16 +97,16 @@ def read(path: Path, layout: Layout, kind: type[msgspec.Struct]) -> tuple[Any, S
         layout: of the signals.
         kind: of the info.
     """
+    path = path_of(path)
     try:
-        require_plain(path, LARGEST_RUN)
         if path.suffix == ".csv":
+            files.require_plain(path, LARGEST_RUN)
             info, table = _read_csv(path, kind)
             return info, Signals(layout, from_columns(table, layout))
-        require_unpacked(path, LARGEST_RUN)
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in layout.names if name in file}
-            info = msgspec.json.decode(file["info"].tobytes(), type=kind)
-        return info, Signals(layout, arrays)
+        arrays = files.arrays_of(path, LARGEST_RUN)
+        info = msgspec.json.decode(arrays["info"].tobytes(), type=kind)
+        signals = {name: arrays[name] for name in layout.names if name in arrays}
+        return info, Signals(layout, signals)
     except OSError as error:
         raise FileError(f"{path}: cannot read: {reason(error)}") from None
     except NOT_A_RUN as error:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any, ClassVar, Final
 
 import numpy as np
@@ -294,7 +293,7 @@ class Run:
         Raises:
             FileError: it cannot be read, or is no run.
         """
-        return cls(*files.read(Path(path), RUN, Info))
+        return cls(*files.read(path, RUN, Info))
 
 
 def last_samples(t: Floats) -> slice:

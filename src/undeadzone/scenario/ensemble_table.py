@@ -1,86 +1,18 @@
 """What varies from run to run, in the words of a scenario's [ensemble] table.
 
 An entry is an address and a distribution.
-
-Tables of a scenario whose keys may be addresses.
-
-An example is `"sensor.right" = { ... }` directly in [ensemble] or [tune].
 """
 
 from __future__ import annotations
 
-from typing import Any, Final, Literal, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 import msgspec
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.scenario.messages import explain
+from undeadzone.scenario.address_table import Table
 from undeadzone.support.arrays import LARGEST, Floats, scalar
-
-
-class Table(NamedTuple):
-    """A table of a scenario, some of whose keys are addresses.
-
-    Attributes:
-        name: name of the table.
-        kind: struct of an entry.
-        what: an entry in words, such as "a distribution".
-        example: an entry written out.
-    """
-
-    name: str
-    kind: type[msgspec.Struct]
-    what: str
-    example: str
-
-    def entry_name(self, address: str) -> str:
-        """How messages name an entry."""
-        return f'{self.name}."{address}"'
-
-    def decoded(self, table: Any) -> Any:
-        """The table as TOML gives it, with the keys that are addresses moved to `entries`.
-
-        Anything but a table is handed back as it is.
-
-        Raises:
-            InputError: a key is neither known nor an address, or an entry cannot be read.
-        """
-        if not isinstance(table, dict):
-            return table
-        entries = table.get("entries", {})
-        if not isinstance(entries, dict):
-            return table
-        for key, value in table.items():
-            if isinstance(value, dict) and key != "entries" and "." not in key:
-                raise InputError(
-                    f"{self.name}.{key}: unknown key; an address stands in quotes: {self.example}"
-                )
-        entries = entries | {key: value for key, value in table.items() if "." in key}
-        options = {key: value for key, value in table.items() if "." not in key}
-        options["entries"] = {
-            address: self._entry(address, value) for address, value in entries.items()
-        }
-        return options
-
-    def _entry(self, address: str, value: Any) -> msgspec.Struct:
-        """An entry as TOML gives it, read. Raises InputError."""
-        if isinstance(value, self.kind):
-            return value
-        if not isinstance(value, dict):
-            example = self.example.partition(" = ")[2]
-            raise InputError(
-                f"{self.entry_name(address)}: expected {self.what} such as {example}, "
-                f"found {value!r:.60}"
-            )
-        try:
-            return msgspec.convert(value, self.kind)
-        except msgspec.ValidationError as error:
-            reason = explain(str(error), value, self.kind)
-            raise InputError(f"{self.entry_name(address)}.{reason}") from None
-
-
-# --- What varies
 
 POSITIVE: Final = float(np.finfo(float).tiny)
 KINDS: Final = ("uniform", "normal", "log_normal")
@@ -179,19 +111,6 @@ TABLE: Final = Table(
 )
 
 
-def entry_name(address: str) -> str:
-    """How messages name an entry of [ensemble]."""
-    return TABLE.entry_name(address)
-
-
-def decoded(table: Any) -> Any:
-    """An [ensemble] table as TOML gives it, with the keys that are addresses moved to `entries`.
-
-    Raises InputError.
-    """
-    return TABLE.decoded(table)
-
-
 def spread(address: str, distribution: Distribution, least: float) -> CheckedDistribution:
     """The distribution of a number, checked.
 
@@ -204,7 +123,7 @@ def spread(address: str, distribution: Distribution, least: float) -> CheckedDis
         InputError: that names the key.
     """
     kind, first, second = _numbers(address, distribution)
-    key = f"{entry_name(address)}.{kind}"
+    key = f"{TABLE.entry_name(address)}.{kind}"
     if kind == "uniform" and first > second:
         raise InputError(
             f"{key}: expected [low, high] with low <= high, found [{first:g}, {second:g}]"
@@ -222,7 +141,7 @@ def spread(address: str, distribution: Distribution, least: float) -> CheckedDis
 
 def _numbers(address: str, distribution: Distribution) -> tuple[str, float, float]:
     """The kind of a distribution and its two numbers. Raises InputError."""
-    key = entry_name(address)
+    key = TABLE.entry_name(address)
     kinds = [kind for kind in KINDS if getattr(distribution, kind) is not None]
     if len(kinds) != 1:
         present = " and ".join(kinds) or "none"

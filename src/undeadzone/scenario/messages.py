@@ -15,6 +15,14 @@ import msgspec
 from undeadzone.catalogue import CATALOGUES
 from undeadzone.errors import InputError
 
+_CURES = {  # what may stand for a part, where its type does not say it
+    "plant": "uz.Plant(A=..., B=..., C=...), or uz.from_control(system)",
+    "reference": "a signal such as uz.Sine(amplitude=..., frequency=...)",
+    "observer": "options such as uz.Auto(right=[0.0, 2.0])",
+    "compare": "options such as uz.Auto(right=[0.0, 2.0])",
+    "controller": "options such as uz.StateFeedback()",
+    "compensator": "options such as uz.SmoothZoneInverse()",
+}
 _WORDS = {
     "object": "a table",
     "dict": "a table",
@@ -95,6 +103,31 @@ def explain(message: str, data: dict[str, Any], root: type[msgspec.Struct]) -> s
     return f"{where}{body[:1].lower()}{body[1:]}".replace(", got ", ", found ")
 
 
+def require_kind(key: str, value: Any, kind: Any) -> None:
+    """Raise InputError where a part is of another type, such as a name, a number or a class.
+
+    Args:
+        key: of the part.
+        value: as a program may give it.
+        kind: what it should be: a struct, options of methods, or some of these; others are not
+            looked at.
+    """
+    kinds = typing.get_args(kind) or (kind,)
+    tables = [each for each in kinds if each in CATALOGUES or hasattr(each, "__struct_fields__")]
+    if tables and not any(_is_of(value, each) for each in kinds):
+        cure = _CURES.get(key, f"uz.{tables[0].__name__}(...)")
+        found = f"the class {value.__name__}" if isinstance(value, type) else type(value).__name__
+        raise InputError(f"{key}: expected {cure}, found {found}")
+
+
+def _is_of(value: Any, kind: Any) -> bool:
+    """Whether a part is of a kind; the options of an observer are no controller's."""
+    if kind not in CATALOGUES or isinstance(value, type) or not isinstance(value, kind):
+        return isinstance(value, kind) and not isinstance(value, type)
+    others = [one for each, one in CATALOGUES.items() if each is not kind]
+    return not any(one.has(type(value)) for one in others)
+
+
 def require_words(key: str, options: Any, kind: type[msgspec.Struct]) -> None:
     """Raise InputError where a field of a few words, such as simulation.time, holds another one.
 
@@ -103,9 +136,7 @@ def require_words(key: str, options: Any, kind: type[msgspec.Struct]) -> None:
         options: as a program may give them.
         kind: what they should be.
     """
-    if not isinstance(options, kind):
-        found = type(options).__name__
-        raise InputError(f"{key}: expected uz.{kind.__name__}(...), found {found}")
+    require_kind(key, options, kind)
     for field in msgspec.structs.fields(kind):
         words, value = typing.get_args(field.type), getattr(options, field.name)
         if typing.get_origin(field.type) is typing.Literal and value not in words:

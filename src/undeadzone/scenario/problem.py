@@ -5,7 +5,8 @@ That includes the path of an arm's joints that a reference asks for, and an arm'
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -325,14 +326,16 @@ def _tracked(scenario: Scenario, plant: System) -> list[int]:
     """The numbers of the outputs that follow the reference. Raises InputError."""
     if scenario.tracked is None:
         return list(range(min(plant.m, plant.p)))
-    tracked = scenario.tracked
-    different = len(set(tracked)) == len(tracked)
-    there = all(0 <= index < plant.p for index in tracked)
-    if not tracked or not different or not there:
+    tracked: Any = scenario.tracked  # a program may give anything
+    there = [*range(plant.p)]
+    if not isinstance(tracked, Sequence) or not all(index in there for index in tracked):
+        tracked = []
+    if not 0 < len({*tracked}) == len(tracked):
         raise InputError(
-            f"tracked: expected different output numbers from 0 to {plant.p - 1}, found {tracked}"
+            f"tracked: expected different output numbers from 0 to {plant.p - 1}, found "
+            f"{scenario.tracked!r:.40}"
         )
-    return tracked
+    return [*map(int, tracked)]
 
 
 def _reference(

@@ -25,7 +25,7 @@ from undeadzone.scenario.address import alike, require_finite
 from undeadzone.scenario.messages import explain
 from undeadzone.scenario.schema import Scenario
 from undeadzone.support.arrays import matlab
-from undeadzone.support.files import LARGEST_TABLE, read_bytes, read_text, reason
+from undeadzone.support.files import LARGEST_TABLE, path_of, read_bytes, read_text, reason
 
 # What people write, by what such a line holds, and what to write instead.
 HABITS = (
@@ -60,8 +60,9 @@ def read(path: str | os.PathLike[str], confine: str | os.PathLike[str] | None = 
         InputError: with the key, what was found and what to do; also for a file outside of
             `confine`.
     """
+    path = path_of(path)
     with _naming(path):
-        scenario = parse(_text(path), Path(path).parent)
+        scenario = parse(_text(path), path.parent)
     return scenario if confine is None else confined(scenario, Path(confine))
 
 
@@ -80,8 +81,9 @@ def read_for_logs(
         FileError: the file cannot be read.
         InputError: with the key, what was found and what to do.
     """
+    path = path_of(path)
     with _naming(path):
-        scenario = convert(_completed(_tables(_text(path))), Path(path).parent)
+        scenario = convert(_completed(_tables(_text(path))), path.parent)
     return scenario if confine is None else confined(scenario, Path(confine))
 
 
@@ -123,7 +125,7 @@ _OTHER_FILES: Final = {  # what is given in place of a scenario, and where it sh
 _TOLD_THE_WIDTHS: Final = ("oracle", "full_state")  # methods that take the sensor's own widths
 
 
-def _text(path: str | os.PathLike[str]) -> str:
+def _text(path: Path) -> str:
     """The text of a file. Raises FileError."""
     try:
         return read_text(path)
@@ -134,14 +136,14 @@ def _text(path: str | os.PathLike[str]) -> str:
 
 
 @contextmanager
-def _naming(path: str | os.PathLike[str]) -> Iterator[None]:
+def _naming(path: Path) -> Iterator[None]:
     """Put the name of a file in front of what is wrong with its text."""
     try:
         yield
     except FileError:
         raise
     except InputError as error:
-        hint = _OTHER_FILES.get(Path(path).suffix.lower(), "")
+        hint = _OTHER_FILES.get(path.suffix.lower(), "")
         raise type(error)(f"{path}: {error}{hint}") from None
 
 

@@ -29,45 +29,17 @@ from undeadzone.plants.options import ElasticJoint, Plant
 from undeadzone.plants.region import Region
 from undeadzone.scenario.address import with_tables, with_value
 from undeadzone.scenario.ensemble_table import Vary
+from undeadzone.scenario.messages import require_kind
 from undeadzone.scenario.tune_table import Tune
 from undeadzone.signals.exosystem import Disturbance, Signal
 from undeadzone.support import shown, toml
 from undeadzone.support.arrays import Array, array
 from undeadzone.support.files import write_text
 
-CURES: Final = {
-    "plant": "uz.Plant(A=..., B=..., C=...), or uz.from_control(system)",
-    "sensor": "uz.Sensor(right=..., left=...)",
-    "reference": "a signal such as uz.Sine(amplitude=..., frequency=...)",
-    "observer": "options such as uz.Auto(right=[0.0, 2.0])",
-    "controller": "options such as uz.StateFeedback()",
-}
 VAGUE: Final = 3.0  # in largest widths: where the widths lie if nothing is declared
 SMALL: Final = 0.01  # half of a gap of gears, at least, where its range is not declared [rad]
 BANDWIDTH: Final = 10.0  # of a rigid arm [rad/s]
 UNNAMED: Final[Any] = None  # stands for an observer or a controller until the usual one does
-
-
-def require_kinds(parts: dict[str, Any]) -> None:
-    """Raise InputError where a part is of another type, such as a name, a number or a system.
-
-    Args:
-        parts: plant, sensor, reference, observer and controller of a scenario; the last two may be
-            None.
-    """
-    sound = {
-        "plant": isinstance(parts["plant"], Plant),
-        "sensor": isinstance(parts["sensor"], Sensor),
-        "reference": hasattr(parts["reference"], "__struct_fields__"),
-        "observer": parts["observer"] is None or hasattr(parts["observer"], "build"),
-        "controller": parts["controller"] is None or hasattr(parts["controller"], "build"),
-    }
-    for name, is_sound in sound.items():
-        if not is_sound:
-            found = type(parts[name]).__name__
-            raise InputError(f"{name}: expected {CURES[name]}, found {found}")
-    for side in ("right", "left"):
-        array(f"sensor.{side}", getattr(parts["sensor"], side))
 
 
 def vague_claims(sensor: Sensor) -> Claims:
@@ -223,7 +195,12 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
     def __post_init__(self) -> None:
         """Put the usual observer and controller where none is named. Raises InputError."""
-        require_kinds({name: getattr(self, name) for name in CURES})
+        for field in msgspec.structs.fields(Scenario):
+            value = getattr(self, field.name)
+            if value is not None or field.default is not None:
+                require_kind(field.name, value, field.type)
+        for side in ("right", "left"):
+            array(f"sensor.{side}", getattr(self.sensor, side))
         if self.observer is UNNAMED:
             observer = usual_observer(self.plant, self.sensor, self.declared)
             msgspec.structs.force_setattr(self, "observer", observer)
@@ -269,7 +246,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             FileError: it cannot be written.
             InputError: something in it that no text can hold, such as a Python function.
         """
-        return write_text(toml.dumps(self), Path(path))
+        return write_text(toml.dumps(self), path)
 
     def __str__(self) -> str:
         """The scenario as TOML."""

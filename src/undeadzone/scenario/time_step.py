@@ -11,7 +11,7 @@ from undeadzone.interfaces import Controller, Observer
 from undeadzone.plants.system import System, sampled
 from undeadzone.scenario.schema import Scenario, Simulation
 from undeadzone.signals.exosystem import Exosystem
-from undeadzone.support.arrays import scalar
+from undeadzone.support.arrays import scalar, seed_of
 
 STABLE: Final = 2.5  # largest |pole| times a Runge-Kutta step: beyond about 2.78 it is unstable
 MEMORY: Final = 4e9  # [bytes] of signals that one run may hold
@@ -31,7 +31,7 @@ def checked_time(scenario: Scenario, plant: System) -> tuple[float, int]:
     if step > duration:
         raise StepError(f"simulation.step: {step:g} s is longer than the duration, {duration:g} s")
     _require_order(simulation, plant)
-    _require_seed(simulation.seed)
+    seed_of("simulation.seed", simulation.seed)
     _require_memory(duration / step, plant)
     names = scenario.units.state
     if not isinstance(names, str) and len(names) != plant.n:
@@ -52,15 +52,6 @@ def _require_order(simulation: Simulation, plant: System) -> None:
             "simulation.order: above 4 only in continuous time, for a linear plant, with located "
             "switching; use 4"
         )
-
-
-def _require_seed(seed: int) -> None:
-    """Raise InputError for a seed that is no whole number, negative or too large."""
-    if not isinstance(seed, int | np.integer):
-        raise InputError(f"simulation.seed: expected a whole number, found {seed!r}")
-    if not 0 <= seed < 2**63:
-        limit = "must not be negative" if seed < 0 else "must be below 2^63"
-        raise InputError(f"simulation.seed: {limit}, found {seed}")
 
 
 def _require_memory(steps: float, plant: System) -> None:

@@ -9,7 +9,7 @@ from typing import Final, Literal
 
 import msgspec
 
-from undeadzone.scenario.ensemble_table import Table
+from undeadzone.scenario.address_table import Table
 
 
 class Range(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

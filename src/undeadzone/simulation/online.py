@@ -22,7 +22,7 @@ from undeadzone.plants import build as plants
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, pace, sampled
 from undeadzone.scenario.encoders import require_gears, sensed
-from undeadzone.scenario.messages import require_words
+from undeadzone.scenario.messages import require_kind, require_words
 from undeadzone.scenario.overrun import overrun_along
 from undeadzone.scenario.problem import require_visible
 from undeadzone.scenario.time_step import require_bounded_error
@@ -234,7 +234,14 @@ class Online:
 
     @state.setter
     def state(self, numbers: Floats) -> None:
-        self._step.state[:], self._out[:] = np.split(numbers, [self._step.state.size])
+        size = self._step.state.size + self._out.size
+        try:
+            given = np.reshape(np.asarray(numbers, float), size)
+        except (ValueError, TypeError):
+            raise ShapeError(
+                f"state: expected the {size} numbers that `state` gave, found {numbers!r:.60}"
+            ) from None
+        self._step.state[:], self._out[:] = np.split(given, [self._step.state.size])
 
     @property
     def side(self) -> Floats:
@@ -383,6 +390,8 @@ def built_for(
     """
     require_words("sensor", sensor, Sensor)
     require_words("plant", plant, Plant)
+    require_kind("observer", observer, ObserverOptions)
+    require_kind("actuator", actuator, ActuatorModel | None)
     Ts = scalar("step", step, above=0.0)
     system = plants.system(plant)
     require_visible(system, "plant")

@@ -6,8 +6,6 @@ Objects name in `KEPT` what of them a file holds: numbers, arrays, texts, and ot
 from __future__ import annotations
 
 import os
-import zipfile
-import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -16,17 +14,9 @@ import numpy as np
 
 import undeadzone
 from undeadzone.errors import FileError
-from undeadzone.support.files import (
-    LARGEST_TABLE,
-    reason,
-    replacing,
-    require_plain,
-    require_unpacked,
-)
+from undeadzone.support.files import LARGEST_TABLE, NO_ARRAYS, arrays_of, reason, replacing
 
 DIGEST: Final = "digest"
-# What NumPy and the zip file around arrays raise of a file that is no such state.
-NO_STATE: Final = (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error)
 
 
 def save(path: Path, parts: Mapping[str, Any], digest: str) -> None:
@@ -61,14 +51,11 @@ def load(path: Path, parts: Mapping[str, Any], digest: str) -> None:
         FileError: it cannot be read, is no such file, or is of something else.
     """
     try:
-        require_plain(path, LARGEST_TABLE)
-        require_unpacked(path, LARGEST_TABLE)
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
+        arrays = arrays_of(path, LARGEST_TABLE)
         found = str(arrays[DIGEST])
     except OSError as error:
         raise FileError(f"{path}: cannot read: {reason(error)}") from None
-    except NO_STATE as error:
+    except NO_ARRAYS as error:
         raise _no_state(path, error) from None
     if found != _whole(digest):
         raise FileError(
@@ -78,7 +65,7 @@ def load(path: Path, parts: Mapping[str, Any], digest: str) -> None:
     try:
         for name, part in parts.items():
             _put(part, arrays, name)
-    except NO_STATE as error:
+    except NO_ARRAYS as error:
         raise _no_state(path, error) from None
 
 

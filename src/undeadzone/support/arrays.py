@@ -14,6 +14,7 @@ Floats = npt.NDArray[np.floating[Any]]
 Integers = npt.NDArray[np.integer[Any]]
 Flags = npt.NDArray[np.bool_]
 
+LARGEST_SEED = 2**63 - 1
 LARGEST = 1e50  # beyond this no unit makes sense, and squares and products overflow
 
 if TYPE_CHECKING:
@@ -200,6 +201,18 @@ def scalar(
     if least is not None and not number >= least:
         raise InputError(f"{key}: must be at least {least:g}, found {number:g}")
     return number
+
+
+def seed_of(key: str, value: Any) -> int:
+    """A seed of random numbers: a whole number that 63 bits hold, and the next one too.
+
+    Raises:
+        InputError: another value.
+    """
+    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not (whole and 0 <= value < LARGEST_SEED):
+        raise InputError(f"{key}: expected a whole number from 0 to 2^63 - 2, found {value!r:.40}")
+    return int(value)
 
 
 def nonnegative(key: str, value: Any, size: int, why: str = "") -> Floats:

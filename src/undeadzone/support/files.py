@@ -7,13 +7,17 @@ import os
 import stat
 import tempfile
 import zipfile
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, TypeAlias
 
 from undeadzone.errors import FileError
 
+# What NumPy and the zip file around arrays raise of a file that holds others, or none.
+NO_ARRAYS: Final = (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error)
+Name: TypeAlias = str | os.PathLike[str]  # of a file, as a program gives it
 LARGEST_TEXT: Final = 10_000_000  # [bytes] of a scenario, a design, a URDF
 LARGEST_TABLE: Final = 64_000_000  # [bytes] of a CSV file of signals
 LARGEST_RUN: Final = 4_000_000_000  # [bytes] of the signals of one run
@@ -56,7 +60,15 @@ def replacing(path: Path) -> Iterator[Path]:
         Path(name).unlink(missing_ok=True)
 
 
-def read_bytes(path: str | os.PathLike[str], largest: int = LARGEST_TEXT) -> bytes:
+def path_of(name: Any) -> Path:
+    """The path that a program names. Raises FileError for what is no name, such as None."""
+    if not isinstance(name, str | os.PathLike):
+        found = type(name).__name__
+        raise FileError(f"expected the name of a file, such as 'mine.toml', found {found}")
+    return Path(name)
+
+
+def read_bytes(path: Name, largest: int = LARGEST_TEXT) -> bytes:
     """What a user's file holds.
 
     Args:
@@ -78,7 +90,7 @@ def read_bytes(path: str | os.PathLike[str], largest: int = LARGEST_TEXT) -> byt
     return content
 
 
-def read_text(path: str | os.PathLike[str], largest: int = LARGEST_TEXT) -> str:
+def read_text(path: Name, largest: int = LARGEST_TEXT) -> str:
     """What a user's file of UTF-8 text holds, without the mark that some editors put in front.
 
     Arguments and errors as of `read_bytes`.
@@ -86,14 +98,14 @@ def read_text(path: str | os.PathLike[str], largest: int = LARGEST_TEXT) -> str:
     return read_bytes(path, largest).decode("utf-8-sig")
 
 
-def require_plain(path: str | os.PathLike[str], largest: int | None = None) -> None:
+def require_plain(path: Name, largest: int | None = None) -> None:
     """Raise OSError for what is no plain file (a device would never end), or one too large.
 
     Args:
         path: of the file, which is not opened.
         largest: number of bytes that it may have; None: any.
     """
-    _require_plain(os.stat(path), largest)
+    _require_plain(os.stat(path_of(path)), largest)
 
 
 def open_kept(path: Path, mode: str, largest: int | None = None) -> io.FileIO:
@@ -143,12 +155,25 @@ def _other_name(found: str) -> str:
     return f"{found}, and what it leads to would be overwritten; delete it, or choose another name"
 
 
-def require_unpacked(path: str | os.PathLike[str], largest: int) -> None:
-    """Raise ValueError for a zip file that would unpack to more than so many bytes."""
+def arrays_of(path: Path, largest: int) -> dict[str, Any]:
+    """The arrays of an `.npz`, by name.
+
+    Args:
+        path: of the file.
+        largest: number of bytes that it may have, and unpack to.
+
+    Raises:
+        OSError: with the `reason`, also for what is no plain file; and NO_ARRAYS.
+    """
+    import numpy as np
+
+    require_plain(path, largest)
     with zipfile.ZipFile(path) as archive:
         size = sum(entry.file_size for entry in archive.infolist())
     if size > largest:
         raise ValueError(f"it would unpack to {size / 1e6:,.0f} MB")
+    with np.load(path, allow_pickle=False) as file:
+        return {name: file[name] for name in file.files}
 
 
 def _require_plain(status: os.stat_result, largest: int | None) -> None:
@@ -189,15 +214,16 @@ def require_folder(folder: Path) -> None:
                 place.rmdir()
 
 
-def write_text(text: str, path: Path) -> Path:
+def write_text(text: str, path: Name) -> Path:
     """Write a text file in UTF-8; nothing is left half-written.
 
     Raises:
         FileError: it cannot be written.
     """
-    with replacing(path) as temporary:
+    target = path_of(path)
+    with replacing(target) as temporary:
         temporary.write_text(text, encoding="utf-8")
-    return path
+    return target
 
 
 def reason(error: Exception) -> str:

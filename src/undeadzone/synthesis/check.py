@@ -249,6 +249,12 @@ def _proof_of_linear(problem: Problem, gains: Gains) -> tuple[dict[str, Any], li
         reasons.append(f"not certified: {proof.reason}")
     if speed.rate < 0:
         reasons.append("the error grows along the reference")
+    told = problem.observer.traits.told or problem.sensor.kind == "jump"
+    if not told and not gains.gamma.all():
+        reasons.append(
+            "gamma = 0: the widths are not corrected and keep the error that they begin with; "
+            "rate and bounds leave it out"
+        )
     return {
         "certified": proof.certified,
         "margin": proof.margin,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import msgspec
 import numpy as np
@@ -17,13 +17,14 @@ from undeadzone.observers import Certified
 from undeadzone.plants.system import System
 from undeadzone.scenario.problem import Problem, constant_gains, resolve_scenario, systems
 from undeadzone.scenario.schema import Scenario
-from undeadzone.support.arrays import Floats
+from undeadzone.support.arrays import Floats, scalar, seed_of
 from undeadzone.support.progress import in_notebook
 from undeadzone.synthesis import gain_search
 from undeadzone.synthesis.assessment import determined, knowledge
 from undeadzone.synthesis.task import Candidate, candidate_of, make_task
 
-Aim = Literal["knee", "rate"] | gain_search.Weights
+AIMS = Literal["knee", "rate"]
+Aim = AIMS | gain_search.Weights
 
 
 def design(
@@ -52,11 +53,13 @@ def design(
         StructureError: no gains can be certified.
         InputError: or a subclass, where there is nothing to plan on.
     """
+    _require_aim(maximise)
     _, flow, _ = systems(scenario)
     _require_task(scenario, flow)
     reason = impossible(flow)
     if reason:
         raise StructureError(f"plant: no gains can be certified: {reason}")
+    seed = seed_of("seed", seed)
     neutral = Certified(L=[[0.0] * flow.p] * flow.n, gamma=0.0)
     problem = resolve_scenario(msgspec.structs.replace(scenario, observer=neutral))
     task = make_task(problem, margin)
@@ -107,6 +110,17 @@ def with_gains(scenario: Scenario, design: Design) -> Scenario:
     kept = scenario.observer if isinstance(scenario.observer, Certified) else Certified()
     observer = msgspec.structs.replace(kept, L=design.L, gamma=design.gamma, design=None)
     return msgspec.structs.replace(scenario, observer=observer)
+
+
+def _require_aim(maximise: Aim) -> None:
+    """Raise InputError for an aim that there is not."""
+    if isinstance(maximise, gain_search.Weights):
+        for name, power in maximise._asdict().items():
+            scalar(f"maximise.{name}", power, least=0.0)
+    elif maximise not in get_args(AIMS):
+        raise InputError(
+            f"maximise: expected 'knee', 'rate' or uz.Weights(...), found {maximise!r:.40}"
+        )
 
 
 def _require_task(scenario: Scenario, flow: System) -> None:

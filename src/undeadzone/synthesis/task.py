@@ -16,7 +16,7 @@ from undeadzone.feedforward.targets import steady_state
 from undeadzone.linear.hold import sampled_noise, zoh
 from undeadzone.linear.matrices import Matrices, sizes
 from undeadzone.scenario.problem import Problem
-from undeadzone.support.arrays import Floats
+from undeadzone.support.arrays import Floats, scalar
 
 PER_POLE: Final = 49  # frequencies at which a candidate's margin is looked at, around each pole
 # Of the schedule: the exosystem's state at a corner is that of the piece that follows.
@@ -92,6 +92,7 @@ def make_task(problem: Problem, margin: float) -> Task:
         InputError: there is nothing to plan on.
     """
     model, Ts = problem.model, problem.model.Ts
+    margin = scalar("margin", margin)
     if not 0 < margin < 1:
         raise InputError(f"margin: must lie between 0 and 1, found {margin:g}")
     units = 1 / sizes(delta(model.linear, Ts).T, model.linear.C.T)

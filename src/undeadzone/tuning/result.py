@@ -21,7 +21,7 @@ from undeadzone.statistics import intervals as statistics
 from undeadzone.statistics.intervals import LEVEL, QUANTILES, Interval
 from undeadzone.support import shown, toml
 from undeadzone.support.arrays import Floats, finite
-from undeadzone.support.files import write_text
+from undeadzone.support.files import path_of, write_text
 from undeadzone.support.own_files import marked
 from undeadzone.tuning.candidates import Objective, statistic
 from undeadzone.tuning.parameters import Parameter
@@ -155,7 +155,7 @@ class Tuned:
         Raises:
             FileError: where it cannot be written
         """
-        path = Path(path)
+        path = path_of(path)
         before, after = (worth.value.value for worth in self.held_out[index][:2])
         head = (
             f"# Tuned by undeadzone {undeadzone.__version__}: "

@@ -23,7 +23,7 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.tune_table import Tune
 from undeadzone.support import toml
 from undeadzone.support.answers import Answers
-from undeadzone.support.arrays import Floats, scalar, series
+from undeadzone.support.arrays import Floats, scalar, seed_of, series
 from undeadzone.support.progress import in_notebook
 from undeadzone.tuning.candidates import Frame, Objective, Problems, objective
 from undeadzone.tuning.parameters import Parameter, checked_parameters, named, values_at, with_gains
@@ -155,14 +155,11 @@ def _seed(scenario: Scenario, what: Tune) -> int:
 
     It is that of [tune], else of [ensemble], else of [simulation].
     """
-    seed = scenario.simulation.seed
-    if scenario.ensemble is not None and scenario.ensemble.seed is not None:
-        seed = scenario.ensemble.seed
     if what.seed is not None:
-        seed = what.seed
-    if not 0 <= seed < 2**63 - 1:
-        raise InputError(f"tune.seed: expected a whole number, 0 or more, found {seed}")
-    return seed
+        return seed_of("tune.seed", what.seed)
+    if scenario.ensemble is not None and scenario.ensemble.seed is not None:
+        return seed_of("ensemble.seed", scenario.ensemble.seed)
+    return seed_of("simulation.seed", scenario.simulation.seed)
 
 
 class Evaluation(NamedTuple):
@@ -367,7 +364,7 @@ def _evolve(evaluate: Evaluate, what: Tune, start: Floats, seed: int, spread: fl
         cost,
         np.zeros(start.size),
         np.ones(start.size),
-        seed % 2**32,
+        seed,
         size,
         PATIENCE * what.budget // size,
         start,
@@ -424,8 +421,7 @@ def sweep(
     axes = _axes(scenario, grid)
     meshes = np.meshgrid(*axes.values(), indexing="ij")
     points = np.stack([mesh.ravel() for mesh in meshes], axis=1)
-    if what.seed is not None:
-        seed = what.seed
+    seed = seed_of("seed", seed if what.seed is None else what.seed)
     places = [axis[[0, axis.size // 2, -1]] for axis in axes.values()]
     probes = np.stack(_moved_alone(points[0], places))
     on = objective(what, [scenario], [Frame()], list(axes), probes, what.runs, seed)

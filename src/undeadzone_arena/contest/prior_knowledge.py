@@ -140,6 +140,11 @@ def situation(scenario: Scenario) -> Setting:
             "sensor.play: the arena has no play ahead of a dead zone, which most of its methods do "
             "not know; compare two observers by [compare]"
         )
+    if getattr(scenario.plant.arm, "gears", None) is not None:
+        raise InputError(
+            "plant.arm.gears: the arena has no gears with gaps, which its methods do not know; "
+            "compare two observers by [compare]"
+        )
     problem = resolve_scenario(scenario)
     claims = declaration(scenario)
     widths = ranges(claims.right, claims.left, problem.model.p)

@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
+import sys
 import threading
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from typing import Final
+from multiprocessing import active_children
+from typing import Any, Final
+
+from undeadzone.errors import ClusterError
 
 SAFE: Final = "PYTHONSAFEPATH"  # set: a new Python does not look into the working folder
 
@@ -24,7 +30,7 @@ def pool(count: int | None) -> Iterator[ProcessPoolExecutor]:
         count: of them; None: one per processor.
     """
     context = multiprocessing.get_context("spawn")
-    with _safe_start(), ProcessPoolExecutor(count, context, initializer=_end_with_parent) as made:
+    with _safe_start(), ProcessPoolExecutor(count, context, initializer=_begin) as made:
         yield made
 
 
@@ -42,8 +48,62 @@ def _safe_start() -> Iterator[None]:
             os.environ[SAFE] = before
 
 
-def _end_with_parent() -> None:
-    """End this process as soon as its parent is gone."""
+def as_done(
+    count: int | None, function: Callable[..., Any], tasks: Mapping[int, tuple[Any, ...]]
+) -> Iterator[tuple[int, Any]]:
+    """What a function gives for each task, with the task's number, as it comes.
+
+    Whoever stops in between, by Ctrl-C or SIGTERM too, waits for no task.
+
+    Args:
+        count: of processes; None: one per processor.
+        function: of a module, that computes.
+        tasks: its arguments, by number.
+
+    Raises:
+        ClusterError: a process died.
+    """
+    others = active_children()
+    with pool(count) as made:
+        try:
+            with _starting():
+                waiting = {made.submit(function, *task): k for k, task in tasks.items()}
+            for future in as_completed(waiting):
+                yield waiting[future], future.result()
+        except BrokenProcessPool:
+            raise ClusterError(
+                f"arena: one of {count} processes died; out of memory? Take fewer with --processes"
+            ) from None
+        except BaseException:
+            made.shutdown(wait=False, cancel_futures=True)
+            for child in active_children():
+                if child not in others:
+                    child.kill()
+            raise
+
+
+@contextmanager
+def _starting() -> Iterator[None]:
+    """Ctrl-C waits inside, and for the processes started there until they have begun.
+
+    It would print the traceback of each that is still importing.
+    """
+    if sys.platform == "win32":
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # children inherit it
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _begin() -> None:
+    """End this process as soon as its parent is gone, or at once if Ctrl-C came meanwhile."""
+    if sys.platform != "win32":
+        if signal.SIGINT in signal.sigpending():
+            os._exit(1)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     threading.Thread(target=_wait_for_end, daemon=True).start()
 
 

@@ -5,15 +5,13 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import as_completed
-from concurrent.futures.process import BrokenProcessPool
 from typing import Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
 
 from undeadzone.compile import interpret
-from undeadzone.errors import ClusterError, UndeadzoneError
+from undeadzone.errors import UndeadzoneError
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.reader import digests
 from undeadzone.scenario.schema import Scenario
@@ -30,7 +28,7 @@ from undeadzone_arena.contest.leaderboard import FRAME
 from undeadzone_arena.contest.methods import NOTHING, Method, Numbers, catalogue, fitting, require
 from undeadzone_arena.contest.metric import Result, worth
 from undeadzone_arena.contest.prior_knowledge import Setting, situation
-from undeadzone_arena.contest.processes import pool as processes_of
+from undeadzone_arena.contest.processes import as_done
 from undeadzone_arena.contest.scenario_sets import scenarios as scenarios_of
 
 FEW: Final = 8  # trials for which a process is worth starting
@@ -223,18 +221,7 @@ def _done(jobs: Sequence[Job], processes: int | None) -> Iterator[tuple[int, lis
     if count == 1:
         yield from ((k, _try(job)) for k, job in enumerate(jobs))
         return
-    with processes_of(count) as pool:
-        waiting = {pool.submit(_try, job): k for k, job in enumerate(jobs)}
-        try:
-            for future in as_completed(waiting):
-                yield waiting[future], future.result()
-        except BrokenProcessPool:
-            raise ClusterError(
-                f"arena: one of {count} processes died; out of memory? Take fewer with --processes"
-            ) from None
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+    yield from as_done(count, _try, {k: (job,) for k, job in enumerate(jobs)})
 
 
 def _try(job: Job) -> list[Result]:

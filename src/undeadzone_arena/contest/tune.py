@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import as_completed
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,7 +18,7 @@ from undeadzone_arena.contest.leaderboard import CAP, FRAME, regrets
 from undeadzone_arena.contest.methods import Method, catalogue, middle
 from undeadzone_arena.contest.metric import Result
 from undeadzone_arena.contest.prior_knowledge import Setting, situation
-from undeadzone_arena.contest.processes import pool as processes_of
+from undeadzone_arena.contest.processes import as_done
 from undeadzone_arena.contest.trials import problem_of, trial
 from undeadzone_arena.contest.tuned_file import Found, Tuned
 
@@ -62,15 +61,12 @@ def tune(
     def compute(missing: list[int]) -> Iterator[tuple[int, dict[str, Any]]]:
         """What is found of methods, as it comes."""
         count = os.cpu_count() if processes is None else processes
-        with processes_of(count) as pool:
-            waiting = {}
-            for k in missing:
-                arguments = adjustable[k], dict(grounds), frame, budget, tuple(seeds), search
-                waiting[pool.submit(_search, *arguments)] = k
-            for future in as_completed(waiting):
-                yield waiting[future], msgspec.to_builtins(future.result())
-                if progress is not None:
-                    progress(1)
+        rest = dict(grounds), frame, budget, tuple(seeds), search
+        tasks = {k: (adjustable[k], *rest) for k in missing}
+        for k, found in as_done(count, _search, tasks):
+            yield k, msgspec.to_builtins(found)
+            if progress is not None:
+                progress(1)
 
     if keep is None:
         by_number = dict(compute(list(range(len(adjustable)))))

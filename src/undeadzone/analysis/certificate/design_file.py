@@ -170,7 +170,7 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         Raises:
             FileError: if it cannot be written.
         """
-        return write_text(marked(toml.dumps(self)), Path(path))
+        return write_text(marked(toml.dumps(self)), path)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Design:

@@ -57,7 +57,7 @@ def save_numbers(found: Identified | IdentifiedOutputs, path: str | os.PathLike[
         FileError: it cannot be written.
     """
     text = json.dumps(found.numbers(), indent=2, allow_nan=False)
-    return write_text(text + "\n", Path(path))
+    return write_text(text + "\n", path)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

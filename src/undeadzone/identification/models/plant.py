@@ -330,7 +330,7 @@ def roots(a: Floats) -> Any:
     """Roots of z^n + a_1 z^(n-1) + ... + a_n (n): eigenvalues, complex where some are.
 
     Args:
-        a: coefficients (n); of such as are not finite, all roots are infinite.
+        a: coefficients (n); of such as are not finite, or too odd, all roots are infinite.
     """
     if not np.abs(a).max(initial=0.0) < FAR:
         return np.full(a.size, np.inf)
@@ -338,7 +338,9 @@ def roots(a: Floats) -> Any:
         return a
     companion = np.eye(a.size, k=-1)
     companion[0] = -a
-    real, imaginary, *_ = dgeev(companion, compute_vl=False, compute_vr=False)
+    real, imaginary, *_, failed = dgeev(companion, compute_vl=False, compute_vr=False)
+    if failed:
+        return np.full(a.size, np.inf)
     return real + 1j * imaginary if imaginary.any() else real
 
 

@@ -141,6 +141,7 @@ def measured_side(
         constant=law.numbers is None,
         width_max=limit,
         adapts=bool(gamma.any()),
+        told=np.array_equal(widths, np.stack([sensor.right, sensor.left], axis=1)),
     )
     step, project = partial(measured_side_step, setup), partial(into_bounds, law)
     return heard_by_motion(Observer(params, init, step, project, traits), model, sensor)
