@@ -332,16 +332,13 @@ def roots(a: Floats) -> Any:
     Args:
         a: coefficients (n); of such as are not finite, or too odd, all roots are infinite.
     """
-    if not np.abs(a).max(initial=0.0) < FAR:
+    if not a.size or not np.abs(a).max() < FAR:
         return np.full(a.size, np.inf)
-    if not a.size:
-        return a
     companion = np.eye(a.size, k=-1)
     companion[0] = -a
     real, imaginary, *_, failed = dgeev(companion, compute_vl=False, compute_vr=False)
-    if failed:
-        return np.full(a.size, np.inf)
-    return real + 1j * imaginary if imaginary.any() else real
+    found = real + 1j * imaginary if imaginary.any() else real
+    return np.full(a.size, np.inf) if failed else found
 
 
 def stabilised(a: Floats, radius: float = 0.98) -> Floats:
