@@ -207,11 +207,11 @@ def named(case: Case, odds: dict[str, float], models: Sequence[Family], fits: Fi
     ends = case.fitted.prepared.ends
     clipped = odds.get("none", 0.0) + odds.get("saturation", 0.0)
     mostly = bool(ends) and case.data.ok.sum() < MOSTLY * case.grid.ok.sum()
+    stick = f"readings stick at the ends of the range {ends}"
     if ends and word in ("none", "saturation", "other") and (mostly or clipped > UNLIKELY):
-        return because("saturation", f"readings stick at the ends of the range {ends}")
+        return because("saturation", f"{stick}; the odds are those of what lies between")
     if mostly and word in MEMORY:
-        told = f"most readings stick at the ends of the range {ends}, and between them"
-        return because("undecided", f"{told} {MODELS[word]} is a guess")
+        return because("undecided", f"most {stick}, and between them {MODELS[word]} is a guess")
     more = list(filter(lambda one: odds.get(one, 0.0) > UNLIKELY, LARGER.get(word, ())))
     sure = sum(odds.get(one, 0.0) for one in (word, *more))
     if sure < LIKELY and not (word == case.options.kind == "play"):
