@@ -216,7 +216,7 @@ def named(case: Case, odds: dict[str, float], models: Sequence[Family], fits: Fi
     sure = sum(odds.get(one, 0.0) for one in (word, *more))
     if sure < LIKELY and not (word == case.options.kind == "play"):
         return _undecided(odds)
-    cautions = [f"{MODELS[one]} is not excluded" for one in more]
+    cautions = [f"{MODELS[one]} is not excluded ({100 * odds[one]:.0f} %)" for one in more]
     if word == "dead_zone":
         return _by_residual(case).with_cautions(*cautions)
     if word == "none":
