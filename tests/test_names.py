@@ -249,6 +249,13 @@ def test_most_readings_at_both_ends_are_a_saturation_whatever_curve_fits_the_res
     assert answer.verdict == "saturation"
 
 
+def test_an_encoder_that_sticks_at_both_ends_is_a_saturation() -> None:
+    """Between the ends its steps are larger than any zone, and nothing else was said of it."""
+    log = make(9023, "saturation")
+    answer = uz.identify(t=log.step, u=log.u, y=log.y)
+    assert answer.verdict == "saturation"
+
+
 def test_what_looks_like_friction_is_asked_whether_it_is_a_play() -> None:
     """The four offsets do not suggest a play here; friction led with odds beyond .99."""
     rng = np.random.default_rng(990_011)

@@ -172,9 +172,8 @@ class Loop(NamedTuple):
 
 def heard_loop(case: Case) -> Loop:
     """Whether a loop is closed, guessed by residuals, known by a reference that was recorded."""
-    chance, grid, share = 1.0, case.grid, None
-    if case.chosen.white:
-        chance = orders.loop_chance(case.chosen.pairs, case.recorded.u)
+    grid, share = case.grid, None
+    chance = orders.loop_chance(case.chosen.pairs, case.recorded.u) if case.chosen.white else 1.0
     known = grid.r[np.isfinite(grid.r)]
     if known.size and np.ptp(known) > 0:
         share = orders.answered(grid.u, grid.y, case.data.ok, grid.r, grid.start)[0]
@@ -199,19 +198,11 @@ def named(case: Case, odds: dict[str, float], models: Sequence[Family], fits: Fi
     as_linear = word in AS_LINEAR and sum(odds.get(one, 0.0) for one in AS_LINEAR) >= LIKELY
     if as_linear and 0 < case.chosen.pairs.width < STEPS * case.quantum:
         steps = "the readings are rounded to steps that are larger than any zone"
-        return because("none", f"{steps} ({case.quantum:.3g})")
+        return _by_ends(case, "none", odds) or because("none", f"{steps} ({case.quantum:.3g})")
     best = best_of(word, models)
-    unclear = _unclear(case, word, best, fits)
-    if unclear is not None:
-        return unclear
-    ends = case.fitted.prepared.ends
-    clipped = odds.get("none", 0.0) + odds.get("saturation", 0.0)
-    mostly = bool(ends) and case.data.ok.sum() < MOSTLY * case.grid.ok.sum()
-    stick = f"readings stick at the ends of the range {ends}"
-    if ends and word in ("none", "saturation", "other") and (mostly or clipped > UNLIKELY):
-        return because("saturation", f"{stick}; the odds are those of what lies between")
-    if mostly and word in MEMORY:
-        return because("undecided", f"most {stick}, and between them {MODELS[word]} is a guess")
+    other = _unclear(case, word, best, fits) or _by_ends(case, word, odds)
+    if other is not None:
+        return other
     more = list(filter(lambda one: odds.get(one, 0.0) > UNLIKELY, LARGER.get(word, ())))
     sure = sum(odds.get(one, 0.0) for one in (word, *more))
     if sure < LIKELY and not (word == case.options.kind == "play"):
@@ -226,6 +217,18 @@ def named(case: Case, odds: dict[str, float], models: Sequence[Family], fits: Fi
         return because("other", f"{MODELS[word]} explains the log best{fully}")
     advice = [ADVICE] if word == "friction" else []
     return because(word, f"{MODELS[word]} explains the log best", *advice).with_cautions(*cautions)
+
+
+def _by_ends(case: Case, word: str, odds: dict[str, float]) -> Verdict | None:
+    """A saturation where readings stick at ends of a range, or that a memory is a guess there."""
+    ends, clipped = case.fitted.prepared.ends, odds.get("none", 0.0) + odds.get("saturation", 0.0)
+    mostly = bool(ends) and case.data.ok.sum() < MOSTLY * case.grid.ok.sum()
+    stick = f"readings stick at the ends of the range {ends}"
+    if ends and word in ("none", "saturation", "other") and (mostly or clipped > UNLIKELY):
+        return because("saturation", f"{stick}; the odds are those of what lies between")
+    if mostly and word in MEMORY:
+        return because("undecided", f"most {stick}, and between them {MODELS[word]} is a guess")
+    return None
 
 
 def _claimed(odds: dict[str, float]) -> str:
