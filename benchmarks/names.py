@@ -39,11 +39,11 @@ Outcome = dict[str, Any]
 
 
 def commit() -> str:
-    """Of the code; with a plus where files differ from it."""
-    told = subprocess.run(
-        ["git", "describe", "--always", "--dirty=+"], capture_output=True, text=True, check=True
-    )
-    return told.stdout.strip()
+    """Of the code; with a plus where it differs from that. The figure that is drawn is no code."""
+    named = ["git", "describe", "--always"]
+    told = subprocess.run(named, capture_output=True, text=True, check=True).stdout.strip()
+    changed = subprocess.run(["git", "diff", "--quiet", "HEAD", "--", "*.py"], check=False)
+    return told + "+" * changed.returncode
 
 
 def outcomes(of: str) -> list[Outcome]:
