@@ -43,7 +43,7 @@ def commit() -> str:
     named = ["git", "describe", "--always"]
     told = subprocess.run(named, capture_output=True, text=True, check=True).stdout.strip()
     changed = subprocess.run(["git", "diff", "--quiet", "HEAD", "--", "*.py"], check=False)
-    return told + "+" * changed.returncode
+    return told + "+" * bool(changed.returncode)
 
 
 def outcomes(of: str) -> list[Outcome]:

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from benchmarks import loop_logs
-from benchmarks.names_logs import make
-from benchmarks.servo_logs import resting_log
+from benchmarks.names_logs import NamedLog, make
+from benchmarks.servo_logs import Recorded, resting_log
 from benchmarks.which_logs import through
 from scipy.signal import lfilter
 
@@ -57,6 +57,13 @@ def logged(u: Floats, y: Floats) -> Data:
 
 def found(u: Floats, y: Floats, **more: object) -> uz.Identified:
     answer = uz.identify(t=STEP, u=u, y=y, order=2, **more)
+    assert isinstance(answer, uz.Identified)
+    return answer
+
+
+def asked(log: NamedLog | Recorded, **more: object) -> uz.Identified:
+    """What a log says where nothing else is told."""
+    answer = uz.identify(t=log.step, u=log.u, y=log.y, **more)
     assert isinstance(answer, uz.Identified)
     return answer
 
@@ -157,7 +164,7 @@ def test_derivatives_beside_a_level_and_without_correlation(shape) -> None:
 def test_no_zone_is_not_said_against_the_test_of_one() -> None:
     """Of a few steps a zone of the input explains too little for odds, and too much for chance."""
     log = make(8007, "input")
-    answer = uz.identify(t=log.step, u=log.u, y=log.y)
+    answer = asked(log)
     assert answer.verdict == "undecided"
     assert "p = 0.00" in answer.answer.reasons[0]
 
@@ -187,7 +194,7 @@ def test_a_log_about_an_operating_point_tells_nothing_of_a_zone(seed: int) -> No
 def test_the_colour_of_a_loops_disturbance_is_no_friction() -> None:
     """By noise of first order it was friction, with odds of .985."""
     log = make(7001, "operating point")
-    found = uz.identify(t=log.step, u=log.u, y=log.y)
+    found = asked(log)
     assert found.verdict == "operating_point"
     assert found.numbers()["odds"]["none"] > 0.9
 
@@ -252,7 +259,7 @@ def test_most_readings_at_both_ends_are_a_saturation_whatever_curve_fits_the_res
 def test_an_encoder_that_sticks_at_both_ends_is_a_saturation() -> None:
     """Between the ends its steps are larger than any zone, and nothing else was said of it."""
     log = make(9023, "saturation")
-    answer = uz.identify(t=log.step, u=log.u, y=log.y)
+    answer = asked(log)
     assert answer.verdict == "saturation"
 
 
@@ -277,14 +284,14 @@ def test_what_looks_like_friction_is_asked_whether_it_is_a_play() -> None:
 def test_an_encoder_that_falls_silent_is_no_servo_without_a_zone() -> None:
     """A motor behind a play alone explained four fifths of this log, with odds beyond .99."""
     log = make(3002, "play and zone")
-    answer = uz.identify(t=log.step, u=log.u, y=log.y, order=2)
+    answer = asked(log, order=2)
     assert answer.verdict == "both"
 
 
 def test_a_play_with_a_zone_behind_an_encoder_is_no_servo_that_is_asked_late() -> None:
     """A lag behind a play, asked once no other plant settled, had odds of 1 in its place."""
     log = make(8003, "play and zone")
-    answer = uz.identify(t=log.step, u=log.u, y=log.y)
+    answer = asked(log)
     assert answer.verdict == "both"
     assert answer.width.low < sum(log.widths) < answer.width.high
 
@@ -292,7 +299,7 @@ def test_a_play_with_a_zone_behind_an_encoder_is_no_servo_that_is_asked_late() -
 def test_a_play_with_a_zone_is_asked_of_the_input_as_it_was_recorded() -> None:
     """A delay had taken the lag's place, and the play behind fewer poles was no better than it."""
     log = make(9001, "play and zone")
-    answer = uz.identify(t=log.step, u=log.u, y=log.y)
+    answer = asked(log)
     assert answer.verdict == "both"
     assert answer.width.low < sum(log.widths) < answer.width.high
 
@@ -308,7 +315,7 @@ def test_a_short_log_whose_encoder_passes_0_slowly_is_not_asked_for_a_servo() ->
 def test_a_servo_that_rests_at_0_is_a_servo(seed: int) -> None:
     """Its pauses are no sensor's zone: such logs were a zone of the input, friction or jumps."""
     log = resting_log(seed, 1500)
-    answer = uz.identify(t=log.step, u=log.u, y=log.y)
+    answer = asked(log)
     assert answer.verdict == "play"
     assert answer.width.low <= log.servo.gap <= answer.width.high
 
@@ -316,7 +323,7 @@ def test_a_servo_that_rests_at_0_is_a_servo(seed: int) -> None:
 def test_no_memory_is_named_where_most_readings_stick_at_the_ends() -> None:
     """Of this saturation 74 % do; a play between them had odds of .9."""
     log = make(3002, "saturation")
-    answer = uz.identify(t=log.step, u=log.u, y=log.y)
+    answer = asked(log)
     assert answer.verdict == "undecided"
     assert "stick at the ends" in answer.answer.reasons[0]
 
