@@ -20,7 +20,7 @@ from scenes import scene
 from test_engines import distance, parts
 from undeadzone.analysis.side_schedule import planned
 from undeadzone.compile import interpret, lanes
-from undeadzone.ends.play import contacts, held
+from undeadzone.ends.play import contacts, held, levels
 from undeadzone.ends.sensor import Sensor, resolve
 from undeadzone.ensemble.run_ensemble import deviation, run_ensemble
 from undeadzone.errors import InputError
@@ -97,9 +97,25 @@ def test_the_level_stays_within_the_gap_and_moves_in_contact_alone(
             assert level == now + left
 
 
+@given(
+    z=st.lists(st.floats(-5.0, 5.0) | st.just(math.nan), max_size=40),
+    right=st.floats(0.0, 3.0),
+    left=st.floats(0.0, 3.0),
+    level=st.floats(-5.0, 5.0),
+)
+def test_the_levels_of_a_record_are_those_of_its_samples_one_after_another(
+    z: list[float], right: float, left: float, level: float
+) -> None:
+    column = np.array(z).reshape(-1, 1)
+    along = levels(column, np.array([right]), np.array([left]), np.array([level]))
+    for now, found in zip(z, along[:, 0], strict=True):
+        level = float(held(np, now, level, right, left))
+        assert found == level
+
+
 def test_the_contacts_of_a_sine_are_those_of_its_motion_but_for_the_gap() -> None:
     t = np.linspace(0, 3 * np.pi, 3001)
-    sides = contacts(5 * np.sin(t)[:, None], np.array([1.0]), np.array([0.5]))[:, 0]
+    sides = contacts(5 * np.sin(t)[:, None], np.array([1.0]), np.array([0.5]), np.zeros(1))[:, 0]
     turned = np.arccos(1 - 1.5 / 5)  # phase after a turn at which the gap of 1.5 is crossed
     down = (t > np.pi / 2) & (t < 3 * np.pi / 2)
     assert (sides[(t > np.pi / 2 + turned + 0.01) & down] == -1).all()

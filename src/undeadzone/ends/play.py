@@ -37,31 +37,31 @@ def contact(level: Any, before: Any) -> Any:
     return 1.0 * (level > before) - 1.0 * (level < before)
 
 
-def levels(z: Floats, right: Floats, left: Floats, start: Floats | None = None) -> Floats:
+def levels(z: Floats, right: Floats, left: Floats, start: Floats) -> Floats:
     """What is behind a play along a record of outputs (N x p) [z].
 
     Args:
         z: true outputs (N x p).
         right, left: gaps (p) [z].
-        start: level before the first sample (p) [z]; None: the nearest possible to 0.
+        start: level before the first sample (p) [z].
     """
-    level = np.zeros(z.shape[1]) if start is None else start
-    along = np.empty_like(z)
-    for k, now in enumerate(z):
-        level = held(np, now, level, right, left)
-        along[k] = level
-    return along
+    unread = np.isnan(z)  # where a level holds
+    limits = np.stack([np.where(unread, -np.inf, z - right), np.where(unread, np.inf, z + left)])
+    span = 1  # samples that limit a level together
+    while (limits[0, span:] < limits[1, span:]).any():
+        limits[:, span:] = np.clip(limits[:, :-span], *limits[:, span:])
+        span *= 2
+    return np.asarray(np.clip(start, *limits))
 
 
-def contacts(z: Floats, right: Floats, left: Floats, start: Floats | None = None) -> Floats:
+def contacts(z: Floats, right: Floats, left: Floats, start: Floats) -> Floats:
     """The contacts along a record of outputs (N x p), at the first sample those of the start.
 
     Args:
         z, right, left, start: as of `levels`.
     """
-    first = np.zeros(z.shape[1]) if start is None else start
-    along = levels(z, right, left, first)
-    return contact(along, np.vstack([first, along[:-1]]))
+    along = levels(z, right, left, start)
+    return contact(along, np.vstack([start, along[:-1]]))
 
 
 def ticked(ops: Any, y: Any, side: Any, moved: Any, quantum: Any) -> tuple[Any, Any]:

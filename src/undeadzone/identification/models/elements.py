@@ -15,6 +15,7 @@ from typing import TypeVar
 import numpy as np
 from scipy.special import ndtr
 
+from undeadzone.ends.play import contact, levels
 from undeadzone.identification.models.estimates import Latest, weighing
 from undeadzone.identification.models.least_squares import Density, Fitted, LeastSquares
 from undeadzone.identification.models.likelihood import dead_zone
@@ -59,10 +60,10 @@ class PlayModel:
         self.begun = [self._first_reading(part) for part in self.data.records()]
         self._level: Latest[tuple[Floats, Floats]] = Latest()
 
-    def _first_reading(self, part: slice) -> float:
-        """The level with which a record begins; that of the log where it has no reading."""
+    def _first_reading(self, part: slice) -> Floats:
+        """The level with which a record begins (1); that of the log where it has no reading."""
         there = part if self.data.ok[part].any() else slice(None)
-        return float(self.data.y[there][self.data.ok[there]][0])
+        return self.data.y[there][self.data.ok[there]][:1]
 
     def along(self, data: Data) -> PlayModel:
         """The same model of other records."""
@@ -91,19 +92,12 @@ class PlayModel:
 
     def _dragged(self, numbers: Floats) -> tuple[Floats, Floats]:
         """`level` of c_r, c_l and z in one column."""
-        right, left, z = numbers[0], numbers[1], numbers[2:]
-        level, moved = [], []
-        for part, begun in zip(self.data.records(), self.begun, strict=True):
-            lows, highs = (z[part] - right).tolist(), (z[part] + left).tolist()
-            now, last = min(max(begun, lows[0]), highs[0]), 0.0
-            for low, high in zip(lows, highs, strict=True):
-                if now > high:
-                    now, last = high, -1.0
-                elif now < low:
-                    now, last = low, 1.0
-                level.append(now)
-                moved.append(last)
-        return np.array(level), np.array(moved)
+        right, left, z = numbers[:1], numbers[1:2], numbers[2:, None]
+        parts = zip(self.data.records(), self.begun, strict=True)
+        level = np.vstack([levels(z[part], right, left, begun) for part, begun in parts])[:, 0]
+        side = contact(level, np.roll(level, 1))
+        side[self.data.start] = 0.0
+        return level, side[self._last_moved(level)]
 
     def readings(self, z: Floats, theta: Floats) -> Floats:
         """What is read of z without noise (N)."""
@@ -131,7 +125,7 @@ class PlayModel:
             rows[:, self.base + 3] = 1.0 * (level < -left)
         return self._through(level, theta), rows[:, self.free]
 
-    def _last_moved(self, level: Floats) -> Floats:
+    def _last_moved(self, level: Floats) -> Integers:
         """The sample at which the level last moved (N); the record's first before it did."""
         changed = np.append(True, np.diff(level) != 0)
         changed[self.data.start] = True

@@ -11,13 +11,14 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import log_ndtr
+from scipy.special import log_ndtr, ndtr
 
 from undeadzone.support.arrays import Flags, Floats, Integers
 
 Z, Z_BEFORE, RIGHT, LEFT, LOG_S, ATANH_RHO = range(6)  # columns of `Terms.slopes`
 LOG_ROOT = 0.5 * math.log(2 * math.pi)
 NARROW = 1e-5  # intervals below this width are taken by the midpoint, where a difference cancels
+FAR = -36.0  # limits beyond which a tail's mass underflows, and logarithms are taken first
 REACH = 7.0  # standard deviations beyond which a Gaussian factor is left out: 2e-11 of its mass
 STEEP = 0.7  # correlation from which the integral over innovations is the smoother one
 ALL, NEAR = 8.0, 3.0  # limits beyond ALL hold all of x, given that the other is within NEAR: 7e-14
@@ -292,16 +293,18 @@ def log_difference(a: Floats, b: Floats) -> Floats:
     flip = b > 0
     upper = np.where(flip, -b, a)
     lower = np.where(flip, -a, b)
-    top = log_ndtr(upper)
     with np.errstate(divide="ignore", invalid="ignore"):
-        value = top + np.log1p(-np.exp(log_ndtr(lower) - top))
-    narrow = upper - lower < NARROW
+        value = np.log(ndtr(upper) - ndtr(lower))
+    far, narrow = upper < FAR, upper - lower < NARROW
+    if far.any():
+        top, bottom = log_ndtr(upper[far]), log_ndtr(lower[far])
+        value[far] = top + np.log(-np.expm1(np.minimum(bottom - top, -1e-300)))
     if narrow.any():
-        width = np.maximum(upper - lower, 1e-300)
-        middle = 0.5 * (upper + lower)
+        width = np.maximum((upper - lower)[narrow], 1e-300)
+        middle = 0.5 * (upper + lower)[narrow]
         bend = np.log1p(np.clip((middle**2 - 1) * width**2 / 24, -0.5, 0.5))
-        value = np.where(narrow, np.log(width) - 0.5 * middle**2 - LOG_ROOT + bend, value)
-    return value
+        value[narrow] = np.log(width) - 0.5 * middle**2 - LOG_ROOT + bend
+    return np.asarray(value)
 
 
 def hazards(a: Floats, b: Floats, log_mass: Floats) -> tuple[Floats, Floats]:
