@@ -32,6 +32,7 @@ from undeadzone.exports import vectors
 from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.observers.parts.further_constants import Zones, entering
 from undeadzone.plants.system import sampled
+from undeadzone.report.log_page import estimation_page
 from undeadzone.report.run_figures import overview
 from undeadzone.report.run_page import run_page
 from undeadzone.results.run import Run
@@ -246,6 +247,12 @@ def test_a_log_gives_what_the_run_gave() -> None:
     run = simulate(scenario)
     followed = uz.estimate(scenario, t=run.t, y=run.y, u=run.u)
     np.testing.assert_array_equal(followed.x_hat, run.x_hat)
+    np.testing.assert_array_equal(followed.b_hat, run.b_hat)
+    assert followed.summary()["b_right"] == run.b_hat[-1, 0]
+    assert "b_right" in str(followed)
+    assert "u[0]" in estimation_page(followed, {})
+    known = loop(model=None, compensator=INVERSE)
+    assert "b_right" not in str(uz.estimate(known, t=run.t, y=run.y, u=run.u))
 
 
 # Verdicts

@@ -30,7 +30,7 @@ BUDGET = {
     "ensemble": 1930,
     "exports": 2460,
     "feedforward": 430,
-    "identification": 7235,
+    "identification": 7245,
     "linear": 400,
     "logs": 1250,
     "numerics": 840,

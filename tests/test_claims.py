@@ -59,6 +59,7 @@ def followed(regress: Callable[[Any], Any], count: int = 400) -> dict[str, list[
         means=np.array([0.1, 0.5, 0.96]),
         push=np.eye(lanes),
         stays=0.0,
+        noisy=1.0,
         reach=1.0,
         limit=3.3**2,
         most=2.3,

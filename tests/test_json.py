@@ -53,6 +53,8 @@ COMMANDS: dict[str, list[list[str]]] = {
     "estimate": [
         ["estimate", "examples/asymmetric_noise.toml", LOG, *COMMON],
         ["estimate", "examples/load_cell_limited.toml", LOG, "--columns", "t=t,y=y,u=u", *COMMON],
+        ["estimate", "valve.toml", LOG, *COMMON],
+        ["estimate", "gears.toml", LOG, *COMMON],
         ["estimate", "arm.toml", "arm/run.csv", *COMMON],
     ],
     "export": [
@@ -61,7 +63,11 @@ COMMANDS: dict[str, list[list[str]]] = {
     ],
     "paper": [["paper", *COMMON]],
 }  # fmt: skip
-PREPARED = {"arm.toml": ("two_link.toml", {"duration = 20.0": SHORT})}
+PREPARED = {
+    "arm.toml": ("two_link.toml", {"duration = 20.0": SHORT}),
+    "valve.toml": ("valve_both_ends.toml", {"step = 0.02": "step = 0.01"}),
+    "gears.toml": ("gears_and_zone.toml", {"step = 0.005": "step = 0.01"}),
+}
 BEFORE = {
     "run": COMMANDS["ensemble"][0],
     "estimate": ["run", "arm.toml", "--out", "arm", *COMMON],

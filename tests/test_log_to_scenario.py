@@ -25,6 +25,7 @@ from undeadzone.support.arrays import Floats
 STEP = 0.01
 RIGHT, LEFT = 0.3, 0.2  # of the zone, of the play, of the actuator's zone
 WORDS = {"zone": "dead_zone", "play": "play", "both": "both", "actuator": "input_zone"}
+WORDS |= {"ends": "two_zones"}  # of actuator and sensor
 # Behind noise each is in test_identify.py or test_which.py, and in firmware below.
 STABLE = list(itertools.product(WORDS, ("encoder", "exact")))
 MOTORS = [("zone", "noise"), ("zone", "encoder"), ("zone", "exact"), ("play", "noise"),
@@ -35,7 +36,7 @@ def record(element: str, reading: str, integrates: bool, order: int = 2) -> tupl
     """u and y of a plant of order 1 or 2 with an element, read in one of three ways."""
     rng = np.random.default_rng(0)
     u = np.repeat(rng.standard_normal(60), 15)
-    acting = zone(u) if element == "actuator" else u
+    acting = zone(u) if element in ("actuator", "ends") else u
     x, z = np.zeros(2), []
     spring = 0.0 if integrates else 20.0
     for force in acting:
@@ -46,7 +47,7 @@ def record(element: str, reading: str, integrates: bool, order: int = 2) -> tupl
     y = np.array(z)
     if element in ("play", "both"):
         y = play(y)
-    if element in ("zone", "both"):
+    if element in ("zone", "both", "ends"):
         y = zone(y)
     if reading == "noise":
         y = y + 0.005 * rng.standard_normal(y.size)
@@ -84,6 +85,18 @@ def test_a_log_of_a_stable_plant_ends_in_a_scenario(element: str, reading: str) 
     assert answer.verdict == WORDS[element]
     assert answer.width.low - 0.005 <= RIGHT + LEFT <= answer.width.high + 0.005
     assert not read_back(answer)
+    followed = uz.estimate(parse(answer.scenario()), u=u, y=y)
+    assert not followed.info.remarks
+    if (element, reading) == ("ends", "exact"):  # whose fit ends beside the top, which is said
+        assert "lag or delay" in followed.info.reasons[0]
+        return
+    assert followed.consistent, followed.info.reasons
+    numbers = followed.summary()
+    for side, width in (("right", RIGHT), ("left", LEFT)):
+        letters = {"actuator": "b", "ends": "bd", "both": ""}.get(element, "d")
+        for letter in letters:
+            std = max(numbers[f"{letter}_{side}_std"], 0.002)  # half a step of the encoder
+            assert abs(numbers[f"{letter}_{side}"] - width) < 3 * std
 
 
 @pytest.mark.parametrize(("element", "reading"), MOTORS)
@@ -134,7 +147,7 @@ def test_what_to_type_next_is_taken_as_it_is_printed(
 
 
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="no compiler")
-@pytest.mark.parametrize("element", ["zone", "play", "actuator"])
+@pytest.mark.parametrize("element", ["zone", "play", "actuator", "ends"])
 def test_a_log_ends_in_firmware(
     element: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

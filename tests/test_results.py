@@ -56,7 +56,7 @@ def test_every_quantity_is_a_signal_of_runs_or_of_none() -> None:
     named = {quantity.signal for quantity in QUANTITIES.values()} - {""}
     assert named == set(ESTIMATED)
     assert named <= set(RUN.names)
-    assert named - set(LOG.names) == {"consistent", "refused", "restarts", "b_hat", "b_std"}
+    assert named - set(LOG.names) == {"consistent", "refused", "restarts"}
 
 
 def test_a_signal_holds_its_fields_in_turn_and_only_what_is_estimated() -> None:

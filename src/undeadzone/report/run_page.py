@@ -61,7 +61,7 @@ def run_page(
         html.section(
             "Widths",
             _widths_table(run),
-            *_actuators(run),
+            *actuator_tables(actuators(run)),
             *gap_tables(run.outputs, gaps(run, run.info.units.output, run.info.gaps)),
             *map(html.paragraph, reasons),
         ),
@@ -139,9 +139,8 @@ def _widths_table(run: Run) -> html.Html:
     return html.estimates("output", run.outputs, sheets, heads, known)
 
 
-def _actuators(run: Run) -> list[html.Html]:
-    """The estimated and the true widths of each actuator; nothing where none are estimated."""
-    found = actuators(run)
+def actuator_tables(found: Sequence[Sequence[Row]]) -> list[html.Html]:
+    """The table of the widths of each actuator; nothing where none are estimated."""
     names = [f"u[{j}]" for j in range(len(found))]
     return [html.estimates("actuator", names, found)] if found else []
 

@@ -57,6 +57,7 @@ class Estimation:
         c_hat: estimates [c_r^, c_l^] of the play ahead of each dead zone (N x 2p) [z].
         c_std: standard deviation of c_hat (N x 2p) [z].
         gap_std: standard deviation of c_r^ + c_l^ (N x p) [z].
+        b_hat, b_std: estimates [b_r^, b_l^] of each actuator, and their deviations (N x 2m) [u].
         x_smooth, z_smooth, d_smooth: as x_hat, z_hat, d_hat, but from the whole log; of `kalman`,
             `censored`, `extended` and `auto`.
         x_smooth_std, d_smooth_std: their standard deviations.
@@ -159,7 +160,7 @@ def in_words(info: LogInfo) -> list[Block]:
     if single:
         estimated = "" if info.adapts else " (not estimated)"
         shown |= sheet.in_text(row._replace(note=estimated) for row in widths(info, 0))
-        for rows in gaps(info):
+        for rows in [*gaps(info), *actuators(info)]:
             shown |= sheet.in_text(rows)
         shown["readings"] = _sides(info, 0)
     elif not info.adapts:
@@ -203,12 +204,20 @@ def widths(info: LogInfo, i: int) -> list[Row]:
 
 def gaps(info: LogInfo) -> list[list[Row]]:
     """The final gaps of the play ahead of each dead zone; nothing where none are estimated."""
-    names = ("gap_right", "gap_left", "gap_right_std", "gap_left_std", "gap_std")
-    if not info.play:
-        return []
-    each = np.array([info.play[name] for name in names], float).reshape(len(names), -1)
     unit = info.units.output
-    return [sheet.gaps(one[:2], one[2:4], one[4], unit) for one in each.T.tolist()]
+    names = ("gap_right", "gap_left", "gap_right_std", "gap_left_std", "gap_std")
+    return [sheet.gaps(one[:2], one[2:4], one[4], unit) for one in _each(info.further, names)]
+
+
+def actuators(info: LogInfo) -> list[list[Row]]:
+    """The final widths of each actuator; nothing where none are estimated."""
+    unit, names = info.units.input, ("b_right", "b_left", "b_right_std", "b_left_std")
+    return [sheet.edges("b", "b", one[:2], one[2:], unit) for one in _each(info.further, names)]
+
+
+def _each(final: dict[str, Any], names: Sequence[str]) -> list[list[float]]:
+    """Final values in the order of names, for each output or actuator; nothing of none."""
+    return np.array([np.ravel(final[name]) for name in names if name in final]).T.tolist()
 
 
 def _sides(info: LogInfo, i: int) -> str:

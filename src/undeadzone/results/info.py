@@ -123,8 +123,8 @@ class LogInfo(msgspec.Struct, frozen=True, kw_only=True):
         limited: samples at a limit of the range, of each output (p); empty: there is none.
         remarks: what else the log shows, for the user.
         sensor: its kind.
-        play: final gaps of the play ahead of each dead zone, with their deviations, by name [z];
-            empty where none are estimated.
+        further: final gaps of plays ahead of dead zones [z] and widths of actuators [u], with their
+            deviations, by name; those that are estimated.
     """
 
     title: str
@@ -161,13 +161,13 @@ class LogInfo(msgspec.Struct, frozen=True, kw_only=True):
     remarks: list[str] = []
     claims: list[str] = []
     sensor: str = "deadzone"
-    play: dict[str, Any] = {}
+    further: dict[str, Any] = {}
     faults: dict[str, int] = {}
 
     def summary(self) -> dict[str, Any]:
         """The numbers, ready for JSON; lists where there are several outputs."""
         numbers = msgspec.to_builtins(self)
-        numbers |= numbers.pop("play")
+        numbers |= numbers.pop("further")
         for name in ("right", "left", "silent", "limited"):
             numbers[f"samples_{name}"] = numbers.pop(name)
         if not self.limited:

@@ -343,13 +343,12 @@ def widths(run: Run, i: int) -> list[Row]:
 
 def actuators(run: Run) -> list[list[Row]]:
     """The widths of each actuator; nothing where none are estimated."""
-    info = run.info
     if run.b_hat is None or run.b_std is None:
         return []
-    rows = []
-    for j in range(len(info.actuator) // 2):
+    true, unit, rows = run.info.actuator, run.info.units.input, []
+    for j in range(len(true) // 2):
         found = _last(run.b_hat, run.b_std, j)
-        rows.append(sheet.edges("b", "b", *found, info.units.input, _pair(info.actuator, j)))
+        rows.append(sheet.edges("b", "b", *found, unit, _pair(true, j)))
     return rows
 
 

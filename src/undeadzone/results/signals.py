@@ -77,7 +77,7 @@ EVERY: Final = tuple(
 FURTHER: Final = tuple(name for name in ESTIMATED if name not in EVERY)
 DEVIATIONS: Final = ("x_std", "d_std", "width_std", "innovation_std")
 SMOOTHED: Final = ("x_smooth", "z_smooth", "d_smooth", "x_smooth_std", "d_smooth_std")
-NOT_OF_LOGS: Final = ("consistent", "refused", "restarts", "b_hat", "b_std")
+NOT_OF_LOGS: Final = ("consistent", "refused", "restarts")
 
 
 class Layout(NamedTuple):

@@ -78,7 +78,7 @@ class Follower:
         # Of sides: right, left, silent, at a limit of the range.
         self._counts = np.zeros((4, self.model.p), int)
         self._missing = 0
-        undeclared = self.model.p if self.zone.limits is None else 0
+        undeclared = 0 if self.zone.moves or self.zone.limits is not None else self.model.p
         self._ends = [RunningEnds() for _ in range(undeclared)]
         self._diverged = False
         self._last: Estimate | None = None
@@ -240,7 +240,7 @@ class Follower:
             units=scenario.units,
             limited=limited if self.zone.limits is not None else [],
             sensor=self.zone.kind,
-            play=final(of_estimate(last_row), "c_hat", "c_std", "gap_std"),
+            further=final(of_estimate(last_row), "c_hat", "c_std", "gap_std", "b_hat", "b_std"),
             remarks=self._remarks(),
             **verdict._asdict(),
         )

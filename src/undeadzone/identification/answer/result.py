@@ -24,7 +24,7 @@ from undeadzone.support.arrays import Floats, finite
 from undeadzone.support.files import write_text
 from undeadzone.support.shown import Block
 
-WRITTEN = ("play", "both", "input_zone")  # verdicts besides the sensor's zone that a scenario has
+WRITTEN = ("play", "both", "input_zone", "two_zones")  # besides the sensor's zone, in a scenario
 
 
 class States(NamedTuple):
@@ -153,9 +153,7 @@ class Identified:
         """
         known = self.answer.zone or self.answer.case.jumps is not None
         if not known and self.verdict not in WRITTEN:
-            raise InputError(
-                f"scenario: the verdict is {self.answer.verdict}: there is no zone to write"
-            )
+            raise InputError(f"scenario: the verdict is {self.verdict}: there is no zone to write")
         return scenario_text([self.answer], title)
 
     def next_log(self) -> Next:

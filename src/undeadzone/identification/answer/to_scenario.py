@@ -18,7 +18,6 @@ from undeadzone.identification.answer.to_continuous import entry_spread
 from undeadzone.identification.models.estimates import Interval
 from undeadzone.identification.models.kalman import AT_OUTPUT
 from undeadzone.identification.models.plant import input_gain
-from undeadzone.identification.verdict.verdict import MEMORY
 from undeadzone.identification.verdict.which import Element
 from undeadzone.linear.matrices import Matrices
 from undeadzone.support.arrays import Floats
@@ -26,6 +25,7 @@ from undeadzone.support.text import filled, printable
 
 UNSEEN = 0.1  # of the readings' noise: what a disturbance makes of z, and no log of this kind shows
 SIDES = ("right", "left")
+FINEST = 1e-6  # rms of y: noise that is told is no smaller, where there is any
 LEAST, MOST = 1e-3, 0.5  # tolerance of an entry
 
 
@@ -47,22 +47,19 @@ def scenario_text(answers: Sequence[Answer], title: str) -> str:
     plants, spreads_A, spreads_B = zip(*[_plant(answer) for answer in answers], strict=True)
     first, plant = answers[0], _joined(plants)
     step = first.case.grid.step
-    at_input = first.verdict == "input_zone"
     driven = plant.B.shape[1] >= len(answers)
     words: dict[str, Any] = {
         "title": json.dumps(title, ensure_ascii=False),
         **{name.lower(): _rows(matrix) for name, matrix in plant._asdict().items()},
         "delay": _delay(answers),
         "kind": first.verdict if first.verdict in ("jump", "play") else "",
-        "at_input": at_input,
-        "at_sensor": not at_input,
-        "widths": _widths(answers),
+        **_zones(answers),
+        "bare": first.verdict == "input_zone",
         **_gap(first),
         **_noise(answers),
         "driven": driven,
         "amplitude": _numbers(np.quantile(np.abs(one.z) * one.scale, 0.98) for one in answers),
         "frequency": _number(_frequency(first, plant.A)),
-        "claimed": _claimed(answers),
         **_disturbance(answers),
         "tolerance": _tolerance(block_diag(*spreads_A), np.vstack(spreads_B)),
         "duration": _number(_duration(answers, plant.A)),
@@ -78,9 +75,25 @@ def scenario_text(answers: Sequence[Answer], title: str) -> str:
     return filled(template.read_text(encoding="utf-8"), words)
 
 
-def _widths(answers: Sequence[Answer]) -> str:
-    """The widths of a sensor, or of an actuator. Raises InputError."""
-    zones = [_edges(answer) for answer in answers]
+def _zones(answers: Sequence[Answer]) -> dict[str, str]:
+    """Widths of sensor and actuator, and what is told of them; empty where there is no zone.
+
+    Raises:
+        InputError: a width that no scenario has.
+    """
+    first, none = answers[0], ("", "")
+    own = _widths([_edges(answer) for answer in answers]), _claimed(answers)
+    sensor, actuator = (none, own) if first.verdict == "input_zone" else (own, none)
+    if first.element is not None and first.element.input:
+        right, left = (first.element.input[side] for side in SIDES)
+        told = [[told_element(first.element, edge)] for edge in (right, left)]
+        actuator = _widths([_sound(first, right, left)]), _told(told)
+    names = ("sensor", "told_sensor", "actuator", "told_actuator")
+    return dict(zip(names, (*sensor, *actuator), strict=True))
+
+
+def _widths(zones: Sequence[tuple[Interval, Interval]]) -> str:
+    """The widths of the zones of all outputs."""
     lines = []
     for side, edges in zip(SIDES, zip(*zones, strict=True), strict=True):
         values = _numbers(edge.value for edge in edges)
@@ -90,15 +103,19 @@ def _widths(answers: Sequence[Answer]) -> str:
 
 def _claimed(answers: Sequence[Answer]) -> str:
     """The widths as the observer knows them. Raises InputError."""
-    element, remark = answers[0].element, "99.9 % interval"
-    edges = None if element is None else element.edges
+    element = answers[0].element
+    if element is not None and element.edges is not None:
+        return _told([[told_element(element, edge)] for edge in element.edges], ", if c_r = c_l")
+    return _told([[told_range(one, side) for one in answers] for side in SIDES])
+
+
+def _told(ranges: Sequence[Sequence[tuple[float, float]]], where: str = "") -> str:
+    """The ranges of the widths of all outputs, right and left."""
     lines = []
-    for place, side in enumerate(SIDES):
-        if element is not None and edges is not None:
-            ranges, remark = [told_element(element, edges[place])], "99.9 % interval, if c_r = c_l"
-        else:
-            ranges = [told_range(one, side) for one in answers]
-        lines.append(f"{side} = {_listed([_pair(*ends) for ends in ranges])}  # {remark}")
+    for side, own in zip(SIDES, ranges, strict=True):
+        lines.append(
+            f"{side} = {_listed([_pair(*ends) for ends in own])}  # 99.9 % interval{where}"
+        )
     return "\n".join(lines)
 
 
@@ -170,6 +187,11 @@ def _edges(answer: Answer) -> tuple[Interval, Interval]:
         right, left = answer.element.edges
     if right is None or left is None:
         raise InputError("scenario: both widths must be known")
+    return _sound(answer, right, left)
+
+
+def _sound(answer: Answer, right: Interval, left: Interval) -> tuple[Interval, Interval]:
+    """Widths that a scenario may have. Raises InputError."""
     for name, edge in (("right", right), ("left", left)):
         if not math.isfinite(edge.value):
             raise InputError(
@@ -188,22 +210,24 @@ def _edges(answer: Answer) -> tuple[Interval, Interval]:
 
 
 def _noise(answers: Sequence[Answer]) -> dict[str, str]:
-    """Noise of the sensor, its threshold and quantum; empty where there is none."""
-    ahead, behind = zip(*[_rms_of_noise(answer) for answer in answers], strict=True)
-    quanta = [one.case.grid.quantum * (one.verdict in MEMORY) for one in answers]
+    """Noise of the sensor beside its rounding, threshold, quantum; empty where there is none."""
+    rms = np.array([_rms_of_noise(answer) for answer in answers]).T
+    quanta = np.array([one.case.grid.quantum for one in answers])
     silent = [max(0.5 * one.case.grid.quantum, one.options.threshold or 0.0) for one in answers]
+    ahead, behind = np.sqrt(np.maximum(rms**2 - quanta**2 / 12, 0.0))
     noise = {"ahead": ahead, "behind": behind, "quantum": quanta}
-    shown = {name: any(values) * _numbers(values) for name, values in noise.items()}
-    return shown | {"threshold": _numbers(silent)}
+    shown = {name: bool(values.any()) * _numbers(values) for name, values in noise.items()}
+    return shown | {"threshold": bool(rms[0].any()) * _numbers(silent)}
 
 
 def _rms_of_noise(answer: Answer) -> tuple[float, float]:
-    """rms of white noise ahead of the zone and behind it; of another element always behind."""
+    """rms of white noise ahead of the sensor's zone and behind it; of other elements behind."""
     disturbance = answer.disturbance
     white = disturbance.rms if disturbance.white is None else disturbance.white
-    if answer.element is not None:
-        return 0.0, white
-    return (white, 0.0) if disturbance.ahead else (0.0, disturbance.rms)
+    white = white and max(white, FINEST * answer.scale)
+    silent = answer.verdict == "two_zones" and answer.case.data.silent_zeros
+    at_zone = disturbance.ahead and (answer.element is None or silent)
+    return (white, 0.0) if at_zone else (0.0, white)
 
 
 def _frequency(answer: Answer, A: Floats) -> float:
@@ -241,7 +265,6 @@ def _disturbance(answers: Sequence[Answer]) -> dict[str, str]:
 def _claim(answer: Answer) -> tuple[float, float] | None:
     """rms at the input and correlation time [s] of what disturbs an output; None: not known."""
     step = answer.case.grid.step
-    layout = answer.fit.objective.layout
     kalman = answer.found.kalman
     data = answer.fit.objective.data
     if answer.element is not None:
@@ -252,7 +275,7 @@ def _claim(answer: Answer) -> tuple[float, float] | None:
     phi = best.phi
     rms = best.q / math.sqrt(1 - phi * phi) * float(data.u_scale[0])
     if best.model == AT_OUTPUT:
-        _, a, b, _ = answer.plant_numbers
+        layout, a, b, _ = answer.plant_numbers
         at_z = best.q / math.sqrt(1 - phi * phi) * answer.scale
         rms = at_z / math.sqrt(input_gain(a, b[: layout.n], layout.n, phi))
     return rms, _correlation_time(phi, step)

@@ -25,6 +25,7 @@ COSINES = 24
 SURE_SHARE = 0.1  # of the residual that a curve explains, from which it is another nonlinearity
 LARGE_SHARE, LIKELY = 0.25, 0.01  # the same for a large share, of which p may be larger
 CHANCE = 1e-3  # p from which a curve is real
+LEAST_ODD = 1e-3  # rms of y: a model that leaves less is not wrong, and its readings are not odd
 
 
 class Model(Protocol):
@@ -217,7 +218,7 @@ class LeastSquares(Generic[M]):
         variance = float(np.mean(innovation**2)) + 1e-12
         value = -0.5 * innovation**2 / variance - 0.5 * math.log(2 * math.pi * variance)
         rms = float(np.sqrt(np.mean(e**2)))
-        strange = is_strange(*curve_over(self.model.output(theta)[ok], e[ok]))
+        strange = rms > LEAST_ODD and is_strange(*curve_over(self.model.output(theta)[ok], e[ok]))
         numbers = self.free.size + self.model.has_level + coloured.past.size + 1
         return Density(self.model.name, value, numbers, rms, strange)
 

@@ -24,7 +24,7 @@ from undeadzone.identification.models.elements import (
 )
 from undeadzone.identification.models.estimates import Interval, best_top
 from undeadzone.identification.models.kalman_fit import KalmanFit
-from undeadzone.identification.models.least_squares import Fitted, LeastSquares
+from undeadzone.identification.models.least_squares import LEAST_ODD, Fitted, LeastSquares
 from undeadzone.identification.models.likelihood import dead_zone
 from undeadzone.identification.models.motion import THERE, Offsets, along, white_noise
 from undeadzone.identification.models.place import (
@@ -52,7 +52,6 @@ from undeadzone.support.arrays import Floats, Integers
 
 LEAST_GAP = 0.02  # rms of y, below which a gap is no matter
 LEAST_NOISE = 0.01  # rms of y, from which noise that falls silent is told from rounding
-LEAST_ODD = 1e-3  # least rms from which readings are counted as odd, in rms of y
 FINEST = 2e-4  # rms of u: no interval is narrower
 EVEN = "the centre of the gap is not known, and both sides are half of the width"
 LAST = {
@@ -387,10 +386,11 @@ def _of_zones(zoned: Zoned, case: Case) -> Element:
     widths, degrees = _zone_of(zoned, (), float(whole.u_scale[0]), 0.0)
     at_both, remarks = {}, ["the widths are those of the input, in its unit"]
     if both:
-        at_both, remarks = widths, ["both ends have a zone: no scenario is written"]
+        at_both, remarks = widths, []
         widths, degrees = _zone_of(zoned, (0.0, 0.0), whole.y_scale, case.offset)
     target, last = zoned.stages[-1]
-    rms = fit.squares.rms(numbers)
+    e, heard = fit.squares.residual(numbers), data.ok & ((data.side != 0) | (not data.silent_zeros))
+    rms = float(np.sqrt(np.mean(e[heard] ** 2)))
     return Element(
         kind=model.name,
         fit=fit,
@@ -401,7 +401,7 @@ def _of_zones(zoned: Zoned, case: Case) -> Element:
         readings=readings,
         side=np.sign(readings if both else passed[:, 0]).astype(int),
         widths=dict(widths),
-        ahead=plant.disturbance_ahead(layout, numbers, fit.squares.residual(numbers), data.ok),
+        ahead=plant.disturbance_ahead(layout, numbers, e, data.ok),
         noise=min(white_noise(data.y, data.ok, data.start), rms),
         degrees=degrees,
         rms=rms,

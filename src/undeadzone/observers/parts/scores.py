@@ -83,7 +83,8 @@ def scored(q: Any, s: Scores, nu: Any, counted: Any, far: Any, reading: Reading,
     y = ca.if_else(present(reading.y), reading.y, 0.0)
     lift, rise = counted * (s.brisk - s.slow), counted * (s.quick - s.brisk)
     stays = ca.logic_and(ca.fabs(y - s.last) < doubt.stays, ca.fabs(y) > doubt.stays)
-    stays = ca.logic_and(stays, ca.logic_or(far, y == s.last))
+    stuck = ca.logic_and(y == s.last, doubt.noisy)
+    stays = ca.logic_and(stays, ca.logic_or(far, stuck))
     shown = ca.fmax(ca.fmin(doubt.push @ u, MOST), -MOST)
     left, before = ca.vertsplit(ca.SX(doubt.means)), (s.quick, s.brisk, s.slow)
     means = [shown + share * (mean - shown) for share, mean in zip(left, before, strict=True)]
