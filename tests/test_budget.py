@@ -42,7 +42,7 @@ BUDGET = {
     "signals": 390,
     "simulation": 2345,
     "statistics": 265,
-    "support": 840,
+    "support": 846,
     "synthesis": 1050,
     "tuning": 885,
 }

@@ -157,6 +157,19 @@ def killed(work: Callable[[], object], path: Path, rng: random.Random) -> None:
     process.join()
 
 
+@pytest.mark.parametrize("was_there", [True, False])
+def test_what_is_stopped_before_its_first_answer_leaves_nothing(
+    was_there: bool, tmp_path: Path
+) -> None:
+    folder = tmp_path / "out"
+    if was_there:
+        folder.mkdir()
+    answers = Answers(folder / "some.partial", {}, "answers")
+    with pytest.raises(KeyboardInterrupt), answers.kept():
+        raise KeyboardInterrupt
+    assert list(tmp_path.rglob("*")) == [folder] * was_there
+
+
 def small() -> Scenario:
     return scene(
         sensor={"noise": 0.01},

@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import itertools
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -141,7 +140,6 @@ def _kept(
     resume: bool,
 ) -> Identified | IdentifiedOutputs:
     """The answer; what was fitted is kept in a file. Raises InputError."""
-    is_new = not keep.parent.exists()
     answers = Answers(keep, _problem(logs, options), "fits", resume)
     climbs = KeptClimbs(answers)
     with answers.kept():
@@ -151,10 +149,7 @@ def _kept(
             refused = error
         finally:
             climbs.close()
-    keep.unlink(missing_ok=True)
-    if is_new:
-        with suppress(OSError):  # something else is there by now
-            keep.parent.rmdir()
+    answers.drop()
     raise refused
 
 

@@ -13,7 +13,7 @@ import json
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
@@ -94,6 +94,7 @@ class Answers:
     ) -> None:
         self._path, self._unit = path, unit
         self._known: dict[str, Any] = {}
+        self._is_first = not path.parent.exists()
         self._file = open_kept(path, "a+", LARGEST_TABLE)
         try:
             lock(path, self._file)
@@ -128,6 +129,13 @@ class Answers:
         with keeping(self._leave):
             yield
         self._file.close()
+
+    def drop(self) -> None:
+        """Delete the file, and its folder where the file was the first thing in it."""
+        self._path.unlink(missing_ok=True)
+        if self._is_first:
+            with suppress(OSError):  # something else is there by now
+                self._path.parent.rmdir()
 
     def _open(self, problem: Mapping[str, Any], resume: bool) -> None:
         """Read the answers that are there, or begin the file."""
@@ -188,7 +196,7 @@ class Answers:
         """Close the file, or remove one without answers, and say what it holds."""
         self._file.close()
         if not self._known:
-            self._path.unlink(missing_ok=True)
+            self.drop()
             return ""
         return f"{len(self._known)} {self._unit} are kept in {self._path}; continue with --resume"
 

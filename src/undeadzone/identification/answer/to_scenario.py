@@ -95,9 +95,8 @@ def _zones(answers: Sequence[Answer]) -> dict[str, str]:
 def _widths(zones: Sequence[tuple[Interval, Interval]]) -> str:
     """The widths of the zones of all outputs."""
     lines = []
-    for side, edges in zip(SIDES, zip(*zones, strict=True), strict=True):
-        values = _numbers(edge.value for edge in edges)
-        lines.append(f"{side} = {values}  # 95 %: {_intervals(edges)}")
+    for side, ends in zip(SIDES, zip(*zones, strict=True), strict=True):
+        lines.append(f"{side} = {_numbers(one.value for one in ends)}  # 95 %: {_intervals(ends)}")
     return "\n".join(lines)
 
 
