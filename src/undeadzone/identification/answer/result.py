@@ -151,8 +151,7 @@ class Identified:
         Raises:
             InputError: no dead zone was found, or no plant in continuous time fits.
         """
-        known = self.answer.zone or self.answer.case.jumps is not None
-        if not known and self.verdict not in WRITTEN:
+        if not (self.answer.zone or self.answer.case.jumps or self.verdict in WRITTEN):
             raise InputError(f"scenario: the verdict is {self.verdict}: there is no zone to write")
         return scenario_text([self.answer], title)
 
