@@ -228,10 +228,7 @@ def test_two_links_are_found_joint_by_joint() -> None:
 
 
 def test_what_a_motor_tells_of_its_gears_moves_the_free_links_of_others() -> None:
-    """As the arm answers to an impulse at that joint; a link in contact is left to its readings.
-
-    The payload is that of the whole arm for both, in each mode.
-    """
+    """As the arm answers to an impulse at that joint; a link in contact is left to its readings."""
     gears = geared_motion(two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
     mean = ca.DM([0.3, 0.8, 0.3, 0.8, *[0.0] * 17])
     belief = Gaussian(ca.SX(11, 1), ca.SX.eye(11))
@@ -239,11 +236,7 @@ def test_what_a_motor_tells_of_its_gears_moves_the_free_links_of_others() -> Non
     arm = posture(gears, gears.values, mean, ca.DM.zeros(2))
     news, impulse = ca.SX(21, 1), 0.2
     news[5] = -impulse / 0.03  # the second motor, slower than was foretold
-    shared = ca.SX(21, 1)
-    shared[-1] = 0.4
-    whole = told._replace(whole=Gaussian(shared, ca.SX.eye(21)), news=news)
-    first, second = made_up([told, told], whole, arm)
-    assert all(float(one.mean[-1]) == 0.4 for one in (*first.beliefs, *second.beliefs))
+    first, second = made_up([told, told], news, arm)
     right, free, left = (float(one.mean[3]) for one in first.beliefs)
     answer = np.asarray(ca.evalf(drive_of(gears, 1e-3, 1).mobility(gears.values, mean)))
     assert free == pytest.approx(PASSED * impulse * answer[2, 1])

@@ -298,7 +298,7 @@ def _step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> tuple[
     shown = _shown(setup, q, told, whole, reading)._replace(**verdict(ratios))
     if setup.ones:
         arm = posture(setup.gears, q.modes.model, whole.whole.mean, u)
-        told = made_up(told, whole, arm)
+        told = made_up(told, whole.news, arm)
         parts = surroundings(setup.ones, drives, parts, told, arm)
     after = []
     for joint, (drive, part) in enumerate(zip(drives, parts, strict=True)):

@@ -40,7 +40,7 @@ SLOW = 0.05  # time for which the place of another link is off [s]
 PASSED = 0.6  # of what readings correct in the speed of a motor, the share that its gears caused
 KNOWN = 1e-9  # variance of a payload that is known [kg^2]
 REST = ("mass", "load", "slope", "place", "weight", "carried")  # what a joint knows of its arm
-SPEED, PAYLOAD = QUANTITIES.index("link_speed"), -1  # of one joint; the last of every layout
+SPEED = QUANTITIES.index("link_speed")
 FREE = np.full(1, np.inf)
 
 
@@ -219,32 +219,28 @@ def posture(gears: Geared, model: Any, mean: Any, u: Any) -> Posture:
     )
 
 
-def made_up(told: Sequence[Told], whole: Told, arm: Posture) -> list[Told]:
-    """The joints, after their readings, once each has heard what those of others tell.
+def made_up(told: Sequence[Told], news: Any, arm: Posture) -> list[Told]:
+    """The joints, after their readings, once each has heard what those of others tell of torques.
 
     Where readings correct the speed of a motor, its gears have given its link another impulse than
     was taken for the mean, opposite to that of the motor. Links elsewhere that are free went with
     it unseen; those in contact are held by their own readings.
 
-    All bear the payload of the whole arm. With payloads of their own, gears would bear other
-    weights than the arm has, and each flight of a link be foretold with the same error.
-
     Args:
         told: of each joint, after its own readings.
-        whole: of all joints together.
+        news: by how much the readings moved the means of all unknowns.
         arm: all joints in the mean.
     """
     layout, inertia = Layout(arm.gears.size), arm.gears.number(arm.params, "inertia")
-    impulses = -PASSED * inertia * whole.news[layout.of("motor_speed")]
+    impulses = -PASSED * inertia * news[layout.of("motor_speed")]
     gained = arm.inverse @ impulses - ca.diag(arm.inverse) * impulses
+    free = Layout(1).modes.index((0,))
     each = []
     for joint, one in enumerate(told):
-        beliefs, more = [], whole.whole.mean[PAYLOAD] - one.whole.mean[PAYLOAD]
-        for contact, belief in zip(Layout(1).modes, one.beliefs, strict=True):
-            mean = ca.SX(belief.mean)
-            mean[PAYLOAD] += more
-            mean[SPEED] += gained[joint] * (contact == (0,))
-            beliefs.append(Gaussian(mean, belief.cov))
+        beliefs = list(one.beliefs)
+        mean = ca.SX(beliefs[free].mean)
+        mean[SPEED] += gained[joint]
+        beliefs[free] = Gaussian(mean, beliefs[free].cov)
         each.append(one._replace(beliefs=beliefs))
     return each
 
