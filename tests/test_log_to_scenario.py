@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 import re
 import shlex
 import shutil
@@ -17,6 +18,7 @@ import undeadzone as uz
 from commands import undeadzone
 from undeadzone.cli.identify import _next
 from undeadzone.exports import export
+from undeadzone.identification.answer.to_scenario import scenario_text
 from undeadzone.identification.models.estimates import positive
 from undeadzone.identification.models.plant import roots, stabilised
 from undeadzone.scenario.reader import parse
@@ -97,6 +99,19 @@ def test_a_log_of_a_stable_plant_ends_in_a_scenario(element: str, reading: str) 
         for letter in letters:
             std = max(numbers[f"{letter}_{side}_std"], 0.002)  # half a step of the encoder
             assert abs(numbers[f"{letter}_{side}"] - width) < 3 * std
+
+
+def test_a_quantum_that_noise_hides_is_none() -> None:
+    """Else no sensor whose log was rounded for printing would ever be found stuck."""
+    u, y = record("zone", "noise", integrates=False, order=1)
+    answer = uz.identify(t=STEP, u=u, y=y, order=1, delay=0).answer
+    noise = parse(scenario_text([answer], "told")).sensor.noise
+    for quantum, told in ((0.01 * noise, 0.0), (noise, noise)):
+        grid = answer.case.grid._replace(quantum=quantum)
+        rounded = answer._replace(case=answer.case._replace(grid=grid))
+        sensor = parse(scenario_text([rounded], "told")).sensor
+        assert sensor.quantum == told
+        assert math.hypot(sensor.noise, told / math.sqrt(12)) == pytest.approx(noise)
 
 
 @pytest.mark.parametrize(("element", "reading"), MOTORS)

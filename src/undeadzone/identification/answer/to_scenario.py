@@ -25,6 +25,7 @@ from undeadzone.support.text import filled, printable
 
 UNSEEN = 0.1  # of the readings' noise: what a disturbance makes of z, and no log of this kind shows
 SIDES = ("right", "left")
+REPEATED = 0.02  # of the noise: of coarser steps one reading in 200 repeats the one before
 FINEST = 1e-6  # rms of y: noise that is told is no smaller, where there is any
 LEAST, MOST = 1e-3, 0.5  # tolerance of an entry
 
@@ -212,6 +213,7 @@ def _noise(answers: Sequence[Answer]) -> dict[str, str]:
     """Noise of the sensor beside its rounding, threshold, quantum; empty where there is none."""
     rms = np.array([_rms_of_noise(answer) for answer in answers]).T
     quanta = np.array([one.case.grid.quantum for one in answers])
+    quanta = np.where(quanta > REPEATED * rms.max(axis=0), quanta, 0.0)
     silent = [max(0.5 * one.case.grid.quantum, one.options.threshold or 0.0) for one in answers]
     ahead, behind = np.sqrt(np.maximum(rms**2 - quanta**2 / 12, 0.0))
     noise = {"ahead": ahead, "behind": behind, "quantum": quanta}
@@ -304,8 +306,7 @@ def _tolerance(spread_A: Floats, spread_B: Floats) -> str:
     entries = []
     for name, spread in (("A", spread_A), ("B", spread_B)):
         for i, j in np.argwhere(spread > 0):
-            value = float(np.clip(spread[i, j], LEAST, MOST))
-            entries.append(f'"{name}[{i},{j}]" = {value:.3g}')
+            entries.append(f'"{name}[{i},{j}]" = {np.clip(spread[i, j], LEAST, MOST):.3g}')
     return "{ " + ", ".join(entries) + " }"
 
 
