@@ -114,6 +114,16 @@ def test_a_quantum_that_noise_hides_is_none() -> None:
         assert math.hypot(sensor.noise, told / math.sqrt(12)) == pytest.approx(noise)
 
 
+def test_rounding_is_taken_off_a_plays_noise_once() -> None:
+    u, y = record("play", "noise", integrates=False)
+    answer = uz.identify(t=STEP, u=u, y=0.005 * np.round(y / 0.005), order=2, delay=0)
+    sensor = parse(answer.scenario()).sensor
+    element = answer.answer.element
+    assert element is not None
+    assert (sensor.quantum, element.noise > 0) == (pytest.approx(0.005), True)
+    assert sensor.noise == pytest.approx(element.noise * answer.answer.scale)
+
+
 @pytest.mark.parametrize(("element", "reading"), MOTORS)
 def test_a_log_of_a_motor_ends_in_a_scenario_or_in_words(element: str, reading: str) -> None:
     u, y = record(element, reading, integrates=True)

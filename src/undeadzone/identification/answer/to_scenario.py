@@ -18,6 +18,7 @@ from undeadzone.identification.answer.to_continuous import entry_spread
 from undeadzone.identification.models.estimates import Interval
 from undeadzone.identification.models.kalman import AT_OUTPUT
 from undeadzone.identification.models.plant import input_gain
+from undeadzone.identification.verdict.verdict import MEMORY
 from undeadzone.identification.verdict.which import Element
 from undeadzone.linear.matrices import Matrices
 from undeadzone.support.arrays import Floats
@@ -113,9 +114,7 @@ def _told(ranges: Sequence[Sequence[tuple[float, float]]], where: str = "") -> s
     """The ranges of the widths of all outputs, right and left."""
     lines = []
     for side, own in zip(SIDES, ranges, strict=True):
-        lines.append(
-            f"{side} = {_listed([_pair(*ends) for ends in own])}  # 99.9 % interval{where}"
-        )
+        lines.append(f"{side} = {_listed([_pair(*one) for one in own])}  # 99.9 % interval{where}")
     return "\n".join(lines)
 
 
@@ -215,7 +214,8 @@ def _noise(answers: Sequence[Answer]) -> dict[str, str]:
     quanta = np.array([one.case.grid.quantum for one in answers])
     quanta = np.where(quanta > REPEATED * rms.max(axis=0), quanta, 0.0)
     silent = [max(0.5 * one.case.grid.quantum, one.options.threshold or 0.0) for one in answers]
-    ahead, behind = np.sqrt(np.maximum(rms**2 - quanta**2 / 12, 0.0))
+    rounding = quanta * [one.verdict not in MEMORY for one in answers]  # a play's noise has none
+    ahead, behind = np.sqrt(np.maximum(rms**2 - rounding**2 / 12, 0.0))
     noise = {"ahead": ahead, "behind": behind, "quantum": quanta}
     shown = {name: bool(values.any()) * _numbers(values) for name, values in noise.items()}
     return shown | {"threshold": bool(rms[0].any()) * _numbers(silent)}
