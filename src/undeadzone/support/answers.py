@@ -149,7 +149,7 @@ class Answers:
             try:
                 self._append(head)
             except FileError:  # disk full
-                self._path.unlink(missing_ok=True)
+                self.drop()
                 raise
             return
         lines = [line for line in map(_checked, content.split(b"\n")) if line is not None]
