@@ -101,16 +101,35 @@ def test_a_log_of_a_stable_plant_ends_in_a_scenario(element: str, reading: str) 
             assert abs(numbers[f"{letter}_{side}"] - width) < 3 * std
 
 
+@pytest.mark.parametrize("step", [0.001, 0.005, 0.016])
+@pytest.mark.parametrize("element", WORDS)
+def test_a_noisy_log_that_a_converter_rounds_ends_in_a_scenario(element: str, step: float) -> None:
+    """Noise of 5, 1 and .3 steps: a zero is no silence, and a tick that is taken back no motion."""
+    u, y = record(element, "noise", integrates=False)
+    y = step * np.round(y / step)
+    answer = uz.identify(t=STEP, u=u, y=y, order=2, delay=0)
+    assert answer.verdict == WORDS[element]
+    assert answer.width.low <= RIGHT + LEFT <= answer.width.high
+    assert answer.width.half < 0.02
+    scenario = parse(answer.scenario())
+    assert scenario.sensor.quantum == pytest.approx(step)
+    if (
+        step < 0.016 or element == "zone"
+    ):  # else the noise that is told is too small, and it says so
+        assert uz.estimate(scenario, u=u, y=y).consistent
+
+
 def test_a_quantum_that_noise_hides_is_none() -> None:
     """Else no sensor whose log was rounded for printing would ever be found stuck."""
     u, y = record("zone", "noise", integrates=False, order=1)
     answer = uz.identify(t=STEP, u=u, y=y, order=1, delay=0).answer
     noise = parse(scenario_text([answer], "told")).sensor.noise
     for quantum, told in ((0.01 * noise, 0.0), (noise, noise)):
-        grid = answer.case.grid._replace(quantum=quantum)
+        grid = answer.case.grid
+        grid = grid._replace(y=quantum * np.round(grid.y / quantum))
         rounded = answer._replace(case=answer.case._replace(grid=grid))
         sensor = parse(scenario_text([rounded], "told")).sensor
-        assert sensor.quantum == told
+        assert sensor.quantum == pytest.approx(told)
         assert math.hypot(sensor.noise, told / math.sqrt(12)) == pytest.approx(noise)
 
 

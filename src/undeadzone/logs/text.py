@@ -216,9 +216,7 @@ def number(cell: str, comma: bool) -> float | None:
         value = float(cell)
     except ValueError:
         return None
-    if abs(value) > LARGEST or "_" in cell:
-        return None
-    return value
+    return None if abs(value) > LARGEST or "_" in cell else value
 
 
 def _separator(lines: Sequence[str]) -> str:

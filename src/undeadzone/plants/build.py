@@ -288,9 +288,7 @@ def _require_formulas(plant: Plant, key: str) -> None:
 
 def _vector_or_zeros(key: str, value: Array | None, size: int, why: str) -> Floats:
     """A vector of that size as the user gives it, zeros where none is given. Raises ShapeError."""
-    if value is None:
-        return np.zeros(size)
-    return vector(key, value, size, why)
+    return np.zeros(size) if value is None else vector(key, value, size, why)
 
 
 class _Formula(NamedTuple):

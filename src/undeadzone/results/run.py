@@ -345,11 +345,9 @@ def actuators(run: Run) -> list[list[Row]]:
     """The widths of each actuator; nothing where none are estimated."""
     if run.b_hat is None or run.b_std is None:
         return []
-    true, unit, rows = run.info.actuator, run.info.units.input, []
-    for j in range(len(true) // 2):
-        found = _last(run.b_hat, run.b_std, j)
-        rows.append(sheet.edges("b", "b", *found, unit, _pair(true, j)))
-    return rows
+    true, unit, known = run.info.actuator, run.info.units.input, (run.b_hat, run.b_std)
+    inputs = range(len(true) // 2)
+    return [sheet.edges("b", "b", *_last(*known, j), unit, _pair(true, j)) for j in inputs]
 
 
 def gaps(signals: Any, unit: str, true: Sequence[float] | None = None) -> list[list[Row]]:

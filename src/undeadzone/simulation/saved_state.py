@@ -120,6 +120,4 @@ def _like(value: Any, array: Any, name: str) -> Any:
     fits = array.ndim == known.ndim if grows else array.shape == known.shape
     if not fits or array.dtype.kind != known.dtype.kind:
         raise ValueError(f"{name} is {array.dtype} {array.shape}")
-    if isinstance(value, np.ndarray):
-        return array
-    return array.tolist()
+    return array if isinstance(value, np.ndarray) else array.tolist()

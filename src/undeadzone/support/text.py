@@ -18,9 +18,7 @@ _WORD: Final = re.compile("@([a-z_]+)@")
 
 def printable(text: str) -> str:
     """A text in which every control character stands as its escape, such as \\x1b or \\n."""
-    if text.isprintable():
-        return text
-    return "".join(map(_printable, text))
+    return text if text.isprintable() else "".join(map(_printable, text))
 
 
 def one_line(text: str) -> str:
@@ -75,9 +73,7 @@ def json_line(text: str) -> str:
 
     JSON itself demands that below 0x20 only; terminals obey others too.
     """
-    if text.isprintable():
-        return text
-    return "".join(map(_in_json, text))
+    return text if text.isprintable() else "".join(map(_in_json, text))
 
 
 def filled(text: str, words: Mapping[str, Any]) -> str:
@@ -93,9 +89,8 @@ def filled(text: str, words: Mapping[str, Any]) -> str:
 
 def _printable(character: str) -> str:
     """A character, or its escape in Python."""
-    if unicodedata.category(character) in UNPRINTABLE:
-        return character.encode("unicode_escape").decode()
-    return character
+    hidden = unicodedata.category(character) in UNPRINTABLE
+    return character.encode("unicode_escape").decode() if hidden else character
 
 
 def _in_json(character: str) -> str:

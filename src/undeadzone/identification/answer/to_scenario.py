@@ -15,6 +15,7 @@ from scipy.linalg import block_diag
 from undeadzone.errors import InputError
 from undeadzone.identification.answer.answer import Answer, told_element, told_range
 from undeadzone.identification.answer.to_continuous import entry_spread
+from undeadzone.identification.logs.grid import rounding_of
 from undeadzone.identification.models.estimates import Interval
 from undeadzone.identification.models.kalman import AT_OUTPUT
 from undeadzone.identification.models.plant import input_gain
@@ -211,7 +212,7 @@ def _sound(answer: Answer, right: Interval, left: Interval) -> tuple[Interval, I
 def _noise(answers: Sequence[Answer]) -> dict[str, str]:
     """Noise of the sensor beside its rounding, threshold, quantum; empty where there is none."""
     rms = np.array([_rms_of_noise(answer) for answer in answers]).T
-    quanta = np.array([one.case.grid.quantum for one in answers])
+    quanta = np.array([rounding_of(one.case.grid.y[one.case.grid.ok]) for one in answers])
     quanta = np.where(quanta > REPEATED * rms.max(axis=0), quanta, 0.0)
     silent = [max(0.5 * one.case.grid.quantum, one.options.threshold or 0.0) for one in answers]
     rounding = quanta * [one.verdict not in MEMORY for one in answers]  # a play's noise has none

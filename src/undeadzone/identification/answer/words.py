@@ -336,8 +336,8 @@ def _record(answer: Answer) -> str:
     if answer.fit.objective.kind != "behind":
         return text + f"; {100 * silent:.0f} % silent: the zone acts on the noise too"
     if not answer.zone:
-        return text + "; no exact zeros"
-    return text + f"; no exact zeros: noise behind the zone; {100 * silent:.0f} % of z inside it"
+        return text + "; no silence at 0"
+    return text + f"; no silence at 0: noise behind the zone; {100 * silent:.0f} % of z inside it"
 
 
 def _plant(answer: Answer) -> str:

@@ -252,19 +252,22 @@ def _resampled(log: Log, step: float, remarks: list[str]) -> _Piece:
 
 
 def find_quantum(y: Floats) -> float:
-    """The smallest common spacing of readings.
+    """The spacing of readings that are few and alike, as an encoder's are.
 
     Args:
         y: readings (N), none missing.
 
     Returns:
-        The spacing [y] of which every reading is a multiple; 0 if the readings are many and
-        different, or are rounded to so many digits that no quantum can be told from printing.
+        As of `rounding_of`; 0 if the readings are many and different.
     """
-    values: Floats = np.unique(np.append(np.abs(y), 0.0))
-    if values.size < 4 or values.size > 0.5 * max(int(np.count_nonzero(y)), 8):
-        return 0.0
-    return spacing_of(values)
+    different = np.unique(np.append(np.abs(y), 0.0)).size
+    few = 4 <= different <= 0.5 * max(int(np.count_nonzero(y)), 8)
+    return rounding_of(y) if few else 0.0
+
+
+def rounding_of(y: Floats) -> float:
+    """The spacing [y] of which every reading (N) is a multiple; 0 if printing may have made it."""
+    return spacing_of(np.unique(np.append(np.abs(y), 0.0)))
 
 
 def spacing_of(values: Floats) -> float:

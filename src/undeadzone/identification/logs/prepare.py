@@ -128,6 +128,7 @@ PER_NUMBER = 50  # readings needed for each pole, and one more
 ZEROS = 0.01  # share of silent readings that shows noise ahead of the zone
 LEAST = 1e-100  # of the largest value of a column, whose square must not vanish
 OFTEN = 5  # times the next reading's count, by which a silence comes back
+BLIPS = 0.025  # share of zeros between which a single other reading shows noise behind the zone
 FAR_EDGE = 100.0  # rms of y: an edge that is never reached
 SIDES = {"right": 1, "left": -1}
 NEAREST = 20  # passages of an edge whose least readings tell the density there
@@ -196,7 +197,7 @@ def prepare(grid: Grid, options: Options) -> Prepared:
     side = 1 * (y > threshold) - 1 * (y < -threshold)
     _refuse(grid, y[ok], side)
     orders = _orders(int(ok.sum()), options, remarks)
-    ahead = _is_ahead(ok & (side == 0), ok, options)
+    ahead = _is_ahead(y[ok], side[ok] == 0, options)
     start = _stretches(grid, remarks) if options.integrators else grid.start
     u_scale, y_scale = grid.u.std(axis=0), float(np.sqrt(np.mean(y[ok] ** 2)))
     data = Data(grid.u / u_scale, y / y_scale, ok, start, side, ahead, u_scale, y_scale)
@@ -269,7 +270,7 @@ def _orders(count: int, options: Options, remarks: list[str]) -> list[int]:
     return orders
 
 
-def _is_ahead(silent: Flags, ok: Flags, options: Options) -> bool:
+def _is_ahead(y: Floats, silent: Flags, options: Options) -> bool:
     """Whether noise acts ahead of the zone, so that readings inside it are silent."""
     if options.noise == "before" and not silent.any():
         raise InputError(
@@ -278,7 +279,17 @@ def _is_ahead(silent: Flags, ok: Flags, options: Options) -> bool:
         )
     if options.noise != "auto":
         return options.noise == "before"
-    return bool(silent.sum() > ZEROS * ok.sum())
+    told = options.threshold is not None
+    return bool(silent.sum() > ZEROS * silent.size and (told or _stands_out(y)))
+
+
+def _stands_out(y: Floats) -> bool:
+    """Whether 0 comes back and lasts: noise rounds to the values beside it as well, and at once."""
+    values, counts = np.unique(y, return_counts=True)
+    zero = int(np.searchsorted(values, 0.0))
+    beside = np.isin(y, values[max(zero - 1, 0) : zero + 2]) & (y != 0)
+    blips = beside[1:-1] & (y[:-2] == 0) & (y[2:] == 0)
+    return bool(counts[zero] > max(OFTEN * beside.sum() / 2, blips.sum() / BLIPS))
 
 
 def _stretches(grid: Grid, remarks: list[str]) -> Integers:

@@ -273,8 +273,7 @@ def curve_over(z: Floats, residual: Floats) -> tuple[float, float]:
 
 def hats(z: Floats, centres: Floats) -> Floats:
     """Hat functions of z (N x K), one at each centre."""
-    unit = np.eye(centres.size)
-    return np.column_stack([np.interp(z, centres, row) for row in unit])
+    return np.column_stack([np.interp(z, centres, row) for row in np.eye(centres.size)])
 
 
 def left_by(columns: Floats, target: Floats) -> Floats:

@@ -33,6 +33,7 @@ SURE = 5.5  # standard deviations of a slope: one false side in a gap's log ruin
 WINDOWS = (4, 6, 8, 12, 16, 24, 32)
 HELD = 0.01  # share of readings equal to the one before that shows a sensor without noise
 CHATTER = 0.05  # share of ticks that are taken back at once, from which ticks are noise
+SHAKEN = 0.35  # share of ticks that another way follows, where noise is larger than a step
 NAMES = ("neither", "dead_zone", "play", "both")
 WIDTHS = 0.5 * np.array([[-1.0, 1, -1, 1], [-1.0, -1, 1, 1], [2.0, -2, -2, 2]])  # (O2)
 THERE = 5.0  # standard deviations from which a width is there
@@ -144,12 +145,13 @@ def changes(y: Floats, ok: Flags, start: Integers) -> tuple[Floats, Flags]:
 
 
 def _chatters(change: Floats) -> bool:
-    """Whether many ticks are taken back within two readings: noise about a boundary."""
+    """Whether many ticks are taken back within two readings: noise about one boundary or more."""
     ticks = np.flatnonzero(change)
     if ticks.size < 10:
         return False
-    back = (change[ticks[1:]] == -change[ticks[:-1]]) & (np.diff(ticks) <= 2)
-    return float(back.mean()) > CHATTER
+    before, after = change[ticks[:-1]], change[ticks[1:]]
+    turned = (before * after < 0) & (np.diff(ticks) <= 2)
+    return bool((turned & (before == -after)).mean() > CHATTER or turned.mean() > SHAKEN)
 
 
 def turns_between(z: Floats) -> float:

@@ -42,8 +42,7 @@ def odds_of(families: Sequence[Family], excluded: Collection[str] = ()) -> dict[
     words = list(scores)
     choice = math.log(max(len(words) - 1, 1)) * (np.array(words) != "none")
     shares = softmax(np.array(list(scores.values())) - choice[:, None], axis=0).mean(axis=1)
-    order = np.argsort(-shares)
-    return {words[k]: float(shares[k]) for k in order}
+    return {words[k]: float(shares[k]) for k in np.argsort(-shares)}
 
 
 def _drawn(family: Family, least: Density) -> Floats:

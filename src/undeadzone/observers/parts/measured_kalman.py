@@ -55,6 +55,7 @@ from undeadzone.observers.parts.measured_reading import (
 )
 from undeadzone.observers.parts.prior import Prior, doubt_numbers
 from undeadzone.observers.parts.recovery import Patience, patient, reopened, sound
+from undeadzone.observers.parts.scores import stuck
 from undeadzone.observers.parts.smoothing import (
     Moments,
     Smoothing,
@@ -281,8 +282,7 @@ def side_taken(setup: Setup, q: Params, s: State, reading: Reading, y: Any, seen
         side = ca.if_else(reading.motion != 0, side, 0.0)
     if not setup.doubts:
         return side
-    stuck = ca.logic_and(y == s.last, q.doubt.noisy)
-    return ca.if_else(stuck, 0.0, side)
+    return ca.if_else(stuck(q.doubt, y, s.last), 0.0, side)
 
 
 def reconsidered(setup: Setup, q: Params, s: State, side: Any, trust: Any) -> State:

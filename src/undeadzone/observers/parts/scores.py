@@ -83,8 +83,7 @@ def scored(q: Any, s: Scores, nu: Any, counted: Any, far: Any, reading: Reading,
     y = ca.if_else(present(reading.y), reading.y, 0.0)
     lift, rise = counted * (s.brisk - s.slow), counted * (s.quick - s.brisk)
     stays = ca.logic_and(ca.fabs(y - s.last) < doubt.stays, ca.fabs(y) > doubt.stays)
-    stuck = ca.logic_and(y == s.last, doubt.noisy)
-    stays = ca.logic_and(stays, ca.logic_or(far, stuck))
+    stays = ca.logic_and(stays, ca.logic_or(far, stuck(doubt, y, s.last)))
     shown = ca.fmax(ca.fmin(doubt.push @ u, MOST), -MOST)
     left, before = ca.vertsplit(ca.SX(doubt.means)), (s.quick, s.brisk, s.slow)
     means = [shown + share * (mean - shown) for share, mean in zip(left, before, strict=True)]
@@ -100,6 +99,11 @@ def scored(q: Any, s: Scores, nu: Any, counted: Any, far: Any, reading: Reading,
         y,
         *means,
     )
+
+
+def stuck(doubt: Any, y: Any, last: Any) -> Any:
+    """Whether a reading that is the one before to the last digit shows a stuck sensor (p)."""
+    return ca.logic_and(y == last, doubt.noisy)
 
 
 def squares(s: Scores) -> dict[str, Any]:
