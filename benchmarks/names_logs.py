@@ -1,4 +1,4 @@
-"""Logs of ten truths, in open and in closed loop, with noise or an encoder, and what is there."""
+"""Logs of ten truths, in open and in closed loop, with noise, rounded or not, or an encoder."""
 
 from __future__ import annotations
 
@@ -27,6 +27,8 @@ TRUTHS = {
 SHORTEST, LONGEST = 200, 20_000  # samples
 SUBSTEPS = 20  # of a step, in which friction is simulated
 PROPORTIONAL, INTEGRAL = 0.5, 0.2  # of the loop; the latter by the plant's natural frequency
+STEPS = (0.0, 0.3, 1.0, 3.0)  # of a converter, in rms of the noise
+ROUNDED = 20_000  # first seed whose noisy readings a converter rounds
 ZONED = ("sensor", "sensor and input", "play and zone")
 DRIVEN = ("input", "sensor and input")
 
@@ -39,7 +41,7 @@ class NamedLog(NamedTuple):
         u, y: input and reading (N).
         truth: what is there, of `TRUTHS`.
         closed: whether u answers to y.
-        encoder: whether readings are rounded, and not noisy.
+        encoder: whether readings are rounded, and not noisy; else they may be both.
         widths: of the sensor's zone, of the play or of the input's zone, right and left; where
             there is none, 0.
     """
@@ -119,13 +121,14 @@ def make(seed: int, truth: str) -> NamedLog:
     read = _reader(truth, widths, gaps)
     level = rng.uniform(3.0, 6.0) * rng.choice([-1.0, 1.0])  # of an operating point
     passes = (lambda v: through_zone(v, *widths[::-1])) if truth in DRIVEN else (lambda v: v)
+    step = 0.03 if encoder else noise * float(rng.choice(STEPS)) * (seed >= ROUNDED)
     u, y, total, z = np.empty(size), np.empty(size), 0.0, 0.0
     for k in range(size):
         y[k] = read(z + e[k]) if ahead else read(z) + e[k]
         if truth == "operating point":
             y[k] += level
-        if encoder:
-            y[k] = 0.03 * round(y[k] / 0.03)
+        if step:
+            y[k] = step * round(y[k] / step)
         u[k] = r[k]
         if closed:
             error = r[k] - (y[k] - level * (truth == "operating point"))

@@ -126,6 +126,20 @@ def test_two_silent_samples_agree_with_brute_force(rho: float) -> None:
         assert abs(value - expected) < 1e-9 * max(1.0, abs(expected))
 
 
+@pytest.mark.parametrize("rho", [0.4, 0.9, -0.4])
+@pytest.mark.parametrize("far", [1e2, 1e3, 1e4, 1e6])
+def test_however_far_two_samples_are_hardly_silent_together(far: float, rho: float) -> None:
+    """More than one of them was, where both were 1400 deviations off: such a fit looked perfect."""
+    limits = np.array([[-far], [-far - 100.0]])
+    both = log_rectangle(*limits, *(1.01 * limits), rho)[0]
+    inverse = np.linalg.inv([[1.0, rho], [rho, 1.0]])
+    corner = np.array([-far, -1.01 * far])
+    gain = inverse @ corner  # the density falls from the corner, or from its edge, on
+    nearest = 0.5 * corner @ inverse @ corner if (gain < 0).all() else 0.5 * (1.01 * far) ** 2
+    assert both == pytest.approx(-nearest, rel=0.01)
+    assert both < log_difference(*(1.01 * limits))[0]
+
+
 def test_a_pair_is_a_density_of_the_second_sample() -> None:
     """Over every reading that may follow, speaking or silent, the densities sum to 1."""
     noise = Noise(0.4, 0.2, 0.5, 0.6)

@@ -227,8 +227,7 @@ def _regular(log: Log, step: float, remarks: list[str]) -> _Piece:
             f"{start.size} gaps of {log.source} are longer than {LONG} steps; a new record"
             " begins after each"
         )
-    starts = np.concatenate([[0], place[start]])
-    return _Piece(whole.t, whole.u[held], whole.y[:, 0], starts)
+    return _Piece(whole.t, whole.u[held], whole.y[:, 0], np.append(0, place[start]))
 
 
 def _resampled(log: Log, step: float, remarks: list[str]) -> _Piece:

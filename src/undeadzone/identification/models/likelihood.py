@@ -395,7 +395,7 @@ def _log_sum(logs: Floats, weights: Floats) -> Floats:
     largest = logs.max(axis=1, initial=-1e300)
     total = np.sum(weights * np.exp(logs - largest[:, None]), axis=1)
     with np.errstate(divide="ignore"):
-        return np.maximum(largest + np.log(total), -1e6)
+        return np.maximum(largest + np.log(total), -1e300)
 
 
 def edge_slopes(

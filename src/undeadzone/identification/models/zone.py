@@ -194,8 +194,7 @@ class Objective:
             at = np.flatnonzero(chained)
             spread = noise.s * math.sqrt(1 - noise.rho**2)
             rows[at] = (change[at] - noise.rho * change[at - 1]) / spread
-        quiet = ok & ~speaks & (self.kind != "behind")
-        return rows[speaks], quiet
+        return rows[speaks], ok & ~speaks & (self.kind != "behind")
 
     def _side(self, theta: Floats) -> Integers:
         """+1, 0, -1 (N): of the readings, or of z where noise is behind the zone."""

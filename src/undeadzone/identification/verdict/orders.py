@@ -185,8 +185,7 @@ def judged(error: Floats, data: Data, test: Flags, one_step: tuple[Floats, Flags
         one_step: one-step residuals, and where they are known (N, N).
     """
     rms = float(np.sqrt(np.mean(error[test] ** 2)))
-    usual = float(data.y[test].std())
-    return HeldOut(rms, 1 - rms / max(usual, 1e-12), is_white(*one_step))
+    return HeldOut(rms, 1 - rms / max(float(data.y[test].std()), 1e-12), is_white(*one_step))
 
 
 def innovations(fit: zone_fit.Fit, among: Flags) -> tuple[Floats, Flags]:

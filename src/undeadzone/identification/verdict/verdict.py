@@ -196,9 +196,8 @@ def named(case: Case, odds: dict[str, float], models: Sequence[Family], fits: Fi
     if case.jumps:
         return _by_jump(case, odds, models)
     as_linear = word in AS_LINEAR and sum(odds.get(one, 0.0) for one in AS_LINEAR) >= LIKELY
-    if as_linear and 0 < case.chosen.pairs.width < STEPS * case.quantum:
-        steps = "the readings are rounded to steps that are larger than any zone"
-        return _by_ends(case, "none", odds) or because("none", f"{steps} ({case.quantum:.3g})")
+    if as_linear and _within_steps(case):
+        return _by_ends(case, "none", odds) or _without_zone(case)
     best = best_of(word, models)
     other = _unclear(case, word, best, fits) or _by_ends(case, word, odds)
     if other is not None:
@@ -268,6 +267,11 @@ def _undecided(odds: dict[str, float]) -> Verdict:
     return because("undecided", apart, *([ADVICE] if "friction" in likely else []))
 
 
+def _within_steps(case: Case) -> bool:
+    """Whether the zone that was fitted is smaller than a few steps of the readings."""
+    return 0 < case.chosen.pairs.width < STEPS * case.quantum
+
+
 def _without_zone(case: Case) -> Verdict:
     """The verdict on readings that a linear plant explains best."""
     y = case.grid.y[case.grid.ok]
@@ -275,6 +279,9 @@ def _without_zone(case: Case) -> Verdict:
         about = f"{float(y.mean()):.4g}"
         point = f"the log lies about an operating point of {about}: nothing can be known of a zone"
         return because("operating_point", f"{point}; --zero {about}, or take it off")
+    if _within_steps(case):
+        steps = "the readings are rounded to steps that are larger than any zone"
+        return because("none", f"{steps} ({case.quantum:.3g})")
     chance, behind = case.no_zone.chance, case.chosen.pairs.objective.kind == "behind"
     if behind and chance < DOUBT:
         tested = f"a zone explains more than chance does (p = {chance:.2g}), and no model of one is"
