@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks import loop_logs
+from benchmarks import loop_logs, names_logs
 from benchmarks.names_logs import NamedLog, make
 from benchmarks.servo_logs import Recorded, resting_log
 from benchmarks.which_logs import through
@@ -302,6 +302,31 @@ def test_a_play_with_a_zone_is_asked_of_the_input_as_it_was_recorded() -> None:
     answer = asked(log)
     assert answer.verdict == "both"
     assert answer.width.low < sum(log.widths) < answer.width.high
+
+
+def test_a_play_that_looks_like_friction_beside_a_zone_is_asked(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """In steps of three rms of the noise it was a dead zone, friction beside it not excluded."""
+    monkeypatch.setattr(names_logs, "ROUNDED", 0)
+    log = make(9001, "play and zone")
+    answer = asked(log)
+    assert answer.verdict == "both"
+    assert answer.width.low < sum(log.widths) < answer.width.high
+
+
+def test_two_silent_samples_that_a_start_explains_by_underflow_are_no_fit() -> None:
+    """The likelihood of a start 1400 deviations off was above 1: the answer was `other`."""
+    log = make(21000, "sensor")
+    answer = asked(log)
+    assert answer.verdict == "dead_zone"
+    assert answer.right.low < log.widths[0] < answer.right.high
+    assert answer.left.low < log.widths[1] < answer.left.high
+
+
+def test_an_encoder_about_an_operating_point_is_told_so_though_its_steps_hide_a_zone() -> None:
+    """It was named `none`."""
+    assert asked(make(21014, "operating point")).verdict == "operating_point"
 
 
 def test_a_short_log_whose_encoder_passes_0_slowly_is_not_asked_for_a_servo() -> None:

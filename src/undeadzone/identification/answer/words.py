@@ -320,8 +320,7 @@ def _in_words(interval: Interval, unit: str) -> str:
     if high == low:
         return f"{value:.6g}{unit}  (given)"
     digits = max(0, int(np.ceil(-np.log10(max(high - low, 1e-300)))) + 2)
-    digits = min(digits, 12)
-    return f"{bracketed(value, low, high, f'.{digits}f')}{unit}"
+    return f"{bracketed(value, low, high, f'.{min(digits, 12)}f')}{unit}"
 
 
 def _record(answer: Answer) -> str:
