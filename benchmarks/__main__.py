@@ -1,15 +1,18 @@
 """Run the benchmarks named on the command line and print their tables.
 
-Without names all are run, and their tables are written to benchmarks/RESULTS.md.
+With --write their tables replace those of the same title in benchmarks/RESULTS.md, where each has
+the commit of the code that made it. Without names all are run and written, one after the other.
 """
 
 from __future__ import annotations
 
 import importlib
 import os
-import platform
 import sys
 from pathlib import Path
+
+from benchmarks.markdown import parted
+from benchmarks.names import commit
 
 NAMES = (
     "cold_start",
@@ -55,24 +58,36 @@ NAMES = (
     "servo",
     "gears",
 )
-HEAD = (
-    "# Results\n\nWritten by `make bench`. "
-    "Times are ratios within one run; machines differ, ratios less so.\n"
-)
+HEAD = """# Results
+
+Written by `make bench`, or table by table by `python -m benchmarks --write NAME`. Times are ratios
+within one run; machines differ, ratios less so.
+"""
+
+
+def command(name: str) -> str:
+    """What makes a table, with the variables that it heeds."""
+    heeded = sorted(word for word in os.environ if word.startswith(name.upper().split("_")[0]))
+    return " ".join(
+        [*(f"{word}={os.environ[word]}" for word in heeded), "python -m benchmarks", name]
+    )
 
 
 def main() -> None:
     # idle threads of one program must not spin beside the next one's
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
-    names = sys.argv[1:] or NAMES
-    parts = [HEAD, f"Python {platform.python_version()}, {platform.machine()}.\n"]
-    for name in names:
+    names = [word for word in sys.argv[1:] if word != "--write"]
+    writes = len(names) < len(sys.argv[1:]) or not names
+    results = Path(__file__).with_name("RESULTS.md")
+    for name in names or NAMES:
         print(f"{name} ...", file=sys.stderr, flush=True)
-        parts.append(importlib.import_module(f"benchmarks.{name}").table())
-    text = "\n".join(parts)
-    if not sys.argv[1:]:
-        Path(__file__).with_name("RESULTS.md").write_text(text, encoding="utf-8")
-    print(text)
+        made = f"At commit {commit()} (`{command(name)}`).\n"
+        table = importlib.import_module(f"benchmarks.{name}").table()
+        tables = {title: f"{text.strip()}\n\n{made}" for title, text in parted(table).items()}
+        print("\n".join(tables.values()), flush=True)
+        if writes:
+            kept = parted(results.read_text(encoding="utf-8"))
+            results.write_text("\n".join([HEAD, *(kept | tables).values()]), encoding="utf-8")
 
 
 main()

@@ -203,7 +203,7 @@ class _Beside:
         self.step = step
         self.exact = accuracy.Compiled(code(step, False), folder)
         self.rounded = accuracy.Compiled(code(step, True), folder)
-        self.places = accuracy.places_of(step.outputs)
+        self.places = parts.places_of(step.outputs)
         self.errors = np.zeros(self.exact.outputs)
         self.smallest = [np.inf, np.inf]  # eigenvalue of a correlation matrix, double and float
 
@@ -215,8 +215,7 @@ class _Beside:
             gap = np.abs(self.exact(piece) - self.rounded(piece)).max(axis=0)
             self.errors = np.maximum(self.errors, gap)
             for k, compiled in enumerate((self.exact, self.rounded)):
-                memory = compiled.state[: compiled.memory]
-                value = accuracy.smallest_eigenvalue(self.step.state, memory)
+                value = accuracy.smallest_eigenvalue(self.step.state, compiled.state)
                 if value is not None:
                     self.smallest[k] = min(self.smallest[k], value)
 

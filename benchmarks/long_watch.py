@@ -10,6 +10,7 @@ import sys
 import tempfile
 import threading
 import time
+from io import BufferedReader
 from pathlib import Path
 from typing import BinaryIO
 
@@ -45,7 +46,7 @@ def table(lines: int = 10_000_000) -> str:
     return "\n".join([title, *words, row(*cells), ""])
 
 
-def _count(stream: BinaryIO, counted: list[int]) -> None:
+def _count(stream: BufferedReader, counted: list[int]) -> None:
     """Count the lines of a stream until it ends."""
     while piece := stream.read1(1 << 20):
         counted.append(piece.count(b"\n"))

@@ -28,7 +28,7 @@ def errors(log: LoopLog) -> list[tuple[float, float]]:
     prepared = prepare(grid, Options(order=str(log.order)))
     data = prepared.data
     kind = "singles" if data.silent_zeros else "behind"
-    fit = fit_zone(Simulator(data, log.order), kind, prepared.limits)  # type: ignore[arg-type]
+    fit = fit_zone(Simulator(data, log.order), kind, prepared.limits)
     truth = log.input / data.u_scale[0]
     if log.sensor.any():
         places = find_places(fit, prepared.quantum)

@@ -13,8 +13,9 @@ import undeadzone as uz
 from benchmarks.markdown import head, row
 from undeadzone.errors import InputError
 from undeadzone.exports import parts, vectors
-from undeadzone.exports.accuracy import Compiled, places_of
+from undeadzone.exports.accuracy import Compiled
 from undeadzone.exports.code import code
+from undeadzone.exports.parts import places_of
 from undeadzone.scenario.schema import Scenario
 from undeadzone.support.arrays import Floats
 

@@ -10,7 +10,8 @@ from pathsim import Connection, Simulation
 from pathsim.blocks import ODE, Function, Scope, Source
 from pathsim.solvers import RK4
 
-from benchmarks.workload import Floats, Result, Work
+from benchmarks.workload import Result, Work
+from undeadzone.support.arrays import Floats
 
 
 def prepare(work: Work) -> Callable[[], Result]:

@@ -11,7 +11,8 @@ from collections.abc import Callable
 import control
 import numpy as np
 
-from benchmarks.workload import Floats, Result, Work, grid
+from benchmarks.workload import Result, Work, grid
+from undeadzone.support.arrays import Floats
 
 
 def prepare(work: Work, *, rtol: float = 1e-6) -> Callable[[], Result]:

@@ -12,7 +12,8 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from benchmarks.rivals.equations import dot, rate
-from benchmarks.workload import Floats, Result, Work, grid
+from benchmarks.workload import Result, Work, grid
+from undeadzone.support.arrays import Floats
 
 
 def prepare(
@@ -72,5 +73,5 @@ def _edge(value: Callable[[Floats], float], direction: float) -> Callable[..., f
     def event(t: float, s: Floats, *args: object) -> float:
         return value(s)
 
-    event.terminal, event.direction = True, direction
+    vars(event).update(terminal=True, direction=direction)
     return event
