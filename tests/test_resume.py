@@ -29,6 +29,7 @@ from undeadzone.scenario.reader import digests
 from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.tune_table import Range, Tune
 from undeadzone.support.answers import Answers
+from undeadzone.support.own_files import write_own
 from undeadzone.tuning.tune import tune
 from undeadzone_arena.contest.contest import run_contest
 
@@ -322,6 +323,31 @@ def test_arena_tune_is_killed_and_goes_on(mine: Path, tmp_path: Path) -> None:
     assert resumed.returncode == 0, resumed.stderr
     assert (out / "tuned.toml").read_text() == (tmp_path / "whole/tuned.toml").read_text()
     assert not (out / "tuned.toml.partial").exists()
+
+
+@pytest.mark.parametrize(
+    ("command", "name"), [("tune", "tuned.toml"), ("identify", "identify.json")]
+)
+def test_what_is_finished_is_not_replaced_by_resuming_it(
+    command: str, name: str, tmp_path: Path
+) -> None:
+    """It was searched for anew, and the file replaced."""
+    scenario, log, folder = tmp_path / "a.toml", tmp_path / "a.csv", tmp_path / "mine"
+    assert undeadzone("init", str(scenario)).returncode == 0
+    named = logged()
+    np.savetxt(
+        log, np.column_stack([named["t"] * np.arange(len(named["u"])), named["u"], named["y"]]),
+        delimiter=",", header="t,u,y", comments="",
+    )  # fmt: skip
+    folder.mkdir()
+    finished = folder / name
+    write_own("{}\n", finished)
+    before = finished.read_bytes()
+    given = scenario if command == "tune" else log
+    refused = undeadzone(command, str(given), "--out", str(folder), "--resume")
+    assert refused.returncode == 2
+    assert f"{finished}: is finished; leave --resume out to replace it" in refused.stderr
+    assert finished.read_bytes() == before
 
 
 def test_arena_keeps_what_is_done_without_being_asked(mine: Path, tmp_path: Path) -> None:

@@ -94,8 +94,7 @@ def _texts(file: Path | None, example: str | None, full: bool, folder: Path) -> 
         from importlib.resources import files
 
         template = files("undeadzone").joinpath("template.toml").read_text(encoding="utf-8")
-        text = template if full else _short(template)
-        return {folder / (file or "scenario.toml"): text}
+        return {folder / (file or "scenario.toml"): template if full else _short(template)}
 
     first, *named = files_of(example)
     target = folder / (file or first.name)

@@ -116,7 +116,10 @@ def partial_file(folder: Path | None, name: str, resume: bool) -> Path | None:
         click.UsageError: there is nothing to resume.
     """
     if folder is not None:
-        return folder / f"{name}.partial"
+        whole, partial = folder / name, folder / f"{name}.partial"
+        if resume and whole.exists() and not partial.exists():
+            raise click.UsageError(f"{whole}: is finished; leave --resume out to replace it")
+        return partial
     if resume:
         raise click.UsageError("--resume needs the folder that was written to; name it with --out")
     return None
