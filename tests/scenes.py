@@ -102,8 +102,8 @@ class OnNumbers:
         self._given[0][:] = tree.pack(observer.params)
         self._out = np.zeros(self._function.numel_out(0))
         for k, values in enumerate(self._given):
-            self._buffer.set_arg(k, memoryview(values))
-        self._buffer.set_res(0, memoryview(self._out))
+            self._buffer.set_arg(k, values.data)
+        self._buffer.set_res(0, self._out.data)
 
     def __call__(self, state: Any, u: Any, y: Any, side: Any) -> tuple[Any, Estimate]:
         """(next state or derivative, estimate)."""
