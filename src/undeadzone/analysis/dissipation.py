@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -42,11 +43,8 @@ class Inequality(NamedTuple):
         Args:
             P: of V = x'Px (n x n).
         """
-        matrices = []
-        for A in self.A:
-            for supply in self.supply:
-                matrices.append(_matrix(P, A, self.B, supply, self.Ts, self.decay))
-        return matrices
+        pairs = product(self.A, self.supply)
+        return [_matrix(P, A, self.B, supply, self.Ts, self.decay) for A, supply in pairs]
 
     def magnitudes(self, P: Floats) -> list[Floats]:
         """The same sums with every term replaced by its magnitude."""

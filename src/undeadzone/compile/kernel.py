@@ -390,10 +390,8 @@ def graphs(
     inputs = [columns[0], _substituted(columns[1], w), _substituted(columns[2], p)]
     following, out, *flag = (ca.densify(ca.SX(value)) for value in step(*inputs))
     usual = _graph(columns, [following, out[list(shape.record)], *flag])
-    parts = []
-    for part in rare:
-        parts.append(_graph(columns, [ca.densify(ca.SX(value)) for value in part(*inputs)]))
-    return Graphs(usual, tuple(parts))
+    results = ([ca.densify(ca.SX(value)) for value in part(*inputs)] for part in rare)
+    return Graphs(usual, tuple(_graph(columns, result) for result in results))
 
 
 def source(

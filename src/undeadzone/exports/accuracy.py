@@ -134,10 +134,8 @@ def _against_machine(code: Code, replica: Compiled, rows: Floats) -> float:
         return float("inf")
     gap = np.nan_to_num(np.abs(values - expected), posinf=np.inf)
     size = _size(expected)
-    shares = []
-    for place in places_of(step.outputs).values():
-        shares.append(gap[:, place].max() / (size[:, place].max() + 1e-300))
-    return float(max(shares))
+    places = places_of(step.outputs).values()
+    return float(max(gap[:, at].max() / (size[:, at].max() + 1e-300) for at in places))
 
 
 def _three_inputs(function: ca.Function) -> ca.Function:

@@ -158,11 +158,7 @@ def places_of(fields: list[Field]) -> dict[str, slice]:
 
 def members(fields: list[Field]) -> list[tuple[str, int]]:
     """(name of the field, entry) of every number, in order."""
-    places: list[tuple[str, int]] = []
-    for field in fields:
-        for entry in range(field.size):
-            places.append((field.name, entry))
-    return places
+    return [(field.name, entry) for field in fields for entry in range(field.size)]
 
 
 PARTS = ("observer", "observer+controller")

@@ -52,6 +52,7 @@ from undeadzone.plants.system import System
 from undeadzone.support.arrays import Array, Floats, array, nonnegative, positive, scalar
 
 FRICTION = ("friction", "f")  # Coulomb's, of motors and of links, as the plant names it
+DRIFT = (3e-5, 4.5e-4)  # of half gaps, coupled and joint by joint [rad / sqrt(s)]
 MOST_COUPLED = 2  # joints with gaps, beyond which there are too many combinations
 RESOLVED = 0.8  # largest product of a Runge-Kutta step and the frequency of contact
 STABLE = 2.0  # the same, beyond which no firmer contact is taken for true
@@ -86,7 +87,8 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         load: rms of an unknown torque at the links that lasts 10 ms, one or one per joint [N m];
             default 0.75 of their friction, at least 1 % of the torque that holds them; of separate
             joints, what makes 0.5 rad/s^2.
-        drift: random walk of the half gaps [rad / sqrt(s)].
+        drift: random walk of the half gaps up to a deviation of 0.07 of the claimed range
+            [rad / sqrt(s)]; default 3e-5, of separate joints 4.5e-4.
         compliance: standard deviation of where a flank gives way to, which no reading tells [rad].
         joints: "separate" filters each joint for itself, to which the rest of the arm is known but
             for noise: 3 N combinations of contacts in place of 3^N.
@@ -102,7 +104,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
     noise: Array | None = None
     disturbance: Array | None = None
     load: Array | None = None
-    drift: float = 3e-5
+    drift: float | None = None
     compliance: float = COMPLIANCE
     joints: Literal["coupled", "separate"] = "coupled"
 
@@ -152,7 +154,8 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
             mean[of(name)] = claimed.mean(axis=1)
             std[of(name)] = (claimed[:, 1] - claimed[:, 0]) / np.sqrt(12)
         unknown, loads, inertia = unknown_torques(model, gears, float(mean[of("payload")][0]))
-        if len(drives) > 1:
+        apart = len(drives) > 1
+        if apart:
             loads = np.maximum(loads, TURNED * inertia)
         if self.disturbance is not None:
             unknown = positive("observer.disturbance", self.disturbance, N, "one per joint")
@@ -173,12 +176,13 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         Q[of("motor_speed")] = JERK * Ts
         Q[of("link_speed")] = Ts * LASTING * (loads / inertia) ** 2
         Q[of("push")] = 2 * Ts / FADING * unknown**2
-        Q[of("half")] = scalar("observer.drift", self.drift, least=0.0) ** 2 * Ts
+        drift = DRIFT[apart] if self.drift is None else self.drift
+        Q[of("half")] = scalar("observer.drift", drift, least=0.0) ** 2 * Ts
         rms = sensor.rms if self.noise is None else self.noise
         slack = scalar("observer.compliance", self.compliance, above=0.0) ** 2
         first = []
         for joint, drive in enumerate(drives):
-            here = places(layout, joint) if len(drives) > 1 else slice(None)
+            here = places(layout, joint) if apart else slice(None)
             first.append(start(drive.layout, mean[here], std[here], slack))
         return tuple(first), Numbers(
             model=values,
@@ -192,6 +196,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
             impact=np.asarray(RESTITUTION),
             rest=STICKING * Ts / told("inertia") ** 2,
             least=told("friction"),
+            idle=np.asarray(float(apart)),
         )
 
 

@@ -131,9 +131,8 @@ def _magnitude(error: float | None) -> str | None:
 
 def _widths_table(run: Run) -> html.Html:
     """The estimated and the true widths of each output, and which of them readings can tell."""
-    known = []
-    for verdict in run.info.identifiable:
-        known.append([html.tag("span", *html.yes_no(verdict[each])) for each in DIRECTIONS])
+    said = ([verdict[each] for each in DIRECTIONS] for verdict in run.info.identifiable)
+    known = [[html.tag("span", *html.yes_no(each)) for each in verdict] for verdict in said]
     sheets = [widths(run, i) for i in range(len(run.outputs))]
     heads = ("d_r can be known", "d_l", "d_r + d_l", "d_r − d_l")
     return html.estimates("output", run.outputs, sheets, heads, known)

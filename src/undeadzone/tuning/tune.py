@@ -116,11 +116,8 @@ def _answers(on: Objective, keep: Path | None, resume: bool, seed: int) -> Itera
 
 def _moved_alone(start: Floats, places: Sequence[Sequence[float] | Floats]) -> list[Floats]:
     """Points that move each number of a start alone, to each of its places."""
-    points = []
-    for i, values in enumerate(places):
-        for value in values:
-            points.append(np.where(np.arange(start.size) == i, value, start))
-    return points
+    moves = ((i, value) for i, values in enumerate(places) for value in values)
+    return [np.where(np.arange(start.size) == i, value, start) for i, value in moves]
 
 
 def _checked(scenarios: tuple[Scenario, ...], what: Tune | None) -> Tune:

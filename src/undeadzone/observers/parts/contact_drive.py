@@ -56,8 +56,7 @@ def drive_of(gears: Geared, Ts: float, substeps: int) -> Drive:
 
     def rate(params: Any, x: Any, u: Any, contact: Contacts) -> tuple[Any, Any]:
         push = x[layout.of("push")]
-        column = believed(gears, params, x)
-        dx, tau = gears.motion(column, x[: 4 * N], u + push, ca.DM(contact))
+        dx, tau = gears.motion(believed(gears, params, x), x[: 4 * N], u + push, ca.DM(contact))
         constant = ca.SX.zeros(5 * N)
         return ca.vertcat(dx, constant, -push / FADING, 0.0), tau
 

@@ -49,7 +49,8 @@ FAR = 3.0  # deviations beyond which a belief off an edge says little of it
 MOST = 60.0  # largest difference of logs of chances
 LATE = 0.95  # chance under the uncut belief of being beyond a flank, from which it is cut
 SURE = 3.0  # deviations from a flank beyond which it cuts nothing
-RESTING = 0.1  # speed below which a motor may be at rest [rad/s]
+OPEN = 0.07  # deviation to which half gaps drift, over their claimed range
+RESTING = 0.1  # speed below which a motor may be at rest, or a link on its flank [rad/s]
 
 
 class Layout(NamedTuple):
@@ -126,6 +127,8 @@ class Numbers(NamedTuple):
         impact: share by which an impulse is off.
         rest: variance that the speed of a motor at rest gains in a step, over f^2 (N).
         least: friction that static friction has at least (N) [N m].
+        idle: share of a gap's news that is left out where motor and link move alike: joint by joint
+            1, since what the rest of the arm does to a resting link is not modelled.
     """
 
     model: Any
@@ -139,6 +142,7 @@ class Numbers(NamedTuple):
     impact: Any
     rest: Floats
     least: Floats
+    idle: Any
 
 
 class Modes(NamedTuple):
@@ -194,8 +198,7 @@ def start(layout: Layout, mean: Floats, std: Floats, slack: float) -> Modes:
                 belief = at_edge(belief, h, h @ belief.mean, slack)
         means.append(np.asarray(ca.evalf(belief.mean)).ravel())
         covs.append(np.asarray(ca.evalf(triangle(belief.cov, entries))).ravel())
-    even = np.full(len(means), 1 / len(means))
-    return Modes(even, tuple(means), tuple(covs), np.zeros(1))
+    return Modes(np.full(len(means), 1 / len(means)), tuple(means), tuple(covs), np.zeros(1))
 
 
 def beliefs_of(drive: Drive, s: Modes, y: Any) -> tuple[list[Gaussian], Any]:
@@ -343,8 +346,7 @@ def _change(drive: Drive, q: Numbers, contact: Contacts, u: Any) -> Callable[[An
     def change(x: Any) -> Any:
         total = ca.SX.zeros(drive.layout.entries)
         for _ in range(drive.substeps):
-            now = x + total
-            total += rk4_change(lambda z, _: drive.rate(q.model, z, u, contact)[0], now, h)
+            total += rk4_change(lambda z, _: drive.rate(q.model, z, u, contact)[0], x + total, h)
         return total
 
     return change
@@ -359,8 +361,7 @@ def _leaving(drive: Drive, q: Numbers, contact: Contacts, one: Mode, u: Any) -> 
     x = one.belief.mean
     end = x + _change(drive, q, contact, u)(x)
     now, then = (drive.rate(q.model, each, u, contact)[1] for each in (x, end))
-    pull = -ca.DM(contact) * (now + then) / 2 / q.torque
-    return q.leaving * below(pull)
+    return q.leaving * below(-ca.DM(contact) * (now + then) / 2 / q.torque)
 
 
 def _sides(layout: Layout, joint: int) -> list[dict[int, int]]:
@@ -410,14 +411,13 @@ def _resident(drive: Drive, q: Numbers, joint: int, gap: Mode, come: Any) -> lis
 
 def _moved(drive: Drive, q: Numbers, contact: Contacts, one: Mode, u: Any) -> Mode:
     """One mode a sample later, contacts held."""
-    layout = drive.layout
-    motors = layout.of("motor_speed")
-    after = advance(one.belief, _change(drive, q, contact, u), ca.diag(q.Q))
-    friction = ca.fmax(after.mean[layout.of("friction")], q.least)
-    slack = ca.SX.zeros(layout.entries)
-    still = ca.exp(-((after.mean[motors] / RESTING) ** 2))
-    slack[motors] = q.rest * friction**2 * still  # at rest friction takes whatever there is
-    return Mode(one.chance, Gaussian(after.mean, after.cov + ca.diag(slack)))
+    layout, (mean, cov), Q = drive.layout, one.belief, ca.SX(q.Q)
+    motors, halves = layout.of("motor_speed"), layout.of("half")
+    friction = ca.fmax(mean[layout.of("friction")], q.least)
+    Q[motors] += q.rest * friction**2 * _still(mean[motors])  # which takes whatever there is
+    most = ca.fmax((OPEN * (q.high - q.low)[halves]) ** 2, NONE)
+    Q[halves] *= ca.fmax(1 - ca.diag(cov[halves, halves]) / most, 0.0)
+    return Mode(one.chance, advance(one.belief, _change(drive, q, contact, u), ca.diag(Q)))
 
 
 def _arrivals(layout: Layout, slack: Any, contact: Contacts, start: Mode, end: Mode) -> Any:
@@ -468,18 +468,24 @@ def struck(drive: Drive, q: Numbers, joint: int, side: int, belief: Gaussian) ->
     """The belief of a link that has just struck a flank.
 
     In the mean it did so half a sample ago. Since then motor and link have moved on together, by as
-    much as the impulse between them says; its size is not known, as restitution is not.
+    much as the impulse between them says; its size is not known, as restitution is not. Joint by
+    joint, where both move alike, the gap is left as it is: a link that rests on a flank leaves it
+    and comes back for reasons that are not modelled, and soon seemed to cross a gap of nothing.
     """
     layout = drive.layout
     motor, link = layout.of("motor_speed").start + joint, layout.of("link_speed").start + joint
-    h = layout.edge(joint, side)
     late = ca.DM(1, layout.entries)
     late[0, motor], late[0, link] = -side * drive.Ts / 2, side * drive.Ts / 2
-    row = h + late
-    overlap = -late @ belief.mean
+    row = layout.edge(joint, side) + late
     excess = row @ belief.mean
     wild = ca.fmax(ca.fabs(excess) - FAR * ca.sqrt(ca.fmax(row @ belief.cov @ row.T, 0.0)), 0.0)
-    at = at_edge(belief, row, excess, q.slack + overlap**2 / 3 + wild**2)
+    told = belief.cov @ row.T
+    S = row @ told + q.slack + (late @ belief.mean) ** 2 / 3 + wild**2
+    K = told / S
+    half = layout.of("half").start + joint
+    K[half] *= 1 - q.idle * _still(belief.mean[motor] - belief.mean[link])
+    cov = belief.cov - K @ told.T - told @ K.T + S * (K @ K.T)
+    at = Gaussian(belief.mean - K * excess, from_upper(cov))
     direction = drive.mobility(q.model, at.mean)[:, joint]
     N = layout.size
     give = direction / (direction[N + joint] - direction[joint])  # a unit of theta' - q' less
@@ -488,6 +494,11 @@ def struck(drive: Drive, q: Numbers, joint: int, side: int, belief: Gaussian) ->
     impulse = q.impact**2 * ((at.mean[motor] - at.mean[link]) ** 2 + closing)
     back = ca.vertcat(give * (-late @ at.mean) * side, ca.SX.zeros(layout.entries - 2 * N))
     return Gaussian(at.mean + back, from_upper(at.cov + (impulse * b) @ b.T))
+
+
+def _still(speed: Any) -> Any:
+    """How surely what has a speed is at rest, from 0 to 1."""
+    return ca.exp(-((speed / RESTING) ** 2))
 
 
 def packed(drive: Drive, moved: list[Mode], s: Modes, begun: Any) -> Modes:

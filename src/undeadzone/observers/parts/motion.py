@@ -185,8 +185,7 @@ def by_tick(q: Motion, s: State, y: Any, i: int) -> tuple[Any, Any, Any]:
     quantum = q.quantum[i]
     tick = side(y[i] - s.level[i], quantum / 2)
     at_boundary, variance = ticked(ca, y[i], tick, s.ahead[i] * q.slope[i], quantum)
-    held = quantum / np.sqrt(12)
-    return tick, at_boundary, ca.if_else(tick != 0, ca.sqrt(variance), held)
+    return tick, at_boundary, ca.if_else(tick != 0, ca.sqrt(variance), quantum / np.sqrt(12))
 
 
 def by_line(q: Motion, s: State, y: Any, i: int) -> tuple[Any, Any, Any]:

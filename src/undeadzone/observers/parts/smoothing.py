@@ -69,14 +69,14 @@ class Smoothing(NamedTuple):
 def rows_at(setup: Setup, q: Params, at: Any, side: Any) -> tuple[Any, Any]:
     """The rows of the readings on these sides (p x N), and of all edges (2p x N)."""
     p = setup.model.p
-    rows, edges = [], []
-    for i in range(p):
-        branch = 0.0 if setup.jump else side[i]
-        rows.append(linearise(partial(beyond_edge, setup, q, i, branch), at)[1])
-    for edge in (1.0, -1.0):
-        for i in range(p):
-            edges.append(linearise(partial(beyond_edge, setup, q, i, edge), at)[1])
-    return ca.vertcat(*rows), ca.vertcat(*edges)
+    read = [(i, 0.0 if setup.jump else side[i]) for i in range(p)]
+    edges = [(i, edge) for edge in (1.0, -1.0) for i in range(p)]
+
+    def rows(branches: list[tuple[int, Any]]) -> Any:
+        each = (partial(beyond_edge, setup, q, i, branch) for i, branch in branches)
+        return ca.vertcat(*(linearise(beyond, at)[1] for beyond in each))
+
+    return rows(read), rows(edges)
 
 
 def slope_at(setup: Setup, q: Params, belief: Gaussian, u: Any) -> Any:
@@ -92,5 +92,4 @@ def shown_of(setup: Setup, q: Params, belief: Gaussian) -> Estimate:
     """The estimate that shows a belief; it has no innovations."""
     shown, _ = shown_belief(setup, q, belief)
     none = ca.SX(setup.model.p, 1)
-    silent = Reading(none, none)
-    return to_estimate(setup.model, setup.sensor, q, shown, silent, none, none)
+    return to_estimate(setup.model, setup.sensor, q, shown, Reading(none, none), none, none)

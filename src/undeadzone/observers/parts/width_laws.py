@@ -222,8 +222,7 @@ class Sigma(Options, frozen=True, kw_only=True, tag="sigma"):
 
 def sigma_move(leak: Any, edge: Edge) -> tuple[Any, Any]:
     """gamma times the drive less a constant leak."""
-    leakage = leak * (edge.width - edge.width0)
-    return edge.gamma * (edge.drive - leakage), NONE
+    return edge.gamma * (edge.drive - leak * (edge.width - edge.width0)), NONE
 
 
 class EModification(Options, frozen=True, kw_only=True, tag="e_modification"):
