@@ -541,6 +541,12 @@ def test_what_cannot_be_used_is_refused(change, message: str) -> None:
         uz.identify(t=t, u=u, y=y)
 
 
+def test_a_log_that_sticks_at_its_ends_is_refused_for_what_is_left_of_it() -> None:
+    t, u, _, z = record(size=200)
+    with pytest.raises(InputError, match="readings are too few.*stick at the ends of the range"):
+        uz.identify(t=t, u=u, y=np.clip(z + 0.01 * np.sin(1e3 * t), -0.3, 0.3))
+
+
 def test_options_are_checked() -> None:
     t, u, y, _ = record()
     for key, value in {

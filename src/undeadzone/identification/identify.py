@@ -7,7 +7,6 @@ Then it is fitted, judged and measured. What was found in the end is told.
 
 from __future__ import annotations
 
-import hashlib
 import itertools
 from collections.abc import Callable
 from pathlib import Path
@@ -23,7 +22,7 @@ from undeadzone.identification.logs.grid import Grid, shortened, to_grid
 from undeadzone.identification.logs.log import Log, Options, log_of_arrays, read_log
 from undeadzone.identification.logs.prepare import Prepared, prepare
 from undeadzone.identification.models.elements import best_densities, static_rivals
-from undeadzone.identification.models.estimates import KeptClimbs
+from undeadzone.identification.models.estimates import KeptClimbs, digest
 from undeadzone.identification.models.kalman_fit import fit_kalman
 from undeadzone.identification.models.likelihood import taken_off
 from undeadzone.identification.models.zone_fit import Fit, longest_record, polished, reduced
@@ -155,10 +154,7 @@ def _kept(
 
 def _problem(logs: list[Log], options: Options) -> dict[str, Any]:
     """Everything that a fit depends on."""
-    digests = []
-    for log in logs:
-        sums = [hashlib.blake2b(part.tobytes(), digest_size=16) for part in (log.t, log.u, log.y)]
-        digests.append([one.hexdigest() for one in sums])
+    digests = [[digest(part) for part in (log.t, log.u, log.y)] for log in logs]
     return {"logs": digests, "options": msgspec.to_builtins(options)}
 
 
@@ -173,10 +169,9 @@ def _identified(
     for log in logs:
         if len(log.outputs) != len(names):
             raise InputError(f"{log.source}: has {len(log.outputs)} outputs, others {len(names)}")
-    answers = []
-    for k in range(len(names)):
-        alone = [log.of_output(k) for log in logs]
-        answers.append(identify_output(to_grid(alone, options.resample), options, advance, climbs))
+    apart = ([log.of_output(k) for log in logs] for k in range(len(names)))
+    grids = (to_grid(alone, options.resample) for alone in apart)
+    answers = [identify_output(grid, options, advance, climbs) for grid in grids]
     return answers[0] if len(answers) == 1 else IdentifiedOutputs(names, tuple(answers))
 
 

@@ -160,15 +160,12 @@ class Answer(NamedTuple):
         """Layout, a, b in units of y and u, and their covariance together."""
         simulator, theta = self.plant
         layout, data = simulator.layout, simulator.data
-        if self.element is None:
-            V = self.fit.objective.spread(theta).V
-        else:
-            V = self.element.V
+        told = self.fit.objective.spread(theta) if self.element is None else self.element
         count = layout.b.stop
         scale = np.ones(count)
         factors = np.repeat(data.y_scale / data.u_scale, layout.n)
         scale[layout.b] = factors
-        V = V[:count, :count] * np.outer(scale, scale)
+        V = told.V[:count, :count] * np.outer(scale, scale)
         return layout, theta[layout.a], theta[layout.b] * factors, V
 
     @property

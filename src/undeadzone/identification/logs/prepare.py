@@ -195,7 +195,7 @@ def prepare(grid: Grid, options: Options) -> Prepared:
     if options.threshold is not None:
         threshold = options.threshold
     side = 1 * (y > threshold) - 1 * (y < -threshold)
-    _refuse(grid, y[ok], side)
+    _refuse(grid, y[ok], side, "; ".join(["", *remarks]))
     orders = _orders(int(ok.sum()), options, remarks)
     ahead = _is_ahead(y[ok], side[ok] == 0, options)
     start = _stretches(grid, remarks) if options.integrators else grid.start
@@ -226,19 +226,21 @@ def _require_silence_at_zero(grid: Grid) -> None:
         )
 
 
-def _refuse(grid: Grid, y: Floats, side: Integers) -> None:
+def _refuse(grid: Grid, y: Floats, side: Integers, remarks: str) -> None:
     """Refuse a log that tells nothing.
 
     Args:
         grid: the log.
         y: the readings that there are.
         side: of all samples (N).
+        remarks: on readings that are left out.
 
     Raises:
         InputError: what is lacking.
     """
     if y.size < PER_NUMBER * 2:
-        raise InputError(f"log: {y.size} readings are too few; order 1 needs {2 * PER_NUMBER}")
+        needed = f"order 1 needs {2 * PER_NUMBER}"
+        raise InputError(f"log: {y.size} readings are too few; {needed}{remarks}")
     for size in (*np.abs(grid.u).max(axis=0, initial=0.0), np.abs(y).max()):
         if 0 < size < LEAST:
             raise InputError(f"log: values of {size:.3g} vanish once squared; use another unit")

@@ -61,6 +61,11 @@ class Top(NamedTuple):
     value: float
 
 
+def digest(numbers: Floats) -> str:
+    """A name of these numbers, and of no others."""
+    return hashlib.blake2b(numbers.tobytes(), digest_size=16).hexdigest()
+
+
 class KeptClimbs:
     """Tops of climbs on disk: a log that is identified once more climbs to none of them again.
 
@@ -86,7 +91,7 @@ class KeptClimbs:
         if self._answers is None:
             return compute()
         self._count += 1
-        question = [self._count, hashlib.blake2b(start.tobytes(), digest_size=16).hexdigest()]
+        question = [self._count, digest(start)]
 
         def answer(missing: list[int]) -> Iterator[tuple[int, Any]]:
             top = compute()

@@ -277,9 +277,9 @@ class PlaceStarts:
 
     def levels(self) -> list[tuple[Floats, Floats]]:
         """Plants and levels in units of the input to begin with."""
-        begun: list[tuple[Floats, Floats]] = []
-        for part in (1.0, 0.4):
-            begun.append((self.plant, np.clip(part * self.widths / self.gain, 0.02, 1.5)))
+        widths = self.widths / self.gain
+        sizes: list[Floats] = [np.clip(part * widths, 0.02, 1.5) for part in (1.0, 0.4)]
+        begun = [(self.plant, size) for size in sizes]
         for level in (0.3, 0.8):
             plant = self.plain.copy()
             plant[self.simulator.layout.b] *= 1 + 0.5 * level
@@ -322,13 +322,10 @@ class PlaceStarts:
 
     def _shapes(self, a: Floats, b: Floats) -> list[Floats]:
         """Candidates of (1, c_1, ... c_(n-1))."""
-        shapes = []
-        if abs(b[0]) > 1e-6:
-            shapes.append(b / b[0])
+        shapes = [b / b[0]] if abs(b[0]) > 1e-6 else []
         poles = np.roots(np.append(1.0, a))
         real = np.abs(poles.imag) < 1e-9
-        for i in np.flatnonzero(real):
-            shapes.append(np.real(np.poly(np.delete(poles, i))))
+        shapes += [np.real(np.poly(np.delete(poles, i))) for i in np.flatnonzero(real)]
         if not real.all() or self.n == 3:
             shapes.append(np.eye(1, self.n)[0])
         return shapes

@@ -10,7 +10,14 @@ from scipy.special import ndtr
 
 from undeadzone.identification.models.estimates import Top, best_top, climb
 from undeadzone.identification.models.likelihood import dead_zone
-from undeadzone.identification.models.plant import Data, Simulator, longest_of, part_of, stabilised
+from undeadzone.identification.models.plant import (
+    Data,
+    Simulator,
+    longest_of,
+    part_of,
+    roots,
+    stabilised,
+)
 from undeadzone.identification.models.zone import Kind, Limits, Objective
 from undeadzone.support.arrays import Flags, Floats, Integers
 
@@ -99,12 +106,8 @@ def fit_zone(simulator: Simulator, kind: Kind, limits: Limits, use: Flags | None
     begun = starts(objective)
     clearly = 0.02 * objective.readings.ok.sum()
     top = best_top(objective, begun, 10, 50, clearly)
-    best = top or Top(objective.project(begun[0]), -math.inf)
-    if limits.zone:
-        again = climb(objective, _centred(objective, best.theta), 50)
-        if again.value > best.value:
-            best = again
-    return Fit(objective, *best)
+    best = Fit(objective, *(top or Top(objective.project(begun[0]), -math.inf)))
+    return better(best, _centred(objective, best.theta)) if limits.zone else best
 
 
 def refit(fit: Fit, kind: Kind, use: Flags | None = None, steps: int = 60) -> Fit:
@@ -115,6 +118,39 @@ def refit(fit: Fit, kind: Kind, use: Flags | None = None, steps: int = 60) -> Fi
     if kind == "pairs" and fit.rho == 0.0:
         theta[-1] = math.atanh(speaking_correlation(fit))
     return Fit(objective, *climb(objective, theta, steps))
+
+
+def better(fit: Fit, theta: Floats) -> Fit:
+    """The fit, or a better one to which a climb from other numbers leads."""
+    top = climb(fit.objective, theta, 60)
+    return Fit(fit.objective, *top) if top.value > fit.value else fit
+
+
+def less_odd(fit: Fit, simulator: Simulator) -> Floats:
+    """Numbers of a fit with fewer poles: the least of the real ones, or of all, are left out."""
+    poles = roots(fit.theta[fit.objective.layout.a]).astype(complex)
+    order = np.lexsort((poles.real, np.abs(poles.imag) > 1e-9))
+    kept = poles[order[poles.size - simulator.layout.a.stop :]]
+    return nearest(fit, simulator, np.atleast_1d(np.real(np.poly(kept)))[1:])
+
+
+def nearest(fit: Fit, simulator: Simulator, a: Floats) -> Floats:
+    """Other poles for a fit, and the numerators with which z is nearest to what it was.
+
+    Args:
+        fit: with the zone and the noise.
+        simulator: of the numbers.
+        a: the poles' coefficients.
+    """
+    layout = simulator.layout
+    theta = np.zeros(layout.size)
+    theta[layout.a], theta[layout.right :] = a, fit.theta[fit.objective.layout.right :]
+    linear = slice(layout.b.start, layout.x0.stop)  # z is linear in b and x(0)
+    columns = simulator.gradient(theta, fit.z)[:, linear]
+    theta[linear] = np.linalg.lstsq(columns, fit.z, rcond=1e-10)[0]
+    missed = float(np.mean((columns @ theta[linear] - fit.z) ** 2))
+    theta[layout.right + 2] = 0.5 * math.log(fit.s**2 + missed)
+    return theta
 
 
 def polished(fit: Fit) -> Fit:
@@ -169,10 +205,8 @@ def starts(objective: Objective) -> list[Floats]:
     simulator, layout = objective.simulator, objective.layout
     use = objective.readings.ok
     linear = fit_linear(simulator, use)
-    begun = []
     sided = start_by_side(objective)
-    if sided is not None:
-        begun.append(sided)
+    begun = [] if sided is None else [sided]
     silent = float(np.mean(objective.readings.side[use] == 0))
     of_silence = float(np.quantile(np.abs(linear.z), silent))
     for share in (*SHARES, *([of_silence] if simulator.data.silent_zeros else [])):

@@ -102,11 +102,8 @@ def _recorded(log: Heard, theta: Floats, level: Floats, draw: np.random.Generato
 
 def refitted(logs: Sequence[Heard], one: Servo) -> Floats:
     """The gaps that climbs from a servo find in logs (runs)."""
-    gaps = []
-    for log in logs:
-        top = Likelihood(log).climbed([one], STEPS)[0]
-        gaps.append(top.theta[At.GAP])
-    return np.array(gaps)
+    tops = (Likelihood(log).climbed([one], STEPS)[0] for log in logs)
+    return np.array([top.theta[At.GAP] for top in tops])
 
 
 # --- The gap, and when none is given

@@ -242,9 +242,8 @@ class Likelihood:
 
     def slopes(self, points: Floats, free: Sequence[Integers], lag: bool) -> list[Slopes]:
         """Errors and derivatives at points (M x P) by the free numbers of each."""
-        rows = []
-        for theta, places in zip(points, free, strict=True):
-            rows.append(around(theta, places, steps_of(theta)[places]))
+        pairs = zip(points, free, strict=True)
+        rows = [around(theta, places, steps_of(theta)[places]) for theta, places in pairs]
         seen, _ = self._run(self.kernel("errors"), np.concatenate(rows), lag)
         found, row = [], 0
         for theta, places in zip(points, free, strict=True):

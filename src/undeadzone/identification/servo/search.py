@@ -99,9 +99,8 @@ def starts(log: Heard) -> list[Servo]:
         for friction, share in zip(FRICTIONS, SPRINGS, strict=True):
             found.append(_begun(log, motor, rate, 0.0, friction, late))
             found.append(_begun(log, sprung, rate, share * rate**2, FRICTIONS[0], late))
-    for rate in rates:
-        found.append(_begun(log, Structure(frozenset(), lag=True), rate, 0.0, 0.0, DELAYS[0]))
-    return found
+    lagging = Structure(frozenset(), lag=True)
+    return found + [_begun(log, lagging, rate, 0.0, 0.0, DELAYS[0]) for rate in rates]
 
 
 def _begun(
@@ -152,9 +151,7 @@ def with_gap(log: Heard, begun: Sequence[Servo]) -> list[Servo]:
         begun: where climbs begin.
     """
     likelihood = Likelihood(log)
-    first = []
-    for one in begun:
-        first += [one.changed(At.TORQUE, math.log(torque)) for torque in TORQUES]
+    first = [one.changed(At.TORQUE, math.log(torque)) for one in begun for torque in TORQUES]
     first = likelihood.climbed(first, THEN, (At.TORQUE,))
     fits = _kept({}, likelihood, likelihood.climbed(first, LAST))
     for _ in range(ROUNDS):

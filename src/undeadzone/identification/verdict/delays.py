@@ -16,7 +16,7 @@ from undeadzone.identification.logs.log import MOST_LATE, Options
 from undeadzone.identification.logs.prepare import FAR_EDGE, Prepared
 from undeadzone.identification.models.estimates import climb
 from undeadzone.identification.models.plant import Simulator, delayed, part_of
-from undeadzone.identification.models.zone_fit import Fit, fit_linear
+from undeadzone.identification.models.zone_fit import Fit, fit_linear, nearest
 from undeadzone.identification.verdict.orders import (
     OrderFit,
     at_limit,
@@ -283,21 +283,10 @@ def _late(fit: Fit, samples: int) -> Fit:
     One has the numerators with which z is nearest to what it was, the other the linear plant.
     """
     objective = fit.objective.along(delayed(fit.objective.data, samples))
-    begun = [_near(fit, objective.simulator), _linear(fit, objective.simulator)]
+    poles = fit.theta[objective.layout.a]
+    begun = [nearest(fit, objective.simulator, poles), _linear(fit, objective.simulator)]
     tops = [climb(objective, theta, STEPS) for theta in begun]
     return Fit(objective, *max(tops, key=lambda one: one.value))
-
-
-def _near(fit: Fit, simulator: Simulator) -> Floats:
-    """The poles of a fit, and numerators with which z is nearest to what it was."""
-    layout = simulator.layout
-    linear = slice(layout.b.start, layout.x0.stop)  # z is linear in b and x(0)
-    columns = simulator.gradient(fit.theta, fit.z)[:, linear]
-    theta = fit.theta.copy()
-    theta[linear] = np.linalg.lstsq(columns, fit.z, rcond=1e-10)[0]
-    missed = float(np.mean((columns @ theta[linear] - fit.z) ** 2))
-    theta[layout.right + 2] = 0.5 * math.log(fit.s**2 + missed)
-    return theta
 
 
 def _linear(fit: Fit, simulator: Simulator) -> Floats:

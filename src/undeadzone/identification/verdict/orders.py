@@ -13,13 +13,13 @@ import numpy as np
 from scipy.stats import chi2
 
 from undeadzone.identification.models import zone_fit
-from undeadzone.identification.models.estimates import climb
 from undeadzone.identification.models.least_squares import CHANCE, HATS, explained, hats, left_by
 from undeadzone.identification.models.plant import CREDIBLE, Data, Simulator
-from undeadzone.identification.models.zone import Limits, Objective
+from undeadzone.identification.models.zone import Limits
 from undeadzone.support.arrays import Flags, Floats, Integers
 
 NEARLY_ZERO = 0.05  # a sampled pole below it is a delay in disguise
+GAINED = 0.5  # of a log likelihood, from which a better fit is another one
 BLOCKS = 5  # of held-out samples, spread over a record
 LEAST_BLOCK = 150  # samples of the part that one of them ends
 LAGS = 20
@@ -82,7 +82,7 @@ def fit_orders(
     """
     train = trained_part(data, held_out)
     known = {one.n: one for one in begun}
-    fits = []
+    fits: list[OrderFit] = []
     for n in orders:
         if known and n not in known:
             continue
@@ -90,7 +90,34 @@ def fit_orders(
         advance(1)
         if _says_something(singles) and _says_something(pairs):
             fits.append(OrderFit(n, singles, pairs, *validate(pairs, train)))
+    return _less_odd(fits, train) if fits else fits
+
+
+def _less_odd(fits: list[OrderFit], train: Flags) -> list[OrderFit]:
+    """The orders, the best climbed on, and without its poles that no plant in time has.
+
+    Args:
+        fits: one an order.
+        train: samples that are used where the rest checks (N).
+    """
+    fits, best = list(fits), fits.index(best_order(fits))
+    fits[best] = _climbed_on(fits[best], fits[best].pairs.theta, train)
+    for place in range(best, 0, -1):
+        if is_sampled(fits[place].pairs):
+            break
+        fewer = fits[place - 1]
+        begun = zone_fit.less_odd(fits[place].pairs, fewer.pairs.objective.simulator)
+        fits[place - 1] = _climbed_on(fewer, begun, train)
     return fits
+
+
+def _climbed_on(one: OrderFit, theta: Floats, train: Flags) -> OrderFit:
+    """The fits of an order, or those that a climb from other numbers leads to."""
+    pairs = zone_fit.better(one.pairs, theta)
+    if pairs.value < one.pairs.value + GAINED:
+        return one
+    singles = pairs if one.pairs is one.singles else zone_fit.better(one.singles, pairs.theta)
+    return OrderFit(one.n, singles, pairs, *validate(pairs, train))
 
 
 def _stages(
@@ -254,10 +281,8 @@ def loop_chance(fit: zone_fit.Fit, u: Floats) -> float:
     value, use = innovations(fit, fit.objective.data.ok)
     heard = _lagged(np.where(use, value, 0.0)[:, None], range(ANSWERED))
     inside = _has_past(fit.objective.data.start, value.size)
-    chances = []
-    for column in u.T:
-        left = left_by(_lagged(column[:, None])[inside], column[inside])
-        chances.append(explained(heard[inside], left)[-1])
+    left = [left_by(_lagged(column[:, None])[inside], column[inside]) for column in u.T]
+    chances = [explained(heard[inside], one)[-1] for one in left]
     return min(1.0, len(chances) * min(chances))
 
 
@@ -393,19 +418,12 @@ def judge_no_zone(fit: zone_fit.Fit) -> NoZone:
     if objective.kind != "behind":
         return NoZone(0.0, fit)
     linear = zone_fit.fit_linear(objective.simulator, objective.readings.ok)
-    best = _from_linear(objective, linear, fit)
+    begun, widths = linear.theta.copy(), slice(objective.layout.right, objective.layout.right + 2)
+    begun[widths] = zone_fit.about_level(linear, 0.05)
+    best = zone_fit.better(fit, begun)
     spread = best.objective.spread(best.theta)
     row = best.objective.direction(1.0, 1.0)
     robust, naive = float(row @ spread.V @ row), float(row @ spread.naive @ row)
     ratio = 2 * max(best.value - linear.value, 0.0) / max(1.0, robust / max(naive, 1e-300))
     chance = float(chi2.sf(ratio, 1))  # of the width; the level has its number in both
     return NoZone(chance, best)
-
-
-def _from_linear(objective: Objective, linear: zone_fit.Fit, fit: zone_fit.Fit) -> zone_fit.Fit:
-    """The fit, or a better one that starts at a small zone."""
-    theta = linear.theta.copy()
-    theta[objective.layout.right : objective.layout.right + 2] = zone_fit.about_level(linear, 0.05)
-    top = climb(objective, theta, 60)
-    better = math.isfinite(top.value) and top.value > fit.value
-    return zone_fit.Fit(objective, *top) if better else fit

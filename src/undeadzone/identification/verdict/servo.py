@@ -278,11 +278,7 @@ def sampled_plant(servo: ServoGap, theta: Floats, scale: float) -> Floats:
     F, b = A[0][np.ix_(places, places)], B[0, places, 0]
     poles = np.linalg.eigvals(F)
     whole = np.real(np.poly(F))
-    markov = []
-    state = b
-    for _ in places:
-        markov.append(state[0])
-        state = F @ state
+    markov = [float((np.linalg.matrix_power(F, k) @ b)[0]) for k in range(len(places))]
     numerator = np.convolve(whole, markov)[: len(places)]
     if servo.integrates:
         nearest = int(np.argmin(np.abs(poles - 1)))

@@ -209,7 +209,7 @@ def _is_asked(case: Case, found: Found, offsets: Offsets, brief: Fit) -> bool:
     if kind in ("jump", "deadzone"):
         return False
     perhaps = found.verdict.word in ("other", "unclear", "undecided", "friction") or kind == "play"
-    perhaps |= next(iter(found.odds)) == "zone_and_friction"  # a memory beside the zone leads
+    perhaps |= found.odds.get("zone_and_friction", 0.0) > UNLIKELY  # a memory beside the zone
     if perhaps or offsets.name in ("play", "both"):
         return True
     both = fit_both([brief])  # a lag of the plant may pass for a play

@@ -69,18 +69,16 @@ def find_widths(
     stages = {name: one.edges for name, one in told.items()}
     last = list(stages)[-1]
     remarks: list[str] = []
-    widest, degrees = {}, {}
-    for name in DIRECTIONS:
-        stage = max(told.values(), key=lambda one: one.halves[name])
-        widest[name], degrees[name] = stage.halves[name], stage.degrees[name]
+    by_half = {name: max(told.values(), key=lambda one: one.halves[name]) for name in DIRECTIONS}
+    widest = {name: one.halves[name] for name, one in by_half.items()}
+    degrees = {name: one.degrees[name] for name, one in by_half.items()}
     if any(_gap(stages, DIRECTIONS[name], "L3") > widest[name] for name in ("right", "left")):
         last = "L2"
         remarks.append(
             "the disturbance model does not fit; the widths are those of pairs, the intervals"
             " widened by the difference"
         )
-    intervals = {}
-    apart = False
+    intervals, apart = {}, False
     for name, row in DIRECTIONS.items():
         gap, half = _gap(stages, row, "L1"), widest[name]
         apart |= name != "centre" and gap > half > 0
