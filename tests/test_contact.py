@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
@@ -17,7 +18,7 @@ from undeadzone.exports import export
 from undeadzone.numerics.first_passage import arriving, at_edge, beyond
 from undeadzone.numerics.gaussian import Gaussian, cut_to, mixed
 from undeadzone.observers.parts.contact_drive import PASSED, drive_of, made_up, posture
-from undeadzone.observers.parts.contact_modes import Told
+from undeadzone.observers.parts.contact_modes import Told, struck
 from undeadzone.plants.robots.build import two_link
 from undeadzone.plants.robots.geared import Gears, geared_motion
 from undeadzone.results import mjcf
@@ -242,6 +243,24 @@ def test_what_a_motor_tells_of_its_gears_moves_the_free_links_of_others() -> Non
     assert free == pytest.approx(PASSED * impulse * answer[2, 1])
     assert right == left == 0.0
     assert all(float(one.mean[3]) == 0.0 for one in second.beliefs)
+
+
+@pytest.mark.parametrize(("speed", "heard"), [(0.0, 0.0), (2.0, 1.0)])
+def test_joint_by_joint_a_gap_is_not_told_by_a_link_that_rests(speed: float, heard: float) -> None:
+    """A link that comes upon a flank, 10 mrad later than foretold; the motor has a speed."""
+    gears = geared_motion(two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
+    drive = drive_of(gears, 1e-3, 1)
+    of, mean = drive.layout.of, ca.DM.zeros(drive.layout.entries)
+    place = of("half").start
+    mean[of("half")], mean[of("motor_speed").start], mean[of("link").start] = 0.05, speed, -0.06
+    belief = Gaussian(ca.SX(mean), 1e-4 * ca.SX.eye(drive.layout.entries))
+
+    def told(idle: float) -> float:
+        q = SimpleNamespace(model=gears.values, slack=1e-8, impact=0.3, idle=idle)
+        return float(struck(drive, q, 0, -1, belief).mean[place]) - 0.05
+
+    assert abs(told(0.0)) > 1e-3
+    assert told(1.0) == pytest.approx(heard * told(0.0), abs=1e-9)
 
 
 def six_joints(**observer: Any) -> uz.Scenario:

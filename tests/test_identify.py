@@ -33,7 +33,7 @@ from undeadzone.identification.models.likelihood import (
 from undeadzone.identification.models.place import simulate
 from undeadzone.identification.models.plant import Data, Layout, Simulator
 from undeadzone.identification.models.zone import Limits, Objective
-from undeadzone.identification.models.zone_fit import Fit, fit_zone, polished, refit
+from undeadzone.identification.models.zone_fit import Fit, fit_zone, less_odd, polished, refit
 from undeadzone.identification.verdict.widths import profile
 from undeadzone.support.arrays import Floats
 
@@ -225,6 +225,22 @@ def test_the_fit_ends_at_a_top(fitted: Fit) -> None:
     scale = fitted.objective.data.y_scale
     assert abs(fitted.right * scale - 0.5) < 0.02
     assert abs(fitted.left * scale - 0.3) < 0.02
+
+
+def test_a_pole_that_a_zero_cancels_is_left_out(fitted: Fit) -> None:
+    """What is left makes the same z, with the zone and the noise of before."""
+    objective = fitted.objective
+    wide = Objective(Simulator(objective.data, 3), objective.kind, objective.limits)
+    old, layout = objective.layout, wide.layout
+    theta = np.zeros(layout.size)
+    theta[layout.a] = np.convolve([1.0, *fitted.theta[old.a]], [1.0, 0.4])[1:]
+    theta[layout.b] = np.convolve(fitted.theta[old.b], [1.0, 0.4])
+    theta[layout.x0] = np.convolve(fitted.theta[old.x0], [1.0, 0.4])
+    theta[layout.right :] = fitted.theta[old.right :]
+    wider = Fit(wide, theta, wide.value(theta))
+    assert wider.z == pytest.approx(fitted.z, abs=1e-12)
+    left = less_odd(wider, objective.simulator)
+    assert left == pytest.approx(fitted.theta, abs=1e-6)
 
 
 def test_a_profile_falls_on_both_sides(fitted: Fit) -> None:
@@ -543,7 +559,7 @@ def test_what_cannot_be_used_is_refused(change, message: str) -> None:
 
 def test_a_log_that_sticks_at_its_ends_is_refused_for_what_is_left_of_it() -> None:
     t, u, _, z = record(size=200)
-    with pytest.raises(InputError, match="readings are too few.*stick at the ends of the range"):
+    with pytest.raises(InputError, match=r"readings are too few.*stick at the ends of the range"):
         uz.identify(t=t, u=u, y=np.clip(z + 0.01 * np.sin(1e3 * t), -0.3, 0.3))
 
 
