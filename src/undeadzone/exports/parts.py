@@ -6,6 +6,7 @@ import difflib
 import keyword
 import re
 import sys
+from itertools import chain, product
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -158,7 +159,7 @@ def places_of(fields: list[Field]) -> dict[str, slice]:
 
 def members(fields: list[Field]) -> list[tuple[str, int]]:
     """(name of the field, entry) of every number, in order."""
-    return [(field.name, entry) for field in fields for entry in range(field.size)]
+    return list(chain.from_iterable(product([one.name], range(one.size)) for one in fields))
 
 
 PARTS = ("observer", "observer+controller")

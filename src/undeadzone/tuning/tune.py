@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import chain, product
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
@@ -116,7 +117,7 @@ def _answers(on: Objective, keep: Path | None, resume: bool, seed: int) -> Itera
 
 def _moved_alone(start: Floats, places: Sequence[Sequence[float] | Floats]) -> list[Floats]:
     """Points that move each number of a start alone, to each of its places."""
-    moves = ((i, value) for i, values in enumerate(places) for value in values)
+    moves = chain.from_iterable(product([i], values) for i, values in enumerate(places))
     return [np.where(np.arange(start.size) == i, value, start) for i, value in moves]
 
 

@@ -151,7 +151,7 @@ def with_gap(log: Heard, begun: Sequence[Servo]) -> list[Servo]:
         begun: where climbs begin.
     """
     likelihood = Likelihood(log)
-    first = [one.changed(At.TORQUE, math.log(torque)) for one in begun for torque in TORQUES]
+    first = [one.changed(At.TORQUE, math.log(x)) for one, x in itertools.product(begun, TORQUES)]
     first = likelihood.climbed(first, THEN, (At.TORQUE,))
     fits = _kept({}, likelihood, likelihood.climbed(first, LAST))
     for _ in range(ROUNDS):

@@ -472,20 +472,19 @@ def struck(drive: Drive, q: Numbers, joint: int, side: int, belief: Gaussian) ->
     joint, where both move alike, the gap is left as it is: a link that rests on a flank leaves it
     and comes back for reasons that are not modelled, and soon seemed to cross a gap of nothing.
     """
-    layout = drive.layout
+    layout, x = drive.layout, belief.mean
     motor, link = layout.of("motor_speed").start + joint, layout.of("link_speed").start + joint
     late = ca.DM(1, layout.entries)
     late[0, motor], late[0, link] = -side * drive.Ts / 2, side * drive.Ts / 2
     row = layout.edge(joint, side) + late
-    excess = row @ belief.mean
+    excess = row @ x
     wild = ca.fmax(ca.fabs(excess) - FAR * ca.sqrt(ca.fmax(row @ belief.cov @ row.T, 0.0)), 0.0)
     told = belief.cov @ row.T
-    S = row @ told + q.slack + (late @ belief.mean) ** 2 / 3 + wild**2
+    S = row @ told + q.slack + (late @ x) ** 2 / 3 + wild**2
     K = told / S
-    half = layout.of("half").start + joint
-    K[half] *= 1 - q.idle * _still(belief.mean[motor] - belief.mean[link])
+    K[layout.of("half").start + joint] *= 1 - q.idle * _still(x[motor] - x[link])
     cov = belief.cov - K @ told.T - told @ K.T + S * (K @ K.T)
-    at = Gaussian(belief.mean - K * excess, from_upper(cov))
+    at = Gaussian(x - K * excess, from_upper(cov))
     direction = drive.mobility(q.model, at.mean)[:, joint]
     N = layout.size
     give = direction / (direction[N + joint] - direction[joint])  # a unit of theta' - q' less

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import product
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -69,8 +70,8 @@ class Smoothing(NamedTuple):
 def rows_at(setup: Setup, q: Params, at: Any, side: Any) -> tuple[Any, Any]:
     """The rows of the readings on these sides (p x N), and of all edges (2p x N)."""
     p = setup.model.p
-    read = [(i, 0.0 if setup.jump else side[i]) for i in range(p)]
-    edges = [(i, edge) for edge in (1.0, -1.0) for i in range(p)]
+    read = list(enumerate([0.0] * p if setup.jump else ca.vertsplit(side)))
+    edges = [(i, edge) for edge, i in product((1.0, -1.0), range(p))]
 
     def rows(branches: list[tuple[int, Any]]) -> Any:
         each = (partial(beyond_edge, setup, q, i, branch) for i, branch in branches)
