@@ -229,6 +229,34 @@ def test_readme_path_holds_the_second_joint_on_one_flank(known: uz.Run) -> None:
     assert np.cos(mean + place) == pytest.approx(0.0, abs=0.02)  # where the link hangs
 
 
+@pytest.mark.parametrize(
+    ("friction", "measured", "known"),
+    [(0.05, "motor", True), (1.0, "motor", False), (1.0, "link", True)],
+)
+def test_a_load_that_motor_friction_hides_shows_no_gap(
+    friction: float, measured: str, known: bool
+) -> None:
+    """A light link that nothing presses but its inertia, to and fro."""
+    gears = {"half": 0.03, "inertia": 0.012, "friction": friction, "measured": measured}
+    weightless = {"m": 0.35, "l": 0.25, "c": 0.125, "I": 0.0018, "g": 0.0}
+    run = uz.simulate(
+        scenario(
+            plant={
+                "arm": {"kind": "one_link", "torque_max": 3.0, "gears": gears},
+                "x0": [0.0, 0.0],
+                "parameters": weightless,
+            },
+            reference={"kind": "quintic", "points": [[0.0], [0.5], [0.0]], "times": [0, 0.8, 1.6]},
+            simulation={"time": "sampled", "duration": 1.6, "step": 1e-3, "substeps": 4},
+        )
+    )
+    (verdict,) = run.info.identifiable
+    assert verdict["width"] == known
+    if not known:
+        (reason,) = verdict["reasons"]
+        assert "which friction of its motor, 1 N m, hides" in reason
+
+
 def test_after_a_swing_both_gaps_can_be_known() -> None:
     swung = uz.simulate(scenario(reference=EIGHT | {"swing": SWING}))
     assert swung.fully_identifiable

@@ -76,7 +76,9 @@ def _verdicts_on_flanks(problem: Problem, rows: int) -> list[Verdict]:
     assert path is not None
     t = np.arange(rows) * step
     along = np.stack([path.value(t, order) for order in range(3)], axis=1)
-    told = flank_verdicts(plant.arm, plant.gears.links(plant.params), along, step)
+    gears, at_motor = plant.gears, 1.0 * (plant.gears.measured == "motor")
+    friction = at_motor * np.ravel(gears.number(plant.params, "friction"))
+    told = flank_verdicts(plant.arm, gears.links(plant.params), along, step, friction)
     return told * (plant.p // plant.arm.size)
 
 

@@ -17,6 +17,7 @@ from undeadzone.plants.robots.arm import Arm, torque
 from undeadzone.support.arrays import Flags, Floats, runs
 
 SHARE = 0.02  # of the largest torque at a joint: a smaller one presses on no flank
+HEARD = 0.2  # of a motor's friction: what its encoder tells of a smaller load is lost in that
 LASTING = 0.05  # [s] that a torque must last to carry its link across
 POSTURES = 721  # of a joint within a turn, among which one without torque is sought
 
@@ -34,14 +35,15 @@ class Visited(NamedTuple):
     changes: int
 
 
-def visited(tau: Floats, step: float) -> list[Visited]:
+def visited(tau: Floats, step: float, unheard: Floats) -> list[Visited]:
     """What each joint does to its gears.
 
     Args:
         tau: torque that the links need along the path (N x joints) [N m].
         step: between two rows [s].
+        unheard: of each joint, up to which no reading tells a load (joints) [N m].
     """
-    least = SHARE * np.abs(tau).max(axis=0, initial=0.0)
+    least = np.maximum(SHARE * np.abs(tau).max(axis=0, initial=0.0), unheard)
     told = []
     for load, small in zip(tau.T, least, strict=True):
         pressed = 1 * _lasting(load > small, step) - 1 * _lasting(load < -small, step)
@@ -99,7 +101,9 @@ def balanced(body: Arm, params: Floats, q: Floats, i: int) -> float | None:
     return float(zeros[np.abs(zeros - q[i]).argmin()])
 
 
-def flank_verdicts(body: Arm, params: Floats, path: Floats, step: float) -> list[Verdict]:
+def flank_verdicts(
+    body: Arm, params: Floats, path: Floats, step: float, friction: Floats
+) -> list[Verdict]:
     """What readings along a path tell of each joint's gap.
 
     Args:
@@ -107,14 +111,17 @@ def flank_verdicts(body: Arm, params: Floats, path: Floats, step: float) -> list
         params: its parameters.
         path: positions, speeds and accelerations of its joints (N x 3 x joints).
         step: between two rows [s].
+        friction: of the motors; 0 where encoders read the links (joints) [N m].
     """
-    mean = path[:, 0].mean(axis=0)
-    verdicts = []
-    for i, joint in enumerate(visited(torques(body, params, path), step)):
-        known = joint.right and joint.left
-        unit = "" if body.chain.slides else " rad"
-        reasons = () if known else (_held(balanced(body, params, mean, i), unit),)
-        verdicts.append(Verdict(known, known, known, known, reasons=reasons))
+    mean, tau, verdicts = path[:, 0].mean(axis=0), torques(body, params, path), []
+    for i, joint in enumerate(visited(tau, step, HEARD * friction)):
+        known, most = joint.right and joint.left, np.abs(tau[:, i]).max(initial=0.0)
+        unit, of_torque = ("", "") if body.chain.slides else (" rad", " N m")
+        why = _held(balanced(body, params, mean, i), unit)
+        if most < HEARD * friction[i]:
+            why = f"its link asks for {most:.2g}{of_torque} at most, which friction of its motor, "
+            why += f"{friction[i]:.2g}{of_torque}, hides: its gap cannot be known; turn it faster"
+        verdicts.append(Verdict(known, known, known, known, reasons=() if known else (why,)))
     return verdicts
 
 
