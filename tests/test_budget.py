@@ -9,6 +9,8 @@ import tokenize
 from collections import Counter
 from pathlib import Path
 
+from benchmarks.markdown import parted
+
 import once
 import undeadzone
 
@@ -167,3 +169,12 @@ def test_a_gap_is_one_line() -> None:
     body = lines[lines.index(next(line for line in lines if line.startswith("## "))) :]
     assert all(line.startswith(("- ", "## ")) for line in body if line)
     assert max(map(len, lines)) <= 115
+
+
+def test_every_table_of_results_names_the_commit_of_the_code_that_made_it() -> None:
+    """`python -m benchmarks --write` does so; what decisions weighed was measured at the time."""
+    sections = parted((HOME / "benchmarks" / "RESULTS.md").read_text(encoding="utf-8"))
+    assert len(sections) > 40
+    named = re.compile(r"\b(commit|[Aa]t) [0-9a-f]{7,8}\b")
+    unnamed = [title for title, text in sections.items() if not named.search(text)]
+    assert unnamed == ["## Numbers behind decisions"]
