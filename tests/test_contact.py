@@ -18,10 +18,11 @@ from undeadzone.exports import export
 from undeadzone.numerics.first_passage import arriving, at_edge, beyond
 from undeadzone.numerics.gaussian import Gaussian, cut_to, mixed
 from undeadzone.observers.parts.contact_drive import PASSED, drive_of, made_up, posture
-from undeadzone.observers.parts.contact_modes import Told, struck
+from undeadzone.observers.parts.contact_modes import OPEN, Layout, Mode, Told, _moved, struck
 from undeadzone.plants.robots.build import two_link
 from undeadzone.plants.robots.geared import Gears, geared_motion
 from undeadzone.results import mjcf
+from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -261,6 +262,41 @@ def test_joint_by_joint_a_gap_is_not_told_by_a_link_that_rests(speed: float, hea
 
     assert abs(told(0.0)) > 1e-3
     assert told(1.0) == pytest.approx(heard * told(0.0), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("joints", "drift", "idle"), [("coupled", 3e-5, 0.0), ("separate", 4.5e-4, 1.0)]
+)
+def test_half_gaps_drift_faster_joint_by_joint(joints: str, drift: float, idle: float) -> None:
+    example = tomllib.loads((EXAMPLES / "two_link_gears.toml").read_text())
+    example["observer"]["joints"] = joints
+    modes = resolve_scenario(convert(example)).observer.params.modes
+    step = example["simulation"]["step"]
+    assert modes.Q[Layout(2).of("half")] == pytest.approx(drift**2 * step)
+    assert modes.idle == idle
+
+
+@pytest.mark.parametrize(("spread", "part"), [(0.0, 1.0), (0.5, 0.75), (1.0, 0.0), (2.0, 0.0)])
+def test_a_half_gap_drifts_up_to_a_share_of_its_claim(spread: float, part: float) -> None:
+    """From a deviation so many times the largest one; what is more uncertain is left so."""
+    gears = geared_motion(two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
+    drive = drive_of(gears, 1e-3, 1)
+    entries, half = drive.layout.entries, drive.layout.of("half").start
+    claim, Q = 0.06, np.full(entries, 1e-9)
+    variance = (spread * OPEN * claim) ** 2
+    cov = ca.SX.zeros(entries, entries)
+    cov[half, half] = variance
+    q = SimpleNamespace(
+        model=gears.values,
+        Q=Q,
+        rest=np.zeros(2),
+        least=np.zeros(2),
+        low=np.zeros(entries),
+        high=np.full(entries, claim),
+    )
+    belief = Gaussian(ca.SX(ca.DM.zeros(entries)), cov)
+    after = _moved(drive, q, (0, 0), Mode(ca.SX(1.0), belief), ca.DM.zeros(2)).belief.cov
+    assert float(after[half, half]) == pytest.approx(variance + part * 1e-9, rel=1e-9, abs=1e-16)
 
 
 def six_joints(**observer: Any) -> uz.Scenario:
