@@ -315,6 +315,14 @@ def test_a_play_that_looks_like_friction_beside_a_zone_is_asked(
     assert answer.width.low < sum(log.widths) < answer.width.high
 
 
+def test_a_play_whose_zone_stays_silent_1_8_times_as_long_as_elsewhere_is_no_servo() -> None:
+    """Twice as long was asked; a lag behind gear play alone had odds of 1."""
+    log = make(25018, "play and zone")
+    answer = asked(log)
+    assert answer.verdict == "both"
+    assert answer.width.low < sum(log.widths) < answer.width.high
+
+
 def test_two_silent_samples_that_a_start_explains_by_underflow_are_no_fit() -> None:
     """The likelihood of a start 1400 deviations off was above 1: the answer was `other`."""
     log = make(21000, "sensor")
