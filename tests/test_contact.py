@@ -250,30 +250,30 @@ def test_what_a_motor_tells_of_its_gears_moves_the_free_links_of_others() -> Non
 def test_joint_by_joint_a_gap_is_not_told_by_a_link_that_rests(speed: float, heard: float) -> None:
     """A link that comes upon a flank, 10 mrad later than foretold; the motor has a speed."""
     gears = geared_motion(two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
-    drive = drive_of(gears, 1e-3, 1)
-    of, mean = drive.layout.of, ca.DM.zeros(drive.layout.entries)
+    of, mean = Layout(2).of, ca.DM.zeros(Layout(2).entries)
     place = of("half").start
     mean[of("half")], mean[of("motor_speed").start], mean[of("link").start] = 0.05, speed, -0.06
-    belief = Gaussian(ca.SX(mean), 1e-4 * ca.SX.eye(drive.layout.entries))
+    belief = Gaussian(ca.SX(mean), 1e-4 * ca.SX.eye(Layout(2).entries))
 
-    def told(idle: float) -> float:
-        q = SimpleNamespace(model=gears.values, slack=1e-8, impact=0.3, idle=idle)
+    def told(apart: bool) -> float:
+        q = SimpleNamespace(model=gears.values, slack=1e-8, impact=0.3)
+        drive = drive_of(gears, 1e-3, 1, apart)
         return float(struck(drive, q, 0, -1, belief).mean[place]) - 0.05
 
-    assert abs(told(0.0)) > 1e-3
-    assert told(1.0) == pytest.approx(heard * told(0.0), abs=1e-9)
+    assert abs(told(False)) > 1e-3
+    assert told(True) == pytest.approx(heard * told(False), abs=1e-9)
 
 
 @pytest.mark.parametrize(
-    ("joints", "drift", "idle"), [("coupled", 3e-5, 0.0), ("separate", 4.5e-4, 1.0)]
+    ("joints", "drift", "apart"), [("coupled", 3e-5, [False]), ("separate", 4.5e-4, [True, True])]
 )
-def test_half_gaps_drift_faster_joint_by_joint(joints: str, drift: float, idle: float) -> None:
+def test_half_gaps_drift_faster_joint_by_joint(joints: str, drift: float, apart: list) -> None:
     example = tomllib.loads((EXAMPLES / "two_link_gears.toml").read_text())
     example["observer"]["joints"] = joints
-    modes = resolve_scenario(convert(example)).observer.params.modes
-    step = example["simulation"]["step"]
-    assert modes.Q[Layout(2).of("half")] == pytest.approx(drift**2 * step)
-    assert modes.idle == idle
+    observer = resolve_scenario(convert(example)).observer
+    step, (setup,) = example["simulation"]["step"], observer.step.args
+    assert observer.params.modes.Q[Layout(2).of("half")] == pytest.approx(drift**2 * step)
+    assert [drive.apart for drive in setup.drives] == apart
 
 
 @pytest.mark.parametrize(("spread", "part"), [(0.0, 1.0), (0.5, 0.75), (1.0, 0.0), (2.0, 0.0)])

@@ -53,7 +53,7 @@ def arriving(before: Sequence[Any], now: Sequence[Any], lost: Any = 0.0) -> list
     return shares
 
 
-def at_edge(belief: Gaussian, h: Any, excess: Any, R: Any) -> Gaussian:
+def at_edge(belief: Gaussian, h: Any, excess: Any, R: Any, moved: Any = None) -> Gaussian:
     """The belief of what has just arrived: excess + h (x - x^) + v = 0.
 
     Args:
@@ -61,5 +61,6 @@ def at_edge(belief: Gaussian, h: Any, excess: Any, R: Any) -> Gaussian:
         h: row of the edge (1 x N).
         excess: by which the mean x^ lies beyond it.
         R: variance of v.
+        moved: as `update_unless_glitch` takes it.
     """
-    return update_unless_glitch(belief, h, -excess, R, 1.0, None, 0.0).belief
+    return update_unless_glitch(belief, h, -excess, R, 1.0, None, 0.0, moved).belief

@@ -275,7 +275,7 @@ def settle(
     """
     std = ca.sqrt(S)
     if odds is None:
-        return Weighed(_moved(belief, K, e, S, 0.0, R, use), e, std, ca.SX(1.0), 1.0)
+        return Weighed(_moved(belief, K, e, S, 0.0, R, use, moved), e, std, ca.SX(1.0), 1.0)
     r = ca.fmax(ca.fmin(e / std, CLIP), -CLIP)
     near = r * std
     wrong = ca.exp(odds) / (reach + TAIL * std)

@@ -125,7 +125,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         substeps = int(np.ceil(Ts * fastest / RESOLVED))
         apart = range(gears.size) if self.joints == "separate" else ()
         ones = tuple(alone(gears, joint) for joint in apart)
-        drives = tuple(drive_of(one, Ts, substeps) for one in ones or (gears,))
+        drives = tuple(drive_of(one, Ts, substeps, len(ones) > 1) for one in ones or (gears,))
         first, numbers = self._numbers(model, gears, drives, sensor)
         params = Params(first, numbers, sensor.slope, fading(Ts, MEMORY), fading(Ts, PATIENCE))
         each = product(FRICTION, range(1, gears.size + 1))
@@ -154,7 +154,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
             mean[of(name)] = claimed.mean(axis=1)
             std[of(name)] = (claimed[:, 1] - claimed[:, 0]) / np.sqrt(12)
         unknown, loads, inertia = unknown_torques(model, gears, float(mean[of("payload")][0]))
-        apart = len(drives) > 1
+        apart = drives[0].apart
         if apart:
             loads = np.maximum(loads, TURNED * inertia)
         if self.disturbance is not None:
@@ -196,7 +196,6 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
             impact=np.asarray(RESTITUTION),
             rest=STICKING * Ts / told("inertia") ** 2,
             least=told("friction"),
-            idle=np.asarray(float(apart)),
         )
 
 

@@ -70,9 +70,8 @@ def l2_gain(
     norms = [max(np.linalg.norm(np.vstack(signal)), 1e-300) for signal in signals]
     sizes = np.array(norms)
     size = max(float(np.linalg.norm(z)), 1e-300)
-    unit = []
-    for signal, own in zip(signals, sizes, strict=True):
-        unit.append(Channel(signal.state / own, signal.reading / own))
+    pairs = zip(signals, sizes, strict=True)
+    unit = [Channel(signal.state / own, signal.reading / own) for signal, own in pairs]
 
     def family(q: Floats) -> Inequality:
         return driven(scaled, q[:groups], q[groups:], unit, z / size)

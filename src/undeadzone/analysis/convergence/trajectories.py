@@ -83,9 +83,8 @@ def trajectories(
     chosen.append(("adversary", _adversary(V, start, moves, fair=False)))
     chosen.append(("fair adversary", _adversary(V, start, moves, fair=True)))
     times = np.full(SWITCHES * count, step)
-    drawn = []
-    for kind, taken in chosen:
-        drawn.append(_trajectory(kind, V, start, pieces[np.repeat(taken, count)], times))
+    taken = [(kind, pieces[np.repeat(order, count)]) for kind, order in chosen]
+    drawn = [_trajectory(kind, V, start, maps, times) for kind, maps in taken]
     along = _passes(errors, schedule, seconds)
     return [*drawn, trajectory("reference", errors, V, start, along, step)]
 

@@ -113,16 +113,23 @@ def flank_verdicts(
         step: between two rows [s].
         friction: of the motors; 0 where encoders read the links (joints) [N m].
     """
-    mean, tau, verdicts = path[:, 0].mean(axis=0), torques(body, params, path), []
-    for i, joint in enumerate(visited(tau, step, HEARD * friction)):
-        known, most = joint.right and joint.left, np.abs(tau[:, i]).max(initial=0.0)
-        unit, of_torque = ("", "") if body.chain.slides else (" rad", " N m")
-        why = _held(balanced(body, params, mean, i), unit)
-        if most < HEARD * friction[i]:
-            why = f"its link asks for {most:.2g}{of_torque} at most, which friction of its motor, "
-            why += f"{friction[i]:.2g}{of_torque}, hides: its gap cannot be known; turn it faster"
-        verdicts.append(Verdict(known, known, known, known, reasons=() if known else (why,)))
+    mean, tau, unheard = path[:, 0].mean(axis=0), torques(body, params, path), HEARD * friction
+    most, slides, verdicts = np.abs(tau).max(axis=0, initial=0.0), body.chain.slides, []
+    for i, joint in enumerate(visited(tau, step, unheard)):
+        known = joint.right and joint.left
+        why = "" if known or most[i] >= unheard[i] else _hidden(most[i], friction[i], slides)
+        if not (known or why):
+            why = _held(balanced(body, params, mean, i), "" if slides else " rad")
+        verdicts.append(Verdict(known, known, known, known, reasons=(why,) if why else ()))
     return verdicts
+
+
+def _hidden(most: float, friction: float, slides: bool) -> str:
+    """That a motor's friction hides what its link asks for at most."""
+    unit = "" if slides else " N m"
+    asks = f"its link asks for {most:.2g}{unit} at most"
+    hides = f"friction of its motor, {friction:.2g}{unit}, hides"
+    return f"{asks}, which {hides}: its gap cannot be known; turn it faster"
 
 
 def _held(place: float | None, unit: str) -> str:

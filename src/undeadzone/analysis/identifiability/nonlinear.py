@@ -43,14 +43,13 @@ def beforehand(
         centre_std: those of each d_r - d_l (p), infinite where it is not known; None: unknown.
         least: deviation of a centre that is known exactly [z].
     """
-    rows = []
+    rows, eye = [], np.eye(n + 2 * p)
     if start_std is not None:
-        for i in np.flatnonzero(np.isfinite(start_std) & (start_std > 0)):
-            rows.append(np.eye(n + 2 * p)[i] / start_std[i])
+        known = np.flatnonzero(np.isfinite(start_std) & (start_std > 0))
+        rows += [eye[i] / start_std[i] for i in known]
     if centre_std is not None:
         for i in np.flatnonzero(np.isfinite(centre_std)):
-            right = n + 2 * i
-            row = np.eye(n + 2 * p)[right] - np.eye(n + 2 * p)[right + 1]
+            row = eye[n + 2 * i] - eye[n + 2 * i + 1]
             rows.append(row / max(float(centre_std[i]), least))
     return np.array(rows).reshape(len(rows), n + 2 * p)
 

@@ -44,13 +44,14 @@ SPEED = QUANTITIES.index("link_speed")
 FREE = np.full(1, np.inf)
 
 
-def drive_of(gears: Geared, Ts: float, substeps: int) -> Drive:
+def drive_of(gears: Geared, Ts: float, substeps: int, apart: bool = False) -> Drive:
     """What the filter asks of an arm with gears.
 
     Args:
         gears: the arm.
         Ts: sample time [s].
         substeps: Runge-Kutta steps in a sample.
+        apart: whether it is one joint of several.
     """
     N, layout = gears.size, Layout(gears.size)
 
@@ -67,7 +68,7 @@ def drive_of(gears: Geared, Ts: float, substeps: int) -> Drive:
 
     motors, links = tuple(range(N)), tuple(range(N, 2 * N))
     readings = {"motor": motors, "link": links, "both": (*links, *motors)}[gears.measured]
-    return Drive(layout, rate, mobility, readings, Ts, substeps)
+    return Drive(layout, rate, mobility, readings, Ts, substeps, apart)
 
 
 def believed(gears: Geared, params: Any, x: Any) -> Any:

@@ -103,6 +103,7 @@ class Drive(NamedTuple):
         readings: entry of x that each reading gives (p).
         Ts: sample time [s].
         substeps: Runge-Kutta steps in a sample.
+        apart: whether it is one joint of several, to which what the others do to its link is noise.
     """
 
     layout: Layout
@@ -111,6 +112,7 @@ class Drive(NamedTuple):
     readings: tuple[int, ...]
     Ts: float
     substeps: int
+    apart: bool
 
 
 class Numbers(NamedTuple):
@@ -127,8 +129,6 @@ class Numbers(NamedTuple):
         impact: share by which an impulse is off.
         rest: variance that the speed of a motor at rest gains in a step, over f^2 (N).
         least: friction that static friction has at least (N) [N m].
-        idle: share of a gap's news that is left out where motor and link move alike: joint by joint
-            1, since what the rest of the arm does to a resting link is not modelled.
     """
 
     model: Any
@@ -142,7 +142,6 @@ class Numbers(NamedTuple):
     impact: Any
     rest: Floats
     least: Floats
-    idle: Any
 
 
 class Modes(NamedTuple):
@@ -479,12 +478,10 @@ def struck(drive: Drive, q: Numbers, joint: int, side: int, belief: Gaussian) ->
     row = layout.edge(joint, side) + late
     excess = row @ x
     wild = ca.fmax(ca.fabs(excess) - FAR * ca.sqrt(ca.fmax(row @ belief.cov @ row.T, 0.0)), 0.0)
-    told = belief.cov @ row.T
-    S = row @ told + q.slack + (late @ x) ** 2 / 3 + wild**2
-    K = told / S
-    K[layout.of("half").start + joint] *= 1 - q.idle * _still(x[motor] - x[link])
-    cov = belief.cov - K @ told.T - told @ K.T + S * (K @ K.T)
-    at = Gaussian(x - K * excess, from_upper(cov))
+    moved = ca.SX.ones(layout.entries) if drive.apart else None
+    if moved is not None:
+        moved[layout.of("half").start + joint] = 1 - _still(x[motor] - x[link])
+    at = at_edge(belief, row, excess, q.slack + (late @ x) ** 2 / 3 + wild**2, moved)
     direction = drive.mobility(q.model, at.mean)[:, joint]
     N = layout.size
     give = direction / (direction[N + joint] - direction[joint])  # a unit of theta' - q' less
