@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from benchmarks import loop_logs, names_logs
 from benchmarks.names_logs import NamedLog, make
-from benchmarks.servo_logs import Recorded, resting_log
+from benchmarks.servo_logs import Recorded, random_log, resting_log
 from benchmarks.which_logs import through
 from scipy.signal import lfilter
 
@@ -26,6 +26,8 @@ from undeadzone.identification.models.place import Shape, fit_place
 from undeadzone.identification.models.plant import Data, Simulator
 from undeadzone.identification.models.zone import Limits
 from undeadzone.identification.models.zone_fit import fit_linear, fit_zone
+from undeadzone.identification.servo.gap import servo_gap
+from undeadzone.identification.servo.heard import heard
 from undeadzone.identification.verdict.odds import behind, odds_of
 from undeadzone.identification.verdict.orders import answered, trained_part
 from undeadzone.identification.verdict.servo import servo_of_ticks
@@ -305,6 +307,25 @@ def is_play_with_zone(log: NamedLog) -> None:
 )
 def test_a_play_with_a_zone_is_neither_a_servo_nor_late(seed: int) -> None:
     is_play_with_zone(make(seed, "play and zone"))
+
+
+@pytest.mark.parametrize("seed", [30131, 30172])
+def test_a_noisy_servo_is_no_saturation_and_no_jump(seed: int) -> None:
+    """Static maps behind a plant without play had odds of .98 and .82."""
+    log = random_log(seed)
+    answer = asked(log)
+    assert answer.verdict == "play"
+    assert answer.width.low < log.servo.gap < answer.width.high
+    assert answer.numbers()["odds"]["play"] > 0.99
+
+
+def test_a_servo_with_a_gap_for_certain_is_none_where_another_model_is_likelier() -> None:
+    """Noisy readings of a play with a zone behind a lag, for which a motor has a gap as well."""
+    log = make(25007, "play and zone")
+    whole = np.ones(log.y.size, bool)
+    servo = servo_gap(heard(log.u, log.y, whole, np.zeros(1, int), log.step))
+    assert servo.is_given
+    assert asked(log).verdict == "both"
 
 
 def test_a_play_that_looks_like_friction_beside_a_zone_is_asked(

@@ -23,9 +23,11 @@ import casadi as ca
 import numpy as np
 from scipy.signal import lfilter
 from scipy.special import expit
+from scipy.stats import chi2
 
 from undeadzone.compile import lanes
 from undeadzone.identification.models.estimates import Interval, quantile, sandwich
+from undeadzone.identification.models.plant import correlations
 from undeadzone.identification.servo import predictor
 from undeadzone.identification.servo.crossings import Crossings, crossings_of
 from undeadzone.identification.servo.heard import Heard, noise_of, sides, triggered
@@ -126,7 +128,10 @@ FAR = 8.0  # deviations beyond which one error is
 HEARS = 0.04  # share of the errors of noisy readings that past inputs may explain
 MOVED = 1e-5  # of a number, for derivatives
 LAGS = 8  # of these inputs
-CORRELATED = 0.25  # errors of noisy readings one after another
+CORRELATED = 0.01  # sum of the squared correlations of these errors, which is noticed
+FOLLOWING = 20  # errors that may follow an error
+CHANCE = 1e-4  # p below which they do
+CLIP = 4.0  # deviations beyond which an error counts no more for that
 
 
 class ServoGap(NamedTuple):
@@ -193,7 +198,7 @@ class ServoGap(NamedTuple):
 
     def errors(self, one: Servo) -> Floats:
         """Errors that count, in their deviations (n)."""
-        slopes = _slopes(self.log, one)
+        slopes = slopes_of(self.log, one)
         return slopes.e * np.exp(-slopes.log_s)
 
     @property
@@ -215,7 +220,9 @@ def servo_gap(log: Heard | None) -> ServoGap | None:
     if not tops:
         return None
     best = tops[0]
-    slopes = _slopes(part, best)
+    slopes = slopes_of(part, best)
+    if not all(np.isfinite(column).all() for column in slopes):
+        return None
     spread = _Spread(part, best, slopes)
     logs = simulated(part, best)
     gaps = refitted(logs, best)
@@ -231,7 +238,7 @@ def servo_gap(log: Heard | None) -> ServoGap | None:
         reasons=(),
     )
     doubts = _doubts(found, spread, gaps)
-    return found._replace(reasons=(*doubts, *_odd_errors(part, slopes)))
+    return found._replace(reasons=(*doubts, *odd_errors(part, slopes)))
 
 
 def centre_of(found: ServoGap, level: float) -> Interval | None:
@@ -269,8 +276,8 @@ def _without(log: Heard, one: Servo) -> float:
     return Likelihood(log).climbed([one.changed(At.GAP, 0.0)], STEPS, (At.GAP,))[0].value
 
 
-def _slopes(log: Heard, one: Servo) -> Slopes:
-    """Errors and their derivatives."""
+def slopes_of(log: Heard, one: Servo) -> Slopes:
+    """Errors of a servo that count, and their derivatives by its free numbers."""
     free = one.structure.free(log.ticks, False)
     return Likelihood(log).slopes(one.theta[None], [free], one.structure.lag)[0]
 
@@ -348,8 +355,13 @@ def _doubts(found: ServoGap, spread: _Spread, gaps: Floats) -> list[str]:
     return reasons
 
 
-def _odd_errors(log: Heard, slopes: Slopes) -> list[str]:
-    """Why errors are not those of a servo."""
+def odd_errors(log: Heard, slopes: Slopes) -> list[str]:
+    """Why errors are not those of a servo.
+
+    Args:
+        log: as the predictor hears it.
+        slopes: with the errors.
+    """
     r = slopes.e * np.exp(-slopes.log_s)
     r = r - r.mean()
     power = float(r @ r) + 1e-300
@@ -358,8 +370,10 @@ def _odd_errors(log: Heard, slopes: Slopes) -> list[str]:
         reasons.append("a few readings are far from what any servo does")
     if log.ticks:
         return reasons
-    if abs(float(r[1:] @ r[:-1])) > CORRELATED * power:
-        reasons.append("errors follow errors of the same sign: the motor is not fully held")
+    seen = correlations(np.clip(r, -CLIP, CLIP), np.ones(r.size, bool), 1 + FOLLOWING)
+    squares = float(np.sum((seen[1:] / seen[0]) ** 2))
+    if squares > CORRELATED and chi2.sf(r.size * squares, FOLLOWING) < CHANCE:
+        reasons.append("errors follow from errors before them: the motor is not fully held")
     used = np.flatnonzero(log.counted(False))
     past = np.column_stack([later(log.u, 1 + j, log.start)[used] for j in range(LAGS)])
     past = past - past.mean(axis=0)

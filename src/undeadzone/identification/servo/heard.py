@@ -151,11 +151,18 @@ class Heard(NamedTuple):
         counted = (self.side != 0) & ~self.first
         return counted & ~self.turns if free else counted
 
-    def part(self, most: int) -> Heard:
-        """The samples in a row with most reversals; all where there are not more."""
+    def part(self, most: int, least: int = 0) -> Heard:
+        """The samples in a row with most reversals; all where there are not more.
+
+        Args:
+            most: samples.
+            least: reversals; where so many samples have fewer, twice as many are taken, and so on.
+        """
+        turned = np.cumsum(np.append(0, (self if self.ticks else triggered(self)).turns))
+        while most < self.u.size and np.max(turned[most:] - turned[:-most]) < least:
+            most *= 2
         if self.u.size <= most:
             return self
-        turned = np.cumsum(np.append(0, self.turns))
         first = int(np.argmax(turned[most:] - turned[:-most]))
         kept = slice(first, first + most)
         inside = self.start[(self.start > first) & (self.start < first + most)] - first

@@ -29,6 +29,7 @@ from undeadzone.identification.servo.likelihood import (
 from undeadzone.support.arrays import Floats, later
 
 MOST = 3000  # samples of a search
+TURNS = 4  # reversals of a search, at least
 POLES = 5  # rates of damping where climbs begin
 SPRINGS = (0.1, 3.0)  # in squared rates of damping
 FRICTIONS = (0.02, 0.15)  # rms of the input
@@ -53,10 +54,10 @@ def searched(log: Heard) -> list[Servo]:
         Servos climbed to their top; nothing where no start leads anywhere.
     """
     ticked = log if log.ticks else triggered(log)
-    begun = without_gap(ticked.part(MOST))
+    begun = without_gap(ticked.part(MOST, TURNS))
     if not begun:
         return []
-    fits = with_gap(log.part(MOST), [_gapped(log, ticked, one) for one in begun])
+    fits = with_gap(log.part(MOST, TURNS), [_gapped(log, ticked, one) for one in begun])
     if not fits:
         return []
     likelihood = Likelihood(log)
@@ -158,10 +159,12 @@ def with_gap(log: Heard, begun: Sequence[Servo]) -> list[Servo]:
         if not fits:
             return []
         best = min(fits.values(), key=likelihood.bic)
-        trials = [one for one in neighbours(best, log.step) if one.structure not in fits]
+        own = best.structure
+        trials = neighbours(best, log.step)
+        trials = [x for x in trials if x.structure not in fits or x.structure.parts < own.parts]
         more = likelihood.climbed(trials, THEN, (At.TORQUE,))
         fits = _kept(fits, likelihood, likelihood.climbed(more, LAST))
-        if min(fits.values(), key=likelihood.bic).structure == best.structure:
+        if min(fits.values(), key=likelihood.bic).structure == own:
             break
     ranked = sorted(fits.values(), key=likelihood.bic)
     most = likelihood.bic(ranked[0]) + REACHED
@@ -190,6 +193,8 @@ def neighbours(one: Servo, step: float) -> list[Servo]:
         structure = one.structure._replace(parts=parts)
         if name not in parts:
             found.append(Servo(structure, structure.of(one.theta), -math.inf))
+            if name == "pole":
+                found.append(Servo(structure, structure.of(_exchanged(one.theta, step)), -math.inf))
             continue
         for value in _values(name, one, step):
             more = one.changed(place, value)
@@ -200,6 +205,17 @@ def neighbours(one: Servo, step: float) -> list[Servo]:
                 more = more.changed(At.DELAY, max(late, 0.0))
             found.append(more._replace(structure=structure, value=-math.inf))
     return found
+
+
+def _exchanged(theta: Floats, step: float) -> Floats:
+    """The numbers of a motor without a pole, whose damping is that pole; the other is a delay."""
+    own = theta.copy()
+    own[At.DAMPING] = np.logaddexp(theta[At.POLE], theta[At.SPRING] - theta[At.DAMPING])
+    slower = theta[At.POLE] - theta[At.DAMPING]
+    own[At.GAIN] *= math.exp(slower)
+    own[At.SPRING] += slower
+    own[At.DELAY] += math.exp(-theta[At.DAMPING]) / step
+    return own
 
 
 def _values(name: str, one: Servo, step: float) -> list[float]:

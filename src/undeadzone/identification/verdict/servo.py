@@ -12,14 +12,18 @@ import math
 
 import msgspec
 import numpy as np
+from scipy.stats import t as student
 
 from undeadzone.identification.logs.grid import Grid
 from undeadzone.identification.logs.log import Options
 from undeadzone.identification.models import plant
 from undeadzone.identification.models.estimates import Interval
-from undeadzone.identification.servo.gap import ServoGap, centre_of, servo_gap
+from undeadzone.identification.models.least_squares import Density
+from undeadzone.identification.servo.gap import ServoGap, centre_of, servo_gap, slopes_of
 from undeadzone.identification.servo.heard import Heard, heard, noise_of
 from undeadzone.identification.servo.likelihood import At, Servo, discretised
+from undeadzone.identification.servo.predictor import DEGREES
+from undeadzone.identification.verdict.odds import Family, odds_of
 from undeadzone.identification.verdict.verdict import (
     LEAST,
     LIKELY,
@@ -29,7 +33,7 @@ from undeadzone.identification.verdict.verdict import (
     because,
     best_of,
 )
-from undeadzone.identification.verdict.which import EVEN, Element, Found
+from undeadzone.identification.verdict.which import EVEN, Element, Found, excluded
 from undeadzone.support.arrays import Floats, later
 
 DENYING = ("none", "friction")  # words by which there is no play
@@ -109,13 +113,15 @@ def may_be_servo(case: Case, found: Found) -> bool:
     word = found.verdict.word
     if _is_likely(case.servo, word):
         return True
-    if word not in (*EXPLAINED, *NAMELESS) or heard_of(case.grid, case.options) is None:
-        return False
-    left = word in NAMELESS or _share(case, found) < LEAST
+    log = heard_of(case.grid, case.options)
+    explained, unlike = word in EXPLAINED, not case.chosen.white
+    left = word in NAMELESS or (explained and _share(case, found) < LEAST)
+    left |= case.options.integrators > 0
+    if log is None or not log.ticks:
+        return log is not None and (left or unlike)
     fit = case.chosen.pairs
-    slow = fit.objective.simulator.settles(fit.theta) < SETTLES
-    seems = not case.chosen.white and slow  # to be another plant, an integrator
-    return case.options.integrators > 0 or left or seems
+    slow = fit.objective.simulator.settles(fit.theta) < SETTLES  # as an integrator does
+    return word in (*EXPLAINED, *NAMELESS) and (left or (unlike and slow))
 
 
 def _is_likely(servo: ServoGap | None, word: str) -> bool:
@@ -136,6 +142,8 @@ def with_servo(case: Case, found: Found) -> Found:
     servo = case.servo or servo_gap(heard_of(case.grid, case.options))
     if servo is None:
         return found
+    if not servo.log.ticks:
+        return _likelier(case, servo, found)
     word = found.verdict.word
     explained = word in EXPLAINED and _share(case, found) >= LEAST
     integrates = bool(servo.integrates or case.options.integrators)
@@ -150,6 +158,36 @@ def with_servo(case: Case, found: Found) -> Found:
         return _undecided(servo, found)
     of_another = word in NAMELESS or (word in MEMORY and not case.options.integrators)  # plant
     return found if of_another else _undecided(servo, found)
+
+
+def _likelier(case: Case, servo: ServoGap, found: Found) -> Found:
+    """What is found of noisy readings: a servo where its density is the largest."""
+    models = (*found.models, _family(case, servo))
+    odds = odds_of(models, excluded(case))
+    best = best_of("play", models) is models[-1]["play"]
+    if not best or min(odds.get("play", 0.0), servo.odds) <= LIKELY:
+        return found
+    if servo.is_given:
+        return named_servo(case, servo, found)._replace(models=models, odds=odds)
+    if found.verdict.word in MEMORY:  # whose gap may be known otherwise
+        return found
+    return _undecided(servo, found)._replace(models=models, odds=odds)
+
+
+def _family(case: Case, servo: ServoGap) -> Family:
+    """A servo beside a plant without a zone, by the readings that its rivals were compared on."""
+    log, none = servo.log, case.rivals["none"]
+    own = np.full(case.data.y.size, np.nan)
+    errors = slopes_of(log, servo.servo)
+    each = student.logpdf(errors.e * np.exp(-errors.log_s), DEGREES) - errors.log_s
+    own[log.counted(False)] = each + math.log(case.data.y_scale / log.y_scale)
+    compared = plant.part_of(case.data._replace(y=np.arange(own.size, dtype=float)))
+    value = own[compared.y.astype(int)]
+    there = compared.ok & np.isfinite(value)
+    value = np.where(there, value, none.value)
+    numbers = servo.servo.structure.free(log.ticks, False).size
+    rms = float(errors.e.std()) * log.y_scale / case.data.y_scale
+    return {"none": none, "play": Density("play", value, numbers, rms)}
 
 
 def _undecided(servo: ServoGap, found: Found, *named: str) -> Found:

@@ -197,7 +197,8 @@ def named(case: Case, odds: dict[str, float], models: Sequence[Family], fits: Fi
         return _by_jump(case, odds, models)
     as_linear = word in AS_LINEAR and sum(odds.get(one, 0.0) for one in AS_LINEAR) >= LIKELY
     if as_linear and _within_steps(case):
-        return _by_ends(case, "none", odds) or _without_zone(case)
+        unclear = _unclear(case, "none", best_of("none", models), fits)
+        return _by_ends(case, "none", odds) or unclear or _without_zone(case)
     best = best_of(word, models)
     other = _unclear(case, word, best, fits) or _by_ends(case, word, odds)
     if other is not None:
