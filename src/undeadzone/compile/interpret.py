@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -56,32 +54,15 @@ def run(
     return outputs, state
 
 
-def mapped(function: ca.Function, count: int) -> Callable[[Floats, Floats], Floats]:
-    """A function evaluated on many rows at once.
-
-    Args:
-        function: function(row, params), with one output.
-        count: rows.
-
-    Returns:
-        values(rows, params): from rows (count x inputs) to the outputs (count x outputs).
-    """
-    buffer, evaluate = function.map(count).buffer()
-    return partial(_values, buffer, evaluate, (count, function.size1_out(0)))
+def stateless(inputs: list[ca.SX], value: ca.SX) -> ca.Function:
+    """A step without a state, whose output is a value of a row and of params (inputs)."""
+    nothing = ca.SX(0, 1)
+    return ca.Function("stateless", [nothing, *inputs], [nothing, value])
 
 
-def _values(
-    buffer: Any, evaluate: Any, shape: tuple[int, int], rows: Floats, params: Floats
-) -> Floats:
-    """The outputs (shape) of a mapped function on rows."""
-    inputs = np.ascontiguousarray(rows, float)
-    repeated = np.tile(params, (shape[0], 1))
-    outputs = np.empty(shape)
-    buffer.set_arg(0, inputs.data)
-    buffer.set_arg(1, repeated.data)
-    buffer.set_res(0, outputs.data)
-    evaluate()
-    return outputs
+def mapped(step: ca.Function, rows: Floats, params: Floats) -> Floats:
+    """The outputs of a step without a state at many rows (N x inputs), a row each."""
+    return run(step, np.empty(0), rows, params)[0]
 
 
 class Stepper:

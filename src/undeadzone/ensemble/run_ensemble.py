@@ -264,14 +264,13 @@ def _recorded(
     params = batch.binding.params.copy()
     step = batch.loop.step
     s, w, p = (ca.SX.sym(name, step.size1_in(i)) for i, name in enumerate("swp"))
-    show = ca.Function("show", [ca.vertcat(s, w), p], [step(s, w, p)[1][outputs]])
-    show_all = interpret.mapped(show, len(instants))
+    show = interpret.stateless([ca.vertcat(s, w), p], step(s, w, p)[1][outputs])
     shown = np.empty((len(runs), len(instants), len(outputs)))
     for lane, trail in enumerate(trails):
         states, _, drawn = np.split(trail, [s.numel(), start.shape[1]], axis=1)
         instants[:, batch.own.entries] = drawn
         params[list(own.indices)] = own.params[lane]
-        shown[lane] = show_all(np.hstack([states, instants]), params)
+        shown[lane] = interpret.mapped(show, np.hstack([states, instants]), params)
     return shown
 
 

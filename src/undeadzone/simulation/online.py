@@ -88,7 +88,7 @@ def symbols(model: System, observer: Observer, sensor: Zone) -> Symbols:
 
 def observer_graph(
     model: System, observer: Observer, sensor: Zone
-) -> tuple[ca.Function, Floats, Floats, Out]:
+) -> tuple[ca.Function, Symbols, Out]:
     """The graph of an observer alone.
 
     Args:
@@ -97,8 +97,8 @@ def observer_graph(
         sensor: the dead zone, for its threshold and its range.
 
     Returns:
-        The function step(s, w, p) -> (next, out) with w = [y; u], its packed state, its packed
-        params, and the shapes of out.
+        The function step(s, w, p) -> (next, out) with w = [y; u], what it was made of, and the
+        shapes of out.
     """
     known = symbols(model, observer, sensor)
     used, reading = known.used, known.reading
@@ -111,7 +111,7 @@ def observer_graph(
         {"cse": True},
     )
     shapes: Out = tree.mapped(lambda part: np.zeros(part.shape[0]), out)
-    return function, known.start, known.numbers, shapes
+    return function, known, shapes
 
 
 class BlockRunner:
@@ -191,7 +191,8 @@ class Online:
     ) -> None:
         self._asked = observer, plant, sensor, step, substeps, compiled, actuator
         self.model, zone, built = built_for(observer, plant, sensor, step, substeps, actuator)
-        graph, state, params, shapes = observer_graph(self.model, graph_of(built), zone)
+        graph, known, shapes = observer_graph(self.model, graph_of(built), zone)
+        state, params = known.start, known.numbers
         self.samples = 0
         self.missing = 0
         self._step, self._blocks, self.engine = _engine(graph, state, params, compiled)

@@ -24,11 +24,10 @@ from undeadzone.observers.parts.model_bank import LEAST
 from undeadzone.observers.parts.smoothing import Moments
 from undeadzone.plants.system import System
 from undeadzone.results.signals import SMOOTHED
-from undeadzone.simulation.online import Out, observer_graph, symbols
+from undeadzone.simulation.online import Out, observer_graph
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 
-MAPPED = 500  # samples of which a function is evaluated at once
 BLOCK = 5000  # samples whose moments are in memory at once
 SHOWN = ("x", "z", "right", "left", "x_std", "right_std", "left_std")  # of an estimate
 
@@ -37,9 +36,9 @@ class _Graphs(NamedTuple):
     """The functions of one filter.
 
     Attributes:
-        step: step(s, w, p) is (next state, estimate).
-        moments: moments(rows of [s; w]) are those of its members.
-        shown: shown(rows of [beliefs; share; record]) are rows of what is `SHOWN`.
+        step: step(s, w, p) is (next state, [estimate; s]).
+        moments: of a row [s; w], those of its members; a step without a state, as is `shown`.
+        shown: of a row [beliefs; share; record], what is `SHOWN`.
         start, numbers: values of s and p.
         out: where the estimate stands in what `step` gives.
         like: `Moments` of the members, of arrays of their shapes.
@@ -47,8 +46,8 @@ class _Graphs(NamedTuple):
     """
 
     step: ca.Function
-    moments: Callable[[Floats], Floats]
-    shown: Callable[[Floats], Floats]
+    moments: ca.Function
+    shown: ca.Function
     start: Floats
     numbers: Floats
     out: Out
@@ -97,13 +96,10 @@ def smooth(
 
 def _graphs(model: System, observer: Observer, sensor: Zone) -> _Graphs:
     """The functions of a filter along a log."""
-    step, start, numbers, shapes = observer_graph(model, observer, sensor)
-    smoothing = observer.smoothing
-    known = symbols(model, observer, sensor)
+    step, known, shapes = observer_graph(model, observer, sensor)
+    smoothing, inputs = observer.smoothing, [known.s, known.w, known.p]
+    following, estimate = step(*inputs)
     every = smoothing.moments(known.params, known.state, known.used, known.reading)
-    moments = ca.Function(
-        "moments", [ca.vertcat(known.s, known.w), known.p], [tree.stack(every)], {"cse": True}
-    )
     like = tree.mapped(lambda leaf: np.zeros(ca.SX(leaf).shape), every)
     init = observer.init(observer.params)
     record = smoothing.record(init)
@@ -113,31 +109,16 @@ def _graphs(model: System, observer: Observer, sensor: Zone) -> _Graphs:
     out = tuple(getattr(shown, name) for name in SHOWN)
     where = tree.slices((init, np.zeros(model.m)))[0]
     return _Graphs(
-        step,
-        _along(moments, numbers),
-        _along(ca.Function("shown", [row, known.p], [tree.stack(out)], {"cse": True}), numbers),
-        start,
-        numbers,
+        ca.Function("watched", inputs, [following, ca.vertcat(estimate, known.s)]),
+        interpret.stateless([ca.vertcat(known.s, known.w), known.p], ca.cse(tree.stack(every))),
+        interpret.stateless([row, known.p], ca.cse(tree.stack(out))),
+        known.start,
+        known.numbers,
         tree.slices(shapes),
         like,
         smoothing.odds(where) if len(like) > 1 else None,
         smoothing.record(where),
     )
-
-
-def _along(function: ca.Function, numbers: Floats) -> Callable[[Floats], Floats]:
-    """A function of (row, numbers) of rows, however many."""
-    values = interpret.mapped(function, MAPPED)
-
-    def along(rows: Floats) -> Floats:
-        out = []
-        for first in range(0, len(rows), MAPPED):
-            part = rows[first : first + MAPPED]
-            padded = np.pad(part, ((0, MAPPED - len(part)), (0, 0)), mode="edge")
-            out.append(values(padded, numbers)[: len(part)].copy())
-        return np.vstack(out)
-
-    return along
 
 
 def _block(
@@ -161,49 +142,34 @@ def _block(
     Returns:
         What is shown of each sample (B x outputs), and later, odds and worst before the block.
     """
-    states, estimates = _states(graphs, start, w)
-    known = graphs.moments(np.hstack([states[:-1], w]))
-    every = [_arrays(one, known, at) for one, at in zip(graphs.like, _places(graphs), strict=True)]
+    watched, final = interpret.run(graphs.step, start, w, graphs.numbers)
+    estimates, before_each = np.split(watched, [-start.size], axis=1)
+    states = np.vstack([before_each[1:], final])  # after each sample
+    moments = interpret.mapped(graphs.moments, np.hstack([before_each, w]), graphs.numbers)
+    every = _arrays(graphs.like, moments)
     beliefs, before = [], []
     for one, ahead in zip(every, later, strict=True):
         mean, cov, first = back(one, ahead)
         beliefs += [mean, np.swapaxes(cov, 1, 2).reshape(len(w), -1)]
         before.append(first)
-    shares, odds = _shares(graphs, states[1:], np.column_stack([one.log for one in every]), odds)
-    records, worst = _records(graphs, states[1:], worst)
-    rows = np.hstack([*beliefs, shares, records])
-    shown = graphs.shown(rows)
+    shares, odds = _shares(graphs, states, np.column_stack([one.log for one in every]), odds)
+    records, worst = _records(graphs, states, worst)
+    shown = interpret.mapped(graphs.shown, np.hstack([*beliefs, shares, records]), graphs.numbers)
     lost = ~np.isfinite(shown).all(axis=1)
     shown[lost] = _causal(graphs, estimates[lost])
     return shown, before, odds, worst
 
 
-def _states(graphs: _Graphs, start: Floats, w: Floats) -> tuple[Floats, Floats]:
-    """The states before each sample and after the last (B + 1 x S), and the outputs (B x out)."""
-    s, v, p = (ca.SX.sym("v", graphs.step.size1_in(k)) for k in range(3))
-    following, out = graphs.step(s, v, p)
-    watched = ca.Function("watched", [s, v, p], [following, ca.vertcat(out, s)])
-    rows, final = interpret.run(watched, start, w, graphs.numbers)
-    size = graphs.step.size1_out(1)
-    return np.vstack([rows[:, size:], final]), rows[:, :size]
-
-
-def _places(graphs: _Graphs) -> list[int]:
-    """Where the moments of each member begin."""
-    sizes = [tree.size(one) for one in graphs.like]
-    return np.concatenate([[0], np.cumsum(sizes)])[:-1].astype(int).tolist()
-
-
-def _arrays(like: Moments, known: Floats, at: int) -> Moments:
-    """The moments of one member at each sample, from rows of packed numbers."""
+def _arrays(like: tuple[Moments, ...], known: Floats) -> tuple[Moments, ...]:
+    """The moments of each member at each sample, from rows of packed numbers."""
     leaves = []
-    for _, leaf in tree.leaves(like):
-        values = known[:, at : at + leaf.size]
-        at += leaf.size
+    columns = tree.leaves(tree.columns(like, known))
+    for (_, leaf), (_, values) in zip(tree.leaves(like), columns, strict=True):
         if leaf.shape[1] > 1:
-            values = np.swapaxes(values.reshape(len(known), leaf.shape[1], leaf.shape[0]), 1, 2)
+            values = np.swapaxes(values.reshape(len(known), *leaf.shape[::-1]), 1, 2)
         leaves.append(values)
-    return Moments(*tree.rebuild(like, iter(leaves)))
+    every: tuple[Moments, ...] = tree.rebuild(like, iter(leaves))
+    return every
 
 
 def _shares(graphs: _Graphs, states: Floats, logs: Floats, odds: Floats) -> tuple[Floats, Floats]:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.compile.interpret import mapped
+from undeadzone.compile import interpret
 from undeadzone.plants.system import System
 from undeadzone.support.arrays import Floats, Integers
 
@@ -86,7 +86,10 @@ def _magnus(A0: Floats, A1: Floats, A2: Floats, h: Floats) -> Floats:
 
 
 def _derivatives(model: System, move: Any, bias: Floats, uncertain: Sequence[str]) -> ca.Function:
-    """([x; u], theta) -> derivatives of move and of the output by [x; beta; theta], by columns."""
+    """Derivatives of move and of the output by [x; beta; theta], by columns, of [x; u] and theta.
+
+    They are a step without a state.
+    """
     x = ca.SX.sym("x", model.n)
     u = ca.SX.sym("u", model.m)
     theta = ca.SX.sym("theta", len(uncertain))
@@ -102,7 +105,7 @@ def _derivatives(model: System, move: Any, bias: Floats, uncertain: Sequence[str
     A = ca.horzcat(A[:, :n], ca.jacobian(moved, u) @ bias, A[:, n:])
     C = ca.horzcat(C[:, :n], ca.SX(model.p, b), C[:, n:])
     both = ca.densify(ca.vec(ca.vertcat(A, C)))
-    return ca.Function("derivatives", [ca.vertcat(x, u), theta], [both], {"cse": True})
+    return interpret.stateless([ca.vertcat(x, u), theta], ca.cse(both))
 
 
 def _along(
@@ -110,7 +113,7 @@ def _along(
 ) -> tuple[Floats, Floats]:
     """The derivatives of move and of the output at each x and u (rows), from `_derivatives`."""
     theta = np.array([model.params[model.names.index(name)] for name in uncertain])
-    values = mapped(function, len(x))(np.hstack([x, u]), theta)
+    values = interpret.mapped(function, np.hstack([x, u]), theta)
     both = values.reshape(len(x), -1, model.n + model.p).transpose(0, 2, 1)
     return both[:, : model.n], both[:, model.n :]
 
