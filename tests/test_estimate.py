@@ -142,7 +142,7 @@ def test_blocks_are_what_single_samples_are(run: uz.Run) -> None:
 
 def test_the_compiled_step_changes_no_bit(run: uz.Run, monkeypatch: pytest.MonkeyPatch) -> None:
     interpreted = uz.Online(KALMAN, PLANT, SENSOR, 0.01).update_many(run.y, run.u)[0]
-    monkeypatch.setattr("undeadzone.simulation.online.PATIENCE", 500)
+    monkeypatch.setattr("undeadzone.compile.interpret.WORTH", 500)
     online = uz.Online(KALMAN, PLANT, SENSOR, 0.01)
     parts = [online.update_many(run.y[:400], run.u[:400])[0]]
     parts.append(online.update_many(run.y[400:], run.u[400:])[0])

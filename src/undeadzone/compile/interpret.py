@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING, Final
 
 import casadi as ca
 import numpy as np
 
 from undeadzone.support.arrays import Floats
 
+if TYPE_CHECKING:
+    from undeadzone.compile.lanes import Kernel
+
 CHUNK = 50  # steps in one call of the virtual machine: to chain more takes longer than it saves
+# Steps of the virtual machine that take about as long as a compilation, of any graph: 15,000 to
+# 45,000. The kernel serves later runs with other numbers, too.
+WORTH: Final = 20_000
+FEW: Final = 8  # rows from which on they are run at once
 
 
 def run(
@@ -80,8 +88,10 @@ class Stepper:
         self.state = np.array(state, float)
         self.w = np.zeros(step.size1_in(1))
         self.out = np.zeros(step.size1_out(1))
-        self._params = np.array(params, float)
+        self._step, self._params = step, np.array(params, float)
         self._next = np.empty_like(self.state)
+        self._count = 0  # rows so far
+        self._kernel: Kernel | None = None
         self._buffer, self._evaluate = step.buffer()
         self._buffer.set_arg(0, self.state.data)
         self._buffer.set_arg(1, self.w.data)
@@ -95,10 +105,24 @@ class Stepper:
         self.state[:] = self._next
 
     def run(self, w: Floats) -> Floats:
-        """The outputs along w (N x inputs), a row each; the state advances."""
-        outputs = np.empty((len(w), self.out.size))
-        for k, row in enumerate(w):
-            self.w[:] = row
-            self()
-            outputs[k] = self.out
+        """The outputs along w (N x inputs), a row each; the state advances.
+
+        Many rows are worth a compilation, after which every bit stays as it was.
+        """
+        if len(w) < FEW:
+            outputs: Floats = np.empty((len(w), self.out.size))
+            for k, row in enumerate(w):
+                self.w[:] = row
+                self()
+                outputs[k] = self.out
+            return outputs
+        self._count += len(w)
+        if self._count <= WORTH:
+            outputs, self.state[:] = run(self._step, self.state, w, self._params)
+        else:
+            from undeadzone.compile import lanes
+
+            self._kernel = self._kernel or lanes.build(self._step, width=1)
+            outputs, self.state[:] = lanes.run_alone(self._kernel, self.state, w, self._params)
+        self.out[:] = outputs[-1]
         return outputs

@@ -28,9 +28,6 @@ from undeadzone.errors import InputError, ShapeError
 from undeadzone.support.arrays import Floats, Integers, shape_text
 
 WIDTH = 128
-# Steps of the virtual machine that take about as long as a compilation, of any graph: 15,000 to
-# 45,000. The kernel serves later runs with other numbers, too.
-WORTH = 20_000
 WIDE = 1024  # lanes of a block that neither records nor has inputs of its own
 MEASURED = 4000  # instructions, at most, of a step and its rare parts whose form is measured
 # Numbers of recorded outputs and lane inputs between two calls of a kernel: 1 MB stays in L2.
@@ -257,6 +254,18 @@ def run(
         for _ in pool.map(run_block, starts):
             pass
     return outputs, finals
+
+
+def run_alone(
+    kernel: Kernel,
+    state: Floats,
+    exogenous: Floats,
+    params: Floats,
+    progress: Callable[[int], None] | None = None,
+) -> tuple[Floats, Floats]:
+    """A single run, as `interpret.run` gives it: the outputs (N x outputs) and the final state."""
+    outputs, finals = run(kernel, state, exogenous, params, threads=1, progress=progress)
+    return outputs[0], finals[0]
 
 
 def _width(kernel: Kernel, lanes: int, threads: int) -> int:

@@ -10,7 +10,6 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.catalogue import ObserverOptions
-from undeadzone.compile import interpret
 from undeadzone.compile.interpret import Stepper
 from undeadzone.ends.actuator import ActuatorModel, believed
 from undeadzone.ends.sensor import Sensor, Zone, present
@@ -31,9 +30,6 @@ from undeadzone.support.arrays import Array, Floats, scalar, unmasked
 
 if TYPE_CHECKING:
     from undeadzone.compile.live import CompiledStepper
-
-PATIENCE: Final = 20_000  # samples in blocks (`lanes.WORTH`), after which the step is compiled
-FEW = 8  # samples in a block from which on it is run at once
 
 
 class Out(NamedTuple):
@@ -114,38 +110,6 @@ def observer_graph(
     return function, known, shapes
 
 
-class BlockRunner:
-    """Runs an observer's graph along blocks of samples.
-
-    A long record is worth a compilation, after which every bit stays as it was.
-
-    Args:
-        step: the graph, next, out = step(s, w, p).
-        params: p.
-    """
-
-    def __init__(self, step: ca.Function, params: Floats) -> None:
-        self._step, self._params = step, params
-        self._count = 0  # samples so far
-        self._kernel: Any = None
-
-    def run(self, state: Floats, w: Floats) -> Floats:
-        """The outputs along w (N x inputs), a row each; the state is moved in place."""
-        self._count += len(w)
-        if self._kernel is None and self._count > PATIENCE:
-            from undeadzone.compile import lanes
-
-            self._kernel = lanes.build(self._step, width=1)
-        if self._kernel is None:
-            outputs, state[:] = interpret.run(self._step, state, w, self._params)
-            return outputs
-        from undeadzone.compile import lanes
-
-        every, finals = lanes.run(self._kernel, state, w, self._params)
-        state[:] = finals[0]
-        return np.asarray(every[0])
-
-
 class Online:
     """An observer fed one sample at a time.
 
@@ -195,7 +159,7 @@ class Online:
         state, params = known.start, known.numbers
         self.samples = 0
         self.missing = 0
-        self._step, self._blocks, self.engine = _engine(graph, state, params, compiled)
+        self._step, self.engine = _engine(graph, state, params, compiled)
         self._p, self._w, self._out = self.model.p, self._step.w, self._step.out
         where: Out = tree.slices(shapes)
         self._where = where
@@ -326,12 +290,7 @@ class Online:
                 f"samples: expected y and u with {self._p} and {self._w.size - self._p} columns, "
                 f"and as many rows, found {np.shape(y)} and {np.shape(u)}"
             ) from None
-        if self._blocks is not None and len(w) >= FEW:
-            out = self._blocks.run(self._step.state, w)
-        else:
-            out = self._step.run(w)
-        if len(w):
-            self._out[:] = out[-1]
+        out = self._step.run(w)
         self.samples += len(w)
         self.missing += int(out[:, -1].sum())
         if self._load is not None:
@@ -355,17 +314,17 @@ class Online:
 
 def _engine(
     graph: ca.Function, state: Floats, params: Floats, compiled: bool
-) -> tuple[Stepper | CompiledStepper, BlockRunner | None, str]:
-    """What runs single samples, what runs blocks (None: the same), and how it is called."""
+) -> tuple[Stepper | CompiledStepper, str]:
+    """What runs samples, and how it is called."""
     engine = "virtual machine"
     if compiled:
         from undeadzone.compile.live import CompiledStepper
 
         try:
-            return CompiledStepper(graph, state, params), None, "compiled"
+            return CompiledStepper(graph, state, params), "compiled"
         except InputError as error:
             engine = f"virtual machine: {error}"
-    return Stepper(graph, state, params), BlockRunner(graph, params), engine
+    return Stepper(graph, state, params), engine
 
 
 def built_for(

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import msgspec
 import numpy as np
@@ -30,13 +30,10 @@ from undeadzone.support.arrays import Floats
 from undeadzone.support.progress import in_notebook
 from undeadzone.support.toml import tables
 
-if TYPE_CHECKING:
-    from undeadzone.compile.lanes import Kernel
-
 Engine = Literal["auto", "interpret", "lanes"]
 Progress = Callable[[int], None]  # called with the number of steps just done
-# (state, exogenous inputs, params, progress) -> recorded outputs (rows: time)
-LoopEngine = Callable[[Floats, Floats, Floats, Progress | None], Floats]
+# (state, exogenous inputs, params, progress) -> recorded outputs (rows: time), final state
+LoopEngine = Callable[[Floats, Floats, Floats, Progress | None], tuple[Floats, Floats]]
 
 
 def simulate(
@@ -200,7 +197,7 @@ def outputs_of(
     """
     if run is None:
         run = engine_for(start.loop, "auto", len(start.exogenous))
-    packed = run(start.state, start.exogenous, tree.pack(start.loop.params), progress)
+    packed, _ = run(start.state, start.exogenous, tree.pack(start.loop.params), progress)
     return named(start.loop, packed)
 
 
@@ -242,7 +239,7 @@ def closed(problem: Problem) -> Loop:
 
 
 def engine_for(loop: Loop, engine: Engine, steps: int) -> LoopEngine:
-    """What runs a loop: run(state, exogenous, params, progress) gives its recorded outputs.
+    """What runs a loop: run(state, exogenous, params, progress) gives its outputs and its end.
 
     Args:
         loop: the closed loop.
@@ -258,21 +255,11 @@ def engine_for(loop: Loop, engine: Engine, steps: int) -> LoopEngine:
         from undeadzone.compile import lanes
 
         parts = (loop.step, ()) if loop.parts is None else loop.parts
-        wait = engine == "lanes" or steps > lanes.WORTH
+        wait = engine == "lanes" or steps > interpret.WORTH
         compiled = lanes.build(*parts, width=1, hurry=False) if wait else lanes.kept(*parts)
         if compiled is not None:
-            return partial(_compiled_outputs, compiled)
-    return lambda *given: interpret.run(loop.step, *given)[0]
-
-
-def _compiled_outputs(
-    kernel: Kernel, state: Floats, exogenous: Floats, params: Floats, progress: Progress | None
-) -> Floats:
-    """The outputs of a loop that is compiled."""
-    from undeadzone.compile import lanes
-
-    outputs, _ = lanes.run(kernel, state, exogenous, params, progress=progress, threads=1)
-    return np.asarray(outputs[0])
+            return partial(lanes.run_alone, compiled)
+    return partial(interpret.run, loop.step)
 
 
 def named(loop: Loop, outputs: Floats) -> Outputs:
