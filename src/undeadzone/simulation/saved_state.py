@@ -31,8 +31,8 @@ def save(path: Path, parts: Mapping[str, Any], digest: str) -> None:
         FileError: it cannot be written.
     """
     arrays: dict[str, Any] = {}
-    for name, part in parts.items():
-        arrays |= {f"{name}.{key}": value for key, value in _of(part)}
+    for owner, name, key in _kept(parts):
+        arrays[key] = np.asarray(getattr(owner, name))
     with replacing(path) as temporary, open(temporary, "wb") as file:
         np.savez(file, allow_pickle=False, **{DIGEST: np.array(_whole(digest))}, **arrays)
         file.flush()
@@ -63,8 +63,8 @@ def load(path: Path, parts: Mapping[str, Any], digest: str) -> None:
             "name another file, or delete this one to begin anew"
         )
     try:
-        for name, part in parts.items():
-            _put(part, arrays, name)
+        for owner, name, key in _kept(parts):
+            setattr(owner, name, _like(getattr(owner, name), arrays[key], key))
     except NO_ARRAYS as error:
         raise _no_state(path, error) from None
 
@@ -82,26 +82,15 @@ def _whole(digest: str) -> str:
     return f"{undeadzone.__version__} {digest}"
 
 
-def _of(thing: Any) -> Iterator[tuple[str, Any]]:
-    """The numbers of an object, by dotted name."""
-    for name in thing.KEPT:
-        value = getattr(thing, name)
-        inner = _inner(name, value)
-        if not inner and value is not None:
-            yield name, np.asarray(value)
-        for key, part in inner.items():
-            yield from ((f"{key}.{below}", number) for below, number in _of(part))
-
-
-def _put(thing: Any, arrays: Mapping[str, Any], above: str) -> None:
-    """Set the numbers of an object. Raises ValueError or KeyError for what does not fit."""
-    for name in thing.KEPT:
-        value = getattr(thing, name)
-        inner = _inner(name, value)
-        if not inner and value is not None:
-            setattr(thing, name, _like(value, arrays[f"{above}.{name}"], f"{above}.{name}"))
-        for key, part in inner.items():
-            _put(part, arrays, f"{above}.{key}")
+def _kept(parts: Mapping[str, Any]) -> Iterator[tuple[Any, str, str]]:
+    """(owner, attribute, dotted name in the file) of all numbers that objects hold."""
+    for above, part in parts.items():
+        for name in part.KEPT:
+            value, key = getattr(part, name), f"{above}.{name}"
+            inner = _inner(key, value)
+            if not inner and value is not None:
+                yield part, name, key
+            yield from _kept(inner)
 
 
 def _inner(name: str, value: Any) -> dict[str, Any]:
@@ -114,7 +103,10 @@ def _inner(name: str, value: Any) -> dict[str, Any]:
 
 
 def _like(value: Any, array: Any, name: str) -> Any:
-    """An array as a value of the same kind; of another shape only where the value is empty."""
+    """An array as a value of the same kind; of another shape only where the value is empty.
+
+    Raises ValueError for what does not fit.
+    """
     known = np.asarray(value)
     grows = known.ndim == 1 and not known.size
     fits = array.ndim == known.ndim if grows else array.shape == known.shape
