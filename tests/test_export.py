@@ -549,7 +549,7 @@ def test_exported_C_has_the_bits_of_lanes_and_of_a_live_step(observer: str, tmp_
     rows = vectors.recorded(problem, step)
     rows[50:60, 0] = np.nan
     in_c = accuracy.Compiled(printed, tmp_path)(rows)
-    function = accuracy._three_inputs(step.function)
+    function = step.function
     kernel = lanes.build(function, portable=True, width=8)
     states = np.tile(step.start, (8, 1))
     in_lanes, _ = lanes.run(kernel, states, rows, step.defaults)

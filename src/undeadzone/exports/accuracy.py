@@ -127,8 +127,7 @@ def measure(double: Code, single: Code | None, rows: Floats, functions: bool) ->
 def _against_machine(code: Code, replica: Compiled, rows: Floats) -> float:
     """The largest error of the compiled code against CasADi, relative to each field."""
     step = code.step
-    function = step.function
-    expected, _ = interpret.run(_three_inputs(function), step.start, rows, step.defaults)
+    expected, _ = interpret.run(step.function, step.start, rows, step.defaults)
     values = replica(rows)
     if not np.array_equal(np.isnan(values), np.isnan(expected)):
         return float("inf")
@@ -136,13 +135,6 @@ def _against_machine(code: Code, replica: Compiled, rows: Floats) -> float:
     size = _size(expected)
     places = places_of(step.outputs).values()
     return float(max(gap[:, at].max() / (size[:, at].max() + 1e-300) for at in places))
-
-
-def _three_inputs(function: ca.Function) -> ca.Function:
-    """The function as the virtual machine's runner wants it: dense outputs."""
-    s, w, p = (ca.SX.sym(name, function.size1_in(k)) for k, name in enumerate("swp"))
-    results = [ca.densify(result) for result in function(s, w, p)]
-    return ca.Function("step", [s, w, p], results)
 
 
 def _beside(
