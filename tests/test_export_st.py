@@ -461,7 +461,12 @@ def test_the_reader_refuses_what_the_standard_does_not_know(before: str, after: 
 
 
 def test_no_two_names_differ_by_capitals_alone() -> None:
-    assert plc.distinct(["W_0", "w_0", "x_0", "W_0"]) == ["W_0", "w_0_2", "x_0", "W_0_3"]
+    assert parts.distinct(["W_0", "w_0", "x_0", "W_0"], str.lower) == [
+        "W_0",
+        "w_0_2",
+        "x_0",
+        "W_0_3",
+    ]
 
 
 def test_what_the_language_lacks_is_refused() -> None:

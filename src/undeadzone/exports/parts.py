@@ -6,6 +6,7 @@ import difflib
 import keyword
 import re
 import sys
+from collections.abc import Callable, Iterable
 from itertools import chain, product
 from typing import Any, NamedTuple
 
@@ -71,32 +72,18 @@ def state_fields(state: Any, units: Units, drop: str = "") -> list[Field]:
         units: names of the scenario's units.
         drop: a prefix of the names in the tree to be left out.
     """
-    meanings = state_meanings(units)
-    fields: list[Field] = []
-    for name, leaf in tree.leaves(state):
-        size = int(np.size(leaf))
-        if not size:
-            continue
-        short = name.removeprefix(drop).strip(".")
-        base = _member(short) if short else "memory"
-        meaning = meanings.get(short.rsplit(".", 1)[-1], "memory of the method")
-        fields.append(Field(_unused(base, fields), size, meaning))
-    return fields
+    sizes = {name: int(np.size(leaf)) for name, leaf in tree.leaves(state) if np.size(leaf)}
+    shorts = [name.removeprefix(drop).strip(".") for name in sizes]
+    known, unknown = state_meanings(units), "memory of the method"
+    meanings = [known.get(short.rsplit(".", 1)[-1], unknown) for short in shorts]
+    names = distinct([_member(short or "memory") for short in shorts])
+    return list(map(Field, names, sizes.values(), meanings))
 
 
 def _member(name: str) -> str:
     """The name of a field in C; capitals are kept, as W and w may differ."""
     plain = re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_")
     return f"n{plain}" if plain[0].isdigit() or plain in _KEYWORDS else plain
-
-
-def _unused(base: str, fields: list[Field]) -> str:
-    """A name that no field has yet."""
-    taken = {field.name for field in fields}
-    name, count = base, 2
-    while name in taken:
-        name, count = f"{base}_{count}", count + 1
-    return name
 
 
 def state_meanings(units: Units) -> dict[str, str]:
@@ -160,6 +147,36 @@ def places_of(fields: list[Field]) -> dict[str, slice]:
 def members(fields: list[Field]) -> list[tuple[str, int]]:
     """(name of the field, entry) of every number, in order."""
     return list(chain.from_iterable(product([one.name], range(one.size)) for one in fields))
+
+
+def entries(**inputs: Iterable[Any]) -> dict[str, Any]:
+    """What stands for each entry of the inputs of a step, by its name in the graph: s0, s1, w0.
+
+    Args:
+        **inputs: what stands for the entries of s, of w, and so on.
+    """
+    named: dict[str, Any] = {}
+    for name, each in inputs.items():
+        named |= {f"{name}{k}": one for k, one in enumerate(each)}
+    return named
+
+
+def distinct(wanted: list[str], told_by: Callable[[str], str] = str) -> list[str]:
+    """Names of which no two are the same: later ones get a number.
+
+    Args:
+        wanted: the names.
+        told_by: what of a name tells it from others.
+    """
+    taken: set[str] = set()
+    names = []
+    for base in wanted:
+        name, count = base, 2
+        while told_by(name) in taken:
+            name, count = f"{base}_{count}", count + 1
+        taken.add(told_by(name))
+        names.append(name)
+    return names
 
 
 PARTS = ("observer", "observer+controller")

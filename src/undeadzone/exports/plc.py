@@ -21,7 +21,7 @@ from undeadzone.compile.print_c import (
 )
 from undeadzone.compile.print_st import ST, TYPES, assigned, initial, reads
 from undeadzone.exports.code import Code
-from undeadzone.exports.parts import Field, members
+from undeadzone.exports.parts import Field, distinct, entries, members
 from undeadzone.exports.source import Labels, meanings
 from undeadzone.exports.vectors import Vectors
 from undeadzone.support.arrays import Floats
@@ -126,19 +126,6 @@ def function_unit(name: str, style: Style) -> Unit:
     return Unit("FUNCTION", called, meaning, variables, [*lines_of(found), *result], style.real)
 
 
-def distinct(wanted: list[str]) -> list[str]:
-    """Names, of which no two differ by capitals alone: the language takes them for one."""
-    taken: set[str] = set()
-    names = []
-    for base in wanted:
-        name, count = base, 2
-        while name.lower() in taken:
-            name, count = f"{base}_{count}", count + 1
-        taken.add(name.lower())
-        names.append(name)
-    return names
-
-
 class _Block:
     """The observer's function block, whole or in parts.
 
@@ -158,14 +145,13 @@ class _Block:
         names += [[f"read_{k}" for k in range(step.readings)]]
         names += [[f"next_{name}_{k}" for name, k in members(step.state)]]
         places = list(itertools.accumulate(map(len, names), initial=0))
-        flat = distinct(list(itertools.chain(*names)))
+        # The language takes names that differ by capitals alone for one.
+        flat = distinct(list(itertools.chain(*names)), str.lower)
         named = [flat[start:end] for start, end in itertools.pairwise(places)]
         self.inputs, self.outputs, self.params, self.states = named[:4]
         self.missing, self.read, self.following = named[4:]
         given = [*self.read, *self.inputs[step.readings :]]
-        entries = {f"s{k}": name for k, name in enumerate(self.states)}
-        entries |= {f"w{k}": name for k, name in enumerate(given)}
-        self.entries = entries | {f"p{k}": name for k, name in enumerate(self.params)}
+        self.entries = entries(s=self.states, w=given, p=self.params)
         labelled = meanings(code.results, step, 1)
         for nodes, wanted in zip(code.results, (self.following, self.outputs), strict=True):
             for node, name in zip(nodes, wanted, strict=True):

@@ -11,7 +11,7 @@ from undeadzone.compile.graph import Node, Results, condition, needed
 from undeadzone.compile.print_c import INDENT, Body, Names, Style, body, literal
 from undeadzone.compile.simplify import held
 from undeadzone.exports.code import Code
-from undeadzone.exports.parts import Field, Step, members
+from undeadzone.exports.parts import Field, Step, entries, members
 from undeadzone.exports.template import filled
 from undeadzone.interfaces import CLAIMS
 from undeadzone.support.text import one_line
@@ -107,16 +107,12 @@ def _bodies(code: Code, style: Style) -> dict[str, Body]:
 def _inputs(code: Code) -> dict[str, str]:
     """The C expression of each entry of the inputs; states are read into locals first."""
     step = code.step
-    inputs: dict[str, str] = {}
-    for entry, (name, k) in enumerate(members(step.state)):
-        inputs[f"s{entry}"] = f"{name}_was_{k}"
-    for entry, (name, k) in enumerate(members(step.inputs)):
-        inputs[f"w{entry}"] = f"in->{name}[{k}]"
-    for entry, (name, k) in enumerate(members(step.params)):
-        inputs[f"p{entry}"] = f"params->{name}[{k}]"
-    for entry in range(code.carried):
-        inputs[f"c{entry}"] = f"state->carry[{entry}]"
-    return inputs
+    return entries(
+        s=[f"{name}_was_{k}" for name, k in members(step.state)],
+        w=[f"in->{name}[{k}]" for name, k in members(step.inputs)],
+        p=[f"params->{name}[{k}]" for name, k in members(step.params)],
+        c=[f"state->carry[{k}]" for k in range(code.carried)],
+    )
 
 
 def _with_states(part: Body, code: Code, name: str) -> Body:
@@ -288,7 +284,7 @@ def _either(order: list[Node], truths: set[Node], name: str) -> dict[Node, str]:
 
 def _present(order: list[Node], step: Step) -> dict[Node, str]:
     """The truths that an input is a finite number: -1e300 < w and w < 1e300."""
-    inputs = {f"w{entry}": f"{name}_{k}" for entry, (name, k) in enumerate(members(step.inputs))}
+    inputs = entries(w=[f"{name}_{k}" for name, k in members(step.inputs)])
     names: dict[Node, str] = {}
     for node in order:
         if node.op != "and":

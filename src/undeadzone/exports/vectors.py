@@ -12,7 +12,7 @@ from undeadzone.compile import interpret
 from undeadzone.compile.replica import replica
 from undeadzone.errors import InputError
 from undeadzone.exports.code import Code
-from undeadzone.exports.parts import Step, members
+from undeadzone.exports.parts import Step, entries, members
 from undeadzone.exports.template import called, filled
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
@@ -120,19 +120,12 @@ def reference(code: Code, rows: Floats) -> Vectors:
     outputs, states = [], []
     with np.errstate(all="ignore"):
         for row in rows:
-            following, out = evaluate(_entries(state, row, params))
+            following, out = evaluate(entries(s=state, w=row, p=params))
             state = np.array(following, kind)
             outputs.append(np.array(out, kind))
             states.append(checksum(state, kind))
     table = np.array(outputs).reshape(len(rows), len(members(code.step.outputs)))
     return Vectors(words(rows, kind), words(table, kind), states)
-
-
-def _entries(state: Any, row: Any, params: Any) -> dict[str, Any]:
-    """The entries of a step's inputs by their texts in the graph."""
-    entries = {f"s{k}": value for k, value in enumerate(state)}
-    entries |= {f"w{k}": value for k, value in enumerate(row)}
-    return entries | {f"p{k}": value for k, value in enumerate(params)}
 
 
 def words(values: Any, kind: str) -> Any:

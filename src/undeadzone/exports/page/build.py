@@ -19,6 +19,7 @@ from undeadzone.compile.lower import portable
 from undeadzone.errors import InputError
 from undeadzone.exports.code import operations
 from undeadzone.exports.page import sliders
+from undeadzone.exports.parts import entries
 from undeadzone.exports.template import filled, text_of
 from undeadzone.feedforward.targets import steady_state
 from undeadzone.scenario.problem import Problem, resolve_scenario
@@ -304,10 +305,7 @@ def _code(loop: Loop) -> tuple[bytes, dict[str, int]]:
         "flag": 1,
     }
     places = dict(zip(sizes, np.cumsum([0, *sizes.values()]).tolist(), strict=False))
-    inputs = {}
-    for part in "swp":
-        for k in range(sizes[part]):
-            inputs[f"{part}{k}"] = print_wasm.REAL * (places[part] + k)
+    inputs = entries(**{part: _addresses(places[part], sizes[part]) for part in "swp"})
     functions: list[tuple[str, Any, tuple[str, ...]]] = [("step", loop.step, ("n", "o"))]
     if loop.parts is not None:
         functions = [
