@@ -20,6 +20,8 @@ from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import QUANTITIES, Estimate, Observer, graph_of, known_side, received
 from undeadzone.scenario.problem import Problem
 from undeadzone.scenario.schema import Units
+from undeadzone.simulation.close import Wiring, no_target
+from undeadzone.simulation.loop import Driven
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 
@@ -230,14 +232,6 @@ class _ObserverMemory(NamedTuple):
     held: Any
 
 
-class _LoopMemory(NamedTuple):
-    """The states of observer, controller and compensator."""
-
-    observer: Any
-    controller: Any
-    compensator: Any
-
-
 def build(problem: Problem, part: str = "observer", tunable: tuple[str, ...] = ()) -> Step:
     """The step of a problem.
 
@@ -325,30 +319,24 @@ def _observer(problem: Problem, observer: Observer, params: _Numbers) -> _Traced
     return _Traced(memory, column, [y, u], following, out, [_u_field(problem)], shown)
 
 
-def _loop(problem: Problem, observer: Observer, params: _Numbers) -> _Traced:
+def _loop(problem: Problem, observer: Observer, params: Any) -> _Traced:
     """Observer, controller and compensator; u is limited as the plant's drives are."""
     model, controller, compensator = problem.model, problem.controller, problem.compensator
-    memory = _LoopMemory(
+    memory = Driven(
         observer.init(observer.params),
         controller.init(controller.params),
         None if compensator is None else compensator.init(compensator.params),
     )
     column, s = tree.symbols(memory, "s")
     y = ca.SX.sym("y", model.p)
-    sizes = (len(problem.tracked), model.n, model.m, controller.planned)
-    like = Target(*map(np.zeros, sizes))
+    like = no_target(problem)
     t_column, target = tree.symbols(like, "target")
     reading = received(y, *params.sensor)
-    unused = ca.SX.sym("unused", model.m)
-    _, estimate = observer.step(params.observer, s.observer, unused, reading)
-    moved, u = controller.step(params.controller, s.controller, estimate, target)
-    undone = s.compensator
-    if compensator is not None:
-        parts = params.compensator, s.compensator, u, estimate, reading
-        undone, u = compensator.step(*parts)
-    u = _limited(u, problem.plant.limit)
-    after, _ = observer.step(params.observer, s.observer, u, reading)
-    following, out = _LoopMemory(after, moved, undone), (u, estimate, known_side(reading, estimate))
+    own = observer, controller, params, compensator
+    following, u, estimate = Wiring(problem.plant, problem.sensor.kind, *own).answer(
+        s, reading, target
+    )
+    out = u, estimate, known_side(reading, estimate)
     shown = [_u_field(problem), *_estimated(problem, estimate)]
     fields = _target_fields(like, problem.scenario.units)
     return _Traced(memory, column, [y, t_column], following, out, fields, shown)
@@ -381,17 +369,6 @@ def _estimated(problem: Problem, estimate: Estimate) -> list[Field]:
     limits = "" if problem.sensor.limits is None else "; +2, -2 at a limit of the range"
     side = Field("side", problem.model.p, f"measured side: +1, -1, 0{limits}")
     return [*estimate_fields(sizes, problem.scenario.units), side]
-
-
-def _limited(u: ca.SX, limit: Floats | None) -> ca.SX:
-    """An input within the limits of the drives, where there are any."""
-    if limit is None:
-        return u
-    entries = []
-    for k, most in enumerate(np.broadcast_to(limit, (u.shape[0],))):
-        entry = u[k]
-        entries.append(ca.fmax(ca.fmin(entry, most), -most) if np.isfinite(most) else entry)
-    return ca.vertcat(*entries)
 
 
 # --- The numbers of a step that stay parameters; all others are folded in

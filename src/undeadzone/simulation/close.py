@@ -15,14 +15,14 @@ from undeadzone.ends.play import contact, held
 from undeadzone.ends.sensor import branch, edges, quantised, side, zone
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
-from undeadzone.interfaces import Compensator, Controller, Observer, Reading
+from undeadzone.interfaces import Compensator, Controller, Estimate, Observer, Reading
 from undeadzone.numerics import dense_output
 from undeadzone.numerics.dense_output import Levels
 from undeadzone.numerics.runge_kutta import rk4
 from undeadzone.plants.system import System
 from undeadzone.scenario.problem import Problem
 from undeadzone.simulation import loop
-from undeadzone.simulation.loop import Exogenous, Outputs, Params, State
+from undeadzone.simulation.loop import Driven, Exogenous, Outputs, Params, State
 from undeadzone.support import tree
 
 
@@ -124,24 +124,39 @@ class Wiring(NamedTuple):
         elif self.p.sensor.gap_right.numel():
             level = self.ahead_of_zone(s, w)
         reading = self._read(self.ahead_of_zone(s, w), level, s, w, mode)
+        driven, u, estimate = self.answer(s, reading, w.target)
+        line, acting = through_line(s.line, u)
+        actuator, entering = self._actuated(s, acting)
+        if self.p.sensor.friction.numel():  # of the load, while it is pushed
+            entering = entering - self.p.sensor.friction * contact(level, s.sensor)
+        plant = self.plant.move(self.p.plant, s.plant, entering + w.w)
+        outputs = Outputs(s.plant, z, reading.y, reading.side, u, estimate)
+        after = State(plant, sensor=level, actuator=actuator, line=line, **driven._asdict())
+        return after, outputs
+
+    def answer(
+        self, s: State | Driven, reading: Reading, target: Target
+    ) -> tuple[Driven, ca.SX, Estimate]:
+        """What follows s by a reading, and the input that it leads to, within the drives' limits.
+
+        Args:
+            s: the states of observer, controller and compensator.
+            reading: of the sensor.
+            target: what the controller should reach.
+
+        Returns:
+            The derivatives of these states (or next values), the input (m), and the estimate.
+        """
         unused = ca.SX.sym("unused", self.plant.m)  # an estimate does not depend on u
         observer, estimate = self.observer.step(self.p.observer, s.observer, unused, reading)
-        controller, u = self.controller.step(self.p.controller, s.controller, estimate, w.target)
+        controller, u = self.controller.step(self.p.controller, s.controller, estimate, target)
         compensator = s.compensator
         if self.compensator is not None:
             parts = self.p.compensator, s.compensator, u, estimate, reading
             compensator, u = self.compensator.step(*parts)
         if self.plant.limit is not None:
             u = ca.fmax(ca.fmin(u, self.plant.limit), -self.plant.limit)
-        line, acting = through_line(s.line, u)
-        actuator, entering = self._actuated(s, acting)
-        if self.p.sensor.friction.numel():  # of the load, while it is pushed
-            entering = entering - self.p.sensor.friction * contact(level, s.sensor)
-        observer = tree.substituted(observer, unused, u)
-        plant = self.plant.move(self.p.plant, s.plant, entering + w.w)
-        outputs = Outputs(s.plant, z, reading.y, reading.side, u, estimate)
-        after = State(plant, observer, controller, level, compensator, actuator, line)
-        return after, outputs
+        return Driven(tree.substituted(observer, unused, u), controller, compensator), u, estimate
 
     def _actuated(self, s: State, u: ca.SX) -> tuple[Any, ca.SX]:
         """(the command within its rate, what enters the plant) of a command u (m)."""
@@ -217,7 +232,8 @@ def close(problem: Problem) -> loop.Loop:
     s_column, s = tree.symbols(state, "s")
     own = problem.observer, problem.controller
     wiring = Wiring(plant, problem.sensor.kind, *own, p, problem.compensator)
-    columns = _exogenous_columns(plant, instant, simulation.order)
+    count = loop.instants(plant.Ts, simulation.order)
+    columns = [ca.SX.sym(f"w{i}", tree.size(instant)) for i in range(count)]
     w = wiring.exogenous(instant, columns[0])
     moved, outputs = wiring.move(s, w, wiring.mode(s, w))
     inputs = [s_column, ca.vertcat(*columns), p_column]
@@ -280,17 +296,17 @@ def _state(problem: Problem) -> loop.State:
     )
 
 
+def no_target(problem: Problem) -> Target:
+    """Zeros of the shapes of what the controller should reach."""
+    sizes = len(problem.tracked), problem.plant.n, problem.plant.m, problem.controller.planned
+    return Target(*map(np.zeros, sizes))
+
+
 def _instant(problem: Problem) -> loop.Exogenous:
     """Zeros of the shapes of the exogenous inputs at one instant."""
-    plant, planned = problem.plant, problem.controller.planned
-    target = Target(*map(np.zeros, (len(problem.tracked), plant.n, plant.m, planned)))
-    return loop.Exogenous(target, np.zeros(plant.m), *np.zeros((loop.HELD, plant.p)))
-
-
-def _exogenous_columns(plant: System, instant: loop.Exogenous, order: int) -> list[ca.SX]:
-    """Symbols of the exogenous inputs of a step: one instant, three, or Taylor coefficients."""
-    count = loop.instants(plant.Ts, order)
-    return [ca.SX.sym(f"w{i}", tree.size(instant)) for i in range(count)]
+    plant = problem.plant
+    held = np.zeros((loop.HELD, plant.p))
+    return loop.Exogenous(no_target(problem), np.zeros(plant.m), *held)
 
 
 def _first_that_suffices(attempts: list[dense_output.StepAttempt]) -> ca.SX:
@@ -337,10 +353,6 @@ class _Step(NamedTuple):
         """A state inside the step as it may be; that at its start is."""
         return column if column is self.start else self.wiring.admissible(self.like, column)
 
-    def exogenous_at(self, c: Any) -> ca.SX:
-        """The exogenous inputs at a fraction of the step, as a column."""
-        return exogenous_at(self.columns, c, self.wiring.plant.p)
-
 
 def _plain(step: _Step) -> ca.SX:
     """The state after an RK4 step that takes the side at each stage anew; noise is held.
@@ -351,7 +363,7 @@ def _plain(step: _Step) -> ca.SX:
 
     def rate(column: ca.SX, c: float) -> ca.SX:
         s = tree.unpack(step.like, step.admissible(column))
-        w = wiring.exogenous(step.instant, step.exogenous_at(c))
+        w = wiring.exogenous(step.instant, exogenous_at(step.columns, c, wiring.plant.p))
         return tree.stack(wiring.move(s, w, wiring.mode(s, w))[0])
 
     return wiring.admissible(step.like, rk4(rate, step.start, wiring.p.h))
@@ -436,7 +448,8 @@ def _dense_step(step: _Step, order: int) -> Callable[[ca.SX, Any, Any], dense_ou
         return wiring.plant.output(wiring.p.plant, tree.unpack(step.like, column).plant)
 
     def rate(column: ca.SX, c: Any, mode: Mode) -> ca.SX:
-        return evaluate(step.admissible(column), step.exogenous_at(c), *mode)
+        at_c = exogenous_at(step.columns, c, wiring.plant.p)
+        return evaluate(step.admissible(column), at_c, *mode)
 
     def rate_of_series(column: ca.SX, series: ca.SX, mode: Mode) -> ca.SX:
         return evaluate(column, series, *mode)

@@ -131,6 +131,18 @@ class State(NamedTuple):
     line: Any
 
 
+class Driven(NamedTuple):
+    """The states of what makes an input of readings.
+
+    Attributes:
+        observer, controller, compensator: as of `State`.
+    """
+
+    observer: Any
+    controller: Any
+    compensator: Any
+
+
 class Outputs(NamedTuple):
     """What is recorded at the start of each step.
 

@@ -8,10 +8,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Reading, graph_of
 from undeadzone.scenario.problem import Problem
-from undeadzone.simulation.close import numbers
+from undeadzone.simulation.close import no_target, numbers
 from undeadzone.simulation.loop import Loop
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats, Integers
@@ -57,8 +56,7 @@ def graph(problem: Problem) -> str:
     p_column, p = tree.symbols((observer.params, controller.params), "p")
     like = observer.init(observer.params), controller.init(controller.params)
     s_column, s = tree.symbols(like, "s")
-    sizes = len(problem.tracked), model.n, model.m, controller.planned
-    t_column, target = tree.symbols(Target(*map(np.zeros, sizes)), "t")
+    t_column, target = tree.symbols(no_target(problem), "t")
     u, y = ca.SX.sym("u", model.m), ca.SX.sym("y", model.p)
     side, x = ca.SX.sym("side", model.p), ca.SX.sym("x", model.n)
     following, estimate = observer.step(p[0], s[0], u, Reading(y, side, x))
