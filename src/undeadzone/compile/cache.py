@@ -17,7 +17,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter, thread_time
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
@@ -35,30 +35,19 @@ SHORT: Final = 2e-5  # [s] of a call that tells nothing
 FASTER: Final = 0.95  # below this share of its time a code takes the place of the assumed one
 
 
-class Made(NamedTuple):
-    """What a recipe gives.
-
-    Attributes:
-        text: LLVM's, of a module with a function `block`, compiled as it stands: nothing optimises
-            it first.
-        note: what has to be known of it besides, kept with the machine code.
-    """
-
-    text: str
-    note: str = ""
-
-
 @dataclass(frozen=True)
 class Recipe:
     """A text that is made where no machine code of it is kept; recipes are their keys.
 
     Attributes:
         key: all that the text depends on.
-        make: makes it.
+        make: makes it, LLVM's, of a module with a function `block`, compiled as it stands: nothing
+            optimises it first; and a note, what has to be known of it besides, kept with the
+            machine code.
     """
 
     key: str
-    make: Callable[[], Made] = field(compare=False)
+    make: Callable[[], tuple[str, str]] = field(compare=False)
 
 
 class Block:
@@ -181,7 +170,7 @@ def load(text: str, kinds: tuple[str, ...]) -> Block:
         kinds: of its arguments, each of `NUMBERS`, or a type of numbers followed by * for an array,
             which arrives as a pointer.
     """
-    return made(Recipe(text, lambda: Made(text)), kinds)
+    return made(Recipe(text, lambda: (text, "")), kinds)
 
 
 @functools.lru_cache(maxsize=64)

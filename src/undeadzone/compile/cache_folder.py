@@ -43,14 +43,12 @@ def chosen() -> Path | None:
     $UNDEADZONE_CACHE, or `undeadzone` in $XDG_CACHE_HOME or ~/.cache. Relative paths are ignored:
     they would take code from whatever folder a command is started in.
     """
-    own = os.environ.get("UNDEADZONE_CACHE", "")
-    if os.path.isabs(own):
-        return Path(own)
-    shared = os.environ.get("XDG_CACHE_HOME", "")
-    if os.path.isabs(shared):
-        return Path(shared) / "undeadzone"
+    own, shared = (os.environ.get(name, "") for name in ("UNDEADZONE_CACHE", "XDG_CACHE_HOME"))
     home = os.path.expanduser("~")
-    return Path(home) / ".cache" / "undeadzone" if os.path.isabs(home) else None
+    for folder, below in ((own, ""), (shared, "undeadzone"), (home, ".cache/undeadzone")):
+        if os.path.isabs(folder):
+            return Path(folder, below)
+    return None
 
 
 def read(folder: Path, name: str) -> bytes | None:

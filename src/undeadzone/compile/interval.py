@@ -5,6 +5,7 @@ Every bound is rounded outwards. Functions take intervals of any shape and act e
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
@@ -50,6 +51,11 @@ def _bounded_where(condition: np.ndarray, a: Interval) -> Interval:
     return Interval(np.where(condition, a.low, -np.inf), np.where(condition, a.high, np.inf))
 
 
+def _zero_where(condition: np.ndarray, a: Interval) -> Interval:
+    """0 where the condition holds, the interval elsewhere."""
+    return Interval(np.where(condition, 0.0, a.low), np.where(condition, 0.0, a.high))
+
+
 def _sum_towards(a: Floats, b: Floats, infinity: float) -> Floats:
     """a + b, rounded towards an infinity where it is not exact."""
     total = a + b
@@ -87,13 +93,9 @@ def product(a: Interval, b: Interval) -> Interval:
 
     0 times infinity is no number, but then another end is 0, or both infinities are.
     """
-    low_low, low_high = a.low * b.low, a.low * b.high
-    high_low, high_high = a.high * b.low, a.high * b.high
-    least = np.fmin(np.fmin(low_low, low_high), np.fmin(high_low, high_high))
-    greatest = np.fmax(np.fmax(low_low, low_high), np.fmax(high_low, high_high))
-    ends = _outward(least, greatest)
-    zero = _is_zero(a) | _is_zero(b)
-    return Interval(np.where(zero, 0.0, ends.low), np.where(zero, 0.0, ends.high))
+    products = [one * other for one, other in itertools.product(a, b)]
+    ends = _outward(np.fmin.reduce(products), np.fmax.reduce(products))
+    return _zero_where(_is_zero(a) | _is_zero(b), ends)
 
 
 def _is_zero(a: Interval) -> np.ndarray:
@@ -277,8 +279,7 @@ def maximum(a: Interval, b: Interval) -> Interval:
 
 def gated(condition: Interval, value: Interval) -> Interval:
     """The value where the condition holds, else 0."""
-    off = condition.low == 0
-    return Interval(np.where(off, 0.0, value.low), np.where(off, 0.0, value.high))
+    return _zero_where(condition.low == 0, value)
 
 
 _RISING = {"atan": np.arctan, "sinh": np.sinh, "tanh": np.tanh}  # everywhere

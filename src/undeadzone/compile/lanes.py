@@ -151,9 +151,9 @@ class _Plan(NamedTuple):
         texts = [part.serialize() for part in (self.functions.usual, *self.functions.rare)]
         of = self.arithmetic, self.width, form
 
-        def make() -> cache.Made:
+        def make() -> tuple[str, str]:
             made = source(self.functions, self.shape, here(), *of)
-            return cache.Made(made.text, json.dumps([made.form, made.promises]))
+            return made.text, json.dumps([made.form, made.promises])
 
         return cache.Recipe("\n".join([*texts, repr((self.shape, *of))]), make)
 
@@ -412,14 +412,7 @@ def checked(
 
 def _held(inputs: Floats) -> Supply:
     """A supply from an array (N x own inputs x lanes)."""
-    return lambda lanes: partial(_steps_of_lanes, inputs, lanes)
-
-
-def _steps_of_lanes(inputs: Floats, lanes: Integers, first: int, count: int) -> Floats:
-    """Some steps of some lanes of an array (N x own inputs x lanes)."""
-    if not inputs.size:
-        return np.empty((count, 0, lanes.size))
-    return inputs[first : first + count, :, lanes]
+    return lambda lanes: lambda first, count: inputs[first : first + count, :, lanes]
 
 
 def _lanes(*sources: tuple[str, Any, int, int]) -> int:

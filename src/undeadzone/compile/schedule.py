@@ -22,11 +22,6 @@ _USUAL: Final = 4
 Users = dict[Node, list[Node]]
 
 
-def ordered(results: list[Node], registers: int) -> list[Node]:
-    """The lanes' instructions, scheduled if registers are counted."""
-    return by_height(results, registers) if registers else of_graph(results)
-
-
 def of_graph(results: Iterable[Node]) -> list[Node]:
     """The lanes' instructions in the order in which they were made."""
     return [node for node in needed(results) if node.level == LANES and node.op != "input"]
@@ -41,13 +36,16 @@ def _users(order: list[Node]) -> Users:
     return users
 
 
-def by_height(results: list[Node], registers: int) -> list[Node]:
-    """List scheduling of the lanes' instructions.
+def ordered(results: list[Node], registers: int) -> list[Node]:
+    """The lanes' instructions, by list scheduling if registers are counted.
 
     First comes what is farthest from the end, until that many numbers are waiting for their use;
     then what makes a register free.
     """
-    state = _started(of_graph(results), results)
+    made = of_graph(results)
+    if not registers:
+        return made
+    state = _started(made, results)
     order: list[Node] = []
     while state.ready:
         best = state.best(len(order), registers)
