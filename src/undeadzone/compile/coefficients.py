@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final
+
+import msgspec
 
 
-class Numbers(NamedTuple):
+class Numbers(msgspec.Struct, frozen=True):
     """An arithmetic, and the numbers of its functions.
 
     Attributes:
@@ -95,17 +97,7 @@ class Numbers(NamedTuple):
         return 1.5 * self.whole
 
 
-def _read() -> dict[str, dict[str, Any]]:
-    """The arithmetics' numbers, by name."""
-    tables = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
-    for table in tables.values():
-        for name, value in table.items():
-            if isinstance(value, list):
-                table[name] = tuple(value)
-    return tables
-
-
-_TABLES: Final = _read()
-DOUBLE: Final = Numbers(**_TABLES["double"])
-FUSED: Final = DOUBLE._replace(**_TABLES["fused"])
-SINGLE: Final = Numbers(**_TABLES["single"])
+_TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+DOUBLE: Final = msgspec.convert(_TABLES["double"], Numbers)
+FUSED: Final = msgspec.convert(_TABLES["double"] | _TABLES["fused"], Numbers)
+SINGLE: Final = msgspec.convert(_TABLES["single"], Numbers)

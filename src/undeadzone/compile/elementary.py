@@ -410,9 +410,8 @@ def inlined(nodes: Nodes, numbers: Numbers, names: Iterable[str]) -> dict[str, C
 
 def needed(names: set[str], kind: str = DOUBLE.kind, own: Own = OF_WORDS) -> list[str]:
     """The functions and those that they call, each after those that it calls."""
-    closed = names & own.functions.keys()
-    while True:
-        more = closed.union(*[formula(name, kind, own).calls for name in closed])
-        if more == closed:
-            return [name for name in own.functions if name in closed]
-        closed = more
+    found = set(names)
+    for name in reversed(own.functions):
+        if name in found:
+            found |= formula(name, kind, own).calls
+    return [name for name in own.functions if name in found]

@@ -294,11 +294,9 @@ def wrapped(statement: str, indent: str = INDENT) -> list[str]:
 def _break(line: str) -> int:
     """Where to break a line that is too long; -1: nowhere."""
     start = 2 * len(INDENT) + 4
-    best = -1
-    for sign in _BREAKS:
-        best = max(best, line.rfind(f" {sign} ", start, WIDTH - 1))
+    places = [line.rfind(f" {sign} ", start, WIDTH - 1) for sign in _BREAKS]
     comma = line.rfind(", ", start, WIDTH - 1)
-    return max(best, comma + 1 if comma >= 0 else -1)
+    return max(*places, comma + 1 if comma >= 0 else -1)
 
 
 def _library(name: str, kind: str) -> str:

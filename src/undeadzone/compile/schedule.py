@@ -77,10 +77,11 @@ class _State(NamedTuple):
 
     def best(self, clock: int, registers: int) -> Node:
         """What to place in a cycle."""
+        frees, height = self._frees, self.height
         if len(self.live) >= registers:
-            return max(self.ready, key=lambda node: (self._frees(node), *self._urgency(node)))
+            return max(self.ready, key=lambda node: (frees(node), height[node], -node.number))
         now = [node for node in self.ready if self.at[node] <= clock] or self.ready
-        return max(now, key=lambda node: (self.height[node], self._frees(node), -node.number))
+        return max(now, key=lambda node: (height[node], frees(node), -node.number))
 
     def place(self, node: Node, clock: int) -> None:
         """Take an instruction for placed; `clock` cycles have passed."""
@@ -96,10 +97,6 @@ class _State(NamedTuple):
             self.at[user] = max(self.at.get(user, 0), clock + _latency(node) - 1)
             if self.waiting[user] == 0:
                 self.ready.append(user)
-
-    def _urgency(self, node: Node) -> tuple[int, int]:
-        """How far from the end it is, earlier ones first."""
-        return self.height[node], -node.number
 
     def _frees(self, node: Node) -> int:
         """How many registers more are free after an instruction."""
