@@ -18,7 +18,7 @@ from undeadzone.results.run import Run
 from undeadzone.scenario.problem import Problem
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.simulate import Progress, Start, prepare, signals_of, simulated
-from undeadzone.support.arrays import Floats
+from undeadzone.support.arrays import Floats, finite
 
 STILL: Final = 1e-6  # of the largest |z|: an output that moves less says nothing
 
@@ -31,7 +31,7 @@ def heard(scenario: Scenario, progress: Progress | None = None) -> Run:
         progress: called with the number of steps just done.
     """
     run, problem, start = simulated(scenario, progress=progress)
-    known = list(map(_known, listening(problem, run, start, progress)))
+    known = finite(listening(problem, run, start, progress))
     return dataclasses.replace(run, info=msgspec.structs.replace(run.info, listens=known))
 
 
@@ -78,11 +78,6 @@ def _moved(start: Start | None, other: Problem) -> Start | None:
         return None if start is None else prepare(other)
     params = start.loop.params._replace(plant=other.plant.params)
     return start._replace(loop=start.loop._replace(params=params))
-
-
-def _known(share: float) -> float | None:
-    """A share; None in place of NaN."""
-    return None if np.isnan(share) else share
 
 
 def _larger(plant: System) -> System:

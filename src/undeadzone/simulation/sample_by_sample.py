@@ -58,7 +58,7 @@ def run_sample_by_sample(
         stepper.w[:] = row
         before = stepper.state.copy()
         stepper()  # for its reading and estimate, which do not depend on what follows
-        estimate = _estimate(stepper.out, where)
+        estimate = Estimate(*(stepper.out[part].copy() for part in where.estimate))
         if numeric is not None:
             reading = Reading(stepper.out[where.y].copy(), stepper.out[where.side].copy())
             state, estimate = numeric.correct(state, reading)
@@ -91,11 +91,6 @@ def commanded(m: int) -> Controller:
         return state, state
 
     return Controller((), lambda params: np.zeros(m), step)
-
-
-def _estimate(out: Floats, where: Outputs) -> Estimate:
-    """The estimate among the outputs of a step, in memory of its own."""
-    return Estimate(*(out[part].copy() for part in where.estimate))
 
 
 def _input(u: Any, m: int, t: float) -> Floats:

@@ -52,29 +52,22 @@ def load(path: Path, parts: Mapping[str, Any], digest: str) -> None:
     """
     try:
         arrays = arrays_of(path, LARGEST_TABLE)
-        found = str(arrays[DIGEST])
+        is_of_these = str(arrays[DIGEST]) == _whole(digest)
+        if is_of_these:
+            for owner, name, key in _kept(parts):
+                setattr(owner, name, _like(getattr(owner, name), arrays[key], key))
     except OSError as error:
         raise FileError(f"{path}: cannot read: {reason(error)}") from None
     except NO_ARRAYS as error:
-        raise _no_state(path, error) from None
-    if found != _whole(digest):
+        raise FileError(
+            f"{path}: no state saved by undeadzone, or a damaged one ({error}); name another file, "
+            "or delete this one to begin anew"
+        ) from None
+    if not is_of_these:
         raise FileError(
             f"{path}: the state of another observer (model, sensor, options, step or version); "
             "name another file, or delete this one to begin anew"
         )
-    try:
-        for owner, name, key in _kept(parts):
-            setattr(owner, name, _like(getattr(owner, name), arrays[key], key))
-    except NO_ARRAYS as error:
-        raise _no_state(path, error) from None
-
-
-def _no_state(path: Path, error: Exception) -> FileError:
-    """That a file is no saved state."""
-    return FileError(
-        f"{path}: no state saved by undeadzone, or a damaged one ({error}); name another file, or "
-        "delete this one to begin anew"
-    )
 
 
 def _whole(digest: str) -> str:
