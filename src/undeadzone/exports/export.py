@@ -20,6 +20,7 @@ from undeadzone.errors import InputError
 from undeadzone.exports import accuracy, compiler, parts, targets
 from undeadzone.exports.boards import fits
 from undeadzone.exports.code import Code, code, operations
+from undeadzone.exports.fmu.package import require_buildable
 from undeadzone.exports.page.build import write_page
 from undeadzone.exports.parts import Field, identifier, total
 from undeadzone.exports.source import Labels, Source, source
@@ -108,7 +109,8 @@ def export(
         return Exported([Path(out)], write_page(scenario, Path(out), force))
     prefix = _prefix(name, scenario.title)
     targets.require_replaceable(Path(out), force)
-    targets.require_possible(to, prefix)
+    if to in targets.VERSIONS:
+        require_buildable(prefix, targets.VERSIONS[to])
     problem = resolve_scenario(scenario)
     step = parts.build(problem, part, tunable)
     double = code(step, single=False)

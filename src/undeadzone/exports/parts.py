@@ -414,9 +414,6 @@ def _place(name: str, places: dict[str, slice]) -> slice:
 
 def require_used(every: ca.SX, params: Params, tunable: tuple[str, ...]) -> None:
     """Raise InputError for a tunable number on which nothing depends."""
-    start = 0
-    for name, field in zip(tunable, params.fields, strict=True):
-        symbols = params.symbols[start : start + field.size]
-        if not ca.depends_on(every, symbols):
+    for name, place in zip(tunable, places_of(params.fields).values(), strict=True):
+        if not ca.depends_on(every, params.symbols[place]):
             raise InputError(f"tunable: {name} changes nothing in a step of this observer")
-        start += field.size

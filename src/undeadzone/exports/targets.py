@@ -170,17 +170,6 @@ class Material(NamedTuple):
         return self.text.files(name) | {f"{name}_test.c": test}
 
 
-def require_possible(to: str, prefix: str) -> None:
-    """Raise InputError for a target that cannot be made on this computer.
-
-    Args:
-        to: the target.
-        prefix: what every symbol begins with.
-    """
-    if to in VERSIONS:
-        package.require_buildable(prefix, VERSIONS[to])
-
-
 def files(to: str, material: Material) -> Files:
     """The files of an export by their paths in its folder.
 

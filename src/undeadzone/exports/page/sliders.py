@@ -107,9 +107,8 @@ def _edges(problem: Problem, loop: Loop, sizes: Floats) -> list[Slider]:
     widest = np.maximum(problem.sensor.right, problem.sensor.left)
     for output in range(problem.plant.p):
         for side in ("right", "left"):
-            several = problem.plant.p > 1
-            number = str(output + 1) if several else ""
-            of = f" of output {number}" if several else ""
+            number = str(output + 1) if problem.plant.p > 1 else ""
+            of = f" of output {number}" if number else ""
             width = float(getattr(problem.sensor, side)[output])
             most = nice(float(max(2 * widest[output], sizes[output] / 2)))
             if limit is not None:
