@@ -277,10 +277,8 @@ def _machine() -> str:
 @functools.cache
 def _engine() -> str:
     """What a recipe's text depends on besides its key: this engine as it is."""
-    digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.glob("*.*")):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
+    files = sorted(Path(__file__).parent.glob("*.*"))
+    return hashlib.sha256(b"".join([path.read_bytes() for path in files])).hexdigest()
 
 
 def _parsed(content: bytes | None) -> tuple[str, Compiled] | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from collections.abc import Container, Iterable
 from dataclasses import dataclass
@@ -104,9 +105,7 @@ def needed(results: Iterable[Node], known: Container[Node] = ()) -> list[Node]:
 
 def used(order: Iterable[Node], results: Iterable[Node], level: int) -> list[Node]:
     """The values of a level that some instructions or results use directly."""
-    found = set(results)
-    for node in order:
-        found.update(node.args)
+    found = set(results).union(*[node.args for node in order])
     return sorted((node for node in found if node.level == level), key=_number)
 
 
@@ -118,9 +117,7 @@ def still(order: Iterable[Node], results: Iterable[Node]) -> list[Node]:
 
 def uses(results: Results) -> Counter[Node]:
     """How often each node is used by results and by nodes that these need."""
-    counts: Counter[Node] = Counter()
-    for result in results:
-        counts.update(result)
+    counts = Counter(itertools.chain(*results))
     for node in needed(counts):
         counts.update(node.args)
     return counts

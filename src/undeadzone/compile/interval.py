@@ -326,11 +326,8 @@ def _enclosed(lines: Program, names: Sequence[str], boxes: Sequence[Interval]) -
     def constant(value: float) -> Interval:
         return Interval(np.array(value), np.array(value))
 
-    def apply(word: str, *operands: Interval) -> Interval:
-        return _BOUNDS[word](*operands)
-
     with np.errstate(all="ignore"):
-        results = evaluated(lines, read, constant, apply)
+        results = evaluated(lines, read, constant, lambda word, *of: _BOUNDS[word](*of))
     return [_stacked(entries, shape) for entries in results]
 
 

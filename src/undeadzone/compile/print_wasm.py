@@ -84,9 +84,7 @@ def module(functions: Sequence[Function], size: int) -> bytes:
 
 def _own(functions: Sequence[Function]) -> list[str]:
     """The elementary functions that are called, but those of WebAssembly. Raises InputError."""
-    names: set[str] = set()
-    for function in functions:
-        names |= elementary.called(function.results)
+    names = set().union(*[elementary.called(function.results) for function in functions])
     if names & {"fmod", "remainder"}:
         raise InputError("export: a remainder of a division has no WebAssembly instruction")
     return [name for name in elementary.needed(names) if name not in _BUILT_IN]
