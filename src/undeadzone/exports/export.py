@@ -132,7 +132,7 @@ def export(
             everyone = {scenario.observer.__struct_config__.tag: scenario} | leaner
             report["runs"] = {tag: _along(other) for tag, other in everyone.items()}
     vectors = reference(printed, chosen(rows[: problem.steps + 1], step.readings))
-    material = Material(printed, text, vectors, scenario.units, report)
+    material = Material(printed, labels, text, vectors, scenario.units, report)
     files = targets.files(to, material)
     written = targets.write_folder(files, Path(out), force)
     if check and to not in ELSEWHERE:

@@ -115,16 +115,6 @@ def estimate_meanings(units: Units) -> dict[str, str]:
     return meanings
 
 
-def estimate_fields(sizes: Estimate, units: Units) -> list[Field]:
-    """The fields of an estimate that are not empty.
-
-    Args:
-        sizes: arrays of the sizes of its fields.
-        units: names of the scenario's units.
-    """
-    return _named_fields(sizes, estimate_meanings(units))
-
-
 def _named_fields(parts: Any, meanings: dict[str, str]) -> list[Field]:
     """The fields of a named tuple of arrays that are not empty."""
     named = zip(parts._fields, map(np.size, parts), strict=True)
@@ -368,7 +358,7 @@ def _estimated(problem: Problem, estimate: Estimate) -> list[Field]:
     sizes = Estimate(*(np.zeros(ca.SX(part).numel()) for part in estimate))
     limits = "" if problem.sensor.limits is None else "; +2, -2 at a limit of the range"
     side = Field("side", problem.model.p, f"measured side: +1, -1, 0{limits}")
-    return [*estimate_fields(sizes, problem.scenario.units), side]
+    return [*_named_fields(sizes, estimate_meanings(problem.scenario.units)), side]
 
 
 # --- The numbers of a step that stay parameters; all others are folded in

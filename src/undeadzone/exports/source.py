@@ -60,9 +60,7 @@ def source(code: Code, labels: Labels) -> Source:
     """The C of an export."""
     style = Style(code.kind, labels.prefix)
     bodies = _bodies(code, style)
-    used: set[str] = set()
-    for part in bodies.values():
-        used |= part.functions
+    used = set().union(*[part.functions for part in bodies.values()])
     functions = elementary.needed(used, code.kind)
     step, name = code.step, labels.prefix
     words = labels._asdict() | {

@@ -145,6 +145,7 @@ class Material(NamedTuple):
 
     Attributes:
         printed: the graphs.
+        labels: the words that the files share.
         text: the C.
         vectors: the reference vectors of the self-test.
         units: names of the scenario's units.
@@ -152,15 +153,11 @@ class Material(NamedTuple):
     """
 
     printed: Code
+    labels: Labels
     text: Source
     vectors: Vectors
     units: Units
     report: dict[str, Any]
-
-    @property
-    def labels(self) -> Labels:
-        """The words that the files share."""
-        return Labels(*(self.report[key] for key in ("name", "title", "part")))
 
     @property
     def c_files(self) -> dict[str, str]:
