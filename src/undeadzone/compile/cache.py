@@ -23,7 +23,7 @@ import numpy as np
 
 import undeadzone
 from undeadzone.compile import cache_folder
-from undeadzone.compile.machine import NUMBERS, Compiled, Linked, compiled, here, linked, stack
+from undeadzone.compile.machine import Compiled, Linked, compiled, here, linked, stack
 
 LONG: Final = 6000  # lines of a text whose code of no effort is worth while
 FRAME: Final = 32  # bytes of the stack that a line takes in such code, which shares nothing
@@ -167,7 +167,7 @@ def load(text: str, kinds: tuple[str, ...]) -> Block:
 
     Args:
         text: of a module.
-        kinds: of its arguments, each of `NUMBERS`, or a type of numbers followed by * for an array,
+        kinds: of its arguments, each NumPy's name of a type of numbers, followed by * for an array,
             which arrives as a pointer.
     """
     return made(Recipe(text, lambda: (text, "")), kinds)
@@ -307,4 +307,4 @@ def _digest(content: bytes) -> bytes:
 
 def _entries(kind: str) -> np.dtype[Any] | None:
     """The type of an array's entries, or None for a number."""
-    return None if kind in NUMBERS else np.dtype(kind[:-1])
+    return np.dtype(kind[:-1]) if kind.endswith("*") else None

@@ -8,6 +8,8 @@ import os
 import sys
 from typing import Any, Final, NamedTuple
 
+import numpy as np
+
 from undeadzone.errors import InputError
 
 # Instructions of a step beyond which groups go alone, and beyond which in the order of the graph.
@@ -164,12 +166,6 @@ def stack() -> int:
     return LARGE_STACK if limit == resource.RLIM_INFINITY else min(limit, LARGE_STACK)
 
 
-# ctypes of the numbers that a function takes.
-NUMBERS: Final[dict[str, Any]] = {
-    "int64": ctypes.c_int64,
-    "uint64": ctypes.c_uint64,
-    "float64": ctypes.c_double,
-}
 MOST: Final = 3  # effort
 
 
@@ -208,7 +204,7 @@ def compiled(text: str, effort: int = MOST) -> Compiled:
 
 
 def linked(made: Compiled, kinds: tuple[str, ...]) -> Linked | None:
-    """The function `block` of machine code, ready to be called.
+    """The function `block` of machine code, ready to be called; `kinds` as of `cache.load`.
 
     None if something that it calls is missing from this process, at which LLVM would abort.
     """
@@ -227,8 +223,13 @@ def linked(made: Compiled, kinds: tuple[str, ...]) -> Linked | None:
             return None
     engine.add_object_file(binding.ObjectFileRef.from_data(made.code))
     engine.finalize_object()
-    prototype = ctypes.CFUNCTYPE(None, *(NUMBERS.get(kind, ctypes.c_void_p) for kind in kinds))
+    prototype = ctypes.CFUNCTYPE(None, *map(_c_type, kinds))
     return Linked(prototype(engine.get_function_address("block")), engine)
+
+
+def _c_type(kind: str) -> Any:
+    """The type of an argument: a number, or where an array begins."""
+    return ctypes.c_void_p if kind.endswith("*") else np.ctypeslib.as_ctypes_type(np.dtype(kind))
 
 
 def _called(declared: list[str]) -> list[str]:
