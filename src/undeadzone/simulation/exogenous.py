@@ -235,9 +235,6 @@ def _followed(problem: Problem, t: Floats) -> Target:
         return linear_targets(problem.model, problem.reference, problem.tracked, t)
     if problem.path is not None:
         return flat_targets(problem.flow, problem.path, problem.tracked, t)
-    x_eq = problem.scenario.plant.x_eq
-    if x_eq is None:
-        start: Floats = np.zeros(problem.model.n)
-    else:
-        start = vector("plant.x_eq", x_eq, problem.model.n)
+    n, x_eq = problem.model.n, problem.scenario.plant.x_eq
+    start = vector("plant.x_eq", np.zeros(n) if x_eq is None else x_eq, n)
     return inverted_targets(problem.flow, problem.reference, problem.tracked, t, start)

@@ -161,9 +161,8 @@ class Online:
         self.missing = 0
         self._step, self.engine = _engine(graph, state, params, compiled)
         self._p, self._w, self._out = self.model.p, self._step.w, self._step.out
-        where: Out = tree.slices(shapes)
-        self._where = where
-        self.latest = Estimate(*[self._out[part] for part in where.estimate])
+        self._where: Out = tree.slices(shapes)
+        self.latest = Estimate(*[self._out[part] for part in self._where.estimate])
         self._entries = cast("memoryview[float]", self._w.data)
         self._last = self._out.data
         self._is_single = (self.model.p, self.model.m) == (1, 1)

@@ -76,10 +76,8 @@ def _harmonics(problem: Problem) -> dict[str, Any]:
     size = np.abs(rows).max()
     used = np.flatnonzero(np.abs(spectrum).max(axis=1) > NEGLIGIBLE * size)
     waves = used[used > 0]
-    columns = []
-    for wave in waves:
-        columns += [-2 * spectrum[wave].imag, 2 * spectrum[wave].real]
-    gains = np.stack([*columns, spectrum[0].real], axis=1)
+    pairs = np.stack([-2 * spectrum[waves].imag, 2 * spectrum[waves].real], axis=1)
+    gains = np.vstack([pairs.reshape(2 * waves.size, rows.shape[1]), spectrum[:1].real]).T
     omegas = 2 * np.pi * waves / length
     between = t + 0.5 * length / SAMPLES
     angles = np.outer(between, omegas)
@@ -142,16 +140,11 @@ def _starts(exo: Exosystem) -> Floats:
 
 _LARGEST = np.finfo(float).max  # in place of infinity, which JSON has not
 MOST = 100_000_000  # operations of a run
+_ESTIMATED = ("right", "left", "right_std", "left_std", "width_std")
 RECORDED = {
-    "z": "z",
-    "y": "y",
-    "side": "side",
+    **{name: name for name in ("z", "y", "side")},
     "z_hat": "estimate.z",
-    "right": "estimate.right",
-    "left": "estimate.left",
-    "right_std": "estimate.right_std",
-    "left_std": "estimate.left_std",
-    "width_std": "estimate.width_std",
+    **{name: f"estimate.{name}" for name in _ESTIMATED},
 }
 _TOLD = (
     "The observer gets the red reading and the input that drives the motion. From these it learns "
