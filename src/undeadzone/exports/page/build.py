@@ -6,6 +6,7 @@ import base64
 import hashlib
 import itertools
 import json
+import tomllib
 from html import escape
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -146,38 +147,6 @@ RECORDED = {
     "z_hat": "estimate.z",
     **{name: f"estimate.{name}" for name in _ESTIMATED},
 }
-_TOLD = (
-    "The observer gets the red reading and the input that drives the motion. From these it learns "
-)
-_EDGES = f"{_TOLD}both edges of the band, and the truth behind it."
-LEADS = {
-    "deadzone": "Inside the yellow band this sensor reads 0; outside, it reads too little, by "
-    f"the width of the band. Valves and load cells do this. {_EDGES}",
-    "jump": "Inside the yellow band this sensor reads 0; outside, it tells the truth. Speed "
-    f"sensors do this. {_EDGES}",
-    "play": "Gears with play lie between the truth and this sensor: its reading carries the yellow "
-    "band along, and holds still while the truth moves inside it. Motors behind gears and valves "
-    f"with loose stems do this. {_TOLD}how wide the gap is, and the truth behind it.",
-}
-WORDS = {
-    "headline": "This sensor is blind near zero.",
-    "legend": "dead zone: the sensor reads 0 here, and nobody told the observer",
-    "zone": "dead zone",
-    "never": "The motion never leaves the dead zone. The sensor reads 0, and ",
-    "silent": "Silent ",
-}
-OF_PLAY = {
-    "headline": "This sensor is blind at every turn.",
-    "legend": "gap: the reading holds still here, and nobody told the observer",
-    "zone": "gap",
-    "never": "The motion never crosses the gap. The sensor holds its reading, and ",
-    "silent": "The reading holds still ",
-}
-
-FLAT = (
-    " At an end of its range the reading stays flat: there it only says that the truth lies at "
-    "least as far out."
-)
 
 
 class Page(NamedTuple):
@@ -329,13 +298,16 @@ def _data(problem: Problem, loop: Loop, memory: dict[str, int]) -> dict[str, Any
         place = outputs[address]
         if place.stop > place.start:
             recorded[name] = place.start
-    words = OF_PLAY if problem.sensor.kind == "play" else WORDS
+    kind, texts = problem.sensor.kind, tomllib.loads(text_of("page/words.toml"))
+    lead = texts["lead"][kind]
+    if problem.sensor.limits is not None:
+        lead = f"{lead} {texts['lead']['range']}"
     instant = tree.slices(loop.instant)
     made = sliders.sliders(problem, loop, _sizes(problem))
     return {
-        "kind": problem.sensor.kind,
-        "lead": LEADS[problem.sensor.kind] + (FLAT if problem.sensor.limits else ""),
-        "words": words,
+        "kind": kind,
+        "lead": lead,
+        "words": texts["gap" if kind == "play" else "zone"],
         "note": _note(problem),
         "quantity": _quantity(scenario.units.output),
         "unit": printable(scenario.units.output),
