@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 from collections import Counter, defaultdict
 from collections.abc import Iterable
+from graphlib import TopologicalSorter
 from typing import Final, NamedTuple
 
 from undeadzone.compile.graph import LANES, Node, needed
@@ -201,19 +202,15 @@ class _Gathering:
         self, order: list[Node], results: set[Node], users: Users, kept: dict[Node, Guard]
     ) -> None:
         self._results, self._users, self._kept = results, users, kept
-        self._waiting: dict[Node, int] = {}
         self._free: list[Node] = []
         self._held: dict[Guard, list[Node]] = defaultdict(list)
         inside = set(order)
+        self._sorter = TopologicalSorter({node: inside.intersection(node.args) for node in order})
         for node in order:
-            before = inside.intersection(node.args)
-            if node in kept and kept[node][0] not in node.args:
-                users[kept[node][0]].append(node)  # the truth comes before its branch
-                before.add(kept[node][0])
-            self._waiting[node] = len(before)
-        for node in order:
-            if self._waiting[node] == 0:
-                self._ready(node)
+            if node in kept:
+                self._sorter.add(node, kept[node][0])  # the truth comes before its branch
+        self._sorter.prepare()
+        self._place()
 
     def all(self) -> list[Node | Branch]:
         """All instructions."""
@@ -227,16 +224,11 @@ class _Gathering:
                 found.append(self._branch())
         return found
 
-    def _ready(self, node: Node) -> None:
-        """Let an instruction be placed."""
-        (self._held[self._kept[node]] if node in self._kept else self._free).append(node)
-
-    def _place(self, node: Node) -> None:
-        """Take an instruction for placed."""
-        for user in self._users[node]:
-            self._waiting[user] -= 1
-            if self._waiting[user] == 0:
-                self._ready(user)
+    def _place(self, *nodes: Node) -> None:
+        """Take instructions for placed, so that others can be."""
+        self._sorter.done(*nodes)
+        for node in self._sorter.get_ready():
+            (self._held[self._kept[node]] if node in self._kept else self._free).append(node)
 
     def _branch(self) -> Branch:
         """The branch of which most is ready, with all of it that becomes ready on the way."""
