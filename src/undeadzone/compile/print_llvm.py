@@ -319,20 +319,17 @@ def _branch(text: Text, branch: Branch, have: dict[Node, str], name: Names) -> N
     condition = name(branch.truth)
     if not branch.holds:
         condition = text.add(f"xor {text.type('i1')} {condition}, {text.every('true', 'i1')}")
-    before, number = dict(have), branch.nodes[0].number
+    before, label = dict(have), f"needed{branch.nodes[0].number}"
     came = text.block
-    text.line(f"br i1 {text.any(condition)}, label %needed{number}, label %past{number}")
-    text.label(f"needed{number}")
-    for node in branch.nodes:
-        have[node] = text.print(node, name)
-    values = [have[node] for node in branch.leaving]
-    text.line(f"br label %past{number}")
-    text.label(f"past{number}")
+    with text.where(text.any(condition), label):
+        for node in branch.nodes:
+            have[node] = text.print(node, name)
+        values = [have[node] for node in branch.leaving]
     have.clear()
     have.update(before)  # what was loaded in the branch is not there beyond it
     for node, value in zip(branch.leaving, values, strict=True):
         kind = text.type(TYPES[node.kind])
-        sources = f"[{value}, %needed{number}], [zeroinitializer, %{came}]"
+        sources = f"[{value}, %{label}.do], [zeroinitializer, %{came}]"
         have[node] = text.add(f"phi {kind} {sources}")
 
 

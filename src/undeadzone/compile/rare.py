@@ -67,17 +67,14 @@ class RareParts:
         text.label("rarely")
         came, merged = "rarely", []
         for u, (flag, mark) in enumerate(zip(flags, marks, strict=True)):
-            text.line(f"br i1 {mark}, label %do{u}, label %did{u}")
-            text.label(f"do{u}")
-            changed = self._one(text, u, following[u], flag)
-            text.line(f"br label %did{u}")
-            text.label(f"did{u}")
+            with text.where(mark, f"rare{u}"):
+                changed = self._one(text, u, following[u], flag)
             values = list(following[u])
             for i, name in enumerate(changed):
-                sources = f"[{values[i]}, %{came}], [{name}, %do{u}]"
+                sources = f"[{values[i]}, %{came}], [{name}, %rare{u}.do]"
                 values[i] = text.add(f"phi {text.type('double')} {sources}")
             merged.append(values)
-            came = f"did{u}"
+            came = text.block
         text.line("br label %after")
         return came, merged
 
