@@ -235,11 +235,8 @@ def with_false_claims(problem: Problem, verdicts: Sequence[Verdict]) -> list[Ver
     ranges = width_ranges(options.right, options.left, p)
     judged = []
     for i, verdict in enumerate(verdicts):
-        sides = {
-            "right": (problem.sensor.right[i], ranges[i]),
-            "left": (problem.sensor.left[i], ranges[p + i]),
-        }
-        for side, (width, (low, high)) in sides.items():
+        for side, (low, high) in (("right", ranges[i]), ("left", ranges[p + i])):
+            width = getattr(problem.sensor, side)[i]
             if not low <= width <= high:
                 reason = (
                     f"a false claim: the {side} width is {width:.4g}, observer.{side} says "
