@@ -144,10 +144,9 @@ class _Block:
         names += [[f"missing_{k}" for k in range(step.readings)]]
         names += [[f"read_{k}" for k in range(step.readings)]]
         names += [[f"next_{name}_{k}" for name, k in members(step.state)]]
-        places = list(itertools.accumulate(map(len, names), initial=0))
         # The language takes names that differ by capitals alone for one.
-        flat = distinct(list(itertools.chain(*names)), str.lower)
-        named = [flat[start:end] for start, end in itertools.pairwise(places)]
+        flat = iter(distinct(list(itertools.chain(*names)), str.lower))
+        named = [list(itertools.islice(flat, len(each))) for each in names]
         self.inputs, self.outputs, self.params, self.states = named[:4]
         self.missing, self.read, self.following = named[4:]
         given = [*self.read, *self.inputs[step.readings :]]

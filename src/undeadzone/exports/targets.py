@@ -205,13 +205,8 @@ def files(to: str, material: Material) -> Files:
 def _readme(report: dict[str, Any], build: str = "") -> str:
     """The README; of what is built, how: by default by make, with the self-test."""
     by_make = f"Run `make && ./{report['name']}_test`: exit code 0 means that every bit agrees."
-    words = _words(report) | {
-        "build": build or by_make,
-        "by_make": not build,
-    }
-    for struct, size in report["sizes"].items():
-        words[f"{struct}_bytes"] = size
-    return filled("templates/README.md", words)
+    words = {"build": build or by_make, "by_make": not build}
+    return filled("templates/README.md", _words(report) | words)
 
 
 def _words(report: dict[str, Any]) -> dict[str, Any]:
@@ -219,6 +214,7 @@ def _words(report: dict[str, Any]) -> dict[str, Any]:
     counts = ", ".join(f"{count} {word}" for word, count in report["operations"].items())
     shown = {"shown_title": printable(report["title"]), "seconds": f"{report['step']:g}"}
     shown |= {"counts": counts, "upper": report["name"].upper()}
+    shown |= {f"{struct}_bytes": size for struct, size in report["sizes"].items()}
     return report | called(report["name"], bool(report["tunable"])) | shown
 
 
