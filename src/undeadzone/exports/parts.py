@@ -6,8 +6,8 @@ import difflib
 import keyword
 import re
 import sys
-from collections.abc import Callable, Iterable
-from itertools import chain, product
+from collections.abc import Callable, Iterable, Iterator
+from itertools import accumulate, chain, product
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -128,17 +128,19 @@ def total(fields: list[Field]) -> int:
 
 def places_of(fields: list[Field]) -> dict[str, slice]:
     """Where each field stands among the numbers of a struct."""
-    places: dict[str, slice] = {}
-    start = 0
-    for field in fields:
-        places[field.name] = slice(start, start + field.size)
-        start += field.size
-    return places
+    ends = accumulate(field.size for field in fields)
+    pairs = zip(fields, ends, strict=True)
+    return {field.name: slice(end - field.size, end) for field, end in pairs}
+
+
+def numbers_of(fields: list[Field]) -> Iterator[tuple[Field, int]]:
+    """(field, entry) of every number, in order."""
+    return chain.from_iterable(product([field], range(field.size)) for field in fields)
 
 
 def members(fields: list[Field]) -> list[tuple[str, int]]:
     """(name of the field, entry) of every number, in order."""
-    return list(chain.from_iterable(product([one.name], range(one.size)) for one in fields))
+    return [(field.name, k) for field, k in numbers_of(fields)]
 
 
 def entries(**inputs: Iterable[Any]) -> dict[str, Any]:

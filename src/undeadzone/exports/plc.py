@@ -21,7 +21,7 @@ from undeadzone.compile.print_c import (
 )
 from undeadzone.compile.print_st import ST, TYPES, assigned, initial, reads
 from undeadzone.exports.code import Code
-from undeadzone.exports.parts import Field, distinct, entries, members
+from undeadzone.exports.parts import Field, distinct, entries, members, numbers_of
 from undeadzone.exports.source import Labels, meanings
 from undeadzone.exports.vectors import Vectors
 from undeadzone.support.arrays import Floats
@@ -247,8 +247,8 @@ class _Block:
 
     def _fields(self, names: list[str], fields: list[Field]) -> list[Variable]:
         """Variables of the numbers of fields."""
-        texts = itertools.chain(*[[field.meaning] * field.size for field in fields])
-        return [Variable(name, self.real, text) for name, text in zip(names, texts, strict=True)]
+        each = zip(names, numbers_of(fields), strict=True)
+        return [Variable(name, self.real, field.meaning) for name, (field, _) in each]
 
     def _started(self, names: list[str], fields: list[Field], values: Floats) -> list[Variable]:
         """Variables of the numbers of fields, with their values at first."""

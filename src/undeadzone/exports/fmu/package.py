@@ -16,7 +16,7 @@ from xml.etree.ElementTree import Element, SubElement
 from undeadzone.errors import InputError
 from undeadzone.exports import compiler
 from undeadzone.exports.code import Code
-from undeadzone.exports.parts import Field, Step, total
+from undeadzone.exports.parts import Field, Step, numbers_of, total
 from undeadzone.exports.template import filled, text_of
 from undeadzone.interfaces import COLUMNS, QUANTITIES, Estimate
 from undeadzone.scenario.schema import Units
@@ -72,17 +72,10 @@ def variables(step: Step, units: Units) -> list[Variable]:
         step: the step.
         units: names of the scenario's units.
     """
-    listed: list[Variable] = []
-    for field in step.inputs:
-        for k in range(field.size):
-            listed.append(_entry(field, k, "input", units, 0.0))
-    for field in step.outputs:
-        for k in range(field.size):
-            listed.append(_entry(field, k, "output", units, None))
-    values = iter(step.defaults.tolist())
-    for field in step.params:
-        for k in range(field.size):
-            listed.append(_entry(field, k, "parameter", units, next(values)))
+    listed = [_entry(*each, "input", units, 0.0) for each in numbers_of(step.inputs)]
+    listed += [_entry(*each, "output", units, None) for each in numbers_of(step.outputs)]
+    starts = zip(numbers_of(step.params), step.defaults.tolist(), strict=True)
+    listed += [_entry(*each, "parameter", units, start) for each, start in starts]
     for k in range(step.readings):
         meaning = f"whether reading y[{k}] is missing"
         listed.append(Variable(f"missing[{k}]", "input", meaning, "", 0.0, is_flag=True))
