@@ -258,14 +258,8 @@ def _results(loop: Loop) -> Results:
 def _code(loop: Loop) -> tuple[bytes, dict[str, int]]:
     """(the module, where each part of its memory begins, counted in numbers)."""
     step = loop.step
-    sizes = {
-        "s": step.size1_in(0),
-        "w": step.size1_in(1),
-        "p": step.size1_in(2),
-        "n": step.size1_in(0),
-        "o": step.size1_out(1),
-        "flag": 1,
-    }
+    each = [*map(step.size1_in, range(3)), *map(step.size1_out, range(2))]
+    sizes = dict(zip("swpno", each, strict=True)) | {"flag": 1}
     places = dict(zip(sizes, np.cumsum([0, *sizes.values()]).tolist(), strict=False))
     inputs = entries(**{part: _addresses(places[part], sizes[part]) for part in "swp"})
     functions: list[tuple[str, Any, tuple[str, ...]]] = [("step", loop.step, ("n", "o"))]
