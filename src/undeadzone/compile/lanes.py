@@ -325,11 +325,9 @@ def _run_block(
     end = min(start + width, lanes)
     steps = min(schedule.chunk, total)
     arrays = spare.pop() if spare else _arrays(kernel, width, steps)
-    arrays.work[:states_each, : end - start] = inputs.states[start:end].T
-    arrays.work[states_each:, : end - start] = inputs.own_params[start:end].T
-    # Places beyond the last lane repeat it.
-    arrays.work[:, end - start :] = arrays.work[:, end - start - 1 : end - start]
-    own = inputs.supply(np.minimum(np.arange(start, start + width), end - 1))
+    chosen = np.minimum(np.arange(start, start + width), end - 1)  # the last lane is repeated
+    arrays.work[:] = np.hstack([inputs.states[chosen], inputs.own_params[chosen]]).T
+    own = inputs.supply(chosen)
     for first in range(0, total, schedule.chunk):
         count = min(schedule.chunk, total - first)
         kernel.block(
