@@ -7,7 +7,7 @@ from typing import Any, Final, NamedTuple, Protocol
 
 import casadi as ca
 
-from undeadzone.compile.graph import Node, Nodes, Results
+from undeadzone.compile.graph import LANES, STEADY, Node, Nodes, Results
 from undeadzone.errors import InputError
 
 # CasADi's numbers of instructions as words: add of OP_ADD.
@@ -118,13 +118,12 @@ class Rules(Protocol):
         """A number that is written down."""
 
 
-def listed(function: ca.Function, rules: Rules, level: Callable[[str], int]) -> Results:
-    """The results of a function as nodes.
+def listed(function: ca.Function, rules: Rules) -> Results:
+    """The results of a function as nodes, whether lanes share its inputs or not.
 
     Args:
-        function: with dense outputs.
+        function: with dense outputs; its inputs named p are steady.
         rules: what makes the nodes.
-        level: how often an input, such as s3, is new.
 
     Raises:
         InputError: an instruction that cannot be compiled; it names it.
@@ -138,8 +137,8 @@ def listed(function: ca.Function, rules: Rules, level: Callable[[str], int]) -> 
             )
 
     def read(name: str, entry: int) -> Node:
-        text = f"{name}{entry}"
-        return rules.nodes.input(text, level(text), rules.real)
+        level = STEADY if name.startswith("p") else LANES
+        return rules.nodes.input(f"{name}{entry}", level, rules.real)
 
     def apply(word: str, *args: Node) -> Node:
         if word in _SAME:

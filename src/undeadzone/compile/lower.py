@@ -16,7 +16,7 @@ import casadi as ca
 
 from undeadzone.compile import elementary
 from undeadzone.compile.coefficients import DOUBLE, FUSED
-from undeadzone.compile.graph import LANES, SHARED, STEADY, Node, Nodes, Results, condition, uses
+from undeadzone.compile.graph import SHARED, Node, Nodes, Results, condition, uses
 from undeadzone.compile.listing import listed
 from undeadzone.compile.promises import Promise
 from undeadzone.compile.simplify import Exact, Gathered, Plain
@@ -60,7 +60,7 @@ def lowered(
     """
     fused = arithmetic.fused
     rules = Gathered(Nodes(), granted) if fused else Exact(Nodes())
-    results = listed(function, rules, _level_of_graph)
+    results = listed(function, rules)
     counts = uses(results)
     order = sorted(counts, key=lambda node: node.number)
     taken = _taken_in(order, counts) if fused else set()
@@ -89,12 +89,7 @@ def portable(function: ca.Function, kind: str) -> Results:
     Raises:
         InputError: an instruction that no code can be made of; it names it.
     """
-    return listed(function, Plain(Nodes(), kind), _level_of_graph)
-
-
-def _level_of_graph(name: str) -> int:
-    """How often an input is new, whether lanes share it or not."""
-    return STEADY if name.startswith("p") else LANES
+    return listed(function, Plain(Nodes(), kind))
 
 
 class Term(NamedTuple):
