@@ -41,9 +41,9 @@ class Recipe:
 
     Attributes:
         key: all that the text depends on.
-        make: makes it, LLVM's, of a module with a function `block`, compiled as it stands: nothing
-            optimises it first; and a note, what has to be known of it besides, kept with the
-            machine code.
+        make: makes the text, LLVM's, of a module with a function `block`, compiled as it stands:
+            nothing optimises it first; and a note, what has to be known of it besides, kept with
+            the machine code.
     """
 
     key: str
