@@ -87,7 +87,8 @@ def main() -> None:
         print("\n".join(tables.values()), flush=True)
         if writes:
             kept = parted(results.read_text(encoding="utf-8"))
-            results.write_text("\n".join([HEAD, *(kept | tables).values()]), encoding="utf-8")
+            every = [f"{text.strip()}\n" for text in (kept | tables).values()]
+            results.write_text("\n".join([HEAD, *every]), encoding="utf-8")
 
 
 main()

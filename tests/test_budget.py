@@ -18,7 +18,7 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 41_910, 333
+MOST_CODE, MOST_FILES = 41_780, 333
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
@@ -26,13 +26,13 @@ BUDGET = {
     "analysis": 3455,
     "cli": 1920,
     "compensators": 170,
-    "compile": 3630,
+    "compile": 3590,
     "controllers": 800,
     "ends": 440,
     "ensemble": 1930,
-    "exports": 2460,
+    "exports": 2350,
     "feedforward": 430,
-    "identification": 7245,
+    "identification": 7325,
     "linear": 400,
     "logs": 1250,
     "numerics": 840,
@@ -42,7 +42,7 @@ BUDGET = {
     "results": 970,
     "scenario": 1440,
     "signals": 390,
-    "simulation": 2345,
+    "simulation": 2270,
     "statistics": 265,
     "support": 846,
     "synthesis": 1050,

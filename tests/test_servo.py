@@ -390,6 +390,26 @@ def test_what_overflows_is_no_servo() -> None:
     assert servo_gap(listened(log.u, log.y, log.step)) is None
 
 
+@pytest.mark.parametrize(("seed", "lost"), [(30036, 4.0), (30050, 10.0)])
+def test_a_filter_with_the_torques_of_a_servo_follows_its_log(seed: int, lost: float) -> None:
+    """Friction and slow torques were no part of the scenario, and the filter lost the log."""
+    log = random_log(seed)
+    found = uz.identify(t=log.step, u=log.u, y=log.y)
+    assert isinstance(found, uz.Identified)
+    text = found.scenario()
+    servo = found.answer.element.fit
+    rms, time = re.findall(r"^(?:disturbance|correlation_time) = (\S+)", text, re.MULTILINE)
+    assert (float(rms), float(time)) == pytest.approx(servo.disturbance)
+
+    def apart(text: str) -> float:
+        """rms of y - z^, in gaps."""
+        z = uz.estimate(parse(text), u=log.u, y=log.y, smoothing=False).z_hat[:, 0]
+        return float(np.sqrt(np.mean((log.y - z)[log.y.size // 5 :] ** 2))) / log.servo.gap
+
+    assert apart(text) < 0.75
+    assert apart(re.sub(r"(?m)^(disturbance|correlation_time) = .*$", "", text)) > lost
+
+
 def test_motors_and_lags_climb_side_by_side(with_friction: tuple[Heard, ServoGap]) -> None:
     log, found = with_friction
     lag = Fitted(

@@ -19,6 +19,7 @@ from undeadzone.identification.logs.grid import rounding_of
 from undeadzone.identification.models.estimates import Interval
 from undeadzone.identification.models.kalman import AT_OUTPUT
 from undeadzone.identification.models.plant import input_gain
+from undeadzone.identification.servo.gap import ServoGap
 from undeadzone.identification.verdict.verdict import MEMORY
 from undeadzone.identification.verdict.which import Element
 from undeadzone.linear.matrices import Matrices
@@ -269,6 +270,8 @@ def _claim(answer: Answer) -> tuple[float, float] | None:
     step = answer.case.grid.step
     kalman = answer.found.kalman
     data = answer.fit.objective.data
+    if answer.element is not None and isinstance(answer.element.fit, ServoGap):
+        return answer.element.fit.disturbance
     if answer.element is not None:
         return _claim_ahead(answer.element, step, float(data.u_scale[0]))
     if not kalman:

@@ -33,6 +33,7 @@ from undeadzone.identification.servo.crossings import Crossings, crossings_of
 from undeadzone.identification.servo.heard import Heard, noise_of, sides, triggered
 from undeadzone.identification.servo.likelihood import (
     DEAR,
+    RUBS,
     SLOW_TIME,
     At,
     Likelihood,
@@ -127,6 +128,8 @@ HEAVY = 40.0  # kurtosis of errors that are no servo's
 FAR = 8.0  # deviations beyond which one error is
 HEARS = 0.04  # share of the errors of noisy readings that past inputs may explain
 MOVED = 1e-5  # of a number, for derivatives
+AUDIBLE = 0.05  # of the rms of white torques, from which others are claimed
+SHORT = 1 / 12  # of the time between reversals: correlation time of friction, as a filter's torque
 LAGS = 8  # of these inputs
 CORRELATED = 0.01  # sum of the squared correlations of these errors, which is noticed
 FOLLOWING = 20  # errors that may follow an error
@@ -180,6 +183,25 @@ class ServoGap(NamedTuple):
         """Of a gap against none, by BIC."""
         used = max(int(np.count_nonzero(self.log.counted(False))), 2)
         return float(expit(self.gained - 0.5 * DEAR * math.log(used)))
+
+    @property
+    def disturbance(self) -> tuple[float, float]:
+        """rms [u] and correlation time [s] of what acts on the motor beside u and its damping.
+
+        Friction is a part of it, which changes its sign at each reversal.
+        """
+        log, theta = self.log, self.servo.structure.of(self.servo.theta)
+        rubs, slow = (
+            float(theta[RUBS].sum()),
+            math.hypot(math.exp(theta[At.SLOW]), theta[At.OFFSET]),
+        )
+        white, rms = math.exp(theta[At.TORQUE]), math.hypot(rubs, slow)
+        if rms < AUDIBLE * white:
+            return white * log.u_scale, 0.5 * log.seconds
+        turning = log.part(LONGEST).u.size * log.seconds / max(self.reversals, 1)
+        of_slow = SLOW_TIME * log.seconds / log.step
+        time = (rubs**2 * SHORT * turning + slow**2 * of_slow) / rms**2
+        return rms * log.u_scale, max(time, 0.5 * log.seconds)
 
     def trained(self, among: Flags) -> Servo:
         """The servo fitted to some samples (N) alone."""
