@@ -319,6 +319,13 @@ def test_a_noisy_servo_is_no_saturation_and_no_jump(seed: int) -> None:
     assert answer.numbers()["odds"]["play"] > 0.99
 
 
+def test_a_servo_whose_crossings_say_another_gap_is_no_saturation() -> None:
+    """Behind an encoder, with friction: a saturation had odds beyond .99, at a fit of .6."""
+    answer = asked(random_log(30051))
+    assert answer.verdict == "undecided"
+    assert "crossings" in " ".join(answer.numbers()["reasons"])
+
+
 def test_a_servo_with_a_gap_for_certain_is_none_where_another_model_is_likelier() -> None:
     """Noisy readings of a play with a zone behind a lag, for which a motor has a gap as well."""
     log = make(25007, "play and zone")

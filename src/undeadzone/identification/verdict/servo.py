@@ -37,6 +37,7 @@ from undeadzone.identification.verdict.which import EVEN, Element, Found, exclud
 from undeadzone.support.arrays import Floats, later
 
 DENYING = ("none", "friction")  # words by which there is no play
+STATIC = ("saturation", "input_zone")  # words of what has no memory, beside the sensor's own zone
 NAMELESS = ("other", "unclear", "undecided")  # words that name nothing
 EXPLAINED = (*MEMORY, *DENYING, "jump")  # that stand where they explain, but of an integrator
 FEW_RETURNS = 3  # to 0, that say nothing of a sensor's zone
@@ -125,10 +126,12 @@ def may_be_servo(case: Case, found: Found) -> bool:
 
 
 def _is_likely(servo: ServoGap | None, word: str) -> bool:
-    """Whether a play is likely where a word denies or names none; it turns too seldom to say."""
-    if servo is None or word not in (*DENYING, *NAMELESS):
+    """Whether a play that is not given is likely where a word denies or names none."""
+    if servo is None or servo.odds <= LIKELY:
         return False
-    return servo.turns_too_seldom and servo.odds > LIKELY
+    if word in STATIC:
+        return servo.integrates and servo.gap.low > 0
+    return word in (*DENYING, *NAMELESS) and servo.turns_too_seldom
 
 
 def _share(case: Case, found: Found) -> float:
