@@ -265,11 +265,29 @@ def test_a_play_with_a_dead_zone_is_both() -> None:
     assert "play = [" in found.scenario()
 
 
-def test_a_strong_disturbance_withdraws_the_gap() -> None:
+def behind_a_disturbance(strong: float) -> tuple[Floats, Floats]:
+    """u and y of a play of .5 ahead of which a disturbance of that rms of z acts."""
     rng, u, z = driven(22)
-    w = disturbed(rng, 0.4 * float(z.std()))
-    y = through(z + w, (0.3, 0.2), (0.0, 0.0)) + 0.01 * rng.standard_normal(z.size)
+    w = disturbed(rng, strong * float(z.std()))
+    return u, through(z + w, (0.3, 0.2), (0.0, 0.0)) + 0.01 * rng.standard_normal(z.size)
+
+
+def test_a_strong_disturbance_widens_a_servos_gap_or_withdraws_it() -> None:
+    u, y = behind_a_disturbance(0.4)
     found = uz.identify(t=STEP, u=u, y=y, order=2, delay=0)
+    assert found.verdict == "play"
+    assert found.width.low < 0.5 < found.width.high
+    assert 0.05 < found.width.half < 0.15
+    u, y = behind_a_disturbance(0.9)
+    found = uz.identify(t=STEP, u=u, y=y, order=2, delay=0)
+    assert found.verdict == "undecided"
+    assert found.width is None
+    assert any("hide the gap" in reason for reason in found.numbers()["reasons"])
+
+
+def test_a_strong_disturbance_withdraws_the_gap_of_a_play_that_is_no_servos() -> None:
+    u, y = behind_a_disturbance(0.4)
+    found = uz.identify(t=STEP, u=u, y=y, order=2, delay=0, place="sensor")
     assert found.verdict == "play"
     assert found.width is None
     assert found.right is None

@@ -114,6 +114,9 @@ def refitted(logs: Sequence[Heard], one: Servo) -> Floats:
 LONGEST = 20_000  # samples that are fitted
 REVERSALS = 10  # crossings that a gap is read off, at least
 WIDER = 1.25  # than by errors that are independent of what else is fitted
+COLOURED = 0.06  # rms of slow torques in that of the input, from which their colour matters
+ANY_COLOUR = 1.6  # wider where noisy readings are fitted with such torques, whatever their colour
+HIDING = 0.5  # rms of slow torques, in that of the input, from which no gap is given
 FLOOR = 0.05  # quanta, by which a gap is uncertain at least
 DEGREES = 60  # of freedom at most
 DISAGREES = 4.0  # standard errors by which crossings may say another gap
@@ -337,7 +340,13 @@ def _corrected(
     degrees = float(np.clip(spread.reversals - 1, 2, DEGREES))
     apart = max(abs(other - gap) for other in others)
     half = math.hypot(WIDER * quantile(degrees) * error, bias, apart)
+    half *= ANY_COLOUR if not log.ticks and _slow(one) > COLOURED else 1.0
     return Interval.around(max(gap - bias, 0.0), half)
+
+
+def _slow(one: Servo) -> float:
+    """rms of slow torques, in that of the input."""
+    return math.exp(one.structure.of(one.theta)[At.SLOW])
 
 
 def _unbiased(crossings: Crossings, logs: list[Heard], one: Servo) -> Crossings:
@@ -363,6 +372,8 @@ def _doubts(found: ServoGap, spread: _Spread, gaps: Floats) -> list[str]:
             f"the gap lies between {gap.low:.3g} and {gap.high:.3g}, which is hardly known; record"
             " for longer, or with more reversals"
         )
+    if _slow(found.servo) > HIDING:
+        reasons.append("slow torques are as strong as half of the input: they hide the gap")
     fitted = float(found.servo.theta[At.GAP]) * log.y_scale
     margin = TICKS * log.quantum if log.ticks else NOISES * noise_of(log)
     error = math.hypot(spread.error * log.y_scale, crossings.error)

@@ -270,7 +270,9 @@ def element_of(case: Case, servo: ServoGap) -> Element:
     theta[:count] = sampled_plant(servo, one.theta, scale)
     z, readings, side = servo.expected(one)
     of_log, level = servo.log.y_scale / data.y_scale, float(own.y[own.ok][0])
-    z, readings = z * of_log + level, readings * of_log + level
+    centre = centre_of(servo, float(grid.y[grid.ok][0]))
+    rest = 0.0 if centre is None else centre.value / data.y_scale  # z = 0 at u = 0
+    z, readings = z * of_log + level + rest, readings * of_log + level
     left = (own.y - readings)[own.ok]
     return Element(
         kind="play",
@@ -281,7 +283,7 @@ def element_of(case: Case, servo: ServoGap) -> Element:
         z=z,
         readings=readings,
         side=side,
-        widths=_widths(case, servo),
+        widths=_widths(case, servo, centre),
         ahead=None,
         noise=0.0 if servo.log.ticks else noise_of(servo.log) * servo.log.y_scale / data.y_scale,
         degrees=max(servo.reversals - 1, 2),
@@ -290,10 +292,9 @@ def element_of(case: Case, servo: ServoGap) -> Element:
     )
 
 
-def _widths(case: Case, servo: ServoGap) -> dict[str, Interval | None]:
+def _widths(case: Case, servo: ServoGap, centre: Interval | None) -> dict[str, Interval | None]:
     """The play's widths [y]; what an offset of the output leaves of its sides and its centre."""
     width, even = servo.gap, servo.gap.scaled(0.5)
-    centre = centre_of(servo, float(case.grid.y[case.grid.ok][0]))
     if centre is None:
         return {"right": even, "left": even, "width": width, "centre": None}
     offset = math.inf if case.offset is None else case.offset * case.data.y_scale
