@@ -5,17 +5,8 @@ from __future__ import annotations
 from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
-from undeadzone.observers.parts.augmented_state import (
-    counted_prior,
-    default_disturbance,
-    even_units,
-    shown_states,
-)
-from undeadzone.observers.parts.further_constants import zones_of
-from undeadzone.observers.parts.judged_filter import judged
+from undeadzone.observers.parts.augmented_state import default_disturbance, even_units
 from undeadzone.observers.parts.measured_kalman import measured_filter
-from undeadzone.observers.parts.model_bank import levelled
-from undeadzone.observers.parts.motion import heard_by_motion
 from undeadzone.observers.parts.prior import Claims, build_prior, claimed_traits, glitch_share
 from undeadzone.observers.parts.unknown_inputs import (
     OFFSET,
@@ -72,27 +63,24 @@ class Censored(Claims, frozen=True, kw_only=True, tag_field="method", tag="censo
         bias = per_input("bias", self.bias, OFFSET * usual)
         colour = coloured(correlation, washout, Ts)
         units = even_units(model)
-        even = in_units(model, units)
         tolerance = tolerances(model, self.tolerance, units)
         glitches = glitch_share(self.glitches)
         careful = glitches > 0 and (self.x_std is None or self.disturbance is None)
+        even = in_units(model, units)
         augmentation = unknowns(
             even, colour, rms, bias, calibrated, tolerance, careful and self.bias is None
         )
-        lasting = max(1.0, correlation / Ts)
-        member = measured_filter(
-            even,
+        return measured_filter(
+            model,
+            units,
             sensor,
-            counted_prior(prior, units),
+            prior,
             augmentation,
-            lasting,
-            self.silence,
-            glitches=glitches,
+            glitches,
+            claimed_traits(prior, self.x_std),
+            lasting=max(1.0, correlation / Ts),
+            bounds=self.silence,
             claimed=self.disturbance is not None,
             careful=careful,
-            zones=zones_of(model.actuator),
+            levels=self.levels,
         )
-        member = levelled(member, self.levels, self.disturbance is not None)
-        traits = claimed_traits(prior, self.x_std)
-        observer = shown_states(judged(member, even, glitches > 0, traits), units)
-        return heard_by_motion(observer, model, sensor)

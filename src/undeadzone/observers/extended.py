@@ -18,16 +18,9 @@ from undeadzone.catalogue import Options
 from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
-from undeadzone.observers.parts.augmented_state import (
-    counted_prior,
-    default_disturbance,
-    even_units,
-    shown_states,
-)
+from undeadzone.observers.parts.augmented_state import default_disturbance, even_units
 from undeadzone.observers.parts.gaussian_filter import Augmentation, Params
-from undeadzone.observers.parts.judged_filter import judged
 from undeadzone.observers.parts.measured_kalman import measured_filter
-from undeadzone.observers.parts.model_bank import levelled
 from undeadzone.observers.parts.prior import (
     GLITCHES,
     Prior,
@@ -119,30 +112,25 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
         bias = per_input("bias", self.bias, OFFSET * usual * doubts)
         # Joints that are filtered each for itself need [q; q'] as it is.
         units = np.ones(model.n) if self.joints == "separate" else even_units(model)
-        even = in_units(model, units)
-        augmentation = self._augmentation(even, coloured(correlation, None, Ts), rms, bias)
-        bounds = self.silence and not self.blind
-        glitches = glitch_share(self.glitches)
-        member = measured_filter(
-            even,
+        colour = coloured(correlation, None, Ts)
+        default = LEVELS if doubts else 1
+        traits = claimed_traits(prior, self.x_std)
+        return measured_filter(
+            model,
+            units,
             sensor,
-            counted_prior(prior, units),
-            augmentation,
-            max(1.0, correlation / Ts),
-            bounds,
+            prior,
+            self._augmentation(in_units(model, units), colour, rms, bias),
+            glitch_share(self.glitches),
+            traits._replace(adapts=not self.blind, uncertain=tuple(self.uncertain)),
+            lasting=max(1.0, correlation / Ts),
+            bounds=self.silence and not self.blind,
             order=1,
             blind=self.blind,
-            glitches=glitches,
             claimed=self.disturbance is not None,
             careful=self.x_std is None or self.disturbance is None,
+            levels=default if self.levels is None else self.levels,
         )
-        default = LEVELS if doubts else 1
-        levels = default if self.levels is None else self.levels
-        member = levelled(member, levels, self.disturbance is not None)
-        traits = claimed_traits(prior, self.x_std)
-        traits = traits._replace(adapts=not self.blind, uncertain=tuple(self.uncertain))
-        judge = judged(member, even, glitches > 0 and not self.blind, traits)
-        return shown_states(judge, units)
 
     def _prior(self, model: System, sensor: Zone) -> Prior:
         """The prior; of a blind filter, widths of 0. Raises InputError, ShapeError."""

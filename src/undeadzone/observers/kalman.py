@@ -9,17 +9,9 @@ from undeadzone.catalogue import Options
 from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
-from undeadzone.observers.parts.augmented_state import (
-    agitation,
-    counted_prior,
-    even_units,
-    shown_states,
-)
-from undeadzone.observers.parts.further_constants import zones_of
+from undeadzone.observers.parts.augmented_state import agitation, even_units
 from undeadzone.observers.parts.gaussian_filter import white
-from undeadzone.observers.parts.judged_filter import judged
 from undeadzone.observers.parts.measured_kalman import measured_filter
-from undeadzone.observers.parts.motion import heard_by_motion
 from undeadzone.observers.parts.prior import GLITCHES, build_prior, claimed_traits, glitch_share
 from undeadzone.observers.parts.unknown_inputs import per_input
 from undeadzone.plants.system import System, in_units
@@ -67,17 +59,14 @@ class Kalman(Options, frozen=True, kw_only=True, tag="kalman"):
             )
         prior = build_prior(self, model, sensor, centre=self.centre)
         rms = per_input("disturbance", self.disturbance, agitation(model, SWING * prior.largest))
-        glitches = glitch_share(self.glitches)
         units = even_units(model)
-        even = in_units(model, units)
-        member = measured_filter(
-            even,
+        return measured_filter(
+            model,
+            units,
             sensor,
-            counted_prior(prior, units),
-            white(even, rms**2),
-            glitches=glitches,
-            zones=zones_of(model.actuator),
+            prior,
+            white(in_units(model, units), rms**2),
+            glitch_share(self.glitches),
+            claimed_traits(prior, self.x_std),
+            recovers=False,
         )
-        traits = claimed_traits(prior, self.x_std)
-        observer = judged(member, even, glitches > 0, traits, recovers=False)
-        return heard_by_motion(shown_states(observer, units), model, sensor)

@@ -14,11 +14,11 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.ends.sensor import LEFT, RIGHT, Zone, present
-from undeadzone.interfaces import Reading
+from undeadzone.interfaces import Observer, Reading, Traits
 from undeadzone.numerics.gaussian import Gaussian, Weighed, advance, linearise, predict, symmetric
+from undeadzone.observers.parts.augmented_state import counted_prior, shown_states
 from undeadzone.observers.parts.further_constants import (
     SAME,
-    Zones,
     against_friction,
     entering,
     numbers_of,
@@ -27,6 +27,7 @@ from undeadzone.observers.parts.further_constants import (
     with_gaps,
     with_play,
     with_widths,
+    zones_of,
 )
 from undeadzone.observers.parts.gaussian_filter import (
     Augmentation,
@@ -39,7 +40,7 @@ from undeadzone.observers.parts.gaussian_filter import (
     to_estimate,
     with_unknowns,
 )
-from undeadzone.observers.parts.judged_filter import Member, Step, log_density
+from undeadzone.observers.parts.judged_filter import Member, Step, judged, log_density
 from undeadzone.observers.parts.measured_reading import (
     Heard,
     believed_silences,
@@ -53,6 +54,8 @@ from undeadzone.observers.parts.measured_reading import (
     use_bounds,
     use_limits,
 )
+from undeadzone.observers.parts.model_bank import levelled
+from undeadzone.observers.parts.motion import heard_by_motion
 from undeadzone.observers.parts.prior import Prior, doubt_numbers
 from undeadzone.observers.parts.recovery import Patience, patient, reopened, sound
 from undeadzone.observers.parts.scores import stuck
@@ -63,7 +66,8 @@ from undeadzone.observers.parts.smoothing import (
     shown_of,
     slope_at,
 )
-from undeadzone.plants.system import System
+from undeadzone.plants.system import System, in_units
+from undeadzone.support.arrays import Floats
 
 
 class State(NamedTuple):
@@ -90,21 +94,38 @@ class State(NamedTuple):
 
 
 def measured_filter(
-    model: System,
+    plant: System,
+    units: Floats,
     sensor: Zone,
     prior: Prior,
     augmentation: Augmentation,
+    glitches: float,
+    traits: Traits,
     lasting: float = 1.0,
     bounds: bool = False,
     order: Literal[1, 2] = 2,
     blind: bool = False,
-    glitches: float = 0.0,
     claimed: bool = True,
     careful: bool = False,
-    zones: Zones | None = None,
-) -> Member:
-    """The filter; `Setup`, `Params` and `doubt_numbers` explain the arguments."""
-    gaps = numbers_of(sensor, prior)
+    levels: int = 1,
+    recovers: bool = True,
+) -> Observer:
+    """The filter as an observer; `Setup`, `Params` and `doubt_numbers` explain other arguments.
+
+    Args:
+        plant: the sampled model, in the plant's units.
+        units: in which the filter counts states (n).
+        sensor: the dead zone.
+        prior: of the filter, in the plant's units.
+        augmentation: the unknowns beside [x; d], of the model in the filter's units.
+        glitches: probability that a reading is wrong; 0: none is.
+        traits: of the observer.
+        claimed: whether the disturbance is claimed, and no default.
+        levels: how many rms of the disturbance are weighed (`levelled`).
+        recovers: whether its state holds what a lasting misfit may be, so that it can end.
+    """
+    model, prior = in_units(plant, units), counted_prior(prior, units)
+    gaps, zones = numbers_of(sensor, prior), zones_of(model.actuator)
     augmentation = with_gaps(with_friction(augmentation, sensor), gaps)
     augmentation = with_widths(augmentation, zones)
     entries = kept_entries(model, augmentation)
@@ -135,7 +156,10 @@ def measured_filter(
         record=lambda s: (),
         shown=lambda q, beliefs, share, record: shown_of(setup, q, beliefs[0]),
     )
-    return Member(params, init, partial(filter_step, setup), smoothing)
+    member = Member(params, init, partial(filter_step, setup), smoothing)
+    member = levelled(member, levels, claimed)
+    observer = shown_states(judged(member, model, doubts, traits, recovers), units)
+    return heard_by_motion(observer, plant, sensor)
 
 
 class Taken(NamedTuple):
