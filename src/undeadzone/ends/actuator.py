@@ -15,15 +15,9 @@ import casadi as ca
 import msgspec
 import numpy as np
 
-from undeadzone.errors import InputError, ShapeError
-from undeadzone.support.arrays import (
-    LARGEST,
-    Array,
-    Floats,
-    array,
-    nonnegative,
-    shape_text,
-)
+from undeadzone.ends.limits import pairs
+from undeadzone.errors import InputError
+from undeadzone.support.arrays import LARGEST, Array, Floats, array, nonnegative
 
 Pairs = list[float | list[float]]
 
@@ -152,14 +146,16 @@ def resolve_actuator(actuator: Actuator | ActuatorModel, m: int, key: str = "act
     why = f"one per input, the plant has {m}"
     right = nonnegative(f"{key}.right", _known(actuator.right), m, why)
     left = nonnegative(f"{key}.left", _known(actuator.left), m, why)
-    slopes = _pairs(f"{key}.slope", actuator.slope, m, [1.0, 1.0], "[m_r, m_l]")
-    if (slopes <= 0).any():
+    slopes = pairs(f"{key}.slope", actuator.slope, m, [1.0, 1.0], "[m_r, m_l]", "input")
+    if not (slopes > 0).all():
         raise InputError(f"{key}.slope: must be positive, found {slopes.min():g}")
-    low, high = _pairs(f"{key}.limit", actuator.limit, m, [-LARGEST, LARGEST], "[lo, hi]").T
+    ends = pairs(f"{key}.limit", actuator.limit, m, [-LARGEST, LARGEST], "[lo, hi]", "input")
+    low, high = ends.T
     if not ((low < 0) & (high > 0)).all():
         raise InputError(f"{key}.limit: expected lo < 0 < hi, found {actuator.limit}")
-    rates = _pairs(f"{key}.rate", actuator.rate, m, [LARGEST, LARGEST], "[falling, rising]")
-    if (rates <= 0).any():
+    both = [LARGEST, LARGEST]
+    rates = pairs(f"{key}.rate", actuator.rate, m, both, "[falling, rising]", "input")
+    if not (rates > 0).all():
         raise InputError(
             f"{key}.rate: expected two positive rates [falling, rising], found {actuator.rate}"
         )
@@ -188,24 +184,22 @@ def believed(told: ActuatorModel | None, m: int) -> Belief | None:
     """
     if told is None:
         return None
-    widths = [_known(getattr(told, side)) for side in SIDES]
-    ranges = [_range(f"model.actuator.{s}", w, m) for s, w in zip(SIDES, widths, strict=True)]
-    if ranges[0] is None and ranges[1] is None:
-        return Belief(resolve_actuator(told, m, "model.actuator"), None)
-    found = []
-    for side, interval in zip(SIDES, ranges, strict=True):
-        if interval is None:
-            other = SIDES[1 - SIDES.index(side)]
+    key, ranges = "model.actuator", {}
+    for side in SIDES:
+        interval = _range(f"{key}.{side}", _known(getattr(told, side)), m)
+        if interval is not None:
+            ranges[side] = interval
+    if not ranges:
+        return Belief(resolve_actuator(told, m, key), None)
+    for side, other in (SIDES, SIDES[::-1]):
+        if side not in ranges:
             raise InputError(
-                f"model.actuator.{side}: must be a range too where {other} is one; write "
+                f"{key}.{side}: must be a range too where {other} is one; write "
                 f"{side} = [lo, hi], narrow if it is known"
             )
-        found.append(interval)
-    middles = [interval.mean(axis=1).tolist() for interval in found]
-    drive = resolve_actuator(
-        msgspec.structs.replace(told, right=middles[0], left=middles[1]), m, "model.actuator"
-    )
-    return Belief(drive, np.concatenate(found))
+    middles = {side: interval.mean(axis=1).tolist() for side, interval in ranges.items()}
+    drive = resolve_actuator(msgspec.structs.replace(told, **middles), m, key)
+    return Belief(drive, np.concatenate([*ranges.values()]))
 
 
 SIDES = ("right", "left")
@@ -225,17 +219,3 @@ def _range(key: str, value: Any, m: int) -> Floats | None:
     if (ranges[:, 0] < 0).any() or (ranges[:, 0] >= ranges[:, 1]).any():
         raise InputError(f"{key}: a range [lo, hi] must have 0 <= lo < hi, found {value}")
     return ranges
-
-
-def _pairs(key: str, value: Any, m: int, default: list[float], what: str) -> Floats:
-    """One pair of numbers per input (m x 2). Raises InputError, ShapeError."""
-    try:
-        pairs = np.asarray(default if value is None else value, float)
-    except (TypeError, ValueError):
-        raise InputError(f"{key}: expected {what}, found {value!r:.60}") from None
-    if pairs.shape not in ((2,), (m, 2)) or np.isnan(pairs).any():
-        raise ShapeError(
-            f"{key}: expected {what}, or one such pair per input ({m} x 2), found "
-            f"{shape_text(pairs.shape)}"
-        )
-    return np.broadcast_to(pairs, (m, 2)).copy()

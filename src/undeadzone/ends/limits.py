@@ -50,24 +50,40 @@ def checked_range(key: str, value: Any, p: int) -> tuple[Floats, Floats]:
         InputError: unless lo < 0 < hi; -inf and inf are no limits.
         ShapeError: another shape.
     """
-    if value is None:
-        return np.full(p, -np.inf), np.full(p, np.inf)
-    try:
-        pairs = np.asarray(value, float)
-    except (TypeError, ValueError):
-        raise InputError(f"{key}: expected [lo, hi], found {value!r:.60}") from None
-    if pairs.shape not in ((2,), (p, 2)):
-        raise ShapeError(
-            f"{key}: expected [lo, hi], or one such pair per output ({p} x 2), found "
-            f"{shape_text(pairs.shape)}"
-        )
-    low, high = np.broadcast_to(pairs, (p, 2)).T
+    low, high = pairs(key, value, p, [-np.inf, np.inf], "[lo, hi]", "output").T
     if not ((low < 0) & (high > 0)).all():
         raise InputError(
             f"{key}: expected lo < 0 < hi (-inf or inf where there is no limit), found "
-            f"{pairs.tolist()}"
+            f"{np.asarray(value, float).tolist()}"
         )
-    return low.copy(), high.copy()
+    return low, high
+
+
+def pairs(key: str, value: Any, count: int, default: list[float], what: str, each: str) -> Floats:
+    """One pair of numbers per output or input (count x 2), infinite or NaN perhaps.
+
+    Args:
+        key: named in errors.
+        value: a pair, or one for each; None: the default.
+        count: number of outputs or inputs.
+        default: a pair.
+        what: a pair in words.
+        each: output or input.
+
+    Raises:
+        InputError: not numbers.
+        ShapeError: another shape.
+    """
+    try:
+        given = np.asarray(default if value is None else value, float)
+    except (TypeError, ValueError):
+        raise InputError(f"{key}: expected {what}, found {value!r:.60}") from None
+    if given.shape not in ((2,), (count, 2)):
+        raise ShapeError(
+            f"{key}: expected {what}, or one such pair per {each} ({count} x 2), found "
+            f"{shape_text(given.shape)}"
+        )
+    return np.broadcast_to(given, (count, 2)).copy()
 
 
 def limits_of(low: Floats, high: Floats) -> Limits | None:
