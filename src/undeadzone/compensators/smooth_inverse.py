@@ -2,23 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
-
-import casadi as ca
 import numpy as np
 
-from undeadzone.compensators.parts.coasting import (
-    Coasts,
-    beyond,
-    coasted,
-    coasting,
-    inverted,
-    known_drive,
-)
-from undeadzone.ends.actuator import Belief, Drive
-from undeadzone.interfaces import Compensator, Estimate, Reading
+from undeadzone.compensators.parts.coasting import Coasts, inverting, known_drive
+from undeadzone.ends.actuator import Belief
+from undeadzone.interfaces import Compensator
 from undeadzone.plants.system import System
-from undeadzone.support.arrays import Array, Floats, positive
+from undeadzone.support.arrays import Array, positive
 
 SOFT = 0.1  # of the mean width: |v| over which the step is spread, unless it is given
 
@@ -41,20 +31,4 @@ class SmoothZoneInverse(
         usual = SOFT * np.maximum((drive.right + drive.left) / 2, 1e-12)
         given = usual if self.soft is None else self.soft
         soft = positive("compensator.soft", given, model.m, "one per input")
-        numbers, first = coasting(self, model)
-
-        def step(q: Params, s: Any, v: Any, estimate: Estimate, reading: Reading) -> Any:
-            right, left = beyond(q.drive, estimate)
-            part = ca.fmin(ca.fabs(v) / q.soft, 1.0)
-            u = inverted(q.drive, v, part * right, part * left)
-            return coasted(q.coasts, s, u, estimate, reading)
-
-        return Compensator(Params(drive, soft, numbers), lambda q: first, step)
-
-
-class Params(NamedTuple):
-    """Numbers of the compensator: the believed actuator, `soft` (m) [u], those of coasting."""
-
-    drive: Drive
-    soft: Floats
-    coasts: Any
+        return inverting(self, model, drive, soft)

@@ -2,19 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
-
-from undeadzone.compensators.parts.coasting import (
-    Coasts,
-    beyond,
-    coasted,
-    coasting,
-    inverted,
-    known_drive,
-)
-from undeadzone.ends.actuator import Belief, Drive
+from undeadzone.compensators.parts.coasting import Coasts, inverting, known_drive
+from undeadzone.ends.actuator import Belief
 from undeadzone.errors import InputError
-from undeadzone.interfaces import Compensator, Estimate, Reading
+from undeadzone.interfaces import Compensator
 from undeadzone.plants.system import System
 
 
@@ -31,17 +22,4 @@ class ZoneInverse(Coasts, frozen=True, kw_only=True, tag="inverse"):
                 "compensator.method: the jump of 'inverse' slides in continuous time; use "
                 "'smooth_inverse', or sampled time"
             )
-        numbers, first = coasting(self, model)
-
-        def step(q: Params, s: Any, v: Any, estimate: Estimate, reading: Reading) -> Any:
-            u = inverted(q.drive, v, *beyond(q.drive, estimate))
-            return coasted(q.coasts, s, u, estimate, reading)
-
-        return Compensator(Params(known_drive(belief), numbers), lambda q: first, step)
-
-
-class Params(NamedTuple):
-    """Numbers of the compensator: the believed actuator, and those of coasting."""
-
-    drive: Drive
-    coasts: Any
+        return inverting(self, model, known_drive(belief))

@@ -15,9 +15,9 @@ import numpy as np
 from undeadzone.catalogue import Options
 from undeadzone.ends.actuator import Belief, Drive
 from undeadzone.errors import InputError
-from undeadzone.interfaces import Estimate, Reading
+from undeadzone.interfaces import Compensator, Estimate, Reading
 from undeadzone.plants.system import System
-from undeadzone.support.arrays import scalar
+from undeadzone.support.arrays import Floats, scalar
 
 VISIBLE = 0.25  # share of the largest reading of late from which an output is well visible
 FORGET = 0.2  # share of the largest reading that is forgotten from one coast to the next
@@ -142,6 +142,42 @@ def beyond(drive: Drive, estimate: Estimate) -> tuple[Any, Any]:
     if estimate.actuator_right_std.shape[0]:
         return estimate.actuator_right, estimate.actuator_left
     return drive.right, drive.left
+
+
+class Inverse(NamedTuple):
+    """Numbers of an inverse.
+
+    Attributes:
+        drive: the believed actuator.
+        soft: |v| over which its step is spread (m) [u]; None: it jumps.
+        coasts: numbers of coasting.
+    """
+
+    drive: Drive
+    soft: Floats | None
+    coasts: Numbers | None
+
+
+def inverting(
+    options: Coasts, model: System, drive: Drive, soft: Floats | None = None
+) -> Compensator:
+    """The inverse of the believed actuator, which coasts at times.
+
+    Args:
+        options: of coasting.
+        model: the model.
+        drive: the believed actuator.
+        soft: |v| from which the whole width is added (m) [u]; None: 0.
+    """
+    numbers, first = coasting(options, model)
+
+    def step(q: Inverse, s: Any, v: Any, estimate: Estimate, reading: Reading) -> Any:
+        right, left = beyond(q.drive, estimate)
+        part = 1.0 if q.soft is None else ca.fmin(ca.fabs(v) / q.soft, 1.0)
+        u = inverted(q.drive, v, part * right, part * left)
+        return coasted(q.coasts, s, u, estimate, reading)
+
+    return Compensator(Inverse(drive, soft, numbers), lambda q: first, step)
 
 
 def inverted(drive: Drive, v: Any, right: Any, left: Any) -> Any:
