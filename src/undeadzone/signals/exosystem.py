@@ -290,26 +290,19 @@ def trapezoid(corners: Floats, amplitude: Floats) -> Derivatives:
         corners: times of its corners in one period, the first at 0 (6) [s].
         amplitude: amplitude of each channel (channels).
     """
-    levels = np.array([0.0, 1.0, 1.0, -1.0, -1.0, 0.0])
-    slopes = np.diff(levels) / np.where(np.diff(corners) > 0, np.diff(corners), np.inf)
-
-    def derivatives(t: Floats) -> Floats:
-        phase = np.mod(t, corners[-1])
-        piece = np.clip(np.searchsorted(corners, phase, side="right") - 1, 0, 4)
-        value = levels[piece] + slopes[piece] * (phase - corners[piece])
-        return np.stack([value, slopes[piece]], axis=1)[:, :, None] * amplitude
-
-    return derivatives
+    once = lines(corners, np.array([[0.0], [1.0], [1.0], [-1.0], [-1.0], [0.0]]))
+    return lambda t: once(np.mod(t, corners[-1])) * amplitude
 
 
 def lines(t: Floats, values: Floats) -> Derivatives:
     """Straight lines between samples, with one derivative; held at the ends.
 
     Args:
-        t: times of the samples (N) [s].
+        t: times of the samples (N) [s]; where two are the same, the later sample counts.
         values: the samples (N x channels).
     """
-    slopes = np.diff(values, axis=0) / np.diff(t)[:, None]
+    spans = np.diff(t)[:, None]
+    slopes = np.diff(values, axis=0) / np.where(spans > 0, spans, np.inf)
 
     def derivatives(at: Floats) -> Floats:
         inside = np.clip(at, t[0], t[-1])
