@@ -208,8 +208,10 @@ def test_a_jump_sensor_moves_the_edge_that_its_reading_contradicts(
 ) -> None:
     edges: Any = SimpleNamespace(right=1.0, left=0.5)
     found = correct_jump(edges, 0.1, y, side, ca.SX(0.0), ca.SX(0.0))
-    assert [float(one) for one in found[:3]] == pytest.approx([y - 0.1, right, left])
-    assert [bool(ca.DM(one)) for one in found[3:]] == [right != 0, left != 0]
+    moved = [found.e, found.right.drive, found.left.drive]
+    assert [float(one) for one in moved] == pytest.approx([y - 0.1, right, left])
+    adapted = [found.right.adapted, found.left.adapted]
+    assert [bool(ca.DM(one)) for one in adapted] == [right != 0, left != 0]
 
 
 @pytest.mark.parametrize(("edge", "after"), [(0.0, -1.0), (0.1, 0.0)])

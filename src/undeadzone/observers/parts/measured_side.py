@@ -75,20 +75,24 @@ class Setup(NamedTuple):
     law: Law
 
 
+class Driven(NamedTuple):
+    """What a reading says of the widths of one side: their drive, whether they are adapted (p)."""
+
+    drive: Any
+    adapted: Any
+
+
 class Correction(NamedTuple):
     """What a reading says.
 
     Attributes:
         e: innovation (p).
-        drive_right, drive_left: what the widths are driven by (p).
-        adapt_right, adapt_left: whether the widths are adapted (p).
+        right, left: of the widths.
     """
 
     e: Any
-    drive_right: Any
-    drive_left: Any
-    adapt_right: Any
-    adapt_left: Any
+    right: Driven
+    left: Driven
 
 
 def measured_side(
@@ -171,28 +175,16 @@ def measured_side_step(
     if setup.ends:
         correction = bounded(correction, reading.side, setup.kind == "jump")
     soft = law.soften(p.law, ca.if_else(active, y, 0.0))
-    right = Edge(
-        drive=soft * correction.drive_right,
-        adapted=correction.adapt_right,
-        width=s.right,
-        width0=p.right0,
-        gain=s.right_gain,
-        gamma=p.gamma,
-    )
-    left = Edge(
-        drive=soft * correction.drive_left,
-        adapted=correction.adapt_left,
-        width=s.left,
-        width0=p.left0,
-        gain=s.left_gain,
-        gamma=p.gamma,
-    )
-    change_right, right_gain = law.move(p.law, right)
-    change_left, left_gain = law.move(p.law, left)
+
+    def moved(told: Driven, width: Any, width0: Any, gain: Any) -> tuple[Any, Any]:
+        edge = Edge(soft * told.drive, told.adapted, width, width0, gain, p.gamma)
+        change, gain = law.move(p.law, edge)
+        return keep * width + change, gain
+
+    right, right_gain = moved(correction.right, s.right, p.right0, s.right_gain)
+    left, left_gain = moved(correction.left, s.left, p.left0, s.left_gain)
     x = model.pushed(p.model, s.x, u, p.L @ (soft * correction.e))
-    after = State(
-        x, keep * s.right + change_right, keep * s.left + change_left, right_gain, left_gain
-    )
+    after = State(x, right, left, right_gain, left_gain)
     if model.Ts is not None:
         after = into_bounds(law, p, after)
     return after, estimate(s.x, z, s.right, s.left, reading, p.slope, setup.kind, correction.e)
@@ -220,7 +212,7 @@ def correct_jump(s: State, z: Any, y: Any, side: Any, over: Any, under: Any) -> 
     e = ca.if_else(side != 0, y - z, 0.0)
     right = ca.if_else(side > 0, ca.fmin(y - s.right, 0.0), over)
     left = ca.if_else(side < 0, ca.fmin(-y - s.left, 0.0), -under)
-    return Correction(e, right, left, right != 0, left != 0)
+    return Correction(e, Driven(right, right != 0), Driven(left, left != 0))
 
 
 def correct_deadzone(s: State, z: Any, y: Any, side: Any, over: Any, under: Any) -> Correction:
@@ -229,7 +221,7 @@ def correct_deadzone(s: State, z: Any, y: Any, side: Any, over: Any, under: Any)
     adapt_right = ca.logic_or(side > 0, over > 0)
     adapt_left = ca.logic_or(side < 0, under < 0)
     right, left = ca.if_else(adapt_right, -e, 0.0), ca.if_else(adapt_left, e, 0.0)
-    return Correction(e, right, left, adapt_right, adapt_left)
+    return Correction(e, Driven(right, adapt_right), Driven(left, adapt_left))
 
 
 def bounded(correction: Correction, side: Any, jump: bool) -> Correction:
@@ -243,10 +235,8 @@ def bounded(correction: Correction, side: Any, jump: bool) -> Correction:
     below = ca.logic_and(side < -1, correction.e > 0)
     heard = ca.logic_not(ca.logic_or(above, below))
     adapts = ca.logic_and(heard, ca.fabs(side) < 2) if jump else heard
-    return Correction(
-        e=ca.if_else(heard, correction.e, 0.0),
-        drive_right=ca.if_else(adapts, correction.drive_right, 0.0),
-        drive_left=ca.if_else(adapts, correction.drive_left, 0.0),
-        adapt_right=ca.logic_and(adapts, correction.adapt_right),
-        adapt_left=ca.logic_and(adapts, correction.adapt_left),
+    right, left = (
+        Driven(ca.if_else(adapts, told.drive, 0.0), ca.logic_and(adapts, told.adapted))
+        for told in (correction.right, correction.left)
     )
+    return Correction(ca.if_else(heard, correction.e, 0.0), right, left)
