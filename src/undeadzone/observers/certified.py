@@ -13,7 +13,7 @@ from undeadzone.observers.parts.gain import default_adaptation, gains
 from undeadzone.observers.parts.measured_side import measured_side
 from undeadzone.observers.parts.width_laws import Adaptation, Gradient, bounded_widths
 from undeadzone.plants.system import System
-from undeadzone.support.arrays import Array, Floats, vector
+from undeadzone.support.arrays import Array, Floats, nonnegative, vector
 
 
 class Certified(Options, frozen=True, kw_only=True, tag="certified"):
@@ -50,9 +50,7 @@ class Certified(Options, frozen=True, kw_only=True, tag="certified"):
         """The observer for a model, continuous or sampled."""
         p = model.p
         L, gain = self._gains(model)
-        gamma = vector("observer.gamma", gain, p, "one per output")
-        if (gamma < 0).any():
-            raise InputError(f"observer.gamma: must not be negative, found {gamma.min():g}")
+        gamma = nonnegative("observer.gamma", gain, p, "one per output")
         widths, limit = bounded_widths(self.widths0, self.width_max, p)
         start = vector("observer.start", self.start, model.n, "one per state")
         law = self.adaptation.law(model.Ts)
