@@ -33,7 +33,7 @@ from undeadzone.ends.actuator import Belief
 from undeadzone.ends.sensor import Zone, offset
 from undeadzone.interfaces import Estimate, Reading
 from undeadzone.numerics.gaussian import Gaussian, below, density
-from undeadzone.observers.parts.gaussian_filter import Augmentation
+from undeadzone.observers.parts.gaussian_filter import Augmentation, deviations_of_sides
 from undeadzone.observers.parts.prior import Prior
 from undeadzone.plants.system import System
 from undeadzone.support.arrays import Floats
@@ -41,19 +41,21 @@ from undeadzone.support.arrays import Floats
 SAME = 20.0  # steps for which an error of the side keeps its sign, and counts that much more
 
 
-def with_constants(inner: Augmentation, variance: Floats) -> Augmentation:
-    """The motion with further unknowns of mean 0, the last ones, that never change.
+def with_constants(
+    inner: Augmentation, variance: Floats, wear: Callable[[Any], Any] | None = None
+) -> Augmentation:
+    """The motion with further unknowns of mean 0, the last ones, that change by noise alone.
 
     Its u is what enters the plant.
 
     Args:
         inner: the motion without them.
         variance: of each of them at first.
+        wear: wear(numbers of the filter) is the covariance that a step adds; None: none.
     """
+    from scipy.linalg import block_diag
+
     count, known = variance.size, len(inner.cov)
-    cov = np.zeros((known + count, known + count))
-    cov[:known, :known] = inner.cov
-    cov[known:, known:] = np.diag(variance)
 
     def change(q: Any, x: Any, extra: Any, u: Any) -> tuple[Any, Any]:
         moved, changed = inner.change(q, x, extra[:known, :], u)
@@ -61,17 +63,13 @@ def with_constants(inner: Augmentation, variance: Floats) -> Augmentation:
 
     def noise(q: Any, x: Any, u: Any) -> tuple[Any, Any]:
         of_x, of_extra = inner.noise(q, x, u)
-        return of_x, ca.diagcat(of_extra, ca.SX(count, count))
+        return of_x, ca.diagcat(of_extra, ca.SX(count, count) if wear is None else wear(q))
 
-    changes: dict[str, Any] = {}
-    if inner.bilinear is not None:
-        bend = inner.bilinear
-        changes["bilinear"] = lambda q, x, extra, u: bend(q, x, extra[:known, :], u)
-    if inner.disturbance is not None:
-        pushed = inner.disturbance
-        changes["disturbance"] = lambda q, extra: pushed(q, extra[:known, :])
-    constants = inner.constants + count
-    return inner._replace(cov=cov, change=change, noise=noise, constants=constants, **changes)
+    bend = inner.bilinear
+    if bend is not None:
+        inner = inner._replace(bilinear=lambda q, x, extra, u: bend(q, x, extra[:known, :], u))
+    cov = block_diag(inner.cov, np.diag(variance))
+    return inner._replace(cov=cov, change=change, noise=noise, constants=inner.constants + count)
 
 
 class Gaps(NamedTuple):
@@ -112,12 +110,7 @@ def with_gaps(inner: Augmentation, gaps: Gaps | None) -> Augmentation:
     """The motion with the gaps' errors as its last unknowns, if they are not known."""
     if gaps is None or not gaps.std.size:
         return inner
-
-    def noise(q: Any, x: Any, u: Any) -> tuple[Any, Any]:
-        of_x, of_extra = inner.noise(q, x, u)
-        return of_x, ca.diagcat(of_extra, ca.diag(q.gaps.drift))
-
-    return with_constants(inner, gaps.std**2)._replace(noise=noise)
+    return with_constants(inner, gaps.std**2, lambda q: ca.diag(q.gaps.drift))
 
 
 def place(q: Any, size: int) -> slice:
@@ -174,27 +167,14 @@ def with_play(q: Any, estimated: Estimate, shown: Gaussian, reading: Reading) ->
     if q.gaps is None:
         return estimated
     gaps, p = gaps_at(q, shown.mean), estimated.z.shape[0]
-    unknown = q.gaps.std.shape[0]
-    if unknown:
+    if q.gaps.std.shape[0]:
         gaps = ca.fmax(ca.fmin(gaps, q.gaps.ranges[:, 1]), q.gaps.ranges[:, 0])
-        estimated = estimated._replace(**_deviations(q, shown, p))
+        part = place(q, shown.mean.shape[0])
+        right, left, both = deviations_of_sides(shown.cov[part, part])
+        estimated = estimated._replace(gap_right_std=right, gap_left_std=left, gap_std=both)
     contact = ca.if_else(reading.side != 0, reading.motion, 0.0)
     inverse = estimated.z_inverse + offset(contact, gaps[:p], gaps[p:])
     return estimated._replace(z_inverse=inverse, gap_right=gaps[:p], gap_left=gaps[p:])
-
-
-def _deviations(q: Any, shown: Gaussian, p: int) -> dict[str, Any]:
-    """Standard deviations of the gaps and of their sums, as fields of an estimate."""
-    part = place(q, shown.mean.shape[0])
-    cov = shown.cov[part, part]
-    variances, between = ca.diag(cov), ca.diag(cov[:p, p:])
-    of_width = variances[:p] + variances[p:] + 2 * between
-    std = ca.sqrt(ca.fmax(variances, 0.0))
-    return {
-        "gap_right_std": std[:p],
-        "gap_left_std": std[p:],
-        "gap_std": ca.sqrt(ca.fmax(of_width, 0.0)),
-    }
 
 
 class Zones(NamedTuple):

@@ -187,19 +187,29 @@ def to_estimate(
     n, p = model.n, model.p
     known = n + 2 * p
     x, right, left = mean[:n], mean[n : n + p], mean[n + p : known]
-    variance = ca.diag(cov)
-    between = ca.diag(cov[n : n + p, n + p : known])
-    width_variance = variance[n : n + p] + variance[n + p : known] + 2 * between
-    std = ca.sqrt(ca.fmax(variance, 0.0))
+    right_std, left_std, width_std = deviations_of_sides(cov[n:known, n:known])
     z = model.output(q.model, x)
     means = estimate(x, z, right, left, reading, q.slope, sensor.kind, e)
     return means._replace(
-        x_std=std[:n],
-        right_std=std[n : n + p],
-        left_std=std[n + p : known],
-        width_std=ca.sqrt(ca.fmax(width_variance, 0.0)),
+        x_std=ca.sqrt(ca.fmax(ca.diag(cov)[:n], 0.0)),
+        right_std=right_std,
+        left_std=left_std,
+        width_std=width_std,
         innovation_std=e_std,
     )
+
+
+def deviations_of_sides(cov: Any) -> tuple[Any, Any, Any]:
+    """Standard deviations of right ends, of left ones, and of the sums of both (p each).
+
+    Args:
+        cov: covariance of all right ends, then of all left ones (2p x 2p).
+    """
+    p = cov.shape[0] // 2
+    variances, between = ca.diag(cov), ca.diag(cov[:p, p:])
+    std = ca.sqrt(ca.fmax(variances, 0.0))
+    of_sum = variances[:p] + variances[p:] + 2 * between
+    return std[:p], std[p:], ca.sqrt(ca.fmax(of_sum, 0.0))
 
 
 def white(model: System, variance: Floats) -> Augmentation:
