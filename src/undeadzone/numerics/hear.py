@@ -8,12 +8,12 @@ mean and covariance. docs/hear.md has examples, docs/filters.md the mathematics.
 from __future__ import annotations
 
 from math import erf, exp, pi, sqrt
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.support.arrays import Array, Floats
+from undeadzone.support.arrays import Array, Flags, Floats
 
 SILENT = 4.0  # noise, in its rms, that is surely not beyond it
 DOUBT = 1.6448536269514722  # an edge inside of which z is with 95 % anyway is not heard
@@ -55,9 +55,6 @@ class Heard(NamedTuple):
     side: int
     innovation: float = 0.0
     innovation_std: float = 0.0
-
-
-Bools = np.ndarray[Any, np.dtype[np.bool_]]
 
 
 class Gauss(NamedTuple):
@@ -192,8 +189,8 @@ def _corrected(belief: Gauss, h: Floats, e: float, R: float) -> tuple[Gauss, flo
 
 
 def _within(
-    belief: Gauss, z: Floats, edges: list[Edge], slack: float, R: float, asked: Bools
-) -> tuple[Gauss, Bools]:
+    belief: Gauss, z: Floats, edges: list[Edge], slack: float, R: float, asked: Flags
+) -> tuple[Gauss, Flags]:
     """The belief given that z is inside of both edges, and which of them were heard.
 
     Nothing is beyond both, so that the chance of that is Phi(a) + Phi(b) - 1, with a and b how far

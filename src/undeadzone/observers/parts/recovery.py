@@ -13,12 +13,11 @@ import numpy as np
 from undeadzone.numerics.gaussian import Gaussian, triangle
 from undeadzone.observers.parts.gaussian_filter import Params
 from undeadzone.plants.system import System
+from undeadzone.support.arrays import Flags
 
 TOO_MANY = 0.75  # share of refused readings of late from which the belief is wrong, not they
 RECENT = 0.1  # what is left of `Patience.opened` while it counts
 LIMIT = 1e100  # of all numbers of a belief: beyond it, it is lost
-
-Mask = np.ndarray[Any, np.dtype[np.bool_]]
 
 
 class Patience(NamedTuple):
@@ -68,10 +67,8 @@ def reopened(
     mean = forget * patience.share + (1 - forget) * refused
     share = ca.if_else(ca.logic_or(used, refused), mean, patience.share)
     opens = ca.mmax(share) > TOO_MANY
-    every, moving = (
-        ca.DM(1.0 * variances(entries)),
-        ca.DM(1.0 * moving_ones(model, constants, entries)),
-    )
+    every = ca.DM(1.0 * variances(entries))
+    moving = ca.DM(1.0 * moving_ones(model, constants, entries))
     gained = ca.if_else(patience.opened > RECENT, every, moving) * q.cov
     after = Patience(
         share=ca.if_else(opens, 0.0, share),
@@ -80,13 +77,13 @@ def reopened(
     return cov + ca.if_else(opens, gained, 0.0), after
 
 
-def variances(entries: ca.Sparsity) -> Mask:
+def variances(entries: ca.Sparsity) -> Flags:
     """Which entries that are kept are variances."""
     rows, columns = entries.get_triplet()
     return np.array(rows) == np.array(columns)
 
 
-def moving_ones(model: System, constants: int, entries: ca.Sparsity) -> Mask:
+def moving_ones(model: System, constants: int, entries: ca.Sparsity) -> Flags:
     """Which entries that are kept are variances of a state, a disturbance or a bias."""
     n, known = model.n, model.n + 2 * model.p
     rows = np.array(entries.get_triplet()[0])
