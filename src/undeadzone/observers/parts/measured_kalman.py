@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from itertools import product
 from typing import Any, Literal, NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from undeadzone.ends.sensor import LEFT, RIGHT, Zone, present
-from undeadzone.interfaces import Observer, Reading, Traits
+from undeadzone.interfaces import Estimate, Observer, Reading, Traits
 from undeadzone.numerics.gaussian import Gaussian, Weighed, advance, linearise, predict, symmetric
 from undeadzone.observers.parts.augmented_state import counted_prior, shown_states
 from undeadzone.observers.parts.further_constants import (
@@ -44,6 +45,7 @@ from undeadzone.observers.parts.judged_filter import Member, Step, judged, log_d
 from undeadzone.observers.parts.measured_reading import (
     Heard,
     believed_silences,
+    beyond_edge,
     correct,
     distrusted,
     ends,
@@ -59,13 +61,7 @@ from undeadzone.observers.parts.motion import heard_by_motion
 from undeadzone.observers.parts.prior import Prior, doubt_numbers
 from undeadzone.observers.parts.recovery import Patience, patient, reopened, sound
 from undeadzone.observers.parts.scores import stuck
-from undeadzone.observers.parts.smoothing import (
-    Moments,
-    Smoothing,
-    rows_at,
-    shown_of,
-    slope_at,
-)
+from undeadzone.observers.parts.smoothing import Moments, Smoothing
 from undeadzone.plants.system import System, in_units
 from undeadzone.support.arrays import Floats
 
@@ -202,6 +198,35 @@ def moments(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> tupl
     return (known,)
 
 
+def rows_at(setup: Setup, q: Params, at: Any, side: Any) -> tuple[Any, Any]:
+    """The rows of the readings on these sides (p x N), and of all edges (2p x N)."""
+    p = setup.model.p
+    read = list(enumerate([0.0] * p if setup.jump else ca.vertsplit(side)))
+    edges = [(i, edge) for edge, i in product((RIGHT, LEFT), range(p))]
+
+    def rows(branches: list[tuple[int, Any]]) -> Any:
+        each = (partial(beyond_edge, setup, q, i, branch) for i, branch in branches)
+        return ca.vertcat(*(linearise(beyond, at)[1] for beyond in each))
+
+    return rows(read), rows(edges)
+
+
+def slope_at(setup: Setup, q: Params, belief: Gaussian, u: Any) -> Any:
+    """The slope of the motion that the prediction takes (N x N)."""
+    if setup.order == 1 and setup.augmentation.slope is not None:
+        return setup.augmentation.slope(q)
+    drive, _ = entering(q.zones, belief, u)
+    change, _ = motion(setup.model, q, setup.augmentation, belief, drive)
+    return linearise(change, belief.mean)[1]
+
+
+def shown_of(setup: Setup, q: Params, belief: Gaussian) -> Estimate:
+    """The estimate that shows a belief; it has no innovations."""
+    shown, _ = shown_belief(setup, q, belief)
+    none = ca.SX(setup.model.p, 1)
+    return to_estimate(setup.model, setup.sensor, q, shown, Reading(none, none), none, none)
+
+
 def foretold(setup: Setup, corrected: Weighed, heard: Heard) -> Any:
     """The log of the density with which the filter foretold a sample, up to a constant."""
     if setup.doubts:
@@ -319,15 +344,9 @@ def reconsidered(setup: Setup, q: Params, s: State, side: Any, trust: Any) -> St
         side: the sides on which readings were used (p).
         trust: probability that a reading was not wrong (p).
     """
+    constants, entries = setup.augmentation.constants, setup.entries
     cov, patience = reopened(
-        q,
-        setup.model,
-        setup.augmentation.constants,
-        setup.entries,
-        s.cov,
-        s.patience,
-        side != 0,
-        trust,
+        q, setup.model, constants, entries, s.cov, s.patience, side != 0, trust
     )
     return s._replace(cov=cov, last=ca.if_else(trust < 0.5, 0.0, s.last), patience=patience)
 
