@@ -84,7 +84,12 @@ class LinearController(Options, frozen=True, tag="linear"):
         if self.D is not None:
             D = matrix("controller.D", self.D, m, p, "inputs x outputs")
         if self.A is None and self.B is None and self.C is None:
-            return self._static(D, p)
+            if self.D is None:
+                raise InputError(
+                    "controller: 'linear' needs A, B, C and D, or numerator and denominator, or D "
+                    "alone"
+                )
+            return _static(D)
         absent = [name for name in "ABC" if getattr(self, name) is None]
         if absent:
             raise InputError(f"controller.{absent[0]}: 'linear' needs A, B and C together")
@@ -94,14 +99,6 @@ class LinearController(Options, frozen=True, tag="linear"):
         B = matrix("controller.B", self.B, k, p, "controller's states x outputs")
         C = matrix("controller.C", self.C, m, k, "inputs x controller's states")
         return Params(A, B, C, D)
-
-    def _static(self, D: Floats, p: int) -> Params:
-        """A gain alone. Raises InputError where not even that is there."""
-        if self.D is None:
-            raise InputError(
-                "controller: 'linear' needs A, B, C and D, or numerator and denominator, or D alone"
-            )
-        return Params(np.zeros((0, 0)), np.zeros((0, p)), np.zeros((D.shape[0], 0)), D)
 
     def _realised(self) -> Params:
         """A realisation of the transfer function. Raises InputError."""
@@ -123,12 +120,8 @@ class LinearController(Options, frozen=True, tag="linear"):
         if numerator.size == 0:
             numerator = np.zeros(1)
         if denominator.size == 1:
-            return self._static_gain(float(numerator[0] / denominator[0]))
+            return _static(np.array([[numerator[0] / denominator[0]]]))
         return Params(*(np.asarray(part, float) for part in tf2ss(numerator, denominator)))
-
-    def _static_gain(self, gain: float) -> Params:
-        """A transfer function of order 0."""
-        return Params(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.array([[gain]]))
 
     def _in_time_of(self, model: System, numbers: Params) -> Params:
         """The numbers in the time of the model. Raises InputError, ShapeError."""
@@ -172,6 +165,12 @@ class State(NamedTuple):
     """The controller's state (k)."""
 
     x: Any
+
+
+def _static(D: Floats) -> Params:
+    """A gain alone (m x p)."""
+    m, p = D.shape
+    return Params(np.zeros((0, 0)), np.zeros((0, p)), np.zeros((m, 0)), D)
 
 
 def _unpack(options: LinearController, system: Any) -> None:
