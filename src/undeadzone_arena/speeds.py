@@ -36,7 +36,7 @@ def injection(
     if len(chosen) > 1:
         raise InputError(f"observer: give one of L, poles, speed; found {' and '.join(chosen)}")
     if L is not None:
-        return gains(L, model) * (1.0 if model.Ts is None else model.Ts)
+        return gains(L, model) * model.per_step
     if poles is not None:
         return observer_gain(model.linear, poles, model.Ts)
     return fast_gain(model.linear, in_poles(model, "observer.speed", speed, default), model.Ts)

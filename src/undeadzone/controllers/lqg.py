@@ -43,7 +43,6 @@ class LQG(Options, frozen=True, kw_only=True, tag="lqg"):
             K = riccati(model.linear, Q, R, model.Ts).K
             return Controller(Gain(K), lambda p: None, _feedback, K=K)
         params = self._servo(model, Q, R)
-        keep = 0.0 if model.Ts is None else 1.0
 
         def init(p: Params) -> State:
             return State(np.zeros(model.p))
@@ -51,7 +50,7 @@ class LQG(Options, frozen=True, kw_only=True, tag="lqg"):
         def step(p: Params, s: State, estimate: Estimate, target: Target) -> tuple[State, Any]:
             error = tracked_output("lqg", estimate, target) - target.r
             _, u = _feedback(p, None, estimate, target)
-            return State(keep * s.integral + p.grown * error), u - p.K_i @ s.integral
+            return State(model.keep * s.integral + p.grown * error), u - p.K_i @ s.integral
 
         return Controller(params, init, step, K=params.K)
 
@@ -66,10 +65,9 @@ class LQG(Options, frozen=True, kw_only=True, tag="lqg"):
         assert self.integral is not None
         of_integrals = weight("controller.integral", self.integral, p, "outputs x outputs")
         A, B, C = model.linear
-        grown = 1.0 if model.Ts is None else model.Ts
-        keep = np.zeros((p, p)) if model.Ts is None else np.eye(p)
+        grown = model.per_step
         both = Matrices(
-            np.block([[A, np.zeros((n, p))], [grown * C, keep]]),
+            np.block([[A, np.zeros((n, p))], [grown * C, model.keep * np.eye(p)]]),
             np.vstack([B, np.zeros((p, model.m))]),
             np.hstack([C, np.zeros((p, p))]),
         )

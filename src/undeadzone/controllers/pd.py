@@ -49,7 +49,6 @@ class PD(Options, frozen=True, kw_only=True, tag="pd"):
         tau = scalar("controller.filter_time", self.filter_time, above=0.0)
         k_p, k_d = self._gains(model)
         rate = 1.0 / tau if model.Ts is None else -np.expm1(-model.Ts / tau)
-        keep = 0.0 if model.Ts is None else 1.0
 
         def init(p: Params) -> State:
             return State(np.zeros(model.p))
@@ -57,7 +56,7 @@ class PD(Options, frozen=True, kw_only=True, tag="pd"):
         def step(p: Params, s: State, estimate: Estimate, target: Target) -> tuple[State, Any]:
             lag = estimate.innovation - s.filtered
             u = -p.k_p * estimate.innovation - p.k_d * lag / p.tau + target.r
-            return State(keep * s.filtered + p.rate * lag), u
+            return State(model.keep * s.filtered + p.rate * lag), u
 
         params = Params(k_p, k_d, np.float64(tau), np.float64(rate))
         return Controller(params, init, step, rate=1.0 / tau)

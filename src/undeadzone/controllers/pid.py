@@ -47,7 +47,6 @@ class PID(Options, frozen=True, kw_only=True, tag="pid"):
         require_square("pid", model)
         params = self._params(model)
         limited = self.limits is not None
-        keep = 0.0 if model.Ts is None else 1.0
 
         def init(p: Params) -> State:
             return State(np.zeros(model.p), np.zeros(model.p))
@@ -62,8 +61,8 @@ class PID(Options, frozen=True, kw_only=True, tag="pid"):
             if limited:
                 u = ca.fmax(ca.fmin(wanted, p.high), p.low)
             growth = p.k_i * (target.r - z) + p.unwind * (u - wanted)
-            filtered = keep * s.filtered + p.rate * lag
-            return State(filtered, keep * s.integral + growth), u
+            filtered = model.keep * s.filtered + p.rate * lag
+            return State(filtered, model.keep * s.integral + growth), u
 
         fastest = float(1.0 / params.tau.min()) if params.k_d.any() else None
         return Controller(params, init, step, rate=fastest)

@@ -50,7 +50,7 @@ class Luenberger(Options, frozen=True, kw_only=True, tag="luenberger"):
         if self.poles is not None and self.L is None:
             return observer_gain(model.linear, self.poles, model.Ts)
         if self.L is not None and self.poles is None:
-            return gains(self.L, model) * (1.0 if model.Ts is None else model.Ts)
+            return gains(self.L, model) * model.per_step
         raise InputError("observer: luenberger needs exactly one of L, poles")
 
 

@@ -84,6 +84,16 @@ class System(NamedTuple):
         return self.linear if self.flow is None else self.flow
 
     @property
+    def per_step(self) -> float:
+        """What makes of a rate what a method returns: the sample time [s]; 1 in continuous time."""
+        return 1.0 if self.Ts is None else self.Ts
+
+    @property
+    def keep(self) -> float:
+        """1 where a method returns the next value of its state, 0 where it returns its rate."""
+        return 0.0 if self.Ts is None else 1.0
+
+    @property
     def n(self) -> int:
         """Number of states."""
         return self.linear.A.shape[0]

@@ -122,8 +122,7 @@ def approximating(
     def init(p: Params) -> State:
         return State(np.zeros(r), np.zeros(basis.size))
 
-    keep = 0.0 if model.Ts is None else 1.0
-    return Controller(params, init, partial(learned_step, basis, keep))
+    return Controller(params, init, partial(learned_step, basis, model.keep))
 
 
 def relative_degree(linear: Matrices) -> int:

@@ -55,7 +55,7 @@ class RobustAdaptive(Options, frozen=True, kw_only=True, tag="robust_adaptive"):
         layer = 1 / rate if self.layer is None else self.layer
         learning = rate**2 / 5 if self.learning is None else self.learning
         most = 1e50 if self.most is None else self.most
-        per_step = 1.0 if Ts is None else Ts
+        per_step = model.per_step
         width = positive("controller.layer", layer, m, "one per input") / per_step
         bound = positive("controller.most", most, m, "one per input")
         params = Params(
@@ -69,7 +69,6 @@ class RobustAdaptive(Options, frozen=True, kw_only=True, tag="robust_adaptive"):
             ),
             most=bound if Ts is None else np.minimum(bound, STEADY * width),
         )
-        held = 0.0 if Ts is None else 1.0
 
         def init(p: Params) -> State:
             return State(np.zeros(m), np.ones(m))
@@ -82,9 +81,9 @@ class RobustAdaptive(Options, frozen=True, kw_only=True, tag="robust_adaptive"):
             outside = distance - p.layer * pull
             forced = target.u_ff - p.G @ apart
             u = s.slope * forced + p.keep * distance - s.bound * pull
-            bound = held * s.bound + p.learning * ca.fabs(outside)
-            slope = held * s.slope - p.slope * forced * outside
-            return State(ca.fmin(bound, p.most) if held else bound, slope), u
+            bound = model.keep * s.bound + p.learning * ca.fabs(outside)
+            slope = model.keep * s.slope - p.slope * forced * outside
+            return State(ca.fmin(bound, p.most) if model.keep else bound, slope), u
 
         return Controller(params, init, step)
 

@@ -55,7 +55,6 @@ class SlidingMode(Options, frozen=True, kw_only=True, tag="sliding_mode"):
                 f"{(gain / boundary).max():.4g} 1/s inside the layer must be below 1 / step; "
                 "use a wider controller.boundary or a shorter step"
             )
-        per_step = 1.0 if Ts is None else Ts
         keep = -rate if Ts is None else np.exp(-rate * Ts)
         params = Params(model.params, surface(model, poles), np.float64(keep), gain, boundary)
 
@@ -63,7 +62,7 @@ class SlidingMode(Options, frozen=True, kw_only=True, tag="sliding_mode"):
             moved = model.move(p.model, estimate.x, target.u_ff)
             apart = moved - model.move(p.model, target.x_ref, target.u_ff)
             distance = p.G @ (estimate.x - target.x_ref)
-            pull = p.gain * ca.fmax(ca.fmin(per_step * distance / p.boundary, 1.0), -1.0)
+            pull = p.gain * ca.fmax(ca.fmin(model.per_step * distance / p.boundary, 1.0), -1.0)
             return s, target.u_ff - p.G @ apart + p.keep * distance - pull
 
         return Controller(params, lambda p: None, step)

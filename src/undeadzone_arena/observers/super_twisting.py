@@ -71,8 +71,7 @@ class SuperTwisting(Options, frozen=True, kw_only=True, tag="super_twisting"):
         for r, size in zip(orders, bound, strict=True):
             scales.append(differentiator_gains(r) * size ** (np.arange(1, r + 1) / r))
         order = np.concatenate(chains.rows)
-        per_step = 1.0 if model.Ts is None else model.Ts
-        law = Law(np.linalg.inv(chains.O)[:, order] * per_step, np.concatenate(scales))
+        law = Law(np.linalg.inv(chains.O)[:, order] * model.per_step, np.concatenate(scales))
         return output_error(model, sensor, L, widths, law, partial(fractional_powers, orders))
 
     def _linear_gain(self, model: System) -> Floats:

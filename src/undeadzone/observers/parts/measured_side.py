@@ -120,12 +120,11 @@ def measured_side(
         law: the adaptation law.
     """
     setup = Setup(model, sensor.kind, sensor.limits is not None, silence, law)
-    per_step = 1.0 if model.Ts is None else model.Ts
     is_play = sensor.kind == "play"
     params = Params(
         model=model.params,
-        L=L * per_step,
-        gamma=gamma * per_step,
+        L=L * model.per_step,
+        gamma=gamma * model.per_step,
         x0=start,
         right0=widths[:, 0],
         left0=widths[:, 1],
@@ -165,7 +164,6 @@ def measured_side_step(
 ) -> tuple[State, Estimate]:
     """The state's derivative, or its next value when sampled, and the estimate."""
     model, law = setup.model, setup.law
-    keep = 0.0 if model.Ts is None else 1.0
     z = model.output(p.model, s.x)
     y = reading.y / p.slope
     active = reading.side != 0
@@ -179,7 +177,7 @@ def measured_side_step(
     def moved(told: Driven, width: Any, width0: Any, gain: Any) -> tuple[Any, Any]:
         edge = Edge(soft * told.drive, told.adapted, width, width0, gain, p.gamma)
         change, gain = law.move(p.law, edge)
-        return keep * width + change, gain
+        return model.keep * width + change, gain
 
     right, right_gain = moved(correction.right, s.right, p.right0, s.right_gain)
     left, left_gain = moved(correction.left, s.left, p.left0, s.left_gain)

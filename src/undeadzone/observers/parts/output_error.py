@@ -118,13 +118,10 @@ def output_error(
         inject: inject(law, e) is added to x^', per step when the model is sampled.
         where: where(law, state, C x^, reading) is how much each side is adapted (p each, 0 to 1).
     """
-    sampled = model.Ts is not None
-    per_step = 1.0 if model.Ts is None else model.Ts
-    keep = 1.0 if sampled else 0.0
     params = Params(
         model=model.params,
         L=L,
-        gamma=widths.gamma * per_step,
+        gamma=widths.gamma * model.per_step,
         law=law,
         right0=widths.start[:, 0],
         left0=widths.start[:, 1],
@@ -141,10 +138,10 @@ def output_error(
         right, left = where(p.law, s, z, reading)
         after = State(
             model.pushed(p.model, s.x, u, p.L @ e + inject(p.law, e)),
-            keep * s.right - p.gamma * e * right,
-            keep * s.left + p.gamma * e * left,
+            model.keep * s.right - p.gamma * e * right,
+            model.keep * s.left + p.gamma * e * left,
         )
-        if sampled:
+        if model.Ts is not None:
             after = project(p, after)
         return after, estimate(s.x, z, s.right, s.left, reading, p.slope, sensor.kind, e)
 

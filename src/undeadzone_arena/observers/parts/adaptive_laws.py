@@ -47,7 +47,7 @@ def gradient(model: System, gain: float, leak: float, size: int) -> Law:
         InputError: for a leak below 0.
     """
     leak = scalar("observer.leak", leak, least=0.0)
-    per_step = 1.0 if model.Ts is None else model.Ts
+    per_step = model.per_step
 
     def move(numbers: Any, W: Any, spread: Any, zeta: Any, e: Any, used: Any) -> tuple[Any, Any]:
         backward = 1.0 if model.Ts is None else 1.0 + numbers[0]
@@ -75,7 +75,7 @@ def least_squares(model: System, gain: float, forgetting: float, size: int) -> L
     """
     forgetting = scalar("observer.forgetting", forgetting, least=0.0)
     count = size * model.p
-    per_step = 1.0 if model.Ts is None else model.Ts
+    per_step = model.per_step
     if model.Ts is not None and forgetting * per_step >= 1:
         raise StepError(
             f"simulation.step: {per_step:g} s is too coarse for observer.forgetting: "

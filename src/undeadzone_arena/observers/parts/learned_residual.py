@@ -170,7 +170,6 @@ def learning_step(
     """The state's derivative, or its next value when sampled, and the estimate."""
     model, reading = setup.model, exact(reading, setup.ends)
     sampled = model.Ts is not None
-    keep = 1.0 if sampled else 0.0
     z, H = linearise(lambda x: model.output(q.model, x), s.x)
     seen = present(reading.y)
     y = ca.if_else(seen, reading.y / q.slope, 0.0)
@@ -187,7 +186,7 @@ def learning_step(
     added, spread = setup.law.move(q.law, s.W, s.spread, gate @ zeta, e, used)
     if setup.filtered:
         moved += (sensitivity if sampled else s.sensitivity) @ added
-    after = State(moved, keep * s.W + added, sensitivity, keep * s.spread + spread)
+    after = State(moved, model.keep * s.W + added, sensitivity, model.keep * s.spread + spread)
     if sampled:
         after = into_bounds(setup, q, after)
     right, left = learned_width(setup, q, s.W, 1.0), learned_width(setup, q, s.W, -1.0)
