@@ -433,6 +433,6 @@ def _shaped(name: str, value: Floats, *shape: int) -> Floats:
     """An array of a given shape. Raises ShapeError for another one."""
     numbers = np.asarray(value, float)
     if numbers.shape != shape:
-        present = shape_text(numbers.shape) or "one number"
+        present = shape_text(numbers.shape)
         raise ShapeError(f"{name}: expected {shape_text(shape)}, found {present}")
     return numbers

@@ -9,7 +9,7 @@ import numpy as np
 
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.plants.system import System
-from undeadzone.support.arrays import Array, Floats, array
+from undeadzone.support.arrays import Array, Floats, array, shape_text
 
 
 class Region(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -73,7 +73,7 @@ def _ranges(key: str, value: Array, size: int, why: str) -> Floats:
     if ranges.shape == (2,) and size == 1:
         ranges = ranges[None]
     if ranges.shape != (size, 2):
-        shape = " x ".join(map(str, ranges.shape)) or "one number"
+        shape = shape_text(ranges.shape)
         raise ShapeError(f"{key}: expected {size} x 2 numbers ({why}), found {shape}")
     wrong = np.flatnonzero(ranges[:, 0] >= ranges[:, 1])
     if wrong.size:

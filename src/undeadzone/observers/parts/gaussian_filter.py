@@ -90,11 +90,11 @@ class Params(NamedTuple):
     cov: Floats
     ranges: Floats
     rate: Floats
-    lasting: Any = 1.0
+    lasting: Any = np.float64(1.0)
     doubt: Any = None
     ends: Any = None
     zones: Any = None
-    rest: Any = 1.0
+    rest: Any = np.float64(1.0)
     gaps: Any = None
 
 
@@ -118,8 +118,6 @@ def filter_numbers(model: System, sensor: Zone, prior: Prior, augmentation: Augm
         cov=cov[rows, columns],
         ranges=prior.ranges,
         rate=np.linalg.inv(held(model)),
-        lasting=np.asarray(1.0),
-        rest=np.asarray(1.0),
     )
 
 

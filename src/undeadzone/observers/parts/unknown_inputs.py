@@ -366,9 +366,8 @@ def _entry_names(n: int, m: int) -> dict[str, tuple[int, int]]:
     """The place in [A, B] of each entry, by name: "A[0,1]", "B[1,0]"."""
     places = {}
     for name, columns, first in (("A", n, 0), ("B", m, n)):
-        for i in range(n):
-            for j in range(columns):
-                places[f"{name}[{i},{j}]"] = (i, first + j)
+        for i, j in np.ndindex(n, columns):
+            places[f"{name}[{i},{j}]"] = (i, first + j)
     return places
 
 
