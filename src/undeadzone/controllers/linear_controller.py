@@ -12,6 +12,7 @@ from undeadzone.controllers.parts.tracked_error import require_square, tracked_o
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
+from undeadzone.plants.interop import in_state_space
 from undeadzone.plants.system import System
 from undeadzone.support.arrays import Array, Floats, array, matrix, scalar
 
@@ -175,9 +176,7 @@ def _static(D: Floats) -> Params:
 
 def _unpack(options: LinearController, system: Any) -> None:
     """Put a system's numbers in the place of the system. Raises InputError."""
-    space = system.to_ss() if hasattr(system, "to_ss") else system
-    if not hasattr(space, "A"):
-        space = _state_space(space)
+    space = in_state_space(system, "controller", "LinearController")
     for name in "ABCD":
         numbers = np.atleast_2d(np.asarray(getattr(space, name), float))
         msgspec.structs.force_setattr(options, name, numbers if numbers.size else None)
@@ -186,13 +185,6 @@ def _unpack(options: LinearController, system: Any) -> None:
         raise InputError("controller: the system is in discrete time without a sample time; set it")
     if dt:
         msgspec.structs.force_setattr(options, "Ts", float(dt))
-
-
-def _state_space(system: Any) -> Any:
-    """The state space of a transfer function of python-control."""
-    import control
-
-    return control.ss(system)
 
 
 def _tustin(numbers: Params, Ts: float) -> Params:

@@ -30,7 +30,7 @@ def from_statespace(system: Any, x0: Any = None) -> Plant:
             f"plant: expected a continuous-time system, found sample time {system.dt}; give the "
             "continuous one, simulation.step samples it"
         )
-    system = _in_state_space(system)
+    system = in_state_space(system, "plant", "Plant")
     if np.any(np.asarray(system.D)):
         raise InputError(
             "plant: D must be 0, an output deadzone with direct feedthrough is not supported"
@@ -38,8 +38,17 @@ def from_statespace(system: Any, x0: Any = None) -> Plant:
     return Plant(A=np.asarray(system.A), B=np.asarray(system.B), C=np.asarray(system.C), x0=x0)
 
 
-def _in_state_space(system: Any) -> Any:
-    """A linear system as state space. Raises InputError."""
+def in_state_space(system: Any, key: str, options: str) -> Any:
+    """A linear system of scipy or python-control as state space.
+
+    Args:
+        system: state space or transfer function.
+        key: of the table that it is for, for messages.
+        options: that take its matrices, for messages.
+
+    Raises:
+        InputError: no such system.
+    """
     if all(hasattr(system, name) for name in "ABCD"):
         return system
     try:
@@ -50,10 +59,10 @@ def _in_state_space(system: Any) -> Any:
 
             return control.ss(system)
     except (ValueError, TypeError, NotImplementedError, ImportError) as error:
-        raise InputError(f"plant: this transfer function has no state space: {error}") from None
+        raise InputError(f"{key}: this transfer function has no state space: {error}") from None
     raise InputError(
-        "plant: expected a state space or a transfer function of scipy or python-control, found "
-        f"{type(system).__name__}; matrices go to uz.Plant(A=..., B=..., C=...)"
+        f"{key}: expected a state space or a transfer function of scipy or python-control, found "
+        f"{type(system).__name__}; matrices go to uz.{options}(A=..., B=..., C=...)"
     )
 
 
