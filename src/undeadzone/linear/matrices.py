@@ -25,6 +25,11 @@ class Matrices(NamedTuple):
     B: Floats
     C: Floats
 
+    @property
+    def dual(self) -> Matrices:
+        """(A', C', B'), whose state feedbacks are the observers' gains, transposed."""
+        return Matrices(self.A.T, self.C.T, self.B.T)
+
 
 def companion(a: Any, b: Any = (1.0,)) -> Matrices:
     """Companion form (15): A with last row -a, B = e_n, C = [b_0, b_1, ...].

@@ -120,7 +120,13 @@ def state_gain(
         InputError, ShapeError: poles that are none of a stable system.
         StructureError: the poles cannot be placed.
     """
-    return place(linear.A, linear.B, _stable_poles(key, poles, linear.A.shape[0], Ts), key)
+    continuous = parse_poles(key, poles, linear.A.shape[0])
+    if (continuous.real >= 0).any():
+        raise InputError(
+            f"{key}: every pole must have a negative real part, found {listed(continuous)}"
+        )
+    wanted = continuous if Ts is None else np.exp(continuous * Ts)
+    return place(linear.A, linear.B, wanted, key)
 
 
 def observer_gain(linear: Matrices, poles: Array, Ts: float | None) -> Floats:
@@ -138,15 +144,4 @@ def observer_gain(linear: Matrices, poles: Array, Ts: float | None) -> Floats:
         InputError, ShapeError: poles that are none of a stable system.
         StructureError: the poles cannot be placed.
     """
-    key = "observer.poles"
-    return place(linear.A.T, linear.C.T, _stable_poles(key, poles, linear.A.shape[0], Ts), key).T
-
-
-def _stable_poles(key: str, poles: Array, n: int, Ts: float | None) -> np.ndarray:
-    """Stable continuous-time poles as those of the model, sampled perhaps."""
-    continuous = parse_poles(key, poles, n)
-    if (continuous.real >= 0).any():
-        raise InputError(
-            f"{key}: every pole must have a negative real part, found {listed(continuous)}"
-        )
-    return continuous if Ts is None else np.exp(continuous * Ts)
+    return state_gain(linear.dual, poles, Ts, "observer.poles").T

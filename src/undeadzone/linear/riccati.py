@@ -290,9 +290,8 @@ def fast_feedback(linear: Matrices, speed: float, Ts: float | None) -> Floats:
     Raises:
         StructureError: where the inputs hardly move some state.
     """
-    dual = Matrices(linear.A.T, linear.C.T, linear.B.T)
     try:
-        return fast_gain(dual, speed, Ts).T
+        return fast_gain(linear.dual, speed, Ts).T
     except StructureError:
         raise StructureError(
             f"controller.speed: {speed:.4g} 1/s cannot be reached, the inputs hardly move some "
