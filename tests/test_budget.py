@@ -18,33 +18,33 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 41_780, 333
+MOST_CODE, MOST_FILES = 41_641, 333
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
     "(root)": 390,
     "analysis": 3455,
     "cli": 1920,
-    "compensators": 170,
-    "compile": 3590,
-    "controllers": 800,
-    "ends": 440,
-    "ensemble": 1930,
-    "exports": 2350,
+    "compensators": 148,
+    "compile": 3588,
+    "controllers": 792,
+    "ends": 425,
+    "ensemble": 1928,
+    "exports": 2338,
     "feedforward": 430,
-    "identification": 7325,
+    "identification": 7335,
     "linear": 400,
     "logs": 1250,
-    "numerics": 840,
-    "observers": 3810,
-    "plants": 1680,
+    "numerics": 836,
+    "observers": 3712,
+    "plants": 1675,
     "report": 2950,
     "results": 970,
     "scenario": 1440,
-    "signals": 390,
+    "signals": 384,
     "simulation": 2270,
     "statistics": 265,
-    "support": 846,
+    "support": 850,
     "synthesis": 1050,
     "tuning": 885,
 }

@@ -19,8 +19,10 @@ from test_engines import OBSERVERS, small
 from tools import require
 from undeadzone.errors import InputError
 from undeadzone.exports import compiler, export
+from undeadzone.exports.fmu.package import KINDS
 from undeadzone.interfaces import Estimate
-from undeadzone.scenario.schema import Scenario
+from undeadzone.results.signals import of_kind
+from undeadzone.scenario.schema import Scenario, Units
 
 if importlib.util.find_spec("fmpy"):
     import fmpy
@@ -358,6 +360,14 @@ def test_units_names_and_the_controller(tmp_path: Path, monkeypatch: pytest.Monk
         assert (variables["u[0]"].causality, variables["r[0]"].causality) == ("output", "input")
         assert (variables["right[0]"].unit, variables["u[0]"].unit) == ("rad", None)
         assert variables["right[0]"].variability == "discrete"
+
+
+def test_every_quantity_has_a_unit_of_its_kind() -> None:
+    """The widths of an actuator had none."""
+    units = Units(output="mm", input="V", state=["mm", "mm/s"])
+    kinds = {"right": 0, "actuator_right": 0, "x": 1, "w": 1, "theta": 0, "u_ff": 0}
+    told = [of_kind(KINDS[name], k, units) for name, k in kinds.items()]
+    assert told == ["mm", "V", "mm/s", "mm/s/s", "1", "V"]
 
 
 @pytest.mark.parametrize("version", VERSIONS)

@@ -264,11 +264,21 @@ def unit_of(name: str, units: Units) -> str:
     head, _, index = name.partition("[")
     of_columns = (signal for signal in SIGNALS.values() if head in signal.columns)
     unit = SIGNALS.get(head, next(of_columns, Signal("output"))).unit
-    if unit in ("state", "rate"):
-        states = units.state
-        of = states if isinstance(states, str) else states[int(index.rstrip("]") or 0)]
-        return f"{of}/s" if unit == "rate" else of
-    return {"output": units.output, "input": units.input}.get(unit, unit)
+    return of_kind(unit, int(index.rstrip("]") or 0), units)
+
+
+def of_kind(kind: str, index: int, units: Units) -> str:
+    """The unit of an entry of a quantity.
+
+    Args:
+        kind: output, input, state or rate, or the unit itself.
+        index: of the entry; of states that are stacked they come again.
+        units: names of the scenario's units.
+    """
+    if kind in ("state", "rate"):
+        states = [units.state] if isinstance(units.state, str) else units.state
+        return states[index % len(states)] + "/s" * (kind == "rate")
+    return {"output": units.output, "input": units.input}.get(kind, kind)
 
 
 def output_names(joints: Sequence[str], count: int) -> list[str]:

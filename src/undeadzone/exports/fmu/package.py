@@ -19,6 +19,7 @@ from undeadzone.exports.code import Code
 from undeadzone.exports.parts import Field, Step, numbers_of, total
 from undeadzone.exports.template import filled, text_of
 from undeadzone.interfaces import COLUMNS, QUANTITIES, Estimate
+from undeadzone.results.signals import of_kind
 from undeadzone.scenario.schema import Units
 from undeadzone.support.text import one_line
 
@@ -38,11 +39,10 @@ _HELD: Final = {"dependencies": ""}
 RENAMED: Final = {
     name: getattr(COLUMNS, name) for name in Estimate._fields if name in ("x", "z", "w", "theta")
 }
-IN_OUTPUT_UNITS: Final = (
-    "y",
-    "r",
-    *(name for name, quantity in QUANTITIES.items() if quantity.unit == "output"),
-)
+KINDS: Final = {
+    **{name: quantity.unit for name, quantity in QUANTITIES.items()},
+    **{"y": "output", "r": "output", "u": "input", "u_ff": "input", "x_ref": "state"},
+}
 
 
 class Variable(NamedTuple):
@@ -87,23 +87,10 @@ def _entry(field: Field, k: int, causality: str, units: Units, start: float | No
     name = field.name
     if causality == "output":
         name = RENAMED.get(name, name)
-    unit = "" if causality == "parameter" else _unit_of(field.name, k, units)
+    kind = "1" if causality == "parameter" else KINDS.get(field.name, "1")
+    unit = of_kind(kind, k, units)
     meaning = field.meaning.split(" [")[0]
     return Variable(f"{name}[{k}]", causality, meaning, "" if unit == "1" else unit, start)
-
-
-def _unit_of(name: str, k: int, units: Units) -> str:
-    """The unit of an entry of a field."""
-    state = units.state if isinstance(units.state, str) else units.state[k % len(units.state)]
-    if name in IN_OUTPUT_UNITS:
-        return units.output
-    if name in ("u", "u_ff"):
-        return units.input
-    if name in ("x", "x_ref", "x_std"):
-        return state
-    if name == "w":
-        return "1/s" if state == "1" else f"{state}/s"
-    return "1"
 
 
 # --- As XML
