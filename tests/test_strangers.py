@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -377,6 +378,18 @@ def test_a_folder_is_tried_and_left_as_it_was(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(FileError, match="cannot write: "):
         require_folder(tmp_path / "file" / "b")
+
+
+def test_four_may_try_and_fill_one_folder_at_once(tmp_path: Path) -> None:
+    def fill(path: Path) -> Path:
+        require_folder(path.parent)
+        return files.write_text("mine", path)
+
+    wanted = [tmp_path / str(k // 4) / "out" / f"{k % 4}.txt" for k in range(400)]
+    with ThreadPoolExecutor(4) as together:
+        written = list(together.map(fill, wanted))
+    assert written == wanted
+    assert sorted(path for path in tmp_path.rglob("*") if path.is_file()) == sorted(wanted)
 
 
 @pytest.mark.parametrize("command", ["run", "check", "design", "ensemble", "tune", "arena"])

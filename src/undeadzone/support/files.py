@@ -9,7 +9,7 @@ import tempfile
 import zipfile
 import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
@@ -194,24 +194,16 @@ def _too_large(size: int, largest: int) -> str:
 def require_folder(folder: Path) -> None:
     """Raise FileError unless files can be written in a folder; nothing is left behind.
 
-    Called before a long computation, whose results would be lost otherwise.
+    Called before a long computation, whose results would be lost otherwise. The folder itself is not
+    made for it: another process might count on it, or fail to make its own.
 
     Args:
         folder: it need not exist; then it must be possible to make it.
     """
-    made: list[Path] = []
-    try:
-        with writing(folder):
-            for place in reversed([folder, *folder.parents]):
-                if not place.exists():
-                    place.mkdir()
-                    made.append(place)
-            with tempfile.NamedTemporaryFile(dir=folder, prefix=".undeadzone-"):
-                pass
-    finally:
-        for place in reversed(made):
-            with suppress(OSError):  # another process uses it already
-                place.rmdir()
+    with writing(folder):
+        there = next(place for place in (folder, *folder.parents) if os.path.lexists(place))
+        with tempfile.TemporaryDirectory(dir=there, prefix=".undeadzone-") as attempt:
+            Path(attempt, folder.relative_to(there)).mkdir(parents=True, exist_ok=True)
 
 
 def write_text(text: str, path: Name) -> Path:
