@@ -1,6 +1,7 @@
 """The range of a reading: y stays within [lo, hi], and at a limit it only bounds what it reads.
 
-Every function takes NumPy arrays or CasADi expressions alike.
+What asks for a reading takes NumPy arrays or CasADi expressions alike. How a user gives pairs of
+numbers, one or one for each, is checked here for all that are given so.
 """
 
 from __future__ import annotations
@@ -78,12 +79,28 @@ def pairs(key: str, value: Any, count: int, default: list[float], what: str, eac
         given = np.asarray(default if value is None else value, float)
     except (TypeError, ValueError):
         raise InputError(f"{key}: expected {what}, found {value!r:.60}") from None
+    given = paired(key, given, count, what, f"such pair per {each}")
+    return np.broadcast_to(given, (count, 2)).copy()
+
+
+def paired(key: str, given: Floats, count: int, what: str, each: str) -> Floats:
+    """The numbers, if they are one pair (2) or one for each of several things (count x 2).
+
+    Args:
+        key: named in errors.
+        given: the numbers.
+        count: how many things there are.
+        what: a pair in words.
+        each: for each of which, in words.
+
+    Raises:
+        ShapeError: another shape.
+    """
     if given.shape not in ((2,), (count, 2)):
         raise ShapeError(
-            f"{key}: expected {what}, or one such pair per {each} ({count} x 2), found "
-            f"{shape_text(given.shape)}"
+            f"{key}: expected {what}, or one {each} ({count} x 2), found {shape_text(given.shape)}"
         )
-    return np.broadcast_to(given, (count, 2)).copy()
+    return given
 
 
 def limits_of(low: Floats, high: Floats) -> Limits | None:

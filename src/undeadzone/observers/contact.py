@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.catalogue import Options
+from undeadzone.ends.limits import paired
 from undeadzone.ends.sensor import Zone, present
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate, Observer, Reading, Traits, estimate
@@ -49,7 +50,7 @@ from undeadzone.observers.parts.judged_filter import BEYOND, Sums, summed
 from undeadzone.observers.parts.scores import verdict
 from undeadzone.plants.robots.geared import Geared
 from undeadzone.plants.system import System
-from undeadzone.support.arrays import Array, Floats, intervals, nonnegative, positive, scalar
+from undeadzone.support.arrays import Array, Floats, array, nonnegative, positive, scalar
 
 FRICTION = ("friction", "f")  # Coulomb's, of motors and of links, as the plant names it
 DRIFT = (3e-5, 4.5e-4)  # of half gaps, coupled and joint by joint [rad / sqrt(s)]
@@ -249,7 +250,7 @@ def fading(Ts: float, time: float) -> Floats:
 
 def _ranges(key: str, claimed: Array, N: int) -> Floats:
     """Claimed ranges [lo, hi] (N x 2). Raises InputError."""
-    value = intervals(key, claimed, N, "a range [lo, hi]", "joint")
+    value = paired(key, array(key, claimed), N, "a range [lo, hi]", "per joint")
     if (value[..., 0] > value[..., 1]).any() or (value < 0).any():
         raise InputError(f"{key}: a range needs 0 <= lo <= hi, found {value.tolist()}")
     return np.broadcast_to(value, (N, 2))

@@ -167,29 +167,6 @@ def series(key: str, value: Any) -> Floats:
     return entries.ravel()
 
 
-def intervals(key: str, value: Any, count: int, what: str, each: str) -> Floats:
-    """One pair [lo, hi] (2), or one for each of several things (count x 2), as it is given.
-
-    Args:
-        key: named in errors.
-        value: numbers or nested lists.
-        count: how many things there are.
-        what: a pair, for the error.
-        each: such a thing, for the error.
-
-    Raises:
-        InputError: not numbers.
-        ShapeError: another shape.
-    """
-    given = array(key, value)
-    if given.shape not in ((2,), (count, 2)):
-        raise ShapeError(
-            f"{key}: expected {what}, or one per {each} ({count} x 2), "
-            f"found {shape_text(given.shape)}"
-        )
-    return given
-
-
 def shape_text(shape: Iterable[int]) -> str:
     """The shape of an array as text: 2 x 3, or one number."""
     return " x ".join(map(str, shape)) or "one number"

@@ -7,13 +7,14 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
+from undeadzone.ends.limits import paired
 from undeadzone.ends.play import largest_gap
 from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Traits
 from undeadzone.linear.hold import zoh
 from undeadzone.plants.system import System, state_units, time_scale
-from undeadzone.support.arrays import Array, Floats, array, intervals, nonnegative, scalar, vector
+from undeadzone.support.arrays import Array, Floats, array, nonnegative, scalar, vector
 
 FLOOR = 1e-3  # least noise that is assumed, in claimed ranges of the widths
 SILENT = 4.0  # noise, in its rms, that is surely not beyond it
@@ -218,7 +219,7 @@ def width_ranges(right: Array, left: Array | None, p: int) -> Floats:
 
 def _ranges(key: str, value: Array, p: int) -> Floats:
     """The ranges of one side (p x 2). Raises InputError, ShapeError."""
-    given = intervals(key, value, p, "the declared range [lo, hi]", "output")
+    given = paired(key, array(key, value), p, "the declared range [lo, hi]", "per output")
     ranges = np.broadcast_to(given, (p, 2))
     if (ranges[:, 0] < 0).any() or (ranges[:, 0] >= ranges[:, 1]).any():
         raise InputError(f"{key}: a range [lo, hi] must have 0 <= lo < hi, found {ranges.tolist()}")

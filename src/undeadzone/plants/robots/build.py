@@ -14,12 +14,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from undeadzone.ends.limits import paired
 from undeadzone.errors import InputError
 from undeadzone.plants.options import URDF, ArmOptions, ElasticJoint, OneLink, Plant, Rigid
 from undeadzone.plants.robots.arm import Arm, Chain, Numbers, acceleration, arm, numbers, torque
 from undeadzone.plants.robots.geared import Geared, geared_motion
 from undeadzone.plants.system import Flat, System, linearise
-from undeadzone.support.arrays import Array, Floats, intervals, positive, scalar, vector
+from undeadzone.support.arrays import Array, Floats, array, positive, scalar, vector
 
 POSTURES = 8  # random ones, in which the mass matrix is checked
 POSITIVE = "mlIJk"  # first letters of masses, lengths, inertias and a spring's stiffness
@@ -204,10 +205,11 @@ def _limited(options: Rigid, chain: Chain, key: str) -> Chain:
         torque_max = positive(f"{key}.arm.torque_max", options.torque_max, N, "one per joint")
         chain = chain._replace(torque=torque_max)
     if options.limits is not None:
-        limits = intervals(f"{key}.arm.limits", options.limits, N, "[lo, hi]", "joint")
+        where = f"{key}.arm.limits"
+        limits = paired(where, array(where, options.limits), N, "[lo, hi]", "per joint")
         if (limits[..., 0] >= limits[..., 1]).any():
             raise InputError(
-                f"{key}.arm.limits: a range [lo, hi] must have lo < hi, found {limits.tolist()}"
+                f"{where}: a range [lo, hi] must have lo < hi, found {limits.tolist()}"
             )
         chain = chain._replace(limits=np.broadcast_to(limits, (N, 2)))
     return chain
