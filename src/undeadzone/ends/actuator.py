@@ -153,8 +153,8 @@ def resolve_actuator(actuator: Actuator | ActuatorModel, m: int, key: str = "act
     low, high = ends.T
     if not ((low < 0) & (high > 0)).all():
         raise InputError(f"{key}.limit: expected lo < 0 < hi, found {actuator.limit}")
-    both = [LARGEST, LARGEST]
-    rates = pairs(f"{key}.rate", actuator.rate, m, both, "[falling, rising]", "input")
+    any_rate = [LARGEST, LARGEST]
+    rates = pairs(f"{key}.rate", actuator.rate, m, any_rate, "[falling, rising]", "input")
     if not (rates > 0).all():
         raise InputError(
             f"{key}.rate: expected two positive rates [falling, rising], found {actuator.rate}"
@@ -184,7 +184,8 @@ def believed(told: ActuatorModel | None, m: int) -> Belief | None:
     """
     if told is None:
         return None
-    key, ranges = "model.actuator", {}
+    key = "model.actuator"
+    ranges = {}
     for side in SIDES:
         interval = _range(f"{key}.{side}", _known(getattr(told, side)), m)
         if interval is not None:

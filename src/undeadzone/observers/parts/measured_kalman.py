@@ -120,8 +120,10 @@ def measured_filter(
         levels: how many rms of the disturbance are weighed (`levelled`).
         recovers: whether its state holds what a lasting misfit may be, so that it can end.
     """
-    model, prior = in_units(plant, units), counted_prior(prior, units)
-    gaps, zones = numbers_of(sensor, prior), zones_of(model.actuator)
+    model = in_units(plant, units)
+    prior = counted_prior(prior, units)
+    gaps = numbers_of(sensor, prior)
+    zones = zones_of(model.actuator)
     augmentation = with_gaps(with_friction(augmentation, sensor), gaps)
     augmentation = with_widths(augmentation, zones)
     entries = kept_entries(model, augmentation)
@@ -344,9 +346,9 @@ def reconsidered(setup: Setup, q: Params, s: State, side: Any, trust: Any) -> St
         side: the sides on which readings were used (p).
         trust: probability that a reading was not wrong (p).
     """
-    constants, entries = setup.augmentation.constants, setup.entries
+    constants = setup.augmentation.constants
     cov, patience = reopened(
-        q, setup.model, constants, entries, s.cov, s.patience, side != 0, trust
+        q, setup.model, constants, setup.entries, s.cov, s.patience, side != 0, trust
     )
     return s._replace(cov=cov, last=ca.if_else(trust < 0.5, 0.0, s.last), patience=patience)
 
