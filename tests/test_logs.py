@@ -17,7 +17,7 @@ from undeadzone.logs.names import (
     parse_columns,
     split_unit,
 )
-from undeadzone.logs.samples import Grid, LogReader, Samples, samples_of_text
+from undeadzone.logs.samples import LogReader, Samples, placed, samples_of_text
 from undeadzone.logs.stamps import stamps_of
 from undeadzone.logs.text import Text, dialect_of
 
@@ -262,14 +262,20 @@ def samples(t: list[float]) -> Samples:
 
 
 def test_gaps_become_missing_samples() -> None:
-    grid = Grid(0.1, "log")
-    first = grid.place(samples([5.0, 5.1, 5.2, 5.5]), timed=True)
-    np.testing.assert_allclose(first.t, [5.0, 5.1, 5.2, 5.3, 5.4, 5.5])
-    np.testing.assert_array_equal(first.y[:, 0], [0, 1, 2, np.nan, np.nan, 3])
-    second = grid.place(samples([np.nan, 5.7]), timed=True)  # a line that could not be read
-    np.testing.assert_allclose(second.t, [5.6, 5.7])
-    assert grid.gaps == 3
-    assert grid.measured == pytest.approx(0.1)
+    t = [5.0, 5.1, 5.2, 5.5, np.nan, 5.7]  # of a line that could not be read nan
+    found = placed(samples(t), True, 0.1, "log")
+    np.testing.assert_allclose(found.samples.t, [5.0, 5.1, 5.2, 5.3, 5.4, 5.5, 5.6, 5.7])
+    y = [0, 1, 2, np.nan, np.nan, 3, np.nan, 5]
+    np.testing.assert_array_equal(found.samples.y[:, 0], y)
+    assert found.gaps == 3
+    assert found.measured == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("t", [[np.nan, np.nan], [np.nan, 5.0, np.nan]])
+def test_of_one_time_or_none_no_step_is_measured(t: list[float]) -> None:
+    found = placed(samples(t), True, 0.1, "log")
+    np.testing.assert_array_equal(found.samples.t, [time for time in t if time == time])
+    assert (found.gaps, found.measured) == (0, None)
 
 
 @pytest.mark.parametrize(
@@ -285,20 +291,19 @@ def test_gaps_become_missing_samples() -> None:
 )
 def test_other_steps_are_refused(t: list[float], words: str) -> None:
     with pytest.raises(FileError, match=words):
-        Grid(0.1, "log").place(samples(t), timed=True)
+        placed(samples(t), True, 0.1, "log")
 
 
 def test_a_gap_in_every_line_does_not_fill_the_memory() -> None:
     steps = np.ones(4001)
     steps[2001:] = 90_000
     with pytest.raises(FileError, match="gaps"):
-        Grid(0.1, "log").place(samples((0.1 * np.cumsum(steps)).tolist()), timed=True)
+        placed(samples((0.1 * np.cumsum(steps)).tolist()), True, 0.1, "log")
 
 
 def test_without_times_samples_are_one_step_apart() -> None:
-    grid = Grid(0.5, "log")
-    grid.place(samples([np.nan] * 3), timed=False)
-    np.testing.assert_array_equal(grid.place(samples([np.nan] * 2), timed=False).t, [1.5, 2.0])
+    found = placed(samples([np.nan] * 4), False, 0.5, "log")
+    np.testing.assert_array_equal(found.samples.t, [0.0, 0.5, 1.0, 1.5])
 
 
 def test_a_layout_says_what_it_took() -> None:
@@ -323,10 +328,11 @@ def test_damaged_logs_give_an_error_or_samples() -> None:
             else:
                 data[where:where] = bytes(rng.integers(32, 127, int(rng.integers(1, 10))).tolist())
         try:
-            reader, grid = LogReader("log", 1, 1, {}), Grid(0.01, "log")
+            reader = LogReader("log", 1, 1, {})
             read = reader.feed(bytes(data), last=True)
             layout = reader.layout
-            regular = grid.place(read, layout is not None and layout.time is not None)
+            timed = layout is not None and layout.time is not None
+            regular = placed(read, timed, 0.01, "log").samples
         except InputError:
             continue
         assert regular.y.shape == (regular.t.size, 1)

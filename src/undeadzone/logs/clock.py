@@ -27,7 +27,8 @@ from undeadzone.logs.samples import (
     Regular,
     Samples,
     filled,
-    other_step,
+    require_step,
+    usual_step,
 )
 from undeadzone.support.arrays import Floats
 
@@ -92,8 +93,7 @@ class Clock:
     def measured(self) -> float | None:
         """The usual time between two of the first lines [s]; None without times."""
         intervals = np.diff(self._first)
-        later = intervals[intervals > 0]  # gaps only lengthen them
-        return float(np.quantile(later, 0.5, method="lower")) if later.size else None
+        return usual_step(intervals[intervals > 0])
 
     def place(
         self, samples: Samples, unread: Sequence[Fault], timed: bool, last: bool
@@ -137,7 +137,7 @@ class Clock:
             self._test(samples.t[part])
         if last:
             if np.isnan(self.last) and self._first.size > 1:
-                self._require_step(TOLERANCE)
+                require_step(self.measured, self._step, TOLERANCE, self._source)
             yield from self._judged(_part(samples, slice(0)), last=True)
 
     def _test(self, t: Floats) -> None:
@@ -145,13 +145,7 @@ class Clock:
         room = max(TESTS) - self._first.size
         self._first = np.append(self._first, t[:room])
         if t.size and room and self._first.size in TESTS:
-            self._require_step(TESTS[self._first.size])
-
-    def _require_step(self, tolerance: float) -> None:
-        """Raise FileError where the usual step is another one than the scenario's."""
-        usual = self.measured
-        if usual is not None and abs(usual - self._step) > tolerance * self._step:
-            raise other_step(usual, self._step, self._source)
+            require_step(self.measured, self._step, TESTS[self._first.size], self._source)
 
     def _judged(self, samples: Samples, last: bool) -> Iterator[Piece]:
         """The samples among lines with times, so far as they can be told."""

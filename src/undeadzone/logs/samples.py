@@ -382,110 +382,83 @@ class Regular(NamedTuple):
     u: Floats
 
 
-class Grid:
-    """Puts samples on the steps of a scenario, block after block.
-
-    Args:
-        step: of the scenario [s].
-        source: the log, for messages.
+class Placed(NamedTuple):
+    """A log on the steps of a scenario.
 
     Attributes:
-        gaps: how many samples were missing altogether, between others.
+        samples: one step apart; those in gaps are missing.
+        gaps: how many samples were missing, between others.
         measured: the usual time between two samples [s]; None without times.
     """
 
-    def __init__(self, step: float, source: str) -> None:
-        self.gaps = 0
-        self.measured: float | None = None
-        self._step, self._source = step, source
-        self._count = 0  # samples so far
-        self._last: float | None = None  # time of the last sample [s]
-        self._unread = 0  # lines since then that could not be read
-        self._intervals: Floats = np.empty(0)  # the first ones [s]
+    samples: Regular
+    gaps: int = 0
+    measured: float | None = None
 
-    def place(self, samples: Samples, timed: bool) -> Regular:
-        """The samples one step apart; those in gaps are missing.
 
-        Args:
-            samples: the next ones of the log.
-            timed: whether they have times in seconds.
+def placed(samples: Samples, timed: bool, step: float, source: str) -> Placed:
+    """The samples of a whole log, put on the steps of a scenario.
 
-        Raises:
-            FileError: they are another step apart, irregular, or go back in time.
-        """
-        if not timed:
-            t = (self._count + np.arange(len(samples.t))) * self._step
-            self._count += len(samples.t)
-            return Regular(t, samples.y, samples.u)
-        kept = np.isfinite(samples.t)  # what cannot be read shows as a gap in the others' times
-        t, y, u = samples.t[kept], samples.y[kept], samples.u[kept]
-        if not t.size:
-            self._unread += kept.size
-            return Regular(t, y, u)
-        at = np.flatnonzero(kept)
-        lines_between = np.diff(at, prepend=-1 - self._unread)
-        self._unread = kept.size - 1 - int(at[-1])
-        steps = self._steps(t, samples.lines[kept], lines_between)
-        self._last = float(t[-1])
-        return self._filled(t, y, u, steps)
+    Args:
+        samples: of the log.
+        timed: whether they have times in seconds.
+        step: of the scenario [s].
+        source: the log, for messages.
 
-    def _steps(self, t: Floats, lines: Lines, lines_between: Lines) -> Floats:
-        """How many steps each sample is after the one before (N). Raises FileError.
+    Raises:
+        FileError: they are another step apart, irregular, or go back in time.
+    """
+    if not timed:
+        t = np.arange(len(samples.t)) * step
+        return Placed(Regular(t, samples.y, samples.u))
+    kept = np.isfinite(samples.t)  # what cannot be read shows as a gap in the others' times
+    read = Regular(samples.t[kept], samples.y[kept], samples.u[kept])
+    if not read.t.size:
+        return Placed(read)
+    lines_between = np.diff(np.flatnonzero(kept))  # 1 where all could be read
+    intervals = np.append(step, np.diff(read.t))  # of the first sample a step
+    _require_order(intervals, read.t, samples.lines[kept], source)
+    measured = usual_step((intervals[1:] / lines_between)[:WATCHED])
+    require_step(measured, step, TOLERANCE, source)
+    steps = _whole_steps(intervals, step, read.t, samples.lines[kept], source)
+    return Placed(filled(read, steps, step), int(steps.sum()) - read.t.size, measured)
 
-        Args:
-            t: times (N) [s].
-            lines: number of each line in the log (N).
-            lines_between: lines from the sample before to each (N), 1 where all could be read.
-        """
-        before = np.nan if self._last is None else self._last
-        intervals = np.diff(t, prepend=before)
-        if self._last is None:
-            intervals[0] = self._step
-        self._require_order(intervals, t, lines)
-        of_a_line = intervals / lines_between
-        self._require_step(of_a_line[1:] if self._last is None else of_a_line)
-        steps = np.rint(intervals / self._step)
-        off = np.abs(intervals - steps * self._step)
-        bad = np.flatnonzero((steps < 1) | (off > JITTER * self._step) | (steps > LONGEST))
-        if not bad.size and steps.sum() > LONGEST + MOST * t.size:
-            raise FileError(f"{self._source}: consists of gaps: {steps.sum():.0f} missing steps")
-        if bad.size:
-            k = int(bad[0])
-            raise FileError(
-                f"{self._source}, line {lines[k]}: t = {t[k]:.9g} s is {intervals[k]:.6g} s after "
-                f"the sample before; expected a multiple of the step, {self._step:g} s, and at "
-                f"most {LONGEST} of them: bring the log onto regular steps (never by interpolating "
-                "readings), or split it"
-            )
-        return steps
 
-    def _require_order(self, intervals: Floats, t: Floats, lines: Lines) -> None:
-        """Raise FileError where time does not increase."""
-        back = np.flatnonzero(intervals <= 0)
-        if back.size:
-            k = int(back[0])
-            raise FileError(
-                f"{self._source}, line {lines[k]}: time does not increase: {t[k]:.9g} s after "
-                f"{t[k] - intervals[k]:.9g} s; sort the lines, or give each run by itself"
-            )
+def _require_order(intervals: Floats, t: Floats, lines: Lines, source: str) -> None:
+    """Raise FileError where time does not increase."""
+    back = np.flatnonzero(intervals <= 0)
+    if back.size:
+        k = int(back[0])
+        raise FileError(
+            f"{source}, line {lines[k]}: time does not increase: {t[k]:.9g} s after "
+            f"{t[k] - intervals[k]:.9g} s; sort the lines, or give each run by itself"
+        )
 
-    def _require_step(self, intervals: Floats) -> None:
-        """Raise FileError where samples are usually not one step apart."""
-        if self._intervals.size >= WATCHED or not intervals.size:
-            return
-        self._intervals = np.append(self._intervals, intervals)[:WATCHED]
-        usual = float(np.quantile(self._intervals, 0.5, method="lower"))  # gaps only lengthen
-        self.measured = usual
-        if abs(usual - self._step) <= TOLERANCE * self._step:
-            return
-        raise other_step(usual, self._step, self._source)
 
-    def _filled(self, t: Floats, y: Floats, u: Floats, steps: Floats) -> Regular:
-        """The samples, and missing ones in the gaps before them."""
-        total = int(steps.sum())
-        self._count += total
-        self.gaps += total - t.size
-        return filled(Regular(t, y, u), steps, self._step)
+def _whole_steps(intervals: Floats, step: float, t: Floats, lines: Lines, source: str) -> Floats:
+    """How many steps each sample is after the one before (N). Raises FileError.
+
+    Args:
+        intervals: from the sample before to each (N) [s].
+        step: of the scenario [s].
+        t: times (N) [s].
+        lines: number of each line in the log (N).
+        source: the log, for messages.
+    """
+    steps = np.rint(intervals / step)
+    off = np.abs(intervals - steps * step)
+    bad = np.flatnonzero((steps < 1) | (off > JITTER * step) | (steps > LONGEST))
+    if bad.size:
+        k = int(bad[0])
+        raise FileError(
+            f"{source}, line {lines[k]}: t = {t[k]:.9g} s is {intervals[k]:.6g} s after "
+            f"the sample before; expected a multiple of the step, {step:g} s, and at "
+            f"most {LONGEST} of them: bring the log onto regular steps (never by interpolating "
+            "readings), or split it"
+        )
+    if steps.sum() > LONGEST + MOST * t.size:
+        raise FileError(f"{source}: consists of gaps: {steps.sum():.0f} missing steps")
+    return steps
 
 
 def filled(samples: Regular, steps: Floats, step: float) -> Regular:
@@ -516,18 +489,25 @@ def filled(samples: Regular, steps: Floats, step: float) -> Regular:
     return full
 
 
-def other_step(usual: float, step: float, source: str) -> FileError:
-    """That the samples of a log are another step apart than the scenario says.
+def usual_step(intervals: Floats) -> float | None:
+    """The lower median of intervals [s], for gaps only lengthen them; None where there are none."""
+    return float(np.quantile(intervals, 0.5, method="lower")) if intervals.size else None
+
+
+def require_step(usual: float | None, step: float, tolerance: float, source: str) -> None:
+    """Raise FileError where the samples of a log are another step apart than the scenario says.
 
     Args:
-        usual: time between two samples of the log [s].
+        usual: time between its samples [s]; None: not known.
         step: of the scenario [s].
+        tolerance: how far one may be from the other, as a share of the step.
         source: the log.
     """
-    return FileError(
-        f"{source}: its samples are {usual:.6g} s apart, but the scenario's step is {step:g} s: "
-        f"set simulation.step = {usual:.6g} if the log is right{_unit_hint(usual / step)}"
-    )
+    if usual is not None and abs(usual - step) > tolerance * step:
+        raise FileError(
+            f"{source}: its samples are {usual:.6g} s apart, but the scenario's step is {step:g} "
+            f"s: set simulation.step = {usual:.6g} if the log is right{_unit_hint(usual / step)}"
+        )
 
 
 def _unit_hint(ratio: float) -> str:

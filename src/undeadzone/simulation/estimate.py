@@ -10,7 +10,7 @@ from typing import Any, Final
 from undeadzone.errors import FileError, InputError
 from undeadzone.interfaces import Estimate
 from undeadzone.logs.names import Layout, parse_columns
-from undeadzone.logs.samples import Faults, Grid, LogReader, Regular, samples_of_text
+from undeadzone.logs.samples import Faults, LogReader, Regular, placed, samples_of_text
 from undeadzone.logs.whole import BINARY, samples_of, samples_of_arrays
 from undeadzone.results.estimation import Estimation
 from undeadzone.results.info import LogInfo
@@ -89,9 +89,8 @@ def _of_arrays(
     """Samples from arrays, one step apart."""
     step, model = scenario.simulation.step, follower.model
     samples = samples_of_arrays(t, y, u, model.p, model.m, step)
-    grid = Grid(step, "arrays")
-    regular = grid.place(samples, timed=t is not None)
-    return _limited(regular, "arrays"), lambda: follower.info("arrays", None, grid)
+    on_steps = placed(samples, t is not None, step, "arrays")
+    return _limited(on_steps.samples, "arrays"), lambda: follower.info("arrays", None, on_steps)
 
 
 def _of_log(
@@ -113,9 +112,11 @@ def _of_log(
         samples, layout = samples_of(Path(log) if is_path else log, p, m, chosen, source)
     if layout is not None:
         require_units(layout, scenario.units, source)
-    grid = Grid(scenario.simulation.step, source)
-    regular = grid.place(samples, layout is not None and layout.timed)
-    return _limited(regular, source), lambda: follower.info(source, layout, grid, faults)
+    timed = layout is not None and layout.timed
+    on_steps = placed(samples, timed, scenario.simulation.step, source)
+    return _limited(on_steps.samples, source), lambda: follower.info(
+        source, layout, on_steps, faults
+    )
 
 
 def _limited(regular: Regular, source: str) -> Regular:

@@ -12,7 +12,7 @@ from undeadzone.interfaces import Estimate, graph_of
 from undeadzone.logs.clock import Clock, Piece
 from undeadzone.logs.names import Layout
 from undeadzone.logs.range_ends import RunningEnds
-from undeadzone.logs.samples import MOST_UNREADABLE, Faults, Grid, LogReader, Regular
+from undeadzone.logs.samples import MOST_UNREADABLE, Faults, LogReader, Placed, Regular
 from undeadzone.plants.system import state_units, time_scale
 from undeadzone.results.info import LogInfo
 from undeadzone.results.signals import final, of_estimate
@@ -180,7 +180,7 @@ class Follower:
         self,
         source: str,
         layout: Layout | None,
-        grid: Grid | Clock,
+        grid: Placed | Clock,
         faults: Faults | None = None,
     ) -> LogInfo:
         """What the log comes to.
@@ -188,7 +188,7 @@ class Follower:
         Args:
             source: the log.
             layout: where it has what; None for arrays.
-            grid: which put it on the scenario's steps.
+            grid: what came of putting it on the scenario's steps.
             faults: what was wrong with its lines; None of arrays.
 
         Raises:

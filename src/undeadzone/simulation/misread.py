@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from undeadzone.logs.samples import Grid, Regular
+from undeadzone.logs.samples import Placed, Regular
 from undeadzone.results.estimation import Estimation
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.follower import Follower
@@ -31,12 +31,13 @@ def what_would_fit(scenario: Scenario, found: Estimation) -> str | None:
     """
     t, y, u = found.t[:SAMPLES], found.y[:SAMPLES], found.u[:SAMPLES]
     best, words = BETTER * _missed(found.innovation[:SAMPLES], y), None
-    follower, grid = Follower(scenario), Grid(scenario.simulation.step, "log")
+    follower = Follower(scenario)
     for name, readings, inputs in _misreadings(y, u, follower.model.delay):
         follower.begin()
-        tried, *_ = follower.follow(Regular(t, readings, inputs))
+        samples = Regular(t, readings, inputs)
+        tried, *_ = follower.follow(samples)
         missed = _missed(tried.innovation, readings)
-        if missed < best and follower.info("log", None, grid).consistent:
+        if missed < best and follower.info("log", None, Placed(samples)).consistent:
             best, words = missed, name
     return words
 
