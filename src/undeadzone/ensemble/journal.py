@@ -19,15 +19,17 @@ import numpy as np
 import numpy.typing as npt
 
 from undeadzone.ensemble.job import Layout
-from undeadzone.errors import FileError, InputError, ShapeError
-from undeadzone.support.answers import lock
+from undeadzone.errors import InputError, ShapeError
+from undeadzone.support.answers import locked, problem_there, put
 from undeadzone.support.arrays import Floats
-from undeadzone.support.files import open_kept, writing
+from undeadzone.support.files import writing
 from undeadzone.support.versions import versions
 
 PAGE = 4096  # [bytes] the columns begin at a multiple of it
 NUMBER = 8  # [bytes] of a float64 and of a checksum
 OTHER_HEADER = 2**20  # [bytes] that the header of another problem may be longer
+WORDS = ("is not an unfinished ensemble", "an unfinished ensemble is there")
+CURE = "delete it to start anew, or choose another name"
 
 
 class Store(NamedTuple):
@@ -72,14 +74,12 @@ class Store(NamedTuple):
             shape = " x ".join(map(str, rows.shape))
             raise ShapeError(f"block {block}: expected {count} x {width}, found {shape}")
         columns = np.ascontiguousarray(rows.T, "<f8")
-        if not os.fstat(self.file.fileno()).st_nlink:
-            raise FileError(f"{self.path}: cannot write: it was removed")
+        for index, column in enumerate(columns):
+            offset = _start_of_rows(self.start, self.layout, index, block)
+            put(self.path, self.file, column.tobytes(), offset)
         checksums = _start_of_checksums(self.start, self.layout)
-        with writing(self.path):
-            for index, column in enumerate(columns):
-                offset = _start_of_rows(self.start, self.layout, index, block)
-                _write(self.file, offset, column.tobytes())
-            _write(self.file, checksums + block * NUMBER, _checksum(block, columns.tobytes()))
+        checksum = _checksum(block, columns.tobytes())
+        put(self.path, self.file, checksum, checksums + block * NUMBER)
         self.done[block] = True
 
     def columns(self) -> dict[str, Floats]:
@@ -120,22 +120,18 @@ def start(path: Path, layout: Layout, resume: bool = False) -> Store:
         InputError: where it holds another problem
     """
     header = _header(layout)
-    file = open_kept(path, "r+")
-    try:
-        lock(path, file)
+    with locked(path, "r+") as file:
         there = _read(file, 0, len(header) + OTHER_HEADER)
         fresh = not there.strip(b"\0")
         if not fresh:
-            _check(path, there, header, resume)
+            problem = problem_there(path, _line_of(there), "ensemble", WORDS, resume)
+            require_same(path, problem, json.loads(_line_of(header)), CURE)
         size = _start_of_checksums(len(header), layout) + layout.blocks * NUMBER
         with writing(path):
             _allocate(path, file, size, fresh)
             if fresh:
-                _write(file, 0, header)
+                put(path, file, header, 0)
             return Store(path, layout, file, len(header), _done(file, len(header), layout))
-    except BaseException:
-        file.close()
-        raise
 
 
 def _header(layout: Layout) -> bytes:
@@ -153,29 +149,9 @@ def _header(layout: Layout) -> bytes:
     return line.ljust(pages * PAGE, b"\0")
 
 
-def _check(path: Path, beginning: bytes, header: bytes, resume: bool) -> None:
-    """Raise FileError or InputError for a file that cannot be continued.
-
-    Args:
-        path: of the file
-        beginning: of its bytes
-        header: as a file of this job begins
-        resume: whether it is to be continued
-    """
-    try:
-        there = json.loads(beginning.partition(b"\n")[0])
-        here = json.loads(header.partition(b"\n")[0])
-        there["ensemble"]
-    except (ValueError, TypeError, KeyError):
-        raise FileError(
-            f"{path}: is not an unfinished ensemble; choose another name or delete it"
-        ) from None
-    if not resume:
-        raise FileError(
-            f"{path}: an unfinished ensemble is there; continue it with --resume, "
-            "or delete it to start anew"
-        )
-    require_same(path, there, here, "delete it to start anew, or choose another name")
+def _line_of(beginning: bytes) -> bytes:
+    """The line of JSON with which a file begins."""
+    return beginning.partition(b"\n")[0]
 
 
 def require_same(path: Path, there: dict[str, Any], here: dict[str, Any], cure: str) -> None:
@@ -243,14 +219,6 @@ def _allocate(path: Path, file: io.FileIO, size: int, fresh: bool) -> None:
         if fresh:
             path.unlink(missing_ok=True)
         raise
-
-
-def _write(file: io.FileIO, offset: int, data: bytes) -> None:
-    """Write all of some bytes, in as many calls as the system asks for."""
-    file.seek(offset)
-    view = memoryview(data)
-    while view:
-        view = view[file.write(view) :]
 
 
 def _read(file: io.FileIO, offset: int, size: int) -> bytes:

@@ -9,13 +9,14 @@ What is kept of a computation that something stops, and who may write it.
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from undeadzone.errors import FileError, InputError, Terminated, UndeadzoneError
 from undeadzone.support.files import LARGEST_TABLE, open_kept, writing
@@ -45,7 +46,25 @@ def keeping(leave: Callable[[], str]) -> Iterator[None]:
         raise
 
 
-def lock(path: Path, file: IO[bytes]) -> None:
+@contextmanager
+def locked(path: Path, mode: str, largest: int | None = None) -> Iterator[io.FileIO]:
+    """A file that other processes are kept out of; closed if what is done inside fails.
+
+    Arguments and errors as of `open_kept`.
+
+    Raises:
+        FileError: another process has it, too.
+    """
+    file = open_kept(path, mode, largest)
+    try:
+        _lock(path, file)
+        yield file
+    except BaseException:
+        file.close()
+        raise
+
+
+def _lock(path: Path, file: io.FileIO) -> None:
     """Keep other processes out until the file is closed, where the system has locks.
 
     Raises:
@@ -67,6 +86,56 @@ def lock(path: Path, file: IO[bytes]) -> None:
         raise FileError(
             f"{path}: another process is writing it; wait for it, or choose another name"
         )
+
+
+def put(path: Path, file: io.FileIO, data: bytes, offset: int | None = None) -> None:
+    """Write all of some bytes, in as many calls as the system asks for.
+
+    Args:
+        path: of the file.
+        file: which is open.
+        data: to be written.
+        offset: where; None: where the file stands, or at its end if that is how it is open.
+
+    Raises:
+        FileError: disk full, or the file was removed.
+    """
+    if not os.fstat(file.fileno()).st_nlink:
+        raise FileError(f"{path}: cannot write: it was removed")
+    with writing(path):
+        if offset is not None:
+            file.seek(offset)
+        view = memoryview(data)
+        while view:
+            view = view[file.write(view) :]
+
+
+def problem_there(
+    path: Path, head: str | bytes, mark: str, words: tuple[str, str], resume: bool
+) -> dict[str, Any]:
+    """The problem that a file says it is of.
+
+    Args:
+        path: of the file.
+        head: what it begins with, JSON where it is such a file.
+        mark: a key of every such problem.
+        words: that it is no such file, that it is one.
+        resume: whether it may be taken up.
+
+    Raises:
+        FileError: it is something else, or may not be taken up.
+    """
+    no_such_file, is_there = words
+    try:
+        there: dict[str, Any] = json.loads(head)
+        there[mark]
+    except (ValueError, TypeError, KeyError):
+        raise FileError(f"{path}: {no_such_file}; choose another name or delete it") from None
+    if not resume:
+        raise FileError(
+            f"{path}: {is_there}; continue it with --resume, or delete it to start anew"
+        )
+    return there
 
 
 # --- Answers on disk
@@ -95,13 +164,8 @@ class Answers:
         self._path, self._unit = path, unit
         self._known: dict[str, Any] = {}
         self._is_first = not path.parent.exists()
-        self._file = open_kept(path, "a+", LARGEST_TABLE)
-        try:
-            lock(path, self._file)
+        with locked(path, "a+", LARGEST_TABLE) as self._file:
             self._open({"answers": unit, **problem, **versions()}, resume)
-        except BaseException:
-            self._file.close()
-            raise
 
     def of(
         self, questions: Sequence[Any], compute: Callable[[list[int]], Iterator[tuple[int, Any]]]
@@ -115,7 +179,7 @@ class Answers:
         texts = [json.dumps(question) for question in questions]
         missing = [k for k, text in enumerate(texts) if text not in self._known]
         for k, answer in compute(missing) if missing else ():
-            self._append(json.dumps([texts[k], answer]))
+            put(self._path, self._file, _line(json.dumps([texts[k], answer])))
             self._known[texts[k]] = answer
         return [self._known[text] for text in texts]
 
@@ -147,7 +211,7 @@ class Answers:
             with writing(self._path):
                 self._file.truncate(0)
             try:
-                self._append(head)
+                put(self._path, self._file, _line(head))
             except FileError:  # disk full
                 self.drop()
                 raise
@@ -163,18 +227,9 @@ class Answers:
 
     def _require(self, lines: list[str], problem: Mapping[str, Any], resume: bool) -> None:
         """Raise FileError or InputError for a file that cannot be continued."""
-        try:
-            there = json.loads(lines[0])
-            there["answers"]
-        except (IndexError, ValueError, TypeError, KeyError):
-            raise FileError(
-                f"{self._path}: holds no kept {self._unit}; choose another name or delete it"
-            ) from None
-        if not resume:
-            raise FileError(
-                f"{self._path}: {self._unit} of a stopped run are there; continue it with "
-                "--resume, or delete it to start anew"
-            )
+        words = f"holds no kept {self._unit}", f"{self._unit} of a stopped run are there"
+        head = lines[0] if lines else ""
+        there = problem_there(self._path, head, "answers", words, resume)
         here = json.loads(json.dumps(problem))
         other = sorted(key for key in here | there if here.get(key) != there.get(key))
         if other:
@@ -182,15 +237,6 @@ class Answers:
                 f"{self._path}: holds another problem ({', '.join(other)} differ); "
                 "delete it to start anew, or choose another name"
             )
-
-    def _append(self, text: str) -> None:
-        """Write a line. Raises FileError (disk full, file removed)."""
-        if not os.fstat(self._file.fileno()).st_nlink:
-            raise FileError(f"{self._path}: cannot write: it was removed")
-        with writing(self._path):
-            view = memoryview(_line(text))
-            while view:
-                view = view[self._file.write(view) :]
 
     def _leave(self) -> str:
         """Close the file, or remove one without answers, and say what it holds."""
