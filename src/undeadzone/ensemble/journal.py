@@ -20,9 +20,9 @@ import numpy.typing as npt
 
 from undeadzone.ensemble.job import Layout
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.support.answers import locked, problem_there, put
+from undeadzone.support.answers import problem_there
 from undeadzone.support.arrays import Floats
-from undeadzone.support.files import writing
+from undeadzone.support.files import kept_file, put, writing
 from undeadzone.support.versions import versions
 
 PAGE = 4096  # [bytes] the columns begin at a multiple of it
@@ -120,7 +120,7 @@ def start(path: Path, layout: Layout, resume: bool = False) -> Store:
         InputError: where it holds another problem
     """
     header = _header(layout)
-    with locked(path, "r+") as file:
+    with kept_file(path, "r+") as file:
         there = _read(file, 0, len(header) + OTHER_HEADER)
         fresh = not there.strip(b"\0")
         if not fresh:

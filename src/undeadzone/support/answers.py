@@ -9,17 +9,14 @@ What is kept of a computation that something stops, and who may write it.
 from __future__ import annotations
 
 import hashlib
-import io
 import json
-import os
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from undeadzone.errors import FileError, InputError, Terminated, UndeadzoneError
-from undeadzone.support.files import LARGEST_TABLE, open_kept, writing
+from undeadzone.support.files import LARGEST_TABLE, kept_file, put, writing
 from undeadzone.support.versions import versions
 
 
@@ -44,70 +41,6 @@ def keeping(leave: Callable[[], str]) -> Iterator[None]:
         if isinstance(before, KeyboardInterrupt | Terminated):
             raise type(before)(kept) from None
         raise
-
-
-@contextmanager
-def locked(path: Path, mode: str, largest: int | None = None) -> Iterator[io.FileIO]:
-    """A file that other processes are kept out of; closed if what is done inside fails.
-
-    Arguments and errors as of `open_kept`.
-
-    Raises:
-        FileError: another process has it, too.
-    """
-    file = open_kept(path, mode, largest)
-    try:
-        _lock(path, file)
-        yield file
-    except BaseException:
-        file.close()
-        raise
-
-
-def _lock(path: Path, file: io.FileIO) -> None:
-    """Keep other processes out until the file is closed, where the system has locks.
-
-    Raises:
-        FileError: another process has it.
-    """
-    if sys.platform == "win32":
-        return
-    import fcntl
-
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        # Another process may have finished and removed it between opening and locking.
-        used = not os.fstat(file.fileno()).st_nlink
-    except BlockingIOError:
-        used = True
-    except OSError:  # some network file systems have no locks
-        return
-    if used:
-        raise FileError(
-            f"{path}: another process is writing it; wait for it, or choose another name"
-        )
-
-
-def put(path: Path, file: io.FileIO, data: bytes, offset: int | None = None) -> None:
-    """Write all of some bytes, in as many calls as the system asks for.
-
-    Args:
-        path: of the file.
-        file: which is open.
-        data: to be written.
-        offset: where; None: where the file stands, or at its end if that is how it is open.
-
-    Raises:
-        FileError: disk full, or the file was removed.
-    """
-    if not os.fstat(file.fileno()).st_nlink:
-        raise FileError(f"{path}: cannot write: it was removed")
-    with writing(path):
-        if offset is not None:
-            file.seek(offset)
-        view = memoryview(data)
-        while view:
-            view = view[file.write(view) :]
 
 
 def problem_there(
@@ -164,7 +97,7 @@ class Answers:
         self._path, self._unit = path, unit
         self._known: dict[str, Any] = {}
         self._is_first = not path.parent.exists()
-        with locked(path, "a+", LARGEST_TABLE) as self._file:
+        with kept_file(path, "a+", LARGEST_TABLE) as self._file:
             self._open({"answers": unit, **problem, **versions()}, resume)
 
     def of(
@@ -202,7 +135,7 @@ class Answers:
                 self._path.parent.rmdir()
 
     def _open(self, problem: Mapping[str, Any], resume: bool) -> None:
-        """Read the answers that are there, or begin the file."""
+        """Read the answers that are there, or begin the file. Raises FileError or InputError."""
         with writing(self._path):
             self._file.seek(0)
             content = self._file.read()
@@ -217,26 +150,21 @@ class Answers:
                 raise
             return
         lines = [line for line in map(_checked, content.split(b"\n")) if line is not None]
-        self._require(lines, problem, resume)
-        for line in lines[1:]:
-            question, answer = json.loads(line)
-            self._known[question] = answer
-        if not content.endswith(b"\n"):  # a torn line must not swallow the next one
-            with writing(self._path):
-                self._file.write(b"\n")
-
-    def _require(self, lines: list[str], problem: Mapping[str, Any], resume: bool) -> None:
-        """Raise FileError or InputError for a file that cannot be continued."""
         words = f"holds no kept {self._unit}", f"{self._unit} of a stopped run are there"
-        head = lines[0] if lines else ""
-        there = problem_there(self._path, head, "answers", words, resume)
-        here = json.loads(json.dumps(problem))
+        there = problem_there(self._path, lines[0] if lines else "", "answers", words, resume)
+        here = json.loads(head)
         other = sorted(key for key in here | there if here.get(key) != there.get(key))
         if other:
             raise InputError(
                 f"{self._path}: holds another problem ({', '.join(other)} differ); "
                 "delete it to start anew, or choose another name"
             )
+        for line in lines[1:]:
+            question, answer = json.loads(line)
+            self._known[question] = answer
+        if not content.endswith(b"\n"):  # a torn line must not swallow the next one
+            with writing(self._path):
+                self._file.write(b"\n")
 
     def _leave(self) -> str:
         """Close the file, or remove one without answers, and say what it holds."""

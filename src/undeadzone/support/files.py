@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import stat
+import sys
 import tempfile
 import zipfile
 import zlib
@@ -108,10 +109,12 @@ def require_plain(path: Name, largest: int | None = None) -> None:
     _require_plain(os.stat(path_of(path)), largest)
 
 
-def open_kept(path: Path, mode: str, largest: int | None = None) -> io.FileIO:
-    """A file that a computation keeps its results in, made where there is none.
+@contextmanager
+def kept_file(path: Path, mode: str, largest: int | None = None) -> Iterator[io.FileIO]:
+    """A file that a computation keeps its results in, made where there is none, open and locked.
 
     Nobody else may read it, and nothing is written through a link that someone put in its place.
+    It is closed if what is done inside fails, else it stays open.
 
     Args:
         path: of the file; its folder is made too.
@@ -119,7 +122,8 @@ def open_kept(path: Path, mode: str, largest: int | None = None) -> io.FileIO:
         largest: number of bytes that it may have; None: any.
 
     Raises:
-        FileError: it cannot be written, is no plain file, or has another name besides.
+        FileError: it cannot be written, is no plain file, has another name besides, or another
+            process has it.
     """
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -128,12 +132,17 @@ def open_kept(path: Path, mode: str, largest: int | None = None) -> io.FileIO:
         if path.exists():
             require_plain(path, largest)
         file = io.FileIO(path, mode, opener=_open_or_create)
-        try:
-            _require_one_name(os.fstat(file.fileno()), largest)
-        except OSError:
-            file.close()
-            raise
-    return file
+    try:
+        with writing(path):
+            status = os.fstat(file.fileno())
+            _require_plain(status, largest)
+            if status.st_nlink > 1:
+                raise OSError(_other_name(f"it is one of {status.st_nlink} names of a file"))
+        _lock(path, file)
+        yield file
+    except BaseException:
+        file.close()
+        raise
 
 
 def _open_or_create(name: str, flags: int) -> int:
@@ -143,11 +152,50 @@ def _open_or_create(name: str, flags: int) -> int:
     return os.open(name, flags | os.O_CREAT, 0o600)
 
 
-def _require_one_name(status: os.stat_result, largest: int | None) -> None:
-    """Raise OSError for an open file that is not plain, too large, or has other names."""
-    _require_plain(status, largest)
-    if status.st_nlink > 1:
-        raise OSError(_other_name(f"it is one of {status.st_nlink} names of a file"))
+def _lock(path: Path, file: io.FileIO) -> None:
+    """Keep other processes out until the file is closed, where the system has locks.
+
+    Raises:
+        FileError: another process has it.
+    """
+    if sys.platform == "win32":
+        return
+    import fcntl
+
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        # Another process may have finished and removed it between opening and locking.
+        used = not os.fstat(file.fileno()).st_nlink
+    except BlockingIOError:
+        used = True
+    except OSError:  # some network file systems have no locks
+        return
+    if used:
+        raise FileError(
+            f"{path}: another process is writing it; wait for it, or choose another name"
+        )
+
+
+def put(path: Path, file: io.FileIO, data: bytes, offset: int | None = None) -> None:
+    """Write all of some bytes, in as many calls as the system asks for.
+
+    Args:
+        path: of the file.
+        file: which is open.
+        data: to be written.
+        offset: where; None: where the file stands, or at its end if that is how it is open.
+
+    Raises:
+        FileError: disk full, or the file was removed.
+    """
+    if not os.fstat(file.fileno()).st_nlink:
+        raise FileError(f"{path}: cannot write: it was removed")
+    with writing(path):
+        if offset is not None:
+            file.seek(offset)
+        view = memoryview(data)
+        while view:
+            view = view[file.write(view) :]
 
 
 def _other_name(found: str) -> str:
