@@ -242,8 +242,8 @@ def _too_large(size: int, largest: int) -> str:
 def require_folder(folder: Path) -> None:
     """Raise FileError unless files can be written in a folder; nothing is left behind.
 
-    Called before a long computation, whose results would be lost otherwise. The folder itself is not
-    made for it: another process might count on it, or fail to make its own.
+    Called before a long computation, whose results would be lost otherwise. The folder itself is
+    not made for it: another process might count on it, or fail to make its own.
 
     Args:
         folder: it need not exist; then it must be possible to make it.
