@@ -118,6 +118,7 @@ COLOURED = 0.06  # rms of slow torques in that of the input, from which their co
 ANY_COLOUR = 1.6  # wider where noisy readings are fitted with such torques, whatever their colour
 HIDING = 0.5  # rms of slow torques, in that of the input, from which no gap is given
 FLOOR = 0.05  # quanta, by which a gap is uncertain at least
+LOOSE = 0.008  # of the gap, by which it is uncertain where a load rubs: how it does is assumed
 DEGREES = 60  # of freedom at most
 DISAGREES = 4.0  # standard errors by which crossings may say another gap
 TICKS = 0.5  # quanta by which they may besides
@@ -336,7 +337,8 @@ def _corrected(
     reach = 4 * spread.error + 0.2 * least
     middle = float(np.median(gaps))
     bias = float(np.mean(np.clip(gaps, middle - reach, middle + reach))) - gap
-    error = math.hypot(max(spread.error, float(np.std(gaps, ddof=1))), FLOOR * least)
+    loose = LOOSE * gap * ("load" in one.structure.parts)
+    error = math.hypot(max(spread.error, float(np.std(gaps, ddof=1))), FLOOR * least, loose)
     degrees = float(np.clip(spread.reversals - 1, 2, DEGREES))
     apart = max(abs(other - gap) for other in others)
     half = math.hypot(WIDER * quantile(degrees) * error, bias, apart)
