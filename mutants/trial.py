@@ -18,6 +18,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+DID_NOT_RUN: Final = 30  # exit code of a process whose tests did not begin
+NO_IMPORT: Final = 31  # exit code where the changed file cannot be executed
 PATIENCE: Final = 3.0  # times the usual cost, after which a mutant counts as noticed
 CLOCK: Final = 600.0  # [s] after which a process that sleeps is ended
 
@@ -50,6 +52,9 @@ def noticed(
         tree: the file, changed.
         tests: to be run, by their ids.
         cost: of them, usually [s].
+
+    Raises:
+        RuntimeError: the tests did not run, which says nothing of the mutant.
     """
     pid = os.fork()
     if not pid:
@@ -65,7 +70,10 @@ def noticed(
     if os.WIFSIGNALED(status):
         return True, f"signal {os.WTERMSIG(status)}"
     code = os.WEXITSTATUS(status)
-    return code != 0, {0: "", 1: "a test"}.get(code, f"code {code}")
+    if code in (4, 5, DID_NOT_RUN):  # 4 and 5: of pytest, for options or tests that are not there
+        raise RuntimeError(f"{file}: exit {code} before the first test: {' '.join(tests)}")
+    known = {0: "", 1: "a test", NO_IMPORT: "it cannot be imported"}
+    return code != 0, known.get(code, f"code {code}")
 
 
 def _run(package: Path, file: str, tree: ast.Module, tests: Sequence[str], cost: float) -> int:
@@ -78,12 +86,17 @@ def _run(package: Path, file: str, tree: ast.Module, tests: Sequence[str], cost:
         null = os.open(os.devnull, os.O_RDWR)
         for number in (0, 1, 2):
             os.dup2(null, number)
-        name = ".".join([package.name, *Path(file).with_suffix("").parts])
-        plant(sys.modules[name], tree)
         options = ["-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", "-p", "no:cov"]
+        # Hypothesis is imported before pytest could rewrite its assertions.
+        options += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]
+        name = ".".join([package.name, *Path(file).with_suffix("").parts])
+        try:
+            plant(sys.modules[name], tree)
+        except Exception:
+            return NO_IMPORT
         return int(pytest.main([*options, *tests]))
     except BaseException:
-        return 30
+        return DID_NOT_RUN
 
 
 def plant(module: Any, tree: ast.Module) -> None:
