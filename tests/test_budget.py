@@ -18,7 +18,7 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 41_587, 333
+MOST_CODE, MOST_FILES = 41_678, 333
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
@@ -30,13 +30,13 @@ BUDGET = {
     "controllers": 791,
     "ends": 426,
     "ensemble": 1905,
-    "exports": 2338,
+    "exports": 2343,
     "feedforward": 428,
     "identification": 7336,
     "linear": 400,
     "logs": 1215,
     "numerics": 836,
-    "observers": 3716,
+    "observers": 3802,
     "plants": 1676,
     "report": 2946,
     "results": 966,

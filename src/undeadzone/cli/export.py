@@ -135,10 +135,10 @@ def _in_words(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
     return pairs
 
 
-def _leaner(method: str, boards: list[str]) -> str:
+def _leaner(name: str, boards: list[str]) -> str:
     """An observer that takes less, and where it fits."""
-    where = ", ".join(boards) or "none of these boards"
-    return f'observer.method = "{method}" fits {where}'
+    setting = name if "=" in name else f'method = "{name}"'
+    return f"observer.{setting} fits {', '.join(boards) or 'none of these boards'}"
 
 
 def _along(method: str, run: dict[str, float | None]) -> str:

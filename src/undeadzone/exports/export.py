@@ -6,6 +6,7 @@ import itertools
 import re
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -211,15 +212,19 @@ def _leaner(
     scenario: Scenario, part: str, is_single: bool
 ) -> tuple[dict[str, list[str]], dict[str, Scenario]]:
     """(boards that observers of fewer operations fit, the scenario with each), by their tags."""
-    own = scenario.observer
-    claims = {name: getattr(own, name) for name in ("right", "left") if hasattr(own, name)}
+    own: Any = scenario.observer
     found, scenarios = {}, {}
-    choices: tuple[tuple[str, dict[str, Any]], ...] = (("kalman", claims), ("certified", {}))
-    for tag, options in choices:
+    claims = {name: getattr(own, name) for name in ("right", "left") if hasattr(own, name)}
+    choices: list[tuple[str, Callable[[], Any]]] = []
+    if getattr(own, "starts", 1) != 1:
+        choices.append(("starts = 1", partial(msgspec.structs.replace, own, starts=1)))
+    for tag, options in (("kalman", claims), ("certified", {})):
         if own.__struct_config__.tag == tag:
             break
+        choices.append((tag, partial(OBSERVERS.made, tag, **options)))
+    for name, made in choices:
         with suppress(InputError, TypeError):  # the scenario cannot have it
-            other = msgspec.structs.replace(scenario, observer=OBSERVERS.made(tag, **options))
+            other = msgspec.structs.replace(scenario, observer=made())
             printed = code(parts.build(resolve_scenario(other), part, ()), single=is_single)
             costs = {
                 "precision": "single" if is_single else "double",
@@ -227,8 +232,8 @@ def _leaner(
                 "sizes": _sizes(printed),
                 "operations": operations(printed.results),
             }
-            found[tag] = [fit.board for fit in fits(costs) if fit.fits]
-            scenarios[tag] = other
+            found[name] = [fit.board for fit in fits(costs) if fit.fits]
+            scenarios[name] = other
     return found, scenarios
 
 

@@ -26,6 +26,7 @@ from undeadzone.observers.parts.contact_drive import (
     LASTING,
     alone,
     drive_of,
+    either,
     made_up,
     part_of,
     places,
@@ -44,9 +45,11 @@ from undeadzone.observers.parts.contact_modes import (
     corrected,
     packed,
     predicted,
+    renewed,
     start,
 )
 from undeadzone.observers.parts.judged_filter import BEYOND, Sums, summed
+from undeadzone.observers.parts.model_bank import weighed
 from undeadzone.observers.parts.scores import verdict
 from undeadzone.plants.robots.geared import Geared
 from undeadzone.plants.system import System
@@ -65,6 +68,10 @@ TURNING = 1 / 3  # deviation of the torque through the gears, over that unknown 
 RESTITUTION = 0.5  # share by which an impulse is off
 LEAST_TORQUE = 0.01  # of what holds the links, least unknown torque
 TURNED = 0.5  # by that, where nothing holds them [rad/s^2]
+# Where filters begin of the claimed range of half the gap, as (middle, length) over its length.
+STARTS = ((0.5, 1.0), (0.25, 0.5), (0.75, 0.5))
+TRUSTED = 0.3  # share of what readings say of a filter that is counted: models are not quite right
+FAINTEST = 1e-26  # odds of a filter against the best one, however wrong it was
 MEMORY = 0.2  # time over which innovations are summed [s]
 PATIENCE = 1.0  # time over which the squares of the sums are averaged [s]
 CHANCE = 4.0  # mean square of the sums that is taken for chance
@@ -91,6 +98,9 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         drift: random walk of the half gaps up to a deviation of 0.07 of the claimed range
             [rad / sqrt(s)]; default 3e-5, of separate joints 4.5e-4.
         compliance: standard deviation of where a flank gives way to, which no reading tells [rad].
+        starts: how many filters a joint has, of which each counts by how well it foretold the
+            readings: they begin with all of the range of half the gap, with its lower and with its
+            upper half. 1 to 3; default 3 of one joint and of separate ones, 1 of coupled ones.
         joints: "separate" filters each joint for itself, to which the rest of the arm is known but
             for noise: 3 N combinations of contacts in place of 3^N.
     """
@@ -107,6 +117,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
     load: Array | None = None
     drift: float | None = None
     compliance: float = COMPLIANCE
+    starts: int | None = None
     joints: Literal["coupled", "separate"] = "coupled"
 
     def build(self, model: System, sensor: Zone) -> Observer:
@@ -136,7 +147,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
 
     def _numbers(
         self, model: System, gears: Geared, drives: tuple[Drive, ...], sensor: Zone
-    ) -> tuple[tuple[Modes, ...], Numbers]:
+    ) -> tuple[tuple[tuple[Modes, ...], ...], Numbers]:
         """The modes at first and the numbers of the filter. Raises InputError, ShapeError."""
         N, layout, Ts = gears.size, Layout(gears.size), drives[0].Ts
         of, values = layout.of, model.params
@@ -184,7 +195,12 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         first = []
         for joint, drive in enumerate(drives):
             here = places(layout, joint) if apart else slice(None)
-            first.append(start(drive.layout, mean[here], std[here], slack))
+            begins = []
+            for middle, length in STARTS[: self._starts(drive)]:
+                mean[of("half")] = ranges @ [1 - middle, middle]
+                std[of("half")] = length * (ranges @ [-1, 1]) / np.sqrt(12)
+                begins.append(start(drive.layout, mean[here], std[here], slack))
+            first.append(tuple(begins))
         return tuple(first), Numbers(
             model=values,
             Q=Q,
@@ -199,19 +215,28 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
             least=told("friction"),
         )
 
+    def _starts(self, drive: Drive) -> int:
+        """How many filters a joint has. Raises InputError."""
+        most = len(STARTS)
+        if self.starts is None:
+            return most if drive.layout.size == 1 else 1
+        if not 1 <= self.starts <= most:
+            raise InputError(f"observer.starts: expected 1 to {most}, found {self.starts}")
+        return self.starts
+
 
 class Params(NamedTuple):
     """Numbers of the observer.
 
     Attributes:
-        start: the modes before the first reading.
+        start: the modes of each filter before the first reading, of all joints or of each.
         modes: of the filter of contacts.
         slope: of the encoders (p).
         fade: share of the sum of innovations that is left after a step.
         keep: share of the mean of its squares that is left after a step.
     """
 
-    start: tuple[Modes, ...]
+    start: tuple[tuple[Modes, ...], ...]
     modes: Numbers
     slope: Floats
     fade: Floats
@@ -219,9 +244,16 @@ class Params(NamedTuple):
 
 
 class State(NamedTuple):
-    """The modes, of all joints or of each, and the sums of their innovations (p each)."""
+    """What the filter carries from sample to sample.
 
-    modes: tuple[Modes, ...]
+    Attributes:
+        modes: of each filter, of all joints or of each.
+        odds: log of their odds, 0 for the best.
+        sums: of the innovations (p each).
+    """
+
+    modes: tuple[tuple[Modes, ...], ...]
+    odds: tuple[Any, ...]
     sums: Sums
 
 
@@ -279,7 +311,8 @@ def unknown_torques(model: System, gears: Geared, payload: float) -> tuple[Float
 def _started(setup: Setup, q: Params) -> State:
     """The state before the first reading."""
     none = np.zeros(setup.model.p)
-    return State(q.start, Sums(none, none, np.ones(setup.model.p)))
+    odds = tuple(np.zeros(len(begins)) for begins in q.start)
+    return State(q.start, odds, Sums(none, none, np.ones(setup.model.p)))
 
 
 def _step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> tuple[State, Estimate]:
@@ -287,27 +320,64 @@ def _step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> tuple[
     drives, y = setup.drives, reading.y / q.slope
     count, layout = len(drives), Layout(setup.gears.size)
     parts = [part_of(q.modes, layout, joint, count) for joint in range(count)]
-    told, begun = [], []
+    each, begun = [], []
     for joint, (drive, part, modes) in enumerate(zip(drives, parts, s.modes, strict=True)):
-        before, once = beliefs_of(drive, modes, y[joint::count])
-        told.append(corrected(drive, part, modes.chances, before, y[joint::count]))
+        told, once = _corrected(drive, part, modes, y[joint::count])
+        each.append(told)
         begun.append(once)
-    whole = together(layout, told)
-    started = ca.repmat(ca.vertcat(*(modes.begun for modes in s.modes)), y.shape[0] // count)
+    odds, shares = _weighed(s.odds, each)
+    each = list(map(renewed, each))
+    ones = list(map(either, each, shares))
+    whole = together(layout, ones)
+    started = ca.repmat(ca.vertcat(*(modes[0].begun for modes in s.modes)), y.shape[0] // count)
     seen = ca.logic_and(present(y), started > 0.5)
     sums = summed(s.sums, ca.if_else(seen, whole.e / whole.std, 0.0), seen, q.fade, q.keep)
     ratios = {"gust": ca.mmax(sums.ratio) / CHANCE}
     ratios["range"] = BEYOND * (_bound(layout, q.modes, whole.whole) > 0)
-    shown = _shown(setup, q, told, whole, reading)._replace(**verdict(ratios))
+    shown = _shown(setup, q, ones, whole, reading)._replace(**verdict(ratios))
     if setup.ones:
         arm = posture(setup.gears, q.modes.model, whole.whole.mean, u)
-        told = made_up(told, whole.news, arm)
-        parts = surroundings(setup.ones, drives, parts, told, arm)
+        heard = [made_up(told, whole.news, arm) for told in zip(*each, strict=True)]
+        each = [list(told) for told in zip(*heard, strict=True)]
+        ones = list(map(either, each, shares))
+        parts = surroundings(setup.ones, drives, parts, ones, arm)
     after = []
-    for joint, (drive, part) in enumerate(zip(drives, parts, strict=True)):
-        moved = predicted(drive, part, told[joint], u[joint::count])
-        after.append(packed(drive, moved, s.modes[joint], begun[joint]))
-    return State(tuple(after), sums), shown
+    for joint, (drive, part, modes) in enumerate(zip(drives, parts, s.modes, strict=True)):
+        later = []
+        for one, before in zip(each[joint], modes, strict=True):
+            moved = predicted(drive, part, one, u[joint::count])
+            later.append(packed(drive, moved, before, begun[joint]))
+        after.append(tuple(later))
+    return State(tuple(after), odds, sums), shown
+
+
+def _corrected(
+    drive: Drive, part: Numbers, modes: Sequence[Modes], y: Any
+) -> tuple[list[Told], Any]:
+    """What the readings of a sample make of each filter of a joint; whether there is any belief."""
+    told = []
+    for one in modes:
+        before, begun = beliefs_of(drive, one, y)
+        told.append(corrected(drive, part, one.chances, before, y))
+    return told, begun
+
+
+def _weighed(
+    odds: Sequence[Any], each: Sequence[Sequence[Told]]
+) -> tuple[tuple[Any, ...], list[tuple[Any, Any]]]:
+    """(log odds after a sample; shares before and after it) of the filters of each joint.
+
+    Args:
+        odds: log odds before the sample, of each joint.
+        each: what the readings make of each filter, of each joint.
+    """
+    after, shares = [], []
+    for before, told in zip(odds, each, strict=True):
+        logs = TRUSTED * ca.vertcat(*(one.log for one in told))
+        now, share = weighed(before, logs, FAINTEST)
+        shares.append((weighed(before, 0.0, FAINTEST)[1], share))
+        after.append(now)
+    return tuple(after), shares
 
 
 def _bound(layout: Layout, q: Numbers, belief: Gaussian) -> Any:

@@ -13,13 +13,14 @@ link is pushed at random; what their motors tell of these torques later is made 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
-from undeadzone.numerics.gaussian import Gaussian, linearise
+from undeadzone.numerics.gaussian import Gaussian, linearise, mixed
 from undeadzone.numerics.runge_kutta import rk4_change
 from undeadzone.observers.parts.contact_modes import (
     CONSTANTS,
@@ -30,7 +31,10 @@ from undeadzone.observers.parts.contact_modes import (
     Layout,
     Numbers,
     Told,
+    innovation,
+    normalised,
 )
+from undeadzone.observers.parts.model_bank import weighted_mean
 from undeadzone.plants.robots.arm import Chain
 from undeadzone.plants.robots.geared import Geared, Gears, geared_motion
 
@@ -38,6 +42,7 @@ FADING = 0.2  # correlation time of the unknown torque of motors [s]
 LASTING = 0.01  # time for which the unknown torque of links lasts [s]
 SLOW = 0.05  # time for which the place of another link is off [s]
 PASSED = 0.6  # of what readings correct in the speed of a motor, the share that its gears caused
+FAINT = 1e-4  # share below which a filter is not heard
 KNOWN = 1e-9  # variance of a payload that is known [kg^2]
 REST = ("mass", "load", "slope", "place", "weight", "carried")  # what a joint knows of its arm
 SPEED = QUANTITIES.index("link_speed")
@@ -139,7 +144,9 @@ def part_of(q: Numbers, layout: Layout, joint: int, count: int) -> Numbers:
 
 def touching(drive: Drive, told: Told) -> Any:
     """The chance of the right flank less that of the left one, of each joint of a filter."""
-    return ca.DM([list(mode) for mode in drive.layout.modes]).T @ ca.vertcat(*told.chances)
+    filters = len(told.chances) // len(drive.layout.modes)
+    sides = filters * [list(mode) for mode in drive.layout.modes]
+    return ca.DM(sides).T @ ca.vertcat(*told.chances)
 
 
 def together(layout: Layout, told: Sequence[Told]) -> Told:
@@ -163,7 +170,28 @@ def together(layout: Layout, told: Sequence[Told]) -> Told:
     cov[-1, -1] = (sum(1 / ca.sqrt(variance) for variance in variances) / total) ** 2
     e = ca.vec(ca.horzcat(*(one.e for one in told)).T)
     std = ca.vec(ca.horzcat(*(one.std for one in told)).T)
-    return Told([], [], Gaussian(mean, cov), news, e, std)
+    return Told((), (), Gaussian(mean, cov), news, e, std)
+
+
+def either(told: Sequence[Told], shares: tuple[Any, Any]) -> Told:
+    """What filters of one joint say together, of which each is as likely as its share.
+
+    Args:
+        told: of each filter (K).
+        shares: before and after the readings (K each).
+    """
+    if len(told) == 1:
+        return told[0]
+    before, after = map(ca.vertsplit, shares)
+    heard = normalised([ca.if_else(share > FAINT, share, 0.0) for share in after])
+    chances: list[Any] = []
+    beliefs: list[Gaussian] = []
+    for share, one in zip(heard, told, strict=True):
+        chances += [share * chance for chance in one.chances]
+        beliefs += one.beliefs
+    whole = mixed(heard, [one.whole for one in told])
+    news = weighted_mean(heard, [one.news for one in told])
+    return Told(tuple(chances), tuple(beliefs), whole, news, *innovation(before, told))
 
 
 class Posture(NamedTuple):
@@ -241,7 +269,7 @@ def made_up(told: Sequence[Told], news: Any, arm: Posture) -> list[Told]:
         mean = ca.SX(beliefs[free].mean)
         mean[SPEED] += gained[joint]
         beliefs[free] = Gaussian(mean, beliefs[free].cov)
-        each.append(one._replace(beliefs=beliefs))
+        each.append(one._replace(beliefs=tuple(beliefs)))
     return each
 
 
@@ -273,7 +301,7 @@ def pressed(drives: Sequence[Drive], parts: Sequence[Numbers], told: Sequence[To
     each = []
     for drive, q, one in zip(drives, parts, told, strict=True):
         chance, mean, square = ca.SX(0.0), ca.SX(0.0), ca.SX(0.0)
-        modes = zip(drive.layout.modes, one.chances, one.beliefs, strict=True)
+        modes = zip(itertools.cycle(drive.layout.modes), one.chances, one.beliefs, strict=False)
         for contact, share, belief in modes:
             together = ca.SX(belief.mean)
             together[drive.layout.of("motor_speed")] = together[drive.layout.of("link_speed")]

@@ -12,7 +12,7 @@ comes together in a mode is merged by its moments (interacting multiple models, 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -35,6 +35,7 @@ from undeadzone.numerics.gaussian import (
 )
 from undeadzone.numerics.runge_kutta import rk4_change
 from undeadzone.observers.parts.model_bank import weighted_mean
+from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 
 Contacts = tuple[int, ...]  # of each joint: 1, 0 or -1
@@ -46,6 +47,8 @@ NONE = 1e-12  # chance below which nothing comes to a mode
 LEAST = 1e-7  # chance of a mode below which it is dropped
 WIDE = 4.0  # half gaps of deviation beyond which a free link may be anywhere in the gap
 FAR = 3.0  # deviations beyond which a belief off an edge says little of it
+LOST = -1e6  # log of a density that is as good as none
+AWAY = 1000.0  # by which the log of a density is less where a filter ran away
 MOST = 60.0  # largest difference of logs of chances
 LATE = 0.95  # chance under the uncut belief of being beyond a flank, from which it is cut
 SURE = 3.0  # deviations from a flank beyond which it cuts nothing
@@ -169,14 +172,16 @@ class Told(NamedTuple):
         whole: the belief about x whatever the mode.
         news: by how much the readings moved its mean (entries).
         e, std: innovations and their deviations, whatever the mode (p).
+        log: log of how well the modes foretold the readings.
     """
 
-    chances: list[Any]
-    beliefs: list[Gaussian]
+    chances: tuple[Any, ...]
+    beliefs: tuple[Gaussian, ...]
     whole: Gaussian
     news: Any
     e: Any
     std: Any
+    log: Any = 0.0
 
 
 def start(layout: Layout, mean: Floats, std: Floats, slack: float) -> Modes:
@@ -227,16 +232,23 @@ def corrected(drive: Drive, q: Numbers, chances: Any, beliefs: list[Gaussian], y
     alive = [ca.if_else(w > 0, one.log, -1e300) for w, one in zip(before, each, strict=True)]
     best = ca.mmax(ca.vertcat(*alive))
     logs = [ca.fmax(one.log - best, -MOST) for one in each]
-    weights = normalised([w * ca.exp(log) for w, log in zip(before, logs, strict=True)])
+    likely = [w * ca.exp(log) for w, log in zip(before, logs, strict=True)]
+    weights, log = normalised(likely), best + ca.log(ca.fmax(sum(likely), 1e-300))
+    log = ca.if_else(log > LOST, log, LOST)  # also of a filter that overflows
     shares = normalised([ca.if_else(weight < LEAST, 0.0, weight) for weight in weights])
     whole = mixed(shares, [one.belief for one in each])
     kept = []
     for share, one in zip(shares, each, strict=True):
         kept.append(one_or_other(share > 0, one.belief, whole))
-    e = weighted_mean(before, [one.e for one in each])
-    variances = [one.std**2 + (one.e - e) ** 2 for one in each]
     news = whole.mean - weighted_mean(before, [belief.mean for belief in beliefs])
-    return Told(shares, kept, whole, news, e, ca.sqrt(weighted_mean(before, variances)))
+    return Told(tuple(shares), tuple(kept), whole, news, *innovation(before, each), log)
+
+
+def innovation(shares: Sequence[Any], each: Sequence[Told | Read]) -> tuple[Any, Any]:
+    """The innovation of a mixture and its deviation, where each part has a share (K)."""
+    e = weighted_mean(shares, [one.e for one in each])
+    variances = [one.std**2 + (one.e - e) ** 2 for one in each]
+    return e, ca.sqrt(weighted_mean(shares, variances))
 
 
 class Read(NamedTuple):
@@ -302,6 +314,25 @@ def normalised(weights: list[Any]) -> list[Any]:
     """The weights over their sum."""
     total = ca.fmax(sum(weights), 1e-300)
     return [weight / total for weight in weights]
+
+
+def renewed(told: Sequence[Told]) -> list[Told]:
+    """Filters of one joint, of which one that ran away goes on as the one does that foretold best.
+
+    Args:
+        told: of each filter (K).
+    """
+    best = told[0]
+    for one in told[1:]:
+        best = _either(one.log > best.log, one, best)
+    return [_either(one.log < best.log - AWAY, best, one) for one in told]
+
+
+def _either(use: Any, one: Told, other: Told) -> Told:
+    """What one filter says, or another one."""
+    pairs = zip(tree.leaves(one), tree.leaves(other), strict=True)
+    chosen: Told = tree.rebuild(one, (ca.if_else(use, a, b) for (_, a), (_, b) in pairs))
+    return chosen
 
 
 class Mode(NamedTuple):

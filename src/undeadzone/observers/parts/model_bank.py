@@ -87,10 +87,7 @@ def bank(member: Member, variants: Sequence[Callable[[Any], Any]]) -> Member:
         steps = []
         for variant, state in zip(variants, s.members, strict=True):
             steps.append(one_step(variant(q), state, u, reading))
-        odds = s.odds + ca.vertcat(*(one.log for one in steps))
-        odds = ca.fmax(odds - ca.mmax(odds), np.log(LEAST))
-        share = ca.exp(odds)
-        share = share / ca.sum1(share)
+        odds, share = weighed(s.odds, ca.vertcat(*(one.log for one in steps)))
         return Step(
             state=State(tuple(one.state for one in steps), odds),
             estimate=mixture([one.estimate for one in steps], share),
@@ -102,6 +99,20 @@ def bank(member: Member, variants: Sequence[Callable[[Any], Any]]) -> Member:
         )
 
     return Member(member.params, init, step, _smoothing(member.smoothing, variants))
+
+
+def weighed(odds: Any, logs: Any, least: float = LEAST) -> tuple[Any, Any]:
+    """(log of the odds, 0 for the best; shares) of K members once they have foretold a reading.
+
+    Args:
+        odds: their log before (K).
+        logs: of how well each foretold it (K).
+        least: odds of a member against the best one, however wrong it was.
+    """
+    odds = odds + logs
+    odds = ca.fmax(odds - ca.mmax(odds), np.log(least))
+    share = ca.exp(odds)
+    return odds, share / ca.sum1(share)
 
 
 def called(step: Callable[..., Step], *like: Any) -> Callable[..., Step]:
