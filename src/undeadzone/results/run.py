@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, ClassVar, Final
 
 import numpy as np
@@ -258,18 +258,7 @@ class Run:
 
     def blocks(self) -> list[Block]:
         """The tables that `undeadzone run` prints."""
-        return in_words(self, self._errors())
-
-    def _errors(self) -> dict[str, tuple[float | None, float]]:
-        """The rms of z - r, where it is tracked, and of z - z^ of each output by its name."""
-        tracked = self.info.tracked
-        errors: dict[str, tuple[float | None, float]] = {}
-        for i, name in enumerate(self.outputs):
-            tracking = None
-            if i in tracked:
-                tracking = _rms((self.z[:, i] - self.r[:, tracked.index(i)])[self.last])
-            errors[name] = tracking, _rms((self.z - self.z_hat)[self.last, i])
-        return errors
+        return in_words(self)
 
     __repr__ = in_text
     _repr_html_ = in_notebook
@@ -379,15 +368,9 @@ def _pair(values: Sequence[float], i: int) -> Sequence[float]:
     return values[2 * i : 2 * i + 2]
 
 
-def in_words(run: Run, of_outputs: Mapping[str, Sequence[float | None]]) -> list[Block]:
-    """What a run came to: pairs, and of several outputs a table with their rows.
-
-    Args:
-        run: what is shown.
-        of_outputs: rms of z - r, None where it is not tracked, and of z - z^ of each output by its
-            name.
-    """
-    info, single = run.info, len(of_outputs) == 1
+def in_words(run: Run) -> list[Block]:
+    """What a run came to: pairs, and of several outputs a table with their rows."""
+    info, single = run.info, len(run.outputs) == 1
     shown: dict[str, Any] = {
         "scenario": info.title,
         "observer": f"{info.method}, {info.time} time, step {info.step:g} s",
@@ -407,12 +390,12 @@ def in_words(run: Run, of_outputs: Mapping[str, Sequence[float | None]]) -> list
         shown[quiet] = f"{100 * run.silent_fraction:.1f} % of the time"
     if run.diverged_at is not None:  # what readings would tell is no use of these
         shown["DIVERGED"] = f"at {run.diverged_at:g} s"
-        return [shown] if single else [shown, _rows(run, of_outputs)]
+        return [shown] if single else [shown, _rows(run)]
     if refuted := claims_at_end(run.signals.arrays).get("claims"):
         shown["claims"] = "NOT as told: " + "; ".join(claims_in_words(refuted))
     if info.listens:
         shown["listens"] = listening_in_words(info.listens)
-    shown |= _proof(run) | _identifiable(info, list(of_outputs))
+    shown |= _proof(run) | _identifiable(info, run.outputs)
     if run.inexact:
         share = info.integration_share
         assert share is not None
@@ -420,17 +403,21 @@ def in_words(run: Run, of_outputs: Mapping[str, Sequence[float | None]]) -> list
             f"half the step changes the run by {100 * share:.3g} % of the largest |z|: these are "
             "no results; use a smaller simulation.step"
         )
-    return [shown] if single else [shown, _rows(run, of_outputs)]
+    return [shown] if single else [shown, _rows(run)]
 
 
-def _rows(run: Run, of_outputs: Mapping[str, Sequence[float | None]]) -> Rows:
+def _rows(run: Run) -> Rows:
     """A row for each output: its errors, widths, and what its readings tell."""
     info, unit = run.info, run.info.units.output
     heads = [label(name, unit) for name in ("rms z - r", "rms z - z^", "d_right", "d_left")]
-    what = "joint" if info.joints and list(info.joints) == list(of_outputs) else "output"
+    what = "joint" if info.joints == run.outputs else "output"
     rows: list[Sequence[str]] = [(what, *heads[:3], "true", heads[3], "true", "identifiable")]
-    for i, (name, (tracking, estimation)) in enumerate(of_outputs.items()):
-        cells = ["" if tracking is None else f"{tracking:.4g}", f"{estimation:.4g}"]
+    for i, name in enumerate(run.outputs):
+        tracking = ""
+        if i in info.tracked:
+            missed = run.z[:, i] - run.r[:, info.tracked.index(i)]
+            tracking = f"{_rms(missed[run.last]):.4g}"
+        cells = [tracking, f"{_rms((run.z - run.z_hat)[run.last, i]):.4g}"]
         for row in widths(run, i):
             cells += [row.found, f"{row.true:.6g}"]
         verdict = info.identifiable[i]

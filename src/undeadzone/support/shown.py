@@ -50,27 +50,6 @@ def source(words: str) -> str:
     return f'<pre style="line-height:1.35">{chr(10).join(lines)}</pre>'
 
 
-def display(result: Any, blocks: Sequence[Block]) -> str:
-    """A result as a notebook shows it: its blocks, and the figure that `uz.plot` draws of it.
-
-    Args:
-        result: what `uz.plot` takes.
-        blocks: its numbers.
-    """
-    import undeadzone
-    from undeadzone.errors import InputError
-
-    shown = html(blocks)
-    try:
-        figure = undeadzone.plot(result)
-    except InputError:  # nothing in it can be drawn
-        return shown
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=DOTS)
-    image = base64.b64encode(buffer.getvalue()).decode("ascii")
-    return f'{shown}\n<img alt="figure" src="data:image/png;base64,{image}" width="100%">'
-
-
 def plot(result: Any, path: str | os.PathLike[str] | None = None, ax: Axes | None = None) -> Figure:
     """The figure that `uz.plot` draws of a result; a method of every result.
 
@@ -90,8 +69,19 @@ def in_text(result: Any) -> str:
 
 
 def in_notebook(result: Any) -> str:
-    """The same and a figure; `_repr_html_` of results with `blocks`."""
-    return display(result, result.blocks())
+    """The same and the figure that `uz.plot` draws; `_repr_html_` of results with `blocks`."""
+    import undeadzone
+    from undeadzone.errors import InputError
+
+    shown = html(result.blocks())
+    try:
+        figure = undeadzone.plot(result)
+    except InputError:  # nothing in it can be drawn
+        return shown
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=DOTS)
+    image = base64.b64encode(buffer.getvalue()).decode("ascii")
+    return f'{shown}\n<img alt="figure" src="data:image/png;base64,{image}" width="100%">'
 
 
 def _lines(block: Block, width: int | None) -> list[str]:

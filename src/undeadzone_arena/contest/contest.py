@@ -165,11 +165,11 @@ class Contest(NamedTuple):
 
     def __repr__(self) -> str:
         """The leaderboard that `undeadzone arena` prints."""
-        return shown.text(self.blocks())
+        return shown.in_text(self)
 
     def _repr_html_(self) -> str:
         """The same and a figure, for a notebook."""
-        return shown.display(self, self.blocks())
+        return shown.in_notebook(self)
 
     def blocks(self) -> list[Block]:
         """The tables that `undeadzone arena` prints."""

@@ -147,13 +147,12 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
                 "the file was changed, or made for another model or sample time; design again"
             )
 
-    def __repr__(self) -> str:
+    def blocks(self) -> list[shown.Block]:
         """The gains, their proof and their trade, as a table."""
-        return shown.text([in_words(msgspec.to_builtins(self))])
+        return [in_words(msgspec.to_builtins(self))]
 
-    def _repr_html_(self) -> str:
-        """The same and a figure, for a notebook."""
-        return shown.display(self, [in_words(msgspec.to_builtins(self))])
+    __repr__ = shown.in_text
+    _repr_html_ = shown.in_notebook
 
     plot = shown.plot
     """Draw it."""
