@@ -62,7 +62,7 @@ def run_page(
             "Widths",
             _widths_table(run),
             *actuator_tables(actuators(run)),
-            *gap_tables(run.outputs, gaps(run, run.info.units.output, run.info.gaps)),
+            *gap_tables(run.outputs, gaps(run)),
             *map(html.paragraph, reasons),
         ),
         html.section("Gains", *_gains(run)),

@@ -7,7 +7,7 @@ import os
 from collections.abc import Sequence
 from typing import Any, ClassVar, Final
 
-import numpy as np
+import msgspec
 
 from undeadzone.logs.samples import counted_lines
 from undeadzone.results import files, sheet
@@ -196,28 +196,17 @@ def _samples(info: LogInfo) -> str:
 
 def widths(info: LogInfo, i: int) -> list[Row]:
     """The final widths of output i."""
-    values, stds = (info.d_right[i], info.d_left[i]), None
-    if info.d_right_std is not None and info.d_left_std is not None:
-        stds = (info.d_right_std[i], info.d_left_std[i])
-    return sheet.edges("d", "d", values, stds, info.units.output)
+    return sheet.of_each(msgspec.structs.asdict(info), "d", info.units.output)[i]
 
 
 def gaps(info: LogInfo) -> list[list[Row]]:
     """The final gaps of the play ahead of each dead zone; nothing where none are estimated."""
-    unit = info.units.output
-    names = ("gap_right", "gap_left", "gap_right_std", "gap_left_std", "gap_std")
-    return [sheet.gaps(one[:2], one[2:4], one[4], unit) for one in _each(info.further, names)]
+    return sheet.of_each(info.further, "gap", info.units.output)
 
 
 def actuators(info: LogInfo) -> list[list[Row]]:
     """The final widths of each actuator; nothing where none are estimated."""
-    unit, names = info.units.input, ("b_right", "b_left", "b_right_std", "b_left_std")
-    return [sheet.edges("b", "b", one[:2], one[2:], unit) for one in _each(info.further, names)]
-
-
-def _each(final: dict[str, Any], names: Sequence[str]) -> list[list[float]]:
-    """Final values in the order of names, for each output or actuator; nothing of none."""
-    return np.array([np.ravel(final[name]) for name in names if name in final]).T.tolist()
+    return sheet.of_each(info.further, "b", info.units.input)
 
 
 def _sides(info: LogInfo, i: int) -> str:

@@ -326,46 +326,23 @@ def parameters(run: Run) -> list[Row]:
 
 def widths(run: Run, i: int) -> list[Row]:
     """The widths of output i."""
-    unit = run.info.units.output
-    return sheet.edges("d", "d", *_last(run.d_hat, run.d_std, i), unit, _pair(run.info.widths, i))
+    return sheet.of_each(_found(run), "d", run.info.units.output, run.info.widths)[i]
 
 
 def actuators(run: Run) -> list[list[Row]]:
     """The widths of each actuator; nothing where none are estimated."""
-    if run.b_hat is None or run.b_std is None:
-        return []
-    true, unit, known = run.info.actuator, run.info.units.input, (run.b_hat, run.b_std)
-    inputs = range(len(true) // 2)
-    return [sheet.edges("b", "b", *_last(*known, j), unit, _pair(true, j)) for j in inputs]
+    return sheet.of_each(_found(run), "b", run.info.units.input, run.info.actuator)
 
 
-def gaps(signals: Any, unit: str, true: Sequence[float] | None = None) -> list[list[Row]]:
-    """The gaps of the play ahead of each dead zone; nothing where none are estimated.
-
-    Args:
-        signals: a result that has them.
-        unit: of z.
-        true: of each output in turn; None: nobody knows them.
-    """
-    c, std, both = signals.c_hat, signals.c_std, signals.gap_std
-    if c is None or std is None or both is None:
-        return []
-    rows = []
-    for i in range(both.shape[1]):
-        truth = None if true is None else _pair(true, i)
-        rows.append(sheet.gaps(*_last(c, std, i), both[-1, i], unit, truth))
-    return rows
+def gaps(run: Run) -> list[list[Row]]:
+    """The gaps of the play ahead of each dead zone; nothing where none are estimated."""
+    return sheet.of_each(_found(run), "gap", run.info.units.output, run.info.gaps)
 
 
-def _last(values: Floats, stds: Floats | None, i: int) -> tuple[Any, Any]:
-    """The last right and left values of output i, and their deviations where known."""
-    pair = slice(2 * i, 2 * i + 2)
-    return values[-1, pair].tolist(), None if stds is None else stds[-1, pair].tolist()
-
-
-def _pair(values: Sequence[float], i: int) -> Sequence[float]:
-    """Right and left of output i."""
-    return values[2 * i : 2 * i + 2]
+def _found(run: Run) -> dict[str, Any]:
+    """The last widths and gaps, and their deviations where known, by name."""
+    names = "d_hat", "d_std", "b_hat", "b_std", "c_hat", "c_std", "gap_std"
+    return final(run.signals.arrays, *names)
 
 
 def in_words(run: Run) -> list[Block]:
@@ -382,7 +359,7 @@ def in_words(run: Run) -> list[Block]:
     if len(driven) == 1:
         shown |= sheet.in_text(driven[0])
     if single:
-        for rows in gaps(run, info.units.output, info.gaps):
+        for rows in gaps(run):
             shown |= sheet.in_text(rows)
     shown |= sheet.in_text(parameters(run))
     if info.sensor != "gears":  # whose encoders are never silent

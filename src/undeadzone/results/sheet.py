@@ -7,8 +7,10 @@ take label and `words`; a page takes title and `cell`, as `report.html.estimates
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from undeadzone.support.text import label, with_interval, with_unit
 
@@ -97,6 +99,32 @@ def in_json(rows: Iterable[Row]) -> dict[str, float | None]:
 def on_page(rows: Iterable[Row]) -> dict[str, Any]:
     """Rows as a page shows them one below the other."""
     return {row.head: row.cell for row in rows}
+
+
+def of_each(
+    final: Mapping[str, Any], name: str, unit: str, true: Sequence[float] | None = None
+) -> list[list[Row]]:
+    """What is found of each output's zone or play, or of each actuator; nothing of none.
+
+    Args:
+        final: last values by name, a number or one each: of right and left, of their deviations
+            where known, of gaps that of the sum.
+        name: of the widths: d of a zone, b of an actuator, gap of a play ahead of a zone.
+        unit: of all.
+        true: right and left of each in turn; None: nobody knows them.
+    """
+    sides = [f"{name}_right", f"{name}_left"]
+    heads = [*sides, *(f"{side}_std" for side in sides), f"{name}_std"]
+    known = [np.ravel(final[head]) for head in heads if final.get(head) is not None]
+    found = np.array(known).T.tolist()
+    truths = [None] * len(found) if true is None else np.reshape(true, (-1, 2)).tolist()
+    sheets = []
+    for one, truth in zip(found, truths, strict=False):
+        if name == "gap":
+            sheets.append(gaps(one[:2], one[2:4], one[4], unit, truth))
+        else:
+            sheets.append(edges(name, name, one[:2], one[2:] or None, unit, truth))
+    return sheets
 
 
 def edges(
