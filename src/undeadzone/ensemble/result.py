@@ -284,14 +284,13 @@ class Ensemble:
         del info["scenario"], info["units"]
         lost = np.flatnonzero(self.diverged)[:SHOWN].tolist()
         names = [] if diverged.all() else self.quantities
-        sensitivities = self.sensitivities()
         summary = {
             **info,
             "confidence": LEVEL,
-            "diverged": _share(diverged) | {"runs": lost},
+            "diverged": _share(diverged)._asdict() | {"runs": lost},
             "settled": _share(settled),
-            "metrics": {name: _plain(describe(self.sample(name))) for name in names},
-            "sensitivities": {name: _plain(s._asdict()) for name, s in sensitivities.items()},
+            "metrics": {name: describe(self.sample(name)) for name in names},
+            "sensitivities": self.sensitivities(),
             "typical": self.typical(),
             "worst": [self.row(run) for run in self.worst()],
         }
@@ -340,14 +339,6 @@ class Ensemble:
         return cls(*saved.read(path))
 
 
-def _share(runs: npt.NDArray[np.bool_]) -> dict[str, Any]:
-    """The share of runs that have a property, with its interval, for JSON."""
-    return proportion(int(runs.sum()), runs.size)._asdict()
-
-
-def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Values for JSON, with dictionaries in place of named tuples."""
-    plain = {}
-    for name, value in values.items():
-        plain[name] = value._asdict() if hasattr(value, "_asdict") else value
-    return plain
+def _share(runs: npt.NDArray[np.bool_]) -> Interval:
+    """The share of runs that have a property, with its interval."""
+    return proportion(int(runs.sum()), runs.size)

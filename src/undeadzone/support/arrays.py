@@ -254,8 +254,10 @@ def runs(flags: Flags) -> tuple[Integers, Integers]:
 def finite(value: Any) -> Any:
     """A value for JSON, which has no nan or inf: None in their place.
 
-    Dictionaries, lists and tuples are searched for them.
+    Dictionaries, lists and tuples are searched for them; named tuples become dictionaries.
     """
+    if hasattr(value, "_asdict"):
+        value = value._asdict()
     if isinstance(value, dict):
         return {key: finite(child) for key, child in value.items()}
     if isinstance(value, list | tuple):

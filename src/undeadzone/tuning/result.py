@@ -192,22 +192,15 @@ class Tuned:
             "tuning": {"before": self.cost[0], "after": self.cost[1]},
             "held_out": {
                 "seed": self.seed + 1,
-                "change": plain(self.change),
-                "scenarios": plain(self.held_out),
+                "change": self.change,
+                "scenarios": self.held_out,
             },
             "improved": self.improved,
             "certified": None if self.margin is None else self.certified,
             "margin": self.margin,
-            "history": plain(self.trials),
+            "history": self.trials,
         }
         return dict(finite(summary))
-
-
-def plain(value: Any) -> Any:
-    """Named tuples, and those in tuples, as dictionaries, for JSON."""
-    if hasattr(value, "_asdict"):
-        return {name: plain(part) for name, part in value._asdict().items()}
-    return [plain(part) for part in value] if isinstance(value, tuple) else value
 
 
 def in_words(summary: Mapping[str, Any]) -> dict[str, Any]:
