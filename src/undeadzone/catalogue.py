@@ -72,6 +72,12 @@ class CompensatorOptions(Protocol):
         """The compensator for a model and what is known of its actuator."""
 
 
+class _Tagged(msgspec.Struct):
+    """A table as far as it names its method."""
+
+    method: str
+
+
 class Catalogue(NamedTuple):
     """The methods of one kind.
 
@@ -127,10 +133,11 @@ class Catalogue(NamedTuple):
         """
         if isinstance(table, msgspec.Struct):
             return table
-        options = self.options(_tag(table))
-        if options is None:
-            raise ValueError(f"Invalid value {table['method']!r} - at `$.method`")
         try:
+            tag = msgspec.convert(table, _Tagged).method
+            options = self.options(tag)
+            if options is None:
+                raise ValueError(f"Invalid value {tag!r} - at `$.method`")
             return msgspec.convert(table, options, dec_hook=arrays.decode)
         except msgspec.ValidationError as error:
             raise ValueError(str(error)) from None
@@ -222,21 +229,6 @@ def options_named(name: str, *catalogues: Catalogue) -> type[Options]:
             if place.rpartition(":")[2] == name:
                 return _loaded(f"{catalogue.group}: {name}", place)
     raise AttributeError(f"undeadzone has no {name!r}, and no package registers such options")
-
-
-def _tag(table: Any) -> str:
-    """The method that a table names. Raises ValueError in msgspec's words."""
-    if not isinstance(table, dict):
-        raise ValueError(f"Expected `object`, got `{_WORDS.get(type(table), 'str')}`")
-    if "method" not in table:
-        raise ValueError("Object missing required field `method`")
-    tag = table["method"]
-    if not isinstance(tag, str):
-        raise ValueError(f"Expected `str`, got `{_WORDS.get(type(tag), 'object')}` - at `$.method`")
-    return tag
-
-
-_WORDS: Final = {int: "int", float: "float", bool: "bool", list: "array", dict: "object"}
 
 
 def _registered(group: str) -> dict[str, str]:
