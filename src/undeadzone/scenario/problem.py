@@ -5,7 +5,7 @@ That includes the path of an arm's joints that a reference asks for, and an arm'
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import msgspec
@@ -175,19 +175,20 @@ def known_actuator(scenario: Scenario) -> ActuatorModel | None:
     told = None if scenario.model is None else scenario.model.actuator
     if scenario.actuator is None:
         return told
-    own = {key: getattr(scenario.actuator, key) for key in ActuatorModel.__struct_fields__}
-    if told is not None:
-        own |= {key: value for key in own if (value := getattr(told, key)) is not None}
-    return ActuatorModel(**own)
+    keys = ActuatorModel.__struct_fields__
+    return ActuatorModel(**_given(scenario.actuator, keys) | _given(told, keys))
 
 
 def known_sensor(scenario: Scenario) -> Sensor:
     """The sensor as observers know it, in a user's words: with what [model] says of it."""
-    if scenario.model is None:
-        return scenario.sensor
-    told = {"load_friction": scenario.model.load_friction, "play": scenario.model.play}
-    told = {key: value for key, value in told.items() if value is not None}
+    told = _given(scenario.model, ("load_friction", "play"))
     return msgspec.structs.replace(scenario.sensor, **told)
+
+
+def _given(table: msgspec.Struct | None, keys: Iterable[str]) -> dict[str, Any]:
+    """Those of some keys that a table gives; nothing of a table that there is not."""
+    values = {key: getattr(table, key, None) for key in keys}
+    return {key: value for key, value in values.items() if value is not None}
 
 
 def _require_numbers(sensor: Zone) -> None:
@@ -291,13 +292,13 @@ def modelled_plant(scenario: Scenario) -> Plant:
     if model.delay is not None:
         plant = msgspec.structs.replace(plant, delay=model.delay)
     if plant.f is not None or plant.arm is not None:
-        return _with_parameters(model, plant, _matrices_of_model(scenario))
+        return _with_parameters(model, plant, _given(model, "ABC"))
     if model.parameters:
         raise InputError(
             "model.parameters: only a plant given by formulas or an arm has parameters; use A, B, C"
         )
     linear = plants.matrices(plant)
-    return Plant(**{**linear._asdict(), **_matrices_of_model(scenario)}, delay=plant.delay)
+    return Plant(**{**linear._asdict(), **_given(model, "ABC")}, delay=plant.delay)
 
 
 def _with_parameters(model: Model, plant: Plant, matrices: dict[str, object]) -> Plant:
@@ -314,12 +315,6 @@ def _with_parameters(model: Model, plant: Plant, matrices: dict[str, object]) ->
             f"{', '.join(plant.parameters) or 'none'}"
         )
     return msgspec.structs.replace(plant, parameters=plant.parameters | model.parameters)
-
-
-def _matrices_of_model(scenario: Scenario) -> dict[str, object]:
-    """Those of A, B, C that [model] changes."""
-    every = {name: getattr(scenario.model, name) for name in "ABC"}
-    return {name: value for name, value in every.items() if value is not None}
 
 
 def _tracked(scenario: Scenario, plant: System) -> list[int]:
