@@ -229,6 +229,24 @@ def true_width(
     return nominal + wider + sign * moved
 
 
+def width_error(
+    name: str,
+    metrics: Mapping[str, Floats],
+    widths: Sequence[float],
+    varied: Mapping[str, Floats],
+    geared: bool,
+) -> Floats:
+    """The final error d^ - d of a width in each run.
+
+    Args:
+        name: of the error, such as `d_right_error[0]`
+        metrics: columns by name
+        widths, varied, geared: as of `true_width`
+    """
+    metric = name.replace("_error[", "[")
+    return metrics[metric] - true_width(metric.removeprefix("d_"), widths, varied, geared)
+
+
 def widths_in_turn(sensor: Zone) -> list[float]:
     """[right, left] of each output, one after the other."""
     return list(np.stack([sensor.right, sensor.left], axis=1).ravel().tolist())

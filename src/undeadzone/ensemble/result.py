@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from undeadzone.ensemble import saved
-from undeadzone.ensemble.metrics import Bands, true_width
+from undeadzone.ensemble.metrics import Bands, width_error
 from undeadzone.ensemble.saved import Info, unit_of_column
 from undeadzone.ensemble.words import in_words
 from undeadzone.errors import InputError
@@ -141,18 +141,10 @@ class Ensemble:
             return self.metrics[name]
         if name in self.varied:
             return self.varied[name]
-        return self._width_error(name)
-
-    def _width_error(self, name: str) -> Floats:
-        """The column d^ - d of a name such as `d_right_error[0]`. Raises InputError."""
-        metric = name.replace("_error[", "[")
         if name not in self.errors:
             known = ", ".join([*self.varied, *self.quantities])
             raise InputError(f"{name}: is not a column of this ensemble; there are {known}")
-        edge = metric.removeprefix("d_")
-        return self.metrics[metric] - true_width(
-            edge, self.info.widths, self.varied, self.info.geared
-        )
+        return width_error(name, self.metrics, self.info.widths, self.varied, self.info.geared)
 
     def sample(self, name: str) -> Floats:
         """What the statistics of a quantity take in: the independent runs that did not diverge.

@@ -16,7 +16,7 @@ from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.ensemble import metrics
 from undeadzone.ensemble.batch import Batch, prepare
 from undeadzone.ensemble.binding import bind
-from undeadzone.ensemble.metrics import EDGES, true_width, widths_in_turn
+from undeadzone.ensemble.metrics import EDGES, width_error, widths_in_turn
 from undeadzone.errors import InputError, UndeadzoneError
 from undeadzone.interfaces import graph_of
 from undeadzone.results.run import last_samples
@@ -383,28 +383,20 @@ def losses(metric: str, runs: TestRuns | OneByOne, rows: Floats) -> Floats:
         runs: on which the rows were computed
         rows: of metrics (... x columns)
     """
-    problem = runs.problem
-    names = metrics.columns(problem.plant, problem.sensor.kind)
+    problem, sensor = runs.problem, runs.problem.sensor
+    names = metrics.columns(problem.plant, sensor.kind)
     columns = {name: rows[..., i] for i, name in enumerate(names)}
     if metric in columns:
         size = columns[metric]
     else:
-        size = np.abs(_width_error(metric, runs, columns))
+        widths, geared = widths_in_turn(sensor), sensor.kind == "gears"
+        size = np.abs(width_error(metric, columns, widths, runs.varied, geared))
     rate = _rate_of_divergence(columns, problem.scenario.simulation.step)
     return np.where(
         columns["diverged"] != 0,
         LIMIT * (1 + rate / (1 + rate)),
         np.minimum(np.nan_to_num(size, nan=LIMIT), LIMIT),
     )
-
-
-def _width_error(metric: str, runs: TestRuns | OneByOne, columns: Mapping[str, Floats]) -> Floats:
-    """The final error of a width, d^ - d, in runs that vary it or not."""
-    edge, _, index = metric.removeprefix("d_").partition("_error")
-    sensor = runs.problem.sensor
-    geared = sensor.kind == "gears"
-    true = true_width(f"{edge}{index}", widths_in_turn(sensor), runs.varied, geared)
-    return columns[f"d_{edge}{index}"] - true
 
 
 def _rate_of_divergence(columns: Mapping[str, Floats], step: float) -> Floats:
