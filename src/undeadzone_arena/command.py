@@ -10,13 +10,12 @@ import click
 from click.core import ParameterSource
 
 from undeadzone.cli.common import (
-    confined,
     force_option,
+    guarded,
     origin,
     print_blocks,
     print_json,
     say,
-    untrusted,
     writable,
 )
 from undeadzone.cli.output import named_files, prepare_figures
@@ -105,8 +104,7 @@ FOLDER = Path("arena-results")
     help="Continue what was stopped, from DIR/results.json.partial or tuned.toml.partial.",
 )
 @force_option
-@untrusted
-@confined
+@guarded
 def arena(
     scenarios: tuple[Path, ...],
     methods: str | None,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from undeadzone.cli.common import PATH, cmd, confined, json_text, origin, untrusted, with_schema
+from undeadzone.cli.common import PATH, cmd, guarded, json_text, origin, with_schema
 from undeadzone.cli.output import Output, common, export_of, named_files, to_type
 from undeadzone.support.progress import on_terminal as progress
 
@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     "verdict/report.html"
 )
 @click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
-@untrusted
-@confined
+@guarded
 @common
 def check(scenario: Path, output: Output, confine: Path | None) -> int:
     """Assess the scenario's gains, and how strongly its readings move z^.

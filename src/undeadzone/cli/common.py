@@ -73,7 +73,7 @@ help_all = flag(
     expose_value=False,
     callback=_all_options,
 )
-confined = option(
+_confined = option(
     "--confine",
     "DIR",
     "Refuse files that the scenario names outside of DIR, as a service should.",
@@ -112,6 +112,11 @@ def untrusted(command: Command) -> Command:
         "Strangers made DIR: read it alone, write --out alone, take little time and memory.",
         type=PATH,
     )(held)
+
+
+def guarded(command: Command) -> Command:
+    """Add --untrusted and --confine: a scenario names files, and may be a stranger's."""
+    return untrusted(_confined(command))
 
 
 def _written_folder(options: Mapping[str, Any]) -> Path | None:

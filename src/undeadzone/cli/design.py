@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import PATH, cmd, confined, force_option, option, origin, untrusted
+from undeadzone.cli.common import PATH, cmd, force_option, guarded, option, origin
 from undeadzone.cli.output import Output, common, named_files
 from undeadzone.support.progress import on_terminal as progress
 
@@ -58,8 +58,7 @@ COUNT = click.IntRange(min=0)
 @option("--margin", None, "Least margin of the certificate, between 0 and 1.", default=0.01)
 @option("--seed", None, "Of the search: the same seed, the same gains.", default=0, type=COUNT)
 @force_option
-@untrusted
-@confined
+@guarded
 @common
 def design(
     scenario: Path,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import PATH, cmd, confined, flag, option, origin, untrusted, writable
+from undeadzone.cli.common import PATH, cmd, flag, guarded, option, origin, writable
 from undeadzone.cli.output import Output, common, prepare_figures
 from undeadzone.support.progress import on_terminal as progress
 
@@ -29,8 +29,7 @@ if TYPE_CHECKING:
     "(needs the extra dask; docs/security.md says what is trusted).",
 )
 @flag("--parquet", "Write runs.parquet instead of runs.npz (needs the extra parquet).")
-@untrusted
-@confined
+@guarded
 @common
 def ensemble(
     scenario: Path,

@@ -11,12 +11,11 @@ from undeadzone.cli.common import (
     PATH,
     cmd,
     columns_option,
-    confined,
     exit_code,
     flag,
+    guarded,
     origin,
     strict_option,
-    untrusted,
 )
 from undeadzone.cli.output import Output, common, csv_option, named_files, to_type, wanted_table
 from undeadzone.support.progress import on_terminal as progress
@@ -32,8 +31,7 @@ if TYPE_CHECKING:
 @strict_option
 @flag("--causal", "The filter alone: no smoothing with the whole log.")
 @csv_option
-@untrusted
-@confined
+@guarded
 @common
 def estimate(
     scenario: Path,

@@ -12,14 +12,13 @@ import click
 from undeadzone.cli.common import (
     PATH,
     cmd,
-    confined,
     flag,
     force_option,
+    guarded,
     option,
     print_blocks,
     print_json,
     say,
-    untrusted,
 )
 from undeadzone.support.progress import on_terminal as progress
 from undeadzone.support.text import counted
@@ -55,8 +54,7 @@ if TYPE_CHECKING:
 )
 @force_option
 @flag("--json", "Print the report as one JSON object.", "as_json")
-@untrusted
-@confined
+@guarded
 def export(
     scenario: Path,
     to: str,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from undeadzone.cli.common import PATH, cmd, confined, option, origin, untrusted, writable
+from undeadzone.cli.common import PATH, cmd, guarded, option, origin, writable
 from undeadzone.cli.output import (
     Output,
     common,
@@ -44,8 +44,7 @@ OF_ENSEMBLE = (".npz", ".parquet")  # files that hold runs, no scenario
     "--animation", "FILE", "Write an arm's motion as .gif (or .mp4, with ffmpeg) too.", type=PATH
 )
 @csv_option
-@untrusted
-@confined
+@guarded
 @common
 def run(
     scenario: Path,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import PATH, cmd, confined, flag, force_option, option, origin, untrusted
+from undeadzone.cli.common import PATH, cmd, flag, force_option, guarded, option, origin
 from undeadzone.cli.output import Output, common, named_files, partial_file, to_type
 from undeadzone.support.progress import on_terminal as progress
 
@@ -38,8 +38,7 @@ STATISTICS = click.Choice(["mean", "median", "p95", "worst"])
 @option("--seed", "N", "Of the runs and the search (default: [tune] seed).", type=int)
 @flag("--resume", "Continue a search that was stopped, from DIR/tuned.toml.partial.")
 @force_option
-@untrusted
-@confined
+@guarded
 @common
 def tune(
     scenario: Path,

@@ -17,14 +17,13 @@ from undeadzone.cli.common import (
     PATH,
     SCHEMA,
     columns_option,
-    confined,
     exit_code,
     flag,
+    guarded,
     option,
     print_blocks,
     say,
     strict_option,
-    untrusted,
     with_schema,
     writable,
 )
@@ -53,8 +52,7 @@ TIME = click.FloatRange(min=0, min_open=True, max=threading.TIMEOUT_MAX)  # [s]
 @option("--state", "FILE", "Keep the observer's state there, and go on from it.", type=PATH)
 @option("--every", "SECONDS", "How often the state is saved.", type=TIME, default=10.0)
 @option("--heartbeat", "SECONDS", "Say on stderr so often how far it is.", type=TIME)
-@untrusted
-@confined
+@guarded
 def watch(
     scenario: Path,
     as_json: bool,
