@@ -20,9 +20,9 @@ from undeadzone.report.style import plain
 from undeadzone.results.run import FRAMES, Run
 from undeadzone.support.arrays import Floats
 from undeadzone.support.files import replacing
+from undeadzone.support.progress import silent
 
 if TYPE_CHECKING:
-    from matplotlib.artist import Artist
     from matplotlib.figure import Figure
     from PIL.Image import Image
 
@@ -130,7 +130,7 @@ def require_movie(path: Path) -> None:
 
 
 def movie(
-    run: Run, rival: Run | None, path: Path, progress: Callable[[int], None] | None = None
+    run: Run, rival: Run | None, path: Path, progress: Callable[[int], None] = silent
 ) -> Path:
     """Write the motion as `.gif`, or as `.mp4` where ffmpeg is installed.
 
@@ -147,40 +147,36 @@ def movie(
     require_movie(path)
     if run.poses is None:
         raise InputError("animation: this plant is no arm; leave the option out")
-    from matplotlib.animation import FFMpegWriter, FuncAnimation
-
     arms = _arms(run, rival)
     stage = _stage(run, arms)
     _draw(stage, arms, 0)
     stage.figure.draw_without_rendering()
     stage.figure.set_layout_engine("none")  # laid out once, for all frames
 
-    def count_frame(frame: int, total: int) -> None:
-        if progress is not None:
-            progress(1)
-
-    length = max(len(arm.poses) for arm in arms)
+    shown = range(0, max(len(arm.poses) for arm in arms), SKIPPED)
+    write = _write_gif if path.suffix.lower() == ".gif" else _write_mp4
     with replacing(path) as temporary:
-        if path.suffix.lower() == ".gif":
-            _write_gif(stage, arms, range(0, length, SKIPPED), temporary, count_frame)
-        else:
-            motion = FuncAnimation(
-                stage.figure,
-                lambda frame: _draw(stage, arms, frame),
-                frames=range(0, length, SKIPPED),
-            )
-            speed: Any = FRAMES / SKIPPED
-            writer = FFMpegWriter(fps=speed)
-            motion.save(temporary, writer=writer, dpi=DPI, progress_callback=count_frame)
+        write(stage, arms, shown, temporary, progress)
     return path
 
 
+def _write_mp4(
+    stage: Stage, arms: list[Arm], shown: range, path: Path, progress: Callable[[int], None]
+) -> None:
+    """An MP4 of some frames. Arguments as of `_write_gif`."""
+    from matplotlib.animation import FFMpegWriter
+
+    speed: Any = FRAMES / SKIPPED
+    writer = FFMpegWriter(fps=speed)
+    with writer.saving(stage.figure, path, DPI):
+        for frame in shown:
+            _draw(stage, arms, frame)
+            writer.grab_frame()
+            progress(1)
+
+
 def _write_gif(
-    stage: Stage,
-    arms: list[Arm],
-    shown: range,
-    path: Path,
-    count_frame: Callable[[int, int], None],
+    stage: Stage, arms: list[Arm], shown: range, path: Path, progress: Callable[[int], None]
 ) -> None:
     """A GIF of some frames, in few colours, of which each picture keeps what does not change.
 
@@ -191,16 +187,16 @@ def _write_gif(
         arms: what moves on it.
         shown: the frames.
         path: the file.
-        count_frame: called with (frame, frames) for each frame done.
+        progress: called with 1 for each frame done.
     """
     from PIL.Image import Dither
 
     palette = _picture(stage, arms, shown[-1]).quantize(COLOURS)
 
     def pictures() -> Iterator[Image]:
-        for number, frame in enumerate(shown):
+        for frame in shown:
             picture = _picture(stage, arms, frame)
-            count_frame(number, len(shown))
+            progress(1)
             yield picture.quantize(palette=palette, dither=Dither.NONE)
 
     first, *others = pictures()
@@ -276,7 +272,7 @@ def _limit(axes: Any, points: Floats) -> None:
     axes.set_aspect("equal")
 
 
-def _draw(stage: Stage, arms: list[Arm], frame: int) -> list[Artist]:
+def _draw(stage: Stage, arms: list[Arm], frame: int) -> None:
     """Move every arm to where it is in a frame, with the last way of its tip."""
     for line, trail, arm in zip(stage.lines, stage.trails, arms, strict=True):
         now = min(frame, len(arm.poses) - 1)
@@ -284,7 +280,6 @@ def _draw(stage: Stage, arms: list[Arm], frame: int) -> list[Artist]:
         _move(line, arm.poses[now], stage.spatial)
         _move(trail, arm.poses[before : now + 1, -1], stage.spatial)
     stage.axes.set_title(f"{stage.title}, t = {frame / FRAMES:.2f} s", fontsize=9)
-    return [*stage.lines, *stage.trails]
 
 
 def _move(line: Any, points: Floats, spatial: bool) -> None:
