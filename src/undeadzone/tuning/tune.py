@@ -195,8 +195,8 @@ class Search(NamedTuple):
     parameters: tuple[Parameter, ...]
     candidates: list[SimulatedCandidate]
     threads: int | None
-    progress: Callable[[int], None] | None
-    kept: Answers | None = None
+    progress: Callable[[int], None]
+    kept: Answers | None
 
     @property
     def best(self) -> SimulatedCandidate:
@@ -243,8 +243,7 @@ class Search(NamedTuple):
             self.candidates.append(
                 SimulatedCandidate(point, float(cost[k]), float(margin[k]), stage)
             )
-        if self.progress is not None:
-            self.progress(len(chosen))
+        self.progress(len(chosen))
         return Evaluation(cost, margin)
 
     def _costs(self, points: Floats, problems: list[Problems]) -> Floats:
