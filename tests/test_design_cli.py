@@ -30,7 +30,7 @@ from undeadzone.errors import UndeadzoneError
 from undeadzone.report.gain_figures import ellipses, root_locus
 from undeadzone.report.gains_page import figures, gains_page
 from undeadzone.report.proof_figures import courses as courses_figure
-from undeadzone.report.proof_figures import nyquist
+from undeadzone.report.proof_figures import positive_realness
 from undeadzone.report.style import image, sheet
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.synthesis import design as synthesis
@@ -513,14 +513,14 @@ def test_an_attack_and_a_cycle_are_drawn_where_there_are_any() -> None:
 def test_nyquist_marks_the_worst_point_and_enlarges_it() -> None:
     of = counted(observer=POLES)
     assert of.gains is not None
-    figure = nyquist(of.gains)
+    figure = positive_realness(of.gains.certificate)
     assert len(figure.axes) == 3
     marked = [line for axes in figure.axes for line in axes.lines if line.get_marker() == "o"]
     assert [float(np.asarray(line.get_xdata())[0]) for line in marked] == pytest.approx(
         [-1 / 24, -1 / 24, np.sqrt(6.2)]
     )
-    assert len(nyquist(counted().gains).axes) == 2  # type: ignore[arg-type]
-    assert len(nyquist(counted(**COUPLED).gains).axes) == 1  # type: ignore[arg-type]
+    assert len(positive_realness(counted().gains.certificate).axes) == 2  # type: ignore[arg-type]
+    assert len(positive_realness(counted(**COUPLED).gains.certificate).axes) == 1  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("changes", [{}, SAMPLED])

@@ -38,7 +38,7 @@ from undeadzone.report.html import (
     table,
 )
 from undeadzone.report.plot import KINDS, plot
-from undeadzone.report.proof_figures import nyquist, proof_of
+from undeadzone.report.proof_figures import positive_realness, proof_of
 from undeadzone.report.run_figures import joint_rows, offset, overview, rows_below, rows_beside
 from undeadzone.report.run_page import run_page
 from undeadzone.report.style import image, png, sheet, write
@@ -346,8 +346,11 @@ def test_plot_draws_what_the_report_shows_first(
     observer = Certified(L=design.L, gamma=design.gamma, width_max=3.0)
     gains = assess(resolve_scenario(msgspec.structs.replace(scene(), observer=observer))).gains
     assert gains is not None
-    assert title(plot(design)) == title(nyquist(gains))
-    curves = [figure.axes[0].lines[-2].get_xydata() for figure in (plot(design), nyquist(gains))]
+    assert title(plot(design)) == title(positive_realness(gains.certificate))
+    curves = [
+        figure.axes[0].lines[-2].get_xydata()
+        for figure in (plot(design), positive_realness(gains.certificate))
+    ]
     np.testing.assert_allclose(curves[0], curves[1], rtol=1e-9)
     assert png(plot(tuned)) == png(history(tuned))
 

@@ -79,21 +79,17 @@ def _locus(axes: Axes, poles: np.ndarray, silent: np.ndarray, name: str) -> Any:
     factors = np.repeat(FACTORS, poles.shape[1])
     dots = axes.scatter(poles.real, poles.imag, c=factors, s=3, cmap="viridis", linewidths=0)
     dots.set_rasterized(True)  # thousands
-    without, chosen = poles[0], poles[CHOSEN]
-    axes.plot(
-        silent.real,
-        silent.imag,
-        "s",
-        color=ink.TRUTH,
-        fillstyle="none",
-        markersize=8,
-        label="silent",
-    )
-    axes.plot(
-        without.real, without.imag, "x", color=ink.TRUTH, markersize=6, label=f"{NAMES[name]} = 0"
-    )
-    axes.plot(chosen.real, chosen.imag, "o", color=ink.PRINTED, markersize=6, label="chosen")
+    _mark_poles(axes, silent, "s", ink.TRUTH, "silent", fillstyle="none", markersize=8)
+    _mark_poles(axes, poles[0], "x", ink.TRUTH, f"{NAMES[name]} = 0", markersize=6)
+    _mark_poles(axes, poles[CHOSEN], "o", ink.PRINTED, "chosen", markersize=6)
     return dots
+
+
+def _mark_poles(
+    axes: Axes, poles: np.ndarray, marker: str, colour: str, name: str, **style: Any
+) -> None:
+    """Mark poles in the complex plane."""
+    axes.plot(poles.real, poles.imag, marker, color=colour, label=name, **style)
 
 
 def _enlarge_slow(

@@ -18,7 +18,7 @@ from undeadzone.analysis.identifiability.second_truth import in_words as in_word
 from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.report import html
 from undeadzone.report.gain_figures import ellipses, front, root_locus
-from undeadzone.report.proof_figures import courses, nyquist
+from undeadzone.report.proof_figures import courses, positive_realness
 from undeadzone.support.arrays import listed
 from undeadzone.support.text import HALF_95, counted, label
 from undeadzone.synthesis.assessment import Assessment, Attacks, Gains
@@ -64,7 +64,7 @@ def figures(
         drawn["front"] = front(design)
     if gains is not None:
         if np.isfinite(gains.certificate.margin):
-            drawn["nyquist"] = nyquist(gains)
+            drawn["nyquist"] = positive_realness(gains.certificate)
         drawn["root_locus"] = root_locus(of, gains)
         if tried is not None:
             drawn["lyapunov"] = courses(gains, tried)

@@ -134,11 +134,12 @@ def _of_check(result: Check) -> Drawing:
     import numpy as np
 
     from undeadzone.report.gain_figures import deviations, ellipses
-    from undeadzone.report.proof_figures import least_real_part, nyquist
+    from undeadzone.report.proof_figures import least_real_part, positive_realness
 
-    gains, of = result.assessment.gains, result.assessment
-    if gains is not None and np.isfinite(gains.certificate.margin):
-        return Drawing(lambda: nyquist(gains), lambda ax: least_real_part(ax, gains.certificate))
+    of = result.assessment
+    proof = None if of.gains is None else of.gains.certificate
+    if proof is not None and np.isfinite(proof.margin):
+        return Drawing(lambda: positive_realness(proof), lambda ax: least_real_part(ax, proof))
     if of.problem.sensor.kind != "deadzone":
         raise InputError("plot: this check has no certificate, and nothing that can be drawn")
     return Drawing(lambda: ellipses(of), lambda ax: deviations(ax, of, 0))

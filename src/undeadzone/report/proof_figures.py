@@ -29,11 +29,6 @@ STYLES: Final[dict[str, dict[str, Any]]] = {
 }
 
 
-def nyquist(gains: Gains) -> Figure:
-    """The certificate of gains in the frequency domain; see `positive_realness`."""
-    return positive_realness(gains.certificate)
-
-
 def proof_of(design: Design) -> Certificate:
     """The certificate that a design holds, checked again by eigenvalues alone."""
     errors = dynamics(design.model, design.L, design.gamma, design.Ts)
