@@ -8,6 +8,7 @@ import numpy as np
 
 from undeadzone.analysis.certificate.design_file import Design
 from undeadzone.analysis.certificate.passivity import Certificate, recheck
+from undeadzone.analysis.certificate.weights import response
 from undeadzone.analysis.convergence.falsify import Mode
 from undeadzone.analysis.convergence.trajectories import Trajectory
 from undeadzone.analysis.error_dynamics import Dynamics, Storage, dynamics
@@ -98,15 +99,10 @@ def _frequencies(errors: Dynamics) -> Floats:
 
 def _response(errors: Dynamics, W: Floats, w: Floats) -> np.ndarray:
     """W^(1/2) (1 + G - Ts S Gamma S'/2) W^(-1/2) at frequencies w [rad/s]; inf is allowed."""
-    A, Ts, root = errors.A[0], errors.Ts, np.sqrt(W)
-    at_infinity = (np.eye(root.size) - errors.steps[0] / 2).astype(complex)
-    H = np.tile(at_infinity, (w.size, 1, 1))
-    finite = np.isfinite(w)
-    s = 1j * w[finite] if Ts is None else np.expm1(1j * w[finite] * Ts) / Ts
-    L = (errors.L / root)[None].astype(complex)
-    states = np.linalg.solve(s[:, None, None] * np.eye(len(A)) - A, L)  # (s - A)^-1 L
-    H[finite] += errors.C * root[:, None] @ states
-    return H
+    Ts, root = errors.Ts, np.sqrt(W)
+    at_infinity = np.eye(root.size) - errors.steps[0] / 2
+    H = response(errors.A[0], errors.C * root[:, None], errors.L / root, at_infinity, Ts)
+    return H.values(w if Ts is None else 2 / Ts * np.tan(w * Ts / 2))
 
 
 def _nyquist_curves(
