@@ -15,7 +15,7 @@ from undeadzone.errors import InputError
 from undeadzone.report import ink
 from undeadzone.report.style import axis_label, finish, floor_of, plain, sheet
 from undeadzone.results.run import LAST
-from undeadzone.statistics.intervals import LEVEL
+from undeadzone.statistics.intervals import LEVEL, shares_between
 from undeadzone.support.arrays import Floats
 
 if TYPE_CHECKING:
@@ -163,14 +163,11 @@ def _mark_quantile(
 
 def _beyond(axes: Axes, ordered: Floats) -> None:
     """The share of runs above each value, within the interval of Clopper and Pearson."""
-    from scipy.special import betaincinv
-
     n = ordered.size
     above = np.unique(np.geomspace(1, max(n - 1, 1), 300).astype(int))[::-1]  # numbers of runs
     x = ordered[np.maximum(n - 1 - above, 0)]
-    low = betaincinv(above, n - above + 1, (1 - LEVEL) / 2)
-    high = betaincinv(above + 1, np.maximum(n - above, 1), (1 + LEVEL) / 2)
     axes.set_yscale("log")
+    low, high = shares_between(above, n)
     axes.fill_between(x, low, high, color=ink.ESTIMATE, alpha=0.25, linewidth=0)
     axes.plot(x, above / n, color=ink.ESTIMATE)
     axes.set_ylim(0.5 / n, 1.5)
@@ -334,15 +331,14 @@ def _bars(
     )
 
 
-def influence(result: Ensemble, sensitivities: Sensitivities, metric: str = MAIN) -> Figure | None:
-    """The metric over each of the two most influential entries, and over both.
+def influence(result: Ensemble, sensitivities: Sensitivities) -> Figure | None:
+    """The main metric over each of the two most influential entries, and over both.
 
     The worst runs, the median one and those that diverged are marked.
 
     Args:
         result: of which runs are shown
         sensitivities: of its entries, as in a summary; None is returned if there are none
-        metric: what is shown
     """
     if not sensitivities:
         return None
@@ -353,10 +349,10 @@ def influence(result: Ensemble, sensitivities: Sensitivities, metric: str = MAIN
         figure, panels = sheet([[*names, "both"]], title, width=13.0, height=4.4)
     else:
         figure, panels = sheet([names], title, width=6.5, height=4.4)
-    values = np.where(result.diverged, np.nan, result.column(metric))
-    runs = _marked(result, values, metric)
+    values = np.where(result.diverged, np.nan, result.column(MAIN))
+    runs = _marked(result, values)
     scale = _scale(values[runs.shown])
-    quantity = axis_label(words(metric, result.info.duration), result.unit(metric))
+    quantity = axis_label(words(MAIN, result.info.duration), result.unit(MAIN))
     labels = [axis_label(plain(name), result.unit(name)) for name in names]
     for name, x_label in zip(names, labels, strict=True):
         _over_one(panels[name], result.column(name), values, runs, scale)
@@ -370,13 +366,13 @@ def influence(result: Ensemble, sensitivities: Sensitivities, metric: str = MAIN
     return figure
 
 
-def _marked(result: Ensemble, values: Floats, metric: str) -> Marked:
-    """The runs that are shown and marked; values: of the metric, nan where a run diverged."""
+def _marked(result: Ensemble, values: Floats) -> Marked:
+    """The runs that are shown and marked; values: of the main metric, nan where one diverged."""
     return Marked(
         shown=np.flatnonzero(np.isfinite(values[:JUDGED])),
         diverged=np.flatnonzero(result.diverged[:JUDGED]),
         worst=np.argpartition(np.nan_to_num(values, nan=-np.inf), -WORST)[-WORST:],
-        typical=result.typical(metric),
+        typical=result.typical(),
     )
 
 

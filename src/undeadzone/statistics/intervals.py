@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from undeadzone.support.arrays import Floats
+from undeadzone.support.arrays import Floats, Integers
 
 LEVEL: Final = 0.95
 QUANTILES: Final = {"p5": 0.05, "median": 0.5, "p95": 0.95, "p99": 0.99}
@@ -120,14 +120,22 @@ def deviation(column: Floats) -> Interval:
 
 def proportion(count: int, runs: int) -> Interval:
     """The share of runs with a property, between Clopper and Pearson's exact bounds."""
+    (low,), (high,) = shares_between(np.array([count]), runs)
+    return Interval(count / runs, float(low), float(high))
+
+
+def shares_between(counts: Integers, runs: int) -> tuple[Floats, Floats]:
+    """Clopper and Pearson's bounds of the shares of runs with properties, the lower ones first.
+
+    Args:
+        counts: how many runs have each property.
+        runs: how many there are.
+    """
     from scipy.special import betaincinv
 
-    low, high = 0.0, 1.0
-    if count > 0:
-        low = float(betaincinv(count, runs - count + 1, (1 - LEVEL) / 2))
-    if count < runs:
-        high = float(betaincinv(count + 1, runs - count, (1 + LEVEL) / 2))
-    return Interval(count / runs, low, high)
+    low = betaincinv(np.maximum(counts, 1), runs - counts + 1, (1 - LEVEL) / 2)
+    high = betaincinv(counts + 1, np.maximum(runs - counts, 1), (1 + LEVEL) / 2)
+    return np.where(counts > 0, low, 0.0), np.where(counts < runs, high, 1.0)
 
 
 def jackknife(estimate: Callable[[Any], Floats], rows: int) -> Floats:
