@@ -48,7 +48,8 @@ def overview(run: Run) -> Figure:
     wide = outputs > STACKED
     layout, columns = (rows_beside, 12) if wide else (rows_below, 6)
     rows = layout(outputs, run.V is not None)
-    rows += rows_of_actuators(actuators, columns) + rows_of_gaps(gaps, columns)
+    rows += halves("command", "actuator", actuators, columns)
+    rows += halves("loop", "gaps", gaps, columns)
     size = {"width": 15.0, "height": 2.2} if wide else {}
     figure, panels = sheet(rows, info.title, **size)
     for i in range(outputs):
@@ -56,15 +57,14 @@ def overview(run: Run) -> Figure:
         output(panels[f"output {i}"], run, i, of)
         _errors(panels[f"error {i}"], run, i, of)
         _edges(panels[f"widths {i}"], run, i, "d", info.widths, f"Widths{of}")
+        if gaps:
+            _loop(panels[f"loop {i}"], run, i, of)
+            _edges(panels[f"gaps {i}"], run, i, "c", info.gaps, f"Gaps of the play{of}")
     for j in range(actuators):
         of = f" {j}" if actuators > 1 else ""
         _command(panels[f"command {j}"], run, j, of)
         what = f"Widths of the actuator{of}"
         _edges(panels[f"actuator {j}"], run, j, "b", info.actuator, what)
-    for i in range(gaps):
-        of = f" {plain(str(run.outputs[i]))}" if outputs > 1 else ""
-        _loop(panels[f"loop {i}"], run, i, of)
-        _edges(panels[f"gaps {i}"], run, i, "c", info.gaps, f"Gaps of the play{of}")
     if run.V is not None:
         plot_magnitude(panels["V"], run.t[run.shown], run.V[run.shown], ink.TRUTH, "V")
         finish(panels["V"], "Lyapunov function", axis_label("V", run.unit("V")), legend=0)
@@ -92,16 +92,10 @@ def rows_beside(outputs: int, with_V: bool) -> list[list[str]]:
     return [*rows, ["V"] * 12] if with_V else rows
 
 
-def rows_of_actuators(actuators: int, columns: int) -> list[list[str]]:
-    """The panels of actuators whose widths are estimated: a row each, command and widths."""
+def halves(left: str, right: str, count: int, columns: int) -> list[list[str]]:
+    """Rows of two panels, one for each actuator or play: what it does, and its widths or gaps."""
     half = columns // 2
-    return [[f"command {j}"] * half + [f"actuator {j}"] * half for j in range(actuators)]
-
-
-def rows_of_gaps(gaps: int, columns: int) -> list[list[str]]:
-    """The panels of plays whose gaps are estimated: a row each, reading over z and gaps."""
-    half = columns // 2
-    return [[f"loop {i}"] * half + [f"gaps {i}"] * half for i in range(gaps)]
+    return [[f"{left} {i}"] * half + [f"{right} {i}"] * half for i in range(count)]
 
 
 def output(axes: Axes, run: Run, i: int = 0, of: str = "") -> None:
