@@ -11,7 +11,7 @@ import struct
 import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO, Final, NamedTuple
+from typing import Any, BinaryIO, Final
 
 import msgspec
 import numpy as np
@@ -35,20 +35,6 @@ Columns = dict[str, Floats]  # by name
 _DAMAGE: Final = (ValueError, KeyError, struct.error, zipfile.BadZipFile, msgspec.DecodeError)
 
 
-class Table(NamedTuple):
-    """What a file holds.
-
-    Attributes:
-        header: text
-        columns: equally long, by name
-        attached: other arrays, by name
-    """
-
-    header: str
-    columns: Mapping[str, Floats]
-    attached: Mapping[str, Floats]
-
-
 def require(path: Name) -> Path:
     """The path. Raises InputError where no table can be written: its suffix, or no pyarrow."""
     path = path_of(path)
@@ -59,19 +45,19 @@ def require(path: Name) -> Path:
     return path
 
 
-def _write_npz(table: Table, path: Path) -> None:
-    """Write the header and every array as a member of a zip file."""
-    arrays: dict[str, Any] = {HEADER: np.frombuffer(table.header.encode(), np.uint8)}
-    for name, values in table.columns.items():
+def _write_npz(path: Path, header: str, columns: Columns, attached: Columns) -> None:
+    """Write a header, equally long columns and other arrays, each as a member of a zip file."""
+    arrays: dict[str, Any] = {HEADER: np.frombuffer(header.encode(), np.uint8)}
+    for name, values in columns.items():
         arrays[COLUMNS + name] = values
-    for name, values in table.attached.items():
+    for name, values in attached.items():
         arrays[ATTACHED + name] = np.ascontiguousarray(values)
     with replacing(path) as temporary, open(temporary, "wb") as file:
         np.savez(file, **arrays)
 
 
-def _read_npz(path: Path) -> Table:
-    """Arrays are mapped, not read; but every byte is checked first."""
+def _read_npz(path: Path) -> tuple[str, Columns, Columns]:
+    """What `_write_npz` wrote: arrays are mapped, not read; but every byte is checked first."""
     arrays = {}
     with zipfile.ZipFile(path) as archive, open(path, "rb") as file:
         torn = archive.testzip()
@@ -80,7 +66,7 @@ def _read_npz(path: Path) -> Table:
         for entry in archive.infolist():
             arrays[entry.filename.removesuffix(".npy")] = _mapped(path, file, entry.header_offset)
     header = arrays[HEADER].tobytes().decode()
-    return Table(header, _below(COLUMNS, arrays), _below(ATTACHED, arrays))
+    return header, _below(COLUMNS, arrays), _below(ATTACHED, arrays)
 
 
 def _mapped(path: Path, file: BinaryIO, offset: int) -> Any:
@@ -99,17 +85,17 @@ def _below(kind: str, arrays: Mapping[str, Any]) -> dict[str, Any]:
     return {name.removeprefix(kind): arrays[name] for name in names}
 
 
-def _write_parquet(table: Table, path: Path) -> None:
+def _write_parquet(path: Path, header: str, columns: Columns, attached: Columns) -> None:
     """Write the columns as Parquet; header and other arrays become its metadata."""
     arrow = _arrow()
     import pyarrow.parquet as parquet
 
-    metadata: dict[str, str | bytes] = {HEADER: table.header}
-    for name, values in table.attached.items():
+    metadata: dict[str, str | bytes] = {HEADER: header}
+    for name, values in attached.items():
         metadata[ATTACHED + name] = np.ascontiguousarray(values, "<f8").tobytes()
-    metadata[CHECKSUM] = _checksum(metadata, list(table.columns))
-    schema = arrow.schema([(name, arrow.float64()) for name in table.columns], metadata=metadata)
-    runs = len(next(iter(table.columns.values())))
+    metadata[CHECKSUM] = _checksum(metadata, list(columns))
+    schema = arrow.schema([(name, arrow.float64()) for name in columns], metadata=metadata)
+    runs = len(next(iter(columns.values())))
     with (
         replacing(path) as temporary,
         parquet.ParquetWriter(
@@ -117,12 +103,12 @@ def _write_parquet(table: Table, path: Path) -> None:
         ) as writer,
     ):
         for start in range(0, runs, CHUNK):
-            chunks = [column[start : start + CHUNK] for column in table.columns.values()]
+            chunks = [column[start : start + CHUNK] for column in columns.values()]
             parts = [arrow.array(np.asarray(chunk, float)) for chunk in chunks]
             writer.write_table(arrow.Table.from_arrays(parts, schema=schema))
 
 
-def _read_parquet(path: Path) -> Table:
+def _read_parquet(path: Path) -> tuple[str, Columns, Columns]:
     """The columns in memory, header and other arrays from the metadata."""
     _arrow()
     import pyarrow.parquet as parquet
@@ -136,7 +122,7 @@ def _read_parquet(path: Path) -> Table:
     attached = {}
     for name, value in _below(ATTACHED, metadata).items():
         attached[name] = np.frombuffer(value, "<f8")
-    return Table(metadata[HEADER].decode(), columns, attached)
+    return metadata[HEADER].decode(), columns, attached
 
 
 def _checksum(metadata: Mapping[str, str | bytes], columns: Sequence[str]) -> str:
@@ -236,8 +222,8 @@ def write(path: Name, varied: Columns, metrics: Columns, info: Info, bands: Band
     path = require(path)
     header = msgspec.json.encode(_Header(info, list(varied))).decode()
     attached = {} if bands is None else {"t": bands.t, **bands.quantiles}
-    table = Table(header, {**varied, **metrics}, attached)
-    (_write_parquet if path.suffix == ".parquet" else _write_npz)(table, path)
+    put = _write_parquet if path.suffix == ".parquet" else _write_npz
+    put(path, header, {**varied, **metrics}, attached)
     return path
 
 
@@ -246,17 +232,18 @@ def read(path: Name) -> tuple[Columns, Columns, Info, Bands | None]:
     path = path_of(path)
     try:
         require_plain(path)
-        table = _read_parquet(path) if path.suffix == ".parquet" else _read_npz(path)
-        header = msgspec.json.decode(table.header, type=_Header)
-        varied = {name: table.columns[name] for name in header.varied}
+        get = _read_parquet if path.suffix == ".parquet" else _read_npz
+        text, columns, attached = get(path)
+        header = msgspec.json.decode(text, type=_Header)
+        varied = {name: columns[name] for name in header.varied}
     except InputError:
         raise
     except OSError as error:
         raise FileError(f"{path}: cannot read: {reason(error)}") from None
     except _DAMAGE as error:
         raise FileError(f"{path}: not an ensemble saved by undeadzone ({error})") from None
-    metrics = {name: column for name, column in table.columns.items() if name not in varied}
-    return varied, metrics, header.info, _attached_bands(table.attached)
+    metrics = {name: column for name, column in columns.items() if name not in varied}
+    return varied, metrics, header.info, _attached_bands(attached)
 
 
 def _attached_bands(attached: Mapping[str, Floats]) -> Bands | None:
