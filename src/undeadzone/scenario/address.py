@@ -19,13 +19,13 @@ import numpy as np
 
 from undeadzone.catalogue import decode
 from undeadzone.errors import InputError
-from undeadzone.scenario import ensemble_table as vary
-from undeadzone.scenario import tune_table as tuning
+from undeadzone.scenario import ensemble_table, tune_table
 from undeadzone.scenario.messages import CHOOSERS, explain
 from undeadzone.support.arrays import Array, Floats
 from undeadzone.support.toml import tables
 
 TUNABLE: Final = ("observer", "controller")  # the tables whose numbers have addresses
+TABLES: Final = (ensemble_table.TABLE, tune_table.TABLE)  # those whose keys may be addresses
 S = TypeVar("S", bound=msgspec.Struct)
 LAST = "compare"  # changed after [observer], whose keys it may take
 ENDLESS = "sensor.range"  # the key whose numbers may be infinite; nan is refused later
@@ -249,6 +249,16 @@ def alike(compare: Any, observer: Any) -> Any:
     return {**observer, **own}
 
 
+def with_entries(data: Mapping[str, Any]) -> dict[str, Any]:
+    """A scenario's tables, entries by address moved to `entries` in [ensemble] and [tune].
+
+    Raises:
+        InputError: a key there is neither known nor an address, or an entry cannot be read.
+    """
+    read = {each.name: each.decoded(data[each.name]) for each in TABLES if each.name in data}
+    return {**data, **read}
+
+
 def require_finite(value: Any, key: str) -> None:
     """Raise InputError where a number at or below a key is not finite, or too large."""
     if key == ENDLESS:
@@ -281,9 +291,7 @@ def _converted(before: Any, name: str, change: Any, annotation: Any, kind: type)
     after = _merged(before, change)
     require_finite(after, name)
     try:
-        for table in (vary.TABLE, tuning.TABLE):
-            if table.name == name:
-                after = table.decoded(after)
+        after = with_entries({name: after})[name]
         return msgspec.convert(after, annotation, dec_hook=decode)
     except msgspec.ValidationError as error:
         message = f"{error} - at `$.{name}`"

@@ -19,9 +19,7 @@ import msgspec
 
 from undeadzone.catalogue import decode
 from undeadzone.errors import FileError, InputError
-from undeadzone.scenario import ensemble_table as vary
-from undeadzone.scenario import tune_table as tuning
-from undeadzone.scenario.address import alike, require_finite
+from undeadzone.scenario.address import alike, require_finite, with_entries
 from undeadzone.scenario.messages import explain
 from undeadzone.scenario.schema import Scenario
 from undeadzone.support.arrays import matlab
@@ -182,10 +180,7 @@ def convert(data: dict[str, Any], folder: Path = Path()) -> Scenario:
     """
     try:
         require_finite(data, "")
-        data = dict(data)
-        for table in (vary.TABLE, tuning.TABLE):
-            if table.name in data:
-                data[table.name] = table.decoded(data[table.name])
+        data = with_entries(data)
         if "compare" in data:
             data["compare"] = alike(data["compare"], data.get("observer"))
         scenario = msgspec.convert(data, Scenario, dec_hook=decode)
