@@ -334,7 +334,7 @@ def test_nothing_varies_in_an_empty_table() -> None:
     """Only the noise does."""
     binding = bound({}, {"runs": 5})
     lanes = binding.lanes(binding.draw(0, 5, 5))
-    assert (binding.names, lanes.indices, lanes.params.shape) == ([], (), (5, 0))
+    assert (binding.names, binding.indices, lanes.params.shape) == ([], (), (5, 0))
     assert np.array_equal(lanes.states, np.tile(binding.state, (5, 1)))
 
 
@@ -409,7 +409,7 @@ def test_blocks_do_not_matter_to_the_last_bit(sampling: str, first: int, count: 
     for k in (0, count // 2, count - 1):
         state, params = binding.packed(values[k])
         assert np.array_equal(state, lanes.states[k])
-        assert np.array_equal(params[list(lanes.indices)], lanes.params[k])
+        assert np.array_equal(params[list(binding.indices)], lanes.params[k])
 
 
 # --- the hold of many plants ---

@@ -157,8 +157,5 @@ def known_inputs(shared: Floats, own: tuple[int, ...]) -> dict[int, float]:
 
 def known_params(params: Floats, varied: tuple[int, ...]) -> dict[int, float]:
     """The zeros and ones among the packed params that do not vary, which shorten a kernel too."""
-    constants = {}
-    for i, value in enumerate(params):
-        if value in (0.0, 1.0) and i not in varied:
-            constants[i] = float(value)
-    return constants
+    values = enumerate(params.tolist())
+    return {i: value for i, value in values if i not in varied and value in (0.0, 1.0)}

@@ -29,12 +29,10 @@ class Lanes(NamedTuple):
 
     Attributes:
         states: packed initial states (count x S)
-        indices: the packed params that the runs have for themselves
-        params: their values (count x P)
+        params: values of the packed params that the runs have for themselves (count x P)
     """
 
     states: Floats
-    indices: tuple[int, ...]
     params: Floats
 
 
@@ -136,7 +134,7 @@ class Binding(NamedTuple):
         params = np.empty((count, len(self.indices)))
         for k, i in enumerate(self.indices):
             params[:, k] = own.get(i, self.params[i])
-        return Lanes(states, self.indices, params)
+        return Lanes(states, params)
 
     def packed(self, values: Floats) -> tuple[Floats, Floats]:
         """(initial state, params), packed, of one run with these values (columns).

@@ -226,13 +226,12 @@ def recorded_bands(batch: Batch, runs: int) -> Bands:
     z, d_hat = outputs[:, :, :p], outputs[:, :, p:]
     t = batch.exogenous[::every, -2]
     params = np.array([batch.binding.packed(row)[1] for row in values])
-    slots = {name: i for i, name in enumerate(tree.names(batch.loop.params))}
     varied = dict(zip(batch.binding.names, values.T, strict=True))
     nominal = widths_in_turn(batch.problem.sensor)
     geared = batch.problem.sensor.kind == "gears"
     true = [np.broadcast_to(true_width(edge, nominal, varied, geared), runs) for edge in edges]
     widths = np.stack(true, axis=1)
-    scale = params[:, slots["scale.reference"], None, None]
+    scale = params[:, tree.slices(batch.loop.params).scale.reference, None]
     r = scale * batch.problem.reference.value(t)
     return bands(t, z, r, d_hat, widths, batch.problem.tracked)
 
@@ -269,7 +268,7 @@ def _recorded(
     for lane, trail in enumerate(trails):
         states, _, drawn = np.split(trail, [s.numel(), start.shape[1]], axis=1)
         instants[:, batch.own.entries] = drawn
-        params[list(own.indices)] = own.params[lane]
+        params[list(batch.binding.indices)] = own.params[lane]
         shown[lane] = interpret.mapped(show, np.hstack([states, instants]), params)
     return shown
 
