@@ -8,6 +8,7 @@ does, so that it does not outlive the process that started it.
 
 from __future__ import annotations
 
+import functools
 import os
 import pickle
 import signal
@@ -187,9 +188,9 @@ def main() -> None:
     payload = pickle.load(sys.stdin.buffer)
     asked: SimpleQueue[Any] = SimpleQueue()
     threading.Thread(target=_listen, args=(sys.stdin.buffer, asked), daemon=True).start()
-    answer = _first(payload)
+    prepared = functools.cache(lambda: pickle.loads(payload)())
     while True:
-        answers.write(answer(asked.get()))
+        answers.write(_answer(prepared, asked.get()))
         answers.flush()
 
 
@@ -209,20 +210,10 @@ def _listen(requests: BinaryIO, asked: SimpleQueue[Any]) -> None:
         os._exit(0)
 
 
-def _first(payload: bytes) -> Callable[[list[int]], bytes]:
-    """A function of a batch that gives the pickled answer."""
+def _answer(prepared: Callable[[], Job], blocks: list[int]) -> bytes:
+    """The pickled answer to a batch; prepared: gives the job."""
     try:
-        job: Job = pickle.loads(payload)()
-    except BaseException as error:
-        refusal = _pickled(error)
-        return lambda blocks: refusal
-    return lambda blocks: _answer(job, blocks)
-
-
-def _answer(job: Job, blocks: list[int]) -> bytes:
-    """The pickled answer to a batch."""
-    try:
-        return pickle.dumps(compute(job, blocks))
+        return pickle.dumps(compute(prepared(), blocks))
     except BaseException as error:
         return _pickled(error)
 
