@@ -344,11 +344,9 @@ def influence(result: Ensemble, sensitivities: Sensitivities) -> Figure | None:
         return None
     names = list(sensitivities)[:2]
     two = len(names) == 2
-    title = "The most influential entries"
-    if two:
-        figure, panels = sheet([[*names, "both"]], title, width=13.0, height=4.4)
-    else:
-        figure, panels = sheet([names], title, width=6.5, height=4.4)
+    rows = [[*names, "both"] if two else names]
+    width = 13.0 if two else 6.5
+    figure, panels = sheet(rows, "The most influential entries", width=width, height=4.4)
     values = np.where(result.diverged, np.nan, result.column(MAIN))
     runs = _marked(result, values)
     scale = _scale(values[runs.shown])

@@ -173,13 +173,10 @@ def tip(run: Run, rival: Run | None = None) -> Figure:
     assert run.tip is not None
     spatial = run.tip.shape[1] == 3
     title = f"{run.info.title}: the tip"
-    if spatial:
-        figure, panels = sheet(SPATIAL, title, height=3.2)
-        for name, plane in PLANES.items():
-            _plane(panels[name], run, rival, plane, f" in {name}")
-    else:
-        figure, panels = sheet(PLANAR, title, height=3.2)
-        _plane(panels["x-y"], run, rival, PLANES["x-y"], "")
+    figure, panels = sheet(SPATIAL if spatial else PLANAR, title, height=3.2)
+    for name, plane in PLANES.items():
+        if name in panels:
+            _plane(panels[name], run, rival, plane, f" in {name}" if spatial else "")
     figure.legend(*panels["x-y"].get_legend_handles_labels(), loc="upper right", ncols=3, **LEGEND)
     _distances(panels["error"], run, rival)
     _torques(panels["torque"], run)
