@@ -10,6 +10,8 @@ import click
 
 from undeadzone.cli.common import PATH, cmd, flag, force_option, option, writable
 from undeadzone.cli.output import Output, common
+from undeadzone.errors import InputError
+from undeadzone.support.files import write_text
 
 if TYPE_CHECKING:
     from undeadzone.plants.robots.survey import Survey
@@ -66,8 +68,6 @@ def arm(
 
 def _numbers(text: str) -> list[float]:
     """The numbers of an option. Raises InputError."""
-    from undeadzone.errors import InputError
-
     try:
         return [float(word) for word in text.split(",")]
     except ValueError:
@@ -79,7 +79,6 @@ def _numbers(text: str) -> list[float]:
 def _started(found: Survey, robot: Path, folder: Path, gears: bool, force: bool) -> Path:
     """The scenario that was written. Raises FileError where there is one already."""
     from undeadzone.scenario.urdf_start import starting_scenario
-    from undeadzone.support.files import write_text
     from undeadzone.support.own_files import require_own
 
     path = folder / f"{robot.stem}.toml"

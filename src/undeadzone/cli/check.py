@@ -9,6 +9,7 @@ import click
 
 from undeadzone.cli.common import PATH, cmd, guarded, json_text, origin, with_schema
 from undeadzone.cli.output import Output, common, export_of, named_files, to_type
+from undeadzone.support.files import write_text
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
@@ -35,7 +36,6 @@ def check(scenario: Path, output: Output, confine: Path | None) -> int:
     """
     from undeadzone.scenario.problem import resolve_scenario
     from undeadzone.scenario.reader import read
-    from undeadzone.support.files import write_text
     from undeadzone.synthesis.assessment import assess, attack
     from undeadzone.synthesis.check import checked
 

@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from undeadzone.errors import InputError
+from undeadzone.support.files import read_text, require_folder
 from undeadzone.support.shown import Block
 from undeadzone.support.shown import text as text_of
 from undeadzone.support.text import printable
@@ -96,7 +98,6 @@ def untrusted(command: Command) -> Command:
         if untrusted is None:
             return command(**options)
         from undeadzone.cli.untrusted import hold_apart
-        from undeadzone.errors import InputError
 
         if options.get("out", untrusted) is None and not options.get("no_figures"):
             raise InputError("--untrusted: say --out too, the only folder that is written")
@@ -135,7 +136,6 @@ def origin(path: Path | None, seed: int | None = None) -> Origin:
         seed: of every random number; None: there is none, or several.
     """
     from undeadzone.report.html import Origin
-    from undeadzone.support.files import read_text
 
     text = ""
     if path is not None:
@@ -151,8 +151,6 @@ def cmd(*words: object) -> str:
 
 def writable(folder: Path) -> Path:
     """The folder. Raises FileError where nothing can be written."""
-    from undeadzone.support.files import require_folder
-
     require_folder(folder)
     return folder
 

@@ -22,6 +22,8 @@ from undeadzone.cli.common import (
     writable,
 )
 from undeadzone.cli.output import Output, common, named_files, partial_file
+from undeadzone.errors import InputError
+from undeadzone.support.files import write_text
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
@@ -86,7 +88,6 @@ def identify(
     from undeadzone.identification.answer.result import WRITTEN
     from undeadzone.identification.identify import identify as identified
     from undeadzone.logs.names import require_table
-    from undeadzone.support.files import write_text
     from undeadzone.support.own_files import require_own
 
     first = logs[0]
@@ -148,7 +149,6 @@ def _next(scenario: Path, logs: tuple[Path, ...], options: dict[str, Any]) -> st
 
 def _asked_next(answer: Answers) -> tuple[Next | None, dict[str, str]]:
     """What to record next, and its words; or why nothing is."""
-    from undeadzone.errors import InputError
     from undeadzone.identification.answer.result import Identified
 
     if not isinstance(answer, Identified):
@@ -162,7 +162,6 @@ def _asked_next(answer: Answers) -> tuple[Next | None, dict[str, str]]:
 
 def _scenario(answer: Answers, path: Path, force: bool) -> tuple[list[Path], str | None]:
     """The scenario that was written, or why there is none."""
-    from undeadzone.errors import InputError
     from undeadzone.support.own_files import write_own
 
     try:

@@ -18,8 +18,9 @@ from undeadzone.cli.output import (
     to_type,
     wanted_table,
 )
+from undeadzone.errors import InputError
 from undeadzone.support.progress import on_terminal as progress
-from undeadzone.support.text import HALF_95
+from undeadzone.support.text import HALF_95, with_unit
 
 if TYPE_CHECKING:
     from undeadzone.results.run import Run
@@ -137,7 +138,6 @@ def _read(path: Path, animated: bool, confine: Path | None) -> Scenario:
         animated: whether a film is wanted, which only an arm's run gives.
         confine: a folder outside of which the scenario may name no file; None: any.
     """
-    from undeadzone.errors import InputError
     from undeadzone.scenario.reader import read
 
     if path.suffix in OF_ENSEMBLE:
@@ -224,8 +224,6 @@ def _replay_in_words(deviation: float | None) -> dict[str, str]:
 
 def _compared(rival: Run | None) -> dict[str, str]:
     """What a rival's run came to."""
-    from undeadzone.support.text import with_unit
-
     if rival is None:
         return {}
     if rival.diverged_at is not None:

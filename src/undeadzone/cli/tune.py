@@ -9,6 +9,7 @@ import click
 
 from undeadzone.cli.common import PATH, cmd, flag, force_option, guarded, option, origin
 from undeadzone.cli.output import Output, common, named_files, partial_file, to_type
+from undeadzone.errors import InputError
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
@@ -109,7 +110,6 @@ def _wanted(scenario: Scenario, over: tuple[str, ...], changes: dict[str, Any]) 
 
 def _bounds(text: str) -> tuple[str, Any]:
     """An address and its bounds, from ADDRESS=LOW:HIGH[:log]. Raises InputError."""
-    from undeadzone.errors import InputError
     from undeadzone.scenario.tune_table import Range
 
     address, _, bounds = text.partition("=")
