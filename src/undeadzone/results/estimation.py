@@ -94,11 +94,8 @@ class Estimation:
         """The numbers of the log, ready for JSON; lists where there are several outputs."""
         numbers = self.info.summary()
         numbers |= final(self.signals.arrays, "width_std")
-        if self.theta_hat is not None and self.theta_std is not None:
-            ends = zip(self.info.uncertain, self.theta_hat[-1], self.theta_std[-1], strict=True)
-            numbers["parameters"] = {
-                name: {"estimate": float(value), "std": float(std)} for name, value, std in ends
-            }
+        if found := self.signals.parameters(self.info.uncertain):
+            numbers["parameters"] = found
         numbers["smoothed"] = self.z_smooth is not None
         return finite(numbers)
 

@@ -185,13 +185,9 @@ class Run:
     @property
     def parameters(self) -> dict[str, dict[str, float]]:
         """The final estimates of uncertain parameters, their standard deviations, and the truth."""
-        if self.theta_hat is None or self.theta_std is None:
-            return {}
-        ends = zip(self.info.uncertain.items(), self.theta_hat[-1], self.theta_std[-1], strict=True)
-        return {
-            name: {"estimate": float(value), "std": float(std), "true": true}
-            for (name, true), value, std in ends
-        }
+        true = self.info.uncertain
+        found = self.signals.parameters(true)
+        return {name: each | {"true": true[name]} for name, each in found.items()}
 
     @property
     def outputs(self) -> list[str]:

@@ -156,6 +156,17 @@ class Signals:
                     columns[f"{heads[i % len(heads)]}[{i // len(heads)}]"] = value[:, i]
         return columns
 
+    def parameters(self, names: Iterable[str]) -> dict[str, dict[str, float]]:
+        """The last estimates of parameters, and their deviations; nothing where there are none.
+
+        Args:
+            names: of the parameters.
+        """
+        if not {"theta_hat", "theta_std"} <= self.arrays.keys():
+            return {}
+        ends = zip(names, self.arrays["theta_hat"][-1], self.arrays["theta_std"][-1], strict=True)
+        return {name: {"estimate": float(value), "std": float(std)} for name, value, std in ends}
+
 
 def attribute(result: Any, name: str) -> Any:
     """A signal by name, None where there is none; `__getattr__` of results.
