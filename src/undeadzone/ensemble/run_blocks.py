@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Generator, Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Generator
+from contextlib import AbstractContextManager, closing
 from pathlib import Path
 
 from undeadzone.ensemble import journal
@@ -58,14 +58,12 @@ def run(
     return store
 
 
-@contextmanager
-def keeping(store: journal.Store) -> Iterator[None]:
+def keeping(store: journal.Store) -> AbstractContextManager[None]:
     """Close the store if something stops what is done inside.
 
     What stops it then says what is kept; a store without runs is removed.
     """
-    with answers.keeping(functools.partial(_leave, store)):
-        yield
+    return answers.keeping(functools.partial(_leave, store))
 
 
 def _require_one(workers: int | None, cluster: str | None) -> None:
