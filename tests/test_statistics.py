@@ -155,9 +155,9 @@ def test_ishigami_from_given_data(n: int) -> None:
     X = np.random.default_rng(4).uniform(-np.pi, np.pi, (n, 3))
     entries = given(X, ishigami(X))
     for one, truth in zip(entries, FIRST, strict=True):
-        assert covers(one.first, truth)
-        assert one.first.high - one.first.low < 6 / np.sqrt(n)
-    assert entries[0].first.value > entries[0].floor
+        assert covers(one.first_order, truth)
+        assert one.first_order.high - one.first_order.low < 6 / np.sqrt(n)
+    assert entries[0].first_order.value > entries[0].floor
     assert entries[1].partial.p > 0.01  # x_1 decides most and shows in no rank correlation
     assert entries[0].spearman.p < 1e-9
 
@@ -202,11 +202,11 @@ def test_linear_gaussian_closed_forms() -> None:
         correlations = [trial[i].spearman for trial in trials]
         coverage = np.mean([one.low <= rank <= one.high for one in correlations])
         assert coverage > LEVEL - slack
-        assert np.mean([covers(trial[i].first, w**2) for trial in trials]) > LEVEL - slack
+        assert np.mean([covers(trial[i].first_order, w**2) for trial in trials]) > LEVEL - slack
     idle = [trial[2] for trial in trials]
     assert np.mean([one.partial.low <= 0 <= one.partial.high for one in idle]) > LEVEL - slack
     assert np.mean([one.partial.p < 1 - LEVEL for one in idle]) < 1 - LEVEL + slack
-    assert np.mean([one.first.value > one.floor for one in idle]) < 1 - LEVEL + slack
+    assert np.mean([one.first_order.value > one.floor for one in idle]) < 1 - LEVEL + slack
 
 
 def test_the_index_of_given_data_is_unbiased() -> None:
@@ -251,7 +251,7 @@ def test_nothing_is_said_where_nothing_can_be() -> None:
     assert saltelli(X[:30].T.repeat(2, axis=0)) == []
     X[:, 1] = 3.0
     idle = given(X, X[:, 0])[1]
-    assert idle.spearman.value == idle.partial.value == idle.first.value == 0
+    assert idle.spearman.value == idle.partial.value == idle.first_order.value == 0
     assert given(X, X[:, 0])[0].spearman[:3] == (1.0, 1.0, 1.0)
 
 

@@ -7,7 +7,7 @@ import os
 from collections.abc import Mapping
 from functools import reduce
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import msgspec
 import numpy as np
@@ -21,7 +21,7 @@ from undeadzone.errors import InputError
 from undeadzone.results.run import LAST
 from undeadzone.statistics import sensitivity
 from undeadzone.statistics.intervals import LEVEL, Interval, describe, proportion
-from undeadzone.statistics.sensitivity import Correlation
+from undeadzone.statistics.sensitivity import Sensitivity
 from undeadzone.support import shown
 from undeadzone.support.arrays import Floats, finite
 from undeadzone.support.shown import Block
@@ -30,30 +30,6 @@ JUDGED: Final = 2**16  # runs from which sensitivities are found
 MAIN: Final = "rms_tracking"  # the metric by which runs are ranked
 WIDTHS: Final = "d_error"  # the largest |d^ - d| of a run, at the end
 SHOWN: Final = 10  # worst runs, and runs that diverged, in a summary
-
-
-class Sensitivity(NamedTuple):
-    """What a metric owes to one varied entry.
-
-    Attributes:
-        spearman: rank correlation
-        partial: partial rank correlation, the other entries being held
-        first_order: first-order Sobol index, from the design if it is Saltelli's, else from the
-            runs as they are
-        floor: first_order that chance alone reaches once in twenty; None under Saltelli's design
-        total_order: total Sobol index; None but under Saltelli's design
-    """
-
-    spearman: Correlation
-    partial: Correlation
-    first_order: Interval
-    floor: float | None
-    total_order: Interval | None
-
-    @property
-    def influence(self) -> float:
-        """The share of the variance (of that of the ranks if larger) that comes from the entry."""
-        return max(self.spearman.value**2, (self.total_order or self.first_order).value)
 
 
 def sensitivities(
@@ -69,8 +45,7 @@ def sensitivities(
     """
     kept = np.flatnonzero(np.isfinite(values[independent]))[:JUDGED]
     entries = np.column_stack([column[kept] for column in varied.values()])
-    from_runs = sensitivity.given(entries, values[kept])
-    by_entry = [Sensitivity(*each, None) for each in from_runs]
+    by_entry = sensitivity.given(entries, values[kept])
     if sampling == "saltelli":
         blocks = values.reshape(len(varied) + 2, -1)[:, :JUDGED]
         by_entry = [

@@ -32,20 +32,28 @@ class Correlation(NamedTuple):
     p: float
 
 
-class Given(NamedTuple):
-    """The dependence of y on one entry, from runs as they are.
+class Sensitivity(NamedTuple):
+    """What a metric owes to one varied entry.
 
     Attributes:
-        spearman: Spearman's rank correlation.
-        partial: the same without what the other entries explain.
-        first: Sobol index of first order.
-        floor: what `first` reaches by chance once in twenty.
+        spearman: rank correlation.
+        partial: partial rank correlation, the other entries being held.
+        first_order: first-order Sobol index, from the design if it is Saltelli's, else from the
+            runs as they are.
+        floor: first_order that chance alone reaches once in twenty; None under Saltelli's design.
+        total_order: total Sobol index; None but under Saltelli's design.
     """
 
     spearman: Correlation
     partial: Correlation
-    first: Interval
-    floor: float
+    first_order: Interval
+    floor: float | None
+    total_order: Interval | None = None
+
+    @property
+    def influence(self) -> float:
+        """The share of the variance (of that of the ranks if larger) that comes from the entry."""
+        return max(self.spearman.value**2, (self.total_order or self.first_order).value)
 
 
 class Indices(NamedTuple):
@@ -60,7 +68,7 @@ class Indices(NamedTuple):
     total: Interval
 
 
-def given(X: Floats, y: Floats) -> list[Given]:
+def given(X: Floats, y: Floats) -> list[Sensitivity]:
     """The dependence of y on each entry, from runs as they are.
 
     Args:
@@ -85,7 +93,7 @@ def given(X: Floats, y: Floats) -> list[Given]:
     for i in range(d):
         alone = _correlation(spearman[i], errors[0, i], n - 2)
         apart = _correlation(partial[i], errors[1, i], n - 1 - d)
-        entries.append(Given(alone, apart, _share(first[i], errors[2, i]), floor))
+        entries.append(Sensitivity(alone, apart, _share(first[i], errors[2, i]), floor))
     return entries
 
 
