@@ -18,8 +18,8 @@ from typing import Any, Final
 
 import click
 
+from undeadzone.cli.common import say
 from undeadzone.errors import Terminated, UndeadzoneError
-from undeadzone.support.text import printable
 
 DONE: Final = 0
 BAD_INPUT: Final = 2
@@ -123,20 +123,15 @@ def _terminate(number: int, frame: FrameType | None) -> None:
     raise Terminated
 
 
-def _say(text: str) -> None:
-    """One line on stderr."""
-    click.echo(printable(text), err=True)
-
-
 def _refused(message: str, where: str = "undeadzone") -> int:
     """What is wrong with the input."""
-    _say(f"{where}: {message}")
+    say(f"{where}: {message}", err=True)
     return BAD_INPUT
 
 
 def _stopped(how: str, kept: str, code: int) -> int:
     """That a command was stopped, and what is kept."""
-    _say(": ".join(filter(None, (f"undeadzone: {how}", kept))))
+    say(": ".join(filter(None, (f"undeadzone: {how}", kept))), err=True)
     return code
 
 
@@ -147,9 +142,10 @@ def _unexpected(error: Exception) -> int:
     frames = traceback.extract_tb(error.__traceback__)
     place = f"{Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else "?"
     words = f"{type(error).__name__}: {error}"[:LONGEST]
-    _say(
+    say(
         f"undeadzone: internal error at {place}: {words}; please report it, with the traceback "
-        f"that {DEBUG}=1 shows"
+        f"that {DEBUG}=1 shows",
+        err=True,
     )
     return INTERNAL
 
