@@ -29,6 +29,7 @@ from undeadzone.logs.samples import (
     filled,
     require_step,
     usual_step,
+    whole_steps,
 )
 from undeadzone.support.arrays import Floats
 
@@ -207,11 +208,7 @@ class Clock:
 
     def _steps(self, before: float | Floats, t: float | Floats) -> Floats:
         """How many steps times are after others (of any shape); 0 where they do not fit."""
-        interval = np.subtract(t, before)
-        steps = np.rint(interval / self._step)
-        off = np.abs(interval - steps * self._step)
-        fits = (steps >= 1) & (steps <= LONGEST) & (off <= JITTER * self._step)
-        return np.asarray(np.where(fits, steps, 0.0))
+        return whole_steps(np.subtract(t, before), self._step)
 
     def _piece(self, samples: Samples, runs: Sequence[Run]) -> Piece:
         """Runs as one piece, with missing samples in the gaps before them."""

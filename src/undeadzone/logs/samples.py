@@ -420,7 +420,7 @@ def placed(samples: Samples, timed: bool, step: float, source: str) -> Placed:
     _require_order(intervals, read.t, samples.lines[kept], source)
     measured = usual_step((intervals[1:] / lines_between)[:WATCHED])
     require_step(measured, step, TOLERANCE, source)
-    steps = _whole_steps(intervals, step, read.t, samples.lines[kept], source)
+    steps = _placeable(intervals, step, read.t, samples.lines[kept], source)
     return Placed(filled(read, steps, step), int(steps.sum()) - read.t.size, measured)
 
 
@@ -435,7 +435,20 @@ def _require_order(intervals: Floats, t: Floats, lines: Lines, source: str) -> N
         )
 
 
-def _whole_steps(intervals: Floats, step: float, t: Floats, lines: Lines, source: str) -> Floats:
+def whole_steps(intervals: Floats, step: float) -> Floats:
+    """How many steps intervals are (of any shape); 0 where they do not fit.
+
+    Args:
+        intervals: between samples [s].
+        step: of the scenario [s].
+    """
+    steps = np.rint(intervals / step)
+    off = np.abs(intervals - steps * step)
+    fits = (steps >= 1) & (steps <= LONGEST) & (off <= JITTER * step)
+    return np.asarray(np.where(fits, steps, 0.0))
+
+
+def _placeable(intervals: Floats, step: float, t: Floats, lines: Lines, source: str) -> Floats:
     """How many steps each sample is after the one before (N). Raises FileError.
 
     Args:
@@ -445,9 +458,8 @@ def _whole_steps(intervals: Floats, step: float, t: Floats, lines: Lines, source
         lines: number of each line in the log (N).
         source: the log, for messages.
     """
-    steps = np.rint(intervals / step)
-    off = np.abs(intervals - steps * step)
-    bad = np.flatnonzero((steps < 1) | (off > JITTER * step) | (steps > LONGEST))
+    steps = whole_steps(intervals, step)
+    bad = np.flatnonzero(steps == 0)
     if bad.size:
         k = int(bad[0])
         raise FileError(
