@@ -309,7 +309,8 @@ def test_without_times_samples_are_one_step_apart() -> None:
 def test_a_layout_says_what_it_took() -> None:
     layout: Layout = layout_of_titles(titles("t [ms],y [N],u [V]"), 1, 1, {}, "log")
     assert layout.said == "t from 't', y from 'y', u from 'u'"
-    assert (layout.seconds, layout.reading_units, layout.input_units) == (1e-3, ["N"], ["V"])
+    units = [title.unit for title in (*layout.reading_titles, *layout.input_titles)]
+    assert (layout.seconds, units) == (1e-3, ["N", "V"])
 
 
 def test_damaged_logs_give_an_error_or_samples() -> None:

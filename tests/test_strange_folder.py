@@ -115,7 +115,7 @@ def test_a_mat_file_that_unpacks_to_more_than_a_log_is_refused(
     """Counted, not believed: one element, many, in the order of bytes of either kind of machine."""
     path = tmp_path / "log.mat"
     savemat(path, {"t": np.arange(3.0), "y": np.zeros(3), "u": np.ones(3), "words": "abc"})
-    assert {column.name for column in whole.of_mat(path)} == {"t", "y", "u"}
+    assert {title.name for title, _ in whole.of_mat(path)} == {"t", "y", "u"}
     savemat(path, {"t": np.arange(3.0), "y": np.zeros(3)}, do_compression=True)
     assert len(whole.of_mat(path)) == 2
     monkeypatch.setattr(whole, "LARGEST_MATRICES", 3_000_000)

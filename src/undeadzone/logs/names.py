@@ -46,14 +46,6 @@ INDEXED: Final = re.compile(r"^(.*?)[\[_(]?(\d+)[\])]?$")
 _SHOWN: Final = 12  # names in a message
 
 
-class Column(NamedTuple):
-    """A column of a table: its name without the unit, its unit ("" if none), its numbers (N)."""
-
-    name: str
-    unit: str
-    values: Floats
-
-
 class Title(NamedTuple):
     """What a header says of a column: its name, its unit ("" if none)."""
 
@@ -107,8 +99,7 @@ class Layout(NamedTuple):
         readings: numbers of the columns of the readings (p).
         inputs: numbers of the columns of the inputs (m).
         seconds: length of a unit of time [s]; None where times count samples.
-        reading_units, input_units: units that the header names, "" where it names none.
-        reading_names, input_names: what the header calls the columns.
+        reading_titles, input_titles: what the header says of these columns.
         said: in words, which column was taken for what.
         reference: number of the column of the reference; None: there is none, or nobody asks.
     """
@@ -118,10 +109,8 @@ class Layout(NamedTuple):
     readings: list[int]
     inputs: list[int]
     seconds: float | None
-    reading_units: list[str]
-    input_units: list[str]
-    reading_names: list[str]
-    input_names: list[str]
+    reading_titles: list[Title]
+    input_titles: list[Title]
     said: str
     reference: int | None = None
 
@@ -258,10 +247,8 @@ def _layout(
         readings,
         inputs,
         seconds,
-        [titles[k].unit for k in readings],
-        [titles[k].unit for k in inputs],
-        [titles[k].name for k in readings],
-        [titles[k].name for k in inputs],
+        [titles[k] for k in readings],
+        [titles[k] for k in inputs],
         ", ".join(roles),
     )
 

@@ -8,14 +8,14 @@ from __future__ import annotations
 import math
 import zipfile
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
 
 from undeadzone.errors import FileError, InputError
-from undeadzone.logs.names import Column, Layout, Title, layout_of_titles, numbers, split_unit
+from undeadzone.logs.names import Layout, Title, layout_of_titles, numbers, split_unit
 from undeadzone.logs.samples import Samples, oldest_first
 from undeadzone.logs.stamps import since_1970
 from undeadzone.logs.text import LARGEST
@@ -30,6 +30,7 @@ _CLASSES = """
 double single logical int8 uint8 int16 uint16 int32 uint32 int64 uint64
 """
 NUMERIC: Final = frozenset(_CLASSES.split())
+Columns = list[tuple[Title, Floats]]  # what is said of each, and its numbers (N)
 
 
 def samples_of(
@@ -49,18 +50,18 @@ def samples_of(
     columns = _columns(log)
     if not columns:
         raise FileError(f"{source}: holds no columns of numbers")
-    titles = [Title(column.name, column.unit) for column in columns]
+    titles, values = [title for title, _ in columns], [column for _, column in columns]
     layout = layout_of_titles(titles, p, m, chosen, source)
-    length = columns[layout.readings[0]].values.size
+    length = values[layout.readings[0]].size
     for k in layout.columns:
-        if columns[k].values.size != length:
+        if values[k].size != length:
             raise FileError(f"{source}: {titles[k].name!r} has not as many rows as the readings")
     t = np.full(length, np.nan)
     if layout.time is not None:
-        t = columns[layout.time].values
+        t = values[layout.time]
         t = since_1970(t) if layout.seconds == 1.0 else t * (layout.seconds or 1.0)
-    y = np.column_stack([columns[k].values for k in layout.readings])
-    u = np.column_stack([columns[k].values for k in layout.driving])
+    y = np.column_stack([values[k] for k in layout.readings])
+    u = np.column_stack([values[k] for k in layout.driving])
     return oldest_first(_usable(t, y, u)), layout
 
 
@@ -90,7 +91,7 @@ def samples_of_arrays(t: Any, y: Any, u: Any, p: int, m: int, step: float) -> Sa
     return _usable(times, readings, inputs)
 
 
-def _columns(log: Any) -> Sequence[Column]:
+def _columns(log: Any) -> Columns:
     """The columns of numbers of a file or a DataFrame."""
     if isinstance(log, Path):
         return of_npz(log) if log.suffix.lower() == ".npz" else of_mat(log)
@@ -120,24 +121,23 @@ def _rows(key: str, value: Any, size: int) -> Floats:
     return rows
 
 
-def of_frame(frame: Any) -> list[Column]:
+def of_frame(frame: Any) -> Columns:
     """The numeric columns of a DataFrame; times of day become seconds since the first."""
     titled = [(str(title), np.asarray(frame[title])) for title in frame.columns]
     if frame.index.name is not None:
         titled.insert(0, (str(frame.index.name), np.asarray(frame.index)))
     columns = []
     for title, values in titled:
-        name, unit = split_unit(title)
         if values.dtype.kind == "M":
             values = (values - values[0]) / np.timedelta64(1, "ns") * 1e-9
         elif values.dtype.kind == "m":
             values = values / np.timedelta64(1, "ns") * 1e-9
         if values.dtype.kind in "iufb":
-            columns.append(Column(name, unit, values.astype(float)))
+            columns.append((split_unit(title), values.astype(float)))
     return columns
 
 
-def of_npz(path: Path) -> list[Column]:
+def of_npz(path: Path) -> Columns:
     """The arrays of an .npz file as columns. Raises FileError."""
     try:
         arrays = arrays_of(path, LARGEST_RUN)
@@ -149,7 +149,7 @@ def of_npz(path: Path) -> list[Column]:
     return _columns_of(arrays, path)
 
 
-def of_mat(path: Path) -> list[Column]:
+def of_mat(path: Path) -> Columns:
     """The variables of a .mat file as columns. Raises FileError."""
     from scipy.io import loadmat, whosmat
     from scipy.io.matlab import MatReadError
@@ -199,13 +199,13 @@ def _unpacked(packed: bytes, most: int) -> int:
     return count
 
 
-def _columns_of(arrays: dict[str, Any], path: Path) -> list[Column]:
+def _columns_of(arrays: dict[str, Any], path: Path) -> Columns:
     """Arrays of one length as columns; a matrix gives `u[0]`, `u[1]`, ... Raises FileError."""
     longest = 0
     for array in arrays.values():
         if isinstance(array, np.ndarray) and array.dtype.kind in "iuf" and array.ndim <= 2:
             longest = max(longest, *array.shape, 0)
-    columns: list[Column] = []
+    columns: Columns = []
     for name, array in arrays.items():
         usable = isinstance(array, np.ndarray) and array.dtype.kind in "iuf"
         if not usable or array.ndim not in (1, 2) or longest not in array.shape:
@@ -216,7 +216,7 @@ def _columns_of(arrays: dict[str, Any], path: Path) -> list[Column]:
             rows = rows.T
         for k in range(rows.shape[1]):
             title = name if rows.shape[1] == 1 else f"{name}[{k}]"
-            columns.append(Column(title, "", rows[:, k].astype(float)))
+            columns.append((Title(title, ""), rows[:, k].astype(float)))
     if not columns:
         raise FileError(f"{path}: holds no arrays of numbers; it should hold t, y and u")
     return columns

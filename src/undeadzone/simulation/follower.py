@@ -261,10 +261,10 @@ class Follower:
 def require_units(layout: Layout, units: Units, source: str) -> None:
     """Raise FileError where header and scenario name different units: numbers stay as they are."""
     for signal, named, expected in (
-        ("y", layout.reading_units, units.output),
-        ("u", layout.input_units, units.input),
+        ("y", layout.reading_titles, units.output),
+        ("u", layout.input_titles, units.input),
     ):
-        for unit in named:
+        for _, unit in named:
             if "1" not in (unit, expected) and unit and unit != " ".join(expected.split()):
                 key = "output" if signal == "y" else "input"
                 raise FileError(

@@ -197,7 +197,8 @@ def checked_log(samples: Samples, layout: Layout, source: str) -> Log:
         FileError: times that do not increase, a missing input, readings that are all missing.
     """
     t, lines = samples.t, samples.lines
-    outputs, inputs = tuple(layout.reading_names), tuple(layout.input_names)
+    outputs = tuple(title.name for title in layout.reading_titles)
+    inputs = tuple(title.name for title in layout.input_titles)
     y = np.where(np.isfinite(samples.y), samples.y, np.nan)
     _check_times(t, source, lines)
     u, r = np.split(samples.u, [len(inputs)], axis=1)
@@ -207,7 +208,7 @@ def checked_log(samples: Samples, layout: Layout, source: str) -> Log:
             raise FileError(f"{source}: {name} holds no reading: every one is missing")
         if np.nanmax(np.abs(column)) > LARGEST:
             raise FileError(f"{source}: {name} holds numbers beyond {LARGEST:g}")
-    units = {unit or "1" for unit in layout.input_units}
+    units = {title.unit or "1" for title in layout.input_titles}
     if r.size and np.isnan(r).all():
         raise FileError(f"{source}: the reference holds no number: every one is missing")
     return Log(
@@ -217,7 +218,7 @@ def checked_log(samples: Samples, layout: Layout, source: str) -> Log:
         inputs,
         outputs,
         units.pop() if len(units) == 1 else "1",
-        tuple(unit or "1" for unit in layout.reading_units),
+        tuple(title.unit or "1" for title in layout.reading_titles),
         source,
         lines,
         layout.seconds is None,
