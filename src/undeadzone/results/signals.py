@@ -123,7 +123,6 @@ class Signals:
         given: arrays by name; what is None is left out.
 
     Attributes:
-        layout: which there may be.
         arrays: those that there are, in the order of the layout.
 
     Raises:
@@ -137,7 +136,6 @@ class Signals:
         strange = given.keys() - {*layout.names}
         if strange:
             raise TypeError(f"{min(strange)} is no signal of such a result")
-        self.layout = layout
         self.arrays: dict[str, Floats] = {}
         for name in layout.names:
             value = given.get(name)
