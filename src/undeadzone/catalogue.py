@@ -73,7 +73,11 @@ class CompensatorOptions(Protocol):
 
 
 class _Tagged(msgspec.Struct):
-    """A table as far as it names its method."""
+    """A table as far as it names its method.
+
+    Attributes:
+        method: its tag.
+    """
 
     method: str
 

@@ -53,7 +53,12 @@ def sensitivities(
             for one, index in zip(by_entry, sensitivity.saltelli(blocks), strict=False)
         ]
     pairs = zip(varied, by_entry, strict=False)
-    return dict(sorted(pairs, key=lambda pair: -pair[1].influence))
+    return dict(sorted(pairs, key=lambda pair: -_influence(pair[1])))
+
+
+def _influence(one: Sensitivity) -> float:
+    """The share of the variance (of that of the ranks if larger) that comes from the entry."""
+    return max(one.spearman.value**2, (one.total_order or one.first_order).value)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

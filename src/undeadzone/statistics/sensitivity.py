@@ -50,11 +50,6 @@ class Sensitivity(NamedTuple):
     floor: float | None
     total_order: Interval | None = None
 
-    @property
-    def influence(self) -> float:
-        """The share of the variance (of that of the ranks if larger) that comes from the entry."""
-        return max(self.spearman.value**2, (self.total_order or self.first_order).value)
-
 
 class Indices(NamedTuple):
     """Sobol indices of one entry from Saltelli's design.
@@ -110,13 +105,9 @@ def saltelli(blocks: Floats) -> list[Indices]:
     blocks = blocks[:, np.isfinite(blocks).all(axis=0)]
     if blocks.shape[1] < LEAST:
         return []
-
-    def estimate(columns: Floats) -> Floats:
-        """The indices from some of the columns."""
-        return indices(blocks[:, columns])
-
     first, total = indices(blocks)
-    errors = student(GROUPS - 1) * jackknife(estimate, blocks.shape[1])
+    standard = jackknife(lambda columns: indices(blocks[:, columns]), blocks.shape[1])
+    errors = student(GROUPS - 1) * standard
     entries = []
     for i in range(len(first)):
         entries.append(Indices(_share(first[i], errors[0, i]), _share(total[i], errors[1, i])))
