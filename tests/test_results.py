@@ -124,7 +124,9 @@ def test_signals_are_attributes_also_of_a_copy() -> None:
 
 
 def test_a_row_is_said_once_for_all() -> None:
-    right, left, both = sheet.gaps((0.25, 0.5), (0.01, 0.02), 0.015, "rad", (0.24, 0.51))
+    found = {"gap_right": 0.25, "gap_left": 0.5, "gap_std": 0.015}
+    found |= {"gap_right_std": 0.01, "gap_left_std": 0.02}
+    ((right, left, both),) = sheet.of_each(found, "gap", "rad", (0.24, 0.51))
     assert right.words == "0.250 [0.230, 0.270] rad (true 0.24)"
     assert left.cell == "0.500 [0.461, 0.539]"
     assert both.head == "c_r^ + c_l^ [rad]"

@@ -118,61 +118,31 @@ def of_each(
     known = [np.ravel(final[head]) for head in heads if final.get(head) is not None]
     found = np.array(known).T.tolist()
     truths = [None] * len(found) if true is None else np.reshape(true, (-1, 2)).tolist()
-    sheets = []
-    for one, truth in zip(found, truths, strict=False):
-        if name == "gap":
-            sheets.append(gaps(one[:2], one[2:4], one[4], unit, truth))
-        else:
-            sheets.append(edges(name, name, one[:2], one[2:] or None, unit, truth))
-    return sheets
+    return [_of_one(name, one, unit, truth) for one, truth in zip(found, truths, strict=False)]
 
 
-def edges(
-    name: str,
-    letter: str,
-    values: Sequence[float],
-    stds: Sequence[float] | None,
-    unit: str,
-    true: Sequence[float] | None = None,
+def _of_one(
+    name: str, found: Sequence[float], unit: str, true: Sequence[float] | None
 ) -> list[Row]:
-    """What is found of the right and the left edge of one zone or play.
+    """What is found of one zone, play or actuator; of gaps their sum too, which is told better.
 
     Args:
-        name: of its widths in a terminal, before _right and _left.
-        letter: of its widths on a page.
-        values: right and left.
-        stds: their deviations; None: not known.
+        name: of the widths.
+        found: right and left; their deviations where known; of gaps that of the sum.
         unit: of all.
         true: right and left; None: nobody knows them.
     """
+    letter = "c" if name == "gap" else name
     rows = []
     for k, side in enumerate(("right", "left")):
-        std = None if stds is None else stds[k]
+        std = found[2 + k] if len(found) > 2 else None
         truth = None if true is None else true[k]
-        rows.append(Row(f"{name}_{side}", f"{letter}_{side[0]}^", values[k], unit, std, truth))
+        rows.append(Row(f"{name}_{side}", f"{letter}_{side[0]}^", found[k], unit, std, truth))
+    if name == "gap":
+        title = " + ".join(row.title for row in rows)
+        total = None if true is None else sum(true)
+        rows.append(Row("gap_right + gap_left", title, sum(found[:2]), unit, found[4], total))
     return rows
-
-
-def gaps(
-    values: Sequence[float],
-    stds: Sequence[float],
-    both: float,
-    unit: str,
-    true: Sequence[float] | None = None,
-) -> list[Row]:
-    """What is found of a play ahead of a dead zone: its gaps and their sum, which is told better.
-
-    Args:
-        values: right and left.
-        stds: their deviations.
-        both: deviation of the sum.
-        unit: of all.
-        true: right and left; None: nobody knows them.
-    """
-    right, left = edges("gap", "c", values, stds, unit, true)
-    total = None if true is None else sum(true)
-    title = f"{right.title} + {left.title}"
-    return [right, left, Row("gap_right + gap_left", title, sum(values), unit, both, total)]
 
 
 def _finite(value: float | None) -> float | None:
