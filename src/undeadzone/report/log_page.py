@@ -103,10 +103,9 @@ def estimation_page(
 def _widths(result: Estimation) -> html.Html:
     """The final widths of each output, and how many readings lie on each side."""
     info = result.info
-    sheets = [widths(info, i) for i in range(len(result.outputs))]
     counts = list(zip(info.right, info.left, info.silent, strict=True))
     heads = ("readings right", "left", "silent")
-    return html.estimates("output", result.outputs, sheets, heads, counts)
+    return html.estimates("output", result.outputs, widths(info), heads, counts)
 
 
 def _numbers(result: Estimation) -> dict[str, Any]:

@@ -104,9 +104,9 @@ def _numbers_tables(run: Run, rival: Run | None) -> tuple[html.Html, html.Html]:
 def _numbers(run: Run) -> dict[str, Any]:
     """The numbers of a run, in words, those that a user asks for first."""
     numbers: dict[str, Any] = on_page(errors(run))
-    for i, name in enumerate(run.outputs):
+    for name, rows in zip(run.outputs, widths(run), strict=True):
         of = f", {_output(name)}" if len(run.outputs) > 1 else ""
-        numbers |= {f"{row.title}{of}": row.words for row in widths(run, i)}
+        numbers |= {f"{row.title}{of}": row.words for row in rows}
     numbers |= {row.title: row.words for row in parameters(run)}
     refuted = claims_at_end(run.signals.arrays).get("claims")
     if refuted:
@@ -133,9 +133,8 @@ def _widths_table(run: Run) -> html.Html:
     """The estimated and the true widths of each output, and which of them readings can tell."""
     said = ([verdict[each] for each in DIRECTIONS] for verdict in run.info.identifiable)
     known = [[html.tag("span", *html.yes_no(each)) for each in verdict] for verdict in said]
-    sheets = [widths(run, i) for i in range(len(run.outputs))]
     heads = ("d_r can be known", "d_l", "d_r + d_l", "d_r − d_l")
-    return html.estimates("output", run.outputs, sheets, heads, known)
+    return html.estimates("output", run.outputs, widths(run), heads, known)
 
 
 def actuator_tables(found: Sequence[Sequence[Row]]) -> list[html.Html]:

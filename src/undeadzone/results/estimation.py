@@ -156,7 +156,7 @@ def in_words(info: LogInfo) -> list[Block]:
         shown["faults"] = ", ".join(f"{n} {FAULTS[kind]}" for kind, n in info.faults.items())
     if single:
         estimated = "" if info.adapts else " (not estimated)"
-        shown |= sheet.in_text(row._replace(note=estimated) for row in widths(info, 0))
+        shown |= sheet.in_text(row._replace(note=estimated) for row in widths(info)[0])
         for rows in [*gaps(info), *actuators(info)]:
             shown |= sheet.in_text(rows)
         shown["readings"] = _sides(info, 0)
@@ -176,8 +176,8 @@ def _rows(info: LogInfo) -> Rows:
     rows: list[Sequence[str]] = [
         (what, label("d_right", unit), label("d_left", unit), "readings"),
     ]
-    for i, name in enumerate(names):
-        rows.append((name, *(row.found for row in widths(info, i)), _sides(info, i)))
+    for i, (name, edges) in enumerate(zip(names, widths(info), strict=True)):
+        rows.append((name, *(row.found for row in edges), _sides(info, i)))
     return rows
 
 
@@ -191,9 +191,9 @@ def _samples(info: LogInfo) -> str:
     return text + f", {info.measured_step:g} s apart"
 
 
-def widths(info: LogInfo, i: int) -> list[Row]:
-    """The final widths of output i."""
-    return sheet.of_each(msgspec.structs.asdict(info), "d", info.units.output)[i]
+def widths(info: LogInfo) -> list[list[Row]]:
+    """The final widths of each output."""
+    return sheet.of_each(msgspec.structs.asdict(info), "d", info.units.output)
 
 
 def gaps(info: LogInfo) -> list[list[Row]]:

@@ -59,8 +59,7 @@ def of_run(run: Run) -> list[Joint]:
     found = dict(zip(gears.names, gears.values.tolist(), strict=True))
     found |= {name: one["estimate"] for name, one in run.parameters.items()}
     joints = []
-    for i, name in enumerate(run.info.joints):
-        right, left = widths(run, i)[:2]
+    for i, (name, (right, left)) in enumerate(zip(run.info.joints, widths(run), strict=False)):
         joint = Joint(
             name,
             f"the link may be {right.found} rad ahead of its motor, {left.found} rad behind",

@@ -320,9 +320,9 @@ def parameters(run: Run) -> list[Row]:
     return rows
 
 
-def widths(run: Run, i: int) -> list[Row]:
-    """The widths of output i."""
-    return sheet.of_each(_found(run), "d", run.info.units.output, run.info.widths)[i]
+def widths(run: Run) -> list[list[Row]]:
+    """The widths of each output."""
+    return sheet.of_each(_found(run), "d", run.info.units.output, run.info.widths)
 
 
 def actuators(run: Run) -> list[list[Row]]:
@@ -351,7 +351,7 @@ def in_words(run: Run) -> list[Block]:
     }
     driven = actuators(run)
     if single:
-        shown |= sheet.in_text(widths(run, 0))
+        shown |= sheet.in_text(widths(run)[0])
     if len(driven) == 1:
         shown |= sheet.in_text(driven[0])
     if single:
@@ -385,13 +385,13 @@ def _rows(run: Run) -> Rows:
     heads = [label(name, unit) for name in ("rms z - r", "rms z - z^", "d_right", "d_left")]
     what = "joint" if info.joints == run.outputs else "output"
     rows: list[Sequence[str]] = [(what, *heads[:3], "true", heads[3], "true", "identifiable")]
-    for i, name in enumerate(run.outputs):
+    for i, (name, edges) in enumerate(zip(run.outputs, widths(run), strict=True)):
         tracking = ""
         if i in info.tracked:
             missed = run.z[:, i] - run.r[:, info.tracked.index(i)]
             tracking = f"{_rms(missed[run.last]):.4g}"
         cells = [tracking, f"{_rms((run.z - run.z_hat)[run.last, i]):.4g}"]
-        for row in widths(run, i):
+        for row in edges:
             cells += [row.found, f"{row.true:.6g}"]
         verdict = info.identifiable[i]
         told = "yes" if all(verdict[each] for each in DIRECTIONS) else yes_no(verdict)
