@@ -18,35 +18,35 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 41_678, 333
+MOST_CODE, MOST_FILES = 41_543, 333
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
-    "(root)": 389,
+    "(root)": 382,
     "analysis": 3455,
-    "cli": 1912,
+    "cli": 1899,
     "compensators": 147,
     "compile": 3588,
     "controllers": 791,
     "ends": 426,
-    "ensemble": 1905,
+    "ensemble": 1878,
     "exports": 2343,
     "feedforward": 428,
-    "identification": 7336,
+    "identification": 7337,
     "linear": 400,
-    "logs": 1215,
+    "logs": 1208,
     "numerics": 836,
     "observers": 3802,
     "plants": 1676,
-    "report": 2946,
-    "results": 966,
-    "scenario": 1439,
+    "report": 2915,
+    "results": 934,
+    "scenario": 1430,
     "signals": 383,
     "simulation": 2271,
     "statistics": 264,
     "support": 832,
     "synthesis": 1047,
-    "tuning": 881,
+    "tuning": 871,
 }
 SILENT = {
     tokenize.COMMENT,
