@@ -420,7 +420,10 @@ def test_exported_C_has_every_bit_and_fits_a_microcontroller(
 ) -> None:
     """Its self-test compares the bits with the reference's; step and flash are estimates."""
     monkeypatch.setattr(export, "STEPS", 2000)
-    report = uz.export(servo(simulation={"duration": 0.2}), out=tmp_path / "three").report
+    said: list[str] = []
+    three = servo(simulation={"duration": 0.2})
+    report = export.export(three, out=tmp_path / "three", told=said.append).report
+    assert said[0].endswith("a compiler takes minutes; observer.starts = 1 takes less")
     assert "Cortex-M4F (STM32F4)" in report["leaner"]["starts = 1"]
     one = servo(simulation={"duration": 0.2}, observer={"starts": 1})
     done = uz.export(one, out=tmp_path / "fw")

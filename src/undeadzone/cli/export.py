@@ -135,8 +135,9 @@ def _in_words(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
 
 def _leaner(name: str, boards: list[str]) -> str:
     """An observer that takes less, and where it fits."""
-    setting = name if "=" in name else f'method = "{name}"'
-    return f"observer.{setting} fits {', '.join(boards) or 'none of these boards'}"
+    from undeadzone.exports.export import setting
+
+    return f"{setting(name)} fits {', '.join(boards) or 'none of these boards'}"
 
 
 def _along(method: str, run: dict[str, float | None]) -> str:

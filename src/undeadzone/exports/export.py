@@ -119,7 +119,7 @@ def export(
     labels = Labels(prefix, scenario.title, part)
     count = sum(operations(printed.results).values())
     if told is not None and count > MANY:
-        told(_minutes(count))
+        told(_minutes(count, scenario.observer))
     text = source(printed, labels)
     rows = recorded(continued(scenario, STEPS), step)
     report = _report(printed, text, labels, tunable)
@@ -144,12 +144,32 @@ def export(
     return Exported(written, report, printed)
 
 
-def _minutes(count: int) -> str:
+def _minutes(count: int, observer: Any) -> str:
     """What many operations take, and what would take less."""
-    return (
-        f"{count:,} operations a sample: about {count // 100:,} kB of code, for which a compiler "
-        'takes minutes; observer.method = "kalman" or "certified" takes less'
-    )
+    said = f"{count:,} operations a sample: about {count // 100:,} kB of code, for which a compiler"
+    less = " or ".join(map(setting, _choices(observer)))
+    return f"{said} takes minutes" + f"; {less} takes less" * bool(less)
+
+
+def setting(name: str) -> str:
+    """What sets an observer of `report["leaner"]`: an option, or else the method."""
+    return f"observer.{name}" if "=" in name else f'observer.method = "{name}"'
+
+
+def _choices(observer: Any) -> dict[str, Callable[[], Any]]:
+    """What makes an observer of fewer operations, by name; not every scenario can have each."""
+    if hasattr(observer, "starts"):
+        fewer = partial(msgspec.structs.replace, observer, starts=1)
+        return {} if observer.starts == 1 else {"starts = 1": fewer}
+    own = observer.__struct_config__.tag
+    leaner: dict[str, Callable[[], Any]] = {}
+    if own not in ("kalman", "certified"):
+        sides = ("right", "left")
+        claims = {name: getattr(observer, name) for name in sides if hasattr(observer, name)}
+        leaner["kalman"] = partial(OBSERVERS.made, "kalman", **claims)
+    if own != "certified":
+        leaner["certified"] = partial(OBSERVERS.made, "certified")
+    return leaner
 
 
 def _require(key: str, value: str, known: tuple[str, ...]) -> None:
@@ -212,17 +232,8 @@ def _leaner(
     scenario: Scenario, part: str, is_single: bool
 ) -> tuple[dict[str, list[str]], dict[str, Scenario]]:
     """(boards that observers of fewer operations fit, the scenario with each), by their tags."""
-    own: Any = scenario.observer
     found, scenarios = {}, {}
-    claims = {name: getattr(own, name) for name in ("right", "left") if hasattr(own, name)}
-    choices: list[tuple[str, Callable[[], Any]]] = []
-    if getattr(own, "starts", 1) != 1:
-        choices.append(("starts = 1", partial(msgspec.structs.replace, own, starts=1)))
-    for tag, options in (("kalman", claims), ("certified", {})):
-        if own.__struct_config__.tag == tag:
-            break
-        choices.append((tag, partial(OBSERVERS.made, tag, **options)))
-    for name, made in choices:
+    for name, made in _choices(scenario.observer).items():
         with suppress(InputError, TypeError):  # the scenario cannot have it
             other = msgspec.structs.replace(scenario, observer=made())
             printed = code(parts.build(resolve_scenario(other), part, ()), single=is_single)
