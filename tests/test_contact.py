@@ -256,12 +256,12 @@ def test_what_a_motor_tells_of_its_gears_moves_the_free_links_of_others() -> Non
     assert all(float(one.mean[3]) == 0.0 for one in second.beliefs)
 
 
-@pytest.mark.parametrize("seed", [14079, 14283])
-def test_three_filters_leave_a_false_gap_that_one_locks_on(seed: int) -> None:
+def test_three_filters_leave_a_false_gap_that_one_locks_on() -> None:
     """A servo that MuJoCo moves, from the table of `python -m benchmarks gears`."""
     pytest.importorskip("mujoco")
     gears = importlib.import_module("benchmarks.gears")
     row = next(row for row in gears.rows() if row.label == "servo, horizontal")
+    seed = 14079
     arm = row.draw(np.random.default_rng(seed))
     one = gears.outcome(gears.bench(gears.changed(row.scenario, observer={"starts": 1})), arm, seed)
     three = gears.outcome(gears.bench(row.scenario), arm, seed)
