@@ -21,7 +21,7 @@ import numpy as np
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.linear.matrices import Matrices, companion
 from undeadzone.plants.options import Plant, SecondOrder, TransferFunction
-from undeadzone.plants.system import System, linearise
+from undeadzone.plants.system import System, linearised
 from undeadzone.support.arrays import LARGEST, Array, Floats, matrix, scalar, series, vector
 
 # Each form by its leading key, and the keys that belong to it.
@@ -216,8 +216,7 @@ def _nonlinear(plant: Plant, key: str) -> System:
     )
     x_eq = _vector_or_zeros(f"{key}.x_eq", plant.x_eq, n, "one per state")
     u_eq = _vector_or_zeros(f"{key}.u_eq", plant.u_eq, m, "one per input")
-    linear = linearise(key, move, output, params, x_eq, u_eq)
-    return System(params, move, output, linear, nonlinear=True, names=tuple(names))
+    return linearised(key, params, move, output, x_eq, u_eq)._replace(names=tuple(names))
 
 
 def _callables(plant: Plant, key: str) -> _Functions:

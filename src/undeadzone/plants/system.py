@@ -127,16 +127,16 @@ class System(NamedTuple):
         return x + (self.change(params, x, u) + push)
 
 
-def linearise(
-    key: str, move: Any, output: Any, params: Floats, x_eq: Floats, u_eq: Floats
-) -> Matrices:
-    """The linearisation of a continuous plant.
+def linearised(
+    key: str, params: Floats, move: Any, output: Any, x_eq: Floats, u_eq: Floats
+) -> System:
+    """A continuous nonlinear plant with its linearisation.
 
     Args:
         key: name of the plant in messages.
+        params: the plant's numbers.
         move: (params, x, u) -> the derivative of x (n).
         output: (params, x) -> z (p).
-        params: the plant's numbers.
         x_eq: the state at which to linearise (n).
         u_eq: the input at which to linearise (m).
 
@@ -159,7 +159,7 @@ def linearise(
         raise InputError(
             f"{key}: f or h cannot be linearised at x_eq, u_eq (a derivative there is not finite)"
         )
-    return linear
+    return System(params, move, output, linear, nonlinear=True)
 
 
 def sampled(plant: System, Ts: float, substeps: int = 10) -> System:

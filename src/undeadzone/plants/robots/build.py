@@ -19,7 +19,7 @@ from undeadzone.errors import InputError
 from undeadzone.plants.options import URDF, ArmOptions, ElasticJoint, OneLink, Plant, Rigid
 from undeadzone.plants.robots.arm import Arm, Chain, Numbers, acceleration, arm, numbers, torque
 from undeadzone.plants.robots.geared import Geared, geared_motion
-from undeadzone.plants.system import Flat, System, linearise
+from undeadzone.plants.system import Flat, System, linearised
 from undeadzone.support.arrays import Array, Floats, array, positive, scalar, vector
 
 POSTURES = 8  # random ones, in which the mass matrix is checked
@@ -64,18 +64,8 @@ def _rigid(plant: Plant, options: Rigid, key: str) -> System:
     x_eq = _equilibrium(plant, N, key)
     load = np.asarray(body.bias(params, x_eq[:N], np.zeros(N))).ravel()
     u_eq = load if plant.u_eq is None else vector(f"{key}.u_eq", plant.u_eq, N, "one per input")
-    linear = linearise(key, move, output, params, x_eq, u_eq)
-    return System(
-        params,
-        move,
-        output,
-        linear,
-        nonlinear=True,
-        arm=body,
-        flat=flat(body),
-        limit=chain.torque,
-        names=body.names,
-    )
+    plain = linearised(key, params, move, output, x_eq, u_eq)
+    return plain._replace(arm=body, flat=flat(body), limit=chain.torque, names=body.names)
 
 
 def _geared(plant: Plant, options: Rigid, chain: Chain, key: str) -> System:
@@ -120,12 +110,8 @@ def _geared(plant: Plant, options: Rigid, chain: Chain, key: str) -> System:
         return x[:N]
 
     output = both if gears.measured == "both" else links
-    return System(
-        params,
-        move,
-        output,
-        linearise(key, locked, output, params, x_eq, u_eq),
-        nonlinear=True,
+    return linearised(key, params, locked, output, x_eq, u_eq)._replace(
+        move=move,
         arm=gears.arm,
         flat=_flat_of_links(gears),
         limit=chain.torque,
@@ -429,18 +415,8 @@ def elastic(plant: Plant, options: ElasticJoint, key: str = "plant") -> System:
 
     solve = _inverse(body)
     x_eq, u_eq = _elastic_equilibrium(plant, params, solve, key)
-    linear = linearise(key, move, output, params, x_eq, u_eq)
-    return System(
-        params,
-        move,
-        output,
-        linear,
-        nonlinear=True,
-        arm=body,
-        flat=Flat(4, solve),
-        limit=np.array([limit]),
-        names=body.names,
-    )
+    plain = linearised(key, params, move, output, x_eq, u_eq)
+    return plain._replace(arm=body, flat=Flat(4, solve), limit=np.array([limit]), names=body.names)
 
 
 def _elastic_equilibrium(
