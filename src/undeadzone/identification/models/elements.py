@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from undeadzone.ends.play import contact, levels
-from undeadzone.identification.models.estimates import Latest, weighing
+from undeadzone.identification.models.estimates import latest, weighing
 from undeadzone.identification.models.least_squares import Density, Fitted, LeastSquares
 from undeadzone.identification.models.likelihood import dead_zone
 from undeadzone.identification.models.plant import CREDIBLE, Data, Simulator
@@ -58,7 +58,6 @@ class PlayModel:
         fitted = [True, not self.tied, zone, zone]
         self.free: Integers = np.flatnonzero(np.append(np.ones(self.base, bool), fitted))
         self.begun = [self._first_reading(part) for part in self.data.records()]
-        self._level: Latest[tuple[Floats, Floats]] = Latest()
 
     def _first_reading(self, part: slice) -> Floats:
         """The level with which a record begins (1); that of the log where it has no reading."""
@@ -88,8 +87,9 @@ class PlayModel:
     def level(self, z: Floats, theta: Floats) -> tuple[Floats, Floats]:
         """What the play passes on, and where it last moved: +1 right, -1 left, 0 not yet (N, N)."""
         gap = theta[self.base : self.base + 2]
-        return self._level.of(np.append(gap, z), self._dragged)
+        return self._dragged(np.append(gap, z))
 
+    @latest
     def _dragged(self, numbers: Floats) -> tuple[Floats, Floats]:
         """`level` of c_r, c_l and z in one column."""
         right, left, z = numbers[:1], numbers[1:2], numbers[2:, None]

@@ -9,8 +9,8 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from functools import partial, wraps
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from scipy.fft import dct
@@ -185,24 +185,24 @@ def best_top(
 Found = TypeVar("Found")
 
 
-class Latest(Generic[Found]):
-    """What was computed of numbers last, kept: a climb asks for the same again."""
+def latest(compute: Callable[[Any, Floats], Found]) -> Callable[[Any, Floats], Found]:
+    """A method of numbers (P) that keeps what it computed last: a climb asks for the same again.
 
-    def __init__(self) -> None:
-        self._numbers: bytes | None = None
+    Args:
+        compute: the method.
+    """
+    place = f"_latest_{compute.__name__}"
 
-    def of(self, theta: Floats, compute: Callable[[Floats], Found]) -> Found:
-        """What was kept, or computed.
-
-        Args:
-            theta: the numbers (P).
-            compute: of these.
-        """
+    @wraps(compute)
+    def kept(self: Any, theta: Floats) -> Found:
         numbers = theta.tobytes()
-        if self._numbers != numbers:
-            self._found = compute(theta)
-            self._numbers = numbers
-        return self._found
+        known, found = vars(self).get(place, (None, None))
+        if known != numbers:
+            found = compute(self, theta)
+            vars(self)[place] = numbers, found
+        return found
+
+    return kept
 
 
 # --- Derivatives by differences

@@ -221,8 +221,6 @@ class KalmanObjective:
         self.free: Integers = np.flatnonzero(free)
         by_noise = np.isin(self.free, (self.log_q, self.log_q + 1))
         self.longest = np.where(by_noise, 1.0, np.inf)
-        self._scores: estimates.Latest[tuple[Floats, Floats]] = estimates.Latest()
-        self._spread: estimates.Latest[estimates.Spread] = estimates.Latest()
 
     def admissible(self, p: Floats) -> bool:
         """Whether the filter can be run with these numbers."""
@@ -269,12 +267,9 @@ class KalmanObjective:
         )
         return outputs
 
+    @estimates.latest
     def scores(self, p: Floats) -> tuple[Floats, Floats]:
         """Log densities (N) and their derivatives by the free numbers (N x free)."""
-        return self._scores.of(p, self._differences)
-
-    def _differences(self, p: Floats) -> tuple[Floats, Floats]:
-        """`scores`, computed."""
         steps = self._steps(p)
         value, *moved = self.densities(estimates.around(p, self.free, steps))
         return value, estimates.differences(np.array(moved), steps).T
@@ -301,27 +296,11 @@ class KalmanObjective:
 
     def start(self, fit: Fit, share: float) -> Floats:
         """Numbers from a fit of (L2), that share of its disturbance coming from the model."""
-        right = fit.objective.layout.right
-        widths = fit.theta[right : right + 2]
-        white = math.sqrt(1 - share) * fit.s
-        return self.begun(fit.theta, widths, math.sqrt(share) * fit.s, white, fit.rho)
-
-    def begun(
-        self, plant: Floats, widths: Floats, disturbance: float, white: float, rho: float
-    ) -> Floats:
-        """Numbers where a climb starts.
-
-        Args:
-            plant: a, b, ...
-            widths: d_r, d_l.
-            disturbance: rms of what it makes of z.
-            white: rms of white noise.
-            rho: correlation of the disturbance over one sample, as far as it is known.
-        """
         p = np.zeros(self.size)
-        p[: self.log_q] = plant[: self.log_q]
-        white = max(white, 2 * QUIETEST)
-        phi = min(max(rho, 0.5), 0.99)
+        p[: self.log_q] = fit.theta[: self.log_q]
+        disturbance = math.sqrt(share) * fit.s
+        white = max(math.sqrt(1 - share) * fit.s, 2 * QUIETEST)
+        phi = min(max(fit.rho, 0.5), 0.99)
         colour, layout = phi if self.model == AT_INPUT else 0.0, self.layout
         gain = math.sqrt(input_gain(p[layout.a], p[layout.b], layout.n, colour))
         root = math.sqrt(1 - phi * phi)
@@ -331,7 +310,7 @@ class KalmanObjective:
             log_q = math.log(disturbance * root / gain)
         else:
             log_q = math.log(disturbance / gain)
-        p[self.log_q : self.log_q + 4] = log_q, math.log(white), *widths
+        p[self.log_q : self.log_q + 4] = log_q, math.log(white), fit.right, fit.left
         if self.model:
             p[-1] = math.atanh(phi)
         return p
@@ -341,12 +320,9 @@ class KalmanObjective:
         first, tied = self.log_q + 2, self.limits.tied
         return estimates.weighing(self.free, self.size, first, (right, left), tied)
 
+    @estimates.latest
     def spread(self, p: Floats) -> estimates.Spread:
         """(I1) of the free numbers, with a numerical Hessian; the last one is kept."""
-        return self._spread.of(p, self._sandwich)
-
-    def _sandwich(self, p: Floats) -> estimates.Spread:
-        """`spread`, computed."""
         _, scores = self.scores(p)
         outer = scores.T @ scores
         scale = 1 / np.sqrt(np.diag(outer) + 1e-12)

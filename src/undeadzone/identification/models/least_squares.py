@@ -103,7 +103,6 @@ class LeastSquares(Generic[M]):
         self.data = model.simulator.data
         self.free, self.gain, self.climbs = model.free, model.gain, self.data.climbs
         self._count = int(self.data.ok.sum())
-        self._colours: estimates.Latest[LeastSquares[M]] = estimates.Latest()
 
     def residual(self, theta: Floats) -> Floats:
         """y less what is expected (N); 0 where a reading is missing."""
@@ -190,10 +189,11 @@ class LeastSquares(Generic[M]):
         """The model's account of the readings where that is best, near least squares."""
         first = best = self.density(theta)
         for _ in range(ROUNDS):
-            theta = estimates.climb(self._colours.of(theta, self._coloured), theta, STEPS).theta
+            theta = estimates.climb(self._coloured(theta), theta, STEPS).theta
             best = min(best, self.density(theta), key=lambda one: one.bic)
         return best._replace(rms=first.rms, strange=first.strange)
 
+    @estimates.latest
     def _coloured(self, theta: Floats) -> LeastSquares[M]:
         """The same, with residuals that as many before them foretell as BIC takes."""
         e = self.residual(theta)
@@ -213,7 +213,7 @@ class LeastSquares(Generic[M]):
     def density(self, theta: Floats) -> Density:
         """The model's account of the readings, residuals taken as autoregressive Gaussian noise."""
         ok, e = self.data.ok, self.residual(theta)
-        coloured = self._colours.of(theta, self._coloured)
+        coloured = self._coloured(theta)
         innovation = coloured._whitened(e)
         variance = float(np.mean(innovation**2)) + 1e-12
         value = -0.5 * innovation**2 / variance - 0.5 * math.log(2 * math.pi * variance)

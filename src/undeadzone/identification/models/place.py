@@ -19,10 +19,10 @@ import numpy as np
 from undeadzone.compile import lanes
 from undeadzone.identification.models.elements import MapModel, linear, shifted
 from undeadzone.identification.models.estimates import (
-    Latest,
     around,
     best_top,
     differences,
+    latest,
     weighing,
 )
 from undeadzone.identification.models.least_squares import Fitted, LeastSquares
@@ -166,7 +166,6 @@ class PlaceModel:
         self.free: Integers = np.flatnonzero(np.append(np.ones(self.base, bool), fitted))
         pulses = np.eye(simulator.data.y.size, self.n)
         self.exogenous = np.hstack([simulator.lagged, pulses])
-        self._runs: Latest[Floats] = Latest()
 
     def along(self, data: Data) -> PlaceModel:
         """The same model of other records."""
@@ -195,7 +194,7 @@ class PlaceModel:
 
     def output(self, theta: Floats) -> Floats:
         """z, the output of the plant (N)."""
-        return self._runs.of(theta, self._run)[0]
+        return self._run(theta)[0]
 
     def readings(self, z: Floats, theta: Floats) -> Floats:
         """The reading that z makes: through the sensor's zone if there is one."""
@@ -203,12 +202,13 @@ class PlaceModel:
 
     def slopes(self, theta: Floats) -> tuple[Floats, Floats]:
         """The readings (N), and their derivatives by the free numbers (N x free)."""
-        z = self._runs.of(theta, self._run)
+        z = self._run(theta)
         steps = self._steps(theta)
         pairs = zip(z, around(theta, self.free, steps), strict=True)
         y, *moved = [self.readings(one, point) for one, point in pairs]
         return y, differences(np.array(moved), steps).T
 
+    @latest
     def _run(self, theta: Floats) -> Floats:
         """z of the numbers, and of those around them ((1 + 2 free) x N)."""
         tail = slice(self.base + 2, self.base + WIDTHS)

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.linalg.lapack import dgeev
 from scipy.signal import lfilter
 
-from undeadzone.identification.models.estimates import KeptClimbs, Latest
+from undeadzone.identification.models.estimates import KeptClimbs, latest
 from undeadzone.identification.models.likelihood import Readings, dead_zone
 from undeadzone.support.arrays import Flags, Floats, Integers, later
 
@@ -232,7 +232,6 @@ class Simulator:
         self.records = data.records()
         self.longest = max(part.stop - part.start for part in self.records)
         self.lagged = self._behind(data.u)
-        self._z: Latest[Floats] = Latest()
 
     def _behind(self, u: Floats) -> Floats:
         """The last n samples of each input (N x m n)."""
@@ -256,8 +255,9 @@ class Simulator:
 
     def z(self, theta: Floats) -> Floats:
         """z (N) for parameters theta, of which those of the plant come first; not to be changed."""
-        return self._z.of(theta[: self.layout.right], self._simulated)
+        return self._simulated(theta[: self.layout.right])
 
+    @latest
     def _simulated(self, theta: Floats) -> Floats:
         layout = self.layout
         denominator = layout.denominator(theta[layout.a])

@@ -67,8 +67,6 @@ class Objective:
         rms = float(np.sqrt(np.mean(self.data.y[self.data.ok] ** 2)))
         self.x0_weight = 1 / (3 * rms + 1e-12) ** 2
         self.free: Integers = np.flatnonzero(~self._fixed())
-        self._seen: estimates.Latest[tuple[Floats, likelihood.Terms]] = estimates.Latest()
-        self._spread: estimates.Latest[estimates.Spread] = estimates.Latest()
 
     def along(self, data: Data) -> Objective:
         """The same likelihood of other records."""
@@ -108,11 +106,9 @@ class Objective:
             return likelihood.singles(self.readings, z, noise)
         return likelihood.pairs(self.readings, z, noise)
 
+    @estimates.latest
     def at(self, theta: Floats) -> tuple[Floats, likelihood.Terms]:
         """z (N) and the terms of theta; those that were asked for last are kept."""
-        return self._seen.of(theta, self._at)
-
-    def _at(self, theta: Floats) -> tuple[Floats, likelihood.Terms]:
         z = self.simulator.z(theta)
         return z, self.terms(theta, z)
 
@@ -205,11 +201,9 @@ class Objective:
             return np.ones(z.size, int)
         return 1 * (z > noise.right) - 1 * (z < -noise.left)
 
+    @estimates.latest
     def spread(self, theta: Floats) -> estimates.Spread:
         """(I1): robust covariance of the free numbers of theta; the last one is kept."""
-        return self._spread.of(theta, self._sandwich)
-
-    def _sandwich(self, theta: Floats) -> estimates.Spread:
         _, scores, _ = self.scores(theta)
         return estimates.sandwich(scores[:, self.free], self.hessian(theta))
 
