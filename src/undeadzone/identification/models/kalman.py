@@ -99,10 +99,8 @@ def kernel(n: int, m: int, model: int, moments: bool = False) -> lanes.Kernel:
         of x and of the disturbance at first), and whose output is the log density.
     """
     size = n + (model > 0)
-    triangle = []
-    for j in range(size):
-        triangle += [(i, j) for i in range(j + 1)]
-    state = ca.SX.sym("s", size + len(triangle))
+    upper = ca.Sparsity.upper(size)
+    state = ca.SX.sym("s", size + upper.nnz())
     exogenous = ca.SX.sym("w", m + 4)
     numbers = ca.SX.sym("p", n + m * n + 7)
     F, B, G, H = matrices(n, m, model, numbers)
@@ -110,11 +108,8 @@ def kernel(n: int, m: int, model: int, moments: bool = False) -> lanes.Kernel:
     u = exogenous[:m]
     y, side, ok, start = ca.vertsplit(exogenous[m:])
     at_start = ca.diag(ca.vertcat(first * ca.SX.ones(n), *([first_w] * (model > 0))))
-    P = ca.SX(size, size)
-    for place, (i, j) in enumerate(triangle):
-        entry = ca.if_else(start, at_start[i, j], state[size + place])
-        P[i, j] = entry
-        P[j, i] = entry
+    kept = ca.SX(upper, state[size:])
+    P = ca.triu2symm(ca.if_else(start, ca.project(at_start, upper), kept))
     x = ca.if_else(start, 0.0, state[:size])
     mean = H @ x
     PH = P @ H.T
@@ -123,16 +118,16 @@ def kernel(n: int, m: int, model: int, moments: bool = False) -> lanes.Kernel:
     s = ca.sqrt(ca.fmax(ca.if_else(lost, 1.0, S), 1e-12))
     by_reading = Correction(y, side, ca.if_else(lost, 0.0, mean), s, right, left)
     g, k = ok * by_reading.g, ok * by_reading.k
-    before = [x, *[P[i, j] for i, j in triangle]]
+    before = ca.vertcat(x, ca.project(P, upper).nz[:])
     x = x + PH * g / s
     P = P - PH @ PH.T * k / s**2
-    seen = ca.vertcat(*before, x, *[P[i, j] for i, j in triangle], g)
+    seen = ca.vertcat(before, x, ca.project(P, upper).nz[:], g)
     x = F @ x + B @ u
     P = F @ P @ F.T + q2 * G
-    following = [x] + [P[i, j] for i, j in triangle]
+    following = ca.vertcat(x, ca.project(P, upper).nz[:])
     log = ok * ca.if_else(lost, WORST, by_reading.log)
     out = seen if moments else log
-    step = ca.Function("kalman", [state, exogenous, numbers], [ca.vertcat(*following), out])
+    step = ca.Function("kalman", [state, exogenous, numbers], [following, out])
     return lanes.build(step, params=[*range(numbers.shape[0])], width=WIDTH, fused=True)
 
 
@@ -141,42 +136,26 @@ def matrices(n: int, m: int, model: int, numbers: Any) -> tuple[Any, Any, Any, A
 
     Args:
         n, m, model: as for `kernel`.
-        numbers: a (n), b (m n), then q^2, r^2, d_r, d_l, phi: an expression or an array.
+        numbers: a (n), b (m n), then q^2, r^2, d_r, d_l, phi: CasADi expressions or numbers.
 
     Returns:
         F (size x size), B (size x m), G G' (size x size) for q = 1, H (1 x size).
     """
-    symbolic = type(numbers).__module__.startswith("casadi")
-    zeros = ca.SX.zeros if symbolic else _zeros
-    size = n + (model > 0)
-    a = numbers[:n]
-    phi = numbers[n + m * n + 4]
+    size, zeros = n + (model > 0), type(numbers).zeros
     F, B, G, H = zeros(size, size), zeros(size, m), zeros(size, size), zeros(1, size)
-    for i in range(n):
-        F[i, 0] = -a[i]
-        if i < n - 1:
-            F[i, i + 1] = 1.0
-        for j in range(m):
-            B[i, j] = numbers[n + n * j + i]
+    F[:n, :n] = ca.DM(np.eye(n, k=1))
+    F[:n, 0] = -numbers[:n]
+    B[:n, :] = ca.reshape(numbers[n : n + m * n], n, m)
     H[0, 0] = 1.0
-    if model == 0:
-        for i in range(n):
-            for j in range(n):
-                for k in range(m):
-                    G[i, j] = G[i, j] + B[i, k] * B[j, k]
-        return F, B, G, H
-    F[n, n] = phi
+    if model == WHITE:
+        return F, B, B @ B.T, H
+    F[n, n] = numbers[n + m * n + 4]
     G[n, n] = 1.0
-    if model == 1:
-        for i in range(n):
-            F[i, n] = B[i, 0]
+    if model == AT_INPUT:
+        F[:n, n] = B[:n, 0]
     else:
         H[0, n] = 1.0
     return F, B, G, H
-
-
-def _zeros(rows: int, columns: int) -> Any:
-    return np.zeros((rows, columns))
 
 
 # --- The records

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import casadi as ca
 import numpy as np
 
 from undeadzone.identification.models.estimates import best_top, climb
@@ -192,7 +193,8 @@ def _square(triangles: Floats, size: int) -> Floats:
 def _back(fit: KalmanFit, p: Floats, forth: _Pass) -> _Back:
     """The smoothed means, from the end of each record to its beginning."""
     layout = fit.objective.layout
-    F, _, _, H = matrices(layout.n, layout.m, fit.model, fit.objective.lane(p))
+    numbers = ca.DM(fit.objective.lane(p))
+    F, _, _, H = (part.full() for part in matrices(layout.n, layout.m, fit.model, numbers))
     ridge = 1e-12 * np.eye(F.shape[0])
     gains = np.linalg.solve(forth.P_ahead[1:] + ridge, F @ forth.P[:-1]).transpose(0, 2, 1)
     x = forth.x.copy()

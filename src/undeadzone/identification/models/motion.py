@@ -22,10 +22,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import casadi as ca
 import numpy as np
 
 from undeadzone.ends.play import ticked
-from undeadzone.identification.models.kalman import matrices
+from undeadzone.identification.models.kalman import WHITE, matrices
 from undeadzone.identification.models.plant import Simulator, input_gain
 from undeadzone.support.arrays import Flags, Floats, Integers
 
@@ -328,8 +329,8 @@ def moving(simulator: Simulator, theta: Floats, rms: float, noise: float) -> Mov
         noise: rms of the readings' white noise.
     """
     layout = simulator.layout
-    numbers = np.concatenate([layout.denominator(theta[layout.a])[1:], theta[layout.b], [0.0] * 5])
-    F, B, G, H = matrices(layout.n, layout.m, 0, numbers)
+    numbers = ca.DM(np.append(layout.denominator(theta[layout.a])[1:], theta[layout.b]))
+    F, B, G, H = (part.full() for part in matrices(layout.n, layout.m, WHITE, numbers))
     power = 1.0
     if not layout.integrators:
         power = input_gain(theta[layout.a], theta[layout.b], layout.n, 0.0)
