@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -339,7 +340,7 @@ def plain_filter(objective: KalmanObjective, p: Floats) -> tuple[Floats, Floats]
     """Predicted covariances and g (N), one sample after the other."""
     data, layout, model = objective.data, objective.layout, objective.model
     lane = objective.lane(p)
-    F, B, G, H = matrices(layout.n, layout.m, model, lane)
+    F, B, G, H = (part.full() for part in matrices(layout.n, layout.m, model, ca.DM(lane)))
     q2, r2, right, left, _, first, first_w = lane[objective.lane_q :]
     x = np.zeros(len(F))
     P = np.diag([first] * layout.n + [first_w] * (model > 0))
@@ -383,7 +384,7 @@ def test_smoother_is_least_squares_where_all_speaks(model: int) -> None:
     objective = KalmanObjective(data, Layout(2, 1, 1), model, Limits())
     p = np.array([*A, 0.4, 0.3, -2.0, -2.5, 0.0, 0.0, 1.0])
     lane = objective.lane(p)
-    F, B, G, H = matrices(2, 1, model, lane)
+    F, B, G, H = (part.full() for part in matrices(2, 1, model, ca.DM(lane)))
     q2, r2, *_, first, first_w = lane[objective.lane_q :]
     mean, power = np.zeros((40, 3)), np.zeros((40, 3, 40, 3))
     power[0, :, 0] = np.diag([first, first, first_w])

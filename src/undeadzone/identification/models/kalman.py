@@ -58,29 +58,26 @@ def log_mass(a: Any, b: Any) -> Any:
     return ca.if_else(upper - lower < 1e-5, point, top + ca.log(1 - ca.exp(gap)))
 
 
-class Correction:
+def corrected(y: Any, side: Any, mean: Any, s: Any, right: Any, left: Any) -> tuple[Any, Any, Any]:
     """A reading's log density, and g and k of x += P H' g / s, P -= P H' H P k / s^2.
 
     Without a side z lies in the dead zone.
     """
-
-    def __init__(self, y: Any, side: Any, mean: Any, s: Any, right: Any, left: Any) -> None:
-        speaks = side != 0
-        v = (y + right * (side > 0) - left * (side < 0) - mean) / s
-        a, b = (y + right - mean) / s, (y - left - mean) / s
-        mass = log_mass(a, b)
-        at_a = ca.exp(ca.fmin(-0.5 * a**2 - LOG_ROOT - mass, 700.0))
-        at_b = ca.exp(ca.fmin(-0.5 * b**2 - LOG_ROOT - mass, 700.0))
-        lost = ca.logic_or(mass < -700.0, a - b < NARROW)
-        shift = ca.if_else(lost, 0.0, at_b - at_a)
-        shift = ca.fmin(ca.fmax(shift, b), a)
-        narrowed = (at_b - at_a) ** 2 + a * at_a - b * at_b
-        pinned = 1 - ca.fmin(1.0, (a - b) ** 2 / 12)
-        narrowed = ca.fmin(ca.fmax(ca.if_else(lost, pinned, narrowed), 0.0), 1.0)
-        spoken = -0.5 * v**2 - ca.log(s) - LOG_ROOT
-        self.log = ca.fmax(ca.if_else(speaks, spoken, mass), FLOOR)
-        self.g = ca.if_else(speaks, v, shift)
-        self.k = ca.if_else(speaks, 1.0, narrowed)
+    speaks = side != 0
+    v = (y + right * (side > 0) - left * (side < 0) - mean) / s
+    a, b = (y + right - mean) / s, (y - left - mean) / s
+    mass = log_mass(a, b)
+    at_a = ca.exp(ca.fmin(-0.5 * a**2 - LOG_ROOT - mass, 700.0))
+    at_b = ca.exp(ca.fmin(-0.5 * b**2 - LOG_ROOT - mass, 700.0))
+    lost = ca.logic_or(mass < -700.0, a - b < NARROW)
+    shift = ca.if_else(lost, 0.0, at_b - at_a)
+    shift = ca.fmin(ca.fmax(shift, b), a)
+    narrowed = (at_b - at_a) ** 2 + a * at_a - b * at_b
+    pinned = 1 - ca.fmin(1.0, (a - b) ** 2 / 12)
+    narrowed = ca.fmin(ca.fmax(ca.if_else(lost, pinned, narrowed), 0.0), 1.0)
+    spoken = -0.5 * v**2 - ca.log(s) - LOG_ROOT
+    log = ca.fmax(ca.if_else(speaks, spoken, mass), FLOOR)
+    return log, ca.if_else(speaks, v, shift), ca.if_else(speaks, 1.0, narrowed)
 
 
 @cache
@@ -116,8 +113,8 @@ def kernel(n: int, m: int, model: int, moments: bool = False) -> lanes.Kernel:
     S = H @ PH + r2
     lost = ca.logic_not(ca.logic_and(S < 1e12, ca.fabs(mean) < 1e9))
     s = ca.sqrt(ca.fmax(ca.if_else(lost, 1.0, S), 1e-12))
-    by_reading = Correction(y, side, ca.if_else(lost, 0.0, mean), s, right, left)
-    g, k = ok * by_reading.g, ok * by_reading.k
+    density, g, k = corrected(y, side, ca.if_else(lost, 0.0, mean), s, right, left)
+    g, k = ok * g, ok * k
     before = ca.vertcat(x, ca.project(P, upper).nz[:])
     x = x + PH * g / s
     P = P - PH @ PH.T * k / s**2
@@ -125,7 +122,7 @@ def kernel(n: int, m: int, model: int, moments: bool = False) -> lanes.Kernel:
     x = F @ x + B @ u
     P = F @ P @ F.T + q2 * G
     following = ca.vertcat(x, ca.project(P, upper).nz[:])
-    log = ok * ca.if_else(lost, WORST, by_reading.log)
+    log = ok * ca.if_else(lost, WORST, density)
     out = seen if moments else log
     step = ca.Function("kalman", [state, exogenous, numbers], [following, out])
     return lanes.build(step, params=[*range(numbers.shape[0])], width=WIDTH, fused=True)
