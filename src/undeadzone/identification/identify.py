@@ -170,8 +170,8 @@ def _identified(
         if len(log.outputs) != len(names):
             raise InputError(f"{log.source}: has {len(log.outputs)} outputs, others {len(names)}")
     apart = ([log.of_output(k) for log in logs] for k in range(len(names)))
-    grids = (to_grid(alone, options.resample) for alone in apart)
-    answers = [identify_output(grid, options, advance, climbs) for grid in grids]
+    grids = (to_grid(alone, options.resample)._replace(climbs=climbs) for alone in apart)
+    answers = [identify_output(grid, options, advance) for grid in grids]
     return answers[0] if len(answers) == 1 else IdentifiedOutputs(names, tuple(answers))
 
 
@@ -207,19 +207,13 @@ class Question(NamedTuple):
     found: Callable[[Case, Found], Found]
 
 
-def identify_output(
-    grid: Grid,
-    options: Options,
-    advance: Callable[[int], None],
-    climbs: KeptClimbs | None = None,
-) -> Identified:
+def identify_output(grid: Grid, options: Options, advance: Callable[[int], None]) -> Identified:
     """Find plant and zone from records of one output on a regular grid.
 
     Args:
         grid: the records.
         options: what the user said.
         advance: called with the number of steps just done.
-        climbs: those that are on disk; None: none are.
 
     Returns:
         The answer.
@@ -230,13 +224,13 @@ def identify_output(
     servo = servo_of_ticks(grid, options)
     if servo is not None and servo.is_given:
         advance(1)
-        return _of_servo(grid, options, advance, climbs, servo)
-    case = _fitted(shortened(grid, options.integrators), options, advance, climbs)
+        return _of_servo(grid, options, advance, servo)
+    case = _fitted(shortened(grid, options.integrators), options, advance)
     case = case._replace(servo=servo)
     found = Found(because("unclear"), case.fitted.delay, (), {}).judged(case, case.rivals)
     if found.verdict.word == "jump" and _shows_edges(case):
         as_jump = msgspec.structs.replace(options, kind="jump")
-        return identify_output(case.grid, as_jump, advance, climbs)
+        return identify_output(case.grid, as_jump, advance)
     for question in QUESTIONS:
         if question.is_asked(case, found):
             found = question.found(case, found)
@@ -245,27 +239,19 @@ def identify_output(
 
 
 def _of_servo(
-    grid: Grid,
-    options: Options,
-    advance: Callable[[int], None],
-    climbs: KeptClimbs | None,
-    servo: ServoGap,
+    grid: Grid, options: Options, advance: Callable[[int], None], servo: ServoGap
 ) -> Identified:
     """The answer of a servo behind a play, beside a fit of its order. Raises InputError."""
-    case = _fitted(grid, told(options, servo), advance, climbs)
+    case = _fitted(grid, told(options, servo), advance)
     case = case._replace(options=options)
     found = Found(because("unclear"), case.fitted.delay, (), {}).judged(case, case.rivals)
     return Identified(to_answer(case, named_servo(case, servo, found)))
 
 
-def _fitted(
-    grid: Grid, options: Options, advance: Callable[[int], None], climbs: KeptClimbs | None
-) -> Case:
+def _fitted(grid: Grid, options: Options, advance: Callable[[int], None]) -> Case:
     """The log, fitted with a zone of the sensor and with static maps. Raises InputError."""
-    prepared = prepare(grid, options)
-    prepared = prepared._replace(data=prepared.data._replace(climbs=climbs))
-    prepared, unreached = without_unreached(prepared)
-    fitted = fitted_with_delay(prepared, options, advance)
+    prepared, unreached = without_unreached(prepare(grid, options))
+    fitted = fitted_with_delay(prepared, advance)
     chosen = _polished(orders.order_to_write(fitted.fits))
     no_zone = orders.judge_no_zone(chosen.pairs)
     if no_zone.fit is not chosen.pairs:

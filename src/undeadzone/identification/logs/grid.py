@@ -8,6 +8,7 @@ import numpy as np
 
 from undeadzone.errors import FileError, InputError
 from undeadzone.identification.logs.log import Log, where
+from undeadzone.identification.models.estimates import KeptClimbs
 from undeadzone.logs.samples import Regular, filled
 from undeadzone.support.arrays import Flags, Floats, Integers
 
@@ -40,6 +41,7 @@ class Grid(NamedTuple):
         input_unit, output_unit: units, "1" if unknown.
         output: name of the output.
         r: the reference (N x 1), NaN where it is missing or a spike; (N x 0) where a log has none.
+        climbs: of fits of the log, those that were kept on disk; None: none are.
     """
 
     t: Floats
@@ -56,6 +58,7 @@ class Grid(NamedTuple):
     output_unit: str
     output: str
     r: Floats
+    climbs: KeptClimbs | None = None
 
 
 def to_grid(logs: list[Log], resample: float | None = None) -> Grid:

@@ -155,6 +155,7 @@ class Prepared(NamedTuple):
     """A log made ready.
 
     Attributes:
+        options: what the user said.
         data: scaled records.
         limits: of the widths, scaled.
         orders: orders that the log is long enough for.
@@ -164,6 +165,7 @@ class Prepared(NamedTuple):
         jumps: right and left edge of a jump sensor, scaled; None for a dead zone.
     """
 
+    options: Options
     data: Data
     limits: Limits
     orders: list[int]
@@ -200,12 +202,13 @@ def prepare(grid: Grid, options: Options) -> Prepared:
     ahead = _is_ahead(y[ok], side[ok] == 0, options)
     start = _stretches(grid, remarks) if options.integrators else grid.start
     u_scale, y_scale = grid.u.std(axis=0), float(np.sqrt(np.mean(y[ok] ** 2)))
-    data = Data(grid.u / u_scale, y / y_scale, ok, start, side, ahead, u_scale, y_scale)
+    u, y = grid.u / u_scale, y / y_scale
+    data = Data(u, y, ok, start, side, ahead, u_scale, y_scale, grid.climbs)
     stuck, quantum = ends.text if ends.found else "", grid.quantum / y_scale
     if options.kind == "jump":
         data, limits, jumps = as_dead_zone(data, options)
-        return Prepared(data, limits, orders, quantum, remarks, stuck, jumps)
-    return Prepared(data, _limits(data, options), orders, quantum, remarks, stuck)
+        return Prepared(options, data, limits, orders, quantum, remarks, stuck, jumps)
+    return Prepared(options, data, _limits(data, options), orders, quantum, remarks, stuck)
 
 
 def _require_silence_at_zero(grid: Grid) -> None:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.identification.logs.log import MOST_LATE, Options
+from undeadzone.identification.logs.log import MOST_LATE
 from undeadzone.identification.logs.prepare import FAR_EDGE, Prepared
 from undeadzone.identification.models.estimates import climb
 from undeadzone.identification.models.plant import Simulator, delayed, part_of
@@ -81,16 +81,13 @@ class FittedOrders(NamedTuple):
     alike: list[OrderFit]
 
 
-def fitted_with_delay(
-    prepared: Prepared, options: Options, advance: Callable[[int], None]
-) -> FittedOrders:
+def fitted_with_delay(prepared: Prepared, advance: Callable[[int], None]) -> FittedOrders:
     """Every order, fitted; once more where the input turns out to act later.
 
     Delay and starts of a long log are found in a part of it.
 
     Args:
         prepared: the log.
-        options: what the user said.
         advance: called with the number of steps just done.
 
     Raises:
@@ -98,57 +95,52 @@ def fitted_with_delay(
     """
     part = part_of(prepared.data)
     if part is prepared.data:
-        return _searched(prepared, options, advance)
-    begun = _searched(prepared._replace(data=part), options, advance)
+        return _searched(prepared, advance)
+    begun = _searched(prepared._replace(data=part), advance)
     if at_limit(best_order(begun.fits).pairs):  # perhaps since the part is short
-        return _searched(prepared, options, advance)
+        return _searched(prepared, advance)
     late = prepared._replace(data=delayed(prepared.data, begun.delay))
-    return _fitted(late, options, advance, begun.fits)._replace(delay=begun.delay)
+    return _fitted(late, advance, begun.fits)._replace(delay=begun.delay)
 
 
-def _searched(prepared: Prepared, options: Options, advance: Callable[[int], None]) -> FittedOrders:
+def _searched(prepared: Prepared, advance: Callable[[int], None]) -> FittedOrders:
     """`fitted_with_delay` with all samples. Raises InputError."""
-    if options.delay != "auto":
-        samples = int(options.delay)
+    if prepared.options.delay != "auto":
+        samples = int(prepared.options.delay)
         shifted = prepared._replace(data=delayed(prepared.data, samples))
-        return _fitted(shifted, options, advance)._replace(delay=samples)
-    found = _fitted(prepared, options, advance)
+        return _fitted(shifted, advance)._replace(delay=samples)
+    found = _fitted(prepared, advance)
     samples = likely_delay(found.fits)
     if not samples:
         return found
-    late = _refined(found, samples, options, advance)
+    late = _refined(found, samples, advance)
     if not better_delay(found.fits, late.fits):
         return found._replace(alike=alike(found.fits, late.fits))
     return late._replace(prepared=late.prepared._replace(orders=prepared.orders))
 
 
-def _refined(
-    found: FittedOrders, first: int, options: Options, advance: Callable[[int], None]
-) -> FittedOrders:
+def _refined(found: FittedOrders, first: int, advance: Callable[[int], None]) -> FittedOrders:
     """Fits with the delay near the first one that serves best; a delay takes no more poles."""
     prepared, most = found.prepared, best_order(found.fits).n
     fewer = [n for n in prepared.orders if n <= most]
     shifted = prepared._replace(data=delayed(prepared.data, first), orders=fewer)
-    late = _fitted(shifted, options, advance)
+    late = _fitted(shifted, advance)
     more = refined_delay(late.fits, first) - first
     if more:
         shifted = late.prepared._replace(data=delayed(late.prepared.data, more))
-        warm = _fitted(shifted, options, advance, later(late.fits, more))
-        cold = _fitted(shifted, options, advance)
+        warm = _fitted(shifted, advance, later(late.fits, more))
+        cold = _fitted(shifted, advance)
         late = min((warm, cold), key=lambda one: best_order(one.fits).pairs.bic)
     return late._replace(delay=first + more)
 
 
 def _fitted(
-    prepared: Prepared,
-    options: Options,
-    advance: Callable[[int], None],
-    begun: Sequence[OrderFit] = (),
+    prepared: Prepared, advance: Callable[[int], None], begun: Sequence[OrderFit] = ()
 ) -> FittedOrders:
     """Every order, fitted; once more where a few readings turn out to be glitches."""
     for _ in range(3):
         data, limits = prepared.data, prepared.limits
-        held_out, integrators = options.held_out, options.integrators
+        held_out, integrators = prepared.options.held_out, prepared.options.integrators
         fits = fit_orders(data, prepared.orders, limits, held_out, advance, integrators, begun)
         if not fits:
             raise InputError(
