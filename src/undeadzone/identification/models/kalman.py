@@ -231,17 +231,7 @@ class KalmanObjective:
         """Outputs of `kalman_step.kernel` (points x N x outputs) for several sets of numbers."""
         rows = np.array([self.lane(p) for p in points])
         compiled = kernel(self.layout.n, self.layout.m, self.model, moments)
-        size = self.layout.n + (self.model > 0)
-        state = np.zeros(size + size * (size + 1) // 2)
-        outputs, _ = lanes.run(
-            compiled,
-            np.tile(state, (len(rows), 1)),
-            self.exogenous,
-            np.zeros(rows.shape[1]),
-            lane_params=rows,
-            threads=1,
-        )
-        return outputs
+        return lanes.run_numbers(compiled, self.exogenous, rows)[0]
 
     @estimates.latest
     def scores(self, p: Floats) -> tuple[Floats, Floats]:

@@ -96,15 +96,7 @@ def simulate(n: int, m: int, position: bool, exogenous: Floats, numbers: Floats)
     Returns:
         z (K x N).
     """
-    outputs, _ = lanes.run(
-        kernel(n, m, position),
-        np.zeros((len(numbers), 2 * n + 1)),
-        exogenous,
-        np.zeros(numbers.shape[1]),
-        lane_params=numbers,
-        threads=1,
-    )
-    return outputs[:, :, 0]
+    return lanes.run_numbers(kernel(n, m, position), exogenous, numbers)[0][:, :, 0]
 
 
 # --- The models

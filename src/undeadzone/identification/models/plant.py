@@ -238,10 +238,8 @@ class Simulator:
         n = self.layout.n
         lagged = np.zeros((len(u), n * u.shape[1]))
         for part in self.records:
-            for k in range(u.shape[1]):
-                for j in range(n):
-                    delayed = u[part.start : part.stop - 1 - j, k]
-                    lagged[part.start + 1 + j : part.stop, n * k + j] = delayed
+            for j in range(n):
+                lagged[part.start + 1 + j : part.stop, j::n] = u[part.start : part.stop - 1 - j]
         return lagged
 
     def along(self, data: Data) -> Simulator:
@@ -274,7 +272,7 @@ class Simulator:
     def gradient(self, theta: Floats, z: Floats) -> Floats:
         """dz/dtheta (N x P), exact: one filter for a, one for x(0), one for each input."""
         layout = self.layout
-        n, m = layout.n, layout.m
+        n = layout.n
         whole, u = layout.denominator(theta[layout.a]), self.passed(theta)
         slopes = np.zeros((z.size, layout.size))
         for r, part in enumerate(self.records):
@@ -287,8 +285,7 @@ class Simulator:
                 own[i + 1 :, i] = -by_a[: size - 1 - i]
             for i in range(n):
                 own[i:, layout.x0.start + n * r + i] = filtered[: size - i, -1]
-                for k in range(m):
-                    own[i + 1 :, layout.b.start + n * k + i] = filtered[: size - 1 - i, k]
+                own[i + 1 :, layout.b.start + i : layout.b.stop : n] = filtered[: size - 1 - i, :-1]
             if layout.zoned:
                 moved = np.hstack([-1.0 * (u[part] > 0), 1.0 * (u[part] < 0)])
                 gain = np.append(0.0, theta[layout.b])
