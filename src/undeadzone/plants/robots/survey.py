@@ -72,8 +72,7 @@ def survey(
     """
     body = arm(urdf.chain(path, joints, tip))
     robot = read(Path(path))
-    known = {joint.name: joint for joint in robot.joints}
-    moving = [known[name] for name in body.chain.joints]
+    moving, tip = urdf.selected(robot, joints, tip)
     limits = body.chain.limits
     q = _posture(limits) if at is None else vector("at", at, body.size, "one per moving joint")
     _require_within(moving, q)
@@ -82,7 +81,7 @@ def survey(
         body=body,
         robot=robot,
         base=moving[0].parent,
-        tip=tip or urdf.end(robot, joints or movable),
+        tip=tip,
         joints=moving,
         fixed=[name for name in movable if name not in body.chain.joints],
         masses=body.values[: body.size],

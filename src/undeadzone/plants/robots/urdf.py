@@ -268,7 +268,7 @@ def chain(
     """
     g = vector("plant.arm.gravity", gravity, 3, "x, y, z")
     robot = read(Path(path))
-    moving, tip = _selected(robot, joints, tip)
+    moving, tip = selected(robot, joints, tip)
     frames = straightened(robot, moving, tip)
     _require_masses(path, moving, frames)
     parameters = {f"m{i + 1}": body.mass for i, body in enumerate(frames.bodies)} | {"payload": 0.0}
@@ -304,10 +304,18 @@ def _require_masses(path: str | os.PathLike[str], moving: list[Joint], frames: F
             )
 
 
-def _selected(
+def selected(
     robot: Robot, joints: Sequence[str] | None, tip: str | None
 ) -> tuple[list[Joint], str]:
-    """The moving joints from base to tip, and the tip."""
+    """The moving joints from base to tip, and the tip.
+
+    Args:
+        robot: the tree of a file.
+        joints, tip: as for `chain`.
+
+    Raises:
+        InputError: these joints make no chain.
+    """
     known = {joint.name: joint for joint in robot.joints}
     movable = [joint.name for joint in robot.joints if joint.kind in MOVABLE]
     for i, name in enumerate(joints or ()):
@@ -319,7 +327,7 @@ def _selected(
         raise InputError(f"plant.arm.tip: no link {tip!r}; {suggest(tip, robot.links)}")
     moved = movable if joints is None else joints
     if tip is None:
-        tip = end(robot, moved)
+        tip = _end(robot, moved)
     way = [joint.name for joint in robot.way(tip)]
     serial = [name for name in way if name in movable and name in moved]
     if not serial:
@@ -364,7 +372,7 @@ def _require_uncoupled(robot: Robot, serial: list[str]) -> None:
             )
 
 
-def end(robot: Robot, moved: Sequence[str]) -> str:
+def _end(robot: Robot, moved: Sequence[str]) -> str:
     """The one link without children to which all of these joints lead."""
     parents = {joint.parent for joint in robot.joints}
     ends = []
