@@ -107,10 +107,9 @@ def overview(found_log: Identified) -> Figure:
     signals(panels["signals"], found_log)
     _shade_held_out(panels["sides"], found_log)
     fit, t = found_log.answer.fit, found_log.answer.case.grid.t[part]
-    side, whose = data.side, "Side of the readings"
-    if fit.objective.kind == "behind":  # where readings inside the zone are noise
-        side, whose = 1 * (fit.z > fit.right) - 1 * (fit.z < -fit.left), r"Side of $\hat z$"
-    side = np.where(data.ok, side, np.nan)[part]
+    behind = fit.objective.kind == "behind"  # readings inside the zone are noise
+    whose = r"Side of $\hat z$" if behind else "Side of the readings"
+    side = np.where(data.ok, fit.objective.side(fit.theta), np.nan)[part]
     _sides(panels["sides"], t, side, "silent")
     finish(panels["sides"], whose, "", _time(found_log), legend=0)
     return figure
@@ -164,7 +163,7 @@ def first(axes: Axes, result: IdentifiedOutputs) -> None:
 def _shade_held_out(axes: Axes, found_log: Identified) -> None:
     """Shade what had no part in the fit that checks."""
     answer, part = found_log.answer, _shown(found_log)
-    held_out = ~trained_part(answer.fit.objective.data, answer.options.held_out)
+    held_out = ~trained_part(answer.fit.objective.data, answer.case.options.held_out)
     axes.fill_between(
         answer.case.grid.t[part], 0, 1, where=held_out[part], color=ink.ZONE, alpha=0.12,
         linewidth=0, transform=axes.get_xaxis_transform(),

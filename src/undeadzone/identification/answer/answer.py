@@ -10,7 +10,6 @@ import numpy as np
 from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.errors import InputError
 from undeadzone.identification.logs.grid import Grid
-from undeadzone.identification.logs.log import Options
 from undeadzone.identification.models.estimates import Interval, quantile
 from undeadzone.identification.models.kalman import AT_INPUT, NAMES
 from undeadzone.identification.models.kalman_fit import KalmanFit, innovations
@@ -75,7 +74,6 @@ class Answer(NamedTuple):
             names [y], of an input zone [u]; None where the verdict allows no such number.
         remarks: what was done to the log, and what to be careful about.
         loop: whether one is closed.
-        options: what the user said.
         case: the log, fitted with a zone of the sensor.
         found: what was found of it.
         chosen: the order that was chosen, with the checks of what was found.
@@ -91,7 +89,6 @@ class Answer(NamedTuple):
     centre: Interval | None
     remarks: list[str]
     loop: Loop
-    options: Options
     case: Case
     found: Found
     chosen: OrderFit
@@ -214,7 +211,6 @@ def to_answer(case: Case, found: Found) -> Answer:
         **dict.fromkeys(DIRECTIONS),
         remarks=[*case.fitted.prepared.remarks, *found.verdict.cautions],
         loop=Loop(1.0, None),
-        options=case.options,
         case=case,
         found=found,
         chosen=_checked(case, found),
@@ -264,7 +260,7 @@ def _not_wide(shown: dict[str, Any]) -> str:
 def _unmoved(answer: Answer, shown: Shown) -> str:
     """That a width was never found; empty where each was, or the user knows of it."""
     for name in ("right", "left"):
-        low, high = answer.options.bounds(name)
+        low, high = answer.case.options.bounds(name)
         edge = shown[name]
         if edge is not None and low < high and edge.low == edge.high:
             return f"the {name} edge moves no reading: the fit never found the zone"
@@ -437,7 +433,7 @@ def told_range(answer: Answer, side: str) -> tuple[float, float]:
     """
     edge = answer.right if side == "right" else answer.left
     assert isinstance(edge, Interval)
-    low, high = answer.options.bounds(side)
+    low, high = answer.case.options.bounds(side)
     told = _told(answer, side, edge)
     low, high = max(told.low, low, 0.0), min(told.high, high)
     if not math.isfinite(high):

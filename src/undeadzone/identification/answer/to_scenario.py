@@ -143,7 +143,7 @@ def _plant(answer: Answer) -> tuple[Matrices, Floats, Floats]:
 
 def _delay(answers: Sequence[Answer]) -> int:
     """Samples by which the plant is late, not its recording. Raises InputError."""
-    late = {one.found.delay * (one.options.delay == "auto") for one in answers}
+    late = {one.found.delay * (one.case.options.delay == "auto") for one in answers}
     if len(late) > 1:
         raise InputError(
             f"scenario: inputs act {min(late)} to {max(late)} samples late on different outputs,"
@@ -212,10 +212,11 @@ def _sound(answer: Answer, right: Interval, left: Interval) -> tuple[Interval, I
 
 def _noise(answers: Sequence[Answer]) -> dict[str, str]:
     """Noise of the sensor beside its rounding, threshold, quantum; empty where there is none."""
+    cases = [one.case for one in answers]
     rms = np.array([_rms_of_noise(answer) for answer in answers]).T
-    quanta = np.array([rounding_of(one.case.grid.y[one.case.grid.ok]) for one in answers])
+    quanta = np.array([rounding_of(one.grid.y[one.grid.ok]) for one in cases])
     quanta = np.where(quanta > REPEATED * rms.max(axis=0), quanta, 0.0)
-    silent = [max(0.5 * one.case.grid.quantum, one.options.threshold or 0.0) for one in answers]
+    silent = [max(0.5 * one.grid.quantum, one.options.threshold or 0.0) for one in cases]
     rounding = quanta * [one.verdict not in MEMORY for one in answers]  # a play's noise has none
     ahead, behind = np.sqrt(np.maximum(rms**2 - rounding**2 / 12, 0.0))
     noise = {"ahead": ahead, "behind": behind, "quantum": quanta}
@@ -326,5 +327,4 @@ def _number(value: float) -> str:
 
 def _text(value: str) -> str:
     """A text in TOML."""
-    safe = printable(value).replace("\\", "\\\\").replace('"', '\\"')
-    return f'"{safe}"'
+    return json.dumps(printable(value), ensure_ascii=False)

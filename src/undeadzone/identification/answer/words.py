@@ -404,7 +404,7 @@ def _disturbance(answer: Answer, unit: str) -> str:
 def _held_out(answer: Answer, unit: str) -> str:
     """How the fit does on data that had no part in it."""
     chosen = answer.chosen
-    share = f"{100 * answer.options.held_out:.0f} % in blocks"
+    share = f"{100 * answer.case.options.held_out:.0f} % in blocks"
     white = "white" if chosen.white else "not white"
     return (
         f"{share}: rms error {chosen.error * answer.scale:.3g}{unit},"

@@ -176,7 +176,7 @@ class Objective:
     def _gauss_newton(self, theta: Floats, slope: Floats) -> tuple[Floats, Flags]:
         """Derivatives of what speaks, over its rms (M x P), and which samples are silent (N)."""
         noise, ok = self.noise(theta), self.readings.ok
-        side = self._side(theta)
+        side = self.side(theta)
         speaks = ok & (side != 0)
         change = slope.copy()
         change[:, self.layout.right] -= side > 0
@@ -192,7 +192,7 @@ class Objective:
             rows[at] = (change[at] - noise.rho * change[at - 1]) / spread
         return rows[speaks], ok & ~speaks & (self.kind != "behind")
 
-    def _side(self, theta: Floats) -> Integers:
+    def side(self, theta: Floats) -> Integers:
         """+1, 0, -1 (N): of the readings, or of z where noise is behind the zone."""
         if self.kind != "behind":
             return self.readings.side
