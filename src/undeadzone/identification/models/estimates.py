@@ -280,14 +280,14 @@ class Spread(NamedTuple):
         kept, degrees = few_samples(self.scores, self.naive @ direction, self.degrees)
         return variance / kept, degrees
 
-    def half_and_degrees(self, direction: Floats, level: float = 0.95) -> tuple[float, float]:
-        """Half the interval of direction' theta at a level, and its degrees of freedom."""
+    def half_and_degrees(self, direction: Floats) -> tuple[float, float]:
+        """Half the 95 % interval of direction' theta, and its degrees of freedom."""
         variance, degrees = self.accuracy(direction)
-        return quantile(degrees, level) * variance**0.5, degrees
+        return quantile(degrees) * variance**0.5, degrees
 
-    def half_width(self, direction: Floats, level: float = 0.95) -> float:
-        """Half the interval of direction' theta at a level."""
-        return self.half_and_degrees(direction, level)[0]
+    def half_width(self, direction: Floats) -> float:
+        """Half the 95 % interval of direction' theta."""
+        return self.half_and_degrees(direction)[0]
 
 
 def few_samples(scores: Floats, row: Floats, count: int) -> tuple[float, float]:

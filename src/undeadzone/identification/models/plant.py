@@ -398,9 +398,9 @@ def correlations(e: Floats, ok: Flags, lags: int) -> Floats:
     return np.array(products) / max(int(ok.sum()), 1)
 
 
-def white(runs: int, size: int, phi: float, seed: int = 0) -> Floats:
+def white(runs: int, size: int, phi: float) -> Floats:
     """First-order noise of rms 1, the same numbers for every colour (runs x (size + SETTLED))."""
-    draws = np.random.default_rng(seed).standard_normal((runs, size + SETTLED))
+    draws = np.random.default_rng(0).standard_normal((runs, size + SETTLED))
     return np.asarray(lfilter([math.sqrt(1 - phi**2)], [1.0, -phi], draws, axis=1))
 
 

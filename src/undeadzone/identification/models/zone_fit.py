@@ -90,19 +90,18 @@ def _rounded(x: Floats) -> Floats:
     return np.exp(-0.5 * x**2) / math.sqrt(2 * math.pi) + x * ndtr(x)
 
 
-def fit_zone(simulator: Simulator, kind: Kind, limits: Limits, use: Flags | None = None) -> Fit:
+def fit_zone(simulator: Simulator, kind: Kind, limits: Limits) -> Fit:
     """The fit of singles (L1) or of noise behind the zone, from several starts.
 
     Args:
         simulator: the plant of one order, with its data.
         kind: singles or behind.
         limits: what is known of the widths.
-        use: samples that count (N); default all with a reading.
 
     Returns:
         The best of the starts, all for 10 steps and the best two to the end.
     """
-    objective = Objective(simulator, kind, limits, use)
+    objective = Objective(simulator, kind, limits)
     begun = starts(objective)
     clearly = 0.02 * objective.readings.ok.sum()
     top = best_top(objective, begun, 10, 50, clearly)
