@@ -143,19 +143,14 @@ def _written_out(plant: Plant, key: str) -> Matrices:
     A = matrix(f"{key}.A", plant.A)
     n = A.shape[0]
     A = matrix(f"{key}.A", plant.A, n, n, "A must be square")
-    B = matrix(f"{key}.B", _one_input(plant.B, n), n, None, f"as many rows as A, {n}")
-    C = matrix(f"{key}.C", _one_output(plant.C, n), None, n, f"as many columns as A, {n}")
+    B = matrix(f"{key}.B", _of_one(plant.B, (n, 1)), n, None, f"as many rows as A, {n}")
+    C = matrix(f"{key}.C", _of_one(plant.C, (1, n)), None, n, f"as many columns as A, {n}")
     return Matrices(A, B, C)
 
 
-def _one_input(B: Any, n: int) -> Any:
-    """B of one input, where it is a plain list of n numbers; else B as it is."""
-    return np.reshape(B, (n, 1)) if np.shape(B) == (n,) else B
-
-
-def _one_output(C: Any, n: int) -> Any:
-    """C of one output, where it is a plain list of n numbers; else C as it is."""
-    return np.reshape(C, (1, n)) if np.shape(C) == (n,) else C
+def _of_one(value: Any, shape: tuple[int, int]) -> Any:
+    """B of one input, or C of one output, where it is a plain list of n numbers; else as it is."""
+    return np.reshape(value, shape) if np.shape(value) == (max(shape),) else value
 
 
 def _second_order(key: str, options: SecondOrder) -> Matrices:
