@@ -274,6 +274,17 @@ def _number_text(number: complex) -> str:
     return f"{number.real:.4g}"
 
 
+def since_start(start: Integers, size: int) -> Integers:
+    """How many rows of its own record are before each row (N).
+
+    Args:
+        start: first row of each record (R).
+        size: rows of all records.
+    """
+    at = np.arange(size)
+    return at - start[np.searchsorted(start, at, side="right") - 1]
+
+
 def later(rows: Floats, samples: int, start: Integers) -> Floats:
     """Rows of records so many samples later; what is not known is held.
 

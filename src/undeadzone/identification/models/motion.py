@@ -28,7 +28,7 @@ import numpy as np
 from undeadzone.ends.play import ticked
 from undeadzone.identification.models.kalman import WHITE, matrices
 from undeadzone.identification.models.plant import Simulator, input_gain
-from undeadzone.support.arrays import Flags, Floats, Integers
+from undeadzone.support.arrays import Flags, Floats, Integers, since_start
 
 SURE = 5.5  # standard deviations of a slope: one false side in a gap's log ruins its estimate
 WINDOWS = (4, 6, 8, 12, 16, 24, 32)
@@ -114,9 +114,7 @@ def moved_before(y: Floats, ok: Flags, start: Integers, window: int) -> Floats:
     weights *= window / (weights @ weights)
     slope = np.convolve(np.where(ok, y, 0.0), weights[::-1])[: y.size]
     whole = np.convolve(1.0 * ok, np.ones(window))[: y.size] > window - 0.5
-    begun = np.zeros(y.size, int)
-    begun[start] = start
-    own = np.arange(y.size) - np.maximum.accumulate(begun) >= window - 1
+    own = since_start(start, y.size) >= window - 1
     moved = np.zeros(y.size)
     moved[1:] = (slope * (whole & own))[:-1]
     moved[start] = 0.0
@@ -130,8 +128,7 @@ def white_noise(y: Floats, ok: Flags, start: Integers) -> float:
     for _ in range(3):
         difference = np.append(0.0, np.diff(difference))
         known = known & np.append(False, known[:-1])
-    for first in start:
-        known[first : first + 3] = False
+    known = known & (since_start(start, y.size) >= 3)
     if not known.any():
         return 0.0
     return float(np.median(np.abs(difference[known])) / 0.6745 / np.sqrt(20))

@@ -392,10 +392,14 @@ def disturbance_ahead(layout: Layout, plant: Floats, residual: Floats, ok: Flags
 
 
 def correlations(e: Floats, ok: Flags, lags: int) -> Floats:
-    """The products of e with itself, lags 0 to lags - 1, over the number of readings."""
+    """`products` over the number of readings."""
+    return np.array(products(e, ok, lags)) / max(int(ok.sum()), 1)
+
+
+def products(e: Floats, ok: Flags, lags: int) -> list[float]:
+    """The products of e with itself, less its mean, lags 0 to lags - 1."""
     centred = np.where(ok, e - e[ok].mean(), 0.0)
-    products = [centred[lag:] @ centred[: e.size - lag] for lag in range(lags)]
-    return np.array(products) / max(int(ok.sum()), 1)
+    return [float(centred[lag:] @ centred[: e.size - lag]) for lag in range(lags)]
 
 
 def white(runs: int, size: int, phi: float) -> Floats:

@@ -19,7 +19,7 @@ from undeadzone.identification.models.plant import (
     stabilised,
 )
 from undeadzone.identification.models.zone import Kind, Limits, Objective
-from undeadzone.support.arrays import Flags, Floats, Integers
+from undeadzone.support.arrays import Flags, Floats, Integers, since_start
 
 SHARES = (0.15, 0.5, 1.2)  # widths tried first, in rms of y
 FEW = 3  # runs a side, per number to be found, for the start from an ARX model a side
@@ -271,8 +271,7 @@ def arx(
         whole &= np.roll(good, i)
         if side is not None:
             whole &= np.roll(side, i) == side
-    for first in data.start:
-        whole[first : first + n] = False
+    whole &= since_start(data.start, y.size) >= n
     columns = [-past, simulator.lagged]
     if side is not None:
         right, left = whole & (side > 0), whole & (side < 0)

@@ -14,9 +14,9 @@ from scipy.stats import chi2
 
 from undeadzone.identification.models import zone_fit
 from undeadzone.identification.models.least_squares import CHANCE, HATS, explained, hats, left_by
-from undeadzone.identification.models.plant import CREDIBLE, Data, Simulator
+from undeadzone.identification.models.plant import CREDIBLE, Data, Simulator, products
 from undeadzone.identification.models.zone import Limits
-from undeadzone.support.arrays import Flags, Floats, Integers
+from undeadzone.support.arrays import Flags, Floats, Integers, since_start
 
 NEARLY_ZERO = 0.05  # a sampled pole below it is a delay in disguise
 GAINED = 0.5  # of a log likelihood, from which a better fit is another one
@@ -262,7 +262,7 @@ def hears_input(fit: zone_fit.Fit) -> bool:
     """Whether past inputs explain one-step residuals: a delay, or too few poles."""
     value, use = innovations(fit, fit.objective.data.ok)
     lagged = _lagged(fit.objective.data.u)
-    use = use & _has_past(fit.objective.data.start, use.size)
+    use = use & (since_start(fit.objective.data.start, use.size) >= HEARD)
     if use.sum() < 20 * HEARD:
         return False
     _, _, share, chance = explained(lagged[use], value[use])
@@ -280,7 +280,7 @@ def loop_chance(fit: zone_fit.Fit, u: Floats) -> float:
     """
     value, use = innovations(fit, fit.objective.data.ok)
     heard = _lagged(np.where(use, value, 0.0)[:, None], range(ANSWERED))
-    inside = _has_past(fit.objective.data.start, value.size)
+    inside = since_start(fit.objective.data.start, value.size) >= HEARD
     left = [left_by(_lagged(column[:, None])[inside], column[inside]) for column in u.T]
     chances = [explained(heard[inside], one)[-1] for one in left]
     return min(1.0, len(chances) * min(chances))
@@ -305,19 +305,13 @@ def answered(
     own = np.hstack([np.ones((y.size, 1)), _lagged(moved), wanted])
     known = np.isfinite(np.hstack([own, moved])).all(axis=1)
     known &= _lagged(1.0 * ok[:, None], range(ANSWERED)).all(axis=1)
-    known &= _has_past(start, y.size)
+    known &= since_start(start, y.size) >= HEARD
     found = [(0.0, 1.0)]
     for column in moved[known].T:
         left, said = left_by(own[known], column), left_by(own[known], heard[known])
         if np.std(left) > ALONE * np.std(column):
             found.append(explained(said, left)[2:])
     return min(reversed(found), key=lambda one: one[1])
-
-
-def _has_past(start: Integers, size: int) -> Flags:
-    """Whether a sample has the last values of its own record (N)."""
-    at = np.arange(size)
-    return np.asarray(at - start[np.searchsorted(start, at, "right") - 1] >= HEARD)
 
 
 def _lagged(columns: Floats, lags: range = range(1, HEARD + 1)) -> Floats:
@@ -327,14 +321,11 @@ def _lagged(columns: Floats, lags: range = range(1, HEARD + 1)) -> Floats:
 
 def correlation(value: Floats, use: Flags, lags: int) -> Floats:
     """Autocorrelation at lags 1 to `lags` over pairs that are both known (lags)."""
-    centred = (value - value[use].mean()) * use if use.any() else value * 0.0
-    count = max(int(use.sum()), 1)
-    power = max(float(centred @ centred) / count, 1e-300)
-    out = np.zeros(lags)
-    for lag in range(1, lags + 1):
-        both = max(int((use[lag:] & use[:-lag]).sum()), 1)
-        out[lag - 1] = float(centred[lag:] @ centred[:-lag]) / both / power
-    return out
+    if not use.any():
+        return np.zeros(lags)
+    own, *others = products(value, use, lags + 1)
+    both = [max(int((use[lag:] & use[:-lag]).sum()), 1) for lag in range(1, lags + 1)]
+    return np.array(others) / both / max(own / int(use.sum()), 1e-300)
 
 
 # --- What the zone leaves
