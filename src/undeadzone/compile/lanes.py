@@ -268,13 +268,6 @@ def run_alone(
     return outputs[0], finals[0]
 
 
-def run_numbers(kernel: Kernel, exogenous: Floats, rows: Floats) -> tuple[Floats, Floats]:
-    """As `run` on one thread, from a state of zeros, for sets of all numbers p (lanes x params)."""
-    states, _, params = kernel.shape.sizes
-    at_first, none = np.zeros(states), np.zeros(params)
-    return run(kernel, at_first, exogenous, none, lane_params=rows, threads=1)
-
-
 def _width(kernel: Kernel, lanes: int, threads: int) -> int:
     """Lanes of a block: whole groups, and work for every thread."""
     group = kernel.form.lanes * kernel.form.streams

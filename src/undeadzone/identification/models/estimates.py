@@ -17,6 +17,7 @@ from scipy.fft import dct
 from scipy.linalg.lapack import dgesv
 from scipy.stats import t as student
 
+from undeadzone.compile import lanes
 from undeadzone.errors import InputError
 from undeadzone.support.answers import Answers
 from undeadzone.support.arrays import Floats, Integers
@@ -206,6 +207,22 @@ def latest(compute: Callable[[Any, Floats], Found]) -> Callable[[Any, Floats], F
 
 
 # --- Derivatives by differences
+
+
+def run_along(kernel: lanes.Kernel, exogenous: Floats, rows: Floats) -> tuple[Floats, Floats]:
+    """A compiled step along a log for several sets of its numbers, each from a state of zeros.
+
+    Args:
+        kernel: the step.
+        exogenous: what enters it (N x inputs).
+        rows: the sets (K x numbers).
+
+    Returns:
+        Outputs (K x N x outputs) and final states (K x states).
+    """
+    states, _, numbers = kernel.shape.sizes
+    at_first, none = np.zeros(states), np.zeros(numbers)
+    return lanes.run(kernel, at_first, exogenous, none, lane_params=rows, threads=1)
 
 
 def around(theta: Floats, free: Integers, steps: Floats) -> Floats:

@@ -231,7 +231,7 @@ class KalmanObjective:
         """Outputs of `kalman_step.kernel` (points x N x outputs) for several sets of numbers."""
         rows = np.array([self.lane(p) for p in points])
         compiled = kernel(self.layout.n, self.layout.m, self.model, moments)
-        return lanes.run_numbers(compiled, self.exogenous, rows)[0]
+        return estimates.run_along(compiled, self.exogenous, rows)[0]
 
     @estimates.latest
     def scores(self, p: Floats) -> tuple[Floats, Floats]:

@@ -23,6 +23,7 @@ from undeadzone.identification.models.estimates import (
     best_top,
     differences,
     latest,
+    run_along,
     weighing,
 )
 from undeadzone.identification.models.least_squares import Fitted, LeastSquares
@@ -96,7 +97,7 @@ def simulate(n: int, m: int, position: bool, exogenous: Floats, numbers: Floats)
     Returns:
         z (K x N).
     """
-    return lanes.run_numbers(kernel(n, m, position), exogenous, numbers)[0][:, :, 0]
+    return run_along(kernel(n, m, position), exogenous, numbers)[0][:, :, 0]
 
 
 # --- The models
