@@ -41,7 +41,7 @@ class LQG(Options, frozen=True, kw_only=True, tag="lqg"):
         R = weight("controller.R", self.R, model.m, "inputs x inputs")
         if self.integral is None:
             K = riccati(model.linear, Q, R, model.Ts).K
-            return Controller(Gain(K), lambda p: None, _feedback, K=K)
+            return Controller(Params(K), lambda p: None, _feedback, K=K)
         params = self._servo(model, Q, R)
 
         def init(p: Params) -> State:
@@ -76,18 +76,15 @@ class LQG(Options, frozen=True, kw_only=True, tag="lqg"):
         return Params(K[:, :n], K[:, n:], np.float64(grown))
 
 
-class Gain(NamedTuple):
-    """The gain of the states alone (m x n)."""
-
-    K: Floats
-
-
 class Params(NamedTuple):
-    """Gains of the states (m x n) and of the integrals (m x p), and what a step adds to these."""
+    """Gains of the states (m x n) and of the integrals (m x p), and what a step adds to these.
+
+    Without an integral the first alone.
+    """
 
     K: Floats
-    K_i: Floats
-    grown: Any
+    K_i: Any = None
+    grown: Any = None
 
 
 class State(NamedTuple):
