@@ -201,15 +201,10 @@ def _limited(options: Rigid, chain: Chain, key: str) -> Chain:
     return chain
 
 
-def _no_stops(q: Any, v: Any) -> Any:
-    """The torque of stops that are not there."""
-    return 0.0
-
-
 def _stops(options: Rigid, chain: Chain, key: str) -> Callable[[Any, Any], Any]:
     """The torque (N) of the mechanical stops, a function of q and v."""
     if options.stops is None:
-        return _no_stops
+        return lambda q, v: 0.0
     stiffness, damping = (
         scalar(f"{key}.arm.stops[{i}]", value, least=0.0) for i, value in enumerate(options.stops)
     )
