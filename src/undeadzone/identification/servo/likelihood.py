@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.compile import lanes
-from undeadzone.identification.models.estimates import around
+from undeadzone.identification.models.estimates import around, run_along
 from undeadzone.identification.servo import predictor
 from undeadzone.identification.servo.heard import Heard
 from undeadzone.identification.servo.predictor import DEGREES, LATEST, NUMBERS, PLANT, SURE
@@ -232,9 +232,7 @@ class Likelihood:
         """Outputs and final states of a kernel."""
         log = self.log
         rows = lanes_of(theta, log.step, log.quantum, log.ticks, self.free, lag)
-        states, _, numbers = kernel.shape.sizes
-        at_first, none = np.zeros(states), np.zeros(numbers)
-        return lanes.run(kernel, at_first, self.signals, none, lane_params=rows, threads=1)
+        return run_along(kernel, self.signals, rows)
 
     def values(self, theta: Floats, lag: bool) -> Floats:
         """The log likelihoods of numbers (L x P)."""
