@@ -35,7 +35,7 @@ def test_equation_34_holds_and_its_gain_stabilises(seed: int, n: int, m: int, al
     A, B, _ = random_plant(rng, n, m, stable=False).linear
     root = rng.normal(size=(n, n))
     Q = root @ root.T + np.eye(n)
-    P, K, residual = paper_riccati(A, B, alpha, Q)
+    P, K, residual, _ = paper_riccati(A, B, alpha, Q)
     left = A.T @ P + P @ A - 2 * alpha * P @ B @ B.T @ P
     assert np.linalg.norm(left + Q) < 1e-6 * max(np.linalg.norm(Q), np.linalg.norm(A.T @ P))
     assert residual < 1e-6

@@ -24,11 +24,13 @@ class Riccati(NamedTuple):
         P: the solution (n x n).
         K: the gain (m x n).
         residual: of the equation, relative to its terms.
+        left: the same as it is (n x n).
     """
 
     P: Floats
     K: Floats
     residual: float
+    left: Floats
 
 
 class _Equation(NamedTuple):
@@ -39,22 +41,6 @@ class _Equation(NamedTuple):
     Q: Floats
     R: Floats
     Ts: float | None
-
-
-class _Candidate(NamedTuple):
-    """A matrix P put into the equation.
-
-    Attributes:
-        P: the matrix (n x n).
-        K: its gain (m x n).
-        left: what is left of the equation (n x n).
-        residual: the same, relative to the terms of the equation.
-    """
-
-    P: Floats
-    K: Floats
-    left: Floats
-    residual: float
 
 
 def weight(key: str, Q: Array, n: int, why: str = "states x states") -> Floats:
@@ -105,12 +91,12 @@ def riccati(linear: Matrices, Q: Floats, R: Floats, Ts: float | None = None) -> 
         closed = A - B @ best.K
         if best.residual == 0 or not _stable(np.linalg.eigvals(closed), Ts):
             break
-        P = best.P + _lyapunov(closed, best.left, Ts)
+        P = best.P + storage_of(closed, best.left, Ts)
         candidate = _candidate(equation, (P + P.T) / 2)
         if not candidate.residual < best.residual / 2:
             break
         best = candidate
-    return Riccati(best.P, best.K, best.residual)
+    return best
 
 
 def _solution(equation: _Equation) -> Floats:
@@ -126,7 +112,7 @@ def _solution(equation: _Equation) -> Floats:
         raise StructureError(f"the {name} has no stabilising solution here: {error}") from None
 
 
-def _candidate(equation: _Equation, P: Floats) -> _Candidate:
+def _candidate(equation: _Equation, P: Floats) -> Riccati:
     """A matrix put into the equation."""
     A, B, Q, R, Ts = equation
     terms: tuple[Floats, ...]
@@ -138,7 +124,7 @@ def _candidate(equation: _Equation, P: Floats) -> _Candidate:
         terms = (A.T @ P @ A, -P, -(A.T @ P @ B) @ K, Q)
     left = sum(terms[1:], terms[0])
     scale = max(sum(np.linalg.norm(term) for term in terms), 1e-300)
-    return _Candidate(P, K, left, float(np.linalg.norm(left) / scale))
+    return Riccati(P, K, float(np.linalg.norm(left) / scale), left)
 
 
 def riccati_along(A: Floats, B: Floats, Q: Floats, R: Floats, P: Floats) -> Floats:
@@ -232,7 +218,7 @@ def lyapunov(linear: Matrices, K: Floats, Q: Floats, Ts: float | None) -> Floats
     poles = np.linalg.eigvals(closed)
     if not _stable(poles, Ts):
         raise StructureError(f"controller: A - BK is not stable, its poles are {listed(poles)}")
-    return _lyapunov(closed, Q, Ts)
+    return storage_of(closed, Q, Ts)
 
 
 def _stable(poles: np.ndarray, Ts: float | None) -> bool:
@@ -242,8 +228,14 @@ def _stable(poles: np.ndarray, Ts: float | None) -> bool:
     return bool(np.abs(poles).max() < 1)
 
 
-def _lyapunov(A: Floats, Q: Floats, Ts: float | None) -> Floats:
-    """P of A'P + PA = -Q, or of A'PA - P = -Q."""
+def storage_of(A: Floats, Q: Floats, Ts: float | None) -> Floats:
+    """P of A'P + PA = -Q, or of A'PA - P = -Q.
+
+    Args:
+        A: of a stable system, of one step if sampled (n x n).
+        Q: how fast x'Px falls (n x n), per step if sampled.
+        Ts: sample time [s]; None in continuous time.
+    """
     from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
 
     if Ts is None:

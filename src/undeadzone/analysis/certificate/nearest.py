@@ -15,6 +15,7 @@ from undeadzone.analysis.dissipation import LEAST
 from undeadzone.analysis.error_dynamics import Dynamics, balance, dynamics
 from undeadzone.errors import StructureError
 from undeadzone.linear.matrices import Matrices
+from undeadzone.linear.riccati import storage_of
 from undeadzone.numerics.semidefinite import minimise, symmetric
 from undeadzone.support.arrays import Floats
 
@@ -185,13 +186,9 @@ def _metric(errors: Dynamics, W: Floats) -> Floats:
     M M' is the observability Gramian. Directions that are hardly observable are given a least
     weight, so that M can be inverted.
     """
-    from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
-
     (A,), C, Ts = errors.A, errors.C * np.sqrt(W)[:, None], errors.Ts
-    if Ts is None:
-        gramian = solve_continuous_lyapunov(A.T, -C.T @ C)
-    else:
-        gramian = solve_discrete_lyapunov((np.eye(len(A)) + Ts * A).T, Ts * C.T @ C)
+    motion = A if Ts is None else np.eye(len(A)) + Ts * A
+    gramian = storage_of(motion, (Ts or 1.0) * C.T @ C, Ts)
     values, vectors = np.linalg.eigh(gramian)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 1e-14 * values[-1])))
 

@@ -27,6 +27,7 @@ from undeadzone.analysis.error_dynamics import (
 )
 from undeadzone.errors import StructureError
 from undeadzone.linear.matrices import Matrices, similar
+from undeadzone.linear.riccati import storage_of
 from undeadzone.plants.system import state_units
 from undeadzone.support.arrays import Floats
 
@@ -156,18 +157,16 @@ def passive_gain(linear: Matrices, Ts: float | None) -> Floats:
     Raises:
         StructureError: if the model is not stable.
     """
-    from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
-
     A, C = delta(linear, Ts), linear.C
     if growth(A, Ts) >= 0:
         raise StructureError(
             "observer.L: missing; there is a default only for a stable model, give L"
         )
     q = 2 * float(np.linalg.norm(A, 2))
-    Q = q * np.eye(A.shape[0])
+    P = storage_of(linear.A, q * np.eye(A.shape[0]), Ts)
     if Ts is None:
-        return np.asarray(np.linalg.solve(solve_continuous_lyapunov(A.T, -Q), C.T))
-    L = np.linalg.solve(Ts * solve_discrete_lyapunov(linear.A.T, Q), C.T)
+        return np.linalg.solve(P, C.T)
+    L = np.linalg.solve(Ts * P, C.T)
     # What is left of the LMI after PL = C' and a Schur complement must stay below 1; half is taken.
     rest = Ts * C @ L + Ts**2 * C @ A @ A.T @ C.T / q
     return np.asarray(L / max(1.0, 2 * float(np.linalg.eigvalsh((rest + rest.T) / 2)[-1])))
