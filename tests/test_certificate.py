@@ -24,10 +24,10 @@ from undeadzone.analysis.certificate.passivity import (
     recheck,
 )
 from undeadzone.analysis.certificate.weights import margin
-from undeadzone.analysis.error_dynamics import Dynamics, adaptation, delta, dynamics
+from undeadzone.analysis.error_dynamics import Dynamics, adaptation, dynamics
 from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.linear.hold import zoh
-from undeadzone.linear.matrices import Matrices
+from undeadzone.linear.matrices import Matrices, delta
 from undeadzone.support.arrays import Floats
 
 PAPER = PAPER_PLANT.linear
@@ -49,7 +49,7 @@ def gridded(linear: Matrices, L: Floats, Ts: float | None) -> float:
     else:
         s = np.expm1(1j * np.concatenate([[0.0], np.geomspace(1e-6, np.pi, 20001)])) / Ts
     n = len(L)
-    pencils = s[:, None, None] * np.eye(n) - delta(linear, Ts)
+    pencils = s[:, None, None] * np.eye(n) - delta(linear, Ts).A
     G = linear.C @ np.linalg.solve(pencils, L[None].astype(complex))
     return float(np.linalg.eigvalsh((G + G.conj().transpose(0, 2, 1)) / 2)[:, 0].min())
 
@@ -131,7 +131,7 @@ def test_worst_frequency_is_never_above_a_dense_grid(seed: int) -> None:
     grid = 1 + gridded(linear, L, Ts)
     assert least <= grid + 1e-9 * max(1, abs(grid))
     assert grid - least < 1e-3 * max(1, abs(grid))
-    G = weights.response(delta(linear, Ts), linear.C, L, np.eye(p), Ts)
+    G = weights.response(delta(linear, Ts).A, linear.C, L, np.eye(p), Ts)
     at = w if Ts is None else 2 / Ts * np.tan(w * Ts / 2)
     there = np.linalg.eigvalsh(G.at(np.array([at]))[0])[0]
     assert there == pytest.approx(least, rel=1e-6, abs=1e-9)
@@ -435,7 +435,7 @@ def test_nothing_certified_is_nearer(seed: int) -> None:
 
     def size(change: Floats) -> float:
         """Energy of the impulse response of C (s - A)^-1 change, summed over eigenvalues."""
-        poles, V = np.linalg.eig(delta(linear, Ts))
+        poles, V = np.linalg.eig(delta(linear, Ts).A)
         residues = (linear.C @ V).ravel() * np.linalg.solve(V, change).ravel()
         overlap = poles[:, None] + poles.conj() + (Ts or 0) * poles[:, None] * poles.conj()
         return float(np.sqrt(np.real(-(residues[:, None] * residues.conj() / overlap).sum())))
@@ -516,4 +516,4 @@ def test_models_that_are_marginally_stable_are_told_from_those_that_diverge() ->
     assert not defective(np.zeros((2, 2)), None)
     assert defective(chain, None)
     assert defective(np.block([[undamped, np.eye(2)], [np.zeros((2, 2)), undamped]]), None)
-    assert defective(delta(zoh(Matrices(chain, np.eye(2), np.eye(2)), 0.1), 0.1), 0.1)
+    assert defective(delta(zoh(Matrices(chain, np.eye(2), np.eye(2)), 0.1), 0.1).A, 0.1)

@@ -15,7 +15,7 @@ import numpy as np
 
 from undeadzone.analysis.dissipation import Inequality, quadratic
 from undeadzone.errors import InputError
-from undeadzone.linear.matrices import Matrices
+from undeadzone.linear.matrices import Matrices, balancing, delta
 from undeadzone.support.arrays import Floats, array, matrix, vector
 
 
@@ -147,13 +147,7 @@ def dynamics(linear: Matrices, L: Floats, gamma: Floats, Ts: float | None) -> Dy
     """
     n, p = linear.A.shape[0], linear.C.shape[0]
     L = matrix("L", L, n, p, "states x outputs")
-    return Dynamics((delta(linear, Ts),), linear.C, L, adaptation(gamma, p), Ts)
-
-
-def delta(linear: Matrices, Ts: float | None) -> Floats:
-    """A [1/s], or (Ad - I) / Ts of a sampled model: the matrix that tends to A as Ts -> 0."""
-    A = linear.A
-    return A if Ts is None else (A - np.eye(A.shape[0])) / Ts
+    return Dynamics((delta(linear, Ts).A,), linear.C, L, adaptation(gamma, p), Ts)
 
 
 def growth(A: Floats, Ts: float | None) -> float:
@@ -253,12 +247,10 @@ def balance(errors: Dynamics) -> Scaling:
 
     Outputs that share a weight keep a common unit.
     """
-    from scipy.linalg import matrix_balance
-
     A = np.mean(errors.A, axis=0)
     n, p = A.shape[0], errors.C.shape[0]
     time = 2.0 ** -np.round(np.log2(_speed(A, errors)))
     joined = np.block([[time * A, time * errors.L], [errors.C, np.eye(p)]])
-    _, (scale, _) = matrix_balance(joined, permute=False, separate=True)
+    scale = balancing(joined)
     leaders = np.argmax(errors.groups, axis=0)  # one output of each group
     return Scaling(scale[:n], errors.groups @ scale[n:][leaders], float(time))

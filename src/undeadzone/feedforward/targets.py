@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.errors import TrackingError
-from undeadzone.linear.matrices import Matrices, sizes
+from undeadzone.linear.matrices import Matrices, delta, sizes
 from undeadzone.plants.system import System
 from undeadzone.signals.exosystem import Exosystem
 from undeadzone.support.arrays import Floats, listed
@@ -103,6 +103,20 @@ def _blocking(linear: Matrices, S: Floats) -> complex:
     return complex(min(poles[poles.imag >= 0], key=gap))
 
 
+def moves(S: Floats, Ts: float | None) -> Floats:
+    """The S of w' = S w, or (e^(S Ts) - I) / Ts, its delta form (k x k) [1/s].
+
+    Args:
+        S: dynamics of the exosystem (k x k) [1/s].
+        Ts: sample time [s]; None in continuous time.
+    """
+    if Ts is None:
+        return S
+    from scipy.linalg import expm
+
+    return np.asarray((expm(S * Ts) - np.eye(S.shape[0])) / Ts)
+
+
 def steady_state(model: System, exo: Exosystem, tracked: list[int]) -> tuple[Floats, Floats]:
     """(Pi, Gamma): x_ref = Pi w and u_ff = Gamma w of a linear model, continuous or sampled.
 
@@ -114,20 +128,15 @@ def steady_state(model: System, exo: Exosystem, tracked: list[int]) -> tuple[Flo
     Raises:
         TrackingError: there are none.
     """
-    A, B, C = model.linear
-    S, linear = exo.S, Matrices(A, B, C[tracked])
-    if model.Ts is not None:
-        from scipy.linalg import expm
-
-        # The same equations less the identity, per second: well scaled for short samples too.
-        S = (expm(S * model.Ts) - np.eye(S.shape[0])) / model.Ts
-        linear = Matrices((A - np.eye(model.n)) / model.Ts, B / model.Ts, C[tracked])
+    # Sampled, the same equations less the identity, per second: well scaled for short samples too.
+    S, linear = moves(exo.S, model.Ts), delta(model.linear, model.Ts)
     if len(tracked) > model.m:
         many = "s" * (model.m > 1)
         raise TrackingError(
             f"tracked: the plant has {model.m} input{many} and cannot make {len(tracked)} outputs "
             f"follow; name at most {model.m}"
         )
+    linear = linear._replace(C=linear.C[tracked])
     Pi, Gamma, residual = regulator(linear, S, exo.Q)
     if residual > SOLVED:
         s = _blocking(linear, S)

@@ -31,6 +31,19 @@ class Matrices(NamedTuple):
         return Matrices(self.A.T, self.C.T, self.B.T)
 
 
+def delta(linear: Matrices, Ts: float | None) -> Matrices:
+    """The matrices in delta form, (Ad - I) / Ts and Bd / Ts, which tend to A and B as Ts -> 0.
+
+    Args:
+        linear: a linear system; of one step if sampled.
+        Ts: sample time [s]; None in continuous time, where nothing changes.
+    """
+    if Ts is None:
+        return linear
+    A, B, C = linear
+    return Matrices((A - np.eye(A.shape[0])) / Ts, B / Ts, C)
+
+
 def companion(a: Any, b: Any = (1.0,)) -> Matrices:
     """Companion form (15): A with last row -a, B = e_n, C = [b_0, b_1, ...].
 

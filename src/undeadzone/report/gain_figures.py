@@ -12,8 +12,9 @@ from undeadzone.analysis.certificate.passivity import Certificate
 from undeadzone.analysis.certificate.weights import margin
 from undeadzone.analysis.convergence.falsify import Mode, generator
 from undeadzone.analysis.convergence.floquet import rates
-from undeadzone.analysis.error_dynamics import Dynamics, delta, growth, pattern
+from undeadzone.analysis.error_dynamics import Dynamics, growth, pattern
 from undeadzone.ends.sensor import DIRECTIONS
+from undeadzone.linear.matrices import delta
 from undeadzone.report import ink
 from undeadzone.report.style import axis_label, finish, sheet
 from undeadzone.support.arrays import Floats
@@ -279,7 +280,7 @@ def _floor(of: Assessment, i: int, truth: Floats) -> Floats:
     Silence tells it only of a stable model, whose output is known in the end.
     """
     model, schedule = of.problem.model, of.schedule
-    if not growth(delta(model.linear, model.Ts), model.Ts) < 0:
+    if not growth(delta(model.linear, model.Ts).A, model.Ts) < 0:
         return np.zeros(2)
     return np.array([schedule.high[i], -schedule.low[i]]) - (schedule.levels[i] - truth)
 

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from undeadzone.analysis.error_dynamics import delta
-from undeadzone.linear.matrices import sizes
+from undeadzone.linear.matrices import delta, sizes
 from undeadzone.support.arrays import Floats
 
 if TYPE_CHECKING:
@@ -45,9 +44,8 @@ def plant_scales(problem: Problem) -> Scales:
     output = largest if 0 < largest < np.inf else 1.0
     if problem.plant.nonlinear:
         return Scales(np.ones(problem.plant.n), output, 1.0)
-    Ts = problem.plant.Ts
-    A, B = delta(plant, Ts), plant.B / (Ts or 1.0)
-    states = np.maximum(output / sizes(A.T, plant.C.T), np.abs(problem.x0))
+    A, B, C = delta(plant, problem.plant.Ts)
+    states = np.maximum(output / sizes(A.T, C.T), np.abs(problem.x0))
     return Scales(states, output, float((states / sizes(A, B)).max()))
 
 

@@ -13,6 +13,7 @@ from undeadzone.analysis.certificate.passivity import Certificate
 from undeadzone.analysis.certificate.polytopic import certify_on
 from undeadzone.analysis.certificate.robust import l2_gain
 from undeadzone.ends.sensor import DIRECTIONS
+from undeadzone.linear.matrices import delta
 from undeadzone.plants.region import Box, box
 from undeadzone.results.run import Run
 from undeadzone.results.signals import output_names
@@ -298,7 +299,7 @@ def _bounded(proof: Certificate, problem: Problem) -> Bounds | None:
     They are those from a disturbance of the input and from noise on the reading.
     """
     model = problem.model
-    disturbed = l2_gain(proof.dynamics, E=model.linear.B / (model.Ts or 1.0))
+    disturbed = l2_gain(proof.dynamics, E=delta(model.linear, model.Ts).B)
     noisy = l2_gain(proof.dynamics, noise=1 / problem.sensor.slope)
     if not (disturbed.check.proved and noisy.check.proved):
         return None

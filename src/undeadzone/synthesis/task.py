@@ -8,13 +8,12 @@ import numpy as np
 
 from undeadzone.analysis.convergence import floquet
 from undeadzone.analysis.convergence.floquet import TINY
-from undeadzone.analysis.error_dynamics import delta
 from undeadzone.analysis.identifiability.linear import cures, invisible
 from undeadzone.analysis.side_schedule import Schedule, merged, planned
 from undeadzone.errors import InputError
-from undeadzone.feedforward.targets import steady_state
+from undeadzone.feedforward.targets import moves, steady_state
 from undeadzone.linear.hold import sampled_noise, zoh
-from undeadzone.linear.matrices import Matrices, sizes
+from undeadzone.linear.matrices import Matrices, delta, sizes
 from undeadzone.scenario.problem import Problem
 from undeadzone.support.arrays import Floats, scalar
 
@@ -95,7 +94,7 @@ def make_task(problem: Problem, margin: float) -> Task:
     margin = scalar("margin", margin)
     if not 0 < margin < 1:
         raise InputError(f"margin: must lie between 0 and 1, found {margin:g}")
-    units = 1 / sizes(delta(model.linear, Ts).T, model.linear.C.T)
+    units = 1 / sizes(delta(model.linear, Ts).A.T, model.linear.C.T)
     linear, flow = _balanced(model.linear, units), _balanced(problem.flow.linear, units)
     horizon = problem.scenario.simulation.duration
     whole = planned(model, problem.reference, problem.tracked, problem.sensor, horizon)
@@ -111,7 +110,7 @@ def make_task(problem: Problem, margin: float) -> Task:
     basis = np.linalg.qr(hidden.basis * hidden.scale[:, None])[0]
     task = Task(
         linear=linear,
-        A=delta(linear, Ts),
+        A=delta(linear, Ts).A,
         units=units,
         Ts=Ts,
         step=problem.scenario.simulation.step,
@@ -161,17 +160,14 @@ def _driven(problem: Problem, flow: Matrices, units: Floats) -> tuple[Floats, Fl
         flow: the balanced model in continuous time.
         units: of the states (n).
     """
-    from scipy.linalg import expm
-
     n, p, Ts = problem.model.n, problem.model.p, problem.model.Ts
     Pi, Gamma = steady_state(problem.model, problem.reference, problem.tracked)
     target = np.vstack([Pi / units[:, None], Gamma])  # [x_ref; u_ff] = target w
     A, B, _ = flow
-    S: Floats = problem.reference.S
+    S = moves(problem.reference.S, Ts)
     hold: Floats = np.eye(n)
     spread: Floats = B @ B.T
     if Ts is not None:
-        S = (expm(S * Ts) - np.eye(S.shape[0])) / Ts
         hold = zoh(flow._replace(B=np.eye(n)), Ts).B / Ts
         _, spread = sampled_noise(A, spread, Ts)
     both = np.hstack([A, B])

@@ -20,13 +20,12 @@ from undeadzone.analysis.error_dynamics import (
     Dynamics,
     Storage,
     balance,
-    delta,
     dynamics,
     growth,
     identity_storage,
 )
 from undeadzone.errors import StructureError
-from undeadzone.linear.matrices import Matrices, similar
+from undeadzone.linear.matrices import Matrices, delta, similar
 from undeadzone.linear.riccati import storage_of
 from undeadzone.plants.system import state_units
 from undeadzone.support.arrays import Floats
@@ -157,7 +156,7 @@ def passive_gain(linear: Matrices, Ts: float | None) -> Floats:
     Raises:
         StructureError: if the model is not stable.
     """
-    A, C = delta(linear, Ts), linear.C
+    A, _, C = delta(linear, Ts)
     if growth(A, Ts) >= 0:
         raise StructureError(
             "observer.L: missing; there is a default only for a stable model, give L"

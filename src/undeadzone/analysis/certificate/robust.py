@@ -23,7 +23,7 @@ from undeadzone.analysis.certificate.driven import (
     prove,
 )
 from undeadzone.analysis.dissipation import NOTHING, Check, Inequality, check
-from undeadzone.linear.matrices import Matrices
+from undeadzone.linear.matrices import Matrices, delta
 from undeadzone.support.arrays import Floats, matrix
 
 
@@ -134,11 +134,11 @@ def closed_loop(
     Raises:
         InputError, ShapeError: for gains of the wrong kind.
     """
-    A, B, C = error_dynamics.delta(model, Ts), _input_rate(model, Ts), model.C
+    A, B, C = delta(model, Ts)
     n, p = A.shape[0], C.shape[0]
     vertices = []
     for plant in plants:
-        A_k, B_k = error_dynamics.delta(plant, Ts), _input_rate(plant, Ts)
+        A_k, B_k, _ = delta(plant, Ts)
         dA, dB = A_k - A, B_k - B
         vertices.append(np.block([[A_k - B_k @ K, B_k @ K], [dA - dB @ K, A + dB @ K]]))
     L = matrix("L", L, n, p, "states x outputs")
@@ -147,8 +147,3 @@ def closed_loop(
     return error_dynamics.Dynamics(
         tuple(vertices), of_outputs, to_errors, error_dynamics.adaptation(gamma, p), Ts
     )
-
-
-def _input_rate(linear: Matrices, Ts: float | None) -> Floats:
-    """B, or B / Ts of a sampled model: how u enters x' in delta form."""
-    return linear.B if Ts is None else linear.B / Ts

@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from undeadzone.analysis.error_dynamics import delta, pattern
+from undeadzone.analysis.error_dynamics import pattern
 from undeadzone.analysis.side_schedule import Schedule
 from undeadzone.ends.sensor import DIRECTIONS
-from undeadzone.linear.matrices import Matrices, sizes
+from undeadzone.linear.matrices import Matrices, delta, sizes
 from undeadzone.support.arrays import Floats
 
 RARE = 0.1  # share of exact readings beyond the edges, below which a verdict says so
@@ -259,7 +259,7 @@ def invisible(
         jump: whether the sensor jumps; its readings do not hold d at all.
         drives: in place of `bias`, how beta enters x' (n x b each) in the modes that are visited.
     """
-    A, C = delta(linear, Ts), linear.C
+    A, _, C = delta(linear, Ts)
     n, p = A.shape[0], C.shape[0]
     constant = np.zeros((n, 0)) if bias is None else bias
     B = np.stack([constant] if drives is None else drives) / (Ts or 1.0)

@@ -11,9 +11,8 @@ from typing import Final
 import numpy as np
 
 from undeadzone.analysis.certificate.passivity import certify, passive_gain
-from undeadzone.analysis.error_dynamics import delta
 from undeadzone.errors import ShapeError
-from undeadzone.linear.matrices import Matrices, sizes
+from undeadzone.linear.matrices import Matrices, delta, sizes
 from undeadzone.plants.system import System, mean_pole
 from undeadzone.support.arrays import Array, Floats, array, matrix
 
@@ -61,7 +60,7 @@ def default_gain(model: System) -> Floats:
         StructureError: if the model is not stable.
     """
     linear, Ts = model.linear, model.Ts
-    A = delta(linear, Ts)
+    A = delta(linear, Ts).A
     unit = 1 / sizes(A.T, linear.C.T)
     balanced = Matrices(linear.A * unit / unit[:, None], linear.B / unit[:, None], linear.C * unit)
     L = unit[:, None] * passive_gain(balanced, Ts)
