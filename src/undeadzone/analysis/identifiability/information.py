@@ -42,14 +42,12 @@ class Deviations(NamedTuple):
         widths: of `right`, `left`, `width`, `centre` of each output [unit of z].
         states: of x(0) (n).
         covariance: of [x(0); d; beta], its unidentifiable part left out (n + 2p + b square).
-        information: the inverse, whole.
         hidden: what no reading shows of them.
     """
 
     widths: list[dict[str, float]]
     states: Floats
     covariance: Floats
-    information: Floats
     hidden: Invisible
 
 
@@ -120,7 +118,7 @@ def deviations(linear: Matrices, schedule: Schedule, readings: Readings) -> Devi
     for i in range(n):
         if hidden.state(i):
             states[i] = np.sqrt(covariance[i, i])
-    return Deviations(widths, states, covariance, fisher, hidden)
+    return Deviations(widths, states, covariance, hidden)
 
 
 def _coloured(
