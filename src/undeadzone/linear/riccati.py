@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.errors import InputError, StructureError
-from undeadzone.linear.matrices import Matrices, sizes
+from undeadzone.linear.matrices import Matrices, delta, sizes
 from undeadzone.support.arrays import Array, Floats, array, listed, matrix
 
 NEWTON = 10  # iterations of Newton's method, at most
@@ -255,8 +255,7 @@ def fast_gain(linear: Matrices, speed: float, Ts: float | None) -> Floats:
         StructureError: where the outputs hardly show some state.
     """
     A, _, C = linear
-    n = A.shape[0]
-    flow = A if Ts is None else (A - np.eye(n)) / Ts
+    flow = delta(linear, Ts).A
     # the unit of each state, so that the equations below are near 1
     unit = 1 / (speed * sizes(flow.T, C.T, speed))
     A, C = A * unit / unit[:, None], C * unit
