@@ -18,12 +18,12 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 41_444, 333
+MOST_CODE, MOST_FILES = 41_431, 333
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
     "(root)": 382,
-    "analysis": 3455,
+    "analysis": 3445,
     "cli": 1899,
     "compensators": 147,
     "compile": 3588,
@@ -31,21 +31,21 @@ BUDGET = {
     "ends": 426,
     "ensemble": 1878,
     "exports": 2348,
-    "feedforward": 428,
+    "feedforward": 429,
     "identification": 7262,
     "linear": 400,
     "logs": 1208,
     "numerics": 836,
-    "observers": 3803,
+    "observers": 3802,
     "plants": 1646,
-    "report": 2914,
-    "results": 934,
+    "report": 2915,
+    "results": 932,
     "scenario": 1430,
     "signals": 383,
     "simulation": 2271,
     "statistics": 264,
     "support": 835,
-    "synthesis": 1047,
+    "synthesis": 1045,
     "tuning": 871,
 }
 SILENT = {

@@ -306,10 +306,10 @@ def test_a_refinement_that_does_not_halve_the_residual_is_not_taken(
     A, B = np.array([[-1.0]]), np.array([[1.0]])
     exact = np.sqrt(2) - 1
     monkeypatch.setattr(riccati, "_solution", lambda equation: np.array([[exact + 1e-3]]))
-    monkeypatch.setattr(riccati, "_lyapunov", lambda *_: np.array([[-2e-4]]))
+    monkeypatch.setattr(riccati, "storage_of", lambda *_: np.array([[-2e-4]]))
     found = riccati.riccati(Matrices(A, B, np.eye(1)), np.eye(1), np.eye(1))
     assert found.P[0, 0] == exact + 1e-3
-    monkeypatch.setattr(riccati, "_lyapunov", lambda *_: np.array([[-6e-4]]))
+    monkeypatch.setattr(riccati, "storage_of", lambda *_: np.array([[-6e-4]]))
     found = riccati.riccati(Matrices(A, B, np.eye(1)), np.eye(1), np.eye(1))
     assert found.P[0, 0] == exact + 1e-3 - 6e-4
 
