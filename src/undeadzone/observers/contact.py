@@ -70,7 +70,6 @@ LEAST_TORQUE = 0.01  # of what holds the links, least unknown torque
 TURNED = 0.5  # by that, where nothing holds them [rad/s^2]
 # Where filters begin of the claimed range of half the gap, as (middle, length) over its length.
 STARTS = ((0.5, 1.0), (0.25, 0.5), (0.75, 0.5))
-COUPLED = 2  # of them that coupled joints have, whose filters are large
 TRUSTED = 0.3  # share of what readings say of a filter that is counted: models are not quite right
 FAINTEST = 1e-26  # odds of a filter against the best one, however wrong it was
 MEMORY = 0.2  # time over which innovations are summed [s]
@@ -101,7 +100,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         compliance: standard deviation of where a flank gives way to, which no reading tells [rad].
         starts: how many filters a joint has, of which each counts by how well it foretold the
             readings: they begin with all of the range of half the gap, with its lower and with its
-            upper half. 1 to 3; default 3 of one joint and of separate ones, 2 of coupled ones.
+            upper half. 1 to 3; default 3 of one joint and of separate ones, 1 of coupled ones.
         joints: "separate" filters each joint for itself, to which the rest of the arm is known but
             for noise: 3 N combinations of contacts in place of 3^N.
     """
@@ -220,7 +219,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         """How many filters a joint has. Raises InputError."""
         most = len(STARTS)
         if self.starts is None:
-            return most if drive.layout.size == 1 else COUPLED
+            return most if drive.layout.size == 1 else 1
         if not 1 <= self.starts <= most:
             raise InputError(f"observer.starts: expected 1 to {most}, found {self.starts}")
         return self.starts
