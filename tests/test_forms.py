@@ -50,6 +50,9 @@ FORMS = {
     "eight lanes, slots": Form(8, 1, True, 0),
     "eight lanes, three streams": Form(8, 3, True, 16),
     "eight lanes, no slots": Form(8, 2, False, 5),
+    "one, in pieces": Form(1, 1, False, 0, 4, piece=3),
+    "two lanes, in pieces": Form(2, 1, False, 0, piece=1),
+    "eight lanes, in pieces": Form(8, 1, True, 9, 5, piece=2),
 }
 AVX512 = "+avx512f,+avx512dq,+avx512vl,+avx512bw,+avx2,+fma"
 # Each with the lanes of a vector, and how its registers are called.

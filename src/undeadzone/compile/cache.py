@@ -23,9 +23,11 @@ import numpy as np
 
 import undeadzone
 from undeadzone.compile import cache_folder
-from undeadzone.compile.machine import Compiled, Linked, compiled, here, linked, stack
+from undeadzone.compile.machine import MOST, Compiled, Linked, compiled, here, linked, stack
 
 LONG: Final = 6000  # lines of a text whose code of no effort is worth while
+IN_PIECES: Final = 100_000  # lines of a text in whose many loads and stores schedulers get lost
+LESS: Final = 1  # LLVM's effort without them
 FRAME: Final = 32  # bytes of the stack that a line takes in such code, which shares nothing
 START: Final = 2.0  # [s] of a function's calls after which other codes of it are compiled
 CALLS: Final = 32  # of each code that are compared
@@ -191,7 +193,8 @@ def made(recipe: Recipe, kinds: tuple[str, ...], hurry: bool = False) -> Block:
         return block
     text, note = recipe.make()
     lines = text.count("\n")
-    if not hurry or lines < LONG or lines * FRAME > stack() // 4:
+    longest = max(part.count("\n") for part in text.split("\n}\n"))  # of its functions
+    if not hurry or lines < LONG or longest * FRAME > stack() // 4:
         return Block(_best(recipe, kinds, text, note), kinds, note, text)
     block = Block(_sure(linked(compiled(text, 0), kinds)), kinds, note, text)
     block.improve(lambda: _best(recipe, kinds, text, note))
@@ -218,7 +221,7 @@ def keep_answer(question: str, text: str) -> None:
 
 def _best(recipe: Recipe, kinds: tuple[str, ...], text: str, note: str) -> Linked:
     """A text compiled with all effort, linked and kept."""
-    code = compiled(text)
+    code = compiled(text, LESS if text.count("\n") > IN_PIECES else MOST)
     _keep(recipe.key, kinds, note, code)
     return _sure(linked(code, kinds))
 

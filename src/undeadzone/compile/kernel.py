@@ -27,6 +27,7 @@ from undeadzone.compile.graph import (
 )
 from undeadzone.compile.lower import Arithmetic, lowered
 from undeadzone.compile.machine import ONE, Form, Machine, Shape
+from undeadzone.compile.pieces import Pieces
 from undeadzone.compile.print_llvm import Names, Text, entries_of, in_lanes, kept, once, plain
 from undeadzone.compile.promises import Promise
 from undeadzone.compile.rare import RareParts
@@ -93,6 +94,11 @@ class Block:
         self.groups = range(form.streams)
         self.results = [*self.following, *self.out, *([self.flag] if self.flag else [])]
         self.order = ordered(self.results, form.registers)
+        self.body: list[Node | Branch] = list(self.order)
+        if form.branches and form.streams == 1:
+            self.body = gathered(self.order, self.results, form.branches)
+        is_cut = form.is_cut(len(self.order))
+        self.pieces = Pieces(self.body, self.results, form) if is_cut else None
         self.still = still(self.order, self.results)
         self.have: dict[Node, str] = {}  # steady values, plain
         self.own: list[Names] = []  # of values that lanes compute once
@@ -102,12 +108,14 @@ class Block:
         entry = self._text("e")
         self._steady_values(entry)
         group, body = self._group(), self._body()
+        functions = self.pieces.functions(self.declared, self._tabled) if self.pieces else []
         steps = max(_FEWEST, min(_STEPS, _TABLE // max(1, len(self.shared.entries))))
         steps = steps if self.shared.entries else _FOR_EVER
         tables = self._tables(entry, steps)
         arguments = ", ".join([f"ptr noalias %{array}" for array in _ARGUMENTS])
         lines = [
             *self.rare.functions(self.declared),
+            *functions,
             f"define void @{name}(i64 %steps, i64 %lanes, {arguments}) #0 {{",
             "entry:",
             # At a fixed place beside spilled numbers: where a number of the one has the same last
@@ -153,6 +161,9 @@ class Block:
         at += _rounded(len(self.shared.entries) * steps if self.shared.entries else 0)
         text.line(f"%rare = getelementptr double, ptr %scratch, i64 {at}")
         at += _rounded(len(self.rare.steady))
+        if self.pieces:
+            text.line(f"%frame = getelementptr double, ptr %scratch, i64 {at}")
+            at += _rounded(self.pieces.numbers)
         for u in range(streams if self.flag else 0):
             for name, count in self.rare.arrays:
                 text.line(f"%{name}{u} = getelementptr double, ptr %scratch, i64 {at}")
@@ -216,8 +227,7 @@ class Block:
                 return f"%p{u}_{self.shape.params.index(int(node.text[1:]))}"
             if self.form.lanes == 1:
                 return self.have[node]
-            one = text.load(text.at("%steady", self.steady.place(node)))
-            return plain(text, node, text.splat(one, "double"), True)
+            return self._tabled(text, "%steady")(node)
 
         return source
 
@@ -231,9 +241,9 @@ class Block:
                 sources = f"[%s{u}_{i}_0, %group], [%m{u}_{i}, %after]"
                 text.line(f"%s{u}_{i} = phi {text.type('double')} {sources}")
         text.line("%k_next = add i64 %k, 1")
-        if self.steady.entries:
+        if self.steady.entries or self.pieces:
             text.line('%sp = call ptr asm "", "=r,0,r"(ptr %steady, i64 %k)')
-        if self.shared.entries:
+        if self.shared.entries or self.pieces:
             text.line("%kr = sub i64 %k, %first")
             text.line(f"%kt = mul i64 %kr, {len(self.shared.entries)}")
             text.line("%sq = getelementptr double, ptr %table, i64 %kt")
@@ -255,10 +265,9 @@ class Block:
         text = self._text("b")
         text.block = "time"
         sources = [self._source(text, u) for u in self.groups]
-        order: list[Node | Branch] = list(self.order)
-        if self.form.branches and self.form.streams == 1:
-            order = gathered(self.order, self.results, self.form.branches)
-        names = in_lanes(text, order, sources, self.slots)
+        if self.pieces:
+            sources = [self.pieces.called(text, sources[0])]
+        names = in_lanes(text, [] if self.pieces else self.body, sources, self.slots)
         vector = text.type("double")
         for u in self.groups:
             for i, node in enumerate(self.out):
@@ -297,9 +306,7 @@ class Block:
             if node.level == STILL:
                 return self.own[u](node)
             if node.level < LANES:
-                table, base = (self.steady, "%sp") if node.level == STEADY else (self.shared, "%sq")
-                one = text.load(text.at(base, table.place(node)))
-                return plain(text, node, text.splat(one, "double"), True)
+                return self._tabled(text)(node)
             place = int(node.text[1:])
             if node.text[0] == "s":
                 return f"%s{u}_{place}"
@@ -309,6 +316,16 @@ class Block:
             return text.load(text.at("%w", place))
 
         return source
+
+    def _tabled(self, text: Text, steady: str = "%sp") -> Names:
+        """What names values of tables, which stand at `steady` and at %sq, in all lanes."""
+
+        def tabled(node: Node) -> str:
+            table, base = (self.steady, steady) if node.level == STEADY else (self.shared, "%sq")
+            one = text.load(text.at(base, table.place(node)))
+            return plain(text, node, text.splat(one, "double"), True)
+
+        return tabled
 
     def _end(self) -> list[str]:
         """The ends of all loops."""

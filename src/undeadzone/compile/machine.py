@@ -12,9 +12,10 @@ import numpy as np
 
 from undeadzone.errors import InputError
 
-# Instructions of a step beyond which groups go alone, and beyond which in the order of the graph.
+# Instructions of a step beyond which groups go alone, and beyond which registers are not counted.
 PAIRED: Final = 350
 LARGE: Final = 700
+WHOLE: Final = 12  # functions that would compile no sooner than all of a step as one
 SMALL_STACK: Final = 2**20
 LARGE_STACK: Final = 2**23
 
@@ -42,9 +43,12 @@ class Form(NamedTuple):
         streams: groups side by side, so that one works while the other waits.
         slots: each use of a shared number has an entry of a table for itself, which becomes an
             operand of its instruction (AVX-512).
-        registers: numbers of a group that may wait for their use; 0 for the order of the graph.
+        registers: numbers of a group that may wait for their use; 0 for each instruction right
+            behind what it needs.
         branches: instructions of one condition that are worth a branch, of groups that go alone; 0
             for no branches.
+        piece: instructions of a function, where a group goes alone through a step of more than
+            `WHOLE` of them.
     """
 
     lanes: int
@@ -52,6 +56,11 @@ class Form(NamedTuple):
     slots: bool
     registers: int
     branches: int = 0
+    piece: int = 5000
+
+    def is_cut(self, instructions: int) -> bool:
+        """Whether a step of so many instructions goes in functions."""
+        return self.streams == 1 and instructions > WHOLE * self.piece
 
 
 FIXED: Final = "UNDEADZONE_FORM"  # set: the form of every kernel of more than one lane

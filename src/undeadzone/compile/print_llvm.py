@@ -253,12 +253,14 @@ def once(text: Text, wanted: Iterable[Node], have: dict[Node, str], source: Name
         have[node] = source(node) if node.op == "input" else text.print(node, name, False)
 
 
-def kept(text: Text, node: Node, name: str) -> str:
-    """A plain value as a double, the form in which tables keep it."""
+def kept(text: Text, node: Node, name: str, vector: bool = False) -> str:
+    """A value as a double, the form in which tables keep it."""
+    double = text.type("double", vector)
     if node.kind == "bool":
-        return text.add(f"select i1 {name}, double 1.0, double 0.0")
+        one, zero = (text.every(number, "double", vector) for number in ("1.0", "0.0"))
+        return text.choice(name, double, one, zero, vector)
     if node.kind in ("int64", "uint64"):
-        return text.add(f"bitcast i64 {name} to double")
+        return text.add(f"bitcast {text.type('i64', vector)} {name} to {double}")
     return name
 
 

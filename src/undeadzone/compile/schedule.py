@@ -6,6 +6,7 @@ lane of a group needs it.
 
 from __future__ import annotations
 
+import heapq
 import itertools
 from collections import Counter, defaultdict
 from collections.abc import Iterable
@@ -45,7 +46,7 @@ def ordered(results: list[Node], registers: int) -> list[Node]:
     """
     made = of_graph(results)
     if not registers:
-        return made
+        return _nested(made, results)
     state = _started(made, results)
     order: list[Node] = []
     while state.ready:
@@ -53,6 +54,22 @@ def ordered(results: list[Node], registers: int) -> list[Node]:
         order.append(best)
         state.place(best, len(order))
     return order
+
+
+def _nested(made: list[Node], results: list[Node]) -> list[Node]:
+    """Each instruction right behind what it needs, of which the longest chain comes first."""
+    length: dict[Node, int] = {}
+    for node in made:
+        length[node] = 1 + max((length.get(arg, 0) for arg in node.args), default=0)
+    order: dict[Node, None] = {}
+    waiting = [node for node in reversed(results) if node in length]
+    while waiting:
+        needed_first = [arg for arg in waiting[-1].args if arg in length and arg not in order]
+        if needed_first:
+            waiting.append(max(needed_first, key=length.__getitem__))
+        else:
+            order[waiting.pop()] = None
+    return list(order)
 
 
 class _State(NamedTuple):
@@ -202,8 +219,9 @@ class _Gathering:
         self, order: list[Node], results: set[Node], users: Users, kept: dict[Node, Guard]
     ) -> None:
         self._results, self._users, self._kept = results, users, kept
-        self._free: list[Node] = []
-        self._held: dict[Guard, list[Node]] = defaultdict(list)
+        self._place_of = {node: place for place, node in enumerate(order)}
+        self._free: list[tuple[int, Node]] = []
+        self._held: dict[Guard, list[tuple[int, Node]]] = defaultdict(list)
         inside = set(order)
         self._sorter = TopologicalSorter({node: inside.intersection(node.args) for node in order})
         for node in order:
@@ -217,7 +235,7 @@ class _Gathering:
         found: list[Node | Branch] = []
         while self._free or any(self._held.values()):
             while self._free:
-                node = self._free.pop(0)
+                _, node = heapq.heappop(self._free)
                 found.append(node)
                 self._place(node)
             if any(self._held.values()):
@@ -228,14 +246,15 @@ class _Gathering:
         """Take instructions for placed, so that others can be."""
         self._sorter.done(*nodes)
         for node in self._sorter.get_ready():
-            (self._held[self._kept[node]] if node in self._kept else self._free).append(node)
+            ready = self._held[self._kept[node]] if node in self._kept else self._free
+            heapq.heappush(ready, (self._place_of[node], node))
 
     def _branch(self) -> Branch:
         """The branch of which most is ready, with all of it that becomes ready on the way."""
         guard = max(self._held, key=lambda guard: (len(self._held[guard]), _rank(guard)))
         nodes = []
         while self._held[guard]:
-            nodes.append(self._held[guard].pop(0))
+            nodes.append(heapq.heappop(self._held[guard])[1])
             self._place(nodes[-1])
         inside = set(nodes)
         leaving = [node for node in nodes if self._is_used_outside(node, inside)]
