@@ -58,6 +58,7 @@ from undeadzone.support.arrays import Array, Floats, array, nonnegative, positiv
 FRICTION = ("friction", "f")  # Coulomb's, of motors and of links, as the plant names it
 DRIFT = (3e-5, 4.5e-4)  # of half gaps, coupled and joint by joint [rad / sqrt(s)]
 MOST_COUPLED = 2  # joints with gaps, beyond which there are too many combinations
+COUPLED = 2  # filters of theirs by default
 RESOLVED = 0.8  # largest product of a Runge-Kutta step and the frequency of contact
 STABLE = 2.0  # the same, beyond which no firmer contact is taken for true
 LEAVING = 800.0  # rate at which a link leaves a flank that pulls [1/s]
@@ -100,7 +101,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         compliance: standard deviation of where a flank gives way to, which no reading tells [rad].
         starts: how many filters a joint has, of which each counts by how well it foretold the
             readings: they begin with all of the range of half the gap, with its lower and with its
-            upper half. 1 to 3; default 3 of one joint and of separate ones, 1 of coupled ones.
+            upper half. 1 to 3; default 3 of one joint and of separate ones, 2 of coupled ones.
         joints: "separate" filters each joint for itself, to which the rest of the arm is known but
             for noise: 3 N combinations of contacts in place of 3^N.
     """
@@ -219,7 +220,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         """How many filters a joint has. Raises InputError."""
         most = len(STARTS)
         if self.starts is None:
-            return most if drive.layout.size == 1 else 1
+            return most if drive.layout.size == 1 else COUPLED
         if not 1 <= self.starts <= most:
             raise InputError(f"observer.starts: expected 1 to {most}, found {self.starts}")
         return self.starts
