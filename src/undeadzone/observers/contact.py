@@ -53,12 +53,12 @@ from undeadzone.observers.parts.model_bank import weighed
 from undeadzone.observers.parts.scores import verdict
 from undeadzone.plants.robots.geared import Geared
 from undeadzone.plants.system import System
+from undeadzone.support import tree
 from undeadzone.support.arrays import Array, Floats, array, nonnegative, positive, scalar
 
 FRICTION = ("friction", "f")  # Coulomb's, of motors and of links, as the plant names it
 DRIFT = (3e-5, 4.5e-4)  # of half gaps, coupled and joint by joint [rad / sqrt(s)]
 MOST_COUPLED = 2  # joints with gaps, beyond which there are too many combinations
-COUPLED = 2  # filters of theirs by default
 RESOLVED = 0.8  # largest product of a Runge-Kutta step and the frequency of contact
 STABLE = 2.0  # the same, beyond which no firmer contact is taken for true
 LEAVING = 800.0  # rate at which a link leaves a flank that pulls [1/s]
@@ -76,6 +76,7 @@ FAINTEST = 1e-26  # odds of a filter against the best one, however wrong it was
 MEMORY = 0.2  # time over which innovations are summed [s]
 PATIENCE = 1.0  # time over which the squares of the sums are averaged [s]
 CHANCE = 4.0  # mean square of the sums that is taken for chance
+ASTRAY = 20.0  # from which filters begin anew, once; twice it for another time, and so on
 
 
 class Contact(Options, frozen=True, kw_only=True, tag="contact"):
@@ -101,7 +102,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         compliance: standard deviation of where a flank gives way to, which no reading tells [rad].
         starts: how many filters a joint has, of which each counts by how well it foretold the
             readings: they begin with all of the range of half the gap, with its lower and with its
-            upper half. 1 to 3; default 3 of one joint and of separate ones, 2 of coupled ones.
+            upper half (1 to 3).
         joints: "separate" filters each joint for itself, to which the rest of the arm is known but
             for noise: 3 N combinations of contacts in place of 3^N.
     """
@@ -118,7 +119,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
     load: Array | None = None
     drift: float | None = None
     compliance: float = COMPLIANCE
-    starts: int | None = None
+    starts: int = len(STARTS)
     joints: Literal["coupled", "separate"] = "coupled"
 
     def build(self, model: System, sensor: Zone) -> Observer:
@@ -134,6 +135,8 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
                 f"observer.joints: {gears.size} joints have {3**gears.size} combinations of "
                 f'contacts, each a filter of its own; use joints = "separate" beyond {MOST_COUPLED}'
             )
+        if not 1 <= self.starts <= len(STARTS):
+            raise InputError(f"observer.starts: expected 1 to {len(STARTS)}, found {self.starts}")
         fastest = float(np.max(np.asarray(gears.number(gears.values, "contact"))))
         substeps = int(np.ceil(Ts * fastest / RESOLVED))
         apart = range(gears.size) if self.joints == "separate" else ()
@@ -197,7 +200,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         for joint, drive in enumerate(drives):
             here = places(layout, joint) if apart else slice(None)
             begins = []
-            for middle, length in STARTS[: self._starts(drive)]:
+            for middle, length in STARTS[: self.starts]:
                 mean[of("half")] = ranges @ [1 - middle, middle]
                 std[of("half")] = length * (ranges @ [-1, 1]) / np.sqrt(12)
                 begins.append(start(drive.layout, mean[here], std[here], slack))
@@ -215,15 +218,6 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
             rest=STICKING * Ts / told("inertia") ** 2,
             least=told("friction"),
         )
-
-    def _starts(self, drive: Drive) -> int:
-        """How many filters a joint has. Raises InputError."""
-        most = len(STARTS)
-        if self.starts is None:
-            return most if drive.layout.size == 1 else COUPLED
-        if not 1 <= self.starts <= most:
-            raise InputError(f"observer.starts: expected 1 to {most}, found {self.starts}")
-        return self.starts
 
 
 class Params(NamedTuple):
@@ -251,11 +245,13 @@ class State(NamedTuple):
         modes: of each filter, of all joints or of each.
         odds: log of their odds, 0 for the best.
         sums: of the innovations (p each).
+        restarts: how often filters began anew, of all joints or of each (1 or N).
     """
 
     modes: tuple[tuple[Modes, ...], ...]
     odds: tuple[Any, ...]
     sums: Sums
+    restarts: Any
 
 
 class Setup(NamedTuple):
@@ -313,7 +309,8 @@ def _started(setup: Setup, q: Params) -> State:
     """The state before the first reading."""
     none = np.zeros(setup.model.p)
     odds = tuple(np.zeros(len(begins)) for begins in q.start)
-    return State(q.start, odds, Sums(none, none, np.ones(setup.model.p)))
+    restarts = np.zeros(len(setup.drives))
+    return State(q.start, odds, Sums(none, none, np.ones(setup.model.p)), restarts)
 
 
 def _step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> tuple[State, Estimate]:
@@ -335,7 +332,8 @@ def _step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> tuple[
     sums = summed(s.sums, ca.if_else(seen, whole.e / whole.std, 0.0), seen, q.fade, q.keep)
     ratios = {"gust": ca.mmax(sums.ratio) / CHANCE}
     ratios["range"] = BEYOND * (_bound(layout, q.modes, whole.whole) > 0)
-    shown = _shown(setup, q, ones, whole, reading)._replace(**verdict(ratios))
+    told = {**verdict(ratios), "restarts": ca.sum1(s.restarts)}
+    shown = _shown(setup, q, ones, whole, reading)._replace(**told)
     if setup.ones:
         arm = posture(setup.gears, q.modes.model, whole.whole.mean, u)
         heard = [made_up(told, whole.news, arm) for told in zip(*each, strict=True)]
@@ -349,7 +347,29 @@ def _step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> tuple[
             moved = predicted(drive, part, one, u[joint::count])
             later.append(packed(drive, moved, before, begun[joint]))
         after.append(tuple(later))
-    return State(tuple(after), odds, sums), shown
+    return _unless_astray(setup, q, State(tuple(after), odds, sums, s.restarts)), shown
+
+
+def _unless_astray(setup: Setup, q: Params, s: State) -> State:
+    """The state, in which filters of a joint begin anew that foretell nothing of what is read."""
+    count, fresh = len(setup.drives), _started(setup, q)
+    worst = [ca.mmax(s.sums.ratio[joint::count]) for joint in range(count)]
+    astray = ca.vertcat(*worst) > ASTRAY * (1 + s.restarts)
+    each = zip(ca.vertsplit(ca.SX(astray)), fresh.modes, s.modes, strict=True)
+    odds = zip(ca.vertsplit(ca.SX(astray)), fresh.odds, s.odds, strict=True)
+    every = ca.repmat(astray, setup.model.p // count)
+    return State(
+        tuple(_either_tree(*one) for one in each),
+        tuple(_either_tree(*one) for one in odds),
+        _either_tree(every, fresh.sums, s.sums),
+        s.restarts + astray,
+    )
+
+
+def _either_tree(truth: Any, yes: Any, no: Any) -> Any:
+    """One of two trees."""
+    values = zip(tree.leaves(yes), tree.leaves(no), strict=True)
+    return tree.rebuild(no, (ca.if_else(truth, one, other) for (_, one), (_, other) in values))
 
 
 def _corrected(
