@@ -31,6 +31,7 @@ NAMES = (
     "glitches",
     "honesty",
     "claims",
+    "told_apart",
     "ranges",
     "smoothing",
     "closed_loops",

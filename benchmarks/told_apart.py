@@ -1,0 +1,130 @@
+"""Whether readings can tell a false claim at all: the likelihood ratio against the very truth.
+
+The same filter follows the same readings once with the claim and once with the truth in its place.
+No test that is wrong on one honest problem in twenty tells more than the ratio of both likelihoods
+(Neyman and Pearson), and no filter knows which other truth to compare with.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from benchmarks import coverage
+from benchmarks.claims import CLAIMED_WORLDS, OFFSET, ROWS, SEED, STEEP, TOP, Row, honest, posed_of
+from benchmarks.honest_problems import ORDERS
+from benchmarks.honesty import CLAIMS
+from benchmarks.markdown import head, row
+from benchmarks.random_problems import Problems, World
+from undeadzone.interfaces import Estimate
+from undeadzone.support.arrays import Floats
+
+FARTHEST = 6.0  # deviations of an innovation that count
+ALARMS = 0.05  # share of honest problems on which the ratio may be wrong
+NOTE = """{count} problems a row as in `claims`. Missed: an interval of d_r, d_l or z that does not
+hold in the end. Told: by the ratio of the likelihoods, whose limit {alarms:.0%} of as many honest
+problems pass. The ratio knows the truth that is to be told from the claim; `consistent` does not.
+"""
+
+Truth = Callable[[np.random.Generator, Problems], Problems]
+"""(generator as of the row's change, problems) -> the same as told to who knows what is false."""
+
+
+def wider(rng: np.random.Generator, posed: Problems) -> Problems:
+    """Ranges that hold the width."""
+    top = posed.ranges[:, :, 1:] * (TOP + 0.15)
+    return posed._replace(ranges=np.concatenate([posed.ranges[:, :, :1], top], axis=2))
+
+
+def less_steep(rng: np.random.Generator, posed: Problems) -> Problems:
+    """Readings and noise over the slope: what a sensor of slope 1 would give."""
+    return posed._replace(y=posed.y / STEEP, noise=posed.noise / STEEP)
+
+
+def centred(rng: np.random.Generator, posed: Problems) -> Problems:
+    """Readings without the offset."""
+    sign = rng.choice([-1.0, 1.0], len(posed.d))
+    return posed._replace(y=posed.y - sign * OFFSET * posed.d.mean(axis=1))
+
+
+TRUTHS: dict[str, tuple[Truth, float]] = {  # with the unit of its readings, over that of the claim
+    "width 1.3 x top of range": (wider, 1.0),
+    "slope 1.1": (less_steep, 1 / STEEP),
+    "offset of .3 widths": (centred, 1.0),
+}
+
+
+class Heard(NamedTuple):
+    """What a filter makes of some problems.
+
+    Attributes:
+        misses: whether an interval does not hold in the end (K).
+        flagged: whether a claim is called false (K).
+        log: log of the density with which it foretold the readings (K).
+        used: how many readings these are (K).
+    """
+
+    misses: Floats
+    flagged: Floats
+    log: Floats
+    used: Floats
+
+
+def heard(claims: str, posed: Problems) -> Heard:
+    """A filter along problems."""
+    out = coverage.along(CLAIMS[claims], posed, _kept)
+    end, e, std = out[:, -1], out[:, :, 7], out[:, :, 8]
+    held = np.abs(end[:, :3] - coverage.truth(posed)) <= 1.96 * end[:, 3:6] + coverage.ROUNDING
+    used, safe = e != 0, np.where(e != 0, std, 1.0)
+    log = np.where(used, -(np.minimum(np.abs(e / safe), FARTHEST) ** 2) / 2 - np.log(safe), 0.0)
+    return Heard(~held.all(axis=1), end[:, 6] > 0, log.sum(axis=1), used.sum(axis=1))
+
+
+def _kept(estimate: Estimate) -> list[Any]:
+    """Widths, z, their deviations, the claim that is likeliest false, the innovation and its."""
+    stds = (estimate.right_std, estimate.left_std, estimate.x_std[0])
+    told = (estimate.suspect, estimate.innovation, estimate.innovation_std)
+    return [estimate.right, estimate.left, estimate.z, *stds, *told]
+
+
+def ratio(
+    name: str, claims: str, each: Row, order: int, count: int, seed: int, world: World
+) -> Any:
+    """(what the filter with the claim makes of problems; log of the likelihood ratio)."""
+    truth, unit = TRUTHS[name]
+    posed = posed_of(each, order, count, seed, world)
+    claim = heard(claims, posed)
+    known = heard(claims, truth(np.random.default_rng([seed, order, 1]), posed))
+    return claim, known.log + known.used * np.log(unit) - claim.log
+
+
+def table(count: int = 200, seed: int = SEED, orders: Sequence[int] = ORDERS) -> str:
+    """The table."""
+    columns = ("world", "claims", "told, of all", "missed", "flagged of missed", "told of missed")
+    note = NOTE.format(count=count, alarms=ALARMS)
+    lines = ["## What readings can tell of a false claim\n", note, *head(*columns)]
+    for name in TRUTHS:
+        for claims in CLAIMS:
+            lines.append(row(name, claims, *_cells(name, claims, count, seed, orders)))
+    return "\n".join([*lines, ""])
+
+
+def _cells(name: str, claims: str, count: int, seed: int, orders: Sequence[int]) -> list[str]:
+    """A row in its cells."""
+    each, ratios, plain = [], [], []
+    some = -(-count // (len(orders) * len(CLAIMED_WORLDS)))
+    for order in orders:
+        for k, world in enumerate(CLAIMED_WORLDS):
+            claim, of_false = ratio(name, claims, ROWS[name], order, some, seed + k, world)
+            fresh = seed + len(CLAIMED_WORLDS) + k
+            _, of_true = ratio(name, claims, Row(honest), order, some, fresh, world)
+            each.append(claim)
+            ratios.append(of_false)
+            plain.append(of_true)
+    missed = np.concatenate([claim.misses for claim in each])
+    flagged = np.concatenate([claim.flagged for claim in each])[missed]
+    told = np.concatenate(ratios) > np.quantile(np.concatenate(plain), 1 - ALARMS)
+    shares = [f"{part.mean():.2f}" if part.size else "-" for part in (flagged, told[missed])]
+    return [f"{told.mean():.2f}", str(missed.sum()), *shares]
