@@ -16,7 +16,6 @@ import pytest
 import undeadzone as uz
 from undeadzone.cli import group
 from undeadzone.exports import export
-from undeadzone.interfaces import Reading
 from undeadzone.numerics.first_passage import arriving, at_edge, beyond
 from undeadzone.numerics.gaussian import Gaussian, cut_to, mixed
 from undeadzone.observers.parts.contact_drive import PASSED, drive_of, either, made_up, posture
@@ -35,7 +34,6 @@ from undeadzone.plants.robots.geared import Gears, geared_motion
 from undeadzone.results import mjcf
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
-from undeadzone.support import tree
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 SERVO = """
@@ -304,31 +302,6 @@ def test_a_joint_has_up_to_three_filters() -> None:
     assert len(one.params.start[0]) == 1
     with pytest.raises(uz.InputError, match=r"observer\.starts: expected 1 to 3, found 4"):
         resolve_scenario(servo(observer={"starts": 4}))
-
-
-@pytest.mark.parametrize("joints", ["coupled", "separate"])
-def test_filters_that_foretell_nothing_begin_anew(joints: str) -> None:
-    """All of a joint's, where sums of its innovations are too large; each time at larger ones."""
-    claims = {"half": [0.0, 0.1], "joints": joints, "starts": 1}
-    scenario = uz.read(EXAMPLES / "two_link_gears.toml") | {"observer": claims}
-    observer = resolve_scenario(scenario).observer
-    fresh = observer.init(observer.params)
-    p, state = tree.symbols(fresh, "s")
-    silent = Reading(np.full(2, np.nan), np.zeros(2))
-    after, shown = observer.step(observer.params, state, np.zeros(2), silent)
-    step = ca.Function("step", [p], [tree.stack(after), shown.restarts])
-    where, moved = tree.slices(fresh), tree.pack(fresh) + 0.125
-    for times, square, lost in ((0, 19.0, 0), (0, 21.0, 1), (1, 21.0, 0), (1, 41.0, 1)):
-        moved[where.sums.ratio] = square, 1.0
-        moved[where.restarts] = times
-        found, told = (np.asarray(value).ravel() for value in step(moved))
-        count = len(where.modes)
-        assert told == times * count
-        assert list(found[where.restarts] - times) == [lost, 0][:count]
-        for joint, part in enumerate(where.modes):
-            chances = found[part[0].chances]
-            begins = (chances == tree.pack(fresh.modes[joint][0].chances)).all()
-            assert begins == (lost and joint == 0)
 
 
 @pytest.mark.parametrize(("speed", "heard"), [(0.0, 0.0), (2.0, 1.0)])

@@ -53,7 +53,6 @@ from undeadzone.observers.parts.model_bank import weighed
 from undeadzone.observers.parts.scores import verdict
 from undeadzone.plants.robots.geared import Geared
 from undeadzone.plants.system import System
-from undeadzone.support import tree
 from undeadzone.support.arrays import Array, Floats, array, nonnegative, positive, scalar
 
 FRICTION = ("friction", "f")  # Coulomb's, of motors and of links, as the plant names it
@@ -76,7 +75,6 @@ FAINTEST = 1e-26  # odds of a filter against the best one, however wrong it was
 MEMORY = 0.2  # time over which innovations are summed [s]
 PATIENCE = 1.0  # time over which the squares of the sums are averaged [s]
 CHANCE = 4.0  # mean square of the sums that is taken for chance
-ASTRAY = 20.0  # from which filters begin anew, once; twice it for another time, and so on
 
 
 class Contact(Options, frozen=True, kw_only=True, tag="contact"):
@@ -245,13 +243,11 @@ class State(NamedTuple):
         modes: of each filter, of all joints or of each.
         odds: log of their odds, 0 for the best.
         sums: of the innovations (p each).
-        restarts: how often filters began anew, of all joints or of each (1 or N).
     """
 
     modes: tuple[tuple[Modes, ...], ...]
     odds: tuple[Any, ...]
     sums: Sums
-    restarts: Any
 
 
 class Setup(NamedTuple):
@@ -309,8 +305,7 @@ def _started(setup: Setup, q: Params) -> State:
     """The state before the first reading."""
     none = np.zeros(setup.model.p)
     odds = tuple(np.zeros(len(begins)) for begins in q.start)
-    restarts = np.zeros(len(setup.drives))
-    return State(q.start, odds, Sums(none, none, np.ones(setup.model.p)), restarts)
+    return State(q.start, odds, Sums(none, none, np.ones(setup.model.p)))
 
 
 def _step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> tuple[State, Estimate]:
@@ -332,8 +327,7 @@ def _step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> tuple[
     sums = summed(s.sums, ca.if_else(seen, whole.e / whole.std, 0.0), seen, q.fade, q.keep)
     ratios = {"gust": ca.mmax(sums.ratio) / CHANCE}
     ratios["range"] = BEYOND * (_bound(layout, q.modes, whole.whole) > 0)
-    told = {**verdict(ratios), "restarts": ca.sum1(s.restarts)}
-    shown = _shown(setup, q, ones, whole, reading)._replace(**told)
+    shown = _shown(setup, q, ones, whole, reading)._replace(**verdict(ratios))
     if setup.ones:
         arm = posture(setup.gears, q.modes.model, whole.whole.mean, u)
         heard = [made_up(told, whole.news, arm) for told in zip(*each, strict=True)]
@@ -347,29 +341,7 @@ def _step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> tuple[
             moved = predicted(drive, part, one, u[joint::count])
             later.append(packed(drive, moved, before, begun[joint]))
         after.append(tuple(later))
-    return _unless_astray(setup, q, State(tuple(after), odds, sums, s.restarts)), shown
-
-
-def _unless_astray(setup: Setup, q: Params, s: State) -> State:
-    """The state, in which filters of a joint begin anew that foretell nothing of what is read."""
-    count, fresh = len(setup.drives), _started(setup, q)
-    worst = [ca.mmax(s.sums.ratio[joint::count]) for joint in range(count)]
-    astray = ca.vertcat(*worst) > ASTRAY * (1 + s.restarts)
-    each = zip(ca.vertsplit(ca.SX(astray)), fresh.modes, s.modes, strict=True)
-    odds = zip(ca.vertsplit(ca.SX(astray)), fresh.odds, s.odds, strict=True)
-    every = ca.repmat(astray, setup.model.p // count)
-    return State(
-        tuple(_either_tree(*one) for one in each),
-        tuple(_either_tree(*one) for one in odds),
-        _either_tree(every, fresh.sums, s.sums),
-        s.restarts + astray,
-    )
-
-
-def _either_tree(truth: Any, yes: Any, no: Any) -> Any:
-    """One of two trees."""
-    values = zip(tree.leaves(yes), tree.leaves(no), strict=True)
-    return tree.rebuild(no, (ca.if_else(truth, one, other) for (_, one), (_, other) in values))
+    return State(tuple(after), odds, sums), shown
 
 
 def _corrected(
