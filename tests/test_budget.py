@@ -18,7 +18,7 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 41_430, 333
+MOST_CODE, MOST_FILES = 41_574, 334
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
@@ -26,7 +26,7 @@ BUDGET = {
     "analysis": 3445,
     "cli": 1899,
     "compensators": 147,
-    "compile": 3588,
+    "compile": 3736,
     "controllers": 789,
     "ends": 426,
     "ensemble": 1878,
@@ -36,14 +36,14 @@ BUDGET = {
     "linear": 400,
     "logs": 1208,
     "numerics": 836,
-    "observers": 3801,
+    "observers": 3796,
     "plants": 1646,
     "report": 2915,
     "results": 932,
     "scenario": 1430,
     "signals": 383,
     "simulation": 2271,
-    "statistics": 264,
+    "statistics": 265,
     "support": 835,
     "synthesis": 1045,
     "tuning": 871,

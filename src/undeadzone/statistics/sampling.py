@@ -114,7 +114,8 @@ def _sobol(seed: int, first: int, count: int, entries: int) -> Floats:
         )
     if first + count > 2 ** (BITS - 1):
         raise InputError(
-            f"ensemble.runs: there are 2^{BITS - 1} Sobol points, found {first + count}; use random"
+            f"runs: [ensemble] or [tune] asks for {first + count}, Sobol points are "
+            f"2^{BITS - 1}; use random"
         )
     design = qmc.Sobol(entries, bits=BITS, rng=seed)
     if first:
