@@ -15,7 +15,7 @@ import undeadzone as uz
 
 FOLDER = Path(__file__).parents[1] / "examples"
 RUNS: dict[str, uz.Run] = {}
-SHORTER = {"two_link": 6.0, "two_link_gears": 1.0, "ur5": 3.0, "elastic_joint": 8.0}  # [s]
+SHORTER = {"two_link": 6.0, "two_link_gears": 0.3, "ur5": 3.0, "elastic_joint": 8.0}  # [s]
 
 
 def run(name: str) -> uz.Run:
