@@ -159,7 +159,7 @@ def test_without_entries_there_is_nothing_to_draw() -> None:
             "sobol",
             2,
             2**40,
-            "runs: .ensemble. or .tune. asks for 1099511627776, Sobol points are 2\\^31; use random",
+            "asks for 1099511627776, Sobol points are 2\\^31; use random",
         ),
         ("saltelli", 11_000, 11_002, "at most 21201 dimensions, found 22000"),
     ],
