@@ -58,6 +58,7 @@ NAMES = (
     "loops_told",
     "servo",
     "gears",
+    "gears_anchors",
 )
 HEAD = """# Results
 

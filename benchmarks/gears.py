@@ -261,8 +261,8 @@ class Outcome(NamedTuple):
     warned: bool = False
 
 
-def outcome(made: Bench, arm: Arm, seed: int) -> Outcome:
-    """One loop around MuJoCo's arm."""
+def driven(made: Bench, arm: Arm, seed: int) -> Floats:
+    """The outputs of a loop around MuJoCo's arm, to the first that are no numbers."""
     problem, stepper = made.problem, made.stepper
     N, Ts = len(arm.half), problem.scenario.simulation.step
     where = tree.slices(made.loop.outputs)
@@ -277,9 +277,15 @@ def outcome(made: Bench, arm: Arm, seed: int) -> Outcome:
         stepper()
         outputs[k] = stepper.out
         if not np.isfinite(stepper.out).all():
-            return Outcome(True)
+            return outputs[: k + 1]
         twin.move(stepper.out[where.u], Ts)
-    return judged(made, arm, outputs)
+    return outputs
+
+
+def outcome(made: Bench, arm: Arm, seed: int) -> Outcome:
+    """What becomes of one loop around MuJoCo's arm."""
+    outputs = driven(made, arm, seed)
+    return judged(made, arm, outputs) if np.isfinite(outputs[-1]).all() else Outcome(True)
 
 
 def judged(made: Bench, arm: Arm, outputs: Floats) -> Outcome:
