@@ -31,10 +31,10 @@ from undeadzone.support.arrays import Floats
 SUBSTEPS = 2
 NOTE = """MuJoCo's servos of `gears`, whose loops `contact` closes; all filters read the same.
 Smoothed: an extended Kalman filter of motor, link, half gap, payload and an unknown torque, with
-the mean torque through the gap under its belief (the two-mass filter of the textbooks, which has no
-`consistent`). `extended` is told a rigid arm whose encoder has a dead zone; `kalman`, level and with
-the encoder at the link, a linear plant behind a play, so that what it shows as z is the motor.
-Flagged: `consistent` is 0 in the end.
+the mean torque through the gap under its belief (the two-mass filter of the textbooks, which has
+no `consistent`; inf: it was lost). `extended` is told a rigid arm whose encoder has a dead zone;
+`kalman`, level and with the encoder at the link, a linear plant behind a play, so that what it
+shows as z is the motor. Flagged: `consistent` is 0 in the end.
 """
 
 
