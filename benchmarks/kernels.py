@@ -15,17 +15,23 @@ from benchmarks import ours, rivals
 from benchmarks.markdown import head, row
 from benchmarks.workload import Work, draw
 from undeadzone.compile import cache, lanes, machine
-from undeadzone.compile.machine import FIXED, Machine, here
+from undeadzone.compile.machine import FIXED, Form, Machine, here
 
 RUNS, STEPS = 1008, 1000  # whole groups of two streams, and of three
 # Lanes, streams, slots, registers: what was chosen, and what other processors may want.
-FORMS = (
-    *((8, 2, 1, 20), (8, 2, 0, 20), (8, 2, 0, 12), (8, 2, 0, 0), (8, 1, 1, 26), (8, 1, 0, 26)),
-    *((8, 3, 1, 13), (8, 3, 0, 13), (8, 3, 0, 0), (4, 2, 0, 20)),
+FORMS = tuple(
+    Form(lanes, streams, bool(slots), *rest)
+    for lanes, streams, slots, *rest in (
+        *((8, 2, 1, 20), (8, 2, 0, 20), (8, 2, 0, 12), (8, 2, 0, 0), (8, 1, 1, 26), (8, 1, 0, 26)),
+        *((8, 1, 1, 0, 300), (8, 3, 1, 13), (8, 3, 0, 13), (8, 3, 0, 0), (4, 2, 0, 20)),
+    )
 )
 LONGEST = 16  # streams times order: beyond it a form takes a minute to compile
 AVX2 = "haswell", "+avx2,+fma,+bmi,+bmi2"
-OF_AVX2 = ((4, 1, 0, 0, 300), (4, 1, 0, 26), (4, 2, 0, 20), (4, 2, 0, 12), (4, 2, 0, 0))
+OF_AVX2 = (
+    *(Form(4, 1, False, 0, 300), Form(4, 1, False, 26)),
+    *(Form(4, 2, False, registers) for registers in (20, 12, 0)),
+)
 NOTE = f"""ns per step and run of {RUNS} runs of {STEPS} steps on one thread, least CPU time of
 interleaved rounds; in brackets, as a share of C's. "C, grouped" has the sum of RK4 as our graph has
 it, k1 + k4 + 2 (k2 + k3). Forms are lanes, streams, slots and registers ({FIXED}): the one that is
@@ -92,21 +98,21 @@ def as_machine(other: Machine) -> Iterator[None]:
             cache.made.cache_clear()
 
 
-def _forms(loops: Sequence[Loop], forms: Sequence[tuple[int, ...]], rounds: int) -> list[str]:
+def _forms(loops: Sequence[Loop], forms: Sequence[Form], rounds: int) -> list[str]:
     """The forms of loops, as shares of the one that is assumed."""
     titles, columns = [], []
     for loop in loops:
         work, options = _asked(loop)
         own = assumed(work, **options)
-        titles.append(f"{loop.name} ({form_name(own.kernel.form)})")
+        titles.append(f"{loop.name} ({own.kernel.form.text})")
         programs = {"assumed": alone(own, work)}
         for form in forms:
-            if form[1] * loop.options.get("n", 2) <= LONGEST:
-                programs[form_name(form)] = alone(formed(form, work, **options), work)
+            if form.streams * loop.options.get("n", 2) <= LONGEST:
+                programs[form.text] = alone(formed(form, work, **options), work)
         seconds = least(programs, rounds)
         whole = seconds["assumed"]
         columns.append({name: f"{value / whole:.2f}" for name, value in seconds.items()})
-    names = [form_name(form) for form in forms]
+    names = [form.text for form in forms]
     code = f"Code for {machine.here().processor} on {here().processor}"
     lines = [f"{code}: time of a kernel in other forms over that in the assumed one.\n"]
     lines += head("form", *titles)
@@ -118,11 +124,6 @@ def _asked(loop: Loop) -> tuple[Work, dict[str, Any]]:
     """The work of a loop, and how it is computed."""
     work = draw(RUNS, STEPS * 1e-3, **loop.options)
     return work, {"step": loop.step, "known": loop.known}
-
-
-def form_name(form: tuple[int, ...]) -> str:
-    """A form as the environment tells it; without branches where there are none."""
-    return ",".join(str(int(number)) for number in (form if any(form[4:]) else form[:4]))
 
 
 @contextmanager
@@ -138,9 +139,9 @@ def variable(name: str, value: str) -> Iterator[None]:
             os.environ[name] = before
 
 
-def formed(form: tuple[int, ...], work: Work, **options: Any) -> ours.Program:
+def formed(form: Form, work: Work, **options: Any) -> ours.Program:
     """The program in a form."""
-    with variable(FIXED, form_name(form)):
+    with variable(FIXED, form.text):
         return ours.made(work, **options)
 
 
@@ -182,8 +183,8 @@ def _row(loop: Loop, rounds: int) -> str:
     for name in ("grouped", "assumed", "measured"):
         share = f" ({each[name] / each['C']:.2f})" if "C" in each and name in each else ""
         shown.append(f"{each[name]:.3g}{share}" if name in each else "not installed")
-    shown[2:2] = [form_name(before.kernel.form)]
-    shown[4:4] = [form_name(after.kernel.form)]
+    shown[2:2] = [before.kernel.form.text]
+    shown[4:4] = [after.kernel.form.text]
     return row(loop.name, *shown, f"{each['run'] / each['measured']:.2f}")
 
 

@@ -31,7 +31,16 @@ from test_engines import (
 )
 from undeadzone.compile import cache, kernel, lanes
 from undeadzone.compile.lower import Arithmetic
-from undeadzone.compile.machine import Form, Machine, Shape, compiled, here, stack
+from undeadzone.compile.machine import (
+    FIXED,
+    Form,
+    Machine,
+    Shape,
+    compiled,
+    here,
+    stack,
+    told_form,
+)
 from undeadzone.errors import InputError
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.simulation.simulate import prepare
@@ -331,6 +340,18 @@ def test_the_environment_fixes_the_form(monkeypatch: pytest.MonkeyPatch) -> None
         monkeypatch.setenv("UNDEADZONE_FORM", wrong)
         with pytest.raises(InputError, match="UNDEADZONE_FORM: expected lanes"):
             lanes.build(step)
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_a_form_tells_itself_as_the_environment_does(
+    monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    machine, _, _ = MACHINES[name]
+    for instructions in (100, 3_000, 100_000):
+        form = machine.form(instructions, 64)
+        for each in (form, *machine.others(form)):
+            monkeypatch.setenv(FIXED, each.text)
+            assert told_form() == each
 
 
 # --- The form is measured

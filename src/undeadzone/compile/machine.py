@@ -58,6 +58,12 @@ class Form(NamedTuple):
     branches: int = 0
     piece: int = 5000
 
+    @property
+    def text(self) -> str:
+        """As `FIXED` tells it, such as 8,2,0,20; pieces cannot be told."""
+        told = self[: 5 if self.branches else 4]
+        return ",".join(str(int(number)) for number in told)
+
     def is_cut(self, instructions: int) -> bool:
         """Whether a step of so many instructions goes in functions."""
         return self.streams == 1 and instructions > WHOLE * self.piece
