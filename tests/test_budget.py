@@ -18,15 +18,15 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 41_574, 334
+MOST_CODE, MOST_FILES = 41_591, 334
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
-    "(root)": 382,
+    "(root)": 384,
     "analysis": 3445,
-    "cli": 1899,
+    "cli": 1910,
     "compensators": 147,
-    "compile": 3736,
+    "compile": 3740,
     "controllers": 789,
     "ends": 426,
     "ensemble": 1878,

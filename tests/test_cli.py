@@ -138,11 +138,20 @@ def test_a_command_keeps_the_memory_that_it_frees() -> None:
     assert faults[0] < faults[1] / 3
 
 
+def test_numpy_names_all_that_it_has_after_the_import_of_scipy() -> None:
+    code = (
+        "import numpy as np\nbefore = np.__all__, dir(np)\n"
+        "from undeadzone.cli.output import Output\nOutput(None, True, False).folder('x')\n"
+        "import scipy.linalg\nassert before == (np.__all__, dir(np))\nassert np.f2py, np.random"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
 def test_run_imports_no_more_than_it_needs(scenario: Path) -> None:
     code = (
         "import sys\nfrom undeadzone.cli import group\n"
         f"group.main(['run', {str(scenario)!r}, '--no-figures', '--json'], standalone_mode=False)\n"
-        "heavy = 'matplotlib', 'rich', 'scipy.signal', 'pandas'\n"
+        "heavy = 'matplotlib', 'rich', 'scipy.signal', 'pandas', 'numpy.f2py', 'numpy.testing'\n"
         "print([m for m in heavy if m in sys.modules], file=sys.stderr)"
     )
     assert (

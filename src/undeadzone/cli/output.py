@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from functools import reduce, wraps
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -45,7 +46,7 @@ class Output(NamedTuple):
         """The folder for the files written; None: nothing is written.
 
         Called before the computation, so that a folder in which nothing can be written is noticed
-        then.
+        then; here libraries are imported as a process of our own may import them.
 
         Args:
             default: name of the folder without --out.
@@ -53,6 +54,7 @@ class Output(NamedTuple):
         Raises:
             FileError: nothing can be written there.
         """
+        _import_scipy()
         if self.out is None and not self.figures:
             return None
         folder = writable(self.out or Path(default))
@@ -123,6 +125,23 @@ def partial_file(folder: Path | None, name: str, resume: bool) -> Path | None:
     if resume:
         raise click.UsageError("--resume needs the folder that was written to; name it with --out")
     return None
+
+
+def _import_scipy() -> None:
+    """Import SciPy without the parts of NumPy that only its tests use.
+
+    SciPy's array layer takes over every name of NumPy, which imports f2py, testing, random and
+    others for that: more than half of the time of its import.
+    """
+    import numpy as np
+
+    space: Any = vars(np)
+    public, listed = space["__all__"], space["__dir__"]
+    space |= {"__all__": [name for name in public if name in space], "__dir__": lambda: [*space]}
+    try:
+        import_module("scipy.linalg")
+    finally:
+        space |= {"__all__": public, "__dir__": listed}
 
 
 def prepare_figures() -> None:

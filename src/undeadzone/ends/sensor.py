@@ -188,10 +188,10 @@ def noise_threshold(noise: Floats, step: float, rate: float) -> Floats:
     """
     if not noise.any():
         return np.zeros_like(noise)
-    from scipy.special import ndtri
+    from statistics import NormalDist
 
     chance = min(0.5, max(rate * step / 2.0, np.finfo(float).tiny))
-    return np.asarray(noise * -ndtri(chance), float)
+    return np.asarray(noise * -NormalDist().inv_cdf(chance), float)
 
 
 class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
