@@ -24,6 +24,8 @@ NO_TRAITS = Traits()
 REFUTED = 3.0  # of what is taken for chance: beyond it, a claim that knows no constant is false
 BEYOND = 1.01  # by how much a width outside its range refutes that: other claims go before it
 DOUBTFUL = 0.7  # of what is taken for chance, from which deviations are shown larger
+OFTEN = 4.2  # openings of late beyond which readings and model do not go together
+SPAN = 8.0  # for how much longer an opening counts than a misfit
 LOST = 0.5  # share of refused readings beyond which nothing is known any more
 
 
@@ -119,7 +121,8 @@ class Record(NamedTuple):
         restarts: how often the filter lost its state (1).
         constant: largest |offset| since the claims were refuted, 0 before (p) [z]; empty for a
             filter that knows of constants, and so recovers.
-        opened: 1 once the belief was opened (1); empty as `constant` is.
+        opened: 1 once the belief was opened (1); of a filter that recovers, how often it was of
+            late.
         scores: of what innovations depend on; () for a filter that knows of no constants, in whose
             innovations they stand.
     """
@@ -173,9 +176,8 @@ def judged(
 
     def init(q: Params) -> State:
         none, once = np.zeros(p), np.zeros(1)
-        kept = (np.zeros(0), np.zeros(0)) if recovers else (none, once)
-        told = scores.unscored(p) if recovers else ()
-        record = Record(none, none, np.ones(p), none, none, none, once, *kept, told)
+        constant, told = (np.zeros(0), scores.unscored(p)) if recovers else (none, ())
+        record = Record(none, none, np.ones(p), none, none, none, once, constant, once, told)
         return State(member.init(q), record)
 
     smoothing = None
@@ -240,6 +242,7 @@ def recorded(q: Params, record: Record, step: Step, u: Any, reading: Reading) ->
     if told:
         far = ca.fabs(nu) > scores.FORETOLD
         told = scores.scored(q, told, counted * nu, counted, far, reading, u)
+        opened = (1 - (1 - q.doubt.keep) / SPAN) * opened + step.opened
     else:
         opened = ca.fmax(opened, step.opened)
         refuted = sums.ratio > ca.if_else(opened, 1.0, REFUTED) * q.doubt.most
@@ -264,7 +267,10 @@ def refutations(q: Params, record: Record) -> dict[str, Any]:
     if record.constant.numel():
         lasting = ca.if_else(ca.sum1(record.constant) > 0, ca.fmax(lasting, REFUTED), lasting)
     found = {"gust": lasting, "glitches": ca.mmax(record.share) / LOST}
-    return found | (scores.refuted(q.doubt, record.scores) if record.scores else {})
+    if record.scores:
+        found |= scores.refuted(q.doubt, record.scores)
+        found["sensor"] = ca.fmax(found["sensor"], record.opened / OFTEN)
+    return found
 
 
 def fitting(q: Params, record: Record) -> Any:
@@ -277,8 +283,9 @@ def widened(model: System, q: Params, record: Record, estimated: Estimate) -> Es
 
     Where they do not fit, deviations are multiplied by the root of the largest mean square of sums,
     and gain the mean innovation, for a filter that doubts nothing has none to multiply. Where most
-    readings were refused they are those of the prior at least, about what is shown. A filter that
-    knows of no constants takes one for a centre: once its claims are refuted, both last.
+    readings were refused, or the belief was opened again and again, they are those of the prior at
+    least, about what is shown. A filter that knows of no constants takes one for a centre: once its
+    claims are refuted, both last.
     """
     worst = ca.mmax(record.ratio)
     worst = ca.if_else(worst > DOUBTFUL * q.doubt.most, worst, 1.0)
@@ -288,6 +295,7 @@ def widened(model: System, q: Params, record: Record, estimated: Estimate) -> Es
     if record.scores:
         worst = ca.fmax(worst, scores.stretch(q.doubt, record.scores))
         off = ca.fmax(off, scores.resting(q.doubt, record.scores))
+        lost = ca.logic_or(lost, record.opened > OFTEN)
     else:
         off = ca.fmax(off, record.constant)
         lost = ca.logic_or(lost, record.opened * ca.sum1(record.constant) > 0)
