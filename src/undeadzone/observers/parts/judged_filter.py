@@ -24,8 +24,6 @@ NO_TRAITS = Traits()
 REFUTED = 3.0  # of what is taken for chance: beyond it, a claim that knows no constant is false
 BEYOND = 1.01  # by how much a width outside its range refutes that: other claims go before it
 DOUBTFUL = 0.7  # of what is taken for chance, from which deviations are shown larger
-OFTEN = 4.2  # openings of late beyond which readings and model do not go together
-SPAN = 8.0  # for how much longer an opening counts than a misfit
 LOST = 0.5  # share of refused readings beyond which nothing is known any more
 
 
@@ -121,8 +119,7 @@ class Record(NamedTuple):
         restarts: how often the filter lost its state (1).
         constant: largest |offset| since the claims were refuted, 0 before (p) [z]; empty for a
             filter that knows of constants, and so recovers.
-        opened: 1 once the belief was opened (1); of a filter that recovers, how often it was of
-            late.
+        opened: 1 once the belief was opened (1); empty as `constant` is.
         scores: of what innovations depend on; () for a filter that knows of no constants, in whose
             innovations they stand.
     """
@@ -176,8 +173,9 @@ def judged(
 
     def init(q: Params) -> State:
         none, once = np.zeros(p), np.zeros(1)
-        constant, told = (np.zeros(0), scores.unscored(p)) if recovers else (none, ())
-        record = Record(none, none, np.ones(p), none, none, none, once, constant, once, told)
+        kept = (np.zeros(0), np.zeros(0)) if recovers else (none, once)
+        told = scores.unscored(p) if recovers else ()
+        record = Record(none, none, np.ones(p), none, none, none, once, *kept, told)
         return State(member.init(q), record)
 
     smoothing = None
@@ -240,9 +238,7 @@ def recorded(q: Params, record: Record, step: Step, u: Any, reading: Reading) ->
     offset = ca.if_else(used, fade * record.offset + (1 - fade) * e, record.offset)
     constant, opened, told = record.constant, record.opened, record.scores
     if told:
-        far = ca.fabs(nu) > scores.FORETOLD
-        told = scores.scored(q, told, counted * nu, counted, far, reading, u)
-        opened = (1 - (1 - q.doubt.keep) / SPAN) * opened + step.opened
+        told = scores.scored(q, told, nu, counted, refused, reading, u)
     else:
         opened = ca.fmax(opened, step.opened)
         refuted = sums.ratio > ca.if_else(opened, 1.0, REFUTED) * q.doubt.most
@@ -267,10 +263,7 @@ def refutations(q: Params, record: Record) -> dict[str, Any]:
     if record.constant.numel():
         lasting = ca.if_else(ca.sum1(record.constant) > 0, ca.fmax(lasting, REFUTED), lasting)
     found = {"gust": lasting, "glitches": ca.mmax(record.share) / LOST}
-    if record.scores:
-        found |= scores.refuted(q.doubt, record.scores)
-        found["sensor"] = ca.fmax(found["sensor"], record.opened / OFTEN)
-    return found
+    return found | (scores.refuted(q.doubt, record.scores) if record.scores else {})
 
 
 def fitting(q: Params, record: Record) -> Any:
@@ -283,9 +276,9 @@ def widened(model: System, q: Params, record: Record, estimated: Estimate) -> Es
 
     Where they do not fit, deviations are multiplied by the root of the largest mean square of sums,
     and gain the mean innovation, for a filter that doubts nothing has none to multiply. Where most
-    readings were refused, or the belief was opened again and again, they are those of the prior at
-    least, about what is shown. A filter that knows of no constants takes one for a centre: once its
-    claims are refuted, both last.
+    readings were refused, or some in a row again and again, they are those of the prior at least,
+    about what is shown. A filter that knows of no constants takes one for a centre: once its claims
+    are refuted, both last.
     """
     worst = ca.mmax(record.ratio)
     worst = ca.if_else(worst > DOUBTFUL * q.doubt.most, worst, 1.0)
@@ -295,7 +288,7 @@ def widened(model: System, q: Params, record: Record, estimated: Estimate) -> Es
     if record.scores:
         worst = ca.fmax(worst, scores.stretch(q.doubt, record.scores))
         off = ca.fmax(off, scores.resting(q.doubt, record.scores))
-        lost = ca.logic_or(lost, record.opened > OFTEN)
+        lost = ca.logic_or(lost, scores.losing(record.scores) > 1)
     else:
         off = ca.fmax(off, record.constant)
         lost = ca.logic_or(lost, record.opened * ca.sum1(record.constant) > 0)
@@ -307,10 +300,10 @@ def widened(model: System, q: Params, record: Record, estimated: Estimate) -> Es
         return ca.if_else(lost, ca.fmax(wider, least), wider)
 
     n, p = model.n, model.p
-    x_std, right, left = ca.vertsplit(ca.SX(q.doubt.std), [0, n, n + p, n + 2 * p])
-    right = ca.sqrt(right**2 + (estimated.right - q.mean[n : n + p]) ** 2)
-    left = ca.sqrt(left**2 + (estimated.left - q.mean[n + p : n + 2 * p]) ** 2)
-    scale = x_std / ca.fmax(ca.mmax(x_std), 1e-300)
+    about = ca.vertcat(estimated.x, estimated.right, estimated.left) - q.mean[: n + 2 * p]
+    prior = ca.sqrt(ca.SX(q.doubt.std) ** 2 + about**2)
+    x_std, right, left = ca.vertsplit(prior, [0, n, n + p, n + 2 * p])
+    scale = q.doubt.std[:n] / ca.fmax(ca.mmax(q.doubt.std[:n]), 1e-300)
     return estimated._replace(
         x_std=shown(estimated.x_std, ca.mmax(off) * scale, x_std),
         right_std=shown(estimated.right_std, off, right),

@@ -19,6 +19,9 @@ NOISY = 7.0  # square of the score of the size of innovations over `Doubt.most`,
 HELD = 0.01  # share of readings that stay where z^ moves on, likewise
 FEWEST = 4.0  # how many of these there must be of late
 ENOUGH = 10.0  # innovations from which a score is a normal number, however far one of them is
+ROW = 3.0  # readings that are refused in a row: no glitches of one sample
+OFTEN = 3.2  # such rows of late, from which readings and model do not go together
+SPAN = 8.0  # for how much longer a row counts than what a score holds
 FORETOLD = 3.0  # deviations beyond which a reading is not what was foretold
 NOTHING_KNOWN = 1e6  # by how much what is no number refutes a claim
 MOST = 1e15  # of what an input shows in z [z]: a float holds its square
@@ -40,6 +43,8 @@ class Scores(NamedTuple):
         rise, rise_square: of nu times how that changes, likewise.
         held: share of readings that stay though they were foretold to move.
         rest: the same times where they stay [z].
+        row: how many readings were refused in a row.
+        rows: how often it were `ROW`.
         last: reading before [y].
         quick, brisk, slow: means of what inputs show in z, over the spans of `Doubt.means` [z].
     """
@@ -52,6 +57,8 @@ class Scores(NamedTuple):
     rise_square: Any
     held: Any
     rest: Any
+    row: Any
+    rows: Any
     last: Any
     quick: Any
     brisk: Any
@@ -63,7 +70,9 @@ def unscored(p: int) -> Scores:
     return Scores(*[np.zeros(p)] * len(Scores._fields))
 
 
-def scored(q: Any, s: Scores, nu: Any, counted: Any, far: Any, reading: Reading, u: Any) -> Scores:
+def scored(
+    q: Any, s: Scores, nu: Any, counted: Any, refused: Any, reading: Reading, u: Any
+) -> Scores:
     """The sums after one more sample.
 
     A loop that sees more than this filter puts it into its input at once, where it foretells
@@ -73,13 +82,15 @@ def scored(q: Any, s: Scores, nu: Any, counted: Any, far: Any, reading: Reading,
     Args:
         q: the filter's numbers.
         s: the sums before it.
-        nu: normalised innovations, 0 where none counts (p).
+        nu: normalised innovations, 0 where none was used (p).
         counted: whether one counts (p).
-        far: whether a reading is not what was foretold (p).
+        refused: whether a reading was refused (p).
         reading: what was read.
         u: the input from now on (m), which no score knows before the next sample.
     """
     doubt, keep = q.doubt, q.doubt.keep
+    far, used, nu = ca.fabs(nu) > FORETOLD, nu != 0, counted * nu
+    row = ca.if_else(refused, s.row + 1, ca.if_else(used, 0.0, s.row))
     y = ca.if_else(present(reading.y), reading.y, 0.0)
     lift, rise = counted * (s.brisk - s.slow), counted * (s.quick - s.brisk)
     stays = ca.logic_and(ca.fabs(y - s.last) < doubt.stays, ca.fabs(y) > doubt.stays)
@@ -96,6 +107,8 @@ def scored(q: Any, s: Scores, nu: Any, counted: Any, far: Any, reading: Reading,
         keep**2 * s.rise_square + rise**2,
         keep * s.held + (1 - keep) * stays,
         keep * s.rest + (1 - keep) * stays * ca.fmin(ca.fabs(y / q.slope), doubt.reach),
+        row,
+        (1 - (1 - keep) / SPAN) * s.rows + ca.logic_and(refused, row == ROW),
         y,
         *means,
     )
@@ -123,6 +136,11 @@ def holding(doubt: Any, s: Scores) -> Any:
     return s.held / ca.fmax(HELD, FEWEST * (1 - doubt.keep))
 
 
+def losing(s: Scores) -> Any:
+    """By how much rows of refused readings refute that they and the model go together: above 1."""
+    return ca.mmax(s.rows) / OFTEN
+
+
 def resting(doubt: Any, s: Scores) -> Any:
     """Where readings stay (p) [z], 0 where the sensor is sound."""
     return ca.if_else(holding(doubt, s) > 1, s.rest / ca.fmax(s.held, HELD), 0.0)
@@ -130,7 +148,7 @@ def resting(doubt: Any, s: Scores) -> Any:
 
 def refuted(doubt: Any, s: Scores) -> dict[str, Any]:
     """By how much each claim is refuted: above 1 it is."""
-    ratios = {"sensor": ca.mmax(holding(doubt, s))}
+    ratios = {"sensor": ca.fmax(ca.mmax(holding(doubt, s)), losing(s))}
     for name, square in squares(s).items():
         ratios[name] = square / limit_of(doubt, name)
     return ratios
