@@ -9,6 +9,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from benchmarks import claims as benchmark
+from benchmarks.honesty import CLAIMS as CLAIMED
 
 import undeadzone as uz
 from undeadzone.interfaces import CLAIMS, Estimate, Reading, claims_in_words, false_claims
@@ -103,6 +105,36 @@ def test_a_score_finds_what_innovations_depend_on(name: str, regress: Callable[[
     assert np.mean(np.array(ratios[name]) > 1) >= 0.95
 
 
+@pytest.mark.parametrize(
+    ("refused", "found"),
+    [
+        ((1, 1, 1, 0), True),
+        ((1, 1, 0, 0), False),  # never three in a row
+        ((1,), False),  # one row, however long
+        ((1, 1, 1, *(0,) * 20), True),
+        ((1, 1, 1, *(0,) * 400), False),  # too seldom
+    ],
+)
+def test_readings_are_refused_in_rows_again_and_again(
+    refused: tuple[int, ...], found: bool
+) -> None:
+    doubt = SimpleNamespace(
+        **{"keep": 0.99, "means": np.zeros(3), "push": np.eye(1), "stays": 0.0, "noisy": 1.0},
+        **{"reach": 1.0, "limit": 3.3**2, "most": 2.3},
+    )
+    q: Any = SimpleNamespace(doubt=doubt, slope=1.0)
+    each = Scores(*[ca.SX.sym(name) for name in Scores._fields])
+    nu, refuse = ca.SX.sym("nu"), ca.SX.sym("refuse")
+    after = scored(q, each, nu, 1 - refuse, refuse, Reading(ca.SX(1.0), 0.0), ca.SX(0.0))
+    step = ca.Function("step", [*each, nu, refuse], list(after))
+    state: list[Any] = list(unscored(1))
+    rng, told = np.random.default_rng(0), np.resize(refused, 450)
+    for one in told:
+        state = step.call([*state, 9.0 if one else rng.normal(), float(one)])
+    ratio = refuted(doubt, Scores(*[ca.SX(part) for part in state]))["sensor"]
+    assert (float(ratio) > 1) is found
+
+
 # --- In a loop and a log
 
 
@@ -152,6 +184,18 @@ def test_a_log_names_the_claim_that_is_false(
     if name:
         assert f"{CLAIMS[name].words}: {CLAIMS[name].cure}" in repr(result)
         assert result.summary()["claims"][0] == name
+
+
+@pytest.mark.parametrize(("claims", "least"), [("told", 0.75), ("ranges alone", 0.85)])
+def test_logs_that_are_glued_are_named_and_held(claims: str, least: float) -> None:
+    """Their states jump: where z has gone since is hardly known, and the intervals show that."""
+    glued = benchmark.ROWS["glued from 21 pieces"]
+    posed = benchmark.posed_of(glued, 1, 40, 77, benchmark.CLAIMED_WORLDS[0])
+    found = benchmark.part(CLAIMED[claims], posed)
+    named = found.suspects == 1 + list(CLAIMS).index("sensor")
+    assert np.mean(found.suspects > 0) >= 0.7
+    assert named.mean() >= 0.7
+    assert 1 - found.misses.mean(axis=0).max() >= least
 
 
 def test_a_log_that_seldom_fitted_names_what_was_likeliest() -> None:
