@@ -102,21 +102,31 @@ def shifted(rng: np.random.Generator, posed: Problems) -> Problems:
 
 def stepping(rng: np.random.Generator, posed: Problems) -> Problems:
     """A width steps in the middle, up or down."""
-    size = rng.uniform(*STEPS, len(posed.d)) * rng.choice([-1.0, 1.0], len(posed.d))
-    return _moving_width(rng, posed, size * (np.arange(SAMPLES) >= SAMPLES // 2)[:, None])
+    return reread(rng, posed, *stepped_widths(rng, posed))
 
 
 def growing(rng: np.random.Generator, posed: Problems) -> Problems:
     """A width grows from the first sample on."""
+    return reread(rng, posed, *grown_widths(rng, posed))
+
+
+def stepped_widths(rng: np.random.Generator, posed: Problems) -> tuple[Floats, Floats]:
+    """Right and left widths along the samples, one of which steps (samples x K) [z]."""
+    size = rng.uniform(*STEPS, len(posed.d)) * rng.choice([-1.0, 1.0], len(posed.d))
+    return _moving_width(rng, posed, size * (np.arange(SAMPLES) >= SAMPLES // 2)[:, None])
+
+
+def grown_widths(rng: np.random.Generator, posed: Problems) -> tuple[Floats, Floats]:
+    """Right and left widths along the samples, one of which grows (samples x K) [z]."""
     return _moving_width(rng, posed, GROWTH * np.linspace(0, 1, SAMPLES)[:, None])
 
 
-def _moving_width(rng: np.random.Generator, posed: Problems, change: Floats) -> Problems:
-    """One width of each problem changes, by so much of itself."""
+def _moving_width(
+    rng: np.random.Generator, posed: Problems, change: Floats
+) -> tuple[Floats, Floats]:
+    """Right and left widths, one of which changes by so much of itself (samples x K) [z]."""
     first = rng.integers(2, size=len(posed.d)) == 0
-    right = posed.d[:, 0] * (1 + change * first)
-    left = posed.d[:, 1] * (1 + change * ~first)
-    return reread(rng, posed, right, left)
+    return posed.d[:, 0] * (1 + change * first), posed.d[:, 1] * (1 + change * ~first)
 
 
 def off(rng: np.random.Generator, posed: Problems) -> Problems:

@@ -13,7 +13,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks import coverage
-from benchmarks.claims import CLAIMED_WORLDS, OFFSET, ROWS, SEED, STEEP, TOP, Row, honest, posed_of
+from benchmarks.claims import (
+    CLAIMED_WORLDS,
+    OFFSET,
+    ROWS,
+    SEED,
+    STEEP,
+    TOP,
+    Row,
+    grown_widths,
+    honest,
+    posed_of,
+    stepped_widths,
+)
 from benchmarks.honest_problems import ORDERS
 from benchmarks.honesty import CLAIMS
 from benchmarks.markdown import head, row
@@ -21,6 +33,7 @@ from benchmarks.random_problems import Problems, World
 from undeadzone.interfaces import Estimate
 from undeadzone.support.arrays import Floats
 
+GATE = 4.0  # rms of noise beyond which a reading is none of silence
 FARTHEST = 6.0  # deviations of an innovation that count
 ALARMS = 0.05  # share of honest problems on which the ratio may be wrong
 NOTE = """{count} problems a row as in `claims`. Missed: an interval of d_r, d_l or z that does not
@@ -49,10 +62,39 @@ def centred(rng: np.random.Generator, posed: Problems) -> Problems:
     return posed._replace(y=posed.y - sign * OFFSET * posed.d.mean(axis=1))
 
 
+def settled(
+    widths: Callable[[np.random.Generator, Problems], tuple[Floats, Floats]],
+) -> Truth:
+    """Readings as widths that stand still at their last values would give them.
+
+    What such a zone would not have read is missing.
+
+    Args:
+        widths: how they moved.
+    """
+
+    def truth(rng: np.random.Generator, posed: Problems) -> Problems:
+        # the generator gives the factors by which the first widths moved, whatever these are
+        right, left = widths(rng, posed._replace(d=np.ones_like(posed.d)))
+        edge = GATE * posed.noise
+        y = posed.y.copy()
+        for sign, moved, last in ((1, right, posed.d[:, 0]), (-1, left, posed.d[:, 1])):
+            further = last * (moved / moved[-1] - 1)  # than the last edge [z]
+            read = sign * posed.y > edge
+            shifted = posed.y + sign * further
+            y[read] = np.where(sign * shifted > edge, shifted, np.nan)[read]
+            y[(np.abs(posed.y) <= edge) & (further > 0)] = np.nan
+        return posed._replace(y=y)
+
+    return truth
+
+
 TRUTHS: dict[str, tuple[Truth, float]] = {  # with the unit of its readings, over that of the claim
     "width 1.3 x top of range": (wider, 1.0),
     "slope 1.1": (less_steep, 1 / STEEP),
     "offset of .3 widths": (centred, 1.0),
+    "a width steps by .2 to .6": (settled(stepped_widths), 1.0),
+    "a width grows by 30 %": (settled(grown_widths), 1.0),
 }
 
 
@@ -62,8 +104,8 @@ class Heard(NamedTuple):
     Attributes:
         misses: whether an interval does not hold in the end (K).
         flagged: whether a claim is called false (K).
-        log: log of the density with which it foretold the readings (K).
-        used: how many readings these are (K).
+        log: log of the density with which it foretold each reading (K x samples).
+        used: whether it used it (K x samples).
     """
 
     misses: Floats
@@ -79,7 +121,7 @@ def heard(claims: str, posed: Problems) -> Heard:
     held = np.abs(end[:, :3] - coverage.truth(posed)) <= 1.96 * end[:, 3:6] + coverage.ROUNDING
     used, safe = e != 0, np.where(e != 0, std, 1.0)
     log = np.where(used, -(np.minimum(np.abs(e / safe), FARTHEST) ** 2) / 2 - np.log(safe), 0.0)
-    return Heard(~held.all(axis=1), end[:, 6] > 0, log.sum(axis=1), used.sum(axis=1))
+    return Heard(~held.all(axis=1), end[:, 6] > 0, log, used)
 
 
 def _kept(estimate: Estimate) -> list[Any]:
@@ -97,7 +139,8 @@ def ratio(
     posed = posed_of(each, order, count, seed, world)
     claim = heard(claims, posed)
     known = heard(claims, truth(np.random.default_rng([seed, order, 1]), posed))
-    return claim, known.log + known.used * np.log(unit) - claim.log
+    both = claim.used & known.used
+    return claim, np.where(both, known.log + np.log(unit) - claim.log, 0.0).sum(axis=1)
 
 
 def table(count: int = 200, seed: int = SEED, orders: Sequence[int] = ORDERS) -> str:
