@@ -271,9 +271,10 @@ def _address(array: Any, kind: np.dtype[Any]) -> int:
 
 def _machine() -> str:
     """What machine code depends on besides its text."""
-    from importlib.metadata import version
+    import casadi
+    import llvmlite
 
-    versions = " ".join(f"{name} {version(name)}" for name in ("casadi", "llvmlite"))
+    versions = f"casadi {casadi.__version__} llvmlite {llvmlite.__version__}"
     return f"undeadzone {undeadzone.__version__} {versions} {' '.join(here())}"
 
 
