@@ -97,7 +97,7 @@ def test_a_side_is_lost_by_its_own_readings() -> None:
 def test_a_filter_that_is_lost_knows_no_more_than_the_prior() -> None:
     """About what is shown: prior edges at 1 and 2 with deviations 0.3 and 0.4, shown at 1.4, 1.7.
 
-    The two are independent.
+    The two are independent. A state of deviation 2 about 0 is shown at 1.5.
     """
     doubt = SimpleNamespace(std=np.array([2.0, 2.0, 0.3, 0.4]), most=10.0, limit=10.0, keep=0.5)
     q: Any = SimpleNamespace(doubt=doubt, mean=np.array([0.0, 0.0, 1.0, 2.0]))
@@ -111,12 +111,12 @@ def test_a_filter_that_is_lost_knows_no_more_than_the_prior() -> None:
         scores=unscored(1),
     )
     blind = Estimate(*[ca.SX(0.0)] * len(Estimate._fields))._replace(
-        right=ca.SX(1.4), left=ca.SX(1.7), x_std=ca.SX([0.0, 0.0])
+        x=ca.SX([1.5, 0.0]), right=ca.SX(1.4), left=ca.SX(1.7), x_std=ca.SX([0.0, 0.0])
     )
     found = widened(SimpleNamespace(n=2, p=1), q, record, blind)  # type: ignore[arg-type]
     values = [float(std) for std in (found.right_std, found.left_std, found.width_std)]
     assert values == pytest.approx([0.5, 0.5, np.sqrt(0.5)], rel=1e-12)
-    assert ca.DM(found.x_std).full()[:, 0] == pytest.approx([2.0, 2.0])
+    assert ca.DM(found.x_std).full()[:, 0] == pytest.approx([2.5, 2.0])
 
 
 def test_a_bias_that_does_nothing_tells_as_much_of_an_actuator() -> None:
@@ -193,7 +193,7 @@ def test_a_filter_whose_claims_are_refuted_gains_the_offset() -> None:
         scores=unscored(1),
     )
     shown = Estimate(*[ca.SX(0.0)] * len(Estimate._fields))._replace(
-        right_std=ca.SX(0.1), x_std=ca.SX([0.0, 0.0])
+        x=ca.SX([0.0, 0.0]), right_std=ca.SX(0.1), x_std=ca.SX([0.0, 0.0])
     )
     found = widened(SimpleNamespace(n=2, p=1), q, record, shown)  # type: ignore[arg-type]
     assert ca.DM(found.x_std).full()[:, 0] == pytest.approx([0.3, 0.15])

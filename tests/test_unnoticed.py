@@ -39,7 +39,7 @@ from undeadzone.observers.parts.gaussian_filter import FAR, clipped, excess_alon
 from undeadzone.observers.parts.motion import followed
 from undeadzone.observers.parts.output_error import adapted
 from undeadzone.observers.parts.prior import _ranges
-from undeadzone.observers.parts.scores import scored, squares, unscored
+from undeadzone.observers.parts.scores import FORETOLD, scored, squares, unscored
 from undeadzone.observers.parts.width_laws import LeastSquares
 from undeadzone.plants.robots.build import two_link
 from undeadzone.plants.robots.geared import Gears, geared_motion
@@ -58,7 +58,8 @@ def of_scores(y: float, last: float, slope: float) -> Any:
     q = SimpleNamespace(doubt=doubt, slope=slope)
     before = unscored(1)._replace(last=np.array([last]))
     zero = ca.SX(1, 1)
-    return scored(q, before, zero, zero, ca.SX(1.0), Reading(ca.SX(y), ca.SX(1.0)), zero)
+    nu = ca.SX(FORETOLD + 1)
+    return scored(q, before, nu, zero, zero, Reading(ca.SX(y), ca.SX(1.0)), zero)
 
 
 def test_where_readings_stay_is_told_in_units_of_z() -> None:

@@ -263,8 +263,7 @@ def _address(array: Any, kind: np.dtype[Any]) -> int:
     """Where the entries of an array begin, if they are of that kind and contiguous."""
     if array.dtype != kind or not array.flags.c_contiguous:
         raise TypeError(
-            f"expected a contiguous array of {kind}, "
-            f"found one of {array.dtype} with strides {array.strides}"
+            f"expected a contiguous array of {kind}, not {array.dtype}, strides {array.strides}"
         )
     return int(array.ctypes.data)
 
