@@ -59,7 +59,7 @@ def of_scores(y: float, last: float, slope: float) -> Any:
     before = unscored(1)._replace(last=np.array([last]))
     zero = ca.SX(1, 1)
     nu = ca.SX(FORETOLD + 1)
-    return scored(q, before, nu, zero, zero, Reading(ca.SX(y), ca.SX(1.0)), zero)
+    return scored(q, before, nu, nu, zero, zero, Reading(ca.SX(y), ca.SX(1.0)), zero)
 
 
 def test_where_readings_stay_is_told_in_units_of_z() -> None:

@@ -238,7 +238,7 @@ def recorded(q: Params, record: Record, step: Step, u: Any, reading: Reading) ->
     offset = ca.if_else(used, fade * record.offset + (1 - fade) * e, record.offset)
     constant, opened, told = record.constant, record.opened, record.scores
     if told:
-        told = scores.scored(q, told, nu, counted, refused, reading, u)
+        told = scores.scored(q, told, e, nu, counted, refused, reading, u)
     else:
         opened = ca.fmax(opened, step.opened)
         refuted = sums.ratio > ca.if_else(opened, 1.0, REFUTED) * q.doubt.most

@@ -19,8 +19,9 @@ NOISY = 7.0  # square of the score of the size of innovations over `Doubt.most`,
 HELD = 0.01  # share of readings that stay where z^ moves on, likewise
 FEWEST = 4.0  # how many of these there must be of late
 ENOUGH = 10.0  # innovations from which a score is a normal number, however far one of them is
-ROW = 3.0  # readings that are refused in a row: no glitches of one sample
-OFTEN = 3.2  # such rows of late, from which readings and model do not go together
+AGREE = 1 / 8  # share of an innovation within which two readings that are refused agree
+ROW = 3.0  # readings in a row that are refused and agree: no glitches
+OFTEN = 1.7  # such rows of late, from which readings and model do not go together
 SPAN = 8.0  # for how much longer a row counts than what a score holds
 FORETOLD = 3.0  # deviations beyond which a reading is not what was foretold
 NOTHING_KNOWN = 1e6  # by how much what is no number refutes a claim
@@ -43,7 +44,7 @@ class Scores(NamedTuple):
         rise, rise_square: of nu times how that changes, likewise.
         held: share of readings that stay though they were foretold to move.
         rest: the same times where they stay [z].
-        row: how many readings were refused in a row.
+        row: how many readings in a row were refused and agreed.
         rows: how often it were `ROW`.
         last: reading before [y].
         quick, brisk, slow: means of what inputs show in z, over the spans of `Doubt.means` [z].
@@ -71,7 +72,7 @@ def unscored(p: int) -> Scores:
 
 
 def scored(
-    q: Any, s: Scores, nu: Any, counted: Any, refused: Any, reading: Reading, u: Any
+    q: Any, s: Scores, e: Any, nu: Any, counted: Any, refused: Any, reading: Reading, u: Any
 ) -> Scores:
     """The sums after one more sample.
 
@@ -82,7 +83,8 @@ def scored(
     Args:
         q: the filter's numbers.
         s: the sums before it.
-        nu: normalised innovations, 0 where none was used (p).
+        e: innovations (p) [z].
+        nu: the same over their deviations, 0 where none was used (p).
         counted: whether one counts (p).
         refused: whether a reading was refused (p).
         reading: what was read.
@@ -90,8 +92,9 @@ def scored(
     """
     doubt, keep = q.doubt, q.doubt.keep
     far, used, nu = ca.fabs(nu) > FORETOLD, nu != 0, counted * nu
-    row = ca.if_else(refused, s.row + 1, ca.if_else(used, 0.0, s.row))
     y = ca.if_else(present(reading.y), reading.y, 0.0)
+    follows = ca.fabs(y - s.last) <= AGREE * ca.fabs(e * q.slope)
+    row = ca.if_else(refused, ca.if_else(follows, s.row, 0.0) + 1, ca.if_else(used, 0.0, s.row))
     lift, rise = counted * (s.brisk - s.slow), counted * (s.quick - s.brisk)
     stays = ca.logic_and(ca.fabs(y - s.last) < doubt.stays, ca.fabs(y) > doubt.stays)
     stays = ca.logic_and(stays, ca.logic_or(far, stuck(doubt, y, s.last)))
