@@ -106,34 +106,35 @@ def test_a_score_finds_what_innovations_depend_on(name: str, regress: Callable[[
 
 
 @pytest.mark.parametrize(
-    ("refused", "apart", "found"),
+    ("refused", "y", "found"),
     [
-        ((1, 1, 1, 0), 1.0, True),
-        ((1, 1, 1, 0), 1.3, False),  # glitches: they do not agree
-        ((1, 1, 0, 0), 1.0, False),  # never three in a row
-        ((1,), 1.0, False),  # one row, however long
-        ((1, 1, 1, *(0,) * 20), 1.0, True),
-        ((1, 1, 1, *(0,) * 600), 1.0, False),  # too seldom
+        ((1, 1, 1, 0), (9.0, 9.0), True),
+        ((1, 1, 1, 0), (9.0, 9.9), True),
+        ((1, 1, 1, 0), (9.0, 11.7), False),  # glitches: they do not agree
+        ((1, 1, 1, 0), (0.0, 0.0), False),  # a silence agrees with any other
+        ((1, 1, 0, 0), (9.0, 9.0), False),  # never three in a row
+        ((1,), (9.0, 9.0), False),  # one row, however long
+        ((1, 1, 1, *(0,) * 20), (9.0, 9.0), True),
+        ((1, 1, 1, *(0,) * 600), (9.0, 9.0), False),  # too seldom
     ],
 )
 def test_readings_are_refused_in_rows_again_and_again(
-    refused: tuple[int, ...], apart: float, found: bool
+    refused: tuple[int, ...], y: tuple[float, float], found: bool
 ) -> None:
-    """Readings 9 beyond what was foretold; those one after the other are 9 (apart - 1) apart."""
+    """Readings are y, in turn, and 9 beyond what was foretold."""
     doubt = SimpleNamespace(
         **{"keep": 0.99, "means": np.zeros(3), "push": np.eye(1), "stays": 0.0, "noisy": 1.0},
         **{"reach": 1.0, "limit": 3.3**2, "most": 2.3},
     )
     q: Any = SimpleNamespace(doubt=doubt, slope=1.0)
     each = Scores(*[ca.SX.sym(name) for name in Scores._fields])
-    e, refuse, y = ca.SX.sym("e"), ca.SX.sym("refuse"), ca.SX.sym("y")
-    after = scored(q, each, e, e, 1 - refuse, refuse, Reading(y, 0.0), ca.SX(0.0))
-    step = ca.Function("step", [*each, e, refuse, y], list(after))
+    e, refuse, read = ca.SX.sym("e"), ca.SX.sym("refuse"), ca.SX.sym("y")
+    after = scored(q, each, e, e, 1 - refuse, refuse, Reading(read, 0.0), ca.SX(0.0))
+    step = ca.Function("step", [*each, e, refuse, read], list(after))
     state: list[Any] = list(unscored(1))
     rng, told = np.random.default_rng(0), np.resize(refused, 650)
     for k, one in enumerate(told):
-        y_k = 9 * apart if k % 2 else 9.0
-        state = step.call([*state, 9.0 if one else rng.normal(), float(one), y_k])
+        state = step.call([*state, 9.0 if one else rng.normal(), float(one), y[k % 2]])
     ratio = refuted(doubt, Scores(*[ca.SX(part) for part in state]))["sensor"]
     assert (float(ratio) > 1) is found
 

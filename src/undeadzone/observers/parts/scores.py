@@ -20,7 +20,7 @@ HELD = 0.01  # share of readings that stay where z^ moves on, likewise
 FEWEST = 4.0  # how many of these there must be of late
 ENOUGH = 10.0  # innovations from which a score is a normal number, however far one of them is
 AGREE = 1 / 8  # share of an innovation within which two readings that are refused agree
-ROW = 3.0  # readings in a row that are refused and agree: no glitches
+ROW = 3.0  # readings in a row that are refused and agree, no silence: no glitches
 OFTEN = 1.7  # such rows of late, from which readings and model do not go together
 SPAN = 8.0  # for how much longer a row counts than what a score holds
 FORETOLD = 3.0  # deviations beyond which a reading is not what was foretold
@@ -93,7 +93,7 @@ def scored(
     doubt, keep = q.doubt, q.doubt.keep
     far, used, nu = ca.fabs(nu) > FORETOLD, nu != 0, counted * nu
     y = ca.if_else(present(reading.y), reading.y, 0.0)
-    follows = ca.fabs(y - s.last) <= AGREE * ca.fabs(e * q.slope)
+    follows = ca.logic_and(y != 0, ca.fabs(y - s.last) <= AGREE * ca.fabs(e * q.slope))
     row = ca.if_else(refused, ca.if_else(follows, s.row, 0.0) + 1, ca.if_else(used, 0.0, s.row))
     lift, rise = counted * (s.brisk - s.slow), counted * (s.quick - s.brisk)
     stays = ca.logic_and(ca.fabs(y - s.last) < doubt.stays, ca.fabs(y) > doubt.stays)
