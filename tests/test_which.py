@@ -17,6 +17,7 @@ import undeadzone as uz
 from tools import script_of_docs
 from undeadzone.cli import group
 from undeadzone.errors import InputError
+from undeadzone.identification.answer.words import rivals_in_words
 from undeadzone.identification.models.elements import PlayModel, fit_play
 from undeadzone.identification.models.least_squares import LeastSquares
 from undeadzone.identification.models.motion import (
@@ -433,3 +434,6 @@ def test_a_plant_that_integrates_is_neither_play_nor_friction() -> None:
         assert isinstance(answer, uz.Identified)
         assert answer.verdict == "unclear"
         assert "--integrators 1" in answer.answer.reasons[-1]
+        assert answer.numbers()["odds"] == {}  # no model explains the readings
+        assert "odds" not in answer.summary()
+        assert {share for _, share, _ in rivals_in_words(answer.answer)} == {"-"}

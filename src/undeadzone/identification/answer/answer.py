@@ -201,6 +201,8 @@ def to_answer(case: Case, found: Found) -> Answer:
     if doubt:
         verdict = because("undecided", *found.verdict.reasons, doubt)
         found = found._replace(element=None, verdict=verdict)
+    if found.verdict.word == "unclear":  # whatever is likeliest explains the readings badly
+        found = found._replace(odds={})
     chosen, data = case.chosen, case.data
     best, orders = next(iter(found.kalman), None), credible(case.fitted.fits)
     widths = find_widths(chosen, orders, case.fitted.alike, best, case.quantum, case.offset)

@@ -258,7 +258,8 @@ def in_words(answer: Answer) -> dict[str, Any]:
     lines["dead zone"] = HEADS[answer.verdict] + _certainty(answer)
     if answer.reasons:
         lines["why"] = answer.reasons
-    lines["odds"] = odds_in_words(answer)
+    if answer.found.odds:
+        lines["odds"] = odds_in_words(answer)
     unit = _unit(answer.case.grid.output_unit)
     lines |= _widths(answer)
     crossings = crossings_in_words(answer, unit)
@@ -414,7 +415,6 @@ def _held_out(answer: Answer, unit: str) -> str:
 
 def rivals_in_words(answer: Answer) -> list[tuple[str, str, float]]:
     """Every model with its odds in words and how far it is behind, in nats per reading."""
-    rows = []
-    for word, nats in sorted(behind(answer.found.models).items(), key=lambda row: row[1]):
-        rows.append((MODELS[word], f"{100 * answer.found.odds.get(word, 0.0):.1f} %", nats))
-    return rows
+    odds = {word: f"{100 * share:.1f} %" for word, share in answer.found.odds.items()}
+    rivals = sorted(behind(answer.found.models).items(), key=lambda row: row[1])
+    return [(MODELS[word], odds.get(word, "-"), nats) for word, nats in rivals]
