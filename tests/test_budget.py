@@ -18,7 +18,7 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 41_608, 334
+MOST_CODE, MOST_FILES = 41_637, 334
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
@@ -32,11 +32,11 @@ BUDGET = {
     "ensemble": 1878,
     "exports": 2348,
     "feedforward": 429,
-    "identification": 7264,
+    "identification": 7268,
     "linear": 400,
-    "logs": 1208,
+    "logs": 1232,
     "numerics": 836,
-    "observers": 3811,
+    "observers": 3812,
     "plants": 1646,
     "report": 2915,
     "results": 932,

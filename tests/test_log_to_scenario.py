@@ -53,6 +53,8 @@ def record(element: str, reading: str, integrates: bool, order: int = 2) -> tupl
         y = zone(y)
     if reading == "noise":
         y = y + 0.005 * rng.standard_normal(y.size)
+    if element == "jump":
+        y = np.where(zone(y) != 0, y, 0.0)
     return u, 0.01 * np.round(y / 0.01) if reading == "encoder" else y
 
 
@@ -99,6 +101,24 @@ def test_a_log_of_a_stable_plant_ends_in_a_scenario(element: str, reading: str) 
         for letter in letters:
             std = max(numbers[f"{letter}_{side}_std"], 0.002)  # half a step of the encoder
             assert abs(numbers[f"{letter}_{side}"] - width) < 3 * std
+
+
+@pytest.mark.parametrize("element", ["zone", "actuator", "ends"])
+def test_the_filter_is_told_where_readings_end(element: str) -> None:
+    u, y = record(element, "noise", integrates=False)
+    low, high = np.quantile(y, [0.08, 0.9])
+    y = np.clip(y, low, high)
+    answer = uz.identify(t=STEP, u=u, y=y, order=2, delay=0)
+    assert answer.verdict == WORDS[element]
+    assert f"range = [{low:.9g}, {high:.9g}]" in answer.scenario()
+    followed = uz.estimate(parse(answer.scenario()), u=u, y=y)
+    assert not followed.info.remarks
+    assert followed.consistent, followed.info.reasons
+    numbers = followed.summary()
+    for letter in {"zone": "d", "actuator": "b", "ends": "bd"}[element]:
+        for side, width in (("right", RIGHT), ("left", LEFT)):
+            error = numbers[f"{letter}_{side}"] - width
+            assert abs(error) < 3 * numbers[f"{letter}_{side}_std"]
 
 
 @pytest.mark.parametrize("step", [0.001, 0.005, 0.016])
@@ -191,7 +211,7 @@ def test_what_to_type_next_is_taken_as_it_is_printed(
 
 
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="no compiler")
-@pytest.mark.parametrize("element", ["zone", "play", "actuator", "ends"])
+@pytest.mark.parametrize("element", ["zone", "play", "actuator", "ends", "jump"])
 def test_a_log_ends_in_firmware(
     element: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -212,7 +232,7 @@ def test_a_log_ends_in_firmware(
     ran = undeadzone("run", "log.toml", "--no-figures", cwd=tmp_path)
     assert ran.returncode in (0, 1), ran.stderr
     made = undeadzone("export", "log.toml", "--out", "fw", "--check", cwd=tmp_path)
-    if element == "zone":  # its ranges are too narrow for float, which export says with the cure
+    if element in ("zone", "jump"):  # its ranges are too narrow for float, which export says with the cure
         assert "use --precision double" in made.stdout
         double = ("--precision", "double")
         made = undeadzone("export", "log.toml", "--out", "fw", "--check", *double, cwd=tmp_path)

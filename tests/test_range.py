@@ -452,6 +452,7 @@ def test_a_verdict_says_that_no_reading_is_exact() -> None:
 TIMES = np.arange(0.0, 40.0, 0.01)
 SINE = np.sin(TIMES)
 SHAKY = SINE + 0.01 * np.random.default_rng(0).normal(size=SINE.size)
+SHAKEN = SINE[::5] + 0.2 * np.random.default_rng(0).normal(size=SINE[::5].size)
 
 
 @pytest.mark.parametrize(
@@ -466,8 +467,16 @@ SHAKY = SINE + 0.01 * np.random.default_rng(0).normal(size=SINE.size)
         (np.clip(SINE, -0.5, 0.7), 0.0, (-0.5, 0.7)),
         (np.clip(SINE, -0.5, INF), 0.0, (-0.5, INF)),
         (np.clip(SHAKY, -0.5, 0.7), 0.0, (-0.5, 0.7)),
+        (np.clip(SHAKEN, -0.5, 0.7), 0.0, (-0.5, 0.7)),
+        (SHAKEN, 0.0, (-INF, INF)),
+        (np.round(SHAKY, 1), 0.1, (-INF, INF)),
+        (np.sin(2 * np.pi * np.arange(4000) / 20), 0.0, (-INF, INF)),  # alike in every period
+        (np.tanh(50 * SINE), 0.0, (-INF, INF)),
     ],
-    ids=["sine", "rounded", "settled", "square", "step", "silent", "both", "low", "noisy"],
+    ids=[
+        *("sine", "rounded", "settled", "square", "step", "silent", "both", "low", "noisy"),
+        *("noisier", "noise", "coarse", "periodic", "bent"),
+    ],
 )
 def test_readings_that_stick_on_their_way_show_a_range(
     y: Floats, quantum: float, limits: tuple[float, float]

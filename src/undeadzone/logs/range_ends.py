@@ -14,6 +14,8 @@ RUN = 5  # readings in a row: so long they stick, and from so many their speed b
 SPEED = 1e-3  # of the range of the readings, by which they move in a step before they stick
 SAME = 1e-9  # relative difference of readings at one limit
 MOST_STOPS = 1000  # that are remembered: the first ones
+VISIT = 3.0  # readings in a row at a limit on average, where noise leads there and back
+ALIKE = 0.05  # of the readings elsewhere, those that are the one before: noise leaves none
 
 
 class RangeEnds(NamedTuple):
@@ -70,7 +72,7 @@ class RunningEnds:
         """The values at which readings stick on their way, as where an amplifier ends.
 
         At the top of a slow or rounded motion readings are alike too; there they do not come to a
-        sudden stop.
+        sudden stop. Noise repeats no reading but where the range ends.
 
         Args:
             quantum: of the readings; 0: none.
@@ -106,7 +108,10 @@ class _End:
         count: how many readings are there.
     """
 
-    KEPT: Final = ("top", "count", "_total", "_before", "_speed", "_y", "_ok")
+    KEPT: Final = (
+        *("top", "count", "_total", "_before", "_speed", "_y", "_ok"),
+        *("_bottom", "_alike", "_elsewhere", "_visits", "_steps"),
+    )
 
     def __init__(self) -> None:
         self.top = -np.inf
@@ -116,6 +121,10 @@ class _End:
         self._speed: list[float] = []  # per step, before each stop
         self._y: Floats = np.empty(0)  # the last ones of the block before
         self._ok = np.empty(0, bool)
+        self._bottom = np.inf  # least reading so far
+        self._elsewhere = self._alike = 0  # at neither end and not 0; as the one before
+        self._visits = 0  # to the limit
+        self._steps: list[float] = []  # to the limit
 
     def add(self, y: Floats, ok: np.ndarray) -> None:
         """Take the next readings in."""
@@ -123,11 +132,12 @@ class _End:
         top = float(y[ok].max(initial=-np.inf))
         if top > self.top:
             if self.top < top * (1 - SAME) or top <= 0:
-                self.count = 0
-                self._before, self._speed = [], []
+                self.count = self._visits = 0
+                self._before, self._speed, self._steps = [], [], []
             self.top = top
         here = ok & _is_at(y, self.top)
         self.count += int(here.sum())
+        self._add_steps(np.append(self._y[-1:], y), np.append(self._ok[-1:], ok))
         y = np.concatenate([self._y, y])
         ok = np.concatenate([self._ok, ok])
         if len(self._before) < MOST_STOPS and self.top > 0:
@@ -137,14 +147,30 @@ class _End:
         last = 2 * RUN - 1  # no stop lies in these alone
         self._y, self._ok = y[-last:], ok[-last:]
 
+    def _add_steps(self, y: Floats, ok: np.ndarray) -> None:
+        """Take steps to the limit in, and readings elsewhere that are the one before."""
+        self._bottom = min(self._bottom, float(y[ok].min(initial=np.inf)))
+        both, at = ok[1:] & ok[:-1], _is_at(y, self.top)
+        enters = both & at[1:] & ~at[:-1]
+        self._visits += int(enters.sum())
+        self._steps += np.diff(y)[enters][: MOST_STOPS - len(self._steps)].tolist()
+        elsewhere = both & ~at[1:] & (y[1:] != 0) & (y[1:] > self._bottom)
+        self._elsewhere += int(elsewhere.sum())
+        self._alike += int((elsewhere & (np.diff(y) == 0)).sum())
+
     def sticks(self, least: float) -> bool:
-        """Whether readings come to a sudden stop at the top.
+        """Whether readings come to a sudden stop at the top, or noise leads there and back.
 
         Args:
             least: by which they move in the step before they stick, at least.
         """
         rare = self.count < max(FEWEST, SHARE * self._total)
-        if rare or self.top <= 0 or not self._before:
+        if rare or self.top <= 0 or not self._steps:
+            return False
+        noisy = self._alike <= ALIKE * self._elsewhere and self.count <= self._elsewhere
+        if noisy and self.count >= VISIT * self._visits and float(np.median(self._steps)) > least:
+            return True
+        if not self._before:
             return False
         speed = float(np.median(self._speed))
         rest = self.top - float(np.median(self._before))

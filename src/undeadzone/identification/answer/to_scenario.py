@@ -61,6 +61,7 @@ def scenario_text(answers: Sequence[Answer], title: str) -> str:
         "bare": first.verdict == "input_zone",
         **_gap(first),
         **_noise(answers),
+        "range": _range(answers),
         "driven": driven,
         "amplitude": _numbers(np.quantile(np.abs(one.z) * one.scale, 0.98) for one in answers),
         "frequency": _number(_frequency(first, plant.A)),
@@ -222,6 +223,12 @@ def _noise(answers: Sequence[Answer]) -> dict[str, str]:
     noise = {"ahead": ahead, "behind": behind, "quantum": quanta}
     shown = {name: bool(values.any()) * _numbers(values) for name, values in noise.items()}
     return shown | {"threshold": bool(rms[0].any()) * _numbers(silent)}
+
+
+def _range(answers: Sequence[Answer]) -> str:
+    """Where the readings of all outputs end; empty where none sticks at an end."""
+    ends = [one.case.fitted.prepared.ends for one in answers]
+    return any(ends) * _listed([one or "[-inf, inf]" for one in ends])
 
 
 def _rms_of_noise(answer: Answer) -> tuple[float, float]:

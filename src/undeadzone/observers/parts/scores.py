@@ -98,6 +98,7 @@ def scored(
     lift, rise = counted * (s.brisk - s.slow), counted * (s.quick - s.brisk)
     stays = ca.logic_and(ca.fabs(y - s.last) < doubt.stays, ca.fabs(y) > doubt.stays)
     stays = ca.logic_and(stays, ca.logic_or(far, stuck(doubt, y, s.last)))
+    stays = ca.logic_and(stays, ca.fabs(reading.side) < 2)  # at a limit a sound sensor stays
     shown = ca.fmax(ca.fmin(doubt.push @ u, MOST), -MOST)
     left, before = ca.vertsplit(ca.SX(doubt.means)), (s.quick, s.brisk, s.slow)
     means = [shown + share * (mean - shown) for share, mean in zip(left, before, strict=True)]
