@@ -107,7 +107,7 @@ def identify(
         is_found = answer.verdict in ("dead_zone", options["kind"])
         written: list[Path] = [] if folder is None else [answer.save(folder / "identify.json")]
         reason = None
-        if is_found or answer.verdict in WRITTEN:
+        if is_found or answer.verdict in (*WRITTEN, "jump"):
             scenario, reason = _scenario(answer, path, force)
             written = scenario + written
         best, why = (None, {}) if further is None else _asked_next(answer)

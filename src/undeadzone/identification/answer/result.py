@@ -24,7 +24,7 @@ from undeadzone.support.arrays import Floats, finite
 from undeadzone.support.files import write_text
 from undeadzone.support.shown import Block
 
-WRITTEN = ("play", "both", "input_zone", "two_zones", "jump")  # a scenario has it
+WRITTEN = ("play", "both", "input_zone", "two_zones")  # besides the sensor's zone, in a scenario
 
 
 class States(NamedTuple):
@@ -151,7 +151,7 @@ class Identified:
         Raises:
             InputError: no dead zone was found, or no plant in continuous time fits.
         """
-        if not (self.answer.zone or self.verdict in WRITTEN):
+        if not (self.answer.zone or self.answer.case.jumps or self.verdict in WRITTEN):
             raise InputError(f"scenario: the verdict is {self.verdict}: there is no zone to write")
         return scenario_text([self.answer], title)
 

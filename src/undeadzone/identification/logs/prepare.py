@@ -26,6 +26,8 @@ from undeadzone.support.arrays import Flags, Floats, Integers, runs
 
 LOUD = 2.0  # times the steps beside it, by which readings beside a dropout are beyond silence
 DROPPED = 0.1  # share of the readings that may be dropouts
+NEAR = 5  # readings beside one at a limit: noise that does not reach it pulls them inwards
+ENOUGH = 0.7  # of the readings between the limits, so that they are left out
 LASTING = 0.01  # share of the readings that are silent in a row, from which there is a silence
 STUCK = 0.05  # share of the readings that hold one value, from which a sensor may be stuck
 LONGER = 5.0  # times the second longest hold
@@ -52,7 +54,9 @@ def usable(grid: Grid, remarks: list[str]) -> tuple[Flags, RangeEnds]:
         f"{ends.number} readings stick at the ends of the range {ends.text}: there they "
         "only bound the output, and are taken as missing"
     )
-    return ok & ~at, ends
+    between = ok & ~at
+    apart = between & (np.convolve(at, np.ones(2 * NEAR + 1), "same") < 0.5)
+    return apart if apart.sum() >= ENOUGH * between.sum() else between, ends
 
 
 def _spikes(grid: Grid, remarks: list[str]) -> Flags:
