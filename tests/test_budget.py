@@ -18,13 +18,13 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 41_641, 334
+MOST_CODE, MOST_FILES = 41_666, 334
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
     "(root)": 384,
     "analysis": 3445,
-    "cli": 1910,
+    "cli": 1920,
     "compensators": 147,
     "compile": 3740,
     "controllers": 789,
@@ -42,7 +42,7 @@ BUDGET = {
     "results": 932,
     "scenario": 1430,
     "signals": 383,
-    "simulation": 2271,
+    "simulation": 2286,
     "statistics": 265,
     "support": 835,
     "synthesis": 1045,

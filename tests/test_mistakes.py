@@ -265,3 +265,17 @@ def test_a_claim_that_excludes_the_truth_is_called_false() -> None:
         "a false claim: the right width is 1, observer.right says 0 to 0.5"
     ]
     assert uz.simulate(parse(TEMPLATE)).fully_identifiable
+
+
+def test_a_claim_about_the_actuator_that_excludes_the_truth_is_called_false() -> None:
+    """Shown was 1.0 and an interval that excludes 1.2: plausible, and wrong."""
+    path = Path(__file__).parents[1] / "examples" / "valve_both_ends.toml"
+    valve = parse(path.read_text()) | {"simulation": {"duration": 3.0}}
+    assert valve.actuator.right == 1.2
+    told, short = "a false claim: model.actuator excludes", {"simulation": {"duration": 3.0}}
+    for width, is_false in (([0.0, 1.0], True), (1.0, True), ([0.0, 3.0], False), (1.2, False)):
+        left = 0.8 if isinstance(width, float) else [0.0, 3.0]
+        claims = {"model": {"actuator": {"right": width, "left": left}}}
+        (verdict,) = uz.simulate(valve | claims | short).info.identifiable
+        assert any(reason.startswith(told) for reason in verdict["reasons"]) == is_false
+        assert not (is_false and verdict["right"])

@@ -165,6 +165,19 @@ def test_a_scenario_beside_the_folder_is_not_read(folder: Path, secret: Path) ->
     assert done.returncode == (2 if landlock else 1), done.stderr
 
 
+def test_where_python_was_started_is_no_library(folder: Path, secret: Path) -> None:
+    """`python -m` puts its working folder ahead of all others that modules come from."""
+    (secret.parent / "log.csv").write_text("t,u,y\n0.0,1.0,0.5\n0.005,1.0,0.5\n0.01,1.0,0.6\n")
+    (secret.parent / "up").mkdir()
+    (secret.parent / "up" / "s.toml").write_text(SHORT)
+    line = [sys.executable, "-m", "undeadzone", "estimate", "up/s.toml", "log.csv"]
+    line += ["--untrusted", "up", "--no-figures"]
+    done = subprocess.run(line, cwd=secret.parent, capture_output=True, text=True)
+    if sys.platform == "linux" and "no Landlock" not in done.stderr:
+        assert done.returncode == 2
+        assert "log.csv: cannot read" in done.stderr
+
+
 def test_files_with_further_names_are_refused_by_confine_too(folder: Path) -> None:
     with pytest.raises(InputError, match="the file has further names"):
         read(folder / "hard.toml", folder)

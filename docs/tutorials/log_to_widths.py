@@ -43,7 +43,7 @@ print("rms error of z inside the zone:", np.std((states.z - z)[inside]))
 print("of the reading:                ", np.std((y - z)[inside]))
 
 # %%
-with open("mine.toml", "w") as file:
+with open("identified.toml", "w") as file:
     file.write(answer.scenario())
-scenario = uz.read("mine.toml")
+scenario = uz.read("identified.toml")
 print(uz.check(scenario))

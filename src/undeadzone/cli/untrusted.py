@@ -67,7 +67,7 @@ def hold_apart(folder: Path, out: Path | None) -> list[str]:
     if not folder.is_dir():
         raise InputError(f"--untrusted: expected a folder, found {str(folder)!r}")
     here = Path(os.path.realpath(folder))
-    sys.path[:] = [place for place in sys.path if place and not _is_below(Path(place), here)]
+    sys.path[:] = [place for place in sys.path if place and not _is_apart(Path(place), here)]
     if out is not None:
         require_folder(out)
         out.mkdir(parents=True, exist_ok=True)
@@ -81,9 +81,10 @@ def hold_apart(folder: Path, out: Path | None) -> list[str]:
     return lacking
 
 
-def _is_below(place: Path, folder: Path) -> bool:
-    """Whether a place is a folder or in it."""
-    return Path(os.path.realpath(place)).is_relative_to(folder)
+def _is_apart(place: Path, folder: Path) -> bool:
+    """Whether modules come from `folder`, or from where `python -m` was started."""
+    own, real = Path(__file__).parents[2], Path(os.path.realpath(place))
+    return real.is_relative_to(folder) or (real == Path.cwd() and real != own)
 
 
 def _keep_scratch(out: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 import threading
 import time
@@ -41,6 +42,13 @@ BLOCK = 1 << 20  # bytes that are read at once, if as many have come
 TIME = click.FloatRange(min=0, min_open=True, max=threading.TIMEOUT_MAX)  # [s]
 
 
+def _told(ctx: click.Context, param: click.Parameter, seconds: float | None) -> float | None:
+    """A time that can be waited for. Raises BadParameter."""
+    if seconds is not None and math.isnan(seconds):
+        raise click.BadParameter("nan is no time [s]", ctx, param)
+    return seconds
+
+
 @click.command(
     epilog="Example: undeadzone watch mine.toml < samples.csv > estimates.csv; on Windows: "
     "type samples.csv | undeadzone watch mine.toml > estimates.csv"
@@ -50,8 +58,12 @@ TIME = click.FloatRange(min=0, min_open=True, max=threading.TIMEOUT_MAX)  # [s]
 @columns_option
 @strict_option
 @option("--state", "FILE", "Keep the observer's state there, and go on from it.", type=PATH)
-@option("--every", "SECONDS", "How often the state is saved.", type=TIME, default=10.0)
-@option("--heartbeat", "SECONDS", "Say on stderr so often how far it is.", type=TIME)
+@option(
+    "--every", "SECONDS", "How often the state is saved.", type=TIME, default=10.0, callback=_told
+)
+@option(
+    "--heartbeat", "SECONDS", "Say on stderr so often how far it is.", type=TIME, callback=_told
+)
 @guarded
 def watch(
     scenario: Path,

@@ -140,7 +140,7 @@ class Plant(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
             rest in its position of x0.
         u_eq: input at which a nonlinear plant is linearised for gains (m); default: 0, of an arm
             what holds it at x_eq.
-        x0: initial state (n); default: 0.
+        x0: initial state (n), or one number for every entry; default: 0.
         delay: samples by which the input acts late, of sampled time only.
     """
 

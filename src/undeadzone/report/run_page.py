@@ -20,7 +20,7 @@ _VARIABLE: Final = "The observer has no constant gains; its options stand in the
 CAPTIONS: Final = {
     "tip": "The tip against its path, its distance from it, and the torques.",
     "phase": "Position and velocity of each joint, truth and estimate; a dead zone about a "
-    "posture is yellow.",
+    "posture is grey.",
     "figure": "Output, reading and estimate; errors; widths with 95 % bands against the truth",
 }
 # What else the figure shows, where a run has this signal.

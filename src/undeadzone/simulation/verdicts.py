@@ -244,7 +244,7 @@ def with_false_claims(problem: Problem, verdicts: Sequence[Verdict]) -> list[Ver
                 )
                 found: dict[str, Any] = {side: False, "width": False, "centre": False}
                 verdict = verdict._replace(**found, reasons=(*verdict.reasons, reason))
-        judged.append(_with_false_gaps(problem, verdict, i))
+        judged.append(_with_false_actuator(problem, _with_false_gaps(problem, verdict, i)))
     return judged
 
 
@@ -263,6 +263,24 @@ def _with_false_gaps(problem: Problem, verdict: Verdict, i: int) -> Verdict:
     if ((low - slack <= true) & (true <= high + slack))[:, i].all():
         return verdict
     reason = f"a false claim: model.play excludes the gaps of the sensor, {true[:, i].tolist()}"
+    return verdict._replace(
+        right=False, left=False, width=False, centre=False, reasons=(*verdict.reasons, reason)
+    )
+
+
+def _with_false_actuator(problem: Problem, verdict: Verdict) -> Verdict:
+    """The verdict on an output; none of its widths is known behind an actuator told wrongly."""
+    actuator, belief = problem.actuator, problem.belief
+    if actuator is None or belief is None:
+        return verdict
+    true = np.stack([actuator.right, actuator.left])
+    low = high = np.stack([belief.drive.right, belief.drive.left])
+    if belief.ranges is not None:
+        low, high = belief.ranges.T.reshape(2, 2, -1)
+    slack = ROUNDING * true
+    if ((low - slack <= true) & (true <= high + slack)).all():
+        return verdict
+    reason = f"a false claim: model.actuator excludes the actuator's widths, {true.tolist()}"
     return verdict._replace(
         right=False, left=False, width=False, centre=False, reasons=(*verdict.reasons, reason)
     )
