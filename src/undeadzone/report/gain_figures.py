@@ -290,7 +290,8 @@ def _ellipse(axes: Axes, known: Knowledge) -> None:
     x, y = ellipse(known.std)
     axes.fill(x, y, color=ink.ESTIMATE, alpha=0.25, linewidth=0)
     axes.plot(x, y, color=ink.ESTIMATE, label="95 %")
-    axes.ticklabel_format(style="plain")
+    axes.ticklabel_format(style="plain")  # a factor would stand beneath the title
+    axes.locator_params(axis="x", nbins=4)
     size = 1.15 * max(np.abs(x).max(), np.abs(y).max())
     axes.set_xlim(-size, size)
     axes.set_ylim(-size, size)
