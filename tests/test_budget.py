@@ -18,13 +18,13 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 41_667, 334
+MOST_CODE, MOST_FILES = 41_670, 334
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
     "(root)": 384,
     "analysis": 3445,
-    "cli": 1920,
+    "cli": 1923,
     "compensators": 147,
     "compile": 3740,
     "controllers": 789,

@@ -199,7 +199,7 @@ def test_what_to_type_next_is_taken_as_it_is_printed(
     assert shlex.split(made.stdout.split("next: ")[1]) == ["undeadzone", "run", "my plant.toml"]
     said: dict[str, Any] = {"zero": 0.0, "resample": None, "columns": "y=a b,u=c"}
     scenario, log = Path("my log.toml"), Path("my log.csv")
-    estimate, run, export_ = _next(scenario, (log,), said).split(", ")
+    estimate, run, export_ = _next(scenario, (log,), said, True).split(", ")
     assert shlex.split(estimate)[1:] == [
         "estimate",
         *map(str, (scenario, log)),
@@ -207,7 +207,9 @@ def test_what_to_type_next_is_taken_as_it_is_printed(
         "y=a b,u=c",
     ]
     assert (run, export_) == ("undeadzone run 'my log.toml'", "or undeadzone export 'my log.toml'")
-    assert "estimate" not in _next(scenario, (log,), said | {"zero": 1.0})
+    assert "estimate" not in _next(scenario, (log,), said | {"zero": 1.0}, True)
+    estimate, watch = _next(scenario, (log,), said, False).split(", ")  # no reference
+    assert shlex.split(watch)[:3] == ["undeadzone", "watch", "my log.toml"]
 
 
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="no compiler")

@@ -119,7 +119,8 @@ def identify(
         keep.unlink(missing_ok=True)
     why |= {} if reason is None else {"no scenario": reason.removeprefix("scenario: ")}
     is_written = path in written
-    follow = {"next": _next(path, logs, options)} if is_written else {}
+    driven = is_written and "[reference]" in path.read_text(encoding="utf-8")
+    follow = {"next": _next(path, logs, options, driven)} if is_written else {}
     is_done, more = is_found or is_written, {}
     if chain is not None and is_written:
         with progress("going on to firmware", None):
@@ -138,13 +139,18 @@ def identify(
     return 0 if is_done else 1
 
 
-def _next(scenario: Path, logs: tuple[Path, ...], options: dict[str, Any]) -> str:
-    """What to type next, with the scenario that was written; a log is followed as it is."""
+def _next(scenario: Path, logs: tuple[Path, ...], options: dict[str, Any], driven: bool) -> str:
+    """What to type next, with the scenario that was written; a log is followed as it is.
+
+    Where fewer inputs drive than outputs are read nothing follows a reference.
+    """
     words = cmd("undeadzone", "run", scenario)
+    if not driven:
+        words = f"{cmd('undeadzone', 'watch', scenario)} of what is read from now on"
     if len(logs) == 1 and not options["zero"] and options["resample"] is None:
         columns = ["--columns", options["columns"]] * bool(options["columns"])
         words = f"{cmd('undeadzone', 'estimate', scenario, *logs, *columns)}, {words}"
-    return f"{words}, or {cmd('undeadzone', 'export', scenario)}"
+    return f"{words}, or {cmd('undeadzone', 'export', scenario)}" if driven else words
 
 
 def _asked_next(answer: Answers) -> tuple[Next | None, dict[str, str]]:
