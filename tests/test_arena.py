@@ -691,6 +691,10 @@ def test_mistakes_are_named(mine: Path, tmp_path: Path) -> None:
     shutil.copy(mine, other)
     with pytest.raises(InputError, match="the same file name"):
         from_files([mine, other])
+    other = other.with_name("other.toml")
+    other.write_text(mine.read_text().replace("step =", "step = -1 #"))
+    with pytest.raises(InputError, match=r"^other: simulation\.step: must be greater than 0"):
+        run(mine, other, "--methods", "kalman")
 
 
 @pytest.mark.parametrize(

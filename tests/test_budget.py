@@ -18,7 +18,7 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 41_670, 334
+MOST_CODE, MOST_FILES = 41_697, 334
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
@@ -38,13 +38,13 @@ BUDGET = {
     "numerics": 836,
     "observers": 3812,
     "plants": 1646,
-    "report": 2916,
+    "report": 2941,
     "results": 932,
     "scenario": 1430,
     "signals": 383,
     "simulation": 2286,
     "statistics": 265,
-    "support": 835,
+    "support": 837,
     "synthesis": 1045,
     "tuning": 871,
 }

@@ -162,7 +162,7 @@ def test_run_imports_no_more_than_it_needs(scenario: Path) -> None:
     )
 
 
-def test_run_json_is_one_object_and_writes_nothing(scenario: Path) -> None:
+def test_run_json_is_one_object_and_writes_nothing_unasked(scenario: Path) -> None:
     done = undeadzone("run", scenario, "--json", "--no-figures", cwd=scenario.parent)
     assert done.returncode == 0
     assert done.stderr == ""
@@ -177,6 +177,10 @@ def test_run_json_is_one_object_and_writes_nothing(scenario: Path) -> None:
     } <= set(result)
     assert 0 < result["rms_tracking"] < 1
     assert sorted(path.name for path in scenario.parent.iterdir()) == ["mine.toml"]
+    tables = undeadzone("run", scenario, "--no-figures", "--csv", cwd=scenario.parent)
+    assert tables.returncode == 0
+    names = sorted(path.name for path in (scenario.parent / "mine-results").iterdir())
+    assert names == ["run.csv", "run.npz"]
 
 
 def test_run_writes_signals_figure_and_page(scenario: Path) -> None:

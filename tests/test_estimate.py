@@ -362,6 +362,9 @@ def test_wrong_arguments(run: uz.Run, folder: Path) -> None:
     ):
         with pytest.raises(uz.InputError, match=words):
             uz.estimate(scenario(), **arguments)
+    backwards = scenario(simulation=uz.Simulation(step=-0.01))
+    with pytest.raises(uz.InputError, match=r"^simulation\.step: must be greater than 0"):
+        uz.estimate(backwards, folder / "run.csv")
     headless = folder / "headless.csv"
     headless.write_text("0,1,2\n0.01,1,2\n")
     with pytest.raises(uz.FileError, match="--columns t=1"):

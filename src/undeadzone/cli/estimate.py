@@ -58,7 +58,7 @@ def estimate(
     from undeadzone.scenario.reader import read_for_logs
     from undeadzone.simulation.estimate import estimate as estimated
 
-    folder = output.folder(f"{log.stem}-estimate")
+    folder = output.folder(f"{log.stem}-estimate", as_csv)
     watched = read_for_logs(scenario, confine)
     with progress("estimating", None, of=watched.observer) as advance:
         result = estimated(

@@ -42,7 +42,7 @@ class Output(NamedTuple):
     as_json: bool
     figures: bool
 
-    def folder(self, default: str) -> Path | None:
+    def folder(self, default: str, tables: bool = False) -> Path | None:
         """The folder for the files written; None: nothing is written.
 
         Called before the computation, so that a folder in which nothing can be written is noticed
@@ -50,12 +50,13 @@ class Output(NamedTuple):
 
         Args:
             default: name of the folder without --out.
+            tables: whether signals are asked for, figures or not.
 
         Raises:
             FileError: nothing can be written there.
         """
         _import_scipy()
-        if self.out is None and not self.figures:
+        if self.out is None and not (self.figures or tables):
             return None
         folder = writable(self.out or Path(default))
         if self.figures:

@@ -59,9 +59,9 @@ def run(
 
     Prints the errors over the last 2 s, the final widths, what can be known of them, and whether a
     certificate holds. Writes run.npz, run.csv (if it has at most 10 MB), figure.svg and report.html
-    to DIR (default: NAME-results), of gears also gears.xml for MuJoCo; with --no-figures and no
-    --out it writes nothing. Exit code 1: it diverged, half the step changes it by more than 1 %, or
-    its widths cannot be identified.
+    to DIR (default: NAME-results), of gears also gears.xml for MuJoCo; with --no-figures and
+    neither --out nor --csv it writes nothing. Exit code 1: it diverged, half the step changes it
+    by more than 1 %, or its widths cannot be identified.
 
     undeadzone run DIR/runs.npz --replay NUMBER shows a run of an ensemble in the same way (default
     folder: run-NUMBER-results), computed again with its own numbers and noise, and reports whether
@@ -77,7 +77,7 @@ def run(
     deviation: float | None = None
     follow: dict[str, str] = {}
     name = scenario.stem if replay is None else f"run-{replay}"
-    folder = output.folder(f"{name}-results")
+    folder = output.folder(f"{name}-results", as_csv)
     if replay is None:
         wanted = _read(scenario, animation is not None, confine)
         result, rival = _simulated(wanted)

@@ -108,7 +108,7 @@ def overview(found_log: Identified) -> Figure:
     _shade_held_out(panels["sides"], found_log)
     fit, t = found_log.answer.fit, found_log.answer.case.grid.t[part]
     behind = fit.objective.kind == "behind"  # readings inside the zone are noise
-    whose = r"Side of $\hat z$" if behind else "Side of the readings"
+    whose = "Side of ẑ" if behind else "Side of the readings"
     side = np.where(data.ok, fit.objective.side(fit.theta), np.nan)[part]
     _sides(panels["sides"], t, side, "silent")
     finish(panels["sides"], whose, "", _time(found_log), legend=0)
@@ -137,7 +137,7 @@ def _output(axes: Axes, found_log: Identified, part: slice) -> None:
     """The output of the fitted plant over time."""
     answer = found_log.answer
     z = (answer.z * answer.scale)[part]
-    axes.plot(answer.case.grid.t[part], z, color=ink.ESTIMATE, label=r"plant's $\hat z$")
+    axes.plot(answer.case.grid.t[part], z, color=ink.ESTIMATE, label="plant's ẑ")
 
 
 def _reading(axes: Axes, found_log: Identified, part: slice) -> None:
@@ -193,7 +193,7 @@ def _hidden(found_log: Identified) -> Figure:
     t, z, band = states.t[part], states.z[part], HALF_95 * states.z_std[part]
     _zone_bands(axes, found_log)
     axes.fill_between(t, z - band, z + band, color=ink.ESTIMATE, alpha=0.25, linewidth=0)
-    axes.plot(t, z, color=ink.ESTIMATE, label=r"$\hat z$ with 95 % band")
+    axes.plot(t, z, color=ink.ESTIMATE, label="ẑ with 95 % band")
     _reading(axes, found_log, part)
     finish(axes, "Inside the zone the sensor is silent", label("z, y", _unit(found_log)),
            _time(found_log))  # fmt: skip
@@ -215,14 +215,12 @@ def _residual_map(found_log: Identified) -> Figure:
     axes.fill_between(x, curve - band, curve + band, color=ink.PRINTED, alpha=0.25, linewidth=0)
     axes.plot(x, curve, color=ink.PRINTED, label="mean residual, 95 %")
     unit = _unit(found_log)
-    finish(
-        axes, r"Residual by $\hat z$", label(r"$y - E[y | \hat z]$", unit), label(r"$\hat z$", unit)
-    )
+    finish(axes, "Residual by ẑ", label("y - E[y | ẑ]", unit), label("ẑ", unit))
     axes = panels["static"]
     _dots(axes, (fit.z * scale)[ok], answer.case.grid.y[ok], ink.READING, "readings")
     z, expected = _sensor_map(found_log)
     axes.plot(z, expected, color=ink.ESTIMATE, label=MAPS.get(found_log.verdict, "dead zone"))
-    finish(axes, r"Reading by $\hat z$", label("y", unit), label(r"$\hat z$", unit))
+    finish(axes, "Reading by ẑ", label("y", unit), label("ẑ", unit))
     return figure
 
 
@@ -312,7 +310,7 @@ def _by_output(found_log: Identified, element: Element) -> Figure:
     grid, scale, unit = answer.case.grid, answer.scale, _unit(found_log)
     figure, panels = sheet([["map", "left"]], "What was found", height=3.4)
     axes, z, title = panels["map"], element.z * scale, "Reading by z^"
-    x, x_label, of_input = z, label(r"$\hat z$", unit), element.kind == "input_zone"
+    x, x_label, of_input = z, label("ẑ", unit), element.kind == "input_zone"
     _dots(axes, z[grid.ok], grid.y[grid.ok], ink.READING, "readings")
     if not of_input:
         part, title = _shown(found_log, MOST_AT_END), f"{title}, and its path"

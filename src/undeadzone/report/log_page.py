@@ -135,7 +135,7 @@ def log_overview(result: Estimation) -> Figure:
     for i in range(result.y.shape[1]):
         rows.append([f"output {i}"] * 2)
         rows.append([f"widths {i}", f"innovation {i}"])
-    figure, panels = sheet(rows, result.info.title)
+    figure, panels = sheet(rows, result.info.title, even=True)
     shown = _shown(result)
     for i, name in enumerate(result.outputs):
         of = f" {name}" if len(result.outputs) > 1 else ""
@@ -162,7 +162,7 @@ def output(
     elif right > -left:
         shade_zone(axes, right, left)
     axes.plot(t, result.y[shown, i], color=ink.READING, label="reading y")
-    axes.plot(t, result.z_hat[shown, i], color=ink.ESTIMATE, label=r"estimate $\hat z$")
+    axes.plot(t, result.z_hat[shown, i], color=ink.ESTIMATE, label="estimate ẑ")
     if result.z_smooth is not None:
         smooth = result.z_smooth[shown, i]
         axes.plot(t, smooth, color=ink.TRUTH, linestyle=(0, (4, 2)), label="with the whole log")
@@ -188,7 +188,7 @@ def _draw_widths(axes: Axes, result: Estimation, i: int, of: str, shown: slice) 
     columns = slice(2 * i, 2 * i + 2)
     widths = result.d_hat[shown, columns]
     std = None if result.d_std is None else result.d_std[shown, columns]
-    width_lines(axes, t, widths, std, "d")
+    width_lines(axes, t, widths, std)
     if result.d_smooth is not None:
         for column, colour in ((2 * i, ink.PRINTED), (2 * i + 1, ink.OTHER)):
             axes.plot(t, result.d_smooth[shown, column], color=colour, linestyle=(0, (4, 2)))

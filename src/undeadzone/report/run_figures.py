@@ -51,7 +51,7 @@ def overview(run: Run) -> Figure:
     rows += halves("command", "actuator", actuators, columns)
     rows += halves("loop", "gaps", gaps, columns)
     size = {"width": 15.0, "height": 2.2} if wide else {}
-    figure, panels = sheet(rows, info.title, **size)
+    figure, panels = sheet(rows, info.title, **size, even=True)
     for i in range(outputs):
         of = f" {plain(str(run.outputs[i]))}" if outputs > 1 else ""
         output(panels[f"output {i}"], run, i, of)
@@ -113,7 +113,7 @@ def output(axes: Axes, run: Run, i: int = 0, of: str = "") -> None:
     axes.plot(t, run.y[shown, i], color=ink.READING, label="reading y")
     axes.plot(t, run.z[shown, i], color=ink.TRUTH, label="output z")
     estimate = run.z_hat[shown, i]
-    axes.plot(t, estimate, color=ink.ESTIMATE, linestyle=(0, (4, 2)), label=r"estimate $\hat z$")
+    axes.plot(t, estimate, color=ink.ESTIMATE, linestyle=(0, (4, 2)), label="estimate ẑ")
     title = f"Output{of} and what is known of it"
     if run.diverged_at is not None:
         title += f", diverged at {run.diverged_at:.4g} s"
@@ -126,8 +126,8 @@ def _errors(axes: Axes, run: Run, i: int, of: str) -> None:
     t = run.t[shown]
     if i in run.info.tracked:
         tracking = (run.z[:, i] - run.r[:, run.info.tracked.index(i)])[shown]
-        plot_magnitude(axes, t, tracking, ink.REFERENCE, "$|z - r|$")
-    plot_magnitude(axes, t, (run.z - run.z_hat)[shown, i], ink.ESTIMATE, r"$|z - \hat z|$")
+        plot_magnitude(axes, t, tracking, ink.REFERENCE, "|z - r|")
+    plot_magnitude(axes, t, (run.z - run.z_hat)[shown, i], ink.ESTIMATE, "|z - ẑ|")
     finish(axes, f"Errors{of}", axis_label("error", run.unit("z")))
 
 
@@ -143,7 +143,7 @@ def _loop(axes: Axes, run: Run, i: int, of: str) -> None:
     last = slice(2 * run.t.size // 3, None)
     axes.plot(run.z[last, i], run.y[last, i], color=ink.TRUTH, label="z")
     z_hat = run.z_hat[last, i]
-    axes.plot(z_hat, run.y[last, i], color=ink.ESTIMATE, linestyle=(0, (4, 2)), label=r"$\hat z$")
+    axes.plot(z_hat, run.y[last, i], color=ink.ESTIMATE, linestyle=(0, (4, 2)), label="ẑ")
     title, unit = f"Reading{of} over the output, last third", run.unit("z")
     finish(axes, title, axis_label("y", run.unit("y")), axis_label("z", unit))
 
@@ -164,7 +164,7 @@ def _edges(axes: Axes, run: Run, i: int, letter: str, true: Sequence[float], wha
         axes.axhline(value, color=colour, linewidth=3.0, alpha=0.3)
     found, std = getattr(run, name), getattr(run, f"{letter}_std")
     band = None if std is None else std[run.shown, columns]
-    width_lines(axes, run.t[run.shown], found[run.shown, columns], band, letter)
+    width_lines(axes, run.t[run.shown], found[run.shown, columns], band)
     finish(axes, f"{what}, truth pale", axis_label(letter, run.unit(name)))
 
 

@@ -29,6 +29,8 @@ FINE: Final = 200  # of what is no curve in an SVG: thousands of dots
 FLOOR: Final = 1e-16  # least value on a logarithmic axis
 SPANS: Final = 120  # of time, in each of which the largest sample is shown
 LEGEND_ROOM: Final = 0.22  # share of an axis that a legend adds above it
+ROOM: Final = (0.85, 0.2, 0.5, 0.6, 0.85, 0.8)  # left, right, below, above; between [inch]
+EDGE: Final = 0.1  # between the top of a figure and its title [inch]
 
 
 @functools.cache
@@ -44,19 +46,26 @@ def own_settings() -> None:
     """Import Matplotlib with its defaults, whatever the working folder or environment ask for.
 
     A file `matplotlibrc` there would change figures, and may belong to a stranger. This is for the
-    command line, whose process is its own: in a notebook the user's settings hold.
+    command line, whose process is its own: in a notebook the user's settings hold. No command reads
+    the help of Matplotlib's setters, a fifth of its import: it is left out.
     """
     if "matplotlib" in sys.modules:
         return
     os.environ.pop("MPLBACKEND", None)
     with contextlib.chdir(Path(__file__).parent / "rc"):  # Matplotlib looks there first
         import matplotlib
+        from matplotlib import artist
 
         matplotlib.get_backend()
+        help_of, artist.kwdoc = artist.kwdoc, lambda artist: ""
+        try:
+            import matplotlib.figure
+        finally:
+            artist.kwdoc = help_of
 
 
 def sheet(
-    rows: list[list[str]], title: str, width: float = 10.0, height: float = 2.5
+    rows: list[list[str]], title: str, width: float = 10.0, height: float = 2.5, even: bool = False
 ) -> tuple[Figure, dict[str, Axes]]:
     """A figure of named panels and these panels by name.
 
@@ -65,16 +74,37 @@ def sheet(
         title: of the figure; a dollar begins no formula
         width: of the figure [inch]
         height: of one row [inch]
+        even: whether fixed room is left around panels, as what is drawn over time needs it, in
+            place of a layout by all labels, which takes longer than the lines
     """
     import matplotlib
     from matplotlib.figure import Figure
 
     with matplotlib.rc_context(_look()):
-        figure = Figure(figsize=(width, height * len(rows) + 0.4), layout="constrained")
-        figure.suptitle(plain(title), x=0.01, ha="left")
+        size = (width, height * len(rows) + 0.4)
+        figure = Figure(figsize=size, layout=None if even else "constrained")
+        figure.suptitle(plain(title), x=0.01, ha="left", y=1 - EDGE / size[1] if even else None)
+        if even:
+            _leave_room(figure, rows)
         vars(figure)["_repr_png_"] = functools.partial(png, figure)  # so that a notebook shows it
         mosaic: Any = rows
         return figure, figure.subplot_mosaic(mosaic)
+
+
+def _leave_room(figure: Figure, rows: list[list[str]]) -> None:
+    """Place panels with fixed room around them and between them."""
+    (width, height), (left, right, below, above, beside, between) = figure.get_size_inches(), ROOM
+    columns = len(rows[0])
+    wide = (width - left - right - beside * (columns - 1)) / columns
+    high = (height - below - above - between * (len(rows) - 1)) / len(rows)
+    figure.subplots_adjust(
+        left / width,
+        below / height,
+        1 - right / width,
+        1 - above / height,
+        beside / wide,
+        between / high,
+    )
 
 
 def finish(
@@ -146,11 +176,15 @@ def plot_magnitude(axes: Axes, t: Floats, values: Floats, colour: str, name: str
         values: a sample for each instant
         colour, name: of the line
     """
+    from matplotlib.ticker import LogFormatter
+
     size = np.abs(values)
     starts = np.linspace(0, t.size, min(SPANS, t.size), endpoint=False).astype(int)
     peaks = np.maximum.reduceat(size, starts)
     floor = floor_of(peaks)
     axes.set_yscale("log")
+    axes.yaxis.set_major_formatter(LogFormatter())
+    axes.yaxis.set_minor_formatter(LogFormatter())
     faint = np.maximum(size, floor)
     axes.plot(t, faint, color=colour, alpha=0.22, linewidth=0.7, rasterized=True)
     axes.plot(t[starts], np.maximum(peaks, floor), color=colour, label=name)
@@ -191,7 +225,7 @@ def image(figure: Figure, kind: str) -> bytes:
     return buffer.getvalue()
 
 
-def width_lines(axes: Axes, t: Floats, widths: Floats, std: Floats | None, letter: str) -> None:
+def width_lines(axes: Axes, t: Floats, widths: Floats, std: Floats | None) -> None:
     """A right and a left width, each with its 95 % intervals.
 
     The band does not stretch the axis: at first it is wide.
@@ -201,11 +235,10 @@ def width_lines(axes: Axes, t: Floats, widths: Floats, std: Floats | None, lette
         t: times (N) [s].
         widths: right and left estimates (N x 2).
         std: their standard deviations (N x 2); None: there are none.
-        letter: of the widths, d or b.
     """
-    sides = (("r", ink.PRINTED), ("l", ink.OTHER))
+    sides = (("right", ink.PRINTED), ("left", ink.OTHER))
     for k, (side, colour) in enumerate(sides):
-        axes.plot(t, widths[:, k], color=colour, label=rf"$\hat {letter}_{side}$")
+        axes.plot(t, widths[:, k], color=colour, label=side)
     if std is None:
         return
     limits = axes.get_ylim()

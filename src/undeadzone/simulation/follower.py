@@ -21,7 +21,7 @@ from undeadzone.scenario.schema import Scenario, Units
 from undeadzone.simulation.consistency import Consistency, Own, verdict_of
 from undeadzone.simulation.online import Online, built_for
 from undeadzone.simulation.sample_by_sample import numeric_along
-from undeadzone.support.arrays import Floats
+from undeadzone.support.arrays import Floats, scalar
 
 LIMIT = 1e12  # beyond this an estimate has diverged
 
@@ -57,8 +57,8 @@ class Follower:
     )
 
     def __init__(self, scenario: Scenario, live: bool = False) -> None:
-        simulation = scenario.simulation
-        plant, step = modelled_plant(scenario), simulation.step
+        simulation, plant = scenario.simulation, modelled_plant(scenario)
+        step = scalar("simulation.step", simulation.step, above=0.0)
         parts = (scenario.observer, plant, known_sensor(scenario), step, simulation.substeps)
         actuator = known_actuator(scenario)
         self.model, self.zone, built = built_for(*parts, actuator)

@@ -49,7 +49,9 @@ def require_own(path: Path, force: bool = False) -> None:
         force: whether it may be replaced all the same.
     """
     if not force and (path.exists() or path.is_symlink()) and not is_own(path):
-        raise FileError(f"{path}: exists already, as someone else left it: not replaced; {CURE}")
+        raise FileError(
+            f"{path}: exists already, and may hold work of your own: not replaced; {CURE}"
+        )
 
 
 def write_own(text: str, path: Path, force: bool = False) -> Path:

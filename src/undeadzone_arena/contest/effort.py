@@ -9,7 +9,7 @@ from typing import Final
 from undeadzone.scenario.schema import Scenario
 from undeadzone_arena.contest.leaderboard import NAIVE
 from undeadzone_arena.contest.methods import catalogue
-from undeadzone_arena.contest.prior_knowledge import situation
+from undeadzone_arena.contest.prior_knowledge import Setting, situations
 from undeadzone_arena.contest.trials import processes_for, trial
 
 # Times a run of the naive observer: `python -m benchmarks arena_effort`.
@@ -31,7 +31,7 @@ def in_words(
     what: str,
     processes: int | None,
 ) -> str:
-    """How many runs there are, and about how many minutes they take.
+    """How many runs there are, and about how many minutes they take. Raises InputError.
 
     Args:
         names: of the methods.
@@ -43,7 +43,7 @@ def in_words(
     total = len(names) * len(grounds) * runs
     at_once = processes_for(len(names) * len(grounds), processes)
     work = sum(HEAVY.get(name, USUAL) for name in names) * runs
-    minutes = work * sum(map(_naive, grounds.values())) / at_once / 60
+    minutes = work * sum(map(_naive, situations(grounds).values())) / at_once / 60
     return (
         f"{_counted(len(names), 'method')} x {_counted(len(grounds), 'scenario')} x "
         f"{_counted(runs, what)} = {_counted(total, 'run')}; {_about(minutes)} on "
@@ -51,11 +51,10 @@ def in_words(
     )
 
 
-def _naive(scenario: Scenario) -> float:
+def _naive(setting: Setting) -> float:
     """The time that a run of the naive observer takes [s]."""
-    method, setting = catalogue()[NAIVE], situation(scenario)
     began = time.perf_counter()
-    trial(NAIVE, method, "", setting, [scenario.simulation.seed])
+    trial(NAIVE, catalogue()[NAIVE], "", setting, [setting.scenario.simulation.seed])
     return time.perf_counter() - began
 
 

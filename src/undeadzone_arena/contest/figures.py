@@ -137,7 +137,7 @@ def _trace(axes: Axes, trace: Trace) -> None:
     shade_zone(axes, *trace.widths)
     axes.plot(t, r, color=ink.REFERENCE, linewidth=2.6, alpha=0.45, label="reference r")
     axes.plot(t, z, color=ink.TRUTH, label="output z")
-    axes.plot(t, z_hat, color=ink.ESTIMATE, linestyle=(0, (4, 2)), label=r"estimate $\hat z$")
+    axes.plot(t, z_hat, color=ink.ESTIMATE, linestyle=(0, (4, 2)), label="estimate ẑ")
     largest = 2.5 * np.abs(trace.r).max()
     low, high = axes.get_ylim()
     axes.set_ylim(max(low, -largest), min(high, largest))

@@ -133,6 +133,17 @@ class Setting(NamedTuple):
     known: PriorKnowledge
 
 
+def situations(scenarios: Mapping[str, Scenario]) -> dict[str, Setting]:
+    """Scenarios by title, each with what is known of it. Raises InputError, which names one."""
+    found = {}
+    for title, scenario in scenarios.items():
+        try:
+            found[title] = situation(scenario)
+        except InputError as error:
+            raise type(error)(f"{title}: {error}") from None
+    return found
+
+
 def situation(scenario: Scenario) -> Setting:
     """A scenario with what is known of it. Raises InputError or a subclass."""
     if scenario.sensor.play is not None:

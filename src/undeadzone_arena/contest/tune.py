@@ -17,7 +17,7 @@ from undeadzone.support.arrays import Floats
 from undeadzone_arena.contest.leaderboard import CAP, FRAME, regrets
 from undeadzone_arena.contest.methods import Method, catalogue, middle
 from undeadzone_arena.contest.metric import Result
-from undeadzone_arena.contest.prior_knowledge import Setting, situation
+from undeadzone_arena.contest.prior_knowledge import Setting, situations
 from undeadzone_arena.contest.processes import as_done
 from undeadzone_arena.contest.trials import problem_of, trial
 from undeadzone_arena.contest.tuned_file import Found, Tuned
@@ -84,7 +84,7 @@ def tune(
 
 def _frame(grounds: Mapping[str, Scenario], seeds: Sequence[int]) -> list[Result]:
     """The results of the lines that are always there."""
-    settings = {title: situation(scenario) for title, scenario in grounds.items()}
+    settings = situations(grounds)
     known = catalogue()
     results: list[Result] = []
     for name in FRAME:
@@ -102,7 +102,7 @@ def _search(
     search: int,
 ) -> Found:
     """The numbers of one method's knobs, found in a process of its own."""
-    grounds = {title: situation(scenario) for title, scenario in scenarios.items()}
+    grounds = situations(scenarios)
     method = catalogue()[name]
 
     def cost(numbers: Mapping[str, float]) -> float:
