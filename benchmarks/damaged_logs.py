@@ -10,9 +10,9 @@ import numpy as np
 
 from benchmarks.markdown import head, row
 from undeadzone.errors import UndeadzoneError
-from undeadzone.identification.logs.grid import to_grid
-from undeadzone.identification.logs.log import read_log
 from undeadzone.logs.samples import LogReader
+from undeadzone_identify.logs.grid import to_grid
+from undeadzone_identify.logs.log import read_log
 
 FILES = 10_000
 

@@ -13,13 +13,13 @@ from benchmarks.firmware import ROOT
 from benchmarks.kernels import least
 from benchmarks.markdown import head, row
 from undeadzone.compile import lanes
-from undeadzone.exports import accuracy, parts
-from undeadzone.exports.code import code, operations
-from undeadzone.exports.parts import Step
-from undeadzone.exports.vectors import recorded
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.support.arrays import Floats
+from undeadzone_export import accuracy, parts
+from undeadzone_export.code import code, operations
+from undeadzone_export.parts import Step
+from undeadzone_export.vectors import recorded
 
 RUNS, STEPS = 1000, 50
 OPTIONS = ("-O3", "-march=native", "-ffp-contract=fast")

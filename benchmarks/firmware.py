@@ -14,13 +14,13 @@ import numpy as np
 
 import undeadzone as uz
 from benchmarks.markdown import head, row
-from undeadzone.exports import accuracy, compiler, parts
-from undeadzone.exports.code import Code, code
-from undeadzone.exports.parts import Step
-from undeadzone.exports.source import Labels, source
-from undeadzone.exports.vectors import chosen, continued, recorded, reference, selftest
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
+from undeadzone_export import accuracy, compiler, parts
+from undeadzone_export.code import Code, code
+from undeadzone_export.parts import Step
+from undeadzone_export.source import Labels, source
+from undeadzone_export.vectors import chosen, continued, recorded, reference, selftest
 
 ROOT = Path(__file__).parents[1]
 EMULATOR = ROOT / "tests" / "emulator"

@@ -13,14 +13,14 @@ from scipy.signal import lfilter
 
 from benchmarks.identify_logs import excitation, make, plant
 from benchmarks.markdown import head, row
-from undeadzone.identification.logs.grid import to_grid
-from undeadzone.identification.logs.log import Options, log_of_arrays
-from undeadzone.identification.logs.prepare import prepare
-from undeadzone.identification.models.estimates import Spread, quantile, sandwich
-from undeadzone.identification.models.plant import Simulator, delayed
-from undeadzone.identification.models.zone_fit import Fit, fit_zone, polished, refit
 from undeadzone.statistics.intervals import proportion
 from undeadzone.support.arrays import Floats
+from undeadzone_identify.logs.grid import to_grid
+from undeadzone_identify.logs.log import Options, log_of_arrays
+from undeadzone_identify.logs.prepare import prepare
+from undeadzone_identify.models.estimates import Spread, quantile, sandwich
+from undeadzone_identify.models.plant import Simulator, delayed
+from undeadzone_identify.models.zone_fit import Fit, fit_zone, polished, refit
 
 FAMILIES = ("white", "coloured", "strong", "sines", "one", "drift", "heavy", "late")
 FIRST = 700  # seed

@@ -12,7 +12,7 @@ import undeadzone as uz
 from benchmarks.identify_logs import Made, make
 from benchmarks.markdown import head, row
 from undeadzone.errors import InputError
-from undeadzone.report.identify_page import write_identified
+from undeadzone_identify.page import write_identified
 
 SIZES = (2_000, 10_000, 30_000, 100_000)
 FAMILY, SEED = "coloured", 3

@@ -13,9 +13,9 @@ import undeadzone as uz
 from benchmarks.markdown import head, row
 from benchmarks.timing import least
 from undeadzone.catalogue import ObserverOptions
-from undeadzone.exports import accuracy, parts
-from undeadzone.exports.code import code
 from undeadzone.scenario.problem import resolve_scenario
+from undeadzone_export import accuracy, parts
+from undeadzone_export.code import code
 
 BLOCK = 10  # calls' worth of samples in a block
 FILTER = uz.Censored(right=[0.5, 1.5], left=[0.5, 1.5])

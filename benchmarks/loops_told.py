@@ -13,13 +13,13 @@ import numpy as np
 from benchmarks.loop_logs import LoopLog, make
 from benchmarks.markdown import head, row
 from benchmarks.names import commit, share
-from undeadzone.identification.logs.grid import to_grid
-from undeadzone.identification.logs.log import Options, log_of_arrays
-from undeadzone.identification.logs.prepare import prepare
-from undeadzone.identification.models.place import fit_at_input, fit_both_ends
-from undeadzone.identification.models.plant import Simulator
-from undeadzone.identification.models.zone_fit import fit_zone
-from undeadzone.identification.verdict.place import find_places
+from undeadzone_identify.logs.grid import to_grid
+from undeadzone_identify.logs.log import Options, log_of_arrays
+from undeadzone_identify.logs.prepare import prepare
+from undeadzone_identify.models.place import fit_at_input, fit_both_ends
+from undeadzone_identify.models.plant import Simulator
+from undeadzone_identify.models.zone_fit import fit_zone
+from undeadzone_identify.verdict.place import find_places
 
 
 def errors(log: LoopLog) -> list[tuple[float, float]]:

@@ -23,9 +23,9 @@ import numpy as np
 import undeadzone as uz
 from benchmarks.markdown import head, row
 from benchmarks.names_logs import TRUTHS, NamedLog, make
-from undeadzone.identification.verdict.verdict import FEW
 from undeadzone.statistics.intervals import proportion
 from undeadzone.support.progress import on_terminal
+from undeadzone_identify.verdict.verdict import FEW
 
 KEPT = Path("build/names.jsonl")
 FIGURE = Path(__file__).with_name("names.svg")

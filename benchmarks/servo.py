@@ -19,10 +19,10 @@ from benchmarks.markdown import head, row
 from benchmarks.mujoco_servo import mujoco_log
 from benchmarks.names import commit
 from benchmarks.servo_logs import Recorded, random_log, resting_log
-from undeadzone.identification.servo.gap import REVERSALS, ServoGap, servo_gap
-from undeadzone.identification.servo.heard import heard
 from undeadzone.scenario.reader import parse
 from undeadzone.statistics.intervals import proportion
+from undeadzone_identify.servo.gap import REVERSALS, ServoGap, servo_gap
+from undeadzone_identify.servo.heard import heard
 
 FRESH = 5000  # first seed: those below were used while the method was made
 PER_LOG = 4000  # samples, to which CPU times are scaled

@@ -13,8 +13,8 @@ import numpy as np
 import undeadzone as uz
 from benchmarks.markdown import head, row
 from benchmarks.which_logs import FAMILIES, KINDS, NOISE, WHERE, closed_loop, open_log
-from undeadzone.identification.models.motion import Offsets, Sensing, four_offsets
 from undeadzone.statistics.intervals import proportion
+from undeadzone_identify.models.motion import Offsets, Sensing, four_offsets
 
 TWO_SIDED = 1.96
 WINDOW = 20  # readings, a 25th of the reference's period

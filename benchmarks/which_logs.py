@@ -10,8 +10,8 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 
 from benchmarks.identify_logs import excitation, plant
-from undeadzone.identification.models.motion import Moving
 from undeadzone.support.arrays import Floats
+from undeadzone_identify.models.motion import Moving
 
 KINDS = ("neither", "dead_zone", "play", "both")
 WHERE = (*KINDS, "input_zone")

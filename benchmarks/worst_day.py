@@ -12,12 +12,12 @@ import numpy as np
 import undeadzone as uz
 from benchmarks.markdown import head, row
 from undeadzone.errors import InputError
-from undeadzone.exports import parts, vectors
-from undeadzone.exports.accuracy import Compiled
-from undeadzone.exports.code import code
-from undeadzone.exports.parts import places_of
 from undeadzone.scenario.schema import Scenario
 from undeadzone.support.arrays import Floats
+from undeadzone_export import parts, vectors
+from undeadzone_export.accuracy import Compiled
+from undeadzone_export.code import code
+from undeadzone_export.parts import places_of
 
 SAMPLES = 10_000
 FLAGS = ("side", "consistent", "refused", "restarts")

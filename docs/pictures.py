@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING, Final
 
 import undeadzone as uz
 import undeadzone_arena
-from undeadzone.report import animation, gain_figures, identify_figures, run_figures, style
+from undeadzone.report import animation, gain_figures, run_figures, style
 from undeadzone.results.run import Run
 from undeadzone.simulation.simulate import beside
 from undeadzone_arena.contest.page import figures as of_contest
+from undeadzone_identify import figures
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -43,7 +44,7 @@ def hidden() -> Figure:
     """The hidden output that `identify` finds in the log of a tutorial."""
     with tempfile.TemporaryDirectory() as folder, chdir(folder):
         found = runpy.run_path(str(DOCS / "tutorials/log_to_widths.py"))
-    return identify_figures.figures(found["answer"])["hidden"]
+    return figures.figures(found["answer"])["hidden"]
 
 
 def trade() -> Figure:

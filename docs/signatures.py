@@ -15,8 +15,8 @@ import numpy as np
 
 from undeadzone.ends.actuator import Actuator, resolve_actuator, through_zone
 from undeadzone.ends.play import held
-from undeadzone.identification.models.place import simulate
 from undeadzone.support.arrays import Floats
+from undeadzone_identify.models.place import simulate
 
 FOLDER = Path(__file__).parent / "figures" / "which"
 STYLE = """<style>

@@ -23,8 +23,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import undeadzone
 from tools import pytest_terminal_summary as pytest_terminal_summary
 from undeadzone.ensemble import journal
-from undeadzone.exports import compiler
 from undeadzone.report.style import own_settings
+from undeadzone_export import compiler
 
 gc.set_threshold(100_000)  # as the command line does
 settings.register_profile(

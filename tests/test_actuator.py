@@ -27,8 +27,6 @@ from undeadzone.ends.actuator import (
 )
 from undeadzone.ensemble.run_ensemble import deviation, run_ensemble
 from undeadzone.errors import InputError, ShapeError, StructureError
-from undeadzone.exports import parts as export_parts
-from undeadzone.exports import vectors
 from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.observers.parts.further_constants import Zones, entering
 from undeadzone.plants.system import sampled
@@ -41,6 +39,8 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.loop import Outputs
 from undeadzone.simulation.simulate import outputs_of, prepare, simulate
 from undeadzone.support.arrays import Floats
+from undeadzone_export import parts as export_parts
+from undeadzone_export import vectors
 
 TS = 0.01
 RIGHT, LEFT = 3.0, 2.0

@@ -19,9 +19,9 @@ import pytest
 
 from commands import undeadzone
 from undeadzone.cli import group
-from undeadzone.exports import export
 from undeadzone.results.run import Run
 from undeadzone.support import progress
+from undeadzone_export import export
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 COMMAND = [sys.executable, "-c", "from undeadzone.cli import main; main()"]

@@ -15,7 +15,6 @@ import pytest
 
 import undeadzone as uz
 from undeadzone.cli import group
-from undeadzone.exports import export
 from undeadzone.numerics.first_passage import arriving, at_edge, beyond
 from undeadzone.numerics.gaussian import Gaussian, cut_to, mixed
 from undeadzone.observers.parts.contact_drive import PASSED, drive_of, either, made_up, posture
@@ -34,6 +33,7 @@ from undeadzone.plants.robots.geared import Gears, geared_motion
 from undeadzone.results import mjcf
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
+from undeadzone_export import export
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 SERVO = """

@@ -9,11 +9,11 @@ import pytest
 from scipy.signal import lfilter
 
 from undeadzone.ends.sensor import DIRECTIONS
-from undeadzone.identification.models.plant import Data, delayed
-from undeadzone.identification.models.zone import Limits
-from undeadzone.identification.verdict.delays import _late, alike, better_delay, refined_delay
-from undeadzone.identification.verdict.orders import OrderFit, fit_orders, order_to_write
-from undeadzone.identification.verdict.widths import find_widths
+from undeadzone_identify.models.plant import Data, delayed
+from undeadzone_identify.models.zone import Limits
+from undeadzone_identify.verdict.delays import _late, alike, better_delay, refined_delay
+from undeadzone_identify.verdict.orders import OrderFit, fit_orders, order_to_write
+from undeadzone_identify.verdict.widths import find_widths
 
 LATE = 6
 POLES = np.array([0.86 + 0.19j, 0.86 - 0.19j, 0.71])

@@ -24,10 +24,10 @@ from tools import require
 from undeadzone.compile import elementary, lanes, live
 from undeadzone.compile.graph import needed
 from undeadzone.errors import FileError, InputError
-from undeadzone.exports import accuracy, compiler, export, parts, vectors
-from undeadzone.exports.code import code
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
+from undeadzone_export import accuracy, compiler, export, parts, vectors
+from undeadzone_export.code import code
 
 FLAGS = ["-std=c99", "-ffp-contract=off", "-fno-math-errno"]
 WARNINGS = [

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 from click.testing import CliRunner, Result
 
-from undeadzone.cli.export import export as command
 from undeadzone.errors import InputError
-from undeadzone.exports import accuracy, export
+from undeadzone_export import accuracy, export
+from undeadzone_export.command import export as command
 
 SCENARIO = """
 title = "Arm joint"

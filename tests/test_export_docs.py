@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import undeadzone as uz
-from undeadzone.exports import export
+from undeadzone_export import export
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "export.md").read_text(encoding="utf-8")
@@ -44,7 +44,7 @@ def test_the_page_says_how_long_structured_text_is(
 
 
 def test_the_page_names_every_option() -> None:
-    from undeadzone.cli.export import export as command
+    from undeadzone_export.command import export as command
 
     for parameter in command.params:
         for name in parameter.opts:

@@ -16,8 +16,8 @@ import undeadzone as uz
 from scenes import scene
 from test_engines import OBSERVERS, small
 from tools import require
-from undeadzone.exports import compiler, export
 from undeadzone.scenario.schema import Scenario
+from undeadzone_export import compiler, export
 
 HERE = Path(__file__).parent / "emulator"
 TOOLS = {

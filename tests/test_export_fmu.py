@@ -18,11 +18,11 @@ from scenes import scene
 from test_engines import OBSERVERS, small
 from tools import require
 from undeadzone.errors import InputError
-from undeadzone.exports import compiler, export
-from undeadzone.exports.fmu.package import KINDS
 from undeadzone.interfaces import Estimate
 from undeadzone.results.signals import of_kind
 from undeadzone.scenario.schema import Scenario, Units
+from undeadzone_export import compiler, export
+from undeadzone_export.fmu.package import KINDS
 
 if importlib.util.find_spec("fmpy"):
     import fmpy

@@ -21,13 +21,13 @@ from undeadzone.compile.print_c import literal
 from undeadzone.compile.replica import replica
 from undeadzone.compile.simplify import held
 from undeadzone.errors import InputError
-from undeadzone.exports.accuracy import Compiled
-from undeadzone.exports.code import code, operations, split
-from undeadzone.exports.parts import Field, Step
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import sampled
 from undeadzone.support.arrays import Floats
+from undeadzone_export.accuracy import Compiled
+from undeadzone_export.code import code, operations, split
+from undeadzone_export.parts import Field, Step
 
 
 @pytest.fixture(autouse=True)

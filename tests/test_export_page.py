@@ -23,10 +23,10 @@ from undeadzone.compile import print_wasm
 from undeadzone.compile.lower import portable
 from undeadzone.compile.replica import elementary
 from undeadzone.errors import FileError, InputError
-from undeadzone.exports.page.build import build
 from undeadzone.report import html
 from undeadzone.scenario.schema import Scenario
 from undeadzone.support.arrays import Floats
+from undeadzone_export.page.build import build
 
 ROOT = Path(__file__).parents[1]
 LIVE = ROOT / "examples" / "live.toml"

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import undeadzone as uz
-from undeadzone.exports import export
+from undeadzone_export import export
 
 ROOT = Path(__file__).parents[1]
 DRIVE = """

@@ -25,12 +25,12 @@ from undeadzone.compile.graph import Nodes
 from undeadzone.compile.print_c import Expressions, Style, functions
 from undeadzone.compile.print_st import ST, assigned
 from undeadzone.errors import InputError
-from undeadzone.exports import export, parts, plc, plc_files
-from undeadzone.exports.code import Code, code
-from undeadzone.exports.source import Labels, source
-from undeadzone.exports.vectors import chosen, continued, recorded, reference
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
+from undeadzone_export import export, parts, plc, plc_files
+from undeadzone_export.code import Code, code
+from undeadzone_export.source import Labels, source
+from undeadzone_export.vectors import chosen, continued, recorded, reference
 
 SAMPLES = 10_000
 FLAGS = ["-std=c99", "-ffp-contract=off", "-fno-math-errno", "-w", "-O0"]

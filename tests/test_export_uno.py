@@ -12,8 +12,8 @@ import undeadzone as uz
 from scenes import scene
 from test_engines import OBSERVERS, small
 from tools import require
-from undeadzone.exports import export
 from undeadzone.scenario.schema import Scenario
+from undeadzone_export import export
 
 UNO = Path(__file__).parent / "emulator" / "uno.c"
 TOOLS = {"avr-gcc": "gcc-avr, avr-libc", "simavr": "simavr"}

@@ -14,15 +14,16 @@ from scipy.special import log_ndtr, ndtr
 
 import undeadzone as uz
 from undeadzone.errors import InputError
-from undeadzone.identification.models.estimates import (
+from undeadzone.support.arrays import Floats
+from undeadzone_identify.models.estimates import (
     Spread,
     long_run_covariance,
     quantile,
     sandwich,
 )
-from undeadzone.identification.models.kalman import KalmanObjective, matrices
-from undeadzone.identification.models.kalman_fit import KalmanFit, innovations, smooth
-from undeadzone.identification.models.likelihood import (
+from undeadzone_identify.models.kalman import KalmanObjective, matrices
+from undeadzone_identify.models.kalman_fit import KalmanFit, innovations, smooth
+from undeadzone_identify.models.likelihood import (
     Noise,
     Readings,
     behind,
@@ -31,12 +32,11 @@ from undeadzone.identification.models.likelihood import (
     pairs,
     singles,
 )
-from undeadzone.identification.models.place import simulate
-from undeadzone.identification.models.plant import Data, Layout, Simulator
-from undeadzone.identification.models.zone import Limits, Objective
-from undeadzone.identification.models.zone_fit import Fit, fit_zone, less_odd, polished, refit
-from undeadzone.identification.verdict.widths import profile
-from undeadzone.support.arrays import Floats
+from undeadzone_identify.models.place import simulate
+from undeadzone_identify.models.plant import Data, Layout, Simulator
+from undeadzone_identify.models.zone import Limits, Objective
+from undeadzone_identify.models.zone_fit import Fit, fit_zone, less_odd, polished, refit
+from undeadzone_identify.verdict.widths import profile
 
 A, B = np.array([-1.6, 0.68]), np.array([0.05, 0.03])
 

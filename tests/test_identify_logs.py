@@ -16,9 +16,9 @@ from scipy.signal import lfilter
 import undeadzone as uz
 from undeadzone.cli import group
 from undeadzone.errors import FileError, InputError
-from undeadzone.identification.logs.grid import find_quantum, shortened, to_grid
-from undeadzone.identification.logs.log import log_of_arrays, read_log
 from undeadzone.scenario.reader import read
+from undeadzone_identify.logs.grid import find_quantum, shortened, to_grid
+from undeadzone_identify.logs.log import log_of_arrays, read_log
 
 ROWS = np.column_stack([0.5 * np.arange(5), [1, 2, 3, 4, 5.5], [0, 0, -0.25, 1, 2]])
 

@@ -15,11 +15,11 @@ from scipy.signal import lfilter
 import undeadzone as uz
 from undeadzone.cli import group
 from undeadzone.errors import InputError
-from undeadzone.identification.answer.to_continuous import continuous
-from undeadzone.identification.logs.prepare import edge_of
-from undeadzone.identification.models.plant import Data, Simulator, delayed
-from undeadzone.identification.models.zone import Limits, Objective
 from undeadzone.linear.hold import zoh
+from undeadzone_identify.answer.to_continuous import continuous
+from undeadzone_identify.logs.prepare import edge_of
+from undeadzone_identify.models.plant import Data, Simulator, delayed
+from undeadzone_identify.models.zone import Limits, Objective
 
 DENOMINATOR = [1.0, -1.6, 0.68]
 STEP = 0.05

@@ -15,7 +15,7 @@ import once
 import undeadzone_paper
 from undeadzone.cli import group
 from undeadzone.cli.common import SCHEMA
-from undeadzone.exports import export
+from undeadzone_export import export
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs/json.md").read_text(encoding="utf-8")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 from pathlib import Path
 from types import ModuleType
 
@@ -11,35 +12,73 @@ import pytest
 import once
 import undeadzone
 import undeadzone_arena
+import undeadzone_export
+import undeadzone_identify
 import undeadzone_paper
 
 ROOT = Path(undeadzone.__file__).parent
-EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
-FILES = sorted(
-    path.relative_to(ROOT) for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents
-)
-# The other packages of the distribution, and what of it each may import.
-OTHERS = {undeadzone_paper: ("undeadzone",), undeadzone_arena: ("undeadzone", "undeadzone_paper")}
-
+# The packages of the distribution, and what else of it each may import.
+PACKAGES = {
+    undeadzone: (),
+    undeadzone_export: ("undeadzone",),
+    undeadzone_identify: ("undeadzone", "undeadzone_export"),
+    undeadzone_paper: ("undeadzone", "undeadzone_identify"),
+    undeadzone_arena: ("undeadzone", "undeadzone_paper"),
+}
 # From the ground up; rooms of one floor do not know each other.
-FLOORS = (
-    ("errors",),
-    ("support",),
-    ("compile", "ends", "linear", "logs", "numerics", "statistics"),
-    ("plants", "signals"),
-    ("feedforward",),
-    ("analysis", "interfaces"),
-    ("catalogue",),
-    ("compensators", "controllers", "observers"),
-    ("scenario",),
-    ("results",),
-    ("simulation",),
-    ("ensemble", "exports", "identification", "synthesis"),
-    ("tuning",),
-    ("report",),
-    ("cli",),
-)
-FLOOR = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms}
+FLOORS = {
+    undeadzone: (
+        ("errors",),
+        ("support",),
+        ("compile", "ends", "linear", "logs", "numerics", "statistics"),
+        ("plants", "signals"),
+        ("feedforward",),
+        ("analysis", "interfaces"),
+        ("catalogue",),
+        ("compensators", "controllers", "observers"),
+        ("scenario",),
+        ("results",),
+        ("simulation",),
+        ("ensemble", "synthesis"),
+        ("tuning",),
+        ("report",),
+        ("cli",),
+    ),
+    undeadzone_export: (
+        ("boards", "compiler", "parts", "template"),
+        ("code",),
+        ("fmu", "page", "source", "vectors"),
+        ("accuracy", "plc"),
+        ("plc_files",),
+        ("targets",),
+        ("exported",),
+        ("command",),
+    ),
+    undeadzone_identify: (
+        ("models",),
+        ("logs",),
+        ("servo",),
+        ("verdict",),
+        ("answer",),
+        ("chain", "figures", "questions"),
+        ("page",),
+        ("command",),
+    ),
+}
+each_package = pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.__name__)
+each_house = pytest.mark.parametrize("package", FLOORS, ids=lambda package: package.__name__)
+
+
+@functools.cache
+def texts(package: ModuleType) -> dict[Path, str]:
+    """The files of a package, by their path in it; examples stand in a wheel, and are no room."""
+    root = Path(str(package.__file__)).parent
+    paths = sorted(path.relative_to(root) for path in root.rglob("*.py"))
+    return {
+        path: (root / path).read_text(encoding="utf-8")
+        for path in paths
+        if path.parts[0] != "examples"
+    }
 
 
 def room(path: Path) -> str:
@@ -53,11 +92,10 @@ def module(path: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-MODULES = {module(path) for path in FILES}
-
-
-def imports(text: str) -> set[str]:
-    """The modules of the package that a text imports, inside functions and for types too."""
+def imports(text: str, package: ModuleType) -> set[str]:
+    """The modules of a package that a text imports, inside functions and for types too."""
+    modules = {module(path) for path in texts(package)}
+    here = f"{package.__name__}."
     found = set()
     for node in once.nodes(text):
         if isinstance(node, ast.Import):
@@ -66,19 +104,17 @@ def imports(text: str) -> set[str]:
             assert not node.level, "relative imports hide where an arrow points"
             for alias in node.names:
                 inner = f"{node.module}.{alias.name}"
-                found.add(
-                    inner if inner.removeprefix("undeadzone.") in MODULES else f"{node.module}"
-                )
-    return {name.removeprefix("undeadzone.") for name in found if name.startswith("undeadzone.")}
+                found.add(inner if inner.removeprefix(here) in modules else f"{node.module}")
+    return {name.removeprefix(here) for name in found if name.startswith(here)}
 
 
-def upward(path: Path, text: str) -> list[str]:
-    """The imports of a file that do not point to a lower floor."""
+def upward(path: Path, text: str, package: ModuleType = undeadzone) -> list[str]:
+    """The imports of a file that do not point to a lower floor of its package."""
+    floor = {name: height for height, rooms in enumerate(FLOORS[package]) for name in rooms}
     here = room(path)
-    outside = {
-        name for name in imports(text) if name.split(".")[0] != here and name.split(".")[0] in FLOOR
-    }
-    return sorted(name for name in outside if FLOOR[name.split(".")[0]] >= FLOOR[here])
+    rooms = {name: name.split(".")[0] for name in imports(text, package)}
+    outside = {name: other for name, other in rooms.items() if other != here and other in floor}
+    return sorted(name for name, other in outside.items() if floor[other] >= floor[here])
 
 
 def circle(arrows: dict[str, set[str]]) -> set[str]:
@@ -90,18 +126,18 @@ def circle(arrows: dict[str, set[str]]) -> set[str]:
     return set(left)
 
 
-ROOMS = {room(path) for path in FILES} - {"__init__", "__main__"}
+@each_house
+def test_every_room_has_its_floor(package: ModuleType) -> None:
+    rooms = {room(path) for path in texts(package)} - {"__init__", "__main__"}
+    assert sorted(rooms) == sorted(name for floor in FLOORS[package] for name in floor)
 
 
-def test_every_room_has_its_floor() -> None:
-    assert sorted(ROOMS) == sorted(FLOOR)
-
-
-def test_imports_point_down() -> None:
+@each_house
+def test_imports_point_down(package: ModuleType) -> None:
     found = {}
-    for path in FILES:
-        if room(path) in FLOOR:
-            found[str(path)] = upward(path, (ROOT / path).read_text(encoding="utf-8"))
+    for path, text in texts(package).items():
+        if room(path) not in ("__init__", "__main__"):
+            found[str(path)] = upward(path, text, package)
     assert not {path: names for path, names in found.items() if names}
 
 
@@ -119,11 +155,13 @@ def test_an_upward_import_is_found(planted: str) -> None:
     assert upward(Path("observers/certified.py"), planted)
 
 
-def test_no_files_stand_in_a_circle() -> None:
+@each_package
+def test_no_files_stand_in_a_circle(package: ModuleType) -> None:
+    every = texts(package)
+    modules = {module(path) for path in every}
     arrows = {}
-    for path in FILES:
-        used = imports((ROOT / path).read_text(encoding="utf-8")) & MODULES
-        arrows[module(path)] = used - {module(path)}
+    for path, text in every.items():
+        arrows[module(path)] = (imports(text, package) & modules) - {module(path)}
     assert not circle(arrows)
 
 
@@ -151,16 +189,11 @@ def packages(text: str) -> set[str]:
     return {name for name in found if name.startswith("undeadzone")}
 
 
-def test_the_tool_knows_no_other_package() -> None:
-    found = {path: packages((ROOT / path).read_text(encoding="utf-8")) for path in FILES}
-    assert not {path: names for path, names in found.items() if names - {"undeadzone"}}
-
-
-@pytest.mark.parametrize("package", OTHERS, ids=lambda package: package.__name__)
-def test_other_packages_stand_on_the_tool(package: ModuleType) -> None:
-    folder = Path(str(package.__file__)).parent
-    allowed = {package.__name__, *OTHERS[package]}
-    found = {path: packages(path.read_text(encoding="utf-8")) for path in folder.rglob("*.py")}
+@each_package
+def test_packages_stand_on_each_other_as_listed(package: ModuleType) -> None:
+    """The tool knows none of the others."""
+    allowed = {package.__name__, *PACKAGES[package]}
+    found = {path: packages(text) for path, text in texts(package).items()}
     assert len(found) > 10
     assert not {path: names for path, names in found.items() if names - allowed}
 

@@ -16,13 +16,13 @@ import pytest
 
 import undeadzone as uz
 from commands import undeadzone
-from undeadzone.cli.identify import _next
-from undeadzone.exports import export
-from undeadzone.identification.answer.to_scenario import scenario_text
-from undeadzone.identification.models.estimates import positive
-from undeadzone.identification.models.plant import roots, stabilised
 from undeadzone.scenario.reader import parse
 from undeadzone.support.arrays import Floats
+from undeadzone_export import export
+from undeadzone_identify.answer.to_scenario import scenario_text
+from undeadzone_identify.command import _next
+from undeadzone_identify.models.estimates import positive
+from undeadzone_identify.models.plant import roots, stabilised
 
 STEP = 0.01
 RIGHT, LEFT = 0.3, 0.2  # of the zone, of the play, of the actuator's zone

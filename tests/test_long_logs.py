@@ -7,10 +7,10 @@ import pytest
 from scipy.signal import lfilter
 
 import undeadzone as uz
-from undeadzone.identification.models import plant
-from undeadzone.identification.models.plant import Data, Simulator, part_of, taken
-from undeadzone.identification.models.zone import Limits
-from undeadzone.identification.models.zone_fit import (
+from undeadzone_identify.models import plant
+from undeadzone_identify.models.plant import Data, Simulator, part_of, taken
+from undeadzone_identify.models.zone import Limits
+from undeadzone_identify.models.zone_fit import (
     fit_zone,
     longest_record,
     moved,

@@ -15,26 +15,26 @@ from scipy.signal import lfilter
 
 import undeadzone as uz
 from undeadzone.cli import group
-from undeadzone.identification.answer.answer import _of_reference, to_answer
-from undeadzone.identification.logs.grid import to_grid
-from undeadzone.identification.logs.log import Options, log_of_arrays
-from undeadzone.identification.logs.prepare import usable
-from undeadzone.identification.models.elements import BREAKS, MapModel, cubic, linear, static_rivals
-from undeadzone.identification.models.estimates import Interval
-from undeadzone.identification.models.least_squares import Density, LeastSquares
-from undeadzone.identification.models.place import Shape, fit_place
-from undeadzone.identification.models.plant import Data, Simulator
-from undeadzone.identification.models.zone import Limits
-from undeadzone.identification.models.zone_fit import fit_linear, fit_zone
-from undeadzone.identification.servo.gap import servo_gap
-from undeadzone.identification.servo.heard import heard
-from undeadzone.identification.verdict.odds import behind, odds_of
-from undeadzone.identification.verdict.orders import answered, trained_part
-from undeadzone.identification.verdict.servo import servo_of_ticks
-from undeadzone.identification.verdict.verdict import _claimed, heard_loop
-from undeadzone.report.identify_page import identified_page
 from undeadzone.scenario.reader import parse
 from undeadzone.support.arrays import Floats
+from undeadzone_identify.answer.answer import _of_reference, to_answer
+from undeadzone_identify.logs.grid import to_grid
+from undeadzone_identify.logs.log import Options, log_of_arrays
+from undeadzone_identify.logs.prepare import usable
+from undeadzone_identify.models.elements import BREAKS, MapModel, cubic, linear, static_rivals
+from undeadzone_identify.models.estimates import Interval
+from undeadzone_identify.models.least_squares import Density, LeastSquares
+from undeadzone_identify.models.place import Shape, fit_place
+from undeadzone_identify.models.plant import Data, Simulator
+from undeadzone_identify.models.zone import Limits
+from undeadzone_identify.models.zone_fit import fit_linear, fit_zone
+from undeadzone_identify.page import identified_page
+from undeadzone_identify.servo.gap import servo_gap
+from undeadzone_identify.servo.heard import heard
+from undeadzone_identify.verdict.odds import behind, odds_of
+from undeadzone_identify.verdict.orders import answered, trained_part
+from undeadzone_identify.verdict.servo import servo_of_ticks
+from undeadzone_identify.verdict.verdict import _claimed, heard_loop
 
 DENOMINATOR = [1.0, -1.6, 0.68]
 STEP = 0.05

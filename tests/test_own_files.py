@@ -12,8 +12,8 @@ import pytest
 
 from commands import undeadzone
 from undeadzone.errors import FileError
-from undeadzone.exports.targets import MANIFEST, manifest, write_folder
 from undeadzone.support.own_files import marked, require_own, write_own
+from undeadzone_export.targets import MANIFEST, manifest, write_folder
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 MINE = "# mine\n"

@@ -10,6 +10,7 @@ import re
 import subprocess
 import sys
 import typing
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import msgspec
@@ -21,12 +22,14 @@ from undeadzone.catalogue import COMPENSATORS, CONTROLLERS, OBSERVERS
 from undeadzone.scenario.schema import Scenario
 
 STUB = ast.parse(Path(undeadzone.__file__).with_suffix(".pyi").read_text(encoding="utf-8"))
-NAMES = [
+OWN = [
     alias.asname or alias.name
     for node in STUB.body
     if isinstance(node, ast.ImportFrom)
     for alias in node.names
 ]
+REGISTERED = [node.targets[0].id for node in STUB.body if isinstance(node, ast.Assign)]  # type: ignore[attr-defined]
+NAMES = [*OWN, *REGISTERED]
 ROOMS = ("observers", "controllers", "compensators", "signals", "plants")
 HEAVY = (
     "numpy",
@@ -50,13 +53,19 @@ def test_every_public_name_is_there_and_documented(name: str) -> None:
 
 
 def test_what_dir_shows_suffices_for_a_first_hour() -> None:
-    assert sorted(undeadzone.__all__) == sorted(NAMES)
+    assert sorted(undeadzone.__all__) == sorted(OWN)
     shown = [name for name in dir(undeadzone) if not name.startswith("_")]
     assert len(shown) <= 46
     assert set(shown) <= set(NAMES)
     inner = {name for room in ROOMS for name in dir(getattr(undeadzone, room))}
     methods = {kind.__name__ for kind in (Sine, Plant, TwoLink, Luenberger, PD, ZoneInverse)}
     assert methods <= inner
+
+
+def test_what_the_other_packages_register_is_in_the_stub() -> None:
+    points = entry_points(group="undeadzone.names")
+    assert sorted(point.name for point in points) == sorted(REGISTERED)
+    assert all(point.load() is getattr(undeadzone, point.name) for point in points)
 
 
 def structs(annotation: typing.Any) -> set[type[msgspec.Struct]]:

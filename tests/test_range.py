@@ -25,9 +25,6 @@ from undeadzone.ends.limits import Limits
 from undeadzone.ends.sensor import Sensor, Zone, deadzone, quantised, resolve
 from undeadzone.ensemble.run_ensemble import deviation, replay_run, run_ensemble
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.identification.logs.grid import to_grid
-from undeadzone.identification.logs.log import Log, Options
-from undeadzone.identification.logs.prepare import NEAR, prepare
 from undeadzone.interfaces import Estimate, Reading, graph_of, received
 from undeadzone.logs.range_ends import RunningEnds, range_ends
 from undeadzone.observers.parts import measured_side
@@ -40,6 +37,9 @@ from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.simulation.simulate import simulate
 from undeadzone.support.arrays import Floats
 from undeadzone_arena import MovingHorizon, ParticleFilter
+from undeadzone_identify.logs.grid import to_grid
+from undeadzone_identify.logs.log import Log, Options
+from undeadzone_identify.logs.prepare import NEAR, prepare
 
 INF = float("inf")
 TS = 0.01

@@ -10,9 +10,13 @@ from pathlib import Path
 import once
 import undeadzone
 import undeadzone_arena
+import undeadzone_export
+import undeadzone_identify
 import undeadzone_paper
 
-PACKAGES = (undeadzone, undeadzone_arena, undeadzone_paper)
+PACKAGES = (
+    undeadzone, undeadzone_arena, undeadzone_export, undeadzone_identify, undeadzone_paper
+)  # fmt: skip
 FILES = [
     path
     for package in PACKAGES
@@ -111,9 +115,8 @@ def test_structs_explain_their_fields() -> None:
     assert not {path: names for path, names in found.items() if names}
 
 
-def unsaid(name: str) -> set[str]:
+def unsaid(found: object) -> set[str]:
     """The arguments of a public function to which its docstring gives no line."""
-    found = getattr(undeadzone, name)
     if isinstance(found, type) or not callable(found):
         return set()
     code = found.__code__
@@ -122,7 +125,10 @@ def unsaid(name: str) -> set[str]:
 
 
 def test_public_functions_explain_their_arguments() -> None:
-    found = {name: unsaid(name) for name in undeadzone.__all__}
+    found = {}
+    for package in (undeadzone, undeadzone_export, undeadzone_identify):
+        found |= {name: unsaid(getattr(package, name)) for name in package.__all__}
+    assert {"identify", "export", "simulate"} <= found.keys()
     assert not {name: arguments for name, arguments in found.items() if arguments}
 
 

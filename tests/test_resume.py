@@ -23,8 +23,6 @@ from tests.scenes import scene
 
 from commands import Done, undeadzone
 from undeadzone.errors import FileError, InputError, Terminated
-from undeadzone.identification.identify import identify
-from undeadzone.identification.verdict.widths import profile
 from undeadzone.scenario.reader import digests
 from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.tune_table import Range, Tune
@@ -32,6 +30,8 @@ from undeadzone.support.answers import Answers
 from undeadzone.support.own_files import write_own
 from undeadzone.tuning.tune import tune
 from undeadzone_arena.contest.contest import run_contest
+from undeadzone_identify.questions import identify
+from undeadzone_identify.verdict.widths import profile
 
 PROBLEM = {"a": 1}
 FORK = multiprocessing.get_context("fork")

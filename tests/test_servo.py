@@ -19,23 +19,23 @@ from scipy.stats import norm
 
 import undeadzone as uz
 from undeadzone.cli import group
-from undeadzone.exports import export
-from undeadzone.identification.logs.grid import spacing_of
-from undeadzone.identification.servo import predictor
-from undeadzone.identification.servo.crossings import Crossings, crossings_of
-from undeadzone.identification.servo.gap import ServoGap, odd_errors, servo_gap
-from undeadzone.identification.servo.heard import CHANCE, Heard, heard, loop_chance
-from undeadzone.identification.servo.likelihood import (
+from undeadzone.scenario.reader import parse
+from undeadzone.support.arrays import Floats
+from undeadzone_export import export
+from undeadzone_identify.logs.grid import spacing_of
+from undeadzone_identify.servo import predictor
+from undeadzone_identify.servo.crossings import Crossings, crossings_of
+from undeadzone_identify.servo.gap import ServoGap, odd_errors, servo_gap
+from undeadzone_identify.servo.heard import CHANCE, Heard, heard, loop_chance
+from undeadzone_identify.servo.likelihood import (
     At,
     Likelihood,
     Slopes,
     Structure,
     discretised,
 )
-from undeadzone.identification.servo.likelihood import Servo as Fitted
-from undeadzone.identification.servo.search import neighbours
-from undeadzone.scenario.reader import parse
-from undeadzone.support.arrays import Floats
+from undeadzone_identify.servo.likelihood import Servo as Fitted
+from undeadzone_identify.servo.search import neighbours
 
 STEP, SIZE = 0.005, 1600
 MOTOR = Servo(

@@ -17,12 +17,12 @@ from tests.traps import COMMAND, SHORT, TRAP, TRAPS
 
 from undeadzone.cli.ending import ended
 from undeadzone.errors import FileError, InputError
-from undeadzone.exports.export import export
-from undeadzone.exports.parts import identifier
 from undeadzone.logs import whole
 from undeadzone.scenario.reader import parse, read
 from undeadzone.simulation.simulate import simulate
 from undeadzone_arena.contest.processes import SAFE, pool
+from undeadzone_export.exported import export
+from undeadzone_export.parts import identifier
 
 
 @pytest.fixture

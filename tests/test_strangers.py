@@ -21,8 +21,6 @@ from undeadzone.cli.common import json_text, print_blocks
 from undeadzone.ensemble import journal, saved
 from undeadzone.ensemble.job import Layout
 from undeadzone.errors import FileError, InputError
-from undeadzone.exports.source import _plain as commented
-from undeadzone.identification.logs.log import read_log
 from undeadzone.plants.robots import urdf_elements
 from undeadzone.report.html import page, table
 from undeadzone.report.style import plain
@@ -35,6 +33,8 @@ from undeadzone.support.files import read_bytes, require_folder
 from undeadzone.support.shown import text as text_of
 from undeadzone.support.text import UNPRINTABLE, printable
 from undeadzone.support.text import json_line as escaped_json
+from undeadzone_export.source import _plain as commented
+from undeadzone_identify.logs.log import read_log
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 COMMAND = [sys.executable, "-c", "from undeadzone.cli import main; main()"]

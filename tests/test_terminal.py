@@ -17,10 +17,10 @@ import pytest
 
 from commands import undeadzone
 from undeadzone.cli.common import painted
-from undeadzone.cli.identify import identify
 from undeadzone.cli.output import LARGE, wanted_table
 from undeadzone.cli.watch import watch
 from undeadzone.support import shown
+from undeadzone_identify.command import identify
 
 ROOT = Path(__file__).parents[1]
 COMMAND = [sys.executable, "-c", "from undeadzone.cli import main; main()"]

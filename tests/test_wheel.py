@@ -45,7 +45,7 @@ def text_in(wheel: Path, name: str) -> str:
 
 def test_the_wheel_holds_every_file_of_the_package_and_the_examples(wheel: Path) -> None:
     held = set(zipfile.ZipFile(wheel).namelist())
-    for path in (ROOT / "src" / "undeadzone").rglob("*"):
+    for path in (ROOT / "src").rglob("*"):
         if path.is_file() and "__pycache__" not in path.parts:
             assert str(path.relative_to(ROOT / "src")) in held
     for path in (ROOT / "examples").glob("*.*"):

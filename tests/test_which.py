@@ -17,10 +17,12 @@ import undeadzone as uz
 from tools import script_of_docs
 from undeadzone.cli import group
 from undeadzone.errors import InputError
-from undeadzone.identification.answer.words import rivals_in_words
-from undeadzone.identification.models.elements import PlayModel, fit_play
-from undeadzone.identification.models.least_squares import LeastSquares
-from undeadzone.identification.models.motion import (
+from undeadzone.scenario.reader import read
+from undeadzone.support.arrays import Floats
+from undeadzone_identify.answer.words import rivals_in_words
+from undeadzone_identify.models.elements import PlayModel, fit_play
+from undeadzone_identify.models.least_squares import LeastSquares
+from undeadzone_identify.models.motion import (
     NAMES,
     WIDTHS,
     Moving,
@@ -33,10 +35,8 @@ from undeadzone.identification.models.motion import (
     sides,
     white_noise,
 )
-from undeadzone.identification.models.plant import Data, Simulator, disturbance_ahead
-from undeadzone.identification.models.play_gap import find_gap
-from undeadzone.scenario.reader import read
-from undeadzone.support.arrays import Floats
+from undeadzone_identify.models.plant import Data, Simulator, disturbance_ahead
+from undeadzone_identify.models.play_gap import find_gap
 
 A, B = np.array([-1.6, 0.68]), np.array([0.05, 0.03])
 STEP = 0.05

@@ -11,12 +11,12 @@ from benchmarks.worst_day import day, scenario
 
 import undeadzone as uz
 from test_engines import OBSERVERS, small
-from undeadzone.exports import accuracy, parts, vectors
-from undeadzone.exports.code import code
-from undeadzone.exports.parts import Step
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.support.arrays import Floats
+from undeadzone_export import accuracy, parts, vectors
+from undeadzone_export.code import code
+from undeadzone_export.parts import Step
 
 FILTERS = ("kalman", "extended", "censored")
 FLAGS = ("consistent", "refused", "restarts", "side")

@@ -178,8 +178,9 @@ def reference() -> str:
     stub = (ROOT / "src/undeadzone/__init__.pyi").read_text(encoding="utf-8")
     rooms: dict[str, list[str]] = {}
     for module, name in re.findall(r"^from \.([\w.]+) import (\w+) as \w+$", stub, re.M):
-        source, _, target = f"undeadzone.{module}", None, name
-        rooms.setdefault(module.split(".")[0], []).append(f"::: {source}.{target}")
+        rooms.setdefault(module.split(".")[0], []).append(f"::: undeadzone.{module}.{name}")
+    for package, name in re.findall(r"^\w+ = (undeadzone_\w+)\.(\w+)$", stub, re.M):
+        rooms.setdefault(package, []).append(f"::: {package}.{name}")
     parts = ["# API", "Everything here is `uz.NAME` after `import undeadzone as uz`."]
     for room in sorted(rooms):
         # An element whose id is "exports" would look like a module loader to KaTeX.

@@ -1,9 +1,9 @@
 """Adaptive observers that see through a sensor's dead zone.
 
-The public names stand in `__init__.pyi`; each is imported when it is first used. Options of methods
-that other packages register are found by the name of their class, too. `dir` and completion show
-what a first hour needs; the other names are there as well, and in `observers`, `controllers`,
-`compensators`, `signals` and `plants`.
+The public names stand in `__init__.pyi`; each is imported when it is first used. Names that other
+packages register are found, too, and options of their methods by the name of the class. `dir` and
+completion show what a first hour needs; the other names are there as well, and in `observers`,
+`controllers`, `compensators`, `signals` and `plants`.
 """
 
 from typing import Any
@@ -27,9 +27,9 @@ def __dir__() -> list[str]:
 
 
 def __getattr__(name: str) -> Any:
-    """A public name, or registered options. Raises AttributeError."""
-    if name in __all__ or not name[:1].isupper():
+    """A public name, or what another package registers. Raises AttributeError."""
+    if name in __all__ or name.startswith("_"):
         return _own(name)
-    from undeadzone.catalogue import options_named
+    from undeadzone.catalogue import named
 
-    return options_named(name)
+    return named(name)

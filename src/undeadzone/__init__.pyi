@@ -1,3 +1,6 @@
+import undeadzone_export
+import undeadzone_identify
+
 from . import compensators as compensators
 from . import controllers as controllers
 from . import observers as observers
@@ -41,11 +44,6 @@ from .errors import StepError as StepError
 from .errors import StructureError as StructureError
 from .errors import TrackingError as TrackingError
 from .errors import UndeadzoneError as UndeadzoneError
-from .exports.export import Exported as Exported
-from .exports.export import export as export
-from .identification.answer.result import Identified as Identified
-from .identification.answer.result import IdentifiedOutputs as IdentifiedOutputs
-from .identification.identify import identify as identify
 from .interfaces import Estimate as Estimate
 from .linear.matrices import Matrices as Matrices
 from .numerics.hear import Ear as Ear
@@ -117,5 +115,12 @@ from .tuning.result import Tuned as Tuned
 from .tuning.tune import Sweep as Sweep
 from .tuning.tune import sweep as sweep
 from .tuning.tune import tune as tune
+
+# What other packages register under `undeadzone.names`.
+Exported = undeadzone_export.Exported
+Identified = undeadzone_identify.Identified
+IdentifiedOutputs = undeadzone_identify.IdentifiedOutputs
+export = undeadzone_export.export
+identify = undeadzone_identify.identify
 
 __version__: str

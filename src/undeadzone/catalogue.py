@@ -220,6 +220,20 @@ def attached(package: str, file: str, *catalogues: Catalogue) -> tuple[Any, Any,
     return get, listed, names
 
 
+def named(name: str) -> Any:
+    """What a package registers under `undeadzone.names`, or the options of a method.
+
+    Args:
+        name: by which it is registered, or of the options' class.
+
+    Raises:
+        AttributeError: there is none.
+        InputError: the package that registered it cannot be imported.
+    """
+    place = _registered("undeadzone.names").get(name)
+    return options_named(name) if place is None else _loaded(f"undeadzone.{name}", place)
+
+
 def options_named(name: str, *catalogues: Catalogue) -> type[Options]:
     """The options of which the class has a name.
 
@@ -251,11 +265,10 @@ def _read(group: str, searched: tuple[tuple[str, int], ...]) -> dict[str, str]:
     return {point.name: point.value for point in entry_points(group=group)}
 
 
-def _loaded(what: str, place: str) -> type[Options]:
-    """A class that stands at `module:Class`. Raises InputError."""
+def _loaded(what: str, place: str) -> Any:
+    """What stands at `module:Class`. Raises InputError."""
     module, _, name = place.partition(":")
     try:
-        found: type[Options] = getattr(import_module(module), name)
+        return getattr(import_module(module), name)
     except Exception as error:
         raise InputError(f"{what} is registered at {place}, which fails: {error}") from None
-    return found

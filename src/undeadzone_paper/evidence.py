@@ -16,8 +16,6 @@ import numpy as np
 from undeadzone.controllers import StateFeedback
 from undeadzone.controllers.state_feedback import Robust
 from undeadzone.ends.sensor import Sensor
-from undeadzone.identification.answer.result import IdentifiedOutputs
-from undeadzone.identification.identify import identify
 from undeadzone.observers import Kalman
 from undeadzone.observers.certified import Certified
 from undeadzone.observers.luenberger import Luenberger
@@ -25,6 +23,8 @@ from undeadzone.results.run import Run
 from undeadzone.scenario.schema import Model, Scenario, Simulation
 from undeadzone.signals.exosystem import Sine
 from undeadzone.simulation.simulate import simulate
+from undeadzone_identify.answer.result import IdentifiedOutputs
+from undeadzone_identify.questions import identify
 from undeadzone_paper.example import (
     ALPHA,
     AMPLITUDES,

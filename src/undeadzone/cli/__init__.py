@@ -18,8 +18,6 @@ from undeadzone.cli.design import design
 from undeadzone.cli.ending import ended, failed
 from undeadzone.cli.ensemble import ensemble
 from undeadzone.cli.estimate import estimate
-from undeadzone.cli.export import export
-from undeadzone.cli.identify import identify
 from undeadzone.cli.init import init
 from undeadzone.cli.run import run
 from undeadzone.cli.tune import tune
@@ -81,10 +79,12 @@ class Commands(click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """The commands in the order in which they are met, each with what to type."""
-        blocks = BLOCKS | {"Special": (*BLOCKS["Special"], *_registered())}
+        known = self.list_commands(ctx)
+        others = set(known).difference(*BLOCKS.values())
+        blocks = BLOCKS | {"Special": (*BLOCKS["Special"], *sorted(others))}
         for title, names in blocks.items():
             with formatter.section(title):
-                formatter.write_dl([self._line(ctx, name) for name in names])
+                formatter.write_dl([self._line(ctx, name) for name in names if name in known])
         with formatter.section("Options of most commands"):
             options = [each for each in run.params if each.name in OF_MOST]
             formatter.write_dl([each.get_help_record(ctx) or ("", "") for each in options])
@@ -120,7 +120,7 @@ def group() -> None:
     """See through a sensor's dead zone."""
 
 
-COMMANDS = (run, ensemble, tune, check, design, init, identify, estimate, watch, arm, export)
+COMMANDS = (run, ensemble, tune, check, design, init, estimate, watch, arm)
 for command in COMMANDS:
     group.add_command(command)
 

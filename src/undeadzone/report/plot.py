@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeAlias, runtime_checkable
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeAlias
 
 from undeadzone.errors import InputError
 from undeadzone.report.style import write
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
     from undeadzone.analysis.certificate.design_file import Design
     from undeadzone.ensemble.result import Ensemble
-    from undeadzone.identification.answer.result import Identified, IdentifiedOutputs
     from undeadzone.results.estimation import Estimation
     from undeadzone.results.run import Run
     from undeadzone.synthesis.check import Check
@@ -30,15 +29,21 @@ KINDS = (
 )
 
 
-# By class: the file that draws it, its first figure, the panel that says most.
+# By class: the module that draws it, its first figure, the panel that says most.
 DRAWN: Final = {
-    "results.run.Run": ("run_figures", "overview", "output"),
-    "results.estimation.Estimation": ("log_page", "log_overview", "output"),
-    "ensemble.result.Ensemble": ("ensemble_figures", "first_of_ensemble", "distribution"),
-    "analysis.certificate.design_file.Design": ("proof_figures", "of_design", "panel_of_design"),
-    "tuning.result.Tuned": ("tune_page", "history", "candidates"),
-    "identification.answer.result.Identified": ("identify_figures", "overview", "signals"),
-    "identification.answer.result.IdentifiedOutputs": ("identify_figures", "of_outputs", "first"),
+    "results.run.Run": (".run_figures", "overview", "output"),
+    "results.estimation.Estimation": (".log_page", "log_overview", "output"),
+    "ensemble.result.Ensemble": (
+        "undeadzone.report.ensemble_figures",
+        "first_of_ensemble",
+        "distribution",
+    ),
+    "analysis.certificate.design_file.Design": (
+        "undeadzone.report.proof_figures",
+        "of_design",
+        "panel_of_design",
+    ),
+    "tuning.result.Tuned": (".tune_page", "history", "candidates"),
 }
 
 
@@ -54,19 +59,16 @@ class Drawing(NamedTuple):
     panel: Callable[[Axes], None]
 
 
-@runtime_checkable
 class Drawn(Protocol):
-    """A result of another package, which says itself how it is drawn."""
+    """A result of another package, which says itself what draws it."""
 
-    def drawing(self) -> Drawing:
-        """How it is drawn."""
+    @property
+    def drawn(self) -> tuple[str, str, str]:
+        """A module, its function that makes a figure of a result, and its `panel(axes, result)`."""
 
 
 if TYPE_CHECKING:
-    Result: TypeAlias = (
-        Run | Ensemble | Estimation | Check | Design | Tuned | Identified | IdentifiedOutputs
-        | Drawn
-    )  # fmt: skip
+    Result: TypeAlias = Run | Ensemble | Estimation | Check | Design | Tuned | Drawn
 
 
 def plot(
@@ -112,15 +114,14 @@ def _drawing(result: Any) -> Drawing:
 
     What draws is imported late, so that whoever draws runs alone does not wait for the rest.
     """
-    if isinstance(result, Drawn):
-        return result.drawing()
     kind = f"{type(result).__module__}.{type(result).__qualname__}".removeprefix("undeadzone.")
     if kind == "synthesis.check.Check":
         return _of_check(result)
-    if kind not in DRAWN:
+    drawn = DRAWN.get(kind) or getattr(result, "drawn", None)
+    if drawn is None:
         raise InputError(f"plot: expected {KINDS}, found {type(result).__name__}")
-    room, whole, panel = DRAWN[kind]
-    draws = import_module(f"undeadzone.report.{room}")
+    module, whole, panel = drawn
+    draws = import_module(module, "undeadzone.report")
     return Drawing(
         lambda: getattr(draws, whole)(result), lambda ax: getattr(draws, panel)(ax, result)
     )

@@ -21,12 +21,13 @@ from undeadzone.report.html import (
 )
 from undeadzone.support.text import counted
 from undeadzone_arena.contest.contest import Contest
-from undeadzone_arena.contest.figures import costs, heat, places, traces
+from undeadzone_arena.contest.figures import costs, heat, leaderboard, places, traces
 from undeadzone_arena.contest.leaderboard import CAP, NAIVE, ZERO, Row, regrets
 from undeadzone_arena.contest.metric import TAIL
 from undeadzone_arena.contest.traces import Trace
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 CAPTIONS: Final = {
@@ -102,7 +103,7 @@ def write_arena(
 def figures(contest: Contest, runs: Sequence[Trace]) -> dict[str, Figure]:
     """The figures by name; runs: of some methods, as `traces.traced` gives them."""
     drawn = {
-        "leaderboard": places(contest.rows, size_in_words(contest)),
+        "leaderboard": first(contest),
         "scenarios": heat(contest.rows, regrets(contest.results), list(contest.scenarios)),
     }
     if runs:
@@ -111,16 +112,26 @@ def figures(contest: Contest, runs: Sequence[Trace]) -> dict[str, Figure]:
     return drawn
 
 
+def first(contest: Contest) -> Figure:
+    """Median and worst regret of every method."""
+    return places(contest.rows, size_in_words(contest))
+
+
+def panel(axes: Axes, contest: Contest) -> None:
+    """The same on axes of one's own."""
+    leaderboard(axes, contest.rows)
+
+
 def arena_page(contest: Contest, images: Mapping[str, bytes], origin: Origin | None = None) -> str:
     """The page; images: SVGs by the names of `figures`; else see `write_arena`."""
     shown = pictures(images, CAPTIONS)
     every = folded("All numbers", table(HEAD, map(_cells, contest.rows)), paragraph(NOTE, "note"))
-    leaderboard = [_first(contest), *pick(shown, "leaderboard"), every]
+    ranked = [_first(contest), *pick(shown, "leaderboard"), every]
     rules = [*map(paragraph, RULES), _refusals(contest), _tuned_numbers(contest)]
     return page(
         "The arena",
         _verdict(contest),
-        section("Leaderboard", *leaderboard),
+        section("Leaderboard", *ranked),
         section("Scenario by scenario", *pick(shown, "scenarios"), _settings(contest)),
         section("What it looks like", *pick(shown, "trajectories")),
         section("What it costs", *pick(shown, "cost")),

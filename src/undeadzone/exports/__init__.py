@@ -1,1 +1,0 @@
-"""What runs elsewhere: a scenario's observer, and its controller, as C99 (docs/export.md)."""

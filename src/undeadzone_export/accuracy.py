@@ -1,0 +1,239 @@
+"""What single precision costs: the code in float beside the same in double, along a run."""
+
+from __future__ import annotations
+
+import ctypes
+import tempfile
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.compile import interpret
+from undeadzone.support.arrays import Floats, finite
+from undeadzone_export.code import Code
+from undeadzone_export.compiler import shared_library, stack_bytes, written
+from undeadzone_export.parts import Field, places_of, total
+from undeadzone_export.source import Labels, source
+from undeadzone_export.template import called, filled
+
+CHUNK = 500  # steps between two looks at the memory
+MACHINE_STEPS = 2000  # of the comparison with CasADi's virtual machine
+EXACT, CLOSE = 1e-13, 1e-9  # bars of that: without elementary functions, and with
+SHARE_OF_STD = 0.1  # largest error of a width, relative to its standard deviation
+SHARE_OF_WIDTH = 1e-3  # the same relative to the width, where no deviation is estimated
+SMALLEST = 1e-6  # eigenvalue of a correlation matrix below which float is not enough
+
+
+class Accuracy(NamedTuple):
+    """How near the code comes to the graph, and float to double.
+
+    Attributes:
+        machine: largest error of the code in double against CasADi's virtual machine, relative to
+            the size of each field.
+        machine_bar: what it must stay below.
+        steps: how many steps float ran beside double; 0 in double precision.
+        float_against_double: the largest error of float and the largest value, by field.
+        sides_differ: at how many steps the measured side differs.
+        smallest_correlation_eigenvalue: of a correlation matrix in double; None: no covariance.
+        smallest_correlation_eigenvalue_in_float: the same in float.
+        refusals: what is not good enough, with its number.
+        stack: of a step on this computer [bytes]; None: the compiler does not tell.
+    """
+
+    machine: float
+    machine_bar: float
+    steps: int
+    float_against_double: dict[str, dict[str, float]]
+    sides_differ: int
+    smallest_correlation_eigenvalue: float | None
+    smallest_correlation_eigenvalue_in_float: float | None
+    refusals: list[str]
+    stack: int | None
+
+
+class Compiled:
+    """The exported code compiled for this computer, with its own memory.
+
+    Args:
+        code: what is printed.
+        folder: where the library goes.
+        options: for the compiler.
+    """
+
+    def __init__(self, code: Code, folder: Path, options: tuple[str, ...] = ("-O1",)) -> None:
+        prefix = f"run_{code.kind}"
+        words = called(prefix, bool(code.step.params))
+        files = source(code, Labels(prefix, "accuracy", "replica")).files(prefix)
+        files[f"{prefix}_run.c"] = filled("templates/runner.c", words)
+        library = shared_library(written(files, folder), folder / f"{prefix}.so", options)
+        self._functions = ctypes.CDLL(str(library))
+        self.stack = stack_bytes(folder, prefix)
+        self.real = code.kind
+        self.state = np.zeros(total(code.structs["state"]), self.real)
+        self.outputs = total(code.step.outputs)
+        self.begin()
+
+    def begin(self) -> None:
+        """Set the memory to that of t = 0."""
+        self._functions.start(_address(self.state))
+
+    def __call__(self, rows: Floats) -> Floats:
+        """The outputs along inputs (N x inputs), as float64 (N x outputs)."""
+        given = np.ascontiguousarray(rows, self.real)
+        out = np.empty((len(rows), self.outputs), self.real)
+        count = ctypes.c_long(len(rows))
+        self._functions.run(count, _address(given), _address(out), _address(self.state))
+        return out.astype(float)
+
+
+def _address(values: Any) -> Any:
+    """Where an array begins."""
+    return values.ctypes.data_as(ctypes.c_void_p)
+
+
+def measure(double: Code, single: Code | None, rows: Floats, functions: bool) -> Accuracy:
+    """Compare the code in double with the virtual machine, and in float with that in double.
+
+    Args:
+        double: the code in double.
+        single: the code in float; None: the export is in double.
+        rows: the inputs along the scenario's own run, continued (steps x inputs).
+        functions: whether the code uses elementary functions, which differ in the last bits.
+
+    Raises:
+        InputError: there is no C compiler.
+    """
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        replica = Compiled(double, folder)
+        error = _against_machine(double, replica, rows[:MACHINE_STEPS])
+        bar = CLOSE if functions else EXACT
+        refusals = []
+        if not error <= bar:
+            refusals.append(
+                f"the code in double differs from the graph by {error:.2g}, above {bar:g}"
+            )
+        plain = Accuracy(error, bar, 0, {}, 0, None, None, refusals, replica.stack)
+        if single is None:
+            return plain
+        rounded = Compiled(single, folder)
+        plain = plain._replace(stack=rounded.stack)
+        replica.begin()
+        return _beside(plain, replica, rounded, single, rows)
+
+
+def _against_machine(code: Code, replica: Compiled, rows: Floats) -> float:
+    """The largest error of the compiled code against CasADi, relative to each field."""
+    step = code.step
+    expected, _ = interpret.run(step.function, step.start, rows, step.defaults)
+    values = replica(rows)
+    if not np.array_equal(np.isnan(values), np.isnan(expected)):
+        return float("inf")
+    gap = np.nan_to_num(np.abs(values - expected), posinf=np.inf)
+    size = _size(expected)
+    places = places_of(step.outputs).values()
+    return float(max(gap[:, at].max() / (size[:, at].max() + 1e-300) for at in places))
+
+
+def _beside(
+    plain: Accuracy, double: Compiled, single: Compiled, code: Code, rows: Floats
+) -> Accuracy:
+    """Float beside double, on inputs that float holds exactly."""
+    rows = rows.astype(np.float32).astype(float)
+    runs, pairs = [], []
+    for start in range(0, len(rows), CHUNK):
+        piece = rows[start : start + CHUNK]
+        runs.append([double(piece), single(piece)])
+        pairs.append([smallest_eigenvalue(code.step.state, one.state) for one in (double, single)])
+    exact, rounded = np.concatenate(runs, axis=1)
+    places, gap, size = places_of(code.step.outputs), _gap(exact, rounded), _size(exact)
+    table = {}
+    for field, place in places.items():
+        error, most = float(gap[:, place].max()), float(size[:, place].max())
+        table[field] = {"error": error, "size": most}
+    least = np.min(np.array(pairs, float), axis=0)  # NaN where there is no covariance
+    refusals = plain.refusals + _refused_widths(places, gap, size)
+    for eigenvalue, real, bar in zip(least, ("double", "float"), (SMALLEST, 0.0), strict=True):
+        if eigenvalue < bar:
+            refusals.append(
+                f"float is not enough: a correlation matrix has an eigenvalue of {eigenvalue:.2g} "
+                f"in {real}, below {bar:g}; use --precision double"
+            )
+    in_double, in_float = finite(least.tolist())
+    return plain._replace(
+        steps=len(rows),
+        float_against_double=table,
+        sides_differ=int((gap[:, places["side"]] != 0).any(axis=1).sum()),
+        smallest_correlation_eigenvalue=in_double,
+        smallest_correlation_eigenvalue_in_float=in_float,
+        refusals=refusals,
+    )
+
+
+def _gap(exact: Floats, rounded: Floats) -> Floats:
+    """|float - double|; 0 where both are NaN, infinite where one is."""
+    same = np.isnan(exact) & np.isnan(rounded)
+    gap = np.where(same, 0.0, np.abs(exact - rounded))
+    return np.where(np.isnan(gap), np.inf, gap)
+
+
+def _size(values: Floats) -> Floats:
+    """How large values are; 0 where there is none."""
+    return np.nan_to_num(np.abs(values))
+
+
+def _refused_widths(places: dict[str, slice], gap: Floats, size: Floats) -> list[str]:
+    """The widths whose errors are too large, in words.
+
+    Args:
+        places: where each field stands among the outputs.
+        gap: errors of float (steps x outputs).
+        size: sizes of the outputs in double (steps x outputs).
+    """
+    widths = [name for name in ("right", "left") if name in places]
+    widest = max([float(size[:, places[name]].max()) for name in widths], default=0.0)
+    texts = []
+    for name in widths:
+        error, std = gap[:, places[name]], places.get(f"{name}_std")
+        bar, of = SHARE_OF_WIDTH * max(widest, 1e-30), ""
+        if std is not None:
+            error = error / np.maximum(size[:, std], 1e-30)
+            bar, of = SHARE_OF_STD, " of its standard deviation"
+        worst = float(error.max())
+        if not worst <= bar:
+            texts.append(
+                f"float is not enough: {name} is wrong by {worst:.2g}{of}, above {bar:.2g}; "
+                "use --precision double"
+            )
+    return texts
+
+
+def smallest_eigenvalue(fields: list[Field], state: Any) -> float | None:
+    """The smallest eigenvalue of the correlation matrices in a memory; None: there are none.
+
+    Args:
+        fields: the fields of the memory.
+        state: its numbers.
+    """
+    places, values = places_of(fields), []
+    for name, place in places.items():
+        if name.endswith("cov"):
+            mean = places[name.removesuffix("cov") + "mean"]
+            matrix = _symmetric(np.asarray(state[place], float), mean.stop - mean.start)
+            std = np.sqrt(np.abs(np.diagonal(matrix)))
+            std[std == 0] = 1.0
+            values.append(float(np.linalg.eigvalsh(matrix / np.outer(std, std))[0]))
+    return min(values) if values else None
+
+
+def _symmetric(column: Floats, size: int) -> Floats:
+    """The symmetric matrix of an upper triangle, whole or of uncoupled groups of equal size."""
+    blocks = 2 * column.size // size - 1
+    entries = ca.triu(ca.kron(ca.DM.ones(blocks, blocks), ca.DM.eye(size // blocks))).sparsity()
+    rows, columns = entries.get_triplet()
+    matrix = np.zeros((size, size))
+    matrix[rows, columns] = column
+    matrix[columns, rows] = column
+    return matrix

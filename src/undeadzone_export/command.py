@@ -1,0 +1,175 @@
+"""undeadzone export SCENARIO.toml"""
+
+from __future__ import annotations
+
+import tempfile
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from undeadzone.cli.common import (
+    PATH,
+    cmd,
+    flag,
+    force_option,
+    guarded,
+    option,
+    print_blocks,
+    print_json,
+    say,
+)
+from undeadzone.support.progress import on_terminal as progress
+from undeadzone.support.text import counted
+
+if TYPE_CHECKING:
+    from undeadzone.support.shown import Block
+
+
+@click.command(epilog="Example: undeadzone export mine.toml --to c --out firmware --check")
+@click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
+@option("--to", "WHAT", "c (default), arduino, fmu2, fmu3, python, st or page.", default="c")
+@option(
+    "--out",
+    "DIR",
+    "Folder for the files (default: firmware; with --check alone, none); of a page, the file "
+    "(default: live.html).",
+    type=PATH,
+)
+@option(
+    "--precision", "P", "single (default of c, arduino and st) or double (default of the others)."
+)
+@option("--part", "PART", "observer (default) or observer+controller.", default="observer")
+@option(
+    "--tunable",
+    "NAME",
+    "A number that stays a parameter, such as observer.gamma; may be repeated.",
+    multiple=True,
+)
+@option("--name", "NAME", "What every symbol begins with.")
+@flag(
+    "--check",
+    "Build the self-test with this computer's compiler, run it, print the accuracy table.",
+)
+@force_option
+@flag("--json", "Print the report as one JSON object.", "as_json")
+@guarded
+def export(
+    scenario: Path,
+    to: str,
+    out: Path | None,
+    precision: str | None,
+    part: str,
+    tunable: tuple[str, ...],
+    name: str | None,
+    check: bool,
+    force: bool,
+    as_json: bool,
+    confine: Path | None,
+) -> int:
+    """Write a scenario's observer, and its controller if asked, so that it runs elsewhere.
+
+    As C99 for firmware, as Structured Text (st) for a PLC, as an FMU for Simulink, Modelica and
+    others, or as a Python module. A folder of C holds the code, a self-test with reference vectors
+    as bits, build files, README and manifest. Single precision is run beside double along the
+    scenario's own run.
+    Exit code 1: the self-test or the accuracy fails; the files are written all the same.
+    Of an earlier export in the folder its files are replaced, others stay; one that was edited, or
+    a folder that is no export, is refused without --force.
+    `--to page` writes one HTML file in which the whole loop runs in a browser, with sliders.
+    """
+    from undeadzone.scenario.reader import read
+    from undeadzone_export.boards import Fit, table
+    from undeadzone_export.exported import export as run
+
+    problem = read(scenario, confine)
+    if to == "page":
+        out = Path("live.html") if out is None else out
+    with tempfile.TemporaryDirectory() as scratch:
+        kept = out if out is not None or check else Path("firmware")
+        folder = Path(scratch) / "firmware" if kept is None else kept
+        with progress("exporting", None, of=problem.observer):
+            options = (precision, part, tunable, name, check, force)
+            result = run(problem, to, folder, *options, told=partial(say, err=True))
+    files = [] if kept is None else [str(path) for path in result.files]
+    if as_json:
+        print_json(result.report | {"written": files})
+    else:
+        words = _page_in_words if to == "page" else _in_words
+        blocks: list[Block] = [words(result.report, files)]
+        if "boards" in result.report:
+            blocks.append(table([Fit(**row) for row in result.report["boards"]]))
+        if check and result.report["accuracy"] is not None:
+            blocks.append(_table(result.report["accuracy"]))
+        print_blocks(blocks)
+    return 0 if result.passed else 1
+
+
+def _in_words(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
+    """What is printed of a report."""
+    sizes = report["sizes"]
+    counts = [f"{count} {word}" for word, count in report["operations"].items()]
+    pairs: dict[str, Any] = {
+        "name": f"{report['name']} ({report['part']}, {report['precision']})",
+        "hash": report["hash"],
+        "sizes": f"state {sizes['state']}, in {sizes['in']}, out {sizes['out']} bytes",
+        "operations": ", ".join(counts) or "none",
+    }
+    if "structured_text" in report:
+        size = report["structured_text"]
+        pairs["text"] = f"{counted(size['blocks'], 'block')}, {counted(size['lines'], 'line')}"
+    if "self_test" in report:
+        pairs["self-test"] = report["self_test"]
+    if report["refusals"]:
+        pairs["REFUSED"] = report["refusals"]
+    if report.get("leaner"):
+        pairs["leaner"] = [_leaner(*each) for each in report["leaner"].items()]
+        pairs["along the run"] = [_along(*each) for each in report["runs"].items()]
+    pairs["written"] = files or "nothing; --out DIR keeps the files"
+    if any(name.endswith("Makefile") for name in files):
+        build = cmd("make", "-C", Path(files[0]).parent)
+        pairs["next"] = f"{build} builds the self-test; README.md has the rest"
+    return pairs
+
+
+def _leaner(name: str, boards: list[str]) -> str:
+    """An observer that takes less, and where it fits."""
+    from undeadzone_export.exported import setting
+
+    return f"{setting(name)} fits {', '.join(boards) or 'none of these boards'}"
+
+
+def _along(method: str, run: dict[str, float | None]) -> str:
+    """What an observer did along the scenario's own run, over its last 2 s."""
+    rms, coverage = run["rms"], run["coverage"]
+    error = "diverges" if rms is None else f"rms z - z^ {rms:.3g}"
+    inside = "none" if coverage is None else f"{100 * coverage:.0f} % hold the width"
+    return f"{method}: {error}, intervals: {inside}"
+
+
+def _page_in_words(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
+    """What is printed of the report on a page."""
+    sizes = report["sizes"]
+    counts = [f"{count} {word}" for word, count in report["operations"].items()]
+    return {
+        "page": f"{report['title']}: {report['steps']:,} steps at each move of a slider",
+        "hash": report["hash"],
+        "sizes": f"page {sizes['page']:,}, of which code {sizes['wasm']:,} bytes",
+        "operations": ", ".join(counts),
+        "sliders": ", ".join(report["sliders"]),
+        "written": files,
+    }
+
+
+def _table(accuracy: dict[str, Any]) -> list[list[str]]:
+    """The accuracy as rows of text."""
+    rows = [["float against double", "largest error", "largest value"]]
+    for name, numbers in accuracy["float_against_double"].items():
+        rows.append([name, f"{numbers['error']:.2g}", f"{numbers['size']:.3g}"])
+    rows.append(["code against graph, double", f"{accuracy['machine']:.2g}", "relative"])
+    for real, key in (("double", ""), ("float", "_in_float")):
+        eigenvalue = accuracy[f"smallest_correlation_eigenvalue{key}"]
+        if eigenvalue is not None:
+            rows.append(["smallest correlation eigenvalue", f"{eigenvalue:.2g}", f"in {real}"])
+    return rows

@@ -1,0 +1,330 @@
+"""The FMU itself: model description, a binary for this computer, and the C to build others."""
+
+from __future__ import annotations
+
+import io
+import platform
+import sys
+import tempfile
+import uuid
+import zipfile
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
+
+from undeadzone.errors import InputError
+from undeadzone.interfaces import COLUMNS, QUANTITIES, Estimate
+from undeadzone.results.signals import of_kind
+from undeadzone.scenario.schema import Units
+from undeadzone.support.text import one_line
+from undeadzone_export import compiler
+from undeadzone_export.code import Code
+from undeadzone_export.parts import Field, Step, numbers_of, total
+from undeadzone_export.template import filled, text_of
+
+_NO_XML: Final = str.maketrans("\ufffe\uffff", "??")  # characters that no XML may hold
+
+# Capabilities: names differ between the versions in one letter.
+_CAN: Final = {
+    2: ("canNotUseMemoryManagementFunctions", "canGetAndSetFMUstate", "canSerializeFMUstate"),
+    3: ("canGetAndSetFMUState", "canSerializeFMUState"),
+}
+
+
+_HELD: Final = {"dependencies": ""}
+
+
+# Fields of an estimate that a table calls otherwise; widths keep their names.
+RENAMED: Final = {
+    name: getattr(COLUMNS, name) for name in Estimate._fields if name in ("x", "z", "w", "theta")
+}
+KINDS: Final = {
+    **{name: quantity.unit for name, quantity in QUANTITIES.items()},
+    **{"y": "output", "r": "output", "u": "input", "u_ff": "input", "x_ref": "state"},
+}
+
+
+class Variable(NamedTuple):
+    """A variable of an FMU.
+
+    Attributes:
+        name: as importers show it.
+        causality: "input", "output" or "parameter".
+        meaning: what it is.
+        unit: its unit; empty: it has none.
+        start: its value at first; None for outputs, which are calculated.
+        is_flag: whether it is a Boolean.
+    """
+
+    name: str
+    causality: str
+    meaning: str
+    unit: str
+    start: float | None
+    is_flag: bool = False
+
+
+def variables(step: Step, units: Units) -> list[Variable]:
+    """All variables of a step, in the order of their references, which count from 0.
+
+    Args:
+        step: the step.
+        units: names of the scenario's units.
+    """
+    listed = [_entry(*each, "input", units, 0.0) for each in numbers_of(step.inputs)]
+    listed += [_entry(*each, "output", units, None) for each in numbers_of(step.outputs)]
+    starts = zip(numbers_of(step.params), step.defaults.tolist(), strict=True)
+    listed += [_entry(*each, "parameter", units, start) for each, start in starts]
+    for k in range(step.readings):
+        meaning = f"whether reading y[{k}] is missing"
+        listed.append(Variable(f"missing[{k}]", "input", meaning, "", 0.0, is_flag=True))
+    return listed
+
+
+def _entry(field: Field, k: int, causality: str, units: Units, start: float | None) -> Variable:
+    """An entry of a field."""
+    name = field.name
+    if causality == "output":
+        name = RENAMED.get(name, name)
+    kind = "1" if causality == "parameter" else KINDS.get(field.name, "1")
+    unit = of_kind(kind, k, units)
+    meaning = field.meaning.split(" [")[0]
+    return Variable(f"{name}[{k}]", causality, meaning, "" if unit == "1" else unit, start)
+
+
+# --- As XML
+
+
+def token(report: dict[str, Any], version: int) -> str:
+    """What tells that description and binary belong together, made of the hash.
+
+    Args:
+        report: name, hash and version of the export.
+        version: of FMI, 2 or 3.
+    """
+    words = (report["name"], report["hash"], report["version"], f"fmi{version}")
+    return "{" + str(uuid.uuid5(uuid.NAMESPACE_OID, " ".join(words))) + "}"
+
+
+def description(
+    report: dict[str, Any], listed: list[Variable], sources: list[str], version: int
+) -> str:
+    """The text of modelDescription.xml.
+
+    Args:
+        report: what the manifest holds.
+        listed: the variables, in the order of their references.
+        sources: names of the C files to be compiled.
+        version: of FMI, 2 or 3.
+    """
+    name = report["name"]
+    root = Element("fmiModelDescription", {"fmiVersion": f"{version}.0", "modelName": name})
+    root.set("guid" if version == 2 else "instantiationToken", token(report, version))
+    root.set("description", _plain(str(report["title"])))
+    root.set("generationTool", f"undeadzone {report['version']}")
+    root.set("variableNamingConvention", "flat")
+    kind = SubElement(root, "CoSimulation", {"modelIdentifier": name})
+    for word in ("canHandleVariableCommunicationStepSize", *_CAN[version]):
+        kind.set(word, "true")
+    if version == 2:
+        files = SubElement(kind, "SourceFiles")
+        for source in sources:
+            SubElement(files, "File", {"name": source})
+    else:
+        kind.set("fixedInternalStepSize", repr(report["step"]))
+    _units(root, listed, version)
+    times = {"startTime": "0.0", "stepSize": repr(report["step"])}
+    SubElement(root, "DefaultExperiment", times)
+    parent = SubElement(root, "ModelVariables")
+    for reference, variable in enumerate(listed):
+        _variable(parent, reference, variable, version)
+    if version == 3:
+        attributes = {"name": "time", "valueReference": str(len(listed))}
+        attributes |= {"causality": "independent", "variability": "continuous", "unit": "s"}
+        SubElement(parent, "Float64", attributes)
+    _structure(root, listed, version)
+    return _text(root)
+
+
+def _units(root: Element, listed: list[Variable], version: int) -> None:
+    """The units that variables name; in FMI 3 time is a variable too."""
+    names = {_plain(variable.unit) for variable in listed if variable.unit}
+    if version == 3:
+        names.add("s")
+    if names:
+        parent = SubElement(root, "UnitDefinitions")
+        for name in sorted(names):
+            SubElement(parent, "Unit", {"name": name})
+
+
+def _variable(parent: Element, reference: int, variable: Variable, version: int) -> None:
+    """A variable: the type is inside of it in FMI 2, its name in FMI 3."""
+    is_parameter = variable.causality == "parameter"
+    attributes = {
+        "name": variable.name,
+        "valueReference": str(reference),
+        "description": _plain(variable.meaning),
+        "causality": variable.causality,
+        "variability": "tunable" if is_parameter else "discrete",
+    }
+    typed: dict[str, str] = {}
+    if variable.unit:
+        typed["unit"] = _plain(variable.unit)
+    if variable.start is None:
+        attributes["initial"] = "calculated"
+    else:
+        typed["start"] = "false" if variable.is_flag else repr(variable.start)
+    if version == 2:
+        inner = "Boolean" if variable.is_flag else "Real"
+        SubElement(SubElement(parent, "ScalarVariable", attributes), inner, typed)
+    else:
+        kind = "Boolean" if variable.is_flag else "Float64"
+        SubElement(parent, kind, attributes | typed)
+
+
+def _structure(root: Element, listed: list[Variable], version: int) -> None:
+    """The outputs, which depend on no input of the present moment: they are of the last sample."""
+    parent = SubElement(root, "ModelStructure")
+    shown = [k for k, variable in enumerate(listed) if variable.causality == "output"]
+    for word, known in (("Output", _HELD), ("InitialUnknown", {})):
+        group = SubElement(parent, f"{word}s") if version == 2 else parent
+        for k in shown:
+            if version == 2:
+                SubElement(group, "Unknown", {"index": str(k + 1), **known})
+            else:
+                SubElement(group, word, {"valueReference": str(k), **known})
+
+
+def _plain(text: str) -> str:
+    """A text on one line that XML can hold."""
+    return one_line(text).translate(_NO_XML)
+
+
+def build_description(name: str, sources: list[str]) -> str:
+    """The text of sources/buildDescription.xml of FMI 3.0.
+
+    Args:
+        name: the model's identifier.
+        sources: names of the C files to be compiled.
+    """
+    root = Element("fmiBuildDescription", {"fmiVersion": "3.0"})
+    built = SubElement(root, "BuildConfiguration", {"modelIdentifier": name})
+    files = SubElement(built, "SourceFileSet", {"language": "C99"})
+    for source in sources:
+        SubElement(files, "SourceFile", {"name": source})
+    return _text(root)
+
+
+def _text(root: Element) -> str:
+    """An XML document."""
+    ElementTree.indent(root)
+    text = ElementTree.tostring(root, encoding="unicode")
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'
+
+
+PLATFORMS = {  # names of folders in FMI 2.0; those of 3.0 begin with the architecture
+    "linux": ("linux", ".so"),
+    "darwin": ("darwin", ".dylib"),
+    "win32": ("win", ".dll"),
+}
+
+
+def binary_path(prefix: str, version: int) -> str:
+    """Where the binary for this computer is kept in an FMU. Raises InputError if FMI has no name.
+
+    Args:
+        prefix: the model's identifier.
+        version: of FMI, 2 or 3.
+    """
+    machine = platform.machine().lower()
+    machine = {"amd64": "x86_64", "arm64": "aarch64"}.get(machine, machine)
+    known = PLATFORMS.get(sys.platform)
+    if known is None or (version == 2 and machine != "x86_64"):
+        raise InputError(
+            f"to: FMI {version} has no folder for binaries of {sys.platform} on {machine}; "
+            "use --to fmu3, or --to c"
+        )
+    system, ending = known
+    folder = f"{system}64"
+    if version == 3:
+        folder = f"{machine}-{'windows' if system == 'win' else system}"
+    return f"binaries/{folder}/{prefix}{ending}"
+
+
+def require_buildable(prefix: str, version: int) -> None:
+    """Raise InputError where no FMU can be built: it needs a compiler and a folder's name.
+
+    Args:
+        prefix: the model's identifier.
+        version: of FMI, 2 or 3.
+    """
+    compiler.require_compiler()
+    binary_path(prefix, version)
+
+
+def package(
+    printed: Code, files: dict[str, str], report: dict[str, Any], units: Units, version: int
+) -> bytes:
+    """The FMU.
+
+    Args:
+        printed: what was printed.
+        files: the C files by name.
+        report: what the manifest holds.
+        units: names of the scenario's units.
+        version: of FMI, 2 or 3.
+
+    Raises:
+        InputError: there is no C compiler, or it refuses.
+    """
+    prefix = report["name"]
+    listed = variables(printed.step, units)
+    sources = files | {"fmu_model.h": _model(printed, report, version)}
+    for name in ("fmu.h", f"fmi{version}.h", f"fmi{version}.c"):
+        sources[name] = text_of(f"fmu/{name}")
+    compiled = sorted(name for name in sources if name.endswith(".c"))
+    contents: dict[str, str | bytes] = {
+        "modelDescription.xml": description(report, listed, compiled, version)
+    }
+    contents[binary_path(prefix, version)] = _binary(sources)
+    if version == 3:
+        contents["sources/buildDescription.xml"] = build_description(prefix, compiled)
+    contents |= {f"sources/{name}": text for name, text in sorted(sources.items())}
+    return _zipped(contents)
+
+
+def _model(printed: Code, report: dict[str, Any], version: int) -> str:
+    """The text of fmu_model.h."""
+    step = printed.step
+    words = report | {
+        "token": token(report, version),
+        "tunable": bool(step.params),
+        "fixed": not step.params,
+        "inputs": total(step.inputs),
+        "readings": step.readings,
+        "outputs": total(step.outputs),
+        "params": total(step.params),
+        "real": printed.real,
+    }
+    return filled("templates/fmu_model.h", words)
+
+
+def _binary(sources: dict[str, str]) -> bytes:
+    """The shared library."""
+    with tempfile.TemporaryDirectory() as name:
+        files = compiler.written(sources, Path(name))
+        options = ("-O2", "-fvisibility=hidden")
+        return compiler.shared_library(sorted(files), Path(name, "model.so"), options).read_bytes()
+
+
+def _zipped(contents: dict[str, str | bytes]) -> bytes:
+    """A zip file of the same bytes each time."""
+    memory = io.BytesIO()
+    with zipfile.ZipFile(memory, "w", zipfile.ZIP_DEFLATED) as archive:
+        for path, content in contents.items():
+            entry = zipfile.ZipInfo(path)
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            entry.external_attr = 0o644 << 16
+            archive.writestr(entry, content)
+    return memory.getvalue()

@@ -1,0 +1,394 @@
+"""A scenario's loop as one HTML file: WebAssembly, the numbers, and what draws them."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import itertools
+import json
+import tomllib
+from html import escape
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import undeadzone
+from undeadzone.compile import print_wasm
+from undeadzone.compile.graph import Results, needed
+from undeadzone.compile.lower import portable
+from undeadzone.errors import InputError
+from undeadzone.feedforward.targets import steady_state
+from undeadzone.scenario.problem import Problem, resolve_scenario
+from undeadzone.scenario.schema import Scenario
+from undeadzone.signals.exosystem import Exosystem, Sine, Sines, Step, Trapezoid
+from undeadzone.simulation import exogenous
+from undeadzone.simulation.exogenous import targets
+from undeadzone.simulation.loop import RUNGE_KUTTA, Loop
+from undeadzone.simulation.simulate import closed
+from undeadzone.support import tree
+from undeadzone.support.arrays import Floats
+from undeadzone.support.files import write_text
+from undeadzone.support.own_files import REMARK, require_own, signed
+from undeadzone.support.text import printable
+from undeadzone_export.code import operations
+from undeadzone_export.page import sliders
+from undeadzone_export.parts import entries
+from undeadzone_export.template import filled, text_of
+
+SAMPLES = 512  # of a period, for a Fourier series
+NEGLIGIBLE = 1e-16  # share of a harmonic in the signal below which it is left out
+SERIES = 1e-10  # largest error of the series, relative to the signal's size
+
+
+def reference(problem: Problem) -> dict[str, Any]:
+    """The target (r, x_ref, u_ff) along the run.
+
+    Args:
+        problem: the checked parts of a scenario.
+
+    Raises:
+        InputError: a kind of signal that the page does not draw.
+        TrackingError: the plant cannot follow the reference.
+    """
+    if problem.model.nonlinear:
+        return _harmonics(problem)
+    signal, exo = problem.scenario.reference, problem.reference
+    Pi, Gamma = steady_state(problem.model, exo, problem.tracked)
+    return _signal_data("reference", signal, exo, np.vstack([exo.Q, Pi, Gamma]))
+
+
+def period(problem: Problem) -> float | None:
+    """The period of the reference [s]; None: it has none."""
+    return problem.reference.period if problem.path is None else problem.path.period
+
+
+def _harmonics(problem: Problem) -> dict[str, Any]:
+    """A periodic target as a Fourier series, checked between the samples that it was made of."""
+    length = period(problem)
+    if length is None:
+        raise InputError(
+            "reference: of a nonlinear plant the page draws periodic references only; take a sine, "
+            "or a circle or figure eight of an arm"
+        )
+    t = np.arange(SAMPLES) * length / SAMPLES
+    rows = np.hstack(targets(problem, t))
+    spectrum = np.fft.rfft(rows, axis=0)[: SAMPLES // 4] / SAMPLES
+    size = np.abs(rows).max()
+    used = np.flatnonzero(np.abs(spectrum).max(axis=1) > NEGLIGIBLE * size)
+    waves = used[used > 0]
+    pairs = np.stack([-2 * spectrum[waves].imag, 2 * spectrum[waves].real], axis=1)
+    gains = np.vstack([pairs.reshape(2 * waves.size, rows.shape[1]), spectrum[:1].real]).T
+    omegas = 2 * np.pi * waves / length
+    between = t + 0.5 * length / SAMPLES
+    angles = np.outer(between, omegas)
+    state = np.stack([np.sin(angles), np.cos(angles)], axis=2).reshape(SAMPLES, 2 * waves.size)
+    series = np.hstack([state, np.ones((SAMPLES, 1))]) @ gains.T
+    if np.abs(series - np.hstack(targets(problem, between))).max() > SERIES * size:
+        raise InputError(
+            "reference: the state that belongs to it has corners, which the page does not draw "
+            "for a nonlinear plant; take a smooth reference"
+        )
+    return {"gains": gains.tolist(), "omegas": omegas.tolist(), "offset": True}
+
+
+def disturbance(problem: Problem) -> dict[str, Any] | None:
+    """The disturbance along the run; None: there is none.
+
+    Args:
+        problem: the checked parts of a scenario.
+
+    Raises:
+        InputError: a kind of signal that the page does not draw.
+    """
+    signal, exo = problem.scenario.disturbance, problem.disturbance
+    if signal is None:
+        return None
+    if exo is None:
+        knots = exogenous.knots_of(problem, run=0)
+        return {"knots": base64.b64encode(knots.tobytes()).decode(), "channels": knots.shape[1]}
+    return _signal_data("disturbance", signal, exo, exo.Q)
+
+
+def _signal_data(key: str, signal: Any, exo: Exosystem, gains: Floats) -> dict[str, Any]:
+    """A signal as what its exosystem's state is made of, and the gains from there."""
+    data: dict[str, Any] = {"gains": gains.tolist()}
+    if isinstance(signal, Sine | Sines):
+        count = exo.S.shape[0] // 2
+        waves = 2 * np.arange(count)
+        data["omegas"] = exo.S[waves, waves + 1].tolist()
+        data["offset"] = exo.S.shape[0] % 2 == 1
+        return data
+    if not isinstance(signal, Step | Trapezoid):
+        kind = type(signal).__struct_config__.tag
+        raise InputError(
+            f"{key}.kind: the page draws sine, sines, step and trapezoid, found {kind!r}"
+        )
+    starts = _starts(exo)
+    data["starts"] = starts.tolist()
+    data["values"] = exo.state(starts).tolist()
+    data["order"] = exo.S.shape[0] // exo.Q.shape[0]
+    data["period"] = exo.period
+    return data
+
+
+def _starts(exo: Exosystem) -> Floats:
+    """When the pieces of a signal begin; the first at 0."""
+    corners = exo.corners if exo.period is None else exo.corners[:-1]
+    later = corners[corners > 0]
+    return np.concatenate([[0.0], later])
+
+
+_LARGEST = np.finfo(float).max  # in place of infinity, which JSON has not
+MOST = 100_000_000  # operations of a run
+_ESTIMATED = ("right", "left", "right_std", "left_std", "width_std")
+RECORDED = {
+    **{name: name for name in ("z", "y", "side")},
+    "z_hat": "estimate.z",
+    **{name: f"estimate.{name}" for name in _ESTIMATED},
+}
+
+
+class Page(NamedTuple):
+    """A page and what it costs.
+
+    Attributes:
+        text: the HTML.
+        report: its name, sizes [bytes], operations of a step, hash.
+    """
+
+    text: str
+    report: dict[str, Any]
+
+
+def write_page(scenario: Scenario, out: Path, force: bool = False) -> dict[str, Any]:
+    """Write the page of a scenario.
+
+    Args:
+        scenario: a linear scenario, sampled or continuous.
+        out: the HTML file; an earlier page there is replaced.
+        force: whether any file there is.
+
+    Returns:
+        What the page costs.
+
+    Raises:
+        InputError: a scenario that the page cannot show.
+        FileError: the file is something else, or cannot be written.
+    """
+    require_own(out, force)
+    page = build(scenario)
+    write_text(page.text, out)
+    return page.report
+
+
+def build(scenario: Scenario) -> Page:
+    """The page of a scenario; the same scenario gives the same bytes.
+
+    Args:
+        scenario: a linear scenario, sampled or continuous.
+
+    Raises:
+        InputError: a scenario that the page cannot show.
+    """
+    problem = resolve_scenario(scenario)
+    _require_shown(problem)
+    loop = closed(problem)
+    _require_quick(problem, len(needed(itertools.chain(*_results(loop)))))
+    code, memory = _code(loop)
+    data = _data(problem, loop, memory)
+    data["wasm"] = base64.b64encode(code).decode()
+    text = signed(framed(scenario.title, data | {"remark": REMARK}))
+    report = {
+        "title": scenario.title,
+        "version": undeadzone.__version__,
+        "hash": hashlib.sha256(text.encode()).hexdigest()[:16],
+        "steps": data["rows"],
+        "sizes": {"wasm": len(code), "page": len(text.encode())},
+        "operations": operations(_results(loop)),
+        "sliders": [slider["key"] for slider in data["sliders"]],
+        "refusals": [],
+    }
+    return Page(text, report)
+
+
+def _require_shown(problem: Problem) -> None:
+    """Raise InputError for what the page does not compute."""
+    scenario, sensor = problem.scenario, problem.sensor
+    if problem.plant.gears is not None:
+        raise InputError(
+            "plant.arm.gears: the page draws a band in which a sensor reads 0; encoders have none"
+        )
+    if problem.controller.plan is not None:
+        raise InputError(
+            "controller.method: this one computes its gains ahead of a run, which the page does "
+            "not; use state_feedback"
+        )
+    if scenario.simulation.order > RUNGE_KUTTA:
+        raise InputError(
+            f"simulation.order: the page takes RK4 steps, found {scenario.simulation.order}; "
+            "leave the key out"
+        )
+    if sensor.play is not None:
+        raise InputError(
+            "sensor.play: the page draws one band, a dead zone's or a play's, not both; leave one "
+            "of them out"
+        )
+    for key in ("drift", "dropout"):
+        if getattr(sensor, key).any():
+            raise InputError(f"sensor.{key}: the page's sensor has none; leave the key out")
+
+
+def _require_quick(problem: Problem, size: int) -> None:
+    """Raise InputError where a run takes so long that the sliders would not follow."""
+    count = problem.steps * size
+    if count > MOST:
+        raise InputError(
+            f"simulation.duration: the page computes the whole run at each move of a slider, and "
+            f"{problem.steps:,} steps of {size:,} operations take too long; take a shorter "
+            f"duration or a longer step, {MOST // size:,} steps at most"
+        )
+
+
+def _results(loop: Loop) -> Results:
+    """What a step computes as a rule."""
+    return portable(loop.step if loop.parts is None else loop.parts.usual, print_wasm.KIND)
+
+
+def _code(loop: Loop) -> tuple[bytes, dict[str, int]]:
+    """(the module, where each part of its memory begins, counted in numbers)."""
+    step = loop.step
+    each = [*map(step.size1_in, range(3)), *map(step.size1_out, range(2))]
+    sizes = dict(zip("swpno", each, strict=True)) | {"flag": 1}
+    places = dict(zip(sizes, np.cumsum([0, *sizes.values()]).tolist(), strict=False))
+    inputs = entries(**{part: _addresses(places[part], sizes[part]) for part in "swp"})
+    functions: list[tuple[str, Any, tuple[str, ...]]] = [("step", loop.step, ("n", "o"))]
+    if loop.parts is not None:
+        functions = [
+            ("step", loop.parts.usual, ("n", "o", "flag")),
+            ("rare", loop.parts.rare[-1], ("n", "flag")),
+        ]
+    printed = []
+    for name, function, results in functions:
+        nodes = portable(function, print_wasm.KIND)
+        targets = [_addresses(places[part], sizes[part]) for part in results]
+        printed.append(print_wasm.Function(name, nodes, inputs, targets))
+    return print_wasm.module(printed, print_wasm.REAL * sum(sizes.values())), places
+
+
+def _addresses(start: int, size: int) -> list[int]:
+    """Where the numbers of a part stand [bytes]."""
+    return [print_wasm.REAL * (start + k) for k in range(size)]
+
+
+def _data(problem: Problem, loop: Loop, memory: dict[str, int]) -> dict[str, Any]:
+    """What the page knows beside the code."""
+    scenario, model = problem.scenario, problem.model
+    A, B, C = model.linear
+    if model.Ts is not None:  # as `feedforward.targets.steady_state` has it: per second
+        A, B = (A - np.eye(model.n)) / model.Ts, B / model.Ts
+    outputs, recorded = dict(tree.leaves(tree.slices(loop.outputs))), {}
+    for name, address in RECORDED.items():
+        place = outputs[address]
+        if place.stop > place.start:
+            recorded[name] = place.start
+    kind, texts = problem.sensor.kind, tomllib.loads(text_of("page/words.toml"))
+    lead = texts["lead"][kind]
+    if problem.sensor.limits is not None:
+        lead = f"{lead} {texts['lead']['range']}"
+    instant = tree.slices(loop.instant)
+    made = sliders.sliders(problem, loop, _sizes(problem))
+    return {
+        "kind": kind,
+        "lead": lead,
+        "words": texts["gap" if kind == "play" else "zone"],
+        "note": _note(problem),
+        "quantity": _quantity(scenario.units.output),
+        "unit": printable(scenario.units.output),
+        "rows": problem.steps + 1,
+        "step": scenario.simulation.step,
+        "sampled": model.Ts is not None,
+        "outputs": problem.plant.p,
+        "tracked": len(problem.tracked),
+        "slope": problem.sensor.slope.tolist(),
+        "period": period(problem),
+        "model": {"A": A.tolist(), "B": B.tolist(), "C": C[problem.tracked].tolist()},
+        "memory": memory,
+        "rare": loop.parts is not None,
+        "recorded": recorded,
+        "instant": {
+            "size": tree.size(loop.instant),
+            "w": instant.w.start,
+            "before": instant.before.start,
+            "after": instant.after.start,
+        },
+        "start": tree.pack(loop.state._replace(plant=problem.x0)).tolist(),
+        "params": np.clip(tree.pack(loop.params), -_LARGEST, _LARGEST).tolist(),
+        "reference": reference(problem),
+        "disturbance": disturbance(problem),
+        "sliders": [slider._asdict() for slider in made],
+        "learns": any(slider.key == "gamma" for slider in made),
+    }
+
+
+def _sizes(problem: Problem) -> Floats:
+    """The largest |z| that the reference asks for, or four widths where it says nothing (p)."""
+    rows = exogenous.exogenous(problem, run=None)
+    q, n = len(problem.tracked), problem.model.n
+    largest = np.zeros(problem.plant.p)
+    if not problem.model.nonlinear:
+        largest = np.abs(rows[:, q : q + n] @ problem.model.linear.C.T).max(axis=0)
+    largest[problem.tracked] = np.abs(rows[:, :q]).max(axis=0)
+    widest = np.maximum(problem.sensor.right, problem.sensor.left)
+    return np.where(largest > 0, largest, np.where(widest > 0, 4 * widest, 1.0))
+
+
+def _quantity(unit: str) -> str:
+    """What the axis of the motion shows."""
+    return "the motion" if unit == "1" else f"the motion [{printable(unit)}]"
+
+
+def _note(problem: Problem) -> str:
+    """What the observer knows, so that nobody takes the page for more than it shows."""
+    method = type(problem.scenario.observer).__struct_config__.tag
+    known = "the plant exactly" if problem.scenario.model is None else "a model of the plant"
+    text = (
+        f"The observer ({method}) knows {known} and the input that moves it, but not the band and "
+        "not where the motion starts. "
+    )
+    if not problem.plant.nonlinear:
+        text += "A real plant differs from its model: the last slider shows what that costs. "
+    return text + "Errors are rms over the second half of the run."
+
+
+# --- The HTML around the data: its own script and style, and a policy that allows nothing else
+
+
+def framed(title: str, data: dict[str, Any]) -> str:
+    """The page.
+
+    Args:
+        title: its title.
+        data: what its script reads.
+    """
+    style, script = text_of("page/page.css"), text_of("page/page.js")
+    policy = (
+        f"default-src 'none'; script-src {_digest(script)} 'wasm-unsafe-eval'; "
+        f"style-src {_digest(style)}; img-src data:; base-uri 'none'; form-action 'none'"
+    )
+    content = json.dumps(data, separators=(",", ":"), allow_nan=False)
+    words = {
+        "policy": policy,
+        "title": escape(printable(title)),
+        "style": style,
+        "script": script,
+        "headline": data["words"]["headline"],
+        "legend": data["words"]["legend"],
+        "data": content.replace("<", "\\u003c"),
+    }
+    return filled("page/page.html", words)
+
+
+def _digest(text: str) -> str:
+    """The hash by which the page's policy allows a text, and no other."""
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"

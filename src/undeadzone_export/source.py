@@ -1,0 +1,306 @@
+"""The C of an export: its header, its code, and the elementary functions that it uses."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any, NamedTuple
+
+import undeadzone
+from undeadzone.compile import elementary, print_c
+from undeadzone.compile.graph import Node, Results, condition, needed
+from undeadzone.compile.print_c import INDENT, Body, Names, Style, body, literal
+from undeadzone.compile.simplify import held
+from undeadzone.interfaces import CLAIMS
+from undeadzone.support.text import one_line
+from undeadzone_export.code import Code
+from undeadzone_export.parts import Field, Step, entries, members
+from undeadzone_export.template import filled
+
+
+class Labels(NamedTuple):
+    """The words of an export that its files share.
+
+    Attributes:
+        prefix: what every symbol begins with.
+        title: of the scenario.
+        part: "observer" or "observer+controller".
+    """
+
+    prefix: str
+    title: str
+    part: str
+
+
+class Source(NamedTuple):
+    """The text of the C files.
+
+    Attributes:
+        header: the interface.
+        code: init and step.
+        math: the elementary functions; empty where none is used.
+        functions: the names of those.
+    """
+
+    header: str
+    code: str
+    math: str
+    functions: list[str]
+
+    def files(self, prefix: str) -> dict[str, str]:
+        """The files by name.
+
+        Args:
+            prefix: what every symbol begins with.
+        """
+        named = {f"{prefix}.h": self.header, f"{prefix}.c": self.code}
+        return named | ({f"{prefix}_math.h": self.math} if self.math else {})
+
+
+def source(code: Code, labels: Labels) -> Source:
+    """The C of an export."""
+    style = Style(code.kind, labels.prefix)
+    bodies = _bodies(code, style)
+    used = set().union(*[part.functions for part in bodies.values()])
+    functions = elementary.needed(used, code.kind)
+    step, name = code.step, labels.prefix
+    words = labels._asdict() | {
+        "name": name,
+        "upper": name.upper(),
+        "title": _plain(labels.title),
+        "version": undeadzone.__version__,
+        "real": code.real,
+        "step": literal(step.Ts, code.kind),
+        "hash": code.hash,
+        "with_math": bool(used),
+    }
+    return Source(
+        filled("templates/header.h", words | _declared(code, name, style)),
+        filled("templates/code.c", words | _defined(code, name, style, bodies)),
+        filled("templates/math.h", words | _elementary(functions, used, style)) if used else "",
+        functions,
+    )
+
+
+def _bodies(code: Code, style: Style) -> dict[str, Body]:
+    """The statements of each function of a step."""
+    step = code.step
+    stored = [f"state->{name}[{k}]" for name, k in members(step.state)]
+    following = [f"next_{name}_{k}" for name, k in members(step.state)]
+    out = [f"out->{name}[{k}]" for name, k in members(step.outputs)]
+    shown = [f"{name}_{k}" for name, k in members(step.outputs)]
+    inputs = _inputs(code)
+    names = Names(inputs, [stored, out], [following, shown], meanings(code.results, step, 1))
+    bodies = {"step": body(code.results, style, names)}
+    if code.phases is not None:
+        carry = [f"state->carry[{k}]" for k in range(code.carried)]
+        local = [f"carry_{k}" for k in range(code.carried)]
+        first, second = code.phases.estimate, code.phases.advance
+        names = Names(inputs, [out, carry], [shown, local], meanings(first, step, 0))
+        bodies["estimate"] = body(first, style, names)
+        names = Names(inputs, [stored], [following], meanings(second, step, None))
+        bodies["advance"] = body(second, style, names)
+    return {name: _with_states(part, code, name) for name, part in bodies.items()}
+
+
+def _inputs(code: Code) -> dict[str, str]:
+    """The C expression of each entry of the inputs; states are read into locals first."""
+    step = code.step
+    return entries(
+        s=[f"{name}_was_{k}" for name, k in members(step.state)],
+        w=[f"in->{name}[{k}]" for name, k in members(step.inputs)],
+        p=[f"params->{name}[{k}]" for name, k in members(step.params)],
+        c=[f"state->carry[{k}]" for k in range(code.carried)],
+    )
+
+
+def _with_states(part: Body, code: Code, name: str) -> Body:
+    """A body that first reads the states that it uses, as results overwrite them."""
+    results = code.results if name == "step" else getattr(code.phases, name)
+    used = print_c.inputs_of(results)
+    reads: list[str] = []
+    for entry, (field, k) in enumerate(members(code.step.state)):
+        if f"s{entry}" in used:
+            reads.append(f"{INDENT}const {code.real} {field}_was_{k} = state->{field}[{k}];")
+    return Body([*reads, "", *part.lines] if reads else part.lines, part.functions)
+
+
+def _elementary(names: list[str], used: set[str], style: Style) -> dict[str, Any]:
+    """The words of the header with the elementary functions.
+
+    Args:
+        names: of the functions, each after those that it calls.
+        used: every function that the code calls, those of a number's bits included.
+        style: how numbers and functions are written.
+    """
+    texts = "\n\n".join(print_c.functions(names, used, style))
+    return {"functions": texts, "with_bits": "memcpy" in texts}
+
+
+def _declared(code: Code, name: str, style: Style) -> dict[str, Any]:
+    """The words of the header: structs and prototypes, each with its meaning."""
+    structs = []
+    for struct, fields in code.structs.items():
+        structs.append(_struct(f"{name}_{struct}", _STRUCTS[struct], fields, style))
+    prototypes = []
+    for function, text in signatures(code, name).items():
+        prototypes.append(f"/** {_MEANINGS[function]} */\n{text};\n")
+    return {
+        "structs": "\n".join(structs),
+        "prototypes": "\n".join(prototypes),
+        "claims": "\n".join(_claims(code, name.upper())),
+    }
+
+
+def _claims(code: Code, upper: str) -> list[str]:
+    """Macros of the bits of `claims`, if that is shown."""
+    if not any(field.name == "claims" for field in code.step.outputs):
+        return []
+    lines = ["/* bits of out->claims[0], a whole number; suspect counts them from 1 */"]
+    for k, (name, claim) in enumerate(CLAIMS.items()):
+        lines.append(f"#define {upper}_CLAIM_{name.upper()} {1 << k} /**< {claim.words} */")
+    return [*lines, ""]
+
+
+_STRUCTS = {
+    "state": "What is remembered from sample to sample.",
+    "in": "One sample.",
+    "out": "What is known at this sample.",
+    "params": "Tunable numbers. Whoever changes them leaves what was proved of the design.",
+}
+
+
+def _plain(text: str) -> str:
+    """A text that may stand in a comment, which nothing in it ends."""
+    line = one_line(text).replace("\\", "/")  # first: it makes new slashes
+    return line.replace("*/", "* /").replace("/*", "/ *")
+
+
+def _struct(name: str, meaning: str, fields: list[Field], style: Style) -> str:
+    """The definition of a struct, with a blank line after it."""
+    lines = [f"/** {meaning} */", "typedef struct", "{"]
+    for field in fields:
+        lines.append(
+            f"{INDENT}{style.real} {field.name}[{field.size}]; /**< {_plain(field.meaning)} */"
+        )
+    return "\n".join([*lines, f"}} {name};", ""])
+
+
+def signatures(code: Code, prefix: str) -> dict[str, str]:
+    """The declarations of the functions of an export, without semicolons."""
+    params = f", const {prefix}_params *params" if code.step.params else ""
+    state = f"{prefix}_state *state"
+    sample = f"const {prefix}_in *in"
+    out = f"{prefix}_out *out"
+    texts = {}
+    if code.step.params:
+        texts["params_default"] = f"void {prefix}_params_default({prefix}_params *params)"
+    texts["init"] = f"void {prefix}_init({state})"
+    texts["step"] = f"void {prefix}_step({state}{params}, {sample}, {out})"
+    if code.phases is not None:
+        texts["estimate"] = f"void {prefix}_estimate({state}{params}, {sample}, {out})"
+        texts["advance"] = f"void {prefix}_advance({state}{params}, {sample})"
+    return texts
+
+
+_LIBRARY = ("NAN", "fabs", "sqrt", "fmod", "remainder", "copysign")
+_MEANINGS = {
+    "params_default": "The numbers of the design.",
+    "init": "Start anew.",
+    "step": "One sample: the estimate from this reading and all before it, then on to the next.",
+    "estimate": "The first half of a step: out, which does not depend on in->u. May be repeated.",
+    "advance": "The second half, once in->u is known; both together give the bits of a step.",
+}
+
+
+def _defined(code: Code, name: str, style: Style, bodies: dict[str, Body]) -> dict[str, Any]:
+    """The words of the code: what it includes, and its functions."""
+    step, values = code.step, [*code.step.start.tolist(), *[0.0] * code.carried]
+    start = _assignments("state", code.structs["state"], values, style)
+    defaults = _assignments("params", step.params, step.defaults.tolist(), style)
+    parts = {"params_default": defaults, "init": start}
+    for part, made in bodies.items():
+        parts[part] = [*_unread(made, bool(step.params)), *made.lines]
+    functions = []
+    for part, signature in signatures(code, name).items():
+        functions.append("\n".join([signature, "{", *parts[part], "}"]))
+    text = "\n".join([*start, *itertools.chain(*[part.lines for part in bodies.values()])])
+    return {
+        "functions": "\n\n".join(functions),
+        "with_limits": "FLT_M" in text or "DBL_M" in text,
+        "with_functions": any(word in text for word in _LIBRARY),
+        "with_truths": any(word in text for word in ("bool ", "true", "false")),
+    }
+
+
+def _unread(part: Body, params: bool) -> list[str]:
+    """Statements for arguments that a body happens not to read."""
+    text = "\n".join(part.lines)
+    arguments = ["in->", "params->"] if params else ["in->"]
+    missing = [word.removesuffix("->") for word in arguments if word not in text]
+    return [f"{INDENT}(void){word};" for word in missing]
+
+
+def _assignments(target: str, fields: list[Field], values: list[float], style: Style) -> list[str]:
+    """Statements that store numbers."""
+    lines = []
+    for (name, k), value in zip(members(fields), values, strict=True):
+        lines.append(f"{INDENT}{target}->{name}[{k}] = {literal(value, style.kind)};")
+    return lines
+
+
+# --- Names for locals whose meaning shows in the nodes: is there a reading, which side it shows
+
+HUGE = 1e299  # what `sensor.present` compares with is larger
+
+
+def meanings(results: Results, step: Step, out: int | None) -> dict[Node, str]:
+    """Names of locals.
+
+    Args:
+        results: the nodes.
+        step: the step, for the names of its inputs and outputs.
+        out: which of the results is the output; None: none of them.
+    """
+    order = needed(itertools.chain(*results))
+    names = _present(order, step)
+    if out is not None:
+        for (name, k), node in zip(members(step.outputs), results[out], strict=True):
+            sides = [truth for truth in map(condition, node.args) if truth is not None]
+            if name == "side" and node.op == "sub" and len(sides) == 2:
+                names |= {sides[0]: f"is_right_{k}", sides[1]: f"is_left_{k}"}
+                names |= _either(order, set(sides), f"is_active_{k}")
+    return names
+
+
+def _either(order: list[Node], truths: set[Node], name: str) -> dict[Node, str]:
+    """The name of the node that holds where one of two truths does."""
+    for node in order:
+        if node.op == "or" and set(node.args) == truths:
+            return {node: name}
+    return {}
+
+
+def _present(order: list[Node], step: Step) -> dict[Node, str]:
+    """The truths that an input is a finite number: -1e300 < w and w < 1e300."""
+    inputs = entries(w=[f"{name}_{k}" for name, k in members(step.inputs)])
+    names: dict[Node, str] = {}
+    for node in order:
+        if node.op != "and":
+            continue
+        compared = {_bounded_input(arg) for arg in node.args}
+        text = compared.pop()
+        if not compared and text in inputs:
+            names[node] = f"has_{inputs[text]}"
+    return names
+
+
+def _bounded_input(node: Node) -> str:
+    """The name of the input of w < huge or -huge < w; empty: a node is neither."""
+    if node.op != "lt":
+        return ""
+    low, high = node.args
+    for bound, value, sign in ((low, high, -1.0), (high, low, 1.0)):
+        is_huge = sign * (bound.value or 0.0) >= held(HUGE, bound.kind)
+        if is_huge and value.op == "input":
+            return value.text
+    return ""

@@ -1,0 +1,115 @@
+"""From the scenario of a log to firmware that has followed the log: `identify --chain DIR`."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import msgspec
+import numpy as np
+
+from undeadzone.support.arrays import Floats, finite
+from undeadzone.support.text import with_unit
+
+if TYPE_CHECKING:
+    from undeadzone.results.estimation import Estimation
+    from undeadzone.scenario.schema import Scenario
+    from undeadzone_export.code import Code
+
+
+class Chain(NamedTuple):
+    """What became of a log's scenario.
+
+    Attributes:
+        words: of each step, what is printed.
+        numbers: for JSON.
+        files: those written.
+        passed: whether every step was done and nothing was refused.
+    """
+
+    words: dict[str, Any]
+    numbers: dict[str, Any]
+    files: list[Path]
+    passed: bool
+
+
+def chained(path: Path, log: Path, folder: Path, columns: str | None, strict: bool) -> Chain:
+    """Check a scenario, follow its log with it, export it to C, and let the C follow the log.
+
+    The C is in float, or in double where float is refused.
+
+    Args:
+        path: of the scenario.
+        log: it was made from.
+        folder: where estimate and firmware go.
+        columns: which column of the log is which, as `estimate` takes it.
+        strict: whether a line of the log that cannot be read is an error.
+
+    Raises:
+        InputError: a step is refused.
+    """
+    from undeadzone.analysis.identifiability.linear import yes_no
+    from undeadzone.cli.common import writable
+    from undeadzone.scenario.reader import read
+    from undeadzone.simulation.estimate import estimate
+    from undeadzone.synthesis.check import check
+    from undeadzone_export.exported import PRECISIONS, export
+
+    scenario = read(path)
+    known = check(scenario).known
+    found = estimate(scenario, log, columns=columns, strict=strict)
+    kept = found.save(writable(folder) / "estimate.npz")
+    for precision in PRECISIONS:
+        firmware = export(scenario, "c", folder / "firmware", precision, check=True)
+        if firmware.passed:
+            break
+    assert firmware.code is not None
+    hidden, left = followed(scenario, found, firmware.code)
+    numbers = {
+        "identifiable": [one.right and one.left for one in known],
+        "consistent": found.consistent,
+        "precision": precision,
+        "self_test": firmware.report["self_test"],
+        "refusals": firmware.report["refusals"],
+        "hidden": hidden,
+        "left": left,
+    }
+    unit = scenario.units.output
+    own = "" if found.z_smooth is not None else "; z is the filter's own here: none smooths"
+    words = {
+        "check": [yes_no(msgspec.structs.asdict(one)) for one in known],
+        "consistent": {None: "not tested", True: "yes", False: "NO"}[found.consistent],
+        "firmware": [f"{precision}: {numbers['self_test']}", *firmware.report["refusals"]],
+        "reading off": f"rms y - z {with_unit(f'{hidden:.3g}', unit)} along the log",
+        "firmware off": f"rms z^ - z {with_unit(f'{left:.3g}', unit)}, z^ by the C there{own}",
+    }
+    return Chain(words, finite(numbers), [kept, *firmware.files], firmware.passed)
+
+
+def followed(scenario: Scenario, found: Estimation, code: Code) -> tuple[float, float]:
+    """What the reading hides of z, and what the exported C, run along the log, leaves of it.
+
+    The truth is nobody's: z is what the whole log says of it, or the filter where none smooths.
+
+    Args:
+        scenario: that was exported.
+        found: the estimate along the log.
+        code: that was printed of its observer.
+
+    Returns:
+        rms of y / m - z, and of the C's z^ - z, over all outputs [z].
+    """
+    from undeadzone_export.accuracy import Compiled
+    from undeadzone_export.parts import places_of
+
+    z = found.z_hat if found.z_smooth is None else found.z_smooth
+    with tempfile.TemporaryDirectory() as scratch:
+        outputs = Compiled(code, Path(scratch))(np.hstack([found.y, found.u]))
+    estimated = outputs[:, places_of(code.step.outputs)["z"]]
+    return _rms(found.y / np.asarray(scenario.sensor.slope) - z), _rms(estimated - z)
+
+
+def _rms(values: Floats) -> float:
+    """Root mean square of what is there."""
+    return float(np.sqrt(np.nanmean(values**2)))

@@ -1,0 +1,192 @@
+"""undeadzone identify LOG.csv ..."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from undeadzone.cli.common import (
+    PATH,
+    cmd,
+    columns_option,
+    flag,
+    force_option,
+    help_all,
+    option,
+    origin,
+    rarely,
+    strict_option,
+    untrusted,
+    writable,
+)
+from undeadzone.cli.output import Output, common, named_files, partial_file
+from undeadzone.errors import InputError
+from undeadzone.support.files import write_text
+from undeadzone.support.progress import on_terminal as progress
+
+if TYPE_CHECKING:
+    from undeadzone_identify.answer.next_log import Next
+    from undeadzone_identify.answer.result import Identified, IdentifiedOutputs
+
+    Answers = Identified | IdentifiedOutputs
+
+
+KINDS = click.Choice(["auto", "deadzone", "jump", "play"])
+NOISES = click.Choice(["auto", "before", "after"])
+PLACES = click.Choice(["auto", "sensor"])
+
+
+@click.command(epilog="Example: undeadzone identify log.csv && undeadzone run log.toml")
+@click.argument("logs", nargs=-1, required=True, type=PATH, metavar="LOG [LOG ...]")
+@columns_option
+@option("--kind", None, "What stands at the output; auto finds out.", type=KINDS, default="auto")
+@option("--order", "N|LOW-HIGH", "Poles of the plant, or a range to choose from.", default="1-4")
+@option("--right", "WIDTH", "d_r: known (0.5), within bounds (0.2,1) or inf (no such edge).")
+@option("--left", "WIDTH", "d_l: known (0.5), within bounds (0.2,1) or inf (no such edge).")
+@option("--zero", "READING", "What the sensor reads inside its zone.", default=0.0)
+@rarely("--integrators", None, "Poles of the plant at 0: 1 for a motor's position.", default=0)
+@rarely("--offset", "RMS|free", "Of a constant offset of the output.", default="0")
+@rarely("--held-out", None, "Share of the log, at its end, that checks.", default=0.3)
+@rarely("--noise", None, "Whether noise is added ahead of the zone.", type=NOISES, default="auto")
+@rarely("--place", None, "sensor: ask no more where the zone is.", type=PLACES, default="auto")
+@rarely("--delay", "N", "Samples by which the recording delays the input.", default="auto")
+@rarely("--threshold", "|y|", "Up to which y is silent.", type=float)
+@rarely("--resample", "STEP", "Step [s] to put the samples on.", type=float)
+@strict_option
+@option("--chain", "DIR", "Go on to firmware in DIR: check, estimate, export, replay.", type=PATH)
+@option("--next", "FILE", "CSV of the input to record next.", "further", type=PATH)
+@flag("--resume", "Continue where it was stopped, from DIR/identify.json.partial.")
+@help_all
+@force_option
+@untrusted
+@common
+def identify(
+    logs: tuple[Path, ...],
+    output: Output,
+    resume: bool,
+    chain: Path | None,
+    further: Path | None,
+    force: bool,
+    **options: Any,
+) -> int:
+    """Find plant and dead zone from a log of a real plant.
+
+    A log is a CSV file of any dialect (t, u, y; units in brackets), .npz or .mat; several are
+    records of one plant. Prints whether there is a dead zone, how wide each side is with 95 %
+    intervals, the plant, and how it does on held-out data. A play or an actuator's dead zone is
+    named and measured instead. Writes NAME.toml, a scenario for run,
+    check, design and watch, and identify.json, figures and report.html to DIR (default:
+    NAME-identify). With --no-figures and no --out it writes the scenario alone. What was fitted is
+    kept in DIR meanwhile: after Ctrl-C, kill or a crash --resume goes on. With --chain the scenario
+    is checked, follows the log, is exported to C, and the C follows the log: prints how far the
+    reading and the C's z^ are from z. Exit code 1: there is no dead zone of the sensor, and nothing
+    else that a scenario could be written for; or the firmware is refused.
+    """
+    from undeadzone.logs.names import require_table
+    from undeadzone.support.own_files import require_own
+    from undeadzone_identify.answer.result import WRITTEN
+    from undeadzone_identify.chain import chained
+    from undeadzone_identify.questions import identify as identified
+
+    first = logs[0]
+    if chain is not None and (len(logs) > 1 or options["zero"]):
+        raise click.UsageError("--chain follows one log, with --zero taken off its readings")
+    folder = output.folder(f"{first.stem}-identify")
+    path = writable(output.out or Path()) / f"{first.stem}.toml"
+    if chain is not None:
+        writable(chain)
+    require_table(str(first))
+    for made in filter(None, (path, further)):
+        require_own(made, force)
+    keep = partial_file(folder, "identify.json", resume)
+    with progress("identifying", None) as advance:
+        names = [str(path) for path in logs]
+        answer = identified(names, progress=advance, keep=keep, resume=resume, **options)
+        is_found = answer.verdict in ("dead_zone", options["kind"])
+        written: list[Path] = [] if folder is None else [answer.save(folder / "identify.json")]
+        reason = None
+        if is_found or answer.verdict in (*WRITTEN, "jump"):
+            scenario, reason = _scenario(answer, path, force)
+            written = scenario + written
+        best, why = (None, {}) if further is None else _asked_next(answer)
+        if further is not None and best is not None:
+            written.append(write_text(best.table, further))
+        if folder is not None and output.figures:
+            written += _pages(answer, folder, first.name, best)
+    if keep is not None:
+        keep.unlink(missing_ok=True)
+    why |= {} if reason is None else {"no scenario": reason.removeprefix("scenario: ")}
+    is_written = path in written
+    driven = is_written and "[reference]" in path.read_text(encoding="utf-8")
+    follow = {"next": _next(path, logs, options, driven)} if is_written else {}
+    is_done, more = is_found or is_written, {}
+    if chain is not None and is_written:
+        with progress("going on to firmware", None):
+            reached = chained(path, first, chain, options["columns"], options["strict"])
+        written, is_done = written + reached.files, reached.passed
+        why, more = why | reached.words, {"chain": reached.numbers}
+        follow = {"next": f"{cmd('make', '-C', chain / 'firmware')} builds the self-test"}
+    elif chain is not None:
+        is_done, why = False, why | {"firmware": "none: there is no scenario to make it of"}
+    output.show(
+        lambda: answer.numbers() | more,
+        answer.blocks,
+        written,
+        why | named_files(written) | follow,
+    )
+    return 0 if is_done else 1
+
+
+def _next(scenario: Path, logs: tuple[Path, ...], options: dict[str, Any], driven: bool) -> str:
+    """What to type next, with the scenario that was written; a log is followed as it is.
+
+    Where fewer inputs drive than outputs are read nothing follows a reference.
+    """
+    words = cmd("undeadzone", "run", scenario)
+    if not driven:
+        words = f"{cmd('undeadzone', 'watch', scenario)} of what is read from now on"
+    if len(logs) == 1 and not options["zero"] and options["resample"] is None:
+        columns = ["--columns", options["columns"]] * bool(options["columns"])
+        words = f"{cmd('undeadzone', 'estimate', scenario, *logs, *columns)}, {words}"
+    return f"{words}, or {cmd('undeadzone', 'export', scenario)}" if driven else words
+
+
+def _asked_next(answer: Answers) -> tuple[Next | None, dict[str, str]]:
+    """What to record next, and its words; or why nothing is."""
+    from undeadzone_identify.answer.result import Identified
+
+    if not isinstance(answer, Identified):
+        return None, {"no next log": "several outputs: ask it of one, named by --columns"}
+    try:
+        best = answer.next_log()
+    except InputError as error:
+        return None, {"no next log": str(error).removeprefix("next: ")}
+    return best, {"record next": best.words}
+
+
+def _scenario(answer: Answers, path: Path, force: bool) -> tuple[list[Path], str | None]:
+    """The scenario that was written, or why there is none."""
+    from undeadzone.support.own_files import write_own
+
+    try:
+        return [write_own(answer.scenario(path.stem), path, force)], None
+    except InputError as error:
+        return [], str(error)
+
+
+def _pages(answer: Answers, folder: Path, source: str, best: Next | None) -> list[Path]:
+    """A page with figures for each output, written to a folder."""
+    from undeadzone.results.mjcf import write
+    from undeadzone_identify.answer.result import Identified
+    from undeadzone_identify.answer.words import joints
+    from undeadzone_identify.page import write_identified
+
+    if isinstance(answer, Identified):
+        written = write(joints(answer.answer), folder)
+        return written + write_identified(answer, folder, source, origin(None), best)
+    written = []
+    for k, (name, one) in enumerate(zip(answer.names, answer.outputs, strict=True)):
+        written += write_identified(one, folder / f"output-{k}", f"{source}, {name}", origin(None))
+    return written

@@ -1,0 +1,351 @@
+"""Figures of an identified log: with a zone of the sensor, or with another element."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from undeadzone.report import ink
+from undeadzone.report.style import finish, label, plain, sheet
+from undeadzone.support.text import HALF_95
+from undeadzone_identify.answer.next_log import Next
+from undeadzone_identify.answer.result import Identified
+from undeadzone_identify.answer.words import crossing_columns
+from undeadzone_identify.models.kalman_fit import innovations as filtered
+from undeadzone_identify.models.plant import MANY
+from undeadzone_identify.models.zone_fit import expected_reading
+from undeadzone_identify.verdict.orders import correlation, innovations, trained_part
+from undeadzone_identify.verdict.widths import profile
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from undeadzone.support.arrays import Floats, Integers
+    from undeadzone_identify.answer.result import IdentifiedOutputs
+    from undeadzone_identify.verdict.which import Element
+
+WITHIN = 0.9  # of the crossings that a figure is sure to show
+MAPS = {"jump": "jump sensor"}  # by verdict, what the fitted sensor is called
+LAGS = 25
+POINTS = 9  # of a profile
+MOST = 4000  # samples of a figure over time; of a longer log the last ones are drawn
+MOST_AT_END = 600  # the same of a figure of the end of a log
+NAMES = {"play": "the play", "both": "play and dead zone", "two_zones": "the dead zone"}
+SIDES = {"input_zone": "Side of the input", "two_zones": "Side of the reading"}
+MIDDLES = {"input_zone": "silent", "two_zones": "silent"}
+
+
+def figures(found_log: Identified, further: Next | None = None) -> dict[str, Figure]:
+    """The figures that apply.
+
+    Args:
+        found_log: the answer.
+        further: what to record next; None: nobody asked.
+
+    Returns:
+        Figures by name: overview, residual_map, residual, and where there is a zone hidden and, of
+        a log that is not long, profiles; of a play, or of an input zone, overview and element, and
+        of a servo crossings; next, the input to record.
+    """
+    return _of_answer(found_log) | ({} if further is None else {"next": _next(found_log, further)})
+
+
+def _next(found_log: Identified, further: Next) -> Figure:
+    """The input to record next."""
+    figure, panels = sheet([["u"]], "What to record next", height=2.4)
+    panels["u"].plot(further.t, further.u, linewidth=0.8, drawstyle="steps-post")
+    unit = found_log.answer.case.grid.input_unit
+    finish(panels["u"], further.words, label("u", unit), _time(found_log))
+    return figure
+
+
+def _of_answer(found_log: Identified) -> dict[str, Figure]:
+    """The figures of the answer itself."""
+    element = found_log.answer.element
+    if element is not None:
+        shown = {
+            "overview": _over_time(found_log, element),
+            "element": _by_output(found_log, element),
+        }
+        columns = crossing_columns(found_log.answer)
+        return shown | ({"crossings": _crossings(found_log, columns)} if columns else {})
+    drawn = {
+        "overview": overview(found_log),
+        "residual_map": _residual_map(found_log),
+        "residual": _residual(found_log),
+    }
+    if found_log.right is not None:
+        drawn["hidden"] = _hidden(found_log)
+        short = found_log.answer.fit.objective.data.y.size <= MANY
+        if found_log.verdict == "dead_zone" and short:  # each point of a profile is a fit
+            drawn["profiles"] = _profiles(found_log)
+    return drawn
+
+
+def _shown(found_log: Identified, most: int = MOST) -> slice:
+    """The samples of a figure over time."""
+    size = found_log.answer.case.grid.t.size
+    return slice(max(0, size - most), size)
+
+
+def _unit(found_log: Identified) -> str:
+    return found_log.answer.case.grid.output_unit
+
+
+def _time(found_log: Identified) -> str:
+    """The label of the axis of time."""
+    return "t [samples]" if found_log.answer.case.grid.counted else "t [s]"
+
+
+def overview(found_log: Identified) -> Figure:
+    """z^, y and zone over time, the held-out part shaded; sides below."""
+    data, part = found_log.answer.fit.objective.data, _shown(found_log)
+    figure, panels = sheet([["signals"], ["signals"], ["sides"]], "The log and its fit", height=1.9)
+    signals(panels["signals"], found_log)
+    _shade_held_out(panels["sides"], found_log)
+    fit, t = found_log.answer.fit, found_log.answer.case.grid.t[part]
+    behind = fit.objective.kind == "behind"  # readings inside the zone are noise
+    whose = "Side of ẑ" if behind else "Side of the readings"
+    side = np.where(data.ok, fit.objective.side(fit.theta), np.nan)[part]
+    _sides(panels["sides"], t, side, "silent")
+    finish(panels["sides"], whose, "", _time(found_log), legend=0)
+    return figure
+
+
+def _sides(axes: Axes, t: Floats, side: Floats | Integers, middle: str) -> None:
+    """A side over time, -1, 0 or 1; middle: what 0 is called."""
+    axes.plot(t, side, color=ink.TRUTH, linewidth=0.8, drawstyle="steps-post")
+    axes.set_yticks([-1, 0, 1], ["left", middle, "right"])
+    axes.set_ylim(-1.3, 1.3)
+
+
+def signals(axes: Axes, found_log: Identified, of: str = "") -> None:
+    """z^, y and zone over time, the held-out part shaded; of: name of the output."""
+    if found_log.answer.element is None:
+        _zone_bands(axes, found_log)
+    _output(axes, found_log, _shown(found_log))
+    _reading(axes, found_log, _shown(found_log))
+    _shade_held_out(axes, found_log)
+    title = f"Output{of} and reading; shaded: held out"
+    finish(axes, title, label("z, y", _unit(found_log)), "")
+
+
+def _output(axes: Axes, found_log: Identified, part: slice) -> None:
+    """The output of the fitted plant over time."""
+    answer = found_log.answer
+    z = (answer.z * answer.scale)[part]
+    axes.plot(answer.case.grid.t[part], z, color=ink.ESTIMATE, label="plant's ẑ")
+
+
+def _reading(axes: Axes, found_log: Identified, part: slice) -> None:
+    """The readings over time, with gaps where they are missing."""
+    grid = found_log.answer.case.grid
+    y = np.where(grid.ok, grid.y, np.nan)[part]
+    axes.plot(grid.t[part], y, color=ink.READING, linewidth=1.0, label="reading y")
+
+
+def of_outputs(result: IdentifiedOutputs) -> Figure:
+    """The log and the fit of each output, one below the other."""
+    figure, panels = sheet([[name] for name in result.names], "The log and its fits")
+    for name, one in zip(result.names, result.outputs, strict=True):
+        signals(panels[name], one, f" {plain(name)}")
+    return figure
+
+
+def first(axes: Axes, result: IdentifiedOutputs) -> None:
+    """The log and the fit of the first output."""
+    signals(axes, result.outputs[0])
+
+
+def _shade_held_out(axes: Axes, found_log: Identified) -> None:
+    """Shade what had no part in the fit that checks."""
+    answer, part = found_log.answer, _shown(found_log)
+    held_out = ~trained_part(answer.fit.objective.data, answer.case.options.held_out)
+    axes.fill_between(
+        answer.case.grid.t[part], 0, 1, where=held_out[part], color=ink.ZONE, alpha=0.12,
+        linewidth=0, transform=axes.get_xaxis_transform(),
+    )  # fmt: skip
+
+
+def _zone_bands(axes: Axes, found_log: Identified) -> None:
+    """The zone, and the intervals of its edges."""
+    words: str | None = "edges, 95 %"
+    for interval, sign in ((found_log.right, 1), (found_log.left, -1)):
+        if interval is None or not math.isfinite(interval.high):
+            continue
+        axes.axhline(sign * interval.value, color=ink.PRINTED, linewidth=1.0, label=None)
+        axes.axhspan(
+            sign * interval.low, sign * interval.high, color=ink.PRINTED, alpha=0.25, linewidth=0,
+            label=words,
+        )  # fmt: skip
+        words = None
+
+
+def _hidden(found_log: Identified) -> Figure:
+    """The hidden output with its band against the reading, of the last part of the log."""
+    states = found_log.states()
+    part = _shown(found_log, MOST_AT_END)
+    figure, panels = sheet([["z"]], "The hidden output", height=3.2)
+    axes = panels["z"]
+    t, z, band = states.t[part], states.z[part], HALF_95 * states.z_std[part]
+    _zone_bands(axes, found_log)
+    axes.fill_between(t, z - band, z + band, color=ink.ESTIMATE, alpha=0.25, linewidth=0)
+    axes.plot(t, z, color=ink.ESTIMATE, label="ẑ with 95 % band")
+    _reading(axes, found_log, part)
+    finish(axes, "Inside the zone the sensor is silent", label("z, y", _unit(found_log)),
+           _time(found_log))  # fmt: skip
+    return figure
+
+
+def _residual_map(found_log: Identified) -> Figure:
+    """The residual by z^."""
+    answer = found_log.answer
+    residuals, scale = answer.case.residuals, answer.scale
+    fit = answer.chosen.singles
+    figure, panels = sheet([["map", "static"]], "What the zone leaves", height=3.4)
+    axes = panels["map"]
+    ok = fit.objective.readings.ok
+    left = (fit.objective.readings.y - expected_reading(fit)) * scale
+    _dots(axes, (fit.z * scale)[ok], left[ok], ink.ZONE)
+    x, curve = residuals.centres * scale, residuals.curve * scale
+    band = HALF_95 * residuals.std * scale
+    axes.fill_between(x, curve - band, curve + band, color=ink.PRINTED, alpha=0.25, linewidth=0)
+    axes.plot(x, curve, color=ink.PRINTED, label="mean residual, 95 %")
+    unit = _unit(found_log)
+    finish(axes, "Residual by ẑ", label("y - E[y | ẑ]", unit), label("ẑ", unit))
+    axes = panels["static"]
+    _dots(axes, (fit.z * scale)[ok], answer.case.grid.y[ok], ink.READING, "readings")
+    z, expected = _sensor_map(found_log)
+    axes.plot(z, expected, color=ink.ESTIMATE, label=MAPS.get(found_log.verdict, "dead zone"))
+    finish(axes, "Reading by ẑ", label("y", unit), label("ẑ", unit))
+    return figure
+
+
+def _sensor_map(found_log: Identified) -> tuple[Floats, Floats]:
+    """z in order, and the reading that the fitted sensor gives there."""
+    answer = found_log.answer
+    fit, jumps = answer.chosen.singles, answer.case.jumps
+    z = np.sort(fit.z) * answer.scale
+    if jumps is None:
+        return z, np.sort(expected_reading(fit)) * answer.scale
+    right, left = (edge.value * answer.scale for edge in jumps)
+    return z, np.where((z > right) | (z < -left), z, 0.0)
+
+
+def _residual(found_log: Identified) -> Figure:
+    """Correlation of the one-step residual with itself and with the input."""
+    fit = found_log.answer.fit
+    data = fit.objective.data
+    kalman = found_log.answer.found.kalman
+    if kalman:
+        value, use = filtered(kalman[0]), data.ok & (data.side != 0)
+    else:
+        value, use = innovations(fit, data.ok)
+    figure, panels = sheet([["auto", "cross"]], "Is the one-step residual white?", height=2.8)
+    band = HALF_95 / math.sqrt(max(int(use.sum()), 1))
+    lags = np.arange(1, LAGS + 1)
+    _stems(panels["auto"], lags, correlation(value, use, LAGS), band)
+    finish(panels["auto"], "Residual with itself", "correlation", "lag [samples]", legend=0)
+    u = data.u[:, 0] - data.u[:, 0].mean()
+    centred = (value - value[use].mean()) * use
+    power = math.sqrt(float(centred @ centred) * float(u @ u)) + 1e-300
+    cross = [float(centred[lag:] @ u[: u.size - lag]) / power for lag in lags]
+    _stems(panels["cross"], lags, np.array(cross), HALF_95 / math.sqrt(u.size))
+    finish(panels["cross"], "Residual with past input", "correlation", "lag [samples]", legend=0)
+    return figure
+
+
+def _stems(axes: Axes, lags: object, values: object, band: float) -> None:
+    """Correlations as stems over the band of white noise."""
+    axes.axhspan(-band, band, color=ink.ZONE, alpha=0.25, linewidth=0)
+    axes.vlines(lags, 0, values, color=ink.ESTIMATE)  # type: ignore[arg-type]
+    axes.plot(lags, values, "o", color=ink.ESTIMATE, markersize=3)  # type: ignore[arg-type]
+    axes.set_xlim(0, LAGS + 1)
+
+
+def _profiles(found_log: Identified) -> Figure:
+    """Profile likelihoods of both widths."""
+    answer = found_log.answer
+    figure, panels = sheet([["right", "left"]], "Profile likelihoods", height=2.8)
+    for name, colour in (("right", ink.PRINTED), ("left", ink.OTHER)):
+        interval = getattr(found_log, name)
+        axes = panels[name]
+        if interval is not None and interval.half > 0:
+            own = answer.fit.right if name == "right" else answer.fit.left
+            reach = 1.5 * interval.half / answer.scale
+            values = own + np.linspace(-reach, reach, POINTS)
+            fall = profile(answer.fit, name, values)
+            axes.axvspan(interval.low, interval.high, color=ink.ZONE, alpha=0.2, linewidth=0)
+            axes.axvline(interval.value, color=ink.TRUTH, linewidth=0.8)
+            good = np.isfinite(fall)
+            axes.plot((values * answer.scale)[good], fall[good], "o-", color=colour, markersize=3)
+        finish(axes, f"d_{name[0]}; shaded: printed interval", "log likelihood less its top",
+               label(f"$d_{name[0]}$", _unit(found_log)), legend=0)  # fmt: skip
+    return figure
+
+
+def _over_time(found_log: Identified, element: Element) -> Figure:
+    """z^, what is read of it, and the readings; contacts or sides below."""
+    grid, part = found_log.answer.case.grid, _shown(found_log, MOST_AT_END)
+    figure, panels = sheet([["signals"], ["signals"], ["sides"]], "The log and its fit", height=1.9)
+    axes, t = panels["signals"], grid.t[part]
+    _output(axes, found_log, part)
+    _reading(axes, found_log, part)
+    if element.kind != "input_zone":
+        expected = (element.readings * found_log.answer.scale)[part]
+        axes.plot(t, expected, color=ink.OTHER, linewidth=1.0, label=f"{NAMES[element.kind]} of it")
+    finish(axes, "The end of the log", label("z, y", grid.output_unit), "")
+    _sides(panels["sides"], t, element.side[part], MIDDLES.get(element.kind, "holds"))
+    title = SIDES.get(element.kind, "Contact")
+    finish(panels["sides"], title, "", _time(found_log), legend=0)
+    return figure
+
+
+def _by_output(found_log: Identified, element: Element) -> Figure:
+    """Readings by z^ with the path of what is expected; by u where the input has the zone."""
+    answer = found_log.answer
+    grid, scale, unit = answer.case.grid, answer.scale, _unit(found_log)
+    figure, panels = sheet([["map", "left"]], "What was found", height=3.4)
+    axes, z, title = panels["map"], element.z * scale, "Reading by z^"
+    x, x_label, of_input = z, label("ẑ", unit), element.kind == "input_zone"
+    _dots(axes, z[grid.ok], grid.y[grid.ok], ink.READING, "readings")
+    if not of_input:
+        part, title = _shown(found_log, MOST_AT_END), f"{title}, and its path"
+        path, name = (element.readings * scale)[part], f"path of {NAMES[element.kind]}"
+        axes.plot(z[part], path, color=ink.ESTIMATE, linewidth=1.0, label=name)
+    finish(axes, title, label("y", unit), x_label)
+    axes, title = panels["left"], "What is left"
+    if of_input:
+        x, x_label, title = grid.u[:, 0], label("u", grid.input_unit), f"{title}, by the input"
+    residual = (answer.fit.objective.data.y - element.readings) * scale
+    _dots(axes, x[grid.ok], residual[grid.ok], ink.READING, "readings")
+    finish(axes, title, label("y - E[y]", unit), x_label)
+    return figure
+
+
+def _crossings(found_log: Identified, columns: dict[str, Floats]) -> Figure:
+    """The gap at each crossing, by time, by y and by duration; the printed interval is shaded."""
+    unit, width = _unit(found_log), found_log.width
+    figure, panels = sheet([["t", "y", "duration"]], "The gap at each crossing", height=3.0)
+    places = {"t": _time(found_log), "y": label("y", unit), "duration": "duration [s]"}
+    middle = float(np.median(columns["gap"]))
+    reach = float(np.quantile(np.abs(columns["gap"] - middle), WITHIN))
+    for name, x_label in places.items():
+        axes = panels[name]
+        if width is not None:
+            axes.axhspan(width.low, width.high, color=ink.ZONE, alpha=0.3, linewidth=0)
+            reach = max(reach, width.half)
+        for side, colour, word in ((1, ink.ESTIMATE, "to the right"), (-1, ink.OTHER, "left")):
+            own = columns["side"] == side
+            axes.plot(columns[name][own], columns["gap"][own], ".", color=colour, label=word)
+        axes.set_ylim(middle - 2 * reach, middle + 2 * reach)
+        finish(axes, f"By {name}", label("gap", unit), x_label)
+    return figure
+
+
+def _dots(axes: Axes, x: Floats, y: Floats, colour: str, name: str | None = None) -> None:
+    """Single readings, or what is left of them."""
+    axes.plot(x, y, ".", color=colour, markersize=1.5, alpha=0.5, label=name, rasterized=True)

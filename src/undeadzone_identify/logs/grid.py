@@ -1,0 +1,290 @@
+"""Logs on a regular grid of time: the step, gaps as missing readings, the quantum of readings."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from undeadzone.errors import FileError, InputError
+from undeadzone.logs.samples import Regular, filled
+from undeadzone.support.arrays import Flags, Floats, Integers
+from undeadzone_identify.logs.log import Log, where
+from undeadzone_identify.models.estimates import KeptClimbs
+
+JITTER = 0.01  # of a step, by which regular times may differ
+LONG = 20  # steps; a longer gap begins a new record, since nobody knows the input in it
+MOST = 100_000  # samples that are used; more would take minutes and say little more
+MOST_SUMMED = 10_000  # of an integrating plant, whose log has a state every few hundred samples
+STRETCHES = 5  # into which these are cut, of a longer log
+EXACT = 1e-9  # of the range, by which two readings differ
+COARSER = 1e-6  # of the range, from which a quantum matters
+SPIKE = 10.0  # times the 99 % quantile of a size, beyond which few values are none
+RARE = 0.005  # share of values that may be such
+ODD = 0.1  # quanta by which a change may differ from a multiple
+
+
+class Grid(NamedTuple):
+    """Records on a regular grid, one after another.
+
+    Attributes:
+        t: times (N) [s].
+        u: inputs (N x m), held over gaps.
+        y: readings (N), 0 where missing.
+        ok: whether there is a reading (N).
+        start: first sample of each record (R).
+        step: sample time [s].
+        quantum: smallest common spacing of the readings, 0 if there is none [y].
+        remarks: what was done to the log, for the user.
+        counted: whether times count samples.
+        inputs: names of the inputs.
+        input_unit, output_unit: units, "1" if unknown.
+        output: name of the output.
+        r: the reference (N x 1), NaN where it is missing or a spike; (N x 0) where a log has none.
+        climbs: of fits of the log, those that were kept on disk; None: none are.
+    """
+
+    t: Floats
+    u: Floats
+    y: Floats
+    ok: Flags
+    start: Integers
+    step: float
+    quantum: float
+    remarks: list[str]
+    counted: bool
+    inputs: tuple[str, ...]
+    input_unit: str
+    output_unit: str
+    output: str
+    r: Floats
+    climbs: KeptClimbs | None = None
+
+
+def to_grid(logs: list[Log], resample: float | None = None) -> Grid:
+    """Logs of one plant on one regular grid.
+
+    Args:
+        logs: one or more; each begins a record with a state of its own.
+        resample: step [s] to resample to; default: the step of the logs, which must be regular.
+
+    Returns:
+        The records, one after another.
+
+    Raises:
+        FileError: an irregular step.
+        InputError: logs with different steps or numbers of inputs.
+    """
+    pieces, steps = [], []
+    remarks: list[str] = []
+    for log in logs:
+        remarks += log.remarks
+        if log.u.shape[1] != logs[0].u.shape[1]:
+            raise InputError(
+                f"{log.source}: has {log.u.shape[1]} inputs, others have another number"
+            )
+        steps.append(find_step(log) if resample is None else resample)
+        on_grid = _regular if resample is None else _resampled
+        pieces.append(on_grid(log, steps[-1], remarks))
+    if max(steps) > min(steps) * (1 + JITTER):
+        raise InputError(
+            f"logs: steps differ, from {min(steps):.6g} to {max(steps):.6g} s; use --resample STEP"
+        )
+    sizes = np.cumsum([0] + [piece.t.size for piece in pieces])
+    starts = [piece.start + size for piece, size in zip(pieces, sizes[:-1], strict=True)]
+    first = logs[0]
+    m = first.u.shape[1]
+    known = min(log.r.shape[1] for log in logs)  # of one log alone, the reference is not used
+    if known < max(log.r.shape[1] for log in logs):
+        remarks.append("not every log has a reference: it is not used")
+    cut = [piece._replace(u=piece.u[:, : m + known]) for piece in pieces]
+    t, u, y, _ = (np.concatenate(parts) for parts in zip(*cut, strict=True))
+    u, r, ok = u[:, :m], u[:, m:], np.isfinite(y)
+    return Grid(
+        t,
+        u,
+        np.where(ok, y, 0.0),
+        ok,
+        np.concatenate(starts),
+        float(np.mean(steps)),
+        find_quantum(y[ok]),
+        remarks,
+        first.counted,
+        first.inputs,
+        first.input_unit,
+        first.output_units[0],
+        first.outputs[0],
+        np.where(spikes(r, np.isfinite(r)), np.nan, r),
+    )
+
+
+def spikes(values: Floats, known: Flags) -> Flags:
+    """The few values far beyond all others: one would rule every sum.
+
+    Args:
+        values: a signal (N, or N x K).
+        known: which of them there are.
+    """
+    size = np.abs(values)
+    usual = float(np.quantile(size[known], 0.99)) if known.any() else 0.0
+    found = known & (size > SPIKE * usual)
+    return found & bool(usual > 0 and found.sum() <= max(1, RARE * known.sum()))
+
+
+def shortened(grid: Grid, integrators: int = 0) -> Grid:
+    """Stretches of a very long log, evenly spread over it, with a remark; others as they are.
+
+    Args:
+        grid: the records.
+        integrators: of the plant.
+    """
+    size = grid.t.size
+    most = MOST_SUMMED if integrators else MOST
+    if size <= most:
+        return grid
+    long = most // STRETCHES
+    remark = (
+        f"the log has {size} samples; {STRETCHES} stretches of {long}, evenly spread over it, are"
+        " used: cut the log to use others"
+    )
+    firsts = np.linspace(0, size - long, STRETCHES).astype(int)
+    kept = np.concatenate([np.arange(first, first + long) for first in firsts])
+    begins = np.union1d(np.flatnonzero(np.isin(kept, grid.start)), long * np.arange(STRETCHES))
+    return grid._replace(
+        t=grid.t[kept],
+        u=grid.u[kept],
+        r=grid.r[kept],
+        y=grid.y[kept],
+        ok=grid.ok[kept],
+        start=begins,
+        remarks=[*grid.remarks, remark],
+    )
+
+
+class _Piece(NamedTuple):
+    """One log on its grid; a reading that is missing is NaN; the reference stands behind u."""
+
+    t: Floats
+    u: Floats
+    y: Floats
+    start: Integers
+
+
+def find_step(log: Log) -> float:
+    """The sample time of a log [s].
+
+    Args:
+        log: its times increase.
+
+    Returns:
+        The median spacing, refined over the whole log.
+
+    Raises:
+        FileError: fewer than two samples, or spacings that are no multiples of one step.
+    """
+    if log.t.size < 3:
+        raise FileError(f"{log.source}: {log.t.size} samples are too few")
+    spacing = np.diff(log.t)
+    step = float(np.median(spacing))
+    count = np.maximum(np.rint(spacing / step), 1.0)
+    step = float((log.t[-1] - log.t[0]) / count.sum())
+    off = np.abs(spacing - count * step)
+    allowed = JITTER * step * np.sqrt(count) + _printed(log.t)
+    bad = np.flatnonzero(off > allowed)
+    if bad.size:
+        worst = int(bad[np.argmax(off[bad])])
+        raise FileError(
+            f"{where(log.source, log.lines, worst + 1)}: irregular step: {spacing[worst]:.6g} s"
+            f" where the log has {step:.6g} s; {bad.size} of {spacing.size} steps differ by more"
+            f" than 1 % from a multiple; use --resample {step:.3g}, or give times with more digits"
+        )
+    return step
+
+
+def _printed(t: Floats) -> float:
+    """By how much printed times may be off [s]: their last decimal, if they have few; else 0."""
+    for digits in range(7):
+        if np.abs(t - np.round(t, digits)).max() < 1e-9 * max(1.0, float(np.abs(t).max())):
+            unit = 10.0**-digits
+            step = float(np.median(np.diff(t)))
+            return 1.01 * unit if unit < 0.25 * step else 0.0
+    return 0.0
+
+
+def _regular(log: Log, step: float, remarks: list[str]) -> _Piece:
+    """A log of multiples of a step; short gaps are filled, a long one begins a record."""
+    steps = np.maximum(np.rint(np.diff(log.t, prepend=log.t[0] - step) / step), 1.0)
+    breaks = steps > LONG
+    steps[breaks] = 1.0
+    start = np.flatnonzero(breaks)
+    place = np.cumsum(steps).astype(int) - 1
+    whole = filled(Regular(log.t, log.y, np.hstack([log.u, log.r])), steps, step)
+    held = np.maximum.accumulate(np.where(np.isfinite(whole.u[:, 0]), np.arange(whole.t.size), 0))
+    missing = whole.t.size - log.t.size
+    if missing:
+        remarks.append(
+            f"{missing} readings missing in gaps of {log.source}; the input is held there"
+        )
+    if start.size:
+        remarks.append(
+            f"{start.size} gaps of {log.source} are longer than {LONG} steps; a new record"
+            " begins after each"
+        )
+    return _Piece(whole.t, whole.u[held], whole.y[:, 0], np.append(0, place[start]))
+
+
+def _resampled(log: Log, step: float, remarks: list[str]) -> _Piece:
+    """A log on a grid of its own: inputs held, readings kept only where they lie near the grid."""
+    if not 0 < step < (log.t[-1] - log.t[0]) / 10:
+        raise InputError(f"resample: a step of {step:g} s does not fit {log.t[-1] - log.t[0]:g} s")
+    size = int(np.floor((log.t[-1] - log.t[0]) / step)) + 1
+    if size > 20 * log.t.size:
+        raise InputError(f"resample: a step of {step:g} s is far below the spacing of the log")
+    t = log.t[0] + step * np.arange(size)
+    held = np.clip(np.searchsorted(log.t, t + 1e-6 * step, side="right") - 1, 0, None)
+    after = np.minimum(held + 1, log.t.size - 1)
+    nearer = np.abs(log.t[after] - t) < np.abs(log.t[held] - t)
+    near = np.where(nearer, after, held)
+    y = np.where(np.abs(log.t[near] - t) <= 0.1 * step, log.y[near, 0], np.nan)
+    remarks.append(
+        f"resampled to {step:g} s: {int(np.isfinite(y).sum())} of {log.t.size} readings lie within"
+        " a tenth of a step of the grid and are kept"
+    )
+    return _Piece(t, np.hstack([log.u, log.r])[held], y, np.zeros(1, int))
+
+
+def find_quantum(y: Floats) -> float:
+    """The spacing of readings that are few and alike, as an encoder's are.
+
+    Args:
+        y: readings (N), none missing.
+
+    Returns:
+        As of `rounding_of`; 0 if the readings are many and different.
+    """
+    different = np.unique(np.append(np.abs(y), 0.0)).size
+    few = 4 <= different <= 0.5 * max(int(np.count_nonzero(y)), 8)
+    return rounding_of(y) if few else 0.0
+
+
+def rounding_of(y: Floats) -> float:
+    """The spacing [y] of which every reading (N) is a multiple; 0 if printing may have made it."""
+    return spacing_of(np.unique(np.append(np.abs(y), 0.0)))
+
+
+def spacing_of(values: Floats) -> float:
+    """The spacing of which every difference of values is a multiple; 0 where there is none.
+
+    Args:
+        values: in ascending order, all different (N).
+    """
+    moves = values - values[0]
+    spacing = np.diff(values)
+    spacing = spacing[spacing > EXACT * moves[-1]]
+    if not spacing.size:
+        return 0.0
+    quantum = float(spacing.min())
+    counts = np.round(moves / quantum)
+    quantum = float(moves @ counts / (counts @ counts))
+    odd = np.abs(moves / quantum - np.round(moves / quantum))
+    return quantum if odd.max() < ODD and quantum > COARSER * moves[-1] else 0.0

@@ -1,0 +1,412 @@
+"""From a log on its grid to the data of a fit: what is silent, what is dropped, what refused.
+
+The edges of a jump sensor, whose readings are z itself beyond them, are read off here: no reading
+lies between 0 and an edge, and the least one lies just beyond it, by an exponential number whose
+rate is the density of readings there. Less its edges a jump sensor is a dead zone of known widths,
+so the plant is found as behind any other zone.
+
+Which readings of a log count: no spikes, no dropouts, none that is stuck or at a range's end.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from undeadzone.errors import InputError
+from undeadzone.logs.range_ends import RangeEnds, range_ends
+from undeadzone.support.arrays import Flags, Floats, Integers, runs
+from undeadzone_identify.logs.grid import SPIKE, Grid, spikes
+from undeadzone_identify.logs.log import Options
+from undeadzone_identify.models.likelihood import taken_off
+from undeadzone_identify.models.plant import Data
+from undeadzone_identify.models.zone import Limits
+
+LOUD = 2.0  # times the steps beside it, by which readings beside a dropout are beyond silence
+DROPPED = 0.1  # share of the readings that may be dropouts
+NEAR = 5  # readings beside one at a limit: noise that does not reach it pulls them inwards
+ENOUGH = 0.7  # of the readings between the limits, so that they are left out
+LASTING = 0.01  # share of the readings that are silent in a row, from which there is a silence
+STUCK = 0.05  # share of the readings that hold one value, from which a sensor may be stuck
+LONGER = 5.0  # times the second longest hold
+MOVING = 0.3  # of its rms, by which the input moves meanwhile
+VISITS = 3  # of an end of the range, in a log that sticks there
+
+
+def usable(grid: Grid, remarks: list[str]) -> tuple[Flags, RangeEnds]:
+    """Which readings count (N), and where they stick.
+
+    Args:
+        grid: the log on its grid.
+        remarks: what is left out is added here, for the user.
+    """
+    ok = grid.ok & ~_spikes(grid, remarks)
+    ok &= ~_dropouts(grid, ok, remarks)
+    ok &= ~_stuck(grid, ok, remarks)
+    ends = range_ends(grid.y, ok, grid.quantum)
+    at = ends.at(grid.y, ok)
+    visits = [runs(at & side)[0].size for side in (grid.y > 0, grid.y < 0)]
+    if not ends.found or max(visits) < VISITS:
+        return ok, RangeEnds(-np.inf, np.inf, 0)
+    remarks.append(
+        f"{ends.number} readings stick at the ends of the range {ends.text}: there they "
+        "only bound the output, and are taken as missing"
+    )
+    between = ok & ~at
+    apart = between & (np.convolve(at, np.ones(2 * NEAR + 1), "same") < 0.5)
+    return apart if apart.sum() >= ENOUGH * between.sum() else between, ends
+
+
+def _spikes(grid: Grid, remarks: list[str]) -> Flags:
+    """The few readings far beyond all others (N)."""
+    found = spikes(grid.y, grid.ok)
+    if found.any():
+        remarks.append(
+            f"{found.sum()} readings beyond {SPIKE:g} times the usual size are taken as missing,"
+            f" the first at {grid.t[found][0]:.6g} s"
+        )
+    return found
+
+
+def _dropouts(grid: Grid, ok: Flags, remarks: list[str]) -> Flags:
+    """Zeros between two readings so loud that no output falls silent from there (N).
+
+    It would have to move in a step by much more than it does before and after. A jump sensor falls
+    silent from its edge, its least reading; so what counts is how far readings are beyond that.
+    Where no silence lasts, noise leaves no reading at 0 exactly: there every lonely zero is one.
+    """
+    y, speaks = grid.y, ok & (grid.y != 0)
+    beyond, step = np.zeros(y.size), np.zeros(y.size + 1)
+    for side in (speaks & (y > 0), speaks & (y < 0)):
+        beyond += np.where(side, np.abs(y) - np.abs(y[side]).min(initial=np.inf), 0.0)
+        step[1:-1] += np.where(side[1:] & side[:-1], np.abs(np.diff(y)), 0.0)
+    usual = float(np.median(step[step > 0])) if step.any() else np.inf
+    dropped = np.zeros_like(ok)
+    for first, last in zip(*runs(ok & ~speaks), strict=True):
+        before, after = max(first - 1, 0), min(last + 1, y.size - 1)
+        moved = max(usual, abs(y[after] - y[before]), step[before], step[after + 1])
+        loud = min(beyond[before], beyond[after]) > LOUD * moved
+        dropped[first : last + 1] = loud and y[before] * y[after] > 0
+    silent = ok & ~speaks
+    lasts = silent & (np.roll(silent, 1) | np.roll(silent, -1))
+    if not grid.quantum and lasts.sum() <= LASTING * ok.sum():
+        dropped |= silent & ~lasts
+    if not 0 < dropped.sum() <= DROPPED * ok.sum():
+        return np.zeros_like(ok)
+    remarks.append(
+        f"{dropped.sum()} zeros that no output explains are dropouts, and taken as missing, the"
+        f" first at {grid.t[dropped][0]:.6g} s"
+    )
+    return dropped
+
+
+def _stuck(grid: Grid, ok: Flags, remarks: list[str]) -> Flags:
+    """A long hold of one reading, not 0, while the input goes on to move (N)."""
+    held = np.append(False, (np.diff(grid.y) == 0) & ok[1:] & ok[:-1]) & (grid.y != 0)
+    first, last = runs(held)
+    stuck = np.zeros_like(ok)
+    if not first.size:
+        return stuck
+    lengths = last - first + 1
+    longest = int(np.argmax(lengths))
+    second = float(np.delete(lengths, longest).max(initial=1.0))
+    part = slice(int(first[longest]) - 1, int(last[longest]) + 1)
+    moves = grid.u[part].std(axis=0) > MOVING * grid.u.std(axis=0)
+    least = max(STUCK * ok.sum(), LONGER * second)
+    if not least <= lengths[longest] < ok.sum() / 2 or not moves.any():
+        return stuck
+    stuck[part] = True
+    remarks.append(
+        f"the reading is stuck at {grid.y[part.start]:.6g} for {stuck.sum()} samples from"
+        f" {grid.t[part.start]:.6g} s on, while the input moves: taken as missing"
+    )
+    return stuck
+
+
+# --- The data of a fit
+
+STRETCH = 250  # samples of an integrating plant that have one state at their start
+PER_NUMBER = 50  # readings needed for each pole, and one more
+ZEROS = 0.01  # share of silent readings that shows noise ahead of the zone
+LEAST = 1e-100  # of the largest value of a column, whose square must not vanish
+OFTEN = 5  # times the next reading's count, by which a silence comes back
+BLIPS = 0.025  # share of zeros between which a single other reading shows noise behind the zone
+FAR_EDGE = 100.0  # rms of y: an edge that is never reached
+SIDES = {"right": 1, "left": -1}
+NEAREST = 20  # passages of an edge whose least readings tell the density there
+FEWEST = 4
+SURE = 0.05  # probability that the edge lies below its interval
+SUREST = 0.001  # and below the range that an observer is told
+
+
+class JumpEdge(NamedTuple):
+    """An edge of a jump sensor.
+
+    Attributes:
+        value, low, high: the edge with its 95 % interval.
+        lowest: the low end of its 99.9 % interval, whose high end is the same.
+    """
+
+    value: float
+    low: float
+    high: float
+    lowest: float
+
+
+class Prepared(NamedTuple):
+    """A log made ready.
+
+    Attributes:
+        options: what the user said.
+        data: scaled records.
+        limits: of the widths, scaled.
+        orders: orders that the log is long enough for.
+        quantum: smallest common spacing of the readings, scaled; 0 if there is none.
+        remarks: what was done, for the user.
+        ends: where readings stick, as a range of readings has it; empty: nowhere.
+        jumps: right and left edge of a jump sensor, scaled; None for a dead zone.
+    """
+
+    options: Options
+    data: Data
+    limits: Limits
+    orders: list[int]
+    quantum: float
+    remarks: list[str]
+    ends: str
+    jumps: tuple[JumpEdge, JumpEdge] | None = None
+
+
+def prepare(grid: Grid, options: Options) -> Prepared:
+    """The data of a fit.
+
+    Args:
+        grid: the log on its grid.
+        options: what the user said.
+
+    Returns:
+        Data scaled to rms 1, limits of the widths, orders to try.
+
+    Raises:
+        InputError: a log from which nothing can be learnt: too short, a constant input, a reading
+            that never changes or is silent throughout, or vanishes once squared.
+    """
+    remarks = list(grid.remarks)
+    _require_silence_at_zero(grid)
+    ok, ends = usable(grid, remarks)
+    y = np.where(ok, grid.y, 0.0)
+    threshold = 0.5 * grid.quantum * (1 - 1e-9)
+    if options.threshold is not None:
+        threshold = options.threshold
+    side = 1 * (y > threshold) - 1 * (y < -threshold)
+    _refuse(grid, y[ok], side, "; ".join(["", *remarks]))
+    orders = _orders(int(ok.sum()), options, remarks)
+    ahead = _is_ahead(y[ok], side[ok] == 0, options)
+    start = _stretches(grid, remarks) if options.integrators else grid.start
+    u_scale, y_scale = grid.u.std(axis=0), float(np.sqrt(np.mean(y[ok] ** 2)))
+    u, y = grid.u / u_scale, y / y_scale
+    data = Data(u, y, ok, start, side, ahead, u_scale, y_scale, grid.climbs)
+    stuck, quantum = ends.text if ends.found else "", grid.quantum / y_scale
+    if options.kind == "jump":
+        data, limits, jumps = as_dead_zone(data, options)
+        return Prepared(options, data, limits, orders, quantum, remarks, stuck, jumps)
+    return Prepared(options, data, _limits(data, options), orders, quantum, remarks, stuck)
+
+
+def _require_silence_at_zero(grid: Grid) -> None:
+    """Raise InputError where a reading that is not 0 comes back as a silence would."""
+    y = grid.y[grid.ok]
+    values, counts = np.unique(y, return_counts=True)
+    if values.size < 3:
+        return
+    order = np.argsort(counts)
+    most, next_most = int(order[-1]), int(order[-2])
+    value, count = float(values[most]), int(counts[most])
+    low, high = np.quantile(y[y != value], [0.05, 0.95]) if count < y.size else (value, value)
+    returns = low < value < high and runs(grid.ok & (grid.y == value))[0].size > 1
+    if value != 0 and returns and count > ZEROS * y.size and count > OFTEN * counts[next_most]:
+        raise InputError(
+            f"log: the reading {value:.9g} comes back exactly in {100 * count / y.size:.0f} % of"
+            f" the samples: is the sensor silent there, and not at 0? then say --zero {value:.9g}"
+        )
+
+
+def _refuse(grid: Grid, y: Floats, side: Integers, remarks: str) -> None:
+    """Refuse a log that tells nothing.
+
+    Args:
+        grid: the log.
+        y: the readings that there are.
+        side: of all samples (N).
+        remarks: on readings that are left out.
+
+    Raises:
+        InputError: what is lacking.
+    """
+    if y.size < PER_NUMBER * 2:
+        needed = f"order 1 needs {2 * PER_NUMBER}"
+        raise InputError(f"log: {y.size} readings are too few; {needed}{remarks}")
+    for size in (*np.abs(grid.u).max(axis=0, initial=0.0), np.abs(y).max()):
+        if 0 < size < LEAST:
+            raise InputError(f"log: values of {size:.3g} vanish once squared; use another unit")
+    moves = grid.u.std(axis=0) > 1e-12 * np.abs(grid.u).max(axis=0, initial=0.0)
+    if not moves.any():
+        raise InputError("log: the input is constant: nothing can be learnt about the plant")
+    if not moves.all():
+        name = grid.inputs[int(np.argmin(moves))]
+        raise InputError(f"log: input {name!r} is constant; leave it out by --columns")
+    if not side.any():
+        raise InputError("log: the sensor never speaks, all is silent; record with a larger input")
+    if np.ptp(y) <= 1e-12 * np.abs(y).max():
+        raise InputError("log: the reading never changes: nothing can be known from it")
+
+
+def _orders(count: int, options: Options, remarks: list[str]) -> list[int]:
+    """The orders that so many readings allow. Raises InputError."""
+    asked = options.orders()
+    orders = [n for n in asked if count >= PER_NUMBER * (n + 1)]
+    if not orders:
+        raise InputError(
+            f"log: {count} readings are too few for order {asked[0]}; it needs"
+            f" {PER_NUMBER * (asked[0] + 1)}"
+        )
+    if len(orders) < len(asked):
+        remarks.append(
+            f"the log is long enough for order {orders[-1]} at most ({PER_NUMBER} readings a pole)"
+        )
+    return orders
+
+
+def _is_ahead(y: Floats, silent: Flags, options: Options) -> bool:
+    """Whether noise acts ahead of the zone, so that readings inside it are silent."""
+    if options.noise == "before" and not silent.any():
+        raise InputError(
+            "noise: before the zone means exact zeros inside it, and no reading is silent; give"
+            " --threshold, or --noise after"
+        )
+    if options.noise != "auto":
+        return options.noise == "before"
+    told = options.threshold is not None
+    return bool(silent.sum() > ZEROS * silent.size and (told or _stands_out(y)))
+
+
+def _stands_out(y: Floats) -> bool:
+    """Whether 0 comes back and lasts: noise rounds to the values beside it as well, and at once."""
+    values, counts = np.unique(y, return_counts=True)
+    zero = int(np.searchsorted(values, 0.0))
+    beside = np.isin(y, values[max(zero - 1, 0) : zero + 2]) & (y != 0)
+    blips = beside[1:-1] & (y[:-2] == 0) & (y[2:] == 0)
+    return bool(counts[zero] > max(OFTEN * beside.sum() / 2, blips.sum() / BLIPS))
+
+
+def _stretches(grid: Grid, remarks: list[str]) -> Integers:
+    """First samples of stretches of about STRETCH samples of each record."""
+    ends = np.append(grid.start[1:], grid.t.size)
+    starts = []
+    for first, end in zip(grid.start, ends, strict=True):
+        count = max(1, round((end - first) / STRETCH))
+        starts.append(first + np.arange(count) * (end - first) // count)
+    start = np.concatenate(starts)
+    remarks.append(
+        f"disturbances add up in an integrating plant: the log is taken as {start.size} records"
+        " with a state of their own each"
+    )
+    return start
+
+
+def _limits(data: Data, options: Options) -> Limits:
+    """Limits of the widths, scaled; one that does not exist lies far away."""
+    limits = []
+    for name, sign in SIDES.items():
+        low, high = options.bounds(name)
+        if low == np.inf:
+            if np.any(data.side[data.ok] == sign):
+                raise InputError(
+                    f"{name}: inf says that this edge does not exist, but readings lie beyond it"
+                )
+            low = high = FAR_EDGE * data.y_scale
+        limits.append((low / data.y_scale, high / data.y_scale))
+    tied = options.integrators > 0 and options.right is None and options.left is None
+    right, left = limits
+    return Limits(right, left, tied=tied)
+
+
+# --- The edges of a jump sensor
+
+
+def as_dead_zone(data: Data, options: Options) -> tuple[Data, Limits, tuple[JumpEdge, JumpEdge]]:
+    """The readings of a jump sensor less its edges, as a dead zone of known widths gives them.
+
+    Args:
+        data: records, scaled, with exact zeros.
+        options: what the user said; known edges are taken as they are.
+
+    Returns:
+        The records, limits that hold the edges, and the edges with 95 % intervals, scaled.
+
+    Raises:
+        InputError: there are no exact zeros, an edge is hardly passed, or a given one contradicts
+            the readings.
+    """
+    if not data.silent_zeros:
+        raise InputError(
+            "kind: a jump sensor is silent inside its zone, and these readings have no exact zeros;"
+            " give --threshold, |y| up to which a reading counts as silent"
+        )
+    right, left = (_edge(data, sign, name, options) for name, sign in SIDES.items())
+    shift = taken_off(data.side, right.value, left.value)
+    limits = Limits((right.value, right.value), (left.value, left.value))
+    return data._replace(y=(data.y - shift) * (data.side != 0)), limits, (right, left)
+
+
+def _edge(data: Data, sign: int, name: str, options: Options) -> JumpEdge:
+    """An edge with its intervals, scaled. Raises InputError."""
+    least = _least_by_passage(data, sign)
+    low, high = options.bounds(name)
+    if low == high and math.isfinite(low):
+        known = low / data.y_scale
+        if least.size and least[0] < known * (1 - 1e-9):
+            raise InputError(
+                f"{name}: {low:g} is given, but a reading of {least[0] * data.y_scale:.6g} lies"
+                " below it"
+            )
+        return JumpEdge(known, known, known, known)
+    if least.size < FEWEST:
+        raise InputError(
+            f"log: the {name} edge of the jump sensor is passed {least.size} times, and"
+            f" {FEWEST} are needed; record for longer, or give --{name}"
+        )
+    return edge_of(least)
+
+
+def edge_of(least: Floats) -> JumpEdge:
+    """The edge below the least readings of several passages.
+
+    With k of them evenly spread above the edge d, (k - 1) / (x_k - x_1) is the density, and x_1 - d
+    over their spread has the distribution of a ratio of gamma variables: F with 2 and 2 (k - 1)
+    degrees of freedom.
+
+    Args:
+        least: least reading of each passage, sorted (at least 2).
+
+    Returns:
+        The edge without bias, and its intervals, which end at the least reading.
+    """
+    from scipy.stats import f
+
+    used = least[: min(NEAREST, max(FEWEST, least.size // 4))]
+    k = used.size
+    gap = float(used[-1] - used[0]) / (k - 1)  # mean spacing: x_1 - d is one more
+    first = float(used[0])
+    low, lowest = first - gap * f.ppf(1 - np.array([SURE, SUREST]), 2, 2 * (k - 1))
+    return JumpEdge(first - gap, float(low), first, float(lowest))
+
+
+def _least_by_passage(data: Data, sign: int) -> Floats:
+    """The least |reading| of each passage of an edge, sorted; one visit has two ends."""
+    beyond = data.ok & (data.side == sign)
+    first, last = runs(beyond)
+    size = np.abs(data.y)
+    return np.sort(np.concatenate([size[first], size[last[last > first]]]))

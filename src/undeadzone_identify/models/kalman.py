@@ -1,0 +1,305 @@
+"""(L3): the likelihood of a record through the measured-side Kalman filter.
+
+A sample of the filter is a graph that is run for many sets of numbers at once.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.compile import lanes
+from undeadzone.support.arrays import Floats, Integers
+from undeadzone_identify.models import estimates
+from undeadzone_identify.models.likelihood import LOG_ROOT
+from undeadzone_identify.models.plant import Data, Layout, input_gain, roots
+from undeadzone_identify.models.zone import Limits
+from undeadzone_identify.models.zone_fit import Fit
+
+WHITE, AT_INPUT, AT_OUTPUT = 0, 1, 2  # models of the disturbance
+NAMES = ("white at the input", "first order at the input", "first order at the output")
+QUIETEST = 1e-3  # least rms of white noise ahead of the zone, in rms of y
+STEP = 1e-4  # of a number, for differences
+TAIL = -4.0  # below it Phi is taken by its continued fraction
+DEPTH = 12  # of the fraction: exact to rounding below TAIL
+WIDTH = 32  # lanes of a kernel: the numbers of a plant of order 6, each a little up and down
+WORST = -1e3  # log density of a sample where the filter has diverged
+FLOOR = -1e4  # the least log density of a sample
+NARROW = 1e-6  # a zone this narrow, in standard deviations, is a point
+
+
+# --- A sample
+
+
+def log_phi(x: Any) -> Any:
+    """ln Phi(x) on CasADi expressions."""
+    near = ca.fmax(x, TAIL)
+    far = ca.fmax(-x, -TAIL)
+    fraction = far
+    for k in range(DEPTH, 0, -1):
+        fraction = far + k / fraction
+    tail = -0.5 * far**2 - LOG_ROOT - ca.log(fraction)
+    return ca.if_else(x > TAIL, ca.log(0.5 * (1 + ca.erf(near / math.sqrt(2)))), tail)
+
+
+def log_mass(a: Any, b: Any) -> Any:
+    """ln(Phi(a) - Phi(b)) on CasADi expressions, a > b."""
+    flip = b > 0
+    upper = ca.if_else(flip, -b, a)
+    lower = ca.if_else(flip, -a, b)
+    top = log_phi(upper)
+    gap = ca.fmin(log_phi(lower) - top, -1e-12)
+    width = ca.fmax(upper - lower, 1e-12)
+    point = ca.log(width) - 0.5 * (0.5 * (upper + lower)) ** 2 - LOG_ROOT
+    return ca.if_else(upper - lower < 1e-5, point, top + ca.log(1 - ca.exp(gap)))
+
+
+def corrected(y: Any, side: Any, mean: Any, s: Any, right: Any, left: Any) -> tuple[Any, Any, Any]:
+    """A reading's log density, and g and k of x += P H' g / s, P -= P H' H P k / s^2.
+
+    Without a side z lies in the dead zone.
+    """
+    speaks = side != 0
+    v = (y + right * (side > 0) - left * (side < 0) - mean) / s
+    a, b = (y + right - mean) / s, (y - left - mean) / s
+    mass = log_mass(a, b)
+    at_a = ca.exp(ca.fmin(-0.5 * a**2 - LOG_ROOT - mass, 700.0))
+    at_b = ca.exp(ca.fmin(-0.5 * b**2 - LOG_ROOT - mass, 700.0))
+    lost = ca.logic_or(mass < -700.0, a - b < NARROW)
+    shift = ca.if_else(lost, 0.0, at_b - at_a)
+    shift = ca.fmin(ca.fmax(shift, b), a)
+    narrowed = (at_b - at_a) ** 2 + a * at_a - b * at_b
+    pinned = 1 - ca.fmin(1.0, (a - b) ** 2 / 12)
+    narrowed = ca.fmin(ca.fmax(ca.if_else(lost, pinned, narrowed), 0.0), 1.0)
+    spoken = -0.5 * v**2 - ca.log(s) - LOG_ROOT
+    log = ca.fmax(ca.if_else(speaks, spoken, mass), FLOOR)
+    return log, ca.if_else(speaks, v, shift), ca.if_else(speaks, 1.0, narrowed)
+
+
+@cache
+def kernel(n: int, m: int, model: int, moments: bool = False) -> lanes.Kernel:
+    """The compiled step.
+
+    Args:
+        n: order of the plant.
+        m: inputs.
+        model: disturbance: 0 white at the inputs, 1 first order at the inputs, 2 at the output.
+        moments: whether its outputs are x, P before the reading, x, P after it, and g.
+
+    Returns:
+        A kernel whose state is (x, P column by column, upper part), whose inputs are (u, y, side,
+        ok, start), whose lanes differ in (a, b input by input, q^2, r^2, d_r, d_l, phi, variance
+        of x and of the disturbance at first), and whose output is the log density.
+    """
+    size = n + (model > 0)
+    upper = ca.Sparsity.upper(size)
+    state = ca.SX.sym("s", size + upper.nnz())
+    exogenous = ca.SX.sym("w", m + 4)
+    numbers = ca.SX.sym("p", n + m * n + 7)
+    F, B, G, H = matrices(n, m, model, numbers)
+    q2, r2, right, left, _, first, first_w = ca.vertsplit(numbers[n + m * n :])
+    u = exogenous[:m]
+    y, side, ok, start = ca.vertsplit(exogenous[m:])
+    at_start = ca.diag(ca.vertcat(first * ca.SX.ones(n), *([first_w] * (model > 0))))
+    kept = ca.SX(upper, state[size:])
+    P = ca.triu2symm(ca.if_else(start, ca.project(at_start, upper), kept))
+    x = ca.if_else(start, 0.0, state[:size])
+    mean = H @ x
+    PH = P @ H.T
+    S = H @ PH + r2
+    lost = ca.logic_not(ca.logic_and(S < 1e12, ca.fabs(mean) < 1e9))
+    s = ca.sqrt(ca.fmax(ca.if_else(lost, 1.0, S), 1e-12))
+    density, g, k = corrected(y, side, ca.if_else(lost, 0.0, mean), s, right, left)
+    g, k = ok * g, ok * k
+    before = ca.vertcat(x, ca.project(P, upper).nz[:])
+    x = x + PH * g / s
+    P = P - PH @ PH.T * k / s**2
+    seen = ca.vertcat(before, x, ca.project(P, upper).nz[:], g)
+    x = F @ x + B @ u
+    P = F @ P @ F.T + q2 * G
+    following = ca.vertcat(x, ca.project(P, upper).nz[:])
+    log = ok * ca.if_else(lost, WORST, density)
+    out = seen if moments else log
+    step = ca.Function("kalman", [state, exogenous, numbers], [following, out])
+    return lanes.build(step, params=[*range(numbers.shape[0])], width=WIDTH, fused=True)
+
+
+def matrices(n: int, m: int, model: int, numbers: Any) -> tuple[Any, Any, Any, Any]:
+    """F, B, the noise's G G' and H of the plant in observer form, with its disturbance.
+
+    Args:
+        n, m, model: as for `kernel`.
+        numbers: a (n), b (m n), then q^2, r^2, d_r, d_l, phi: CasADi expressions or numbers.
+
+    Returns:
+        F (size x size), B (size x m), G G' (size x size) for q = 1, H (1 x size).
+    """
+    size, zeros = n + (model > 0), type(numbers).zeros
+    F, B, G, H = zeros(size, size), zeros(size, m), zeros(size, size), zeros(1, size)
+    F[:n, :n] = ca.DM(np.eye(n, k=1))
+    F[:n, 0] = -numbers[:n]
+    B[:n, :] = ca.reshape(numbers[n : n + m * n], n, m)
+    H[0, 0] = 1.0
+    if model == WHITE:
+        return F, B, B @ B.T, H
+    F[n, n] = numbers[n + m * n + 4]
+    G[n, n] = 1.0
+    if model == AT_INPUT:
+        F[:n, n] = B[:n, 0]
+    else:
+        H[0, n] = 1.0
+    return F, B, G, H
+
+
+# --- The records
+
+
+class KalmanObjective:
+    """(L3) of a record for one order and one model of the disturbance.
+
+    theta = [a, b, ln q, ln r, d_r, d_l, (atanh phi)].
+
+    Args:
+        data: the records.
+        layout: order, inputs and integrators of the plant.
+        model: WHITE, AT_INPUT or AT_OUTPUT.
+        limits: of the widths.
+
+    Attributes:
+        log_q: place of ln q; ln r, d_r, d_l and atanh phi follow.
+        lane_q: place of q^2 among the numbers of a lane; r^2, d_r, d_l, phi, variances at first
+            follow.
+        size: how many numbers there are.
+    """
+
+    gain = 2e-3
+
+    def __init__(self, data: Data, layout: Layout, model: int, limits: Limits) -> None:
+        self.data = data
+        self.layout = layout
+        self.model = model
+        self.limits = limits
+        self.climbs = data.climbs
+        self.log_q, self.lane_q = layout.b.stop, layout.n * (1 + layout.m)
+        self.size = self.log_q + 4 + (model > 0)
+        starts = np.zeros(data.y.size)
+        starts[data.start] = 1.0
+        rows = [data.u, data.y, data.side, data.ok, starts]
+        self.exogenous = np.column_stack(rows)
+        free = np.ones(self.size, bool)
+        widths = self.log_q + 2
+        free[widths] = limits.right[0] != limits.right[1]
+        free[widths + 1] = limits.left[0] != limits.left[1] and not limits.tied
+        self.free: Integers = np.flatnonzero(free)
+        by_noise = np.isin(self.free, (self.log_q, self.log_q + 1))
+        self.longest = np.where(by_noise, 1.0, np.inf)
+
+    def admissible(self, p: Floats) -> bool:
+        """Whether the filter can be run with these numbers."""
+        if not np.isfinite(p).all():
+            return False
+        log_q, log_r, right, left = p[self.log_q : self.log_q + 4]
+        if right + left < 0 or abs(log_q) > 25 or abs(log_r) > 25:
+            return False
+        if self.model and abs(p[-1]) > 4:
+            return False
+        poles = roots(p[self.layout.a])
+        return bool(np.abs(poles).max(initial=0.0) < 1 - 1e-4)
+
+    def lane(self, p: Floats) -> Floats:
+        """The numbers of `kalman_step.kernel` for p."""
+        log_q, log_r, right, left = p[self.log_q : self.log_q + 4]
+        left = right if self.limits.tied else left
+        q = math.exp(log_q)
+        r = max(math.exp(log_r), QUIETEST)
+        phi = math.tanh(p[-1]) if self.model else 0.0
+        at_first = q * q / max(1 - phi * phi, 1e-4)
+        tail = [q * q, r * r, right, left, phi, 5.0, at_first]
+        a = self.layout.denominator(p[self.layout.a])[1:]
+        return np.concatenate([a, p[self.layout.b], tail])
+
+    def densities(self, points: Floats) -> Floats:
+        """Log densities of the samples (points x N) for several sets of numbers (points x P)."""
+        logs = self.outputs(points)[:, :, 0]
+        return np.nan_to_num(logs, nan=-1e3, posinf=-1e3, neginf=-1e3)
+
+    def outputs(self, points: Floats, moments: bool = False) -> Floats:
+        """Outputs of `kalman_step.kernel` (points x N x outputs) for several sets of numbers."""
+        rows = np.array([self.lane(p) for p in points])
+        compiled = kernel(self.layout.n, self.layout.m, self.model, moments)
+        return estimates.run_along(compiled, self.exogenous, rows)[0]
+
+    @estimates.latest
+    def scores(self, p: Floats) -> tuple[Floats, Floats]:
+        """Log densities (N) and their derivatives by the free numbers (N x free)."""
+        steps = self._steps(p)
+        value, *moved = self.densities(estimates.around(p, self.free, steps))
+        return value, estimates.differences(np.array(moved), steps).T
+
+    def _steps(self, p: Floats) -> Floats:
+        """By how much each free number is moved."""
+        return STEP * np.maximum(np.abs(p[self.free]), 0.05)
+
+    def value(self, p: Floats) -> float:
+        """The log likelihood; -inf where p makes no sense."""
+        if not self.admissible(p):
+            return -math.inf
+        return float(self.scores(p)[0].sum())
+
+    def project(self, p: Floats) -> Floats:
+        """A trial as it is: what makes no sense has no value."""
+        return p
+
+    def quadratic(self, p: Floats) -> tuple[float, Floats, Floats]:
+        """(value, score, outer products of the scores) of the free numbers."""
+        values, slopes = self.scores(p)
+        hessian = slopes.T @ slopes + 1e-9 * np.eye(self.free.size)
+        return float(values.sum()), slopes.sum(axis=0), hessian
+
+    def start(self, fit: Fit, share: float) -> Floats:
+        """Numbers from a fit of (L2), that share of its disturbance coming from the model."""
+        p = np.zeros(self.size)
+        p[: self.log_q] = fit.theta[: self.log_q]
+        disturbance = math.sqrt(share) * fit.s
+        white = max(math.sqrt(1 - share) * fit.s, 2 * QUIETEST)
+        phi = min(max(fit.rho, 0.5), 0.99)
+        colour, layout = phi if self.model == AT_INPUT else 0.0, self.layout
+        gain = math.sqrt(input_gain(p[layout.a], p[layout.b], layout.n, colour))
+        root = math.sqrt(1 - phi * phi)
+        if self.model == AT_OUTPUT:
+            log_q = math.log(disturbance * root)
+        elif self.model == AT_INPUT:
+            log_q = math.log(disturbance * root / gain)
+        else:
+            log_q = math.log(disturbance / gain)
+        p[self.log_q : self.log_q + 4] = log_q, math.log(white), fit.right, fit.left
+        if self.model:
+            p[-1] = math.atanh(phi)
+        return p
+
+    def direction(self, right: float, left: float) -> Floats:
+        """The row that weighs d_r and d_l over the free numbers."""
+        first, tied = self.log_q + 2, self.limits.tied
+        return estimates.weighing(self.free, self.size, first, (right, left), tied)
+
+    @estimates.latest
+    def spread(self, p: Floats) -> estimates.Spread:
+        """(I1) of the free numbers, with a numerical Hessian; the last one is kept."""
+        _, scores = self.scores(p)
+        outer = scores.T @ scores
+        scale = 1 / np.sqrt(np.diag(outer) + 1e-12)
+        steps = np.minimum(3e-2 * scale, 0.05)
+        moved = estimates.around(p, self.free, steps)[1:]
+        small = [self._steps(point) for point in moved]
+        pairs = zip(moved, small, strict=True)
+        points = [estimates.around(point, self.free, steps)[1:] for point, steps in pairs]
+        totals = self.densities(np.concatenate(points)).sum(axis=1).reshape(len(moved), -1)
+        scores_there = [estimates.differences(*one) for one in zip(totals, small, strict=True)]
+        hessian = -estimates.differences(np.array(scores_there), steps)
+        if not np.isfinite(hessian).all():
+            hessian = outer
+        return estimates.sandwich(scores, estimates.above(hessian, outer))

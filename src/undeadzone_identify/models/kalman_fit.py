@@ -1,0 +1,229 @@
+"""The fit of (L3), for three models of the disturbance, and the states along the records."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.support.arrays import Floats
+from undeadzone_identify.models.estimates import best_top, climb
+from undeadzone_identify.models.kalman import (
+    AT_INPUT,
+    AT_OUTPUT,
+    QUIETEST,
+    WHITE,
+    KalmanObjective,
+    matrices,
+)
+from undeadzone_identify.models.plant import part_of
+from undeadzone_identify.models.zone_fit import Fit
+
+MODELS = (WHITE, AT_INPUT, AT_OUTPUT)
+SHARES = (0.2, 0.8)  # of the disturbance in what (L2) left, at the starts
+
+
+class KalmanFit(NamedTuple):
+    """A fit of (L3).
+
+    Attributes:
+        objective: what was maximised.
+        theta: where its top is.
+        value: the log likelihood there.
+    """
+
+    objective: KalmanObjective
+    theta: Floats
+    value: float
+
+    @property
+    def bic(self) -> float:
+        """-2 L + P ln N."""
+        count = int(self.objective.data.ok.sum())
+        return -2 * self.value + self.objective.free.size * math.log(count)
+
+    @property
+    def model(self) -> int:
+        """The model of the disturbance."""
+        return self.objective.model
+
+    @property
+    def right(self) -> float:
+        """d_r, scaled."""
+        return float(self.theta[self.objective.log_q + 2])
+
+    @property
+    def left(self) -> float:
+        """d_l, scaled."""
+        tied = self.objective.limits.tied
+        return self.right if tied else float(self.theta[self.objective.log_q + 3])
+
+    @property
+    def r(self) -> float:
+        """rms of white noise ahead of the zone, scaled."""
+        return max(math.exp(float(self.theta[self.objective.log_q + 1])), QUIETEST)
+
+    @property
+    def q(self) -> float:
+        """rms of what drives the disturbance, scaled."""
+        return math.exp(float(self.theta[self.objective.log_q]))
+
+    @property
+    def phi(self) -> float:
+        """Correlation of the disturbance over one sample."""
+        return math.tanh(float(self.theta[-1])) if self.model else 0.0
+
+
+def fit_kalman(fit: Fit) -> list[KalmanFit]:
+    """(L3) for the three models of the disturbance, best first by BIC.
+
+    Args:
+        fit: that of (L2), where the climbs start; of a long log in a part of it.
+
+    Returns:
+        One fit a model; empty where none could be run.
+    """
+    data, layout = fit.objective.data, fit.objective.layout
+    part = part_of(data)
+    fits = []
+    for model in MODELS:
+        objective = KalmanObjective(part, layout, model, fit.objective.limits)
+        begun = [objective.start(fit, share) for share in SHARES]
+        top = best_top(objective, begun, 12, 50, -math.inf)
+        if top is None:
+            continue
+        if part is not data:
+            objective = KalmanObjective(data, layout, model, fit.objective.limits)
+            top = climb(objective, top.theta, 50)
+        fits.append(KalmanFit(objective, *top))
+    return sorted(fits, key=lambda one: one.bic)
+
+
+# --- States, by the filter run forth and back
+
+
+class Smoothed(NamedTuple):
+    """The state of plant and disturbance, in observer form, scaled.
+
+    Attributes:
+        x: means (N x size).
+        P: covariances (N x size x size).
+        H: the row that makes z of x (size).
+    """
+
+    x: Floats
+    P: Floats
+    H: Floats
+
+    @property
+    def z(self) -> Floats:
+        """z, with the disturbance (N)."""
+        return self.x @ self.H
+
+    @property
+    def z_std(self) -> Floats:
+        """Standard deviations of z, the numbers of the model taken as known (N)."""
+        variance = np.einsum("i,tij,j->t", self.H, self.P, self.H)
+        return np.sqrt(np.maximum(variance, 0.0))
+
+
+class _Pass(NamedTuple):
+    """Predicted and corrected moments along the records (N x ...), and g of each correction."""
+
+    x_ahead: Floats
+    P_ahead: Floats
+    x: Floats
+    P: Floats
+    g: Floats
+
+
+class _Back(NamedTuple):
+    """Smoothed means (N x size), the gains from each sample to the one before, and the row H."""
+
+    x: Floats
+    gains: Floats
+    H: Floats
+
+
+def smooth(fit: KalmanFit) -> Smoothed:
+    """Fixed-interval smoothing (Rauch, Tung and Striebel 1965) on the filter's moments.
+
+    Args:
+        fit: of (L3).
+
+    Returns:
+        Means and covariances along the record.
+    """
+    forth = _forth(fit, fit.theta)
+    back = _back(fit, fit.theta, forth)
+    P = forth.P.copy()
+    for part in fit.objective.data.records():
+        for t in range(part.stop - 2, part.start - 1, -1):
+            gain = back.gains[t]
+            P[t] += gain @ (P[t + 1] - forth.P_ahead[t + 1]) @ gain.T
+    return Smoothed(back.x, P, back.H)
+
+
+def innovations(fit: KalmanFit) -> Floats:
+    """One-step prediction errors over their standard deviations (N); 0 where missing."""
+    return _forth(fit, fit.theta).g
+
+
+def _forth(fit: KalmanFit, p: Floats) -> _Pass:
+    """The filter along the records."""
+    rows = fit.objective.outputs(p[None, :], moments=True)[0]
+    size = fit.objective.layout.n + (fit.model > 0)
+    entries = size * (size + 1) // 2
+    ends = np.cumsum([size, entries, size, entries])
+    x_ahead, ahead, x, after, g = np.split(rows, ends, axis=1)
+    return _Pass(x_ahead, _square(ahead, size), x, _square(after, size), g[:, 0])
+
+
+def _square(triangles: Floats, size: int) -> Floats:
+    """Symmetric matrices (N x size x size) of their upper parts, column by column."""
+    out = np.empty((len(triangles), size, size))
+    columns, rows = np.tril_indices(size)
+    out[:, rows, columns] = triangles
+    out[:, columns, rows] = triangles
+    return out
+
+
+def _back(fit: KalmanFit, p: Floats, forth: _Pass) -> _Back:
+    """The smoothed means, from the end of each record to its beginning."""
+    layout = fit.objective.layout
+    numbers = ca.DM(fit.objective.lane(p))
+    F, _, _, H = (part.full() for part in matrices(layout.n, layout.m, fit.model, numbers))
+    ridge = 1e-12 * np.eye(F.shape[0])
+    gains = np.linalg.solve(forth.P_ahead[1:] + ridge, F @ forth.P[:-1]).transpose(0, 2, 1)
+    x = forth.x.copy()
+    for part in fit.objective.data.records():
+        for t in range(part.stop - 2, part.start - 1, -1):
+            x[t] += gains[t] @ (x[t + 1] - forth.x_ahead[t + 1])
+    return _Back(x, gains, H[0])
+
+
+def smoothed_with_spread(fit: KalmanFit) -> tuple[Smoothed, Floats]:
+    """The smoothed states and the standard deviation of z, the spread of the numbers included.
+
+    Args:
+        fit: of (L3).
+
+    Returns:
+        States, and deviations of z (N), by the delta method from the covariance of (I1).
+    """
+    middle = smooth(fit)
+    V = fit.objective.spread(fit.theta).V
+    values, vectors = np.linalg.eigh(V)
+    variance = middle.z_std**2
+    for value, vector in zip(values, vectors.T, strict=True):
+        if value <= 1e-14:
+            continue
+        scale = 0.1 * math.sqrt(value)
+        moved = fit.theta.copy()
+        moved[fit.objective.free] += scale * vector
+        if fit.objective.admissible(moved):
+            back = _back(fit, moved, _forth(fit, moved))
+            variance = variance + ((back.x @ back.H - middle.z) / 0.1) ** 2
+    return middle, np.sqrt(variance)

@@ -1,0 +1,335 @@
+"""What readings say of the motion behind them, and the four offsets that tell play from dead zone.
+
+The side of a play is made out before any model is asked, by three rules, by what the sensor
+promises (docs/play.md): of exact readings the sign of their change, of an encoder its ticks, of
+noisy readings the slope of those before.
+
+Dead zone, play, both or neither? A linear filter has an offset a (sign, direction) of readings. A
+play (c) that a dead zone (d) follows, or that follows one, reads z + beta with
+
+    beta = (-c_r - d_r, c_l - d_r, -c_r + d_l, c_l + d_l)                                    (O1)
+
+for + right, + left, - right, - left: + and - the sign of y, right and left its direction. So
+
+    c_r + c_l = (-b1 + b2 - b3 + b4) / 2,  d_r + d_l = (-b1 - b2 + b3 + b4) / 2,
+    b1 - b2 - b3 + b4 = 0                                                                    (O2)
+
+The last one tests that nothing else is there. Of the centres only their sum shows.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.ends.play import ticked
+from undeadzone.support.arrays import Flags, Floats, Integers, since_start
+from undeadzone_identify.models.kalman import WHITE, matrices
+from undeadzone_identify.models.plant import Simulator, input_gain
+
+SURE = 5.5  # standard deviations of a slope: one false side in a gap's log ruins its estimate
+WINDOWS = (4, 6, 8, 12, 16, 24, 32)
+HELD = 0.01  # share of readings equal to the one before that shows a sensor without noise
+CHATTER = 0.05  # share of ticks that are taken back at once, from which ticks are noise
+SHAKEN = 0.35  # share of ticks that another way follows, where noise is larger than a step
+NAMES = ("neither", "dead_zone", "play", "both")
+WIDTHS = 0.5 * np.array([[-1.0, 1, -1, 1], [-1.0, -1, 1, 1], [2.0, -2, -2, 2]])  # (O2)
+THERE = 5.0  # standard deviations from which a width is there
+LEAST = 0.02  # of the readings' rms, below which a width is no matter
+BEYOND = 8.0  # standard deviations of the noise from which the sign of a reading is sure
+VAGUE = 3.0  # rms of the readings: standard deviation of an offset, and of z, at first
+FAINTEST = 1e-3  # least noise and disturbance that the filter is told, in rms of y
+AT_FIRST = 5.0  # standard deviation of a state at first, in rms of y
+
+# --- Sides
+
+
+class Sensing(NamedTuple):
+    """How readings show motion.
+
+    Attributes:
+        noise: rms of their white noise [y]; 0 of exact readings and of an encoder.
+        quantum: of an encoder [y]; 0 of other readings.
+        window: readings over which a slope is taken; 1 where each change counts.
+    """
+
+    noise: float
+    quantum: float
+    window: int
+
+
+def sensing(
+    y: Floats, ok: Flags, start: Integers, quantum: float, longest: float = np.inf
+) -> Sensing:
+    """How the readings of a log show motion.
+
+    Args:
+        y: readings (N).
+        ok: whether there is a reading (N).
+        start: first sample of each record (R).
+        quantum: smallest common spacing of the readings, 0 if there is none.
+        longest: window over which z hardly turns.
+
+    Returns:
+        The rule; of noisy readings with the window that makes out most sides.
+    """
+    change, known = changes(y, ok, start)
+    spoken = change[known & (y != 0)]
+    if spoken.size and (spoken == 0).mean() > HELD and not _chatters(np.where(known, change, 0.0)):
+        return Sensing(0.0, quantum, 1)
+    rms = float(np.hypot(white_noise(y, ok, start), quantum / np.sqrt(12)))
+    best, most = WINDOWS[0], -1
+    for window in WINDOWS:
+        count = int(np.count_nonzero(sides(y, ok, start, Sensing(rms, 0.0, window))))
+        if count > most and (window == WINDOWS[0] or window <= longest):
+            best, most = window, count
+    return Sensing(rms, 0.0, best)
+
+
+def sides(y: Floats, ok: Flags, start: Integers, how: Sensing) -> Integers:
+    """+1 where the readings move right for sure, -1 left, 0 where nothing is sure (N).
+
+    Args:
+        y: readings (N).
+        ok: whether there is a reading (N).
+        start: first sample of each record (R).
+        how: the rule.
+    """
+    if how.noise:
+        moved = moved_before(y, ok, start, how.window)
+        least = SURE * how.noise * np.sqrt(12 / how.window)
+    else:
+        change, known = changes(y, ok, start)
+        moved = np.where(known, change, 0.0)
+        least = how.quantum / 2
+    return ok * (1 * (moved > least) - 1 * (moved < -least))
+
+
+def moved_before(y: Floats, ok: Flags, start: Integers, window: int) -> Floats:
+    """Slope of the `window` readings before each one times the window (N); 0 where unknown."""
+    weights = np.arange(window) - (window - 1) / 2
+    weights *= window / (weights @ weights)
+    slope = np.convolve(np.where(ok, y, 0.0), weights[::-1])[: y.size]
+    whole = np.convolve(1.0 * ok, np.ones(window))[: y.size] > window - 0.5
+    own = since_start(start, y.size) >= window - 1
+    moved = np.zeros(y.size)
+    moved[1:] = (slope * (whole & own))[:-1]
+    moved[start] = 0.0
+    return moved
+
+
+def white_noise(y: Floats, ok: Flags, start: Integers) -> float:
+    """rms of the white noise of readings, by the median of their third differences."""
+    known = ok & (y != 0)  # what is silent has none
+    difference = y
+    for _ in range(3):
+        difference = np.append(0.0, np.diff(difference))
+        known = known & np.append(False, known[:-1])
+    known = known & (since_start(start, y.size) >= 3)
+    if not known.any():
+        return 0.0
+    return float(np.median(np.abs(difference[known])) / 0.6745 / np.sqrt(20))
+
+
+def changes(y: Floats, ok: Flags, start: Integers) -> tuple[Floats, Flags]:
+    """Changes from the reading before (N), and where they are known (N)."""
+    change = np.append(0.0, np.diff(y))
+    known = ok & np.append(False, ok[:-1])
+    known[start] = False
+    return change, known
+
+
+def _chatters(change: Floats) -> bool:
+    """Whether many ticks are taken back within two readings: noise about one boundary or more."""
+    ticks = np.flatnonzero(change)
+    if ticks.size < 10:
+        return False
+    before, after = change[ticks[:-1]], change[ticks[1:]]
+    turned = (before * after < 0) & (np.diff(ticks) <= 2)
+    return bool((turned & (before == -after)).mean() > CHATTER or turned.mean() > SHAKEN)
+
+
+def turns_between(z: Floats) -> float:
+    """Mean number of samples between two turns of a smooth signal."""
+    rising = np.diff(z) > 0
+    return z.size / max(int(np.count_nonzero(rising[1:] != rising[:-1])), 1)
+
+
+# --- The four offsets
+
+
+class Moving(NamedTuple):
+    """A sampled plant x+ = F x + B u + noise of covariance Q, z = H x.
+
+    Attributes:
+        F: (n x n).
+        B: (n x m).
+        H: (n).
+        Q: (n x n).
+        at_first: covariance of x at the start of a record (n x n).
+        noise: rms of the readings' white noise [y].
+    """
+
+    F: Floats
+    B: Floats
+    H: Floats
+    Q: Floats
+    at_first: Floats
+    noise: float
+
+
+class Offsets(NamedTuple):
+    """What the filter found.
+
+    Attributes:
+        beta: the four offsets (4) [y].
+        covariance: (4 x 4).
+        rms: of the readings [y].
+        side: direction of each reading that was used, 0 of others (N).
+        heard: the readings; those of an encoder where z was when they came (N) [y].
+    """
+
+    beta: Floats
+    covariance: Floats
+    rms: float
+    side: Integers
+    heard: Floats
+
+    @property
+    def widths(self) -> Floats:
+        """c_r + c_l, d_r + d_l, and what neither explains (3) [y]."""
+        return WIDTHS @ self.beta
+
+    @property
+    def std(self) -> Floats:
+        """Their standard deviations (3) [y]."""
+        return np.sqrt(np.maximum(np.diag(WIDTHS @ self.covariance @ WIDTHS.T), 0.0))
+
+    @property
+    def name(self) -> str:
+        """neither, dead_zone, play or both."""
+        return named(self.widths, self.std, self.rms)
+
+
+def named(widths: Floats, std: Floats, rms: float) -> str:
+    """What widths of play and dead zone are called: each is there from 5 deviations on.
+
+    Args:
+        widths: c_r + c_l, d_r + d_l, ... [y].
+        std: their standard deviations [y].
+        rms: of the readings [y].
+    """
+    play, zone = widths[:2] > np.maximum(THERE * std[:2], LEAST * rms)
+    return NAMES[int(zone) + 2 * int(play)]
+
+
+def classes(y: Floats, side: Integers, noise: float) -> Integers:
+    """Which of the four offsets a reading has, 0 to 3; -1 where that is not sure (N)."""
+    positive = y > BEYOND * noise
+    negative = y < -BEYOND * noise
+    known = (positive | negative) & (side != 0)
+    return np.where(known, 2 * negative + (side < 0), -1)
+
+
+def four_offsets(
+    plant: Moving, u: Floats, y: Floats, ok: Flags, start: Integers, how: Sensing
+) -> Offsets:
+    """The four offsets along a log, by a Kalman filter that uses the readings of sure motion.
+
+    Args:
+        plant: with its disturbance.
+        u: inputs (N x m).
+        y: readings (N).
+        ok: whether there is a reading (N).
+        start: first sample of each record (R).
+        how: readings show motion.
+
+    Returns:
+        The offsets with their covariance. A side that readings show counts where the filter's own
+        z moves the same way: after a turn a window still says what was.
+    """
+    n = plant.H.size
+    rms = float(np.sqrt(np.mean(y[ok] ** 2)))
+    moves = sides(y, ok, start, how)
+    first = set(start.tolist())
+    X, P = np.zeros(n + 4), np.zeros((n + 4, n + 4))
+    P[n:, n:] = (VAGUE * rms) ** 2 * np.eye(4)
+    F = np.eye(n + 4)
+    F[:n, :n] = plant.F
+    drive = u @ plant.B.T
+    side, heard = np.zeros(y.size, int), y.copy()
+    which = classes(y, moves, max(how.noise, how.quantum / BEYOND))
+    z = 0.0
+    for t in range(y.size):
+        if t in first:
+            X[:n], P[:n, :], P[:, :n] = 0.0, 0.0, 0.0
+            P[:n, :n] = plant.at_first
+            z = 0.0
+        moved = float(plant.H @ X[:n] - z)
+        if moves[t] and (how.window == 1 or moved * moves[t] > 0):
+            side[t] = moves[t]
+            heard[t], variance = _reading(y[t], moves[t], moved, how, plant.noise)
+            k = which[t]
+            if k >= 0:
+                h = np.zeros(n + 4)
+                h[:n], h[n + k] = plant.H, 1.0
+                gain = P @ h
+                S = float(h @ gain) + variance
+                X += gain * ((heard[t] - h @ X) / S)
+                P -= np.outer(gain, gain / S)
+        z = float(plant.H @ X[:n])
+        X[:n] = plant.F @ X[:n] + drive[t]
+        P = F @ P @ F.T
+        P[:n, :n] += plant.Q
+        P = 0.5 * (P + P.T)
+    return Offsets(X[n:].copy(), P[n:, n:].copy(), rms, side, heard)
+
+
+def _reading(y: float, side: int, moved: float, how: Sensing, noise: float) -> tuple[float, float]:
+    """A reading and its variance; of a tick, where between two boundaries z was when it came."""
+    if not how.quantum:
+        return float(y), noise**2
+    when, variance = ticked(np, y, side, moved, how.quantum)
+    return float(when), float(variance) + noise**2
+
+
+# --- With a plant that was fitted
+
+
+def along(simulator: Simulator, theta: Floats, rms: float, quantum: float) -> Offsets:
+    """The four offsets, with a fitted plant taken for known.
+
+    Args:
+        simulator: the plant, with its data.
+        theta: its numbers.
+        rms: of what the fit leaves.
+        quantum: of the readings, scaled.
+    """
+    data = simulator.data
+    z = simulator.z(theta)
+    longest = turns_between(z) / 8
+    how = sensing(data.y, data.ok, data.start, quantum, longest)
+    plant = moving(simulator, theta, rms, white_noise(data.y, data.ok, data.start))
+    return four_offsets(plant, data.u, data.y, data.ok, data.start, how)
+
+
+def moving(simulator: Simulator, theta: Floats, rms: float, noise: float) -> Moving:
+    """A fitted plant as the filter of the four offsets takes it.
+
+    Args:
+        simulator: the plant.
+        theta: its numbers.
+        rms: of what the fit leaves: white noise at the inputs makes as much of z.
+        noise: rms of the readings' white noise.
+    """
+    layout = simulator.layout
+    numbers = ca.DM(np.append(layout.denominator(theta[layout.a])[1:], theta[layout.b]))
+    F, B, G, H = (part.full() for part in matrices(layout.n, layout.m, WHITE, numbers))
+    power = 1.0
+    if not layout.integrators:
+        power = input_gain(theta[layout.a], theta[layout.b], layout.n, 0.0)
+    q = max(rms, FAINTEST) / math.sqrt(max(power, 1e-9))
+    return Moving(F, B, H[0], q**2 * G, AT_FIRST**2 * np.eye(layout.n), max(noise, FAINTEST))

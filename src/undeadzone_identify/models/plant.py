@@ -1,0 +1,436 @@
+"""Records, a sampled plant A(q) z = B(q) u + x(0) along them, and noise through it."""
+
+from __future__ import annotations
+
+import cmath
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.linalg.lapack import dgeev
+from scipy.signal import lfilter
+
+from undeadzone.support.arrays import Flags, Floats, Integers, later
+from undeadzone_identify.models.estimates import KeptClimbs, latest
+from undeadzone_identify.models.likelihood import Readings, dead_zone
+
+MANY = 10_000  # samples of a log from which what costs many fits takes a part of it
+STRETCH = 5_000  # samples of a stretch of that part
+
+RINGING = 0.5  # the same for poles that ring: with x(0) they are a free sine, which is no offset
+FAR = 1e100  # a coefficient beyond which no root can be computed
+SLOWER = 1.2  # times that poles settle within a record, from which they do for certain
+CREDIBLE = 1.02  # times the least error of all orders: those that may be right as well
+SLOW = 6.0  # poles slower than this many of their time constants a record are an offset in disguise
+COLOURS = (0.0, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.98)  # correlations over one sample
+LAGS = 60
+LENGTH = 16_000  # samples from which the autocorrelation of each colour is taken
+SETTLED = 500  # samples after which the plant has forgotten its beginning
+
+# --- Records
+
+
+class Data(NamedTuple):
+    """Records scaled to rms 1, one after another.
+
+    Attributes:
+        u: inputs (N x m), rms 1 each.
+        y: readings (N), rms 1, 0 where missing.
+        ok: whether there is a reading (N).
+        start: first sample of each record (R).
+        side: +1, 0, -1 (N).
+        silent_zeros: whether readings inside the zone are exact zeros: noise ahead of the zone.
+        u_scale, y_scale: what u (m) and y were divided by.
+        climbs: those that were kept on disk; None: none are.
+    """
+
+    u: Floats
+    y: Floats
+    ok: Flags
+    start: Integers
+    side: Integers
+    silent_zeros: bool
+    u_scale: Floats
+    y_scale: float
+    climbs: KeptClimbs | None = None
+
+    def readings(self, use: Flags | None = None) -> Readings:
+        """What the likelihoods need; `use` (N): the samples that count, default all."""
+        ok = self.ok if use is None else self.ok & use
+        before = np.concatenate([[False], ok[:-1]])
+        before[self.start] = False
+        return Readings(self.y, self.side, ok, before)
+
+    def records(self) -> list[slice]:
+        """The samples of each record."""
+        ends = np.append(self.start[1:], self.y.size)
+        return [slice(int(a), int(b)) for a, b in zip(self.start, ends, strict=True)]
+
+
+def delayed(data: Data, samples: int) -> Data:
+    """The records with their inputs later; what is not known is held.
+
+    Args:
+        data: the records.
+        samples: by how many; negative: earlier.
+    """
+    return data._replace(u=later(data.u, samples, data.start))
+
+
+def part_of(data: Data, longest: int = STRETCH) -> Data:
+    """The busiest stretches of a log, `MANY` samples in all; the log itself if it is no longer.
+
+    Args:
+        data: the records.
+        longest: samples of a stretch.
+    """
+    if data.y.size <= MANY:
+        return data
+    stretches = []
+    for record in data.records():
+        stretches += _cut(record, longest)
+    stretches.sort(key=lambda one: _passages(data, one), reverse=True)
+    kept, count = stretches[:1], stretches[0].stop - stretches[0].start
+    for one in stretches[1:]:
+        count += one.stop - one.start
+        if count > MANY:
+            break
+        kept.append(one)
+    return taken(data, sorted(kept, key=lambda one: one.start))
+
+
+def _cut(record: slice, longest: int) -> list[slice]:
+    """A record in stretches of equal length, nearly."""
+    size = record.stop - record.start
+    ends = np.linspace(record.start, record.stop, -(-size // longest) + 1).astype(int)
+    return [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
+
+
+def _passages(data: Data, part: slice) -> tuple[int, int]:
+    """How often a stretch passes the edge that it passes less, and both."""
+    side = data.side[part][data.ok[part]]
+    right, left = (int(np.count_nonzero(np.diff(1 * (side == sign)) > 0)) for sign in (1, -1))
+    return min(right, left), right + left
+
+
+def taken(data: Data, parts: Sequence[slice]) -> Data:
+    """Some samples of a log, each part a record of its own.
+
+    Args:
+        data: the records.
+        parts: within records, in order.
+    """
+    kept = np.concatenate([np.arange(part.start, part.stop) for part in parts])
+    sizes = [part.stop - part.start for part in parts]
+    return data._replace(
+        u=data.u[kept],
+        y=data.y[kept],
+        ok=data.ok[kept],
+        side=data.side[kept],
+        start=np.cumsum([0, *sizes[:-1]]),
+    )
+
+
+def longest_of(data: Data) -> Data:
+    """The longest record alone, and of it no more than its busiest stretch; perhaps all there is.
+
+    Args:
+        data: the records.
+    """
+    longest = max(data.records(), key=lambda part: part.stop - part.start)
+    if longest.stop - longest.start < data.y.size:
+        data = taken(data, [longest])
+    return part_of(data, MANY)
+
+
+# --- The plant
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Places of the numbers in theta = [a, b, x0, the input's zone, d_r, d_l, log s, atanh rho].
+
+    Attributes:
+        n: poles, and numerator terms from delay 1 of each input.
+        m: inputs.
+        records: records, each with n numbers for its initial state.
+        integrators: how many of the poles are known to be integrators; a holds the others.
+        zoned: whether the one input passes a dead zone, whose widths are two numbers.
+    """
+
+    n: int
+    m: int
+    records: int
+    integrators: int = 0
+    zoned: bool = False
+
+    @cached_property
+    def a(self) -> slice:
+        """The denominator's free coefficients a_1, a_2, ..."""
+        return slice(0, self.n - self.integrators)
+
+    @cached_property
+    def b(self) -> slice:
+        """The numerators, input by input."""
+        return slice(self.a.stop, self.a.stop + self.n * self.m)
+
+    @cached_property
+    def x0(self) -> slice:
+        """The initial states, record by record."""
+        return slice(self.b.stop, self.b.stop + self.n * self.records)
+
+    @cached_property
+    def input(self) -> slice:
+        """The widths of the input's zone; empty where it has none."""
+        return slice(self.x0.stop, self.x0.stop + 2 * self.zoned)
+
+    @cached_property
+    def right(self) -> int:
+        """d_r; d_l, log s and atanh rho follow."""
+        return self.input.stop
+
+    def denominator(self, a: Floats) -> Floats:
+        """The coefficients 1, a_1 to a_n of the whole denominator, integrators included."""
+        whole = np.append(1.0, a)
+        for _ in range(self.integrators):
+            whole = np.convolve(whole, [1.0, -1.0])
+        return whole
+
+    @cached_property
+    def size(self) -> int:
+        """Numbers in theta."""
+        return self.right + 4
+
+    def at_rest(self, other: Layout, theta: Floats) -> Floats:
+        """Numbers of the same plant along other records, which begin at rest.
+
+        Args:
+            other: layout of the numbers.
+            theta: a, b, x0, and what follows.
+        """
+        x0 = np.zeros(self.n * self.records)
+        return np.concatenate([theta[: other.b.stop], x0, theta[other.x0.stop :]])
+
+
+class Simulator:
+    """z and its gradient for one order, with the lagged inputs kept.
+
+    Args:
+        data: the records.
+        n: number of poles.
+        integrators: how many of them are integrators.
+        zoned: whether the one input passes a dead zone.
+    """
+
+    def __init__(self, data: Data, n: int, integrators: int = 0, zoned: bool = False) -> None:
+        self.data = data
+        self.layout = Layout(n, data.u.shape[1], data.start.size, integrators, zoned)
+        self.records = data.records()
+        self.longest = max(part.stop - part.start for part in self.records)
+        self.lagged = self._behind(data.u)
+
+    def _behind(self, u: Floats) -> Floats:
+        """The last n samples of each input (N x m n)."""
+        n = self.layout.n
+        lagged = np.zeros((len(u), n * u.shape[1]))
+        for part in self.records:
+            for j in range(n):
+                lagged[part.start + 1 + j : part.stop, j::n] = u[part.start : part.stop - 1 - j]
+        return lagged
+
+    def along(self, data: Data) -> Simulator:
+        """The same plant along other records."""
+        return Simulator(data, self.layout.n, self.layout.integrators, self.layout.zoned)
+
+    def passed(self, theta: Floats) -> Floats:
+        """The inputs, as they come through the zone (N x m)."""
+        u, zone = self.data.u, theta[self.layout.input]
+        return dead_zone(u, *zone) if self.layout.zoned else u
+
+    def z(self, theta: Floats) -> Floats:
+        """z (N) for parameters theta, of which those of the plant come first; not to be changed."""
+        return self._simulated(theta[: self.layout.right])
+
+    @latest
+    def _simulated(self, theta: Floats) -> Floats:
+        layout = self.layout
+        denominator = layout.denominator(theta[layout.a])
+        x0 = theta[layout.x0].reshape(layout.records, layout.n)
+        lagged = self._behind(self.passed(theta)) if layout.zoned else self.lagged
+        z = lagged @ theta[layout.b]  # what drives it, at first
+        for part, state in zip(self.records, x0, strict=True):
+            own = z[part]
+            own[: layout.n] += state[: own.size]
+            own[:] = lfilter([1.0], denominator, own)
+        z.flags.writeable = False
+        return z
+
+    def gradient(self, theta: Floats, z: Floats) -> Floats:
+        """dz/dtheta (N x P), exact: one filter for a, one for x(0), one for each input."""
+        layout = self.layout
+        n = layout.n
+        whole, u = layout.denominator(theta[layout.a]), self.passed(theta)
+        slopes = np.zeros((z.size, layout.size))
+        for r, part in enumerate(self.records):
+            size = part.stop - part.start
+            by_a = lfilter([1.0], np.append(1.0, theta[layout.a]), z[part])
+            sources = np.column_stack([u[part], np.eye(size, 1)])
+            filtered = lfilter([1.0], whole, sources, axis=0)
+            own = slopes[part]
+            for i in range(layout.a.stop):
+                own[i + 1 :, i] = -by_a[: size - 1 - i]
+            for i in range(n):
+                own[i:, layout.x0.start + n * r + i] = filtered[: size - i, -1]
+                own[i + 1 :, layout.b.start + i : layout.b.stop : n] = filtered[: size - 1 - i, :-1]
+            if layout.zoned:
+                moved = np.hstack([-1.0 * (u[part] > 0), 1.0 * (u[part] < 0)])
+                gain = np.append(0.0, theta[layout.b])
+                own[:, layout.input] = lfilter(gain, whole, moved, axis=0)
+        return slopes
+
+    def gain(self, theta: Floats) -> Floats:
+        """DC gain from each input to z (m); with integrators, to their input."""
+        layout = self.layout
+        numerators = theta[layout.b].reshape(layout.m, layout.n)
+        return numerators.sum(axis=1) / (1 + theta[layout.a].sum())
+
+    def poles(self, theta: Floats) -> Any:
+        """Poles of the sampled plant (n), complex; integrators last."""
+        moving = roots(theta[self.layout.a])
+        return np.append(moving, np.ones(self.layout.integrators))
+
+    def admissible(self, theta: Floats, margin: float = 1.0) -> bool:
+        """Whether the poles are stable and settle, `margin` times over, within a record."""
+        if not np.isfinite(theta).all():
+            return False
+        for pole in roots(theta[self.layout.a]).tolist():
+            slow = abs(cmath.phase(pole)) < 4 * math.pi / self.longest
+            if not abs(pole) < 1 - margin * (SLOW if slow else RINGING) / self.longest:
+                return False
+        return True
+
+    def at_limit(self, theta: Floats) -> bool:
+        """Whether a pole is as slow as is allowed, so that with x(0) it is an offset or a sine."""
+        return not self.admissible(theta, SLOWER)
+
+    def settles(self, theta: Floats) -> float:
+        """Time constants of the slowest pole within the longest record."""
+        slowest = np.abs(roots(theta[self.layout.a])).max(initial=1e-300)
+        return float(-np.log(slowest) * self.longest)
+
+
+def roots(a: Floats) -> Any:
+    """Roots of z^n + a_1 z^(n-1) + ... + a_n (n): eigenvalues, complex where some are.
+
+    Args:
+        a: coefficients (n); of such as are not finite, or too odd, all roots are infinite.
+    """
+    if not a.size or not np.abs(a).max() < FAR:
+        return np.full(a.size, np.inf)
+    companion = np.eye(a.size, k=-1)
+    companion[0] = -a
+    real, imaginary, *_, failed = dgeev(companion, compute_vl=False, compute_vr=False)
+    found = real + 1j * imaginary if imaginary.any() else real
+    return np.full(a.size, np.inf) if failed else found
+
+
+def stabilised(a: Floats, radius: float = 0.98) -> Floats:
+    """Denominator coefficients a_1.. with poles beyond `radius` moved onto it, for starts."""
+    poles = roots(a)
+    if not np.isfinite(poles).all():
+        return np.zeros(a.size)
+    size = np.abs(poles)
+    moved = np.where(size > radius, poles / np.maximum(size, 1e-12) * radius, poles)
+    return np.atleast_1d(np.real(np.poly(moved)))[1:]
+
+
+# --- Noise through the plant
+
+
+class Ahead(NamedTuple):
+    """A first-order disturbance at the plant's first input.
+
+    Attributes:
+        rms: of what it makes of z, in the scale of the fit.
+        phi: its correlation over one sample.
+        at_input: its own rms.
+    """
+
+    rms: float
+    phi: float
+    at_input: float
+
+
+def disturbance_ahead(layout: Layout, plant: Floats, residual: Floats, ok: Flags) -> Ahead:
+    """The disturbance whose colour, through the plant, is that of the residual.
+
+    Args:
+        layout: of the plant's numbers.
+        plant: a, b, ...
+        residual: y less what was simulated (N); 0 where a reading is missing.
+        ok: whether there is a reading (N).
+
+    Returns:
+        The disturbance; lag 0 is not looked at, so that white noise of the readings is none of it.
+    """
+    lags = max(2, min(LAGS, residual.size // 10))
+    seen = correlations(residual, ok, lags)[1:]
+    best, error = Ahead(0.0, 0.0, 0.0), math.inf
+    for phi in COLOURS:
+        w = shaped(layout, plant, white(1, LENGTH, phi))[0]
+        shape = correlations(w, np.ones(w.size, bool), lags)
+        power = max(float(shape[1:] @ seen) / max(float(shape[1:] @ shape[1:]), 1e-300), 0.0)
+        left = float(np.sum((seen - power * shape[1:]) ** 2))
+        if left < error:
+            rms = math.sqrt(power * shape[0])
+            best, error = Ahead(rms, phi, math.sqrt(power)), left
+    return best
+
+
+def correlations(e: Floats, ok: Flags, lags: int) -> Floats:
+    """`products` over the number of readings."""
+    return np.array(products(e, ok, lags)) / max(int(ok.sum()), 1)
+
+
+def products(e: Floats, ok: Flags, lags: int) -> list[float]:
+    """The products of e with itself, less its mean, lags 0 to lags - 1."""
+    centred = np.where(ok, e - e[ok].mean(), 0.0)
+    return [float(centred[lag:] @ centred[: e.size - lag]) for lag in range(lags)]
+
+
+def white(runs: int, size: int, phi: float) -> Floats:
+    """First-order noise of rms 1, the same numbers for every colour (runs x (size + SETTLED))."""
+    draws = np.random.default_rng(0).standard_normal((runs, size + SETTLED))
+    return np.asarray(lfilter([math.sqrt(1 - phi**2)], [1.0, -phi], draws, axis=1))
+
+
+def shaped(layout: Layout, plant: Floats, noise: Floats) -> Floats:
+    """What the plant makes of noise at its first input (runs x size), settled."""
+    numerator = np.append(0.0, plant[layout.b][: layout.n])
+    denominator = layout.denominator(plant[layout.a])
+    return np.asarray(lfilter(numerator, denominator, noise, axis=1))[:, SETTLED:]
+
+
+def input_gain(a: Floats, b: Floats, n: int, phi: float) -> float:
+    """Variance at z of unit noise at the inputs, first order with correlation phi.
+
+    Args:
+        a: denominator a_1, a_2, ...
+        b: numerators from delay 1, input by input (m n).
+        n: order.
+        phi: correlation over one sample.
+
+    Returns:
+        The sum of squares of the response; at least 1e-12.
+    """
+    total = 0.0
+    for numerator in b.reshape(-1, n):
+        impulse = np.zeros(5000)
+        impulse[0] = math.sqrt(1 - phi * phi)
+        shaped = lfilter([1.0], [1.0, -phi], impulse)
+        total += float(np.sum(lfilter(np.append(0.0, numerator), np.append(1.0, a), shaped) ** 2))
+    return max(total, 1e-12)

@@ -1,0 +1,251 @@
+"""The likelihood of plant and dead zone by all their numbers, with scores and a Hessian."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from undeadzone.support.arrays import Flags, Floats, Integers
+from undeadzone_identify.models import estimates, likelihood
+from undeadzone_identify.models.plant import Data, Simulator
+
+Kind = Literal["singles", "pairs", "behind"]
+FAR = 1e8  # outputs beyond this end a trial
+LARGEST_ATANH = 3.5  # |rho| below 0.998
+
+
+class Limits(NamedTuple):
+    """What is known of the widths.
+
+    Attributes:
+        right, left: least and largest value, in rms of y; equal ones fix a width.
+        zone: whether there is a zone at all; else minus d_r is the level about which y lies.
+        tied: whether d_l = d_r, since z has no zero of its own.
+    """
+
+    right: tuple[float, float] = (-np.inf, np.inf)
+    left: tuple[float, float] = (-np.inf, np.inf)
+    zone: bool = True
+    tied: bool = False
+
+    def clip(self, right: float, left: float) -> tuple[float, float]:
+        """Widths brought within these limits."""
+        right = min(max(right, self.right[0]), self.right[1])
+        if self.tied:
+            return right, right
+        return right, min(max(left, self.left[0]), self.left[1])
+
+
+class Objective:
+    """Log likelihood of theta = [a, b, x0, input's zone, d_r, d_l, log s, atanh rho].
+
+    Args:
+        simulator: the plant, with its data.
+        kind: singles (L1), pairs (L2), or behind: noise behind the zone.
+        limits: of the widths.
+        use: samples that count (N); default all with a reading.
+    """
+
+    gain, longest = 1e-4, math.inf
+
+    def __init__(
+        self,
+        simulator: Simulator,
+        kind: Kind,
+        limits: Limits | None = None,
+        use: Flags | None = None,
+    ) -> None:
+        self.simulator = simulator
+        self.layout = simulator.layout
+        self.data: Data = simulator.data
+        self.climbs = self.data.climbs
+        self.kind = kind
+        self.limits = limits or Limits()
+        self.readings = self.data.readings(use)
+        rms = float(np.sqrt(np.mean(self.data.y[self.data.ok] ** 2)))
+        self.x0_weight = 1 / (3 * rms + 1e-12) ** 2
+        self.free: Integers = np.flatnonzero(~self._fixed())
+
+    def along(self, data: Data) -> Objective:
+        """The same likelihood of other records."""
+        return Objective(self.simulator.along(data), self.kind, self.limits)
+
+    def _fixed(self) -> Flags:
+        """Which numbers of theta stay where they are (P)."""
+        right = self.layout.right
+        fixed = np.zeros(self.layout.size, bool)
+        fixed[right] = self.limits.right[0] == self.limits.right[1]
+        fixed[right + 1] = not self.limits.zone or self.limits.left[0] == self.limits.left[1]
+        fixed[right + 1] |= self.limits.tied
+        fixed[right + 3] = self.kind != "pairs"
+        return fixed
+
+    def noise(self, theta: Floats) -> likelihood.Noise:
+        """Widths, rms and correlation in theta."""
+        right, left, log_s, atanh_rho = theta[self.layout.right :]
+        rho = math.tanh(atanh_rho) if self.kind == "pairs" else 0.0
+        return likelihood.Noise(float(right), float(left), math.exp(min(log_s, 50.0)), rho)
+
+    def admissible(self, theta: Floats) -> bool:
+        """Whether theta has a likelihood worth computing."""
+        right, left, log_s, atanh_rho = theta[self.layout.right :]
+        if self.limits.zone and right + left < 0:
+            return False
+        if abs(log_s) > 30 or abs(atanh_rho) > LARGEST_ATANH:
+            return False
+        return self.simulator.admissible(theta)
+
+    def terms(self, theta: Floats, z: Floats) -> likelihood.Terms:
+        """Log densities of the samples and their derivatives."""
+        noise = self.noise(theta)
+        if self.kind == "behind":
+            return likelihood.behind(self.readings, z, noise, self.limits.zone)
+        if self.kind == "singles":
+            return likelihood.singles(self.readings, z, noise)
+        return likelihood.pairs(self.readings, z, noise)
+
+    @estimates.latest
+    def at(self, theta: Floats) -> tuple[Floats, likelihood.Terms]:
+        """z (N) and the terms of theta; those that were asked for last are kept."""
+        z = self.simulator.z(theta)
+        return z, self.terms(theta, z)
+
+    def value(self, theta: Floats) -> float:
+        """The log likelihood, with the prior of x(0); -inf where theta makes no sense."""
+        if not (self.admissible(theta) and np.abs(self.simulator.z(theta)).max() < FAR):
+            return -math.inf
+        total = float(self.at(theta)[1].value.sum()) - self._prior(theta)
+        return total if math.isfinite(total) else -math.inf
+
+    def _prior(self, theta: Floats) -> float:
+        x0 = theta[self.layout.x0]
+        return 0.5 * self.x0_weight * float(x0 @ x0)
+
+    def project(self, theta: Floats) -> Floats:
+        """A trial with its widths brought back within their limits."""
+        widths = slice(self.layout.right, self.layout.right + 2)
+        theta[widths] = self.limits.clip(*theta[widths])
+        theta[self.layout.input] = np.maximum(theta[self.layout.input], 0.0)
+        return theta
+
+    def scores(self, theta: Floats) -> tuple[Floats, Floats, Floats]:
+        """(log densities (N), scores (N x P), dz/dtheta (N x P)); fixed columns are 0."""
+        z, terms = self.at(theta)
+        slope = self.simulator.gradient(theta, z)
+        scores = terms.slopes[:, likelihood.Z : likelihood.Z + 1] * slope
+        scores[1:] += terms.slopes[1:, likelihood.Z_BEFORE : likelihood.Z_BEFORE + 1] * slope[:-1]
+        right = self.layout.right
+        scores[:, right:] += terms.slopes[:, likelihood.Z_BEFORE + 1 :]
+        scores[0, self.layout.x0] -= self.x0_weight * theta[self.layout.x0]
+        if self.limits.tied:
+            scores[:, right] += scores[:, right + 1]
+        fixed = np.ones(self.layout.size, bool)
+        fixed[self.free] = False
+        scores[:, fixed] = 0.0
+        return terms.value, scores, slope
+
+    def score(self, theta: Floats) -> Floats:
+        """The derivative of the log likelihood by theta (P)."""
+        return self.scores(theta)[1].sum(axis=0)
+
+    def quadratic(self, theta: Floats) -> tuple[float, Floats, Floats]:
+        """(value, score, a positive Hessian of minus the log likelihood), of the free numbers.
+
+        Gauss-Newton where a sample speaks, outer products of scores where it is silent.
+        """
+        values, scores, slope = self.scores(theta)
+        rows, quiet = self._gauss_newton(theta, slope)
+        hessian = rows.T @ rows
+        right = self.layout.right
+        spread = scores[quiet].copy()
+        spread[:, right + 2 :] = 0.0
+        hessian += spread.T @ spread
+        speaking = int(self.readings.ok.sum() - quiet.sum())
+        hessian[right + 2, right + 2] = 2 * speaking + float((scores[quiet, right + 2] ** 2).sum())
+        if self.kind == "pairs":
+            both = scores[:, right + 2 : right + 4]
+            hessian[right + 2 :, right + 2 :] = both.T @ both + 1e-9 * np.eye(2)
+        x0 = np.arange(self.layout.x0.start, self.layout.x0.stop)
+        hessian[x0, x0] += self.x0_weight
+        value = float(values.sum()) - self._prior(theta)
+        free = self.free
+        return value, scores.sum(axis=0)[free], hessian[np.ix_(free, free)]
+
+    def _gauss_newton(self, theta: Floats, slope: Floats) -> tuple[Floats, Flags]:
+        """Derivatives of what speaks, over its rms (M x P), and which samples are silent (N)."""
+        noise, ok = self.noise(theta), self.readings.ok
+        side = self.side(theta)
+        speaks = ok & (side != 0)
+        change = slope.copy()
+        change[:, self.layout.right] -= side > 0
+        change[:, self.layout.right + 1] += side < 0
+        if self.limits.tied:
+            change[:, self.layout.right] += change[:, self.layout.right + 1]
+        rows = change / noise.s
+        if noise.rho != 0.0:
+            chained = speaks & self.readings.before
+            chained[1:] &= speaks[:-1]
+            at = np.flatnonzero(chained)
+            spread = noise.s * math.sqrt(1 - noise.rho**2)
+            rows[at] = (change[at] - noise.rho * change[at - 1]) / spread
+        return rows[speaks], ok & ~speaks & (self.kind != "behind")
+
+    def side(self, theta: Floats) -> Integers:
+        """+1, 0, -1 (N): of the readings, or of z where noise is behind the zone."""
+        if self.kind != "behind":
+            return self.readings.side
+        z, noise = self.at(theta)[0], self.noise(theta)
+        if not self.limits.zone:
+            return np.ones(z.size, int)
+        return 1 * (z > noise.right) - 1 * (z < -noise.left)
+
+    @estimates.latest
+    def spread(self, theta: Floats) -> estimates.Spread:
+        """(I1): robust covariance of the free numbers of theta; the last one is kept."""
+        _, scores, _ = self.scores(theta)
+        return estimates.sandwich(scores[:, self.free], self.hessian(theta))
+
+    def hessian(self, theta: Floats) -> Floats:
+        """Minus the second derivative by the free numbers.
+
+        Gauss-Newton for noise behind, and behind a zone of the input, at whose edges scores jump.
+        """
+        _, _, approximate = self.quadratic(theta)
+        approximate = approximate + 1e-12 * np.eye(self.free.size)
+        if self.kind == "behind" or self.layout.zoned:
+            return approximate
+        scale = 1 / np.sqrt(np.diag(approximate))
+        rows = np.empty_like(approximate)
+        for place, index in enumerate(self.free):
+            step = 1e-2 * scale[place]
+            ahead = self._moved(theta, int(index), step)
+            back = self._moved(theta, int(index), -step)
+            rows[place] = approximate[place]
+            if self.admissible(ahead) and self.admissible(back):
+                difference = self.score(ahead) - self.score(back)
+                rows[place] = -difference[self.free] / (2 * step)
+        return estimates.positive(rows)
+
+    def _moved(self, theta: Floats, index: int, step: float) -> Floats:
+        """theta with one number changed, and what is tied to it."""
+        moved = theta.copy()
+        moved[index] += step
+        if self.limits.tied:
+            moved[self.layout.right + 1] = moved[self.layout.right]
+        return moved
+
+    def direction(self, right: float, left: float) -> Floats:
+        """The row that weighs d_r and d_l over the free numbers: (1, 1) is that of the width."""
+        size, first = self.layout.size, self.layout.right
+        return estimates.weighing(self.free, size, first, (right, left), self.limits.tied)
+
+    def residuals(self, theta: Floats) -> Floats:
+        """What is left of the readings (N): e where a sample speaks, y - Dz(z) for noise behind."""
+        z, noise = self.simulator.z(theta), self.noise(theta)
+        if self.kind != "behind":
+            return likelihood.residual(self.readings, z, noise.right, noise.left)
+        if not self.limits.zone:
+            return self.readings.y - z + noise.right
+        return self.readings.y - likelihood.dead_zone(z, noise.right, noise.left)

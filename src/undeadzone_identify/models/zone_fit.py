@@ -1,0 +1,334 @@
+"""The fit of plant and widths to a record: starts, singles (L1), then pairs (L2)."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import ndtr
+
+from undeadzone.support.arrays import Flags, Floats, Integers, since_start
+from undeadzone_identify.models.estimates import Top, best_top, climb
+from undeadzone_identify.models.likelihood import dead_zone
+from undeadzone_identify.models.plant import (
+    Data,
+    Simulator,
+    longest_of,
+    part_of,
+    roots,
+    stabilised,
+)
+from undeadzone_identify.models.zone import Kind, Limits, Objective
+
+SHARES = (0.15, 0.5, 1.2)  # widths tried first, in rms of y
+FEW = 3  # runs a side, per number to be found, for the start from an ARX model a side
+
+
+class Fit(NamedTuple):
+    """A fitted record.
+
+    Attributes:
+        objective: the likelihood that was maximised.
+        theta: where its top is.
+        value: the log likelihood there.
+    """
+
+    objective: Objective
+    theta: Floats
+    value: float
+
+    @property
+    def z(self) -> Floats:
+        """Output of the fitted plant (N), scaled."""
+        return self.objective.simulator.z(self.theta)
+
+    @property
+    def right(self) -> float:
+        """d_r, scaled."""
+        return float(self.theta[self.objective.layout.right])
+
+    @property
+    def left(self) -> float:
+        """d_l, scaled."""
+        return float(self.theta[self.objective.layout.right + 1])
+
+    @property
+    def width(self) -> float:
+        """d_r + d_l, scaled."""
+        return self.right + self.left
+
+    @property
+    def s(self) -> float:
+        """rms of what disturbs z, scaled."""
+        return math.exp(float(self.theta[self.objective.layout.right + 2]))
+
+    @property
+    def rho(self) -> float:
+        """Correlation of the disturbance over one sample; 0 where it is not fitted."""
+        return self.objective.noise(self.theta).rho
+
+    @property
+    def bic(self) -> float:
+        """-2 L + p ln N."""
+        count = int(self.objective.readings.ok.sum())
+        return -2 * self.value + self.objective.free.size * math.log(count)
+
+
+def expected_reading(fit: Fit) -> Floats:
+    """E[y | z] (N): of the zone, rounded by noise ahead of it."""
+    z, right, left, s = fit.z, fit.right, fit.left, fit.s
+    if not fit.objective.limits.zone:
+        return z - right
+    if fit.objective.kind == "behind":
+        return dead_zone(z, right, left)
+    return s * (_rounded((z - right) / s) - _rounded((-left - z) / s))
+
+
+def _rounded(x: Floats) -> Floats:
+    """E max(x + e, 0) of a unit Gaussian e."""
+    return np.exp(-0.5 * x**2) / math.sqrt(2 * math.pi) + x * ndtr(x)
+
+
+def fit_zone(simulator: Simulator, kind: Kind, limits: Limits) -> Fit:
+    """The fit of singles (L1) or of noise behind the zone, from several starts.
+
+    Args:
+        simulator: the plant of one order, with its data.
+        kind: singles or behind.
+        limits: what is known of the widths.
+
+    Returns:
+        The best of the starts, all for 10 steps and the best two to the end.
+    """
+    objective = Objective(simulator, kind, limits)
+    begun = starts(objective)
+    clearly = 0.02 * objective.readings.ok.sum()
+    top = best_top(objective, begun, 10, 50, clearly)
+    best = Fit(objective, *(top or Top(objective.project(begun[0]), -math.inf)))
+    return better(best, _centred(objective, best.theta)) if limits.zone else best
+
+
+def refit(fit: Fit, kind: Kind, use: Flags | None = None, steps: int = 60) -> Fit:
+    """A fit of another likelihood or of other samples, from where one ended."""
+    old = fit.objective
+    objective = Objective(old.simulator, kind, old.limits, use)
+    theta = fit.theta.copy()
+    if kind == "pairs" and fit.rho == 0.0:
+        theta[-1] = math.atanh(speaking_correlation(fit))
+    return Fit(objective, *climb(objective, theta, steps))
+
+
+def better(fit: Fit, theta: Floats) -> Fit:
+    """The fit, or a better one to which a climb from other numbers leads."""
+    top = climb(fit.objective, theta, 60)
+    return Fit(fit.objective, *top) if top.value > fit.value else fit
+
+
+def less_odd(fit: Fit, simulator: Simulator) -> Floats:
+    """Numbers of a fit with fewer poles: the least of the real ones, or of all, are left out."""
+    poles = roots(fit.theta[fit.objective.layout.a]).astype(complex)
+    order = np.lexsort((poles.real, np.abs(poles.imag) > 1e-9))
+    kept = poles[order[poles.size - simulator.layout.a.stop :]]
+    return nearest(fit, simulator, np.atleast_1d(np.real(np.poly(kept)))[1:])
+
+
+def nearest(fit: Fit, simulator: Simulator, a: Floats) -> Floats:
+    """Other poles for a fit, and the numerators with which z is nearest to what it was.
+
+    Args:
+        fit: with the zone and the noise.
+        simulator: of the numbers.
+        a: the poles' coefficients.
+    """
+    layout = simulator.layout
+    theta = np.zeros(layout.size)
+    theta[layout.a], theta[layout.right :] = a, fit.theta[fit.objective.layout.right :]
+    linear = slice(layout.b.start, layout.x0.stop)  # z is linear in b and x(0)
+    columns = simulator.gradient(theta, fit.z)[:, linear]
+    theta[linear] = np.linalg.lstsq(columns, fit.z, rcond=1e-10)[0]
+    missed = float(np.mean((columns @ theta[linear] - fit.z) ** 2))
+    theta[layout.right + 2] = 0.5 * math.log(fit.s**2 + missed)
+    return theta
+
+
+def polished(fit: Fit) -> Fit:
+    """A fit after up to three Newton steps with the numerical Hessian, to the very top."""
+    objective, theta, value = fit.objective, fit.theta, fit.value
+    if objective.kind == "behind":
+        return fit
+    for _ in range(3):
+        step = np.linalg.solve(objective.hessian(theta), objective.score(theta)[objective.free])
+        trial = theta.copy()
+        trial[objective.free] += step
+        trial = objective.project(trial)
+        reached = objective.value(trial)
+        if not reached > value:
+            break
+        gained = reached - value
+        theta, value = trial, reached
+        if gained < 1e-6:
+            break
+    return Fit(objective, theta, value)
+
+
+def fit_linear(simulator: Simulator, use: Flags | None = None) -> Fit:
+    """The output-error fit without a zone, about a level: y = z - d_r."""
+    level = (0.0, 0.0) if simulator.layout.integrators else (-math.inf, math.inf)
+    objective = Objective(simulator, "behind", Limits(right=level, zone=False), use)
+    theta = np.zeros(objective.layout.size)
+    a, b, _ = arx(simulator, None, use)
+    theta[objective.layout.a] = stabilised(a)
+    theta[objective.layout.b] = b
+    above = simulator.z(theta) - simulator.data.y
+    theta[objective.layout.right] = np.clip(above[objective.readings.ok].mean(), *level)
+    theta[objective.layout.right + 2] = math.log(0.5)
+    return Fit(objective, *climb(objective, theta, 40))
+
+
+def speaking_correlation(fit: Fit) -> float:
+    """Correlation of e over one sample, from speaking samples in a row; 0 if they are few."""
+    readings = fit.objective.readings
+    e = fit.objective.residuals(fit.theta)
+    speaks = readings.ok & (readings.side != 0)
+    both = np.flatnonzero(speaks & readings.before)
+    both = both[speaks[both - 1]]
+    if both.size < 10:
+        return 0.05
+    rho = float(np.mean(e[both] * e[both - 1]) / np.mean(e[both] ** 2))
+    return float(np.clip(rho, -0.9, 0.99)) or 0.05
+
+
+def starts(objective: Objective) -> list[Floats]:
+    """Where climbs begin: an ARX model a side, and the linear fit with widths of several sizes."""
+    simulator, layout = objective.simulator, objective.layout
+    use = objective.readings.ok
+    linear = fit_linear(simulator, use)
+    sided = start_by_side(objective)
+    begun = [] if sided is None else [sided]
+    silent = float(np.mean(objective.readings.side[use] == 0))
+    of_silence = float(np.quantile(np.abs(linear.z), silent))
+    for share in (*SHARES, *([of_silence] if simulator.data.silent_zeros else [])):
+        theta = linear.theta.copy()
+        theta[layout.b] *= 1 + 0.9 * share
+        theta[layout.right : layout.right + 2] = about_level(linear, share)
+        theta[layout.right + 2] = math.log(0.4)
+        theta[layout.right + 3] = 0.0
+        begun.append(theta)
+    return begun
+
+
+def about_level(linear: Fit, half: float) -> Floats:
+    """d_r and d_l of a zone that begins so wide a side, about the level of a linear fit."""
+    return half + linear.right * np.array([1.0, -1.0])
+
+
+def start_by_side(objective: Objective) -> Floats | None:
+    """An ARX model on runs of one side, with a constant a side whose difference is the width."""
+    layout = objective.layout
+    if layout.integrators:
+        return None  # differences hold no levels
+    a, b, levels = arx(objective.simulator, objective.readings.side, objective.readings.ok)
+    if levels is None:
+        return None
+    total = 1 + a.sum()
+    if abs(total) < 1e-9:
+        return None
+    width = np.clip((levels[1] - levels[0]) / total, 0.02, 6.0)
+    shift = (levels[1] + levels[0]) / total / 2
+    theta = np.zeros(layout.size)
+    theta[layout.a] = stabilised(a)
+    theta[layout.b] = b
+    theta[layout.right] = max(width / 2 - shift, 0.02)
+    theta[layout.right + 1] = max(width / 2 + shift, 0.02)
+    theta[layout.right + 2] = math.log(0.2)
+    return theta
+
+
+def arx(
+    simulator: Simulator, side: Integers | None, use: Flags | None
+) -> tuple[Floats, Floats, Floats | None]:
+    """Least squares of y_t on past y and u; of differences of y where the plant integrates.
+
+    Args:
+        simulator: the order and the lagged inputs.
+        side: sides (N); with them only runs of n + 1 samples of one side count, and each side has
+            a constant of its own.
+        use: samples that count (N).
+
+    Returns:
+        a (n), b (m n), and the constants of right and left; None where too few runs speak.
+    """
+    data, layout = simulator.data, simulator.layout
+    n, free = layout.n, layout.a.stop
+    good = data.ok if use is None else data.ok & use
+    y = data.y
+    for _ in range(layout.integrators):
+        y = y - np.roll(y, 1)
+    past = np.column_stack([np.roll(y, i) for i in range(1, free + 1)] or [np.empty((y.size, 0))])
+    whole = good.copy()
+    for i in range(1, n + 1):
+        whole &= np.roll(good, i)
+        if side is not None:
+            whole &= np.roll(side, i) == side
+    whole &= since_start(data.start, y.size) >= n
+    columns = [-past, simulator.lagged]
+    if side is not None:
+        right, left = whole & (side > 0), whole & (side < 0)
+        whole = right | left
+        need = FEW * (n + simulator.lagged.shape[1])
+        if right.sum() < need or left.sum() < need:
+            return np.zeros(free), np.zeros(simulator.lagged.shape[1]), None
+        columns += [1.0 * right[:, None], 1.0 * left[:, None]]
+    else:
+        columns.append(np.ones((y.size, 1)))
+    matrix = np.hstack(columns)[whole]
+    solution = np.linalg.lstsq(matrix, y[whole], rcond=1e-10)[0]
+    levels = solution[-2:] if side is not None else None
+    return solution[:free], solution[free : free + simulator.lagged.shape[1]], levels
+
+
+def _centred(objective: Objective, theta: Floats) -> Floats:
+    """The same numbers with both widths equal and the plant at rest at first."""
+    layout = objective.layout
+    again = theta.copy()
+    again[layout.right : layout.right + 2] = max(
+        theta[layout.right : layout.right + 2].mean(), 1e-3
+    )
+    again[layout.x0] = 0.0
+    return again
+
+
+# --- Other records of the same plant
+
+
+def moved(fit: Fit, data: Data) -> Fit:
+    """The fit of other records of the same plant, from where one ended.
+
+    Args:
+        fit: of some records.
+        data: the others.
+    """
+    objective = fit.objective.along(data)
+    theta = objective.layout.at_rest(fit.objective.layout, fit.theta)
+    return refit(Fit(objective, theta, objective.value(theta)), objective.kind)
+
+
+def reduced(fit: Fit) -> Fit:
+    """The fit of the busiest part of a long log alone; the same fit where the log is short.
+
+    Args:
+        fit: of the log.
+    """
+    part = part_of(fit.objective.data)
+    return fit if part is fit.objective.data else moved(fit, part)
+
+
+def longest_record(fit: Fit) -> Fit:
+    """The fit of the longest of several records alone, and of no more than its busiest stretch.
+
+    Args:
+        fit: of one or several records.
+    """
+    record = longest_of(fit.objective.data)
+    return fit if record is fit.objective.data else moved(fit, record)

@@ -1,0 +1,220 @@
+"""The page of an identified log: the answer, what it rests on, and what else was tried."""
+
+from __future__ import annotations
+
+import re
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from undeadzone.report import html
+from undeadzone.support.text import HALF_95, label, with_interval
+from undeadzone_identify.answer.next_log import Next
+from undeadzone_identify.answer.result import Identified
+from undeadzone_identify.answer.words import HEADS, crossing_columns, rivals_in_words
+from undeadzone_identify.figures import figures
+from undeadzone_identify.verdict.orders import OrderFit, at_limit
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+CAPTIONS = {
+    "overview": "Output z^ of the fitted plant, reading y and the zone with its 95 % bands;"
+    " shaded parts checked a fit of the others. Below: which side each reading shows.",
+    "residual_map": "What the zone leaves of the readings, by z^, with 95 % bands: a curve here is"
+    " another nonlinearity. Grey: single readings.",
+    "residual": "Correlation of the one-step residual, and of it with past inputs, with 95 % bands"
+    " for white residuals: what stands out is not in the model.",
+    "profiles": "How much the log likelihood of pairs falls as one width is held elsewhere; the"
+    " printed interval is shaded. Under a coloured disturbance it is wider than the curve alone.",
+    "next": "The input that would tell most of what is known least, from rest.",
+    "hidden": "z^ with its 95 % band against the reading: inside the zone it is the product.",
+}
+
+# Lines that stand on the first screen; the others say how it was decided.
+FIRST = re.compile(r"[bcd]_(right|left)|([bcd] )?width|odds|plant|note")
+
+OF_ELEMENT = {  # in place of these
+    "overview": "Output z^ of the fitted plant, what is read of it, and the reading y at the end of"
+    " the log. Below: in which contact the play is, or on which side of its zone the input.",
+    "element": "Left: readings by z^, and the path that the fitted element takes. Right: what it"
+    " leaves of the readings; a curve there is something that it does not hold.",
+    "crossings": "The gap that each reversal shows, with the printed interval shaded. A trend with"
+    " duration is friction that is not fully held; one with y is a worn or an eccentric gear.",
+}
+
+
+def write_identified(
+    found_log: Identified,
+    folder: Path,
+    source: str,
+    origin: html.Origin | None = None,
+    further: Next | None = None,
+) -> list[Path]:
+    """Write figures as SVG and report.html to a folder.
+
+    Args:
+        found_log: the answer.
+        folder: where to.
+        source: name of the log.
+        origin: what it takes to get the same again; None: nobody can.
+        further: what to record next; None: nobody asked.
+
+    Returns:
+        What was written.
+
+    Raises:
+        FileError: a file cannot be written.
+    """
+
+    text = partial(identified_page, found_log, source=source, origin=origin)
+    return html.write_page(figures(found_log, further), folder, text)
+
+
+def identified_page(
+    found_log: Identified,
+    images: Mapping[str, bytes],
+    source: str,
+    origin: html.Origin | None = None,
+) -> str:
+    """The page of an answer.
+
+    Args:
+        found_log: the answer.
+        images: SVGs by the names of `identify_figures.figures`.
+        source: name of the log.
+        origin: what it takes to get the same again; None: nobody can.
+
+    Returns:
+        HTML that needs nothing but itself.
+    """
+    answer = found_log.answer
+    good = "yes" if found_log.verdict == "dead_zone" else "no"
+    head = html.paragraph(
+        html.tag("span", f"Dead zone of the sensor: {HEADS[found_log.verdict]}", good)
+    )
+    first: list[tuple[str, str]] = []
+    rest: list[tuple[str, str]] = []
+    for name, value in found_log.summary().items():
+        for text in value if isinstance(value, list) else [value]:
+            room = name != "note" or len(first) < html.MOST
+            (first if room and FIRST.fullmatch(name) else rest).append((name, text))
+    captions = CAPTIONS if answer.element is None else CAPTIONS | OF_ELEMENT
+    shown = html.pictures(images, captions)
+    return html.page(
+        f"Identified: {source}",
+        head,
+        *map(html.paragraph, answer.reasons),
+        html.section(
+            "The answer", html.table(("what", "value"), first), *html.pick(shown, "overview")
+        ),
+        html.section("Hidden output", *html.pick(shown, "hidden")),
+        html.section("What it is", *html.pick(shown, "element")),
+        *_crossings(found_log, shown),
+        *([html.section("What to record next", shown["next"])] if "next" in shown else []),
+        html.section(
+            "How it was decided",
+            html.table(("what", "value"), rest),
+            *_rivals(found_log),
+            *html.pick(shown, "residual_map"),
+        ),
+        *_fits(found_log, shown),
+        origin=origin,
+    )
+
+
+def _crossings(found_log: Identified, shown: dict[str, html.Html]) -> list[html.Html]:
+    """Every crossing of a servo's gap; nothing without a servo."""
+    columns = crossing_columns(found_log.answer)
+    if not columns:
+        return []
+    columns = columns | {"side": np.where(columns["side"] > 0, "right", "left")}
+    heads = ("t [s]", "to the", "speed", "duration [s]", "y", "gap")
+    rows = zip(*(column.tolist() for column in columns.values()), strict=True)
+    return [
+        html.section(
+            "The gap at each crossing", *html.pick(shown, "crossings"), html.table(heads, rows)
+        )
+    ]
+
+
+def _fits(found_log: Identified, shown: dict[str, html.Html]) -> list[html.Html]:
+    """Stages and orders of the fit with a zone of the sensor; none beside another element."""
+    if found_log.answer.element is not None:
+        return []
+    return [
+        html.section("How sure are the widths?", _stages(found_log), *html.pick(shown, "profiles")),
+        html.section("Order and residual", _orders(found_log), *html.pick(shown, "residual")),
+    ]
+
+
+def _rivals(found_log: Identified) -> list[html.Html]:
+    """Every model with its odds, and the residual map in numbers."""
+    answer = found_log.answer
+    residuals = answer.case.residuals
+    words = (
+        f"A curve over z^ explains {100 * residuals.share:.1f} % of what the zone leaves"
+        f" (p = {residuals.chance:.2g}); one over its direction"
+        f" {100 * residuals.moving_share:.1f} % (p = {residuals.moving_chance:.2g})."
+        " A dead zone alone leaves 1 % or less. Test of no zone at all:"
+        f" p = {answer.case.no_zone.chance:.2g}."
+    )
+    rivals = rivals_in_words(answer)
+    return [
+        html.table(("what may be there", "odds", "behind, nats a reading"), rivals),
+        html.paragraph(words),
+    ]
+
+
+def _stages(found_log: Identified) -> html.Html:
+    """Widths by stage of the fit."""
+    answer = found_log.answer
+    if answer.case.jumps is not None:
+        return html.paragraph(
+            "The edges of a jump sensor come from the least readings of their passages; plant and"
+            " likelihoods take them as known."
+        )
+    names = {
+        "L1": "single samples",
+        "L2": "pairs of samples",
+        "L3": "Kalman filter",
+    }
+    rows = []
+    for name, (right, left) in answer.widths.stages.items():
+        halves = answer.widths.halves[name]
+        cells = []
+        for edge, value in (("right", right), ("left", left)):
+            std = halves[edge] * answer.scale / HALF_95
+            cells.append(with_interval(value * answer.scale, std))
+        rows.append((names[name], *cells))
+    unit = answer.case.grid.output_unit
+    heads = [label(edge, unit) for edge in ("d_r", "d_l")]
+    return html.table(("likelihood of", *heads), rows)
+
+
+def _orders(found_log: Identified) -> html.Html:
+    """Orders tried."""
+    answer = found_log.answer
+    least = min(one.pairs.bic for one in answer.case.fitted.fits)
+    rows = []
+    for one in answer.case.fitted.fits:
+        rows.append(
+            (
+                one.n,
+                one.pairs.bic - least,
+                one.error * answer.scale,
+                one.pairs.right * answer.scale,
+                one.pairs.left * answer.scale,
+                _standing(found_log, one),
+            )
+        )
+    return html.table(("order", "BIC above the least", "held-out error", "d_r", "d_l", ""), rows)
+
+
+def _standing(found_log: Identified, one: OrderFit) -> str:
+    """Whether an order was chosen, or could not be."""
+    if one.n == found_log.order:
+        return "chosen"
+    return "a pole does not settle within the log" if at_limit(one.pairs) else ""

@@ -1,0 +1,132 @@
+"""The gap at each reversal: a table that shows what one number hides.
+
+With the motion that the predictor expects, every reversal has a gap of its own,
+
+    c_j = c - s_j e_j,   e_j the error of the first tick after it.                             (S4)
+
+It needs no gap but the servo's motion, so its median is a second opinion. A trend with duration or
+speed is friction or a gain that is wrong, one with y a worn gear or an eccentric one.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from undeadzone.support.arrays import Floats, Integers
+from undeadzone_identify.servo.heard import NORMAL, REACH, Heard, noise_of, triggered
+from undeadzone_identify.servo.likelihood import At, Likelihood, Servo
+
+FEW = 12  # crossings from which a trend is looked for
+CLEAR = 4.0  # standard deviations of a trend that is named
+STRONG = 0.1  # of the gap, that a trend must change over the crossings
+OUTLIER = 4.0  # scatters beyond which a crossing counts no more than that
+OF_MEDIAN = 1.2533  # standard error of a median, in those of a mean
+MEANING = {
+    "duration": "friction or slow torques are not fully held",
+    "speed": "friction or the gain are not fully held",
+    "y": "a worn gear, or an eccentric one",
+    "direction": "a tick was missed, or the load pulls to one side",
+}
+
+
+class Crossings(NamedTuple):
+    """Crossings of a gap, one after another; all arrays (m).
+
+    Attributes:
+        at: sample of the first tick beyond the gap.
+        time: of it, since the log began [s].
+        side: to which it goes: +1 right, -1 left.
+        speed: of the motor then [y/s].
+        duration: since the last tick before it [s].
+        y: the reading.
+        gap: that it shows [y].
+    """
+
+    at: Integers
+    time: Floats
+    side: Integers
+    speed: Floats
+    duration: Floats
+    y: Floats
+    gap: Floats
+
+    @property
+    def median(self) -> float:
+        """Their median [y]; nan where there is none."""
+        return float(np.median(self.gap)) if self.gap.size else math.nan
+
+    @property
+    def scatter(self) -> float:
+        """Their standard deviation by the median deviation [y]."""
+        if not self.gap.size:
+            return math.nan
+        return float(NORMAL * np.median(np.abs(self.gap - self.median)))
+
+    @property
+    def error(self) -> float:
+        """Standard error of their median [y]."""
+        return OF_MEDIAN * self.scatter / math.sqrt(max(self.gap.size, 1))
+
+    def trends(self) -> list[str]:
+        """What the gap changes with, in words."""
+        if self.gap.size < FEW:
+            return []
+        columns = {
+            "duration": self.duration,
+            "speed": np.abs(self.speed),
+            "y": self.y,
+            "direction": self.side.astype(float),
+        }
+        rows = np.column_stack([_standard(column) for column in columns.values()])
+        rows = np.column_stack([np.ones(self.gap.size), rows])
+        reach = OUTLIER * self.scatter
+        gaps = np.clip(self.gap, self.median - reach, self.median + reach)
+        slopes = np.linalg.lstsq(rows, gaps, rcond=1e-8)[0]
+        left = gaps - rows @ slopes
+        degrees = max(self.gap.size - rows.shape[1], 1)
+        covariance = np.linalg.pinv(rows.T @ rows) * float(left @ left) / degrees
+        errors = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+        found = []
+        for name, slope, error in zip(columns, slopes[1:], errors[1:], strict=True):
+            share = abs(slope) / max(abs(self.median), 1e-300)
+            if abs(slope) > CLEAR * error and share > STRONG:
+                found.append(
+                    f"the gap at each crossing changes with {name}, by {100 * share:.0f} % a"
+                    f" standard deviation: {MEANING[name]}"
+                )
+        return found
+
+
+def _standard(column: Floats) -> Floats:
+    """A column of mean 0 and variance 1, or of zeros."""
+    return np.asarray((column - column.mean()) / (column.std() + 1e-300))
+
+
+def crossings_of(log: Heard, one: Servo, free: bool = False) -> Crossings:
+    """The crossings of a log, in its units.
+
+    Args:
+        log: as the predictor hears it; of noisy readings those of a Schmitt trigger are taken.
+        one: the servo.
+        free: whether z is forgotten at reversals, so that no gap is assumed.
+    """
+    ticked, wider = log, 0.0
+    if not log.ticks:
+        ticked, wider = triggered(log), 2 * REACH * noise_of(log)
+    theta = one.changed(At.GAP, one.theta[At.GAP] + wider).theta
+    seen = Likelihood(ticked, free).run(theta[None], one.structure.lag)[0]
+    at, ticks = np.flatnonzero(ticked.turns), np.flatnonzero(ticked.side)
+    before = ticks[np.maximum(np.searchsorted(ticks, at) - 1, 0)]
+    side, scale = ticked.side[at], log.y_scale
+    return Crossings(
+        at=at,
+        time=at * log.seconds,
+        side=side,
+        speed=seen[at, 3] * scale * (log.step / log.seconds),
+        duration=(at - before) * log.seconds,
+        y=log.y[at] * scale,
+        gap=(theta[At.GAP] - side * seen[at, 0] - wider) * scale,
+    )

@@ -1,0 +1,418 @@
+"""The gap of a servo's play with its interval, and when none is given.
+
+The interval is as wide as the widest of what the log itself says (scores in cosines, sample by
+sample, and between reversals) and of what twelve logs simulated with the fit say; these also take
+off a bias. It reaches to the gaps of other structures that may be the true one. Where the crossings
+say another gap, or the errors are none of a servo's, no gap is given.
+
+Logs simulated with a fit: what the predictor makes of a gap that is known.
+
+Ticks that come early are heard with little variance, so they weigh more, and a torque that nobody
+knows makes the gap a little too small. Logs with the plant, gap, torque and encoder of the fit show
+by how much, and how far the gap scatters.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import cache
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+from scipy.signal import lfilter
+from scipy.special import expit
+from scipy.stats import chi2
+
+from undeadzone.compile import lanes
+from undeadzone.support.arrays import Flags, Floats, Integers, later
+from undeadzone_identify.models.estimates import Interval, quantile, sandwich
+from undeadzone_identify.models.plant import correlations
+from undeadzone_identify.servo import predictor
+from undeadzone_identify.servo.crossings import Crossings, crossings_of
+from undeadzone_identify.servo.heard import Heard, noise_of, sides, triggered
+from undeadzone_identify.servo.likelihood import (
+    DEAR,
+    RUBS,
+    SLOW_TIME,
+    At,
+    Likelihood,
+    Servo,
+    Slopes,
+    lanes_of,
+    newton,
+    scores,
+)
+from undeadzone_identify.servo.predictor import LATEST, MEAN, NUMBERS
+from undeadzone_identify.servo.search import searched
+
+RUNS = 12
+STEPS = 8  # of a climb from the fit
+
+
+@cache
+def _kernel() -> lanes.Kernel:
+    """A servo and its play, with a torque of each lane's own."""
+    state = ca.SX.sym("s", MEAN + 1)
+    signals = ca.SX.sym("w", LATEST + 1 + 3)
+    numbers = ca.SX.sym("p", len(NUMBERS) + LATEST + 1)
+    lane = predictor.Lane(numbers)
+    begun, starts, torque = ca.vertsplit(signals[LATEST + 1 :])
+    acting = ca.dot(lane.taps, signals[: LATEST + 1])
+    contact = predictor.contact_of(lane, state[0], state[1], state[MEAN])
+    pushed = lane.offset + torque
+    x = predictor.moved(lane, ca.vertsplit(state[:MEAN]), acting, pushed, contact).x
+    x = [ca.if_else(starts, first, one) for first, one in zip([begun, 0, 0, 0], x, strict=True)]
+    level = ca.if_else(starts, begun, predictor.pulled(lane, state[MEAN], x[0]))
+    step = ca.Function("simulated", [state, signals, numbers], [ca.vertcat(*x, level), level])
+    own = LATEST + 1 + 2
+    return lanes.build(step, exogenous=[own], width=16, fused=True)
+
+
+def simulated(log: Heard, one: Servo, runs: int = RUNS) -> list[Heard]:
+    """Logs of a servo with the log's input.
+
+    Args:
+        log: as the predictor hears it.
+        one: the servo.
+        runs: how many.
+    """
+    theta, size = one.theta, log.u.size
+    draw = np.random.default_rng(5)
+    torque = math.exp(theta[At.TORQUE]) * draw.standard_normal((size, runs))
+    keep = math.exp(-log.step / SLOW_TIME)
+    white = math.sqrt(1 - keep * keep) * draw.standard_normal((size, runs))
+    torque += math.exp(theta[At.SLOW]) * lfilter([1.0], [1.0, -keep], white, axis=0)
+    rows = lanes_of(theta[None], log.step, log.quantum, log.ticks, False, one.structure.lag)
+    signals = np.column_stack([log.signals(log.ok)[:, : LATEST + 1], np.zeros((size, 3))])
+    signals[log.start, LATEST + 1] = log.y[log.start]
+    signals[log.start, LATEST + 2] = 1.0
+    levels, _ = lanes.run(
+        _kernel(), np.zeros(MEAN + 1), signals, rows[0], torque[:, None, :], threads=1
+    )
+    return [_recorded(log, theta, level, draw) for level in levels[:, :, 0]]
+
+
+def _recorded(log: Heard, theta: Floats, level: Floats, draw: np.random.Generator) -> Heard:
+    """Levels as the log's encoder reads them, or with its noise."""
+    if not log.ticks:
+        return log._replace(y=level + math.exp(theta[At.NOISE]) * draw.standard_normal(level.size))
+    y = log.quantum * np.round(level / log.quantum) if log.quantum else level
+    side = sides(y, log.ok, log.start)
+    return log._replace(y=y, side=side, boundary=y - side * log.quantum / 2)
+
+
+def refitted(logs: Sequence[Heard], one: Servo) -> Floats:
+    """The gaps that climbs from a servo find in logs (runs)."""
+    tops = (Likelihood(log).climbed([one], STEPS)[0] for log in logs)
+    return np.array([top.theta[At.GAP] for top in tops])
+
+
+# --- The gap, and when none is given
+
+LONGEST = 20_000  # samples that are fitted
+REVERSALS = 10  # crossings that a gap is read off, at least
+WIDER = 1.25  # than by errors that are independent of what else is fitted
+COLOURED = 0.06  # rms of slow torques in that of the input, from which their colour matters
+ANY_COLOUR = 1.6  # wider where noisy readings are fitted with such torques, whatever their colour
+HIDING = 0.5  # rms of slow torques, in that of the input, from which no gap is given
+FLOOR = 0.05  # quanta, by which a gap is uncertain at least
+LOOSE = 0.008  # of the gap, by which it is uncertain where a load rubs: how it does is assumed
+DEGREES = 60  # of freedom at most
+DISAGREES = 4.0  # standard errors by which crossings may say another gap
+TICKS = 0.5  # quanta by which they may besides
+NOISES = 2.0  # rms of the noise by which they may besides
+CLOSE = 0.02  # of the gap, by which they may in any case
+WIDEST = 0.5  # of the gap: half of an interval that is an answer
+SETTLES = 3.0  # time constants of a log, below which a lag is an integrator
+LOOKED = 4  # simulated logs whose crossings are looked at
+SCATTERS = 0.5  # of the gap, by which no simulated log's may differ
+HEAVY = 40.0  # kurtosis of errors that are no servo's
+FAR = 8.0  # deviations beyond which one error is
+HEARS = 0.04  # share of the errors of noisy readings that past inputs may explain
+MOVED = 1e-5  # of a number, for derivatives
+AUDIBLE = 0.05  # of the rms of white torques, from which others are claimed
+SHORT = 1 / 12  # of the time between reversals: correlation time of friction, as a filter's torque
+LAGS = 8  # of these inputs
+CORRELATED = 0.01  # sum of the squared correlations of these errors, which is noticed
+FOLLOWING = 20  # errors that may follow an error
+CHANCE = 1e-4  # p below which they do
+CLIP = 4.0  # deviations beyond which an error counts no more for that
+
+
+class ServoGap(NamedTuple):
+    """What a servo's log says of its gap.
+
+    Attributes:
+        log: as the predictor hears it.
+        servo: the likeliest one.
+        gap: with its interval [y].
+        crossings: one after another.
+        reversals: of the readings.
+        covariance: of the servo's free numbers.
+        gained: nats of the log likelihood by which the gap is better than none.
+        reasons: why no gap is given; empty where one is.
+    """
+
+    log: Heard
+    servo: Servo
+    gap: Interval
+    crossings: Crossings
+    reversals: int
+    covariance: Floats
+    gained: float
+    reasons: tuple[str, ...]
+
+    @property
+    def is_given(self) -> bool:
+        """Whether there is a gap, above 0 for certain."""
+        return not self.reasons
+
+    @property
+    def turns_too_seldom(self) -> bool:
+        """Whether that the readings turn too seldom is all that keeps a gap from being given."""
+        return self.reversals < REVERSALS and len(self.reasons) == 1
+
+    @property
+    def integrates(self) -> bool:
+        """Whether nothing pulls z back to where it was, or nothing that this log could show."""
+        one = self.servo
+        if not one.structure.lag:
+            return "spring" not in one.structure.parts
+        return math.exp(one.theta[At.DAMPING]) * self.log.step * self.log.u.size < SETTLES
+
+    @property
+    def odds(self) -> float:
+        """Of a gap against none, by BIC."""
+        used = max(int(np.count_nonzero(self.log.counted(False))), 2)
+        return float(expit(self.gained - 0.5 * DEAR * math.log(used)))
+
+    @property
+    def disturbance(self) -> tuple[float, float]:
+        """rms [u] and correlation time [s] of what acts on the motor beside u and its damping.
+
+        Friction is a part of it, which changes its sign at each reversal.
+        """
+        log, theta = self.log, self.servo.structure.of(self.servo.theta)
+        rubs, slow = (
+            float(theta[RUBS].sum()),
+            math.hypot(math.exp(theta[At.SLOW]), theta[At.OFFSET]),
+        )
+        white, rms = math.exp(theta[At.TORQUE]), math.hypot(rubs, slow)
+        if rms < AUDIBLE * white:
+            return white * log.u_scale, 0.5 * log.seconds
+        turning = log.part(LONGEST).u.size * log.seconds / max(self.reversals, 1)
+        of_slow = SLOW_TIME * log.seconds / log.step
+        time = (rubs**2 * SHORT * turning + slow**2 * of_slow) / rms**2
+        return rms * log.u_scale, max(time, 0.5 * log.seconds)
+
+    def trained(self, among: Flags) -> Servo:
+        """The servo fitted to some samples (N) alone."""
+        return Likelihood(self.log, among=among).climbed([self.servo], STEPS)[0]
+
+    def expected(self, one: Servo) -> tuple[Floats, Floats, Integers]:
+        """z as it is predicted, what is read of it, and the contact then (N each), scaled."""
+        log = self.log
+        z = Likelihood(log).run(one.theta[None], one.structure.lag)[0][:, 2]
+        half = float(one.theta[At.GAP]) / 2
+        before = later(log.y, 1, log.start)
+        readings = np.maximum(np.minimum(before, z + half), z - half)
+        if log.quantum:
+            readings = log.quantum * np.round(readings / log.quantum)
+        return z, readings, np.sign(readings - before).astype(int)
+
+    def errors(self, one: Servo) -> Floats:
+        """Errors that count, in their deviations (n)."""
+        slopes = slopes_of(self.log, one)
+        return slopes.e * np.exp(-slopes.log_s)
+
+    @property
+    def trends(self) -> list[str]:
+        """What the gap changes with, in words; noise makes trends of its own."""
+        return self.crossings.trends() if self.log.ticks else []
+
+
+def servo_gap(log: Heard | None) -> ServoGap | None:
+    """The gap of a servo's log; None where nothing moves, or no servo fits.
+
+    Args:
+        log: as `heard.heard` gives it.
+    """
+    if log is None:
+        return None
+    part = log.part(LONGEST)
+    tops = searched(part)
+    if not tops:
+        return None
+    best = tops[0]
+    slopes = slopes_of(part, best)
+    if not all(np.isfinite(column).all() for column in slopes):
+        return None
+    spread = _Spread(part, best, slopes)
+    logs = simulated(part, best)
+    gaps = refitted(logs, best)
+    gap = _corrected(part, best, spread, gaps, [one.theta[At.GAP] for one in tops])
+    found = ServoGap(
+        log=log,
+        servo=best,
+        gap=gap.scaled(log.y_scale),
+        crossings=_unbiased(crossings_of(log, best), logs, best),
+        reversals=spread.reversals,
+        covariance=spread.covariance,
+        gained=best.value - _without(part, best),
+        reasons=(),
+    )
+    doubts = _doubts(found, spread, gaps)
+    return found._replace(reasons=(*doubts, *odd_errors(part, slopes)))
+
+
+def centre_of(found: ServoGap, level: float) -> Interval | None:
+    """Half the centre c_r - c_l of a gap, if z = 0 at u = 0 [y]; None of an integrating plant.
+
+    Args:
+        found: the gap.
+        level: the first reading [y].
+    """
+    log, one = found.log, found.servo
+    if found.integrates:
+        return None
+    rest = _rest(one)
+    free = one.structure.free(log.ticks, False)
+    slopes = np.zeros(free.size)
+    for column, place in enumerate(free):
+        move = np.zeros(one.theta.size)
+        move[place] = MOVED
+        more = _rest(one._replace(theta=one.theta + move))
+        slopes[column] = (more - rest) / MOVED
+    error = math.sqrt(max(float(slopes @ found.covariance @ slopes), 0.0))
+    half = WIDER * quantile(float(np.clip(found.reversals - 1, 2, DEGREES))) * error
+    return Interval.around(-rest * log.y_scale - level, half * log.y_scale)
+
+
+def _rest(one: Servo) -> float:
+    """Where z rests at u = 0, from the first reading on."""
+    theta = one.theta
+    stiffness = math.exp(theta[At.DAMPING] if one.structure.lag else theta[At.SPRING])
+    return float(theta[At.GAIN] * theta[At.OFFSET]) / stiffness
+
+
+def _without(log: Heard, one: Servo) -> float:
+    """The log likelihood of a servo without a gap."""
+    return Likelihood(log).climbed([one.changed(At.GAP, 0.0)], STEPS, (At.GAP,))[0].value
+
+
+def slopes_of(log: Heard, one: Servo) -> Slopes:
+    """Errors of a servo that count, and their derivatives by its free numbers."""
+    free = one.structure.free(log.ticks, False)
+    return Likelihood(log).slopes(one.theta[None], [free], one.structure.lag)[0]
+
+
+class _Spread:
+    """How surely a gap is known by the log itself."""
+
+    def __init__(self, log: Heard, one: Servo, slopes: Slopes) -> None:
+        place = list(one.structure.free(log.ticks, False)).index(At.GAP)
+        score, (_, hessian) = scores(slopes), newton(slopes)
+        spread = sandwich(score, hessian)
+        self.covariance = spread.V
+        turned = np.cumsum((log if log.ticks else triggered(log)).turns)
+        self.reversals = int(turned[-1])
+        used = Likelihood(log).used
+        told = score @ spread.naive[:, place]  # of the gap, by each error
+        runs = np.bincount(turned[used], told)
+        whole = float(runs @ runs)
+        of_runs = max(whole + float(runs[1:] @ runs[:-1]), 0.5 * whole)
+        few = runs.size / max(runs.size - 1, 1)
+        variances = spread.V[place, place], float(told @ told), of_runs * few
+        self.error = math.sqrt(max(*variances, 0.0))
+
+
+def _corrected(
+    log: Heard, one: Servo, spread: _Spread, gaps: Floats, others: list[float]
+) -> Interval:
+    """The gap less the bias that simulated logs show, with its interval, scaled."""
+    gap = float(one.theta[At.GAP])
+    least = log.quantum if log.ticks else noise_of(log)
+    reach = 4 * spread.error + 0.2 * least
+    middle = float(np.median(gaps))
+    bias = float(np.mean(np.clip(gaps, middle - reach, middle + reach))) - gap
+    loose = LOOSE * gap * ("load" in one.structure.parts)
+    error = math.hypot(max(spread.error, float(np.std(gaps, ddof=1))), FLOOR * least, loose)
+    degrees = float(np.clip(spread.reversals - 1, 2, DEGREES))
+    apart = max(abs(other - gap) for other in others)
+    half = math.hypot(WIDER * quantile(degrees) * error, bias, apart)
+    half *= ANY_COLOUR if not log.ticks and _slow(one) > COLOURED else 1.0
+    return Interval.around(max(gap - bias, 0.0), half)
+
+
+def _slow(one: Servo) -> float:
+    """rms of slow torques, in that of the input."""
+    return math.exp(one.structure.of(one.theta)[At.SLOW])
+
+
+def _unbiased(crossings: Crossings, logs: list[Heard], one: Servo) -> Crossings:
+    """Crossings less what those of simulated logs are beside the truth."""
+    medians = [crossings_of(log, one).median for log in logs[:LOOKED]]
+    shift = float(np.nanmedian(medians)) - float(one.theta[At.GAP]) * logs[0].y_scale
+    return crossings._replace(gap=crossings.gap - shift) if math.isfinite(shift) else crossings
+
+
+def _doubts(found: ServoGap, spread: _Spread, gaps: Floats) -> list[str]:
+    """Why the gap itself is not given."""
+    log, gap, crossings = found.log, found.gap, found.crossings
+    reasons = []
+    if found.reversals < REVERSALS:
+        reasons.append(
+            f"the readings turn {found.reversals} times, and each crossing shows the gap once:"
+            f" {REVERSALS} are the least; record with an input that reverses more often"
+        )
+    if gap.low <= 0:
+        reasons.append(f"a gap of the play, if there is one, is below {gap.high:.3g}")
+    elif gap.half > WIDEST * gap.value:
+        reasons.append(
+            f"the gap lies between {gap.low:.3g} and {gap.high:.3g}, which is hardly known; record"
+            " for longer, or with more reversals"
+        )
+    if _slow(found.servo) > HIDING:
+        reasons.append("slow torques are as strong as half of the input: they hide the gap")
+    fitted = float(found.servo.theta[At.GAP]) * log.y_scale
+    margin = TICKS * log.quantum if log.ticks else NOISES * noise_of(log)
+    error = math.hypot(spread.error * log.y_scale, crossings.error)
+    allowed = DISAGREES * error + margin * log.y_scale + CLOSE * fitted
+    if abs(crossings.median - fitted) > allowed:
+        reasons.append(
+            f"the crossings one by one say a gap of {crossings.median:.4g}, all together"
+            f" {fitted:.4g}: the motor's motion is not fully held"
+        )
+    if gap.low > 0 and np.max(np.abs(gaps * log.y_scale - fitted)) > SCATTERS * fitted:
+        reasons.append("logs simulated with the fit do not lead back to its gap")
+    return reasons
+
+
+def odd_errors(log: Heard, slopes: Slopes) -> list[str]:
+    """Why errors are not those of a servo.
+
+    Args:
+        log: as the predictor hears it.
+        slopes: with the errors.
+    """
+    r = slopes.e * np.exp(-slopes.log_s)
+    r = r - r.mean()
+    power = float(r @ r) + 1e-300
+    reasons = []
+    if np.abs(r).max() > FAR and r.size * float(np.sum(r**4)) > HEAVY * power**2:
+        reasons.append("a few readings are far from what any servo does")
+    if log.ticks:
+        return reasons
+    seen = correlations(np.clip(r, -CLIP, CLIP), np.ones(r.size, bool), 1 + FOLLOWING)
+    squares = float(np.sum((seen[1:] / seen[0]) ** 2))
+    if squares > CORRELATED and chi2.sf(r.size * squares, FOLLOWING) < CHANCE:
+        reasons.append("errors follow from errors before them: the motor is not fully held")
+    used = np.flatnonzero(log.counted(False))
+    past = np.column_stack([later(log.u, 1 + j, log.start)[used] for j in range(LAGS)])
+    past = past - past.mean(axis=0)
+    explained = past @ np.linalg.lstsq(past, r, rcond=1e-8)[0]
+    if float(explained @ explained) > HEARS * power:
+        reasons.append("past inputs explain errors: the motor is not fully held")
+    return reasons

@@ -1,0 +1,230 @@
+"""Which servo is it: from the runs without any gap to the numbers of the likeliest structure.
+
+Runs between two reversals know of no gap, so they come first: z is forgotten at every reversal, and
+plant, friction and delay are climbed to from many starts. With a strong torque each tick forgets
+the ticks before it, so that the top is broad; then the torque is left free. Each reversal then has
+a gap of its own, whose median starts the climbs with a gap. Parts of the servo are added and taken
+away as long as BIC gets better.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.signal import lfilter
+
+from undeadzone.support.arrays import Floats, later
+from undeadzone_identify.servo.crossings import crossings_of
+from undeadzone_identify.servo.heard import REACH, Heard, noise_of, triggered
+from undeadzone_identify.servo.likelihood import (
+    PARTS,
+    At,
+    Likelihood,
+    Servo,
+    Structure,
+    discretised,
+)
+
+MOST = 3000  # samples of a search
+TURNS = 4  # reversals of a search, at least
+POLES = 5  # rates of damping where climbs begin
+SPRINGS = (0.1, 3.0)  # in squared rates of damping
+FRICTIONS = (0.02, 0.15)  # rms of the input
+DELAYS = (0.5, 3.0)  # samples
+TORQUES = (0.3, 0.05)  # rms of the input
+FIRST, THEN, LAST = 4, 6, 12  # steps of climbs
+KEPT = 4  # climbs of a structure that go on
+ROUNDS = 4  # in which parts are added or taken away
+WINDOWS = 60  # over which motion is compared
+MEMORY = 0.5  # least gap, in quanta, where climbs begin
+ALTERNATIVES = 6  # structures that are climbed with all samples
+REACHED = 30.0  # of BIC, within which a structure may be the true one
+
+
+def searched(log: Heard) -> list[Servo]:
+    """The likeliest structures within `REACHED` of BIC, best first; of all samples.
+
+    Args:
+        log: as the predictor hears it.
+
+    Returns:
+        Servos climbed to their top; nothing where no start leads anywhere.
+    """
+    ticked = log if log.ticks else triggered(log)
+    begun = without_gap(ticked.part(MOST, TURNS))
+    if not begun:
+        return []
+    fits = with_gap(log.part(MOST, TURNS), [_gapped(log, ticked, one) for one in begun])
+    if not fits:
+        return []
+    likelihood = Likelihood(log)
+    tops = likelihood.climbed(fits, 3 * LAST)
+    return sorted(filter(lambda one: math.isfinite(one.value), tops), key=likelihood.bic)
+
+
+# --- Without a gap
+
+
+def without_gap(log: Heard) -> list[Servo]:
+    """The best servos of a few structures that know of no gap, best first."""
+    likelihood = Likelihood(log, free=True)
+    if likelihood.used.size < 3 * len(At):
+        return []
+    begun = starts(log)
+    families = sorted({one.structure for one in begun}, key=repr)
+    tops = likelihood.climbed(begun, FIRST, (At.TORQUE,))
+    tops = list(itertools.chain(*(_best(tops, family, KEPT) for family in families)))
+    weaker = [one.changed(At.TORQUE, math.log(TORQUES[-1])) for one in tops]
+    tops += likelihood.climbed(weaker, THEN, (At.TORQUE,))
+    tops = likelihood.climbed(tops, LAST)
+    tops = list(itertools.chain(*(_best(tops, family, 2) for family in families)))
+    return sorted(tops, key=likelihood.bic)
+
+
+def _best(tops: Sequence[Servo], family: Structure, count: int) -> list[Servo]:
+    """The best servos of a structure."""
+    own = [one for one in tops if one.structure == family and math.isfinite(one.value)]
+    return sorted(own, key=lambda one: -one.value)[:count]
+
+
+def starts(log: Heard) -> list[Servo]:
+    """Where climbs without a gap begin: the gain by the motion over windows."""
+    span = log.u.size * log.step
+    rates = np.geomspace(max(0.5, 4 / span), min(0.5 / log.step, 150.0), POLES)
+    found = []
+    motor, sprung = Structure(frozenset({"friction"})), Structure(frozenset({"friction", "spring"}))
+    for rate, late in itertools.product(rates, DELAYS):
+        for friction, share in zip(FRICTIONS, SPRINGS, strict=True):
+            found.append(_begun(log, motor, rate, 0.0, friction, late))
+            found.append(_begun(log, sprung, rate, share * rate**2, FRICTIONS[0], late))
+    lagging = Structure(frozenset(), lag=True)
+    return found + [_begun(log, lagging, rate, 0.0, 0.0, DELAYS[0]) for rate in rates]
+
+
+def _begun(
+    log: Heard, structure: Structure, rate: float, spring: float, friction: float, late: float
+) -> Servo:
+    """A start with the gain that suits it."""
+    theta = np.zeros(len(At))
+    theta[At.DAMPING], theta[At.GAIN], theta[At.POLE] = math.log(rate), 1.0, math.inf
+    theta[At.SPRING] = math.log(spring) if spring else -math.inf
+    theta[At.SLOW], theta[At.GAP] = -math.inf, max(MEMORY * log.quantum, 1e-6)
+    theta[At.TORQUE], theta[At.DELAY] = math.log(TORQUES[0]), late
+    z = _linear(log, theta, structure.lag)
+    wide = max(5, log.u.size // WINDOWS)
+    moved = np.column_stack([np.diff(z[::wide]), np.ones(z[::wide].size - 1)])
+    gain = float(np.linalg.lstsq(moved, np.diff(log.y[::wide]), rcond=None)[0][0])
+    theta[At.GAIN] = gain if abs(gain) > 1e-9 else 1.0
+    theta[At.FRICTION] = friction
+    return Servo(structure, theta, -math.inf)
+
+
+def _linear(log: Heard, theta: Floats, lag: bool) -> Floats:
+    """z of a servo without friction (N)."""
+    A, B, _ = discretised(theta[None], log.step, lag)
+    F, b = A[0, :2, :2], B[0, :2, 0]
+    late = later(log.u, 1 + round(theta[At.DELAY]), log.start)
+    denominator = np.array([1.0, -np.trace(F), np.linalg.det(F)])
+    numerator = np.array([b[0], F[0, 1] * b[1] - F[1, 1] * b[0]])
+    return np.asarray(lfilter(numerator, denominator, late))
+
+
+# --- The gap
+
+
+def _gapped(log: Heard, ticked: Heard, one: Servo) -> Servo:
+    """A servo with the median of the gaps of its reversals."""
+    gap = crossings_of(ticked, one, free=True).median / ticked.y_scale
+    if log.ticks:
+        return one.changed(At.GAP, max(gap, MEMORY * log.quantum, 1e-4))
+    rms = noise_of(log)
+    return one.changed(At.GAP, max(gap - 2 * REACH * rms, rms)).changed(At.NOISE, math.log(rms))
+
+
+def with_gap(log: Heard, begun: Sequence[Servo]) -> list[Servo]:
+    """The likeliest structures with a gap, within `REACHED` of BIC, best first.
+
+    Args:
+        log: as the predictor hears it, or a part.
+        begun: where climbs begin.
+    """
+    likelihood = Likelihood(log)
+    first = [one.changed(At.TORQUE, math.log(x)) for one, x in itertools.product(begun, TORQUES)]
+    first = likelihood.climbed(first, THEN, (At.TORQUE,))
+    fits = _kept({}, likelihood, likelihood.climbed(first, LAST))
+    for _ in range(ROUNDS):
+        if not fits:
+            return []
+        best = min(fits.values(), key=likelihood.bic)
+        own = best.structure
+        trials = neighbours(best, log.step)
+        trials = [x for x in trials if x.structure not in fits or x.structure.parts < own.parts]
+        more = likelihood.climbed(trials, THEN, (At.TORQUE,))
+        fits = _kept(fits, likelihood, likelihood.climbed(more, LAST))
+        if min(fits.values(), key=likelihood.bic).structure == own:
+            break
+    ranked = sorted(fits.values(), key=likelihood.bic)
+    most = likelihood.bic(ranked[0]) + REACHED
+    return [one for one in ranked if likelihood.bic(one) <= most][:ALTERNATIVES]
+
+
+def _kept(
+    fits: dict[Structure, Servo], likelihood: Likelihood, more: Sequence[Servo]
+) -> dict[Structure, Servo]:
+    """The best servo of each structure."""
+    kept = dict(fits)
+    for one in more:
+        own = kept.get(one.structure)
+        if math.isfinite(one.value) and (own is None or one.value > own.value):
+            kept[one.structure] = one
+    return kept
+
+
+def neighbours(one: Servo, step: float) -> list[Servo]:
+    """Servos with a part more, or less, where climbs begin."""
+    found = []
+    for name, place in PARTS.items():
+        if one.structure.lag and name in ("friction", "load", "spring"):
+            continue
+        parts = one.structure.parts ^ {name}
+        structure = one.structure._replace(parts=parts)
+        if name not in parts:
+            found.append(Servo(structure, structure.of(one.theta), -math.inf))
+            if name == "pole":
+                found.append(Servo(structure, structure.of(_exchanged(one.theta, step)), -math.inf))
+            continue
+        for value in _values(name, one, step):
+            more = one.changed(place, value)
+            if name == "load":  # of what rubbed at the motor
+                more = more.changed(At.FRICTION, max(more.theta[At.FRICTION] - value, 0.0))
+            if name == "pole":  # what a pole is late
+                late = more.theta[At.DELAY] - math.exp(-value) / step
+                more = more.changed(At.DELAY, max(late, 0.0))
+            found.append(more._replace(structure=structure, value=-math.inf))
+    return found
+
+
+def _exchanged(theta: Floats, step: float) -> Floats:
+    """The numbers of a motor without a pole, whose damping is that pole; the other is a delay."""
+    own = theta.copy()
+    own[At.DAMPING] = np.logaddexp(theta[At.POLE], theta[At.SPRING] - theta[At.DAMPING])
+    slower = theta[At.POLE] - theta[At.DAMPING]
+    own[At.GAIN] *= math.exp(slower)
+    own[At.SPRING] += slower
+    own[At.DELAY] += math.exp(-theta[At.DAMPING]) / step
+    return own
+
+
+def _values(name: str, one: Servo, step: float) -> list[float]:
+    """Where a part begins that is added."""
+    if name in ("friction", "load"):
+        return [0.003, 0.02, 0.1]
+    if name == "spring":
+        rate = 2 * one.theta[At.DAMPING]
+        return [rate + math.log(share) for share in (1e-3, *SPRINGS)]
+    if name == "pole":
+        return [math.log(rate / step) for rate in (0.1, 0.3, 0.8)]
+    return [math.log(0.03), math.log(0.2)]
