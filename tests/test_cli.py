@@ -21,7 +21,8 @@ from commands import undeadzone
 from undeadzone.cli import group
 from undeadzone.results.run import Run
 from undeadzone.support import progress
-from undeadzone_export import export
+from undeadzone_export import exporting
+from undeadzone_identify.command import identify
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 COMMAND = [sys.executable, "-c", "from undeadzone.cli import main; main()"]
@@ -91,7 +92,7 @@ def test_a_rare_option_stands_in_the_whole_help_alone() -> None:
     assert {line.split()[0] for line in usual.splitlines() if line.startswith("  --")} <= set(
         whole.split()
     )
-    every = [each for each in group.commands["identify"].params if isinstance(each, click.Option)]
+    every = [each for each in identify.params if isinstance(each, click.Option)]
     assert [each.name for each in every if not each.help or each.opts[0] not in whole] == []
 
 
@@ -548,7 +549,7 @@ def test_export_is_named_where_it_is_taken(command: str, tmp_path: Path) -> None
 
 def test_what_is_to_be_typed_next_works(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """From the first command on, each that another names ends without a complaint."""
-    monkeypatch.setattr(export, "STEPS", 2000)
+    monkeypatch.setattr(exporting, "STEPS", 2000)
     assert undeadzone("init", "mine.toml", cwd=tmp_path).returncode == 0
     waiting, seen = ["run", "check"], set[str]()
     while waiting:

@@ -33,7 +33,7 @@ from undeadzone.plants.robots.geared import Gears, geared_motion
 from undeadzone.results import mjcf
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
-from undeadzone_export import export
+from undeadzone_export import exporting
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 SERVO = """
@@ -419,10 +419,10 @@ def test_exported_C_has_every_bit_and_fits_a_microcontroller(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its self-test compares the bits with the reference's; step and flash are estimates."""
-    monkeypatch.setattr(export, "STEPS", 2000)
+    monkeypatch.setattr(exporting, "STEPS", 2000)
     said: list[str] = []
     three = servo(simulation={"duration": 0.2})
-    report = export.export(three, out=tmp_path / "three", told=said.append).report
+    report = exporting.export(three, out=tmp_path / "three", told=said.append).report
     assert said[0].endswith("a compiler takes minutes; observer.starts = 1 takes less")
     assert "Cortex-M4F (STM32F4)" in report["leaner"]["starts = 1"]
     one = servo(simulation={"duration": 0.2}, observer={"starts": 1})

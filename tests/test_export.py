@@ -26,7 +26,7 @@ from undeadzone.compile.graph import needed
 from undeadzone.errors import FileError, InputError
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
-from undeadzone_export import accuracy, compiler, export, parts, vectors
+from undeadzone_export import accuracy, compiler, exporting, parts, vectors
 from undeadzone_export.code import code
 
 FLAGS = ["-std=c99", "-ffp-contract=off", "-fno-math-errno"]
@@ -47,7 +47,7 @@ OWN = elementary.FUNCTIONS.keys() - {"fmin", "fmax", "sign", "floor", "ceil"}  #
 def cheaper() -> Iterator[None]:
     """Runs of 600 steps: what 100 000 steps of optimised code show is tested once, below."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(export, "STEPS", 600)
+        patch.setattr(exporting, "STEPS", 600)
         yield
 
 
@@ -93,7 +93,7 @@ def test_the_options_of_deploy_md_are_those_of_the_function(
     assert done.report["hash"] in (tmp_path / "fw" / "joint.h").read_text()
 
 
-CASES = [(observer, precision) for precision in export.PRECISIONS for observer in EXPORTED]
+CASES = [(observer, precision) for precision in exporting.PRECISIONS for observer in EXPORTED]
 # Here auto is the graph of censored; certified and extended are built at every level, see below.
 CASES = [case for case in CASES if case[0] not in ("auto", "certified", "extended")]
 IN_FLOAT = ("kalman", "censored", "ekf", "adaptive_inverse", "interval")
@@ -332,7 +332,7 @@ def test_nothing_is_undefined(tmp_path: Path) -> None:
 def test_no_constant_overflows_or_vanishes(tmp_path: Path) -> None:
     scenario = small("sampled", observer={"method": "censored"} | OBSERVERS["censored"][1])
     step = parts.build(resolve_scenario(scenario))
-    assert export.replaced_constants(code(step, False)) == [
+    assert exporting.replaced_constants(code(step, False)) == [
         "-1e+300: -3.3572615e+38f",
         "1e+100: 2.2533617e+38f",
         "1e+300: 3.3572615e+38f",
@@ -506,7 +506,7 @@ def test_no_path_of_this_machine_is_in_a_file(joint: Path) -> None:
 
 def test_the_long_run_of_float(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """100 000 steps of `certified`: the widths stay within 1e-4 (measured: 1.8e-5)."""
-    monkeypatch.setattr(export, "STEPS", 100_000)
+    monkeypatch.setattr(exporting, "STEPS", 100_000)
     monkeypatch.delenv("CC")
     report = uz.export(certified(), out=tmp_path / "fw", name="joint").report["accuracy"]
     assert report["steps"] >= 100_000

@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from undeadzone.errors import InputError
-from undeadzone_export import accuracy, export
+from undeadzone_export import accuracy, exporting
 from undeadzone_export.command import export as command
 
 SCENARIO = """
@@ -26,7 +26,7 @@ simulation = { time = "sampled", duration = 2.0, step = 1e-3 }
 
 @pytest.fixture(autouse=True)
 def shorter(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(export, "STEPS", 600)
+    monkeypatch.setattr(exporting, "STEPS", 600)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "arm.toml").write_text(SCENARIO)
 
@@ -56,7 +56,7 @@ def test_check_alone_builds_and_runs_and_leaves_nothing(tmp_path: Path) -> None:
 
 
 def test_large_code_is_announced_before_it_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(export, "MANY", 20)
+    monkeypatch.setattr(exporting, "MANY", 20)
     code, result = called("--json")
     assert code == 0
     assert "operations a sample: about 0 kB of code" in result.stderr
@@ -116,7 +116,7 @@ def test_the_folder_is_looked_at_before_anything_is_computed(
 ) -> None:
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "letter.txt").write_text("dear")
-    monkeypatch.setattr(export, "resolve_scenario", lambda _: pytest.fail("computed"))
+    monkeypatch.setattr(exporting, "resolve_scenario", lambda _: pytest.fail("computed"))
     with pytest.raises(InputError):
         called("--out", out)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["arm.toml", "mine"]

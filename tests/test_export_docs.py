@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import undeadzone as uz
-from undeadzone_export import export
+from undeadzone_export import exporting
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "export.md").read_text(encoding="utf-8")
@@ -17,7 +17,7 @@ PAGE = (ROOT / "docs" / "export.md").read_text(encoding="utf-8")
 def test_the_code_in_the_page_is_the_exported_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(export, "STEPS", 600)
+    monkeypatch.setattr(exporting, "STEPS", 600)
     scenario = uz.read(ROOT / "examples" / "firmware.toml")
     report = uz.export(scenario, out=tmp_path / "fw").report
     code = (tmp_path / "fw" / "arm_joint.c").read_text(encoding="utf-8")
@@ -35,7 +35,7 @@ def test_the_code_in_the_page_is_the_exported_one(
 def test_the_page_says_how_long_structured_text_is(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(export, "STEPS", 600)
+    monkeypatch.setattr(exporting, "STEPS", 600)
     scenario = uz.read(ROOT / "examples" / "firmware.toml")
     report = uz.export(scenario, "st", tmp_path / "plc").report
     assert f"| {report['structured_text']['lines']} | `undeadzone export examples" in PAGE

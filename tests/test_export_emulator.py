@@ -17,7 +17,7 @@ from scenes import scene
 from test_engines import OBSERVERS, small
 from tools import require
 from undeadzone.scenario.schema import Scenario
-from undeadzone_export import compiler, export
+from undeadzone_export import compiler, exporting
 
 HERE = Path(__file__).parent / "emulator"
 TOOLS = {
@@ -33,7 +33,7 @@ CASES = ("certified", "censored", "extended")
 @pytest.fixture(autouse=True)
 def tools(monkeypatch: pytest.MonkeyPatch) -> None:
     """Skip by the names of Debian's packages; fail where UNDEADZONE_REQUIRE names the emulator."""
-    monkeypatch.setattr(export, "STEPS", 600)
+    monkeypatch.setattr(exporting, "STEPS", 600)
     monkeypatch.setattr(compiler, "compiler", lambda: None)  # accuracy is measured elsewhere
     require("emulator", [package for tool, package in TOOLS.items() if shutil.which(tool) is None])
 
@@ -88,7 +88,7 @@ def emulated(
     )
 
 
-EVERY = [(name, precision) for name in CASES for precision in export.PRECISIONS]
+EVERY = [(name, precision) for name in CASES for precision in exporting.PRECISIONS]
 
 
 @pytest.mark.parametrize(("name", "precision"), EVERY)
@@ -151,7 +151,7 @@ def test_instructions_stack_warnings_and_libraries(
 
 
 def test_make_size_tells_the_flash_of_a_cortex_m4f(tmp_path: Path) -> None:
-    export.export(case("certified"), "c", tmp_path / "fw", "single", name="joint")
+    exporting.export(case("certified"), "c", tmp_path / "fw", "single", name="joint")
     done = subprocess.run(
         ["make", "-s", "size"], cwd=tmp_path / "fw", capture_output=True, text=True, check=True
     )

@@ -21,7 +21,7 @@ from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate
 from undeadzone.results.signals import of_kind
 from undeadzone.scenario.schema import Scenario, Units
-from undeadzone_export import compiler, export
+from undeadzone_export import compiler, exporting
 from undeadzone_export.fmu.package import KINDS
 
 if importlib.util.find_spec("fmpy"):
@@ -52,7 +52,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """The folder of every FMU, named after method and version."""
     folder = tmp_path_factory.mktemp("fmu")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(export, "STEPS", 600)
+        patch.setattr(exporting, "STEPS", 600)
         for method in METHODS:
             for version in VERSIONS:
                 out = folder / f"{method}-{version}"
@@ -349,7 +349,7 @@ def test_only_functions_of_FMI_are_visible(built: Path, version: str, tmp_path: 
 
 
 def test_units_names_and_the_controller(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(export, "STEPS", 600)
+    monkeypatch.setattr(exporting, "STEPS", 600)
     of = scenario("certified")
     for version in VERSIONS:
         uz.export(of, version, tmp_path / version, part="observer+controller", name="o")
@@ -374,7 +374,7 @@ def test_every_quantity_has_a_unit_of_its_kind() -> None:
 def test_single_precision_and_titles_of_all_kinds(
     version: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(export, "STEPS", 600)
+    monkeypatch.setattr(exporting, "STEPS", 600)
     nasty = 'a "<b>" & c*/\n\x00\ufffe\u202e'
     of = msgspec.structs.replace(scenario("certified"), title=nasty, units=uz.Units(output=nasty))
     uz.export(of, version, tmp_path / "fmu", precision="single", name="o")
@@ -390,7 +390,7 @@ def test_single_precision_and_titles_of_all_kinds(
 def test_the_same_scenario_gives_the_same_FMU(
     built: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(export, "STEPS", 600)
+    monkeypatch.setattr(exporting, "STEPS", 600)
     uz.export(
         scenario("certified"), "fmu3", tmp_path / "again", tunable=TUNABLE["certified"], name="o"
     )
@@ -402,7 +402,7 @@ def test_without_a_compiler_nothing_is_computed_or_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(compiler, "compiler", lambda: None)
-    monkeypatch.setattr(export, "resolve_scenario", lambda _: pytest.fail("computed"))
+    monkeypatch.setattr(exporting, "resolve_scenario", lambda _: pytest.fail("computed"))
     for version in VERSIONS:
         with pytest.raises(InputError, match="no C compiler"):
             uz.export(scenario("certified"), version, tmp_path / "fmu")

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import undeadzone as uz
-from undeadzone_export import export
+from undeadzone_export import exporting
 
 ROOT = Path(__file__).parents[1]
 DRIVE = """
@@ -57,7 +57,7 @@ print(json.dumps([rows, one.params.observer_gamma[0], arm_joint.STEP, first.x]))
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(export, "STEPS", 600)
+    monkeypatch.setattr(exporting, "STEPS", 600)
     done = uz.export(
         uz.read(ROOT / "examples" / "firmware.toml"),
         to="python",
@@ -119,7 +119,7 @@ def test_the_example_of_the_page_and_a_missing_compiler(folder: Path) -> None:
 def test_nothing_of_a_title_or_unit_ends_the_docstring(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(export, "STEPS", 600)
+    monkeypatch.setattr(exporting, "STEPS", 600)
     of = uz.read(ROOT / "examples" / "firmware.toml")
     nasty = 'x"""\nimport os\\N{nothing} \\'
     units = msgspec.structs.replace(of.units, output=nasty)

@@ -27,7 +27,7 @@ from undeadzone.compile.print_st import ST, assigned
 from undeadzone.errors import InputError
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
-from undeadzone_export import export, parts, plc, plc_files
+from undeadzone_export import exporting, parts, plc, plc_files
 from undeadzone_export.code import Code, code
 from undeadzone_export.source import Labels, source
 from undeadzone_export.vectors import chosen, continued, recorded, reference
@@ -48,7 +48,7 @@ END_CONFIGURATION
 @pytest.fixture(autouse=True, scope="module")
 def cheaper() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(export, "STEPS", 600)
+        patch.setattr(exporting, "STEPS", 600)
         yield
 
 

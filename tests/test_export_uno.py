@@ -13,7 +13,7 @@ from scenes import scene
 from test_engines import OBSERVERS, small
 from tools import require
 from undeadzone.scenario.schema import Scenario
-from undeadzone_export import export
+from undeadzone_export import exporting
 
 UNO = Path(__file__).parent / "emulator" / "uno.c"
 TOOLS = {"avr-gcc": "gcc-avr, avr-libc", "simavr": "simavr"}
@@ -34,7 +34,7 @@ def test_the_self_test_agrees_on_an_uno(
 ) -> None:
     """Without functions and with them; vectors, code and stack fit the board."""
     require("emulator", [package for tool, package in TOOLS.items() if shutil.which(tool) is None])
-    monkeypatch.setattr(export, "STEPS", 600)
+    monkeypatch.setattr(exporting, "STEPS", 600)
     uz.export(case(name), "arduino", tmp_path / "lib", name="o")
     example = tmp_path / "lib" / "examples" / "o_test"
     sources = [UNO, tmp_path / "lib" / "src" / "o.c", example / "o_test.c"]

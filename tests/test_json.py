@@ -15,7 +15,7 @@ import once
 import undeadzone_paper
 from undeadzone.cli import group
 from undeadzone.cli.common import SCHEMA
-from undeadzone_export import export
+from undeadzone_export import exporting
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs/json.md").read_text(encoding="utf-8")
@@ -143,7 +143,7 @@ def test_the_page_lists_the_keys_of_a_command(
     name: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(folder)
-    monkeypatch.setattr(export, "STEPS", 2000)
+    monkeypatch.setattr(exporting, "STEPS", 2000)
     once.in_haste(monkeypatch)
     monkeypatch.setattr(undeadzone_paper, "audit", lambda progress: once.audit()[0])
     if name in BEFORE:

@@ -51,7 +51,7 @@ FLOORS = {
         ("accuracy", "plc"),
         ("plc_files",),
         ("targets",),
-        ("exported",),
+        ("exporting",),
         ("command",),
     ),
     undeadzone_identify: (

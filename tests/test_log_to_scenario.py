@@ -18,7 +18,7 @@ import undeadzone as uz
 from commands import undeadzone
 from undeadzone.scenario.reader import parse
 from undeadzone.support.arrays import Floats
-from undeadzone_export import export
+from undeadzone_export import exporting
 from undeadzone_identify.answer.to_scenario import scenario_text
 from undeadzone_identify.command import _next
 from undeadzone_identify.models.estimates import positive
@@ -218,7 +218,7 @@ def test_a_log_ends_in_firmware(
     element: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As a user goes: each command is the one that the last one named."""
-    monkeypatch.setattr(export, "STEPS", 2000)  # of float beside double: less is refused later
+    monkeypatch.setattr(exporting, "STEPS", 2000)  # of float beside double: less is refused later
     u, y = record(element, "noise", False, order=1)
     table = np.column_stack([STEP * np.arange(y.size), u, y])
     path = tmp_path / "log.csv"
@@ -246,7 +246,7 @@ def test_a_log_ends_in_firmware(
 def test_one_command_leads_from_a_log_to_firmware_that_has_followed_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(export, "STEPS", 2000)
+    monkeypatch.setattr(exporting, "STEPS", 2000)
     u, y = record("zone", "noise", False, order=1)
     table = np.column_stack([STEP * np.arange(y.size), u, y])
     path = tmp_path / "log.csv"

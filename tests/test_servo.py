@@ -21,7 +21,7 @@ import undeadzone as uz
 from undeadzone.cli import group
 from undeadzone.scenario.reader import parse
 from undeadzone.support.arrays import Floats
-from undeadzone_export import export
+from undeadzone_export import exporting
 from undeadzone_identify.logs.grid import spacing_of
 from undeadzone_identify.servo import predictor
 from undeadzone_identify.servo.crossings import Crossings, crossings_of
@@ -311,7 +311,7 @@ def test_a_late_log_ends_in_firmware_that_has_followed_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(export, "STEPS", 2000)
+    monkeypatch.setattr(exporting, "STEPS", 2000)
     u, y = logged(MOTOR._replace(delay=3))
     write_log(u, y)
     words = ["identify", "log.csv", "--order", "2", "--chain", "fw"]

@@ -1,2 +1,2 @@
-from .exported import Exported as Exported
-from .exported import export as export
+from .exporting import Exported as Exported
+from .exporting import export as export

@@ -81,7 +81,7 @@ def export(
     """
     from undeadzone.scenario.reader import read
     from undeadzone_export.boards import Fit, table
-    from undeadzone_export.exported import export as run
+    from undeadzone_export.exporting import export as run
 
     problem = read(scenario, confine)
     if to == "page":
@@ -135,7 +135,7 @@ def _in_words(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
 
 def _leaner(name: str, boards: list[str]) -> str:
     """An observer that takes less, and where it fits."""
-    from undeadzone_export.exported import setting
+    from undeadzone_export.exporting import setting
 
     return f"{setting(name)} fits {', '.join(boards) or 'none of these boards'}"
 

@@ -54,7 +54,7 @@ def chained(path: Path, log: Path, folder: Path, columns: str | None, strict: bo
     from undeadzone.scenario.reader import read
     from undeadzone.simulation.estimate import estimate
     from undeadzone.synthesis.check import check
-    from undeadzone_export.exported import PRECISIONS, export
+    from undeadzone_export.exporting import PRECISIONS, export
 
     scenario = read(path)
     known = check(scenario).known
