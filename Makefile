@@ -34,7 +34,7 @@ mutants: .venv/tested         ## do the tests notice a wrong sign? MUTANTS=300 o
 	$(BIN)/python -m mutants run --count $(MUTANTS)
 
 coverage: .venv/tested        ## lines of src that no test runs
-	$(BIN)/pytest -n 2 --cov=undeadzone --cov-report=term-missing:skip-covered
+	$(BIN)/pytest -n 2 --cov=src --cov-report=term-missing:skip-covered
 
 tools:                        ## what some tests need besides Python: compilers and emulators of microcontrollers, cppcheck, browser
 	sh tests/tools.sh

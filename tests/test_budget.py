@@ -18,11 +18,19 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 41_697, 334
+MOST_CODE, MOST_FILES = 31_309, 269
+# Lines of code of the packages beside the tool, which are none of it: what leaves a room for one of
+# them is counted there.
+BESIDE = {
+    "undeadzone_arena": 4250,
+    "undeadzone_export": 2489,
+    "undeadzone_identify": 7908,
+    "undeadzone_paper": 1622,
+}
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
-    "(root)": 384,
+    "(root)": 386,
     "analysis": 3445,
     "cli": 1923,
     "compensators": 147,
@@ -30,9 +38,7 @@ BUDGET = {
     "controllers": 789,
     "ends": 426,
     "ensemble": 1878,
-    "exports": 2348,
     "feedforward": 429,
-    "identification": 7272,
     "linear": 400,
     "logs": 1232,
     "numerics": 836,
@@ -113,6 +119,15 @@ def test_every_room_keeps_to_its_budget() -> None:
     assert len(FILES) <= MOST_FILES
 
 
+def test_the_packages_beside_the_tool_keep_to_theirs() -> None:
+    used = {}
+    for package in ROOT.parent.glob("undeadzone_*"):
+        texts = [path.read_text(encoding="utf-8") for path in package.rglob("*.py")]
+        used[package.name] = sum(map(code_lines, texts))
+    assert used.keys() == BESIDE.keys()
+    assert not {name: lines for name, lines in used.items() if lines > BESIDE[name]}
+
+
 def test_the_page_of_the_house_names_what_is_there() -> None:
     """Every `room/file.name` of docs/house.md is in the code, and every room has a line there."""
     page = (HOME / "docs" / "house.md").read_text(encoding="utf-8")
@@ -121,10 +136,11 @@ def test_the_page_of_the_house_names_what_is_there() -> None:
     assert len(named) > 50
     missing = []
     for place, name in sorted(named):
-        first = ROOT / place.split("/")[0]
-        if not first.is_dir() and not first.with_suffix(".py").exists():
+        first = place.split("/")[0]
+        root = ROOT.parent if first.startswith("undeadzone_") else ROOT
+        if not (root / first).is_dir() and not (root / f"{first}.py").exists():
             continue  # `pyproject.toml`, `Online.update`
-        path = ROOT / f"{place}.py"
+        path = root / f"{place}.py"
         if not path.exists() or not defines(path, name):
             missing.append(f"{place}.{name}")
     assert not missing

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import shutil
 import subprocess
@@ -12,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+import undeadzone
 from undeadzone.catalogue import OBSERVERS
 
 ROOT = Path(__file__).parents[1]
@@ -146,6 +148,21 @@ def test_what_is_registered_and_cannot_be_imported_is_said(command: Run, tmp_pat
     (tmp_path / "lost.toml").write_text(text, encoding="utf-8")
     said = command("run", "lost.toml", code=2)
     assert "'lost' is registered at nowhere:Lost, which fails: No module named 'nowhere'" in said
+
+
+def test_a_registered_name_is_one_of_uz(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As `uz.identify` and `uz.export` are, whose packages are no part of the tool."""
+    monkeypatch.syspath_prepend(tmp_path)
+    assert not hasattr(undeadzone, "root")
+    made = tmp_path / "roots-new"
+    made.mkdir()
+    (made / "METADATA").write_text("Metadata-Version: 2.1\nName: roots\nVersion: 1.0\n")
+    points = "root = math:sqrt\nlost = nowhere:lost\n"
+    (made / "entry_points.txt").write_text(f"[undeadzone.names]\n{points}")
+    made.rename(tmp_path / "roots-1.0.dist-info")
+    assert undeadzone.root is math.sqrt
+    with pytest.raises(undeadzone.InputError, match="lost is registered at nowhere:lost, which"):
+        undeadzone.lost  # noqa: B018
 
 
 def test_an_unknown_method_is_refused_with_those_that_there_are(
