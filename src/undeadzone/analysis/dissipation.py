@@ -242,13 +242,17 @@ def _affine(points: list[Inequality]) -> Family:
 
 def storage(inequality: Inequality) -> Floats | None:
     """P (n x n), to be checked, deep inside the inequality or near to it; None if none is found."""
-    none = np.zeros(0)
+    found = deepest(lambda q: inequality, np.zeros(0))
+    return None if found is None else found.P
+
+
+def deepest(family: Family, start: Floats, extra: Extra = no_more) -> Solution | None:
+    """P, q deepest inside the inequality and `extra`, or as far as the check needs."""
 
     def proved(solution: Solution) -> bool:
-        return check(inequality, solution.P).proved
+        return check(family(solution.q), solution.P).proved
 
-    deepest = optimise(lambda q: inequality, none, none, deep=True, done=proved, passes=4)
-    return None if deepest is None else deepest.P
+    return optimise(family, np.zeros(start.size), start, extra, deep=True, done=proved, passes=4)
 
 
 def _lyapunov(A: Floats, Ts: float | None) -> Floats:

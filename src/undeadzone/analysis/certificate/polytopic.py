@@ -206,8 +206,7 @@ class Form(NamedTuple):
 
     def depth(self, c: Floats) -> Floats:
         """The least eigenvalue of -M, less rounding, for every c (rows x K); -inf if unbounded."""
-        c = c - self.mean
-        return self._least(np.abs(c), c, None)
+        return self.depth_within(c, np.zeros_like(c), np.zeros((len(c), 0, self.mean.size)))
 
     def depth_within(self, c: Floats, loose: Floats, turns: Floats) -> Floats:
         """`depth`, but the least over all entries within +-loose and turns of c.
@@ -218,16 +217,11 @@ class Form(NamedTuple):
             turns: by how much all entries may be off together, in each direction (rows x D x K).
         """
         c = c - self.mean
-        return self._least(np.abs(c) + loose + np.abs(turns).sum(axis=1), c, (loose, turns))
-
-    def _least(self, total: Floats, c: Floats, doubt: tuple[Floats, Floats] | None) -> Floats:
-        """The least eigenvalues of -M, less rounding; total: magnitude of each entry at most."""
+        total = np.abs(c) + loose + np.abs(turns).sum(axis=1)  # magnitude of each entry at most
         bounded = np.isfinite(total).all(axis=1)
+        together = absolute(np.tensordot(turns[bounded], self.slope, 1)).sum(axis=1)
         M = self.identity - np.tensordot(c[bounded], self.slope, 1)
-        if doubt is not None:
-            loose, turns = doubt
-            together = absolute(np.tensordot(turns[bounded], self.slope, 1)).sum(axis=1)
-            M = M - np.tensordot(loose[bounded], self.size, 1) - together
+        M = M - np.tensordot(loose[bounded], self.size, 1) - together
         of_identity, of_slopes = self.rounding
         least = np.full(len(c), -np.inf)
         least[bounded] = np.linalg.eigvalsh(M)[:, 0] - of_identity - total[bounded] @ of_slopes

@@ -172,6 +172,10 @@ class Invisible(NamedTuple):
         change = np.array(DIRECTIONS[name]) @ self.basis[first : first + 2]
         return not bool((np.abs(change) > self.present).any())
 
+    def widths(self, i: int) -> dict[str, Any]:
+        """Which of right, left, width, centre of output i are determined nevertheless."""
+        return {name: self.width(i, name) for name in DIRECTIONS}
+
     def sees(self, direction: Floats) -> bool:
         """Whether a combination of the unknowns (n + 2p + b) is determined nevertheless."""
         change = (direction * self.scale / np.abs(direction * self.scale).max()) @ self.basis
@@ -235,6 +239,11 @@ class Verdict(NamedTuple):
     reasons: tuple[str, ...]
     std: dict[str, float] | None = None
     second: dict[str, Any] | None = None
+
+    def because(self, *reasons: str, **changed: bool) -> Verdict:
+        """The verdict with more reasons, and with what they change."""
+        changes: dict[str, Any] = {**changed, "reasons": (*self.reasons, *reasons)}
+        return self._replace(**changes)
 
 
 def invisible(
@@ -307,10 +316,8 @@ def verdicts(
     judged = []
     for i in range(visited.shape[0]):
         confounded = {} if told is not None else _confounded(linear, schedule, bias, i)
-        known: dict[str, Any] = {name: hidden.width(i, name) for name in DIRECTIONS}
-        remark = rarely_exact(schedule, i)
-        reasons = (*unreached(schedule, visited, i), *confounded, *remark)
-        judged.append(Verdict(**known, reasons=reasons, std=None))
+        reasons = (*unreached(schedule, visited, i), *confounded, *rarely_exact(schedule, i))
+        judged.append(Verdict(**hidden.widths(i), reasons=reasons))
     return judged
 
 

@@ -6,7 +6,7 @@ are states that never change, and each output stands twice, once for each contac
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -122,8 +122,10 @@ def told_of_both(linear: Matrices, schedule: Schedule, readings: Readings) -> li
     expected = deviations(whole, twice, twofold._replace(told=told))
     each = []
     for i in range(p):
-        gap = {name: hidden.sees(_direction(n, p, i, pair)) for name, pair in DIRECTIONS.items()}
-        zone = {name: hidden.width(2 * i, name) for name in DIRECTIONS}
+        gap: dict[str, Any] = {
+            name: hidden.sees(_direction(n, p, i, pair)) for name, pair in DIRECTIONS.items()
+        }
+        zone = hidden.widths(2 * i)
         both = hidden.sees(_direction(n, p, i, (1.0, -1.0), (1.0, -1.0)))
         own = slice(n + 2 * i, n + 2 * i + 2)
         gap_std = float(np.sqrt(expected.covariance[own, own].sum())) if gap["width"] else np.inf
@@ -132,8 +134,8 @@ def told_of_both(linear: Matrices, schedule: Schedule, readings: Readings) -> li
             *_unturned(schedule, visited, i),
             *_mixed(zone, gap, both, readings.gaps_known),
         )
-        told_of_zone = _verdict(zone, reasons)._replace(std=expected.widths[2 * i])
-        each.append(Told(told_of_zone, _verdict(gap, ()), both, gap_std))
+        told_of_zone = Verdict(**zone, reasons=reasons, std=expected.widths[2 * i])
+        each.append(Told(told_of_zone, Verdict(**gap, reasons=()), both, gap_std))
     return each
 
 
@@ -145,12 +147,6 @@ def states_told(linear: Matrices, schedule: Schedule, readings: Readings) -> lis
     hidden = invisible(with_gaps(linear, schedule.Ts), visited, schedule.Ts, twofold.bias)
     hidden = hidden.told(beforehand_of_gaps(linear, readings, 1.0))
     return [hidden.state(i) for i in range(n)]
-
-
-def _verdict(known: dict[str, bool], reasons: tuple[str, ...]) -> Verdict:
-    """A verdict without deviations."""
-    right, left, width, centre = (known[name] for name in DIRECTIONS)
-    return Verdict(right, left, width, centre, reasons)
 
 
 def _padded(B: Floats, p: int) -> Floats:
