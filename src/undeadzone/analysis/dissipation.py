@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from undeadzone.linear.riccati import storage_of
 from undeadzone.numerics.semidefinite import minimise, symmetric
 from undeadzone.support.arrays import Floats
 
@@ -257,12 +258,10 @@ def deepest(family: Family, start: Floats, extra: Extra = no_more) -> Solution |
 
 def _lyapunov(A: Floats, Ts: float | None) -> Floats:
     """P of A'P + PA = -I; a sampled A is mapped by Tustin's rule, which keeps P."""
-    from scipy.linalg import solve_continuous_lyapunov
-
     identity = np.eye(A.shape[0])
     if Ts is not None:
         A = np.linalg.solve(identity + Ts / 2 * A, A)
-    return np.asarray(solve_continuous_lyapunov(A.T, -identity))
+    return storage_of(A, identity, None)
 
 
 class Check(NamedTuple):

@@ -410,8 +410,8 @@ def reading(z: Floats, sensor: Zone, again: bool = False) -> Read:
         return Read(np.where(limited, 0.0, side), limited)
     gaps, level, contact = _gaps(sensor), z, None
     if sensor.play is not None:  # exact beyond an edge, while the level moves
-        level = levels(passes, *gaps.T, sensor.start)[-len(z) :]
-        contact = contacts(passes, *gaps.T, sensor.start)[-len(z) :]
+        play = sensor.play.right, sensor.play.left, sensor.start
+        level, contact = (along(passes, *play)[-len(z) :] for along in (levels, contacts))
     side, limits = zone(level, *(reading_levels(sensor) - gaps).T), limit_levels(sensor)
     if limits is not None:
         limited = zone(level, *(limits - gaps).T) != 0

@@ -116,20 +116,13 @@ def taylor(
         for k in range(1, len(inputs)):
             terms.append(h * rest / (k + 1) * follow(start, own[0], terms[k], own[k]))
         z = [output(start), *(seen(start, term) for term in terms[1:])]
-        onward = output(start + terms[1] / 2)
-        return _series(terms, z, output, onward)
+        # State and z are the polynomials of c with these coefficients.
+        end, onward = _polynomial(terms, 1.0), output(start + terms[1] / 2)
+        slopes = [k * term for k, term in enumerate(z)][1:]
+        at, along, slope = (partial(_polynomial, each) for each in (terms, z, slopes))
+        return DenseStep(end, output(end), onward, at, along, slope)
 
     return arc
-
-
-def _series(
-    terms: list[ca.SX], z: list[ca.SX], output: Callable[[ca.SX], ca.SX], onward: ca.SX
-) -> DenseStep:
-    """The step whose state and z are the polynomials of c with these coefficients."""
-    end = _polynomial(terms, 1.0)
-    slopes = [k * term for k, term in enumerate(z)][1:]
-    at, along, slope = (partial(_polynomial, each) for each in (terms, z, slopes))
-    return DenseStep(end, output(end), onward, at, along, slope)
 
 
 def _moved(inputs: list[ca.SX], begin: Any, rest: Any) -> list[ca.SX]:

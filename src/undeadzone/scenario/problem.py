@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
+from undeadzone.catalogue import ObserverOptions
 from undeadzone.compensators import SmoothZoneInverse
 from undeadzone.controllers.parts.behind_play import led_across
 from undeadzone.controllers.parts.estimated import with_estimates
@@ -136,16 +137,13 @@ def resolve_scenario(scenario: Scenario) -> Problem:
     if scenario.model is not None and scenario.model.play is not None:
         _require_play(scenario.model.play, sensor)
     told = sensed(known_sensor(scenario), flow, step, rate)
-    for each in (sensor, told):
-        require_hearer(scenario.observer, each)
-    require_gears("observer", scenario.observer, model)
-    observer = built(scenario.observer, model, told, belief)
+    require_hearer(scenario.observer, sensor)
+    observer = watching(scenario.observer, model, told, belief, step)
     _require_room(sensor, observer)
     require_gears("controller", scenario.controller, model)
     controller = with_estimates(scenario.controller.build(model), model, observer.traits.uncertain)
     controller = led_across(controller, model, sensor, tracked, scenario.behind_play)
     controller = predicting(controller, model, belief)
-    require_bounded_error(model, observer, step)
     if model.Ts is None:
         require_fine_step(plant, model, observer, controller, step)
     if scenario.region is not None:
@@ -168,6 +166,28 @@ def resolve_scenario(scenario: Scenario) -> Problem:
         belief,
         _compensator(scenario, model, belief),
     )
+
+
+def watching(
+    options: ObserverOptions, model: System, told: Zone, belief: Belief | None, step: float
+) -> Observer:
+    """The observer of a model behind a sensor, built and checked.
+
+    Args:
+        options: of the observer.
+        model: the model, of one step if sampled.
+        told: the sensor as the observer knows it.
+        belief: what is known of the actuator; None: there is none.
+        step: of the simulation, or between samples [s].
+
+    Raises:
+        InputError: or a subclass, that names the key.
+    """
+    require_hearer(options, told)
+    require_gears("observer", options, model)
+    observer = built(options, model, told, belief)
+    require_bounded_error(model, observer, step)
+    return observer
 
 
 def known_actuator(scenario: Scenario) -> ActuatorModel | None:

@@ -15,16 +15,13 @@ from undeadzone.ends.actuator import ActuatorModel, believed
 from undeadzone.ends.sensor import Sensor, Zone, present
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Estimate, Observer, Reading, graph_of, known_side, received
-from undeadzone.observers.parts.actuated import built as behind
-from undeadzone.observers.parts.motion import require_hearer
 from undeadzone.plants import build as plants
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, pace, sampled
-from undeadzone.scenario.encoders import require_gears, sensed
+from undeadzone.scenario.encoders import sensed
 from undeadzone.scenario.messages import require_kind, require_words
 from undeadzone.scenario.overrun import overrun_along
-from undeadzone.scenario.problem import require_visible
-from undeadzone.scenario.time_step import require_bounded_error
+from undeadzone.scenario.problem import require_visible, watching
 from undeadzone.support import tree
 from undeadzone.support.arrays import Array, Floats, scalar, unmasked
 
@@ -333,8 +330,5 @@ def built_for(
     require_visible(system, "plant")
     model = sampled(system, Ts, substeps)
     zone = sensed(sensor, system, Ts, pace(system.linear))
-    require_gears("observer", observer, system)
-    require_hearer(observer, zone)
-    built = behind(observer, model, zone, believed(actuator, model.m))
-    require_bounded_error(model, built, Ts)
-    return model, zone, built
+    belief = believed(actuator, model.m)
+    return model, zone, watching(observer, model, zone, belief, Ts)

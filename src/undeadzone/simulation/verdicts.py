@@ -273,7 +273,7 @@ def _with_false_actuator(problem: Problem, verdict: Verdict) -> Verdict:
 
 
 def _claimed(true: Floats, told: Floats, ranges: Floats | None) -> np.ndarray:
-    """Whether true [right, left] (2 x each) are what is told, or in what is told of their ranges."""
+    """Whether true [right, left] (2 x each) are as told, or in the ranges that are told."""
     low, high = (told, told) if ranges is None else ranges.T.reshape(2, *true.shape)
     slack = ROUNDING * true
     return np.asarray((low - slack <= true) & (true <= high + slack))

@@ -268,28 +268,21 @@ def _entry_slopes(
     return slopes
 
 
-class _Doubt(NamedTuple):
+def _doubt(
+    bounds: Bounds, bends: Bounds, low: Floats, centre: Floats, high: Floats
+) -> tuple[Floats, Floats, Floats, Floats]:
     """What is known of the entries c of A on parts of the box.
 
-    Attributes:
-        middle: of c at the centres (parts x K).
-        loose: half width of the bounds there (parts x K).
-        turns: c changes by +-turns towards each side (parts x (n + m) x K).
-        doubt: half width of the bounds on turns (parts x (n + m) x K).
+    By the bounds at their centres and on the derivatives.
+
+    Returns:
+        c at the centres and half width of the bounds there (parts x K); c changes by +-turns
+        towards each side, and half width of the bounds on turns (parts x (n + m) x K).
     """
-
-    middle: Floats
-    loose: Floats
-    turns: Floats
-    doubt: Floats
-
-
-def _doubt(bounds: Bounds, bends: Bounds, low: Floats, centre: Floats, high: Floats) -> _Doubt:
-    """The bounds on parts of the box, by the bounds at their centres and on the derivatives."""
     reach = np.nextafter(np.maximum(high - centre, centre - low), np.inf)[:, :, None]
     middle, loose = _middle(bounds(Box(centre, centre)))
     turns, doubt = _middle(bends(Box(low, high)))
-    return _Doubt(middle[:, 0], loose[:, 0], turns * reach, doubt * reach)
+    return middle[:, 0], loose[:, 0], turns * reach, doubt * reach
 
 
 def missed(certificate: Certificate, slopes: Slopes, box: Box, parts: int) -> Floats:

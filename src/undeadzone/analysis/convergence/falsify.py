@@ -209,13 +209,8 @@ def generator(errors: Dynamics, mode: Mode) -> Floats:
     return np.asarray(free + np.vstack([-errors.L, errors.gamma @ mode.S.T]) @ innovation)
 
 
-def unmoved(F: Floats) -> Floats:
-    """F in the coordinates in which it is given."""
-    return F
-
-
 def passages(
-    errors: Dynamics, modes: list[Mode], moved: Callable[[Floats], Floats] = unmoved
+    errors: Dynamics, modes: list[Mode], moved: Callable[[Floats], Floats] = np.asarray
 ) -> Floats:
     """The maps of [x~; d~] over the modes' times, exactly (whole samples if sampled).
 

@@ -88,12 +88,12 @@ def deviations(linear: Matrices, schedule: Schedule, readings: Readings) -> Devi
         schedule: of the sides.
         readings: what tells.
     """
-    states_of_plant, told = linear.A.shape[0], readings.told
+    states_of_plant, told, colour = linear.A.shape[0], readings.told, readings.colour
     visited = schedule.visited(states_of_plant)
     prior: Floats = np.zeros(states_of_plant)
-    if readings.colour is not None:
-        linear, readings = _coloured(linear, schedule.Ts, readings.colour, readings)
-        prior = np.r_[prior, 1 / readings.colour.rms**2]
+    if colour is not None:
+        linear, readings = _coloured(linear, schedule.Ts, colour, readings)
+        prior = np.r_[prior, 1 / colour.rms**2]
     n, p = linear.A.shape[0], linear.C.shape[0]
     fisher = information(linear, schedule, readings)
     fisher[np.arange(n), np.arange(n)] += prior

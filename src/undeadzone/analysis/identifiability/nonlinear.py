@@ -99,8 +99,8 @@ def verdicts_along(
         arrived: whether each reading did (N x p); all of them if not given.
         centre: standard deviations of d_r - d_l as far as it is known beforehand (p), likewise.
     """
-    if arrived is None:
-        arrived = np.ones(z.shape, dtype=bool)
+    arrived = np.ones(z.shape, dtype=bool) if arrived is None else arrived
+    bias = np.zeros((model.m, 0)) if bias is None else bias
     diverged = np.flatnonzero(~(np.abs(np.hstack([x, u])).max(axis=1) < LIMIT))
     whole = slice(max(1, int(diverged[0])) if diverged.size else None)
     x, u, z, arrived = x[whole], u[whole], z[whole], arrived[whole]
@@ -115,10 +115,9 @@ def verdicts_along(
         told = block_diag(told, np.diag(1 / bias_std)[np.isfinite(bias_std)])
     known = observability(model, x, u, side, step, variance(sensor), bias, uncertain, told)
     visited = np.stack([(side > 0).any(axis=0), (side < 0).any(axis=0)], axis=1)
-    biases = 0 if bias is None else bias.shape[1]
+    biases = bias.shape[1]
     constants = np.zeros((model.m, known.hidden.scale.size))
-    if bias is not None:
-        constants[:, 2 * model.p : 2 * model.p + biases] = bias
+    constants[:, 2 * model.p : 2 * model.p + biases] = bias
     judged = []
     for i, (right, left) in enumerate(zip(sensor.right, sensor.left, strict=True)):
         std, most = known.std(i), largest_deviations(right, left, float(np.ptp(z[:, i])))

@@ -152,8 +152,7 @@ def _friction(dynamics: Element | None, where: str) -> tuple[float, float]:
     coulomb = _number(dynamics, "friction", 0.0, where)
     if min(viscous, coulomb) < 0:
         raise ValueError(
-            f"{where}: damping and friction must not be negative, "
-            f"found {viscous:g} and {coulomb:g}"
+            f"{where}: damping and friction must not be negative, found {viscous:g} and {coulomb:g}"
         )
     return viscous, coulomb
 
