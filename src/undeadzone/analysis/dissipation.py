@@ -138,18 +138,12 @@ def no_more(P: Floats, q: Floats) -> list[Floats]:
     return []
 
 
-def never(solution: Solution) -> bool:
-    """No solution ends the passes early."""
-    return False
-
-
 def optimise(
     family: Family,
     cost: Floats,
     start: Floats,
     extra: Extra = no_more,
     deep: bool = False,
-    done: Callable[[Solution], bool] = never,
     passes: int = 2,
 ) -> Solution | None:
     """P, q that minimise cost'q, or lie deepest inside, under `family(q)` and `extra`.
@@ -163,8 +157,8 @@ def optimise(
         cost: weights of the multipliers.
         start: q that sets the scale of the first pass.
         extra: P, q -> what must be positive semidefinite (2-D) or non-negative (1-D).
-        deep: whether to seek the point deepest inside rather than that of least cost.
-        done: whether a solution is good enough, so that no more passes are needed.
+        deep: whether to seek the point deepest inside rather than that of least cost, as far as
+            the check needs.
         passes: how many there are at most.
 
     Returns:
@@ -181,7 +175,7 @@ def optimise(
             if solution is None:
                 break
             best = near = solution
-            if done(solution):
+            if deep and check(family(solution.q), solution.P).proved:
                 break
         if best is not None:
             return best
@@ -249,11 +243,7 @@ def storage(inequality: Inequality) -> Floats | None:
 
 def deepest(family: Family, start: Floats, extra: Extra = no_more) -> Solution | None:
     """P, q deepest inside the inequality and `extra`, or as far as the check needs."""
-
-    def proved(solution: Solution) -> bool:
-        return check(family(solution.q), solution.P).proved
-
-    return optimise(family, np.zeros(start.size), start, extra, deep=True, done=proved, passes=4)
+    return optimise(family, np.zeros(start.size), start, extra, deep=True, passes=4)
 
 
 def _lyapunov(A: Floats, Ts: float | None) -> Floats:

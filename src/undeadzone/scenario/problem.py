@@ -20,12 +20,7 @@ from undeadzone.ends.actuator import ActuatorModel, Belief, Drive, believed, res
 from undeadzone.ends.play import gaps_of
 from undeadzone.ends.sensor import Sensor, Zone
 from undeadzone.errors import InputError
-from undeadzone.feedforward.joint_path import (
-    after_swing,
-    joint_path,
-    require_range,
-    require_torque,
-)
+from undeadzone.feedforward.joint_path import after_swing, joint_path, require_range, require_torque
 from undeadzone.feedforward.targets import flat_targets
 from undeadzone.interfaces import Compensator, Controller, Observer
 from undeadzone.linear.structure import require_structure

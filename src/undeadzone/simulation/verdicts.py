@@ -12,12 +12,7 @@ import numpy as np
 
 from undeadzone.analysis.identifiability.both_ends import both_ends, modes_visited
 from undeadzone.analysis.identifiability.disturbance import unknown_bias, unknown_inputs
-from undeadzone.analysis.identifiability.information import (
-    EXACT,
-    Deviations,
-    Readings,
-    deviations,
-)
+from undeadzone.analysis.identifiability.information import EXACT, Deviations, Readings, deviations
 from undeadzone.analysis.identifiability.linear import (
     MARGIN,
     Verdict,
@@ -27,7 +22,7 @@ from undeadzone.analysis.identifiability.linear import (
 )
 from undeadzone.analysis.identifiability.nonlinear import beforehand
 from undeadzone.analysis.identifiability.play_and_zone import Told, told_of_both
-from undeadzone.analysis.identifiability.second_truth import farthest, second_truth
+from undeadzone.analysis.identifiability.second_truth import second_truth
 from undeadzone.analysis.side_schedule import Schedule, reading_levels
 from undeadzone.ends.play import gaps_of
 from undeadzone.ends.sensor import DIRECTIONS
@@ -90,8 +85,8 @@ def _second(
     if readings.bias is not None:
         enters[:, size - readings.bias.shape[1] :] = readings.bias
     constants = np.linalg.lstsq(linear.B, enters, rcond=None)[0]
-    change = farthest(expected.hidden, expected.covariance, i, widths)
-    return second_truth(change, expected.hidden.n + 2 * i, widths, np.eye(n, size), constants)
+    found = expected.hidden, expected.covariance, i, widths
+    return second_truth(*found, np.eye(n, size), constants)
 
 
 def verdicts_of_both(problem: Problem, schedule: Schedule, arrive: Floats) -> list[Told]:

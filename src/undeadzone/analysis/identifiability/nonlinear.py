@@ -24,7 +24,7 @@ from undeadzone.analysis.identifiability.linear import (
     vague,
 )
 from undeadzone.analysis.identifiability.linearised_run import LinearisedRun, linearised, symmetric
-from undeadzone.analysis.identifiability.second_truth import farthest, second_truth
+from undeadzone.analysis.identifiability.second_truth import second_truth
 from undeadzone.analysis.side_schedule import reading, reading_levels, recorded
 from undeadzone.ends.sensor import DIRECTIONS, Zone
 from undeadzone.plants.system import System
@@ -129,8 +129,8 @@ def verdicts_along(
         )
         enough = {name: std[name] <= most[name] for name in DIRECTIONS}
         widths = np.array([right, left])
-        change = farthest(known.hidden, known.covariance, i, widths)
-        second = second_truth(change, 2 * i, widths, known.follow, constants)
+        found = known.hidden, known.covariance, i, widths
+        second = second_truth(*found, known.follow, constants)
         judged.append(linear.Verdict(**enough, reasons=reasons, std=std, second=second))
     return judged
 

@@ -327,7 +327,6 @@ def _planar_chain(
         links = ca.horzcat(length * ca.cos(angle), length * ca.sin(angle), ca.DM.zeros(N))
         return ca.vertcat(ca.DM.zeros(1, 3), ca.cumsum(links, 0))
 
-    free = np.full(N, np.inf)
     return Chain(
         joints=tuple(f"q{i + 1}" for i in range(N)),
         parameters=parameters,
@@ -337,10 +336,7 @@ def _planar_chain(
         turn=_turn,
         gravity=_gravity,
         plane=(0, 1),
-        limits=np.outer(free, [-1, 1]),
-        torque=free,
-        speed=free,
-        friction=np.zeros((2, N)),
+        **Chain.free(N),
     )
 
 
@@ -381,10 +377,7 @@ def joint() -> Chain:
         bias=bias,
         points=lambda p, q: link.points(p, q[1]),
         turn=lambda p, q: link.turn(p, q[1]),
-        limits=np.repeat(link.limits, 2, axis=0),
-        torque=np.repeat(link.torque, 2),
-        speed=np.repeat(link.speed, 2),
-        friction=np.repeat(link.friction, 2, axis=1),
+        **Chain.free(2),
     )
 
 

@@ -58,15 +58,8 @@ def straightened(robot: Robot, moving: list[Joint], tip: str) -> Frames:
     poses = {link: _pose(robot.way(link)) for link in robot.links}
     axes = np.array([exact(poses[joint.child][1] @ joint.axis) for joint in moving])
     origins = np.array([poses[joint.child][0] for joint in moving])
-    place, turn = poses[tip]
-    return Frames(
-        axes,
-        origins,
-        _anchors(moving, axes, origins),
-        _bodies(robot, moving, poses),
-        place,
-        turn,
-    )
+    anchors, bodies = _anchors(moving, axes, origins), _bodies(robot, moving, poses)
+    return Frames(axes, origins, anchors, bodies, *poses[tip])
 
 
 def exact(values: Floats) -> Floats:
