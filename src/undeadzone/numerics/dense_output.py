@@ -250,37 +250,29 @@ def located_step(
         The attempts, cheapest first.
     """
     whole = arc(x, 0.0, first)
+
+    def follow(changes: int, turning: bool) -> _Followed:
+        """The step with so many changes located one after another."""
+        mode, now, end = first, whole, whole.end
+        begin, changed = ca.SX(0.0), ca.SX(0.0)
+        for _ in range(changes):
+            crossing, c = _earliest(now, levels, mode.side, turning)
+            split = ca.mmin(c)
+            at_split = ca.logic_and(crossing.changed, c <= split)
+            mode = second(mode, crossing._replace(changed=at_split))
+            begin = begin + (1.0 - begin) * split
+            now = arc(now.at(split), begin, mode)
+            changed = ca.sum1(crossing.changed) > 0
+            end = ca.if_else(changed, now.end, end)
+        return _Followed(end, mode, now, changed)
+
     unchanged = StepAttempt(whole.end, _may_change(whole, levels, first.side))
-    simple = _follow(arc, levels, first, second, whole, changes=1, turning=False)
+    simple = follow(changes=1, turning=False)
     turns = ca.sum1(whole.slope(0.0) * whole.slope(1.0) < 0) > 0
     again = ca.logic_or(turns, _may_change(simple.arc, levels, simple.mode.side))
     more = ca.logic_or(ca.logic_not(simple.changed), again)
-    full = _follow(arc, levels, first, second, whole, changes=CHANGES, turning=True)
+    full = follow(changes=CHANGES, turning=True)
     return [unchanged, StepAttempt(simple.end, more), StepAttempt(full.end, ca.SX(0.0))]
-
-
-def _follow(
-    arc: Callable[[ca.SX, Any, Any], DenseStep],
-    levels: Levels,
-    first: Branch,
-    second: Callable[[Branch, Crossing], Branch],
-    whole: DenseStep,
-    changes: int,
-    turning: bool,
-) -> _Followed:
-    """The step whose first arc is `whole`, with so many changes located one after another."""
-    mode, now, end = first, whole, whole.end
-    begin, changed = ca.SX(0.0), ca.SX(0.0)
-    for _ in range(changes):
-        crossing, c = _earliest(now, levels, mode.side, turning)
-        split = ca.mmin(c)
-        at_split = ca.logic_and(crossing.changed, c <= split)
-        mode = second(mode, crossing._replace(changed=at_split))
-        begin = begin + (1.0 - begin) * split
-        now = arc(now.at(split), begin, mode)
-        changed = ca.sum1(crossing.changed) > 0
-        end = ca.if_else(changed, now.end, end)
-    return _Followed(end, mode, now, changed)
 
 
 def _may_change(arc: DenseStep, levels: Levels, side: ca.SX) -> ca.SX:

@@ -143,12 +143,11 @@ def tips(problem: Problem, x: Floats, x_hat: Floats, t: Floats) -> dict[str, Flo
     if body is None or problem.path is None:
         return {}
     x_ref = flat_targets(problem.flow, problem.path, problem.tracked, t).x_ref
-    places = {
-        "tip": (problem.plant, x),
-        "tip_hat": (problem.model, x_hat),
-        "tip_r": (problem.model, x_ref),
+    return {
+        "tip": _along(body.tip, problem.plant, x),
+        "tip_hat": _along(body.tip, problem.model, x_hat),
+        "tip_r": _along(body.tip, problem.model, x_ref),
     }
-    return {name: _along(body.tip, *place) for name, place in places.items()}
 
 
 def _along(f: ca.Function, system: System, x: Floats) -> Floats:

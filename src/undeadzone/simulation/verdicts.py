@@ -21,7 +21,7 @@ from undeadzone.analysis.identifiability.linear import (
     verdicts,
 )
 from undeadzone.analysis.identifiability.nonlinear import beforehand
-from undeadzone.analysis.identifiability.play_and_zone import Told, told_of_both
+from undeadzone.analysis.identifiability.play_and_zone import told_of_both
 from undeadzone.analysis.identifiability.second_truth import second_truth
 from undeadzone.analysis.side_schedule import Schedule, reading_levels
 from undeadzone.ends.play import gaps_of
@@ -52,7 +52,7 @@ def linear_verdicts(problem: Problem, schedule: Schedule, arrive: Floats) -> lis
     if sensor.kind == "jump":
         return verdicts(linear, schedule, bias, jump=True)
     if sensor.play is not None:
-        return [one.zone for one in verdicts_of_both(problem, schedule, arrive)]
+        return _of_both(problem, schedule, arrive)
     readings = readings_of(problem, schedule, arrive)
     alone = _with_deviations(problem, schedule, readings._replace(told=None))
     if readings.told is None:
@@ -89,7 +89,7 @@ def _second(
     return second_truth(*found, np.eye(n, size), constants)
 
 
-def verdicts_of_both(problem: Problem, schedule: Schedule, arrive: Floats) -> list[Told]:
+def _of_both(problem: Problem, schedule: Schedule, arrive: Floats) -> list[Verdict]:
     """What the readings behind a play and a dead zone tell; arguments as of `linear_verdicts`."""
     judged, play = [], problem.sensor.play
     assert play is not None
@@ -102,7 +102,7 @@ def verdicts_of_both(problem: Problem, schedule: Schedule, arrive: Floats) -> li
             zone = zone.because(
                 f"the gap {gap:.3g} is not known: noise leaves it a deviation of {told.gap_std:.3g}"
             )
-        judged.append(told._replace(zone=zone))
+        judged.append(zone)
     return judged
 
 

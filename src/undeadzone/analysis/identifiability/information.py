@@ -107,10 +107,7 @@ def deviations(linear: Matrices, schedule: Schedule, readings: Readings) -> Devi
     units = np.outer(hidden.scale, hidden.scale)
     seen = np.linalg.svd(hidden.basis)[0][:, hidden.basis.shape[1] :]  # a basis of what is known
     covariance = units * (seen @ _inverse(seen.T @ (fisher * units) @ seen) @ seen.T)
-    widths = []
-    for i in range(p):
-        own = slice(n + 2 * i, n + 2 * i + 2)
-        widths.append(hidden.deviations(i, covariance[own, own]))
+    widths = [hidden.deviations(i, covariance) for i in range(p)]
     states = np.full(n, np.inf)
     for i in range(n):
         if hidden.state(i):
@@ -131,13 +128,13 @@ def _coloured(
     process = np.zeros((n + b, n + b))
     process[:n, :n] = 0.0 if readings.process is None else readings.process
     process[n:, n:] = white
-    bias = None if readings.bias is None else _still(readings.bias, b)
-    return Matrices(A, _still(linear.B, b), C), readings._replace(process=process, bias=bias)
+    bias = None if readings.bias is None else padded(readings.bias, b)
+    return Matrices(A, padded(linear.B, b), C), readings._replace(process=process, bias=bias)
 
 
-def _still(B: Floats, b: int) -> Floats:
-    """Inputs (n rows) as those of [x; w] (n + b rows), which do not move w."""
-    return np.vstack([B, np.zeros((b, B.shape[1]))])
+def padded(B: Floats, more: int) -> Floats:
+    """Inputs of n states as those of n + more states, the last of which they do not move."""
+    return np.vstack([B, np.zeros((more, B.shape[1]))])
 
 
 def information(linear: Matrices, schedule: Schedule, readings: Readings) -> Floats:

@@ -181,14 +181,15 @@ class Invisible(NamedTuple):
         change = (direction * self.scale / np.abs(direction * self.scale).max()) @ self.basis
         return not bool((np.abs(change) > self.present).any())
 
-    def deviations(self, i: int, pair: Floats) -> dict[str, float]:
+    def deviations(self, i: int, covariance: Floats) -> dict[str, float]:
         """Standard deviations of right, left, width, centre of output i; inf if not determined.
 
         Args:
             i: the output.
-            pair: covariance of [d_r, d_l] (2 x 2).
+            covariance: of the unknowns (n + 2p + b square).
         """
-        std = {}
+        own, std = slice(self.n + 2 * i, self.n + 2 * i + 2), {}
+        pair = covariance[own, own]
         for name, direction in DIRECTIONS.items():
             g = np.array(direction)
             std[name] = float(np.sqrt(g @ pair @ g)) if self.width(i, name) else np.inf

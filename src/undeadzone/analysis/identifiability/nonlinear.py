@@ -251,8 +251,7 @@ class Observability(NamedTuple):
 
     def std(self, i: int) -> dict[str, float]:
         """Deviations of right, left, width, centre of output i; infinite where no reading tells."""
-        own = slice(2 * i, 2 * i + 2)
-        return self.hidden.deviations(i, self.covariance[own, own])
+        return self.hidden.deviations(i, self.covariance)
 
 
 def observability(

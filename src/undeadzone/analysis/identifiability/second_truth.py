@@ -33,7 +33,7 @@ def farthest(hidden: Invisible, covariance: Floats, i: int, widths: Floats) -> F
     pair = slice(first, first + 2)
     size = float(widths.max()) or 1.0
     lost = [name for name in DIRECTIONS if not hidden.width(i, name)]
-    std = hidden.deviations(i, covariance[pair, pair])
+    std = hidden.deviations(i, covariance)
     name = lost[0] if lost else max(DIRECTIONS, key=lambda name: std[name] * _weight(name))
     along = np.zeros(hidden.scale.size)
     along[pair] = DIRECTIONS[name]
