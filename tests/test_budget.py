@@ -18,7 +18,7 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 41_448, 334
+MOST_CODE, MOST_FILES = 41_443, 334
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
@@ -40,7 +40,7 @@ BUDGET = {
     "plants": 1608,
     "report": 2941,
     "results": 932,
-    "scenario": 1424,
+    "scenario": 1419,
     "signals": 383,
     "simulation": 2211,
     "statistics": 265,

@@ -110,23 +110,8 @@ def resolve_scenario(scenario: Scenario) -> Problem:
             raise InputError(f"simulation.substeps: expected 1 to 1000, found {substeps}")
         plant = sampled_within_limits("plant", true, step, substeps)
         model = sampled_within_limits("model", flow, step, substeps)
-    elif true.delay or flow.delay:
-        raise InputError('plant.delay: counts samples; set simulation.time = "sampled"')
-    elif sensor.quantum.any():
-        raise InputError(
-            'sensor.quantum: a reading is rounded when it is taken; set simulation.time = "sampled"'
-        )
-    elif true.gears is not None:
-        raise InputError(
-            "plant.arm.gears: contacts close and open too fast for steps that locate each; set "
-            'simulation.time = "sampled"'
-        )
-    elif sensor.moves:
-        key = "sensor.kind" if sensor.play is None else "sensor.play"
-        raise InputError(
-            f"{key}: a play shows its side from one reading to the next; set "
-            'simulation.time = "sampled"'
-        )
+    else:
+        _require_no_samples(true, flow, sensor)
     require_contact(sensor, reference, tracked, steps * step, step)
     actuator, belief = _actuator(scenario, true.m)
     if scenario.model is not None and scenario.model.play is not None:
@@ -161,6 +146,20 @@ def resolve_scenario(scenario: Scenario) -> Problem:
         belief,
         _compensator(scenario, model, belief),
     )
+
+
+def _require_no_samples(plant: System, model: System, sensor: Zone) -> None:
+    """Raise InputError in continuous time where a part needs samples."""
+    play = "sensor.kind" if sensor.play is None else "sensor.play"
+    needed = {
+        "plant.delay: counts samples": plant.delay or model.delay,
+        "sensor.quantum: a reading is rounded when it is taken": sensor.quantum.any(),
+        "plant.arm.gears: contacts close and open too fast for steps that locate each": plant.gears,
+        f"{play}: a play shows its side from one reading to the next": sensor.moves,
+    }
+    for reason, is_needed in needed.items():
+        if is_needed:
+            raise InputError(f'{reason}; set simulation.time = "sampled"')
 
 
 def watching(
@@ -382,8 +381,7 @@ def constant_gains(observer: Observer, model: System) -> tuple[Floats, Floats] |
     traits = observer.traits
     if not traits.constant or traits.L is None or traits.gamma is None:
         return None
-    step = 1.0 if model.Ts is None else model.Ts
-    return traits.L / step, traits.gamma / step
+    return traits.L / model.per_step, traits.gamma / model.per_step
 
 
 def followed(scenario: Scenario, model: System, start: Floats, step: float) -> Exosystem:
