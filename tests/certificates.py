@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.analysis import error_dynamics
-from undeadzone.analysis.certificate.driven import deepest, original_storage
-from undeadzone.analysis.dissipation import LEAST, NOTHING, Check, Inequality, check
+from undeadzone.analysis.certificate.driven import original_storage
+from undeadzone.analysis.dissipation import LEAST, NOTHING, Check, Inequality, check, deepest
 from undeadzone.errors import InputError
 from undeadzone.support.arrays import Floats, matrix, vector
 

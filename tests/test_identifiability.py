@@ -283,7 +283,7 @@ PAPER = {"A": [[0.0, 1.0], [-1.0, -2.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]
 
 def test_continuous_information_is_the_integral_of_squared_sensitivities() -> None:
     linear, schedule = plan(scene(sensor={"left": 0.7}, simulation={"duration": 1.0}))
-    found = information(linear, schedule, np.array([0.04]), 1e-3, 1.0)
+    found = information(linear, schedule, Readings(np.array([0.2]), 1e-3, 1.0))
     fine = zoh(linear, 1e-5)
     total, Phi, k = np.zeros((4, 4)), np.eye(2), 0
     ends = np.cumsum(schedule.spans)

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from scenes import linear, random_plant
+from undeadzone.analysis.convergence.floquet import exponential
 from undeadzone.analysis.identifiability import linearised_run, nonlinear
 from undeadzone.analysis.identifiability.disturbance import unknown_bias
 from undeadzone.analysis.identifiability.linear import Verdict, verdicts
@@ -433,7 +434,7 @@ def test_the_exponent_of_a_long_step_is_of_fourth_order() -> None:
         h, total = 1.0 / steps, np.eye(2)
         for k in range(steps):
             rates = [(A + t * B)[None] for t in (k * h, (k + 0.5) * h, (k + 1) * h)]
-            total = linearised_run._expm(linearised_run._magnus(*rates, np.array(h)))[0] @ total
+            total = exponential(linearised_run._magnus(*rates, np.array(h)))[0] @ total
         return total
 
     exact = over(512)
@@ -444,7 +445,7 @@ def test_the_exponent_of_a_long_step_is_of_fourth_order() -> None:
 def test_exponentials_of_many_matrices() -> None:
     rng = np.random.default_rng(0)
     X = rng.normal(size=(20, 4, 4)) * 10 ** rng.uniform(-3, 1, (20, 1, 1))
-    for E, one in zip(linearised_run._expm(X), X, strict=True):
+    for E, one in zip(exponential(X), X, strict=True):
         assert pytest.approx(expm(one), rel=1e-10, abs=1e-10 * np.abs(expm(one)).max()) == E
 
 

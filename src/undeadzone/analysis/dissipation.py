@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from undeadzone.linear.riccati import storage_of
 from undeadzone.numerics.semidefinite import minimise, symmetric
 from undeadzone.support.arrays import Floats
 
@@ -137,18 +138,12 @@ def no_more(P: Floats, q: Floats) -> list[Floats]:
     return []
 
 
-def never(solution: Solution) -> bool:
-    """No solution ends the passes early."""
-    return False
-
-
 def optimise(
     family: Family,
     cost: Floats,
     start: Floats,
     extra: Extra = no_more,
     deep: bool = False,
-    done: Callable[[Solution], bool] = never,
     passes: int = 2,
 ) -> Solution | None:
     """P, q that minimise cost'q, or lie deepest inside, under `family(q)` and `extra`.
@@ -162,8 +157,8 @@ def optimise(
         cost: weights of the multipliers.
         start: q that sets the scale of the first pass.
         extra: P, q -> what must be positive semidefinite (2-D) or non-negative (1-D).
-        deep: whether to seek the point deepest inside rather than that of least cost.
-        done: whether a solution is good enough, so that no more passes are needed.
+        deep: whether to seek the point deepest inside rather than that of least cost, as far as
+            the check needs.
         passes: how many there are at most.
 
     Returns:
@@ -180,7 +175,7 @@ def optimise(
             if solution is None:
                 break
             best = near = solution
-            if done(solution):
+            if deep and check(family(solution.q), solution.P).proved:
                 break
         if best is not None:
             return best
@@ -242,23 +237,21 @@ def _affine(points: list[Inequality]) -> Family:
 
 def storage(inequality: Inequality) -> Floats | None:
     """P (n x n), to be checked, deep inside the inequality or near to it; None if none is found."""
-    none = np.zeros(0)
+    found = deepest(lambda q: inequality, np.zeros(0))
+    return None if found is None else found.P
 
-    def proved(solution: Solution) -> bool:
-        return check(inequality, solution.P).proved
 
-    deepest = optimise(lambda q: inequality, none, none, deep=True, done=proved, passes=4)
-    return None if deepest is None else deepest.P
+def deepest(family: Family, start: Floats, extra: Extra = no_more) -> Solution | None:
+    """P, q deepest inside the inequality and `extra`, or as far as the check needs."""
+    return optimise(family, np.zeros(start.size), start, extra, deep=True, passes=4)
 
 
 def _lyapunov(A: Floats, Ts: float | None) -> Floats:
     """P of A'P + PA = -I; a sampled A is mapped by Tustin's rule, which keeps P."""
-    from scipy.linalg import solve_continuous_lyapunov
-
     identity = np.eye(A.shape[0])
     if Ts is not None:
         A = np.linalg.solve(identity + Ts / 2 * A, A)
-    return np.asarray(solve_continuous_lyapunov(A.T, -identity))
+    return storage_of(A, identity, None)
 
 
 class Check(NamedTuple):

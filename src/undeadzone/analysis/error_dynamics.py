@@ -116,6 +116,15 @@ class Storage(NamedTuple):
         R[adapted] = np.linalg.inv(self.gamma[adapted])
         return np.asarray(np.repeat(self.W, 2)[:, None] * R)
 
+    @property
+    def seen(self) -> tuple[np.ndarray, Floats]:
+        """(which of [x~; d~] V sees, M with V = e'M e on these)."""
+        R, n = self.R, len(self.P)
+        widths = np.diag(R) > 0
+        M = np.zeros((n + widths.sum(), n + widths.sum()))
+        M[:n, :n], M[n:, n:] = self.P, R[np.ix_(widths, widths)]
+        return np.concatenate([np.ones(n, bool), widths]), M
+
     def value(self, x_error: Floats, d_error: Floats) -> Floats:
         """V (N) along errors.
 

@@ -400,41 +400,20 @@ def reading(z: Floats, sensor: Zone, again: bool = False) -> Read:
         sensor: the dead zone.
         again: whether they repeat, so that a play had its first pass before.
     """
-    if sensor.kind == "play":
-        return _reading_of_play(z, sensor, again)
-    if sensor.play is not None:
-        return _reading_of_both(z, sensor, again)
-    side = zone(z, *reading_levels(sensor).T)
-    limits = limit_levels(sensor)
-    if limits is None:
-        return Read(side, np.zeros(z.shape, bool))
-    limited = zone(z, *limits.T) != 0
-    return Read(np.where(limited, 0.0, side), limited)
-
-
-def _reading_of_play(z: Floats, sensor: Zone, again: bool) -> Read:
-    """`reading` of a play: the side is that of the contact in which the level moves."""
+    limited = np.zeros(z.shape, bool)
     passes = np.concatenate([z, z]) if again else z
-    sides = contacts(passes, sensor.right, sensor.left, sensor.start)[-len(z) :]
-    if sensor.limits is None:
-        return Read(sides, np.zeros(z.shape, bool))
-    low, high = sensor.limits
-    limited = (z - sensor.right >= high / sensor.slope) | (z + sensor.left <= low / sensor.slope)
-    return Read(np.where(limited, 0.0, sides), limited)
-
-
-def _reading_of_both(z: Floats, sensor: Zone, again: bool) -> Read:
-    """`reading` of a play ahead of a dead zone: exact beyond an edge, while the level moves."""
-    assert sensor.play is not None
-    gaps = sensor.play.right, sensor.play.left
-    passes = np.concatenate([z, z]) if again else z
-    contact = contacts(passes, *gaps, sensor.start)[-len(z) :]
-    level = levels(passes, *gaps, sensor.start)[-len(z) :]
-    outwards = reading_levels(sensor) - _gaps(sensor)
-    side = zone(level, *outwards.T)
-    limits = limit_levels(sensor)
-    if limits is None:
-        limited = np.zeros(z.shape, bool)
-    else:
-        limited = zone(level, *(limits - _gaps(sensor)).T) != 0
-    return Read(np.where(limited | (contact == 0), 0.0, side), limited, contact)
+    if sensor.kind == "play":  # the side is that of the contact in which the level moves
+        side = contacts(passes, sensor.right, sensor.left, sensor.start)[-len(z) :]
+        if sensor.limits is not None:
+            low, high = (limit / sensor.slope for limit in sensor.limits)
+            limited = (z - sensor.right >= high) | (z + sensor.left <= low)
+        return Read(np.where(limited, 0.0, side), limited)
+    gaps, level, contact = _gaps(sensor), z, None
+    if sensor.play is not None:  # exact beyond an edge, while the level moves
+        play = sensor.play.right, sensor.play.left, sensor.start
+        level, contact = (along(passes, *play)[-len(z) :] for along in (levels, contacts))
+    side, limits = zone(level, *(reading_levels(sensor) - gaps).T), limit_levels(sensor)
+    if limits is not None:
+        limited = zone(level, *(limits - gaps).T) != 0
+    silent = limited if contact is None else limited | (contact == 0)
+    return Read(np.where(silent, 0.0, side), limited, contact)

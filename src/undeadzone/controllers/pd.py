@@ -48,7 +48,6 @@ class PD(Options, frozen=True, kw_only=True, tag="pd"):
             )
         tau = scalar("controller.filter_time", self.filter_time, above=0.0)
         k_p, k_d = self._gains(model)
-        rate = 1.0 / tau if model.Ts is None else -np.expm1(-model.Ts / tau)
 
         def init(p: Params) -> State:
             return State(np.zeros(model.p))
@@ -58,7 +57,7 @@ class PD(Options, frozen=True, kw_only=True, tag="pd"):
             u = -p.k_p * estimate.innovation - p.k_d * lag / p.tau + target.r
             return State(model.keep * s.filtered + p.rate * lag), u
 
-        params = Params(k_p, k_d, np.float64(tau), np.float64(rate))
+        params = Params(k_p, k_d, np.float64(tau), np.float64(model.filtering(tau)))
         return Controller(params, init, step, rate=1.0 / tau)
 
     def _gains(self, model: System) -> tuple[Floats, Floats]:

@@ -77,15 +77,12 @@ class PID(Options, frozen=True, kw_only=True, tag="pid"):
         b, c = nonnegative("controller.reference_weights", self.reference_weights, 2, "b and c")
         low, high = self._limits(model.m)
         tracking = self._tracking_time(k_p, k_i, k_d)
-        if model.Ts is None:
-            rate, unwind, per_step = 1.0 / tau, 1.0 / tracking, 1.0
-        else:
-            per_step = model.Ts
-            rate = -np.expm1(-per_step / tau)
-            unwind = np.minimum(per_step / tracking, 1.0)
+        unwind = model.per_step / tracking
+        if model.Ts is not None:
+            unwind = np.minimum(unwind, 1.0)
         unwind = np.where(k_i == 0, 0.0, unwind)
-        weights = np.float64(b), np.float64(c)
-        return Params(k_p, k_i * per_step, k_d, tau, rate, *weights, low, high, unwind)
+        weights, rate = (np.float64(b), np.float64(c)), model.filtering(tau)
+        return Params(k_p, k_i * model.per_step, k_d, tau, rate, *weights, low, high, unwind)
 
     def _limits(self, m: int) -> tuple[Floats, Floats]:
         """The least and the largest input (m each). Raises InputError, ShapeError."""

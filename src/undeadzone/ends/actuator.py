@@ -150,8 +150,7 @@ def resolve_actuator(actuator: Actuator | ActuatorModel, m: int, key: str = "act
     if not (slopes > 0).all():
         raise InputError(f"{key}.slope: must be positive, found {slopes.min():g}")
     ends = pairs(f"{key}.limit", actuator.limit, m, [-LARGEST, LARGEST], "[lo, hi]", "input")
-    low, high = ends.T
-    if not ((low < 0) & (high > 0)).all():
+    if not (ends * [-1.0, 1.0] > 0).all():
         raise InputError(f"{key}.limit: expected lo < 0 < hi, found {actuator.limit}")
     any_rate = [LARGEST, LARGEST]
     rates = pairs(f"{key}.rate", actuator.rate, m, any_rate, "[falling, rising]", "input")
@@ -159,17 +158,8 @@ def resolve_actuator(actuator: Actuator | ActuatorModel, m: int, key: str = "act
         raise InputError(
             f"{key}.rate: expected two positive rates [falling, rising], found {actuator.rate}"
         )
-    rates = np.minimum(rates, LARGEST)
-    return Drive(
-        right=right,
-        left=left,
-        slope_right=slopes[:, 0],
-        slope_left=slopes[:, 1],
-        low=np.maximum(low, -LARGEST),
-        high=np.minimum(high, LARGEST),
-        fall=rates[:, 0],
-        rise=rates[:, 1],
-    )
+    limits, rates = np.clip(ends, -LARGEST, LARGEST), np.minimum(rates, LARGEST)
+    return Drive(right, left, *slopes.T, *limits.T, *rates.T)
 
 
 def believed(told: ActuatorModel | None, m: int) -> Belief | None:

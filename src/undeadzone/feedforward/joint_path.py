@@ -167,12 +167,10 @@ def require_range(chain: Chain, t: Floats, q: Floats, v: Floats) -> None:
         q: positions (N x joints) [rad or m].
         v: speeds (N x joints) [rad/s or m/s].
     """
-    places = _Needed("reference: the path needs a position", "rad or m", chain.joints, OTHER_START)
-    _require_within(places, t, q, chain.limits)
-    speeds = _Needed(
-        "reference: the path needs a speed", "rad/s or m/s", chain.joints, "slow the path down"
-    )
-    _require_within(speeds, t, v, np.outer(chain.speed, [-1, 1]))
+    places = "a position", "rad or m", OTHER_START
+    _require_within(places, chain.joints, t, q, chain.limits)
+    speeds = "a speed", "rad/s or m/s", "slow the path down"
+    _require_within(speeds, chain.joints, t, v, np.outer(chain.speed, [-1, 1]))
 
 
 def require_torque(model: System, path: Exosystem, t: Floats) -> None:
@@ -185,14 +183,9 @@ def require_torque(model: System, path: Exosystem, t: Floats) -> None:
     """
     assert model.arm is not None
     assert model.limit is not None
-    torques = _Needed(
-        "reference: the path needs a torque",
-        "N m or N",
-        model.arm.chain.joints,
-        "slow the path down, lighten the arm, or raise the limit",
-    )
+    torques = "a torque", "N m or N", "slow the path down, lighten the arm, or raise the limit"
     needed = flat_targets(model, path, [0], t).u_ff
-    _require_within(torques, t, needed, np.outer(model.limit, [-1, 1]))
+    _require_within(torques, model.arm.chain.joints, t, needed, np.outer(model.limit, [-1, 1]))
 
 
 def _blocked(
@@ -241,35 +234,23 @@ def _shortfall(equations: Equations, positions: Floats, start: Floats) -> Floats
     return short
 
 
-class _Needed(NamedTuple):
-    """What a path needs of the joints, in words.
-
-    Attributes:
-        what: "reference: the path needs a speed".
-        unit: its unit.
-        joints: names of the joints.
-        advice: advice where a joint cannot.
-    """
-
-    what: str
-    unit: str
-    joints: tuple[str, ...]
-    advice: str
-
-
-def _require_within(needed: _Needed, t: Floats, values: Floats, bounds: Floats) -> None:
+def _require_within(
+    words: tuple[str, str, str], joints: tuple[str, ...], t: Floats, values: Floats, bounds: Floats
+) -> None:
     """Raise TrackingError where values (N x joints) lie beyond the bounds (joints x 2).
 
     It names the joint and the first instant that are farthest off.
+
+    words: what a path needs of the joints, its unit, and advice where a joint cannot.
     """
+    what, unit, advice = words
     excess = np.round(np.maximum(values - bounds[:, 1], bounds[:, 0] - values), 6)
     node, joint = np.unravel_index(int(excess.argmax()), excess.shape)
     if excess[node, joint] > 0:
         low, high = bounds[joint]
         raise TrackingError(
-            f"{needed.what} of {values[node, joint]:.4g} from {needed.joints[joint]} "
-            f"at t = {t[node]:.4g} s, which allows {low:.4g} to {high:.4g} [{needed.unit}]; "
-            f"{needed.advice}"
+            f"reference: the path needs {what} of {values[node, joint]:.4g} from {joints[joint]} "
+            f"at t = {t[node]:.4g} s, which allows {low:.4g} to {high:.4g} [{unit}]; {advice}"
         )
 
 

@@ -45,6 +45,13 @@ def parse_poles(key: str, poles: Array, n: int) -> np.ndarray:
     return parsed
 
 
+def slowest(poles: np.ndarray, Ts: float | None) -> float:
+    """The growth rate of the slowest mode [1/s], of poles of a continuous or a sampled system."""
+    if Ts is None:
+        return float(poles.real.max())
+    return float(np.log(max(np.abs(poles).max(), np.finfo(float).tiny)) / Ts)
+
+
 def place(A: Floats, B: Floats, poles: np.ndarray, key: str) -> Floats:
     """K such that A - B K has given poles.
 

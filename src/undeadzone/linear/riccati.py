@@ -12,6 +12,7 @@ import numpy as np
 
 from undeadzone.errors import InputError, StructureError
 from undeadzone.linear.matrices import Matrices, delta, sizes
+from undeadzone.linear.poles import slowest
 from undeadzone.support.arrays import Array, Floats, array, listed, matrix
 
 NEWTON = 10  # iterations of Newton's method, at most
@@ -89,7 +90,7 @@ def riccati(linear: Matrices, Q: Floats, R: Floats, Ts: float | None = None) -> 
     best = _candidate(equation, _solution(equation))
     for _ in range(NEWTON):
         closed = A - B @ best.K
-        if best.residual == 0 or not _stable(np.linalg.eigvals(closed), Ts):
+        if best.residual == 0 or not slowest(np.linalg.eigvals(closed), Ts) < 0:
             break
         P = best.P + storage_of(closed, best.left, Ts)
         candidate = _candidate(equation, (P + P.T) / 2)
@@ -216,16 +217,9 @@ def lyapunov(linear: Matrices, K: Floats, Q: Floats, Ts: float | None) -> Floats
     """
     closed = linear.A - linear.B @ K
     poles = np.linalg.eigvals(closed)
-    if not _stable(poles, Ts):
+    if not slowest(poles, Ts) < 0:
         raise StructureError(f"controller: A - BK is not stable, its poles are {listed(poles)}")
     return storage_of(closed, Q, Ts)
-
-
-def _stable(poles: np.ndarray, Ts: float | None) -> bool:
-    """Whether poles are those of a stable system, continuous or sampled."""
-    if Ts is None:
-        return bool(poles.real.max() < 0)
-    return bool(np.abs(poles).max() < 1)
 
 
 def storage_of(A: Floats, Q: Floats, Ts: float | None) -> Floats:
@@ -260,9 +254,7 @@ def fast_gain(linear: Matrices, speed: float, Ts: float | None) -> Floats:
     unit = 1 / (speed * sizes(flow.T, C.T, speed))
     A, C = A * unit / unit[:, None], C * unit
     L = _shifted_riccati_gain(A, C, speed, Ts)
-    poles = np.linalg.eigvals(A - L @ C)
-    rate = poles.real.max() if Ts is None else np.log(np.abs(poles).max()) / Ts
-    if not rate < -speed / 4:
+    if not slowest(np.linalg.eigvals(A - L @ C), Ts) < -speed / 4:
         raise StructureError(
             f"observer.speed: {speed:.4g} 1/s cannot be reached, the outputs hardly show some "
             "state; give a lower speed, or poles"

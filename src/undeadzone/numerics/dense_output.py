@@ -116,20 +116,13 @@ def taylor(
         for k in range(1, len(inputs)):
             terms.append(h * rest / (k + 1) * follow(start, own[0], terms[k], own[k]))
         z = [output(start), *(seen(start, term) for term in terms[1:])]
-        onward = output(start + terms[1] / 2)
-        return _series(terms, z, output, onward)
+        # State and z are the polynomials of c with these coefficients.
+        end, onward = _polynomial(terms, 1.0), output(start + terms[1] / 2)
+        slopes = [k * term for k, term in enumerate(z)][1:]
+        at, along, slope = (partial(_polynomial, each) for each in (terms, z, slopes))
+        return DenseStep(end, output(end), onward, at, along, slope)
 
     return arc
-
-
-def _series(
-    terms: list[ca.SX], z: list[ca.SX], output: Callable[[ca.SX], ca.SX], onward: ca.SX
-) -> DenseStep:
-    """The step whose state and z are the polynomials of c with these coefficients."""
-    end = _polynomial(terms, 1.0)
-    slopes = [k * term for k, term in enumerate(z)][1:]
-    at, along, slope = (partial(_polynomial, each) for each in (terms, z, slopes))
-    return DenseStep(end, output(end), onward, at, along, slope)
 
 
 def _moved(inputs: list[ca.SX], begin: Any, rest: Any) -> list[ca.SX]:
@@ -257,37 +250,29 @@ def located_step(
         The attempts, cheapest first.
     """
     whole = arc(x, 0.0, first)
+
+    def follow(changes: int, turning: bool) -> _Followed:
+        """The step with so many changes located one after another."""
+        mode, now, end = first, whole, whole.end
+        begin, changed = ca.SX(0.0), ca.SX(0.0)
+        for _ in range(changes):
+            crossing, c = _earliest(now, levels, mode.side, turning)
+            split = ca.mmin(c)
+            at_split = ca.logic_and(crossing.changed, c <= split)
+            mode = second(mode, crossing._replace(changed=at_split))
+            begin = begin + (1.0 - begin) * split
+            now = arc(now.at(split), begin, mode)
+            changed = ca.sum1(crossing.changed) > 0
+            end = ca.if_else(changed, now.end, end)
+        return _Followed(end, mode, now, changed)
+
     unchanged = StepAttempt(whole.end, _may_change(whole, levels, first.side))
-    simple = _follow(arc, levels, first, second, whole, changes=1, turning=False)
+    simple = follow(changes=1, turning=False)
     turns = ca.sum1(whole.slope(0.0) * whole.slope(1.0) < 0) > 0
     again = ca.logic_or(turns, _may_change(simple.arc, levels, simple.mode.side))
     more = ca.logic_or(ca.logic_not(simple.changed), again)
-    full = _follow(arc, levels, first, second, whole, changes=CHANGES, turning=True)
+    full = follow(changes=CHANGES, turning=True)
     return [unchanged, StepAttempt(simple.end, more), StepAttempt(full.end, ca.SX(0.0))]
-
-
-def _follow(
-    arc: Callable[[ca.SX, Any, Any], DenseStep],
-    levels: Levels,
-    first: Branch,
-    second: Callable[[Branch, Crossing], Branch],
-    whole: DenseStep,
-    changes: int,
-    turning: bool,
-) -> _Followed:
-    """The step whose first arc is `whole`, with so many changes located one after another."""
-    mode, now, end = first, whole, whole.end
-    begin, changed = ca.SX(0.0), ca.SX(0.0)
-    for _ in range(changes):
-        crossing, c = _earliest(now, levels, mode.side, turning)
-        split = ca.mmin(c)
-        at_split = ca.logic_and(crossing.changed, c <= split)
-        mode = second(mode, crossing._replace(changed=at_split))
-        begin = begin + (1.0 - begin) * split
-        now = arc(now.at(split), begin, mode)
-        changed = ca.sum1(crossing.changed) > 0
-        end = ca.if_else(changed, now.end, end)
-    return _Followed(end, mode, now, changed)
 
 
 def _may_change(arc: DenseStep, levels: Levels, side: ca.SX) -> ca.SX:

@@ -185,19 +185,8 @@ def _linear_output(params: Matrices, x: Any) -> Any:
     return params.C @ x
 
 
-class _Functions(NamedTuple):
-    """The functions of a nonlinear plant: n states, m inputs.
-
-    Attributes:
-        n, m: number of states and of inputs.
-        move: (params, x, u) -> the derivative of x (n).
-        output: (params, x) -> z (p).
-    """
-
-    n: int
-    m: int
-    move: Callable[[Any, Any, Any], Any]
-    output: Callable[[Any, Any], Any]
+# Of a nonlinear plant: how many states, how many inputs, (params, x, u) -> x', (params, x) -> z.
+_Functions = tuple[int, int, Callable[[Any, Any, Any], Any], Callable[[Any, Any], Any]]
 
 
 def _nonlinear(plant: Plant, key: str) -> System:
@@ -230,7 +219,7 @@ def _callables(plant: Plant, key: str) -> _Functions:
     def output(params: Any, x: Any) -> Any:
         return ca.SX(plant.h(x))
 
-    return _Functions(n, m, move, output)
+    return n, m, move, output
 
 
 def _formulas(plant: Plant, key: str) -> _Functions:
@@ -251,7 +240,7 @@ def _formulas(plant: Plant, key: str) -> _Functions:
     def output(params: Any, x: Any) -> Any:
         return _column(f"{key}.h", plant.h, scope(params, x))
 
-    return _Functions(len(states), len(inputs), move, output)
+    return len(states), len(inputs), move, output
 
 
 def _column(key: str, formulas: list[str], names: dict[str, Any]) -> Any:

@@ -93,6 +93,10 @@ class System(NamedTuple):
         """1 where a method returns the next value of its state, 0 where it returns its rate."""
         return 0.0 if self.Ts is None else 1.0
 
+    def filtering(self, time: Any) -> Any:
+        """The rate of a filter of this time constant [s]: 1 / time, or its share per sample."""
+        return 1.0 / time if self.Ts is None else -np.expm1(-self.Ts / time)
+
     @property
     def n(self) -> int:
         """Number of states."""

@@ -167,7 +167,8 @@ def _choices(root: type[msgspec.Struct], key: str, data: dict[str, Any]) -> list
     if tags:
         return tags
     words = []
-    for annotation in _annotations(root, parent, name, data):
+    for struct in _chosen(root, parent, data):
+        annotation = typing.get_type_hints(struct).get(name)
         words += [str(word) for word in _literals(annotation)]
     return words
 
@@ -237,14 +238,6 @@ def _literals(annotation: Any) -> list[Any]:
     for part in typing.get_args(annotation):
         words += _literals(part)
     return words
-
-
-def _annotations(
-    root: type[msgspec.Struct], key: str, name: str, data: dict[str, Any]
-) -> list[Any]:
-    """The annotations that a field may have in the structs at a dotted key."""
-    hints = [typing.get_type_hints(struct) for struct in _chosen(root, key, data)]
-    return [fields[name] for fields in hints if name in fields]
 
 
 def _at(root: type[msgspec.Struct], key: str) -> _Structs:

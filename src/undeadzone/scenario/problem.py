@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
+from undeadzone.catalogue import ObserverOptions
 from undeadzone.compensators import SmoothZoneInverse
 from undeadzone.controllers.parts.behind_play import led_across
 from undeadzone.controllers.parts.estimated import with_estimates
@@ -19,12 +20,7 @@ from undeadzone.ends.actuator import ActuatorModel, Belief, Drive, believed, res
 from undeadzone.ends.play import gaps_of
 from undeadzone.ends.sensor import Sensor, Zone
 from undeadzone.errors import InputError
-from undeadzone.feedforward.joint_path import (
-    after_swing,
-    joint_path,
-    require_range,
-    require_torque,
-)
+from undeadzone.feedforward.joint_path import after_swing, joint_path, require_range, require_torque
 from undeadzone.feedforward.targets import flat_targets
 from undeadzone.interfaces import Compensator, Controller, Observer
 from undeadzone.linear.structure import require_structure
@@ -114,38 +110,20 @@ def resolve_scenario(scenario: Scenario) -> Problem:
             raise InputError(f"simulation.substeps: expected 1 to 1000, found {substeps}")
         plant = sampled_within_limits("plant", true, step, substeps)
         model = sampled_within_limits("model", flow, step, substeps)
-    elif true.delay or flow.delay:
-        raise InputError('plant.delay: counts samples; set simulation.time = "sampled"')
-    elif sensor.quantum.any():
-        raise InputError(
-            'sensor.quantum: a reading is rounded when it is taken; set simulation.time = "sampled"'
-        )
-    elif true.gears is not None:
-        raise InputError(
-            "plant.arm.gears: contacts close and open too fast for steps that locate each; set "
-            'simulation.time = "sampled"'
-        )
-    elif sensor.moves:
-        key = "sensor.kind" if sensor.play is None else "sensor.play"
-        raise InputError(
-            f"{key}: a play shows its side from one reading to the next; set "
-            'simulation.time = "sampled"'
-        )
+    else:
+        _require_no_samples(true, flow, sensor)
     require_contact(sensor, reference, tracked, steps * step, step)
     actuator, belief = _actuator(scenario, true.m)
     if scenario.model is not None and scenario.model.play is not None:
         _require_play(scenario.model.play, sensor)
     told = sensed(known_sensor(scenario), flow, step, rate)
-    for each in (sensor, told):
-        require_hearer(scenario.observer, each)
-    require_gears("observer", scenario.observer, model)
-    observer = built(scenario.observer, model, told, belief)
+    require_hearer(scenario.observer, sensor)
+    observer = watching(scenario.observer, model, told, belief, step)
     _require_room(sensor, observer)
     require_gears("controller", scenario.controller, model)
     controller = with_estimates(scenario.controller.build(model), model, observer.traits.uncertain)
     controller = led_across(controller, model, sensor, tracked, scenario.behind_play)
     controller = predicting(controller, model, belief)
-    require_bounded_error(model, observer, step)
     if model.Ts is None:
         require_fine_step(plant, model, observer, controller, step)
     if scenario.region is not None:
@@ -168,6 +146,42 @@ def resolve_scenario(scenario: Scenario) -> Problem:
         belief,
         _compensator(scenario, model, belief),
     )
+
+
+def _require_no_samples(plant: System, model: System, sensor: Zone) -> None:
+    """Raise InputError in continuous time where a part needs samples."""
+    play = "sensor.kind" if sensor.play is None else "sensor.play"
+    needed = {
+        "plant.delay: counts samples": plant.delay or model.delay,
+        "sensor.quantum: a reading is rounded when it is taken": sensor.quantum.any(),
+        "plant.arm.gears: contacts close and open too fast for steps that locate each": plant.gears,
+        f"{play}: a play shows its side from one reading to the next": sensor.moves,
+    }
+    for reason, is_needed in needed.items():
+        if is_needed:
+            raise InputError(f'{reason}; set simulation.time = "sampled"')
+
+
+def watching(
+    options: ObserverOptions, model: System, told: Zone, belief: Belief | None, step: float
+) -> Observer:
+    """The observer of a model behind a sensor, built and checked.
+
+    Args:
+        options: of the observer.
+        model: the model, of one step if sampled.
+        told: the sensor as the observer knows it.
+        belief: what is known of the actuator; None: there is none.
+        step: of the simulation, or between samples [s].
+
+    Raises:
+        InputError: or a subclass, that names the key.
+    """
+    require_hearer(options, told)
+    require_gears("observer", options, model)
+    observer = built(options, model, told, belief)
+    require_bounded_error(model, observer, step)
+    return observer
 
 
 def known_actuator(scenario: Scenario) -> ActuatorModel | None:
@@ -367,8 +381,7 @@ def constant_gains(observer: Observer, model: System) -> tuple[Floats, Floats] |
     traits = observer.traits
     if not traits.constant or traits.L is None or traits.gamma is None:
         return None
-    step = 1.0 if model.Ts is None else model.Ts
-    return traits.L / step, traits.gamma / step
+    return traits.L / model.per_step, traits.gamma / model.per_step
 
 
 def followed(scenario: Scenario, model: System, start: Floats, step: float) -> Exosystem:

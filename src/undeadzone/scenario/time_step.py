@@ -8,6 +8,7 @@ import numpy as np
 
 from undeadzone.errors import InputError, ShapeError, StepError, StructureError
 from undeadzone.interfaces import Controller, Observer
+from undeadzone.linear.poles import slowest
 from undeadzone.plants.system import System, sampled
 from undeadzone.scenario.schema import Scenario, Simulation
 from undeadzone.signals.exosystem import Exosystem
@@ -144,21 +145,14 @@ def require_bounded_error(model: System, observer: Observer, step: float) -> Non
     if L is None:
         return
     A, _, C = model.linear
-    free = _growth(np.linalg.eigvals(A), model.Ts)
-    active = _growth(np.linalg.eigvals(A - L @ C), model.Ts)
+    free = slowest(np.linalg.eigvals(A), model.Ts)
+    active = slowest(np.linalg.eigvals(A - L @ C), model.Ts)
     if free > 1e-9 and active >= 0:
         raise StructureError(
             f"observer.L: the model is unstable (growth rate {free:.4g} 1/s) and this gain cannot "
             f"bound the estimation error: A - L C grows at {active:.4g} 1/s; choose L so that "
             "A - L C is stable"
         )
-
-
-def _growth(poles: np.ndarray, Ts: float | None) -> float:
-    """The growth rate of the slowest mode [1/s], of poles of a continuous or a sampled system."""
-    if Ts is None:
-        return float(poles.real.max())
-    return float(np.log(np.abs(poles).max()) / Ts)
 
 
 def require_fine_step(

@@ -143,12 +143,11 @@ def tips(problem: Problem, x: Floats, x_hat: Floats, t: Floats) -> dict[str, Flo
     if body is None or problem.path is None:
         return {}
     x_ref = flat_targets(problem.flow, problem.path, problem.tracked, t).x_ref
-    places = {
-        "tip": (problem.plant, x),
-        "tip_hat": (problem.model, x_hat),
-        "tip_r": (problem.model, x_ref),
+    return {
+        "tip": _along(body.tip, problem.plant, x),
+        "tip_hat": _along(body.tip, problem.model, x_hat),
+        "tip_r": _along(body.tip, problem.model, x_ref),
     }
-    return {name: _along(body.tip, *place) for name, place in places.items()}
 
 
 def _along(f: ca.Function, system: System, x: Floats) -> Floats:
@@ -157,11 +156,11 @@ def _along(f: ca.Function, system: System, x: Floats) -> Floats:
     return evaluate_rows(f, params, q.T)
 
 
-def behind_play(problem: Problem, z: Floats) -> Floats:
-    """What is behind a play along a run (N x p) [z]; empty without one, or where its gaps drift."""
+def behind_play(problem: Problem, z: Floats) -> Floats | None:
+    """What is behind a play along a run (N x p) [z]; None without one, or where its gaps drift."""
     sensor = problem.sensor
     if sensor.kind != "play" or sensor.drift.any():
-        return np.empty(0)
+        return None
     return levels(z, sensor.right, sensor.left, sensor.start)
 
 
@@ -195,7 +194,6 @@ def collect(problem: Problem, signal: Outputs, error: IntegrationError | None, b
     estimate = signal.estimate
     given = of_estimate(estimate)
     proof = certificate(problem)
-    level = behind_play(problem, signal.z)
     signals = {
         "t": t,
         "x": signal.x,
@@ -205,7 +203,7 @@ def collect(problem: Problem, signal: Outputs, error: IntegrationError | None, b
         "u": signal.u,
         "r": problem.reference.value(t),
         "V": _storage(problem, proof, signal.x - estimate.x, given["d_hat"]),
-        "level": level if level.size else None,
+        "level": behind_play(problem, signal.z),
         **given,
         **tips(problem, signal.x, estimate.x, t),
         **_poses(problem, signal.x, t),

@@ -229,15 +229,11 @@ def verdict_of(
         reasons += claims_in_words(own.claims)
     for test in tests:
         reasons += _reasons(test)
-    consistent = None
-    if reasons:
-        consistent = False
-    elif not tests:
-        reasons = ["the observer gives no innovation_std"]
-    elif used < FEWEST:
+    consistent = None if not reasons and used < FEWEST else not reasons
+    if consistent is None:
         reasons = [f"only {used} readings corrected the estimate"]
-    else:
-        consistent = True
+        if not tests:
+            reasons = ["the observer gives no innovation_std"]
     squares = [test.square for test in tests if test.square is not None]
     return Verdict(
         consistent,

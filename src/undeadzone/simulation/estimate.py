@@ -5,21 +5,19 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from undeadzone.errors import FileError, InputError
-from undeadzone.interfaces import Estimate
 from undeadzone.logs.names import Layout, parse_columns
-from undeadzone.logs.samples import Faults, LogReader, Regular, placed, samples_of_text
+from undeadzone.logs.samples import Faults, LogReader, Placed, placed, samples_of_text
 from undeadzone.logs.whole import BINARY, samples_of, samples_of_arrays
 from undeadzone.results.estimation import Estimation
-from undeadzone.results.info import LogInfo
 from undeadzone.results.signals import LOG, Signals, of_estimate
 from undeadzone.scenario.reader import read_for_logs
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.follower import Follower, require_units
 from undeadzone.simulation.smoother import smooth
-from undeadzone.support.arrays import Array, Floats
+from undeadzone.support.arrays import Array
 from undeadzone.support.files import LARGEST_RUN
 from undeadzone.support.progress import in_notebook
 
@@ -69,34 +67,52 @@ def estimate(
     if frame_or_path is None:
         if y is None or u is None:
             raise InputError("estimate: expected a file, a DataFrame, or arrays y and u")
-        regular, known = _of_arrays(scenario, follower, t, y, u)
+        step, model = scenario.simulation.step, follower.model
+        samples = samples_of_arrays(t, y, u, model.p, model.m, step)
+        log = _Log("arrays", placed(samples, t is not None, step, "arrays"))
     elif t is not None or y is not None or u is not None:
         raise InputError("estimate: expected a log or arrays, found both")
     else:
-        regular, known = _of_log(scenario, follower, frame_or_path, chosen, strict)
+        log = _read(scenario, follower, frame_or_path, chosen, strict)
+    regular = log.placed.samples
+    if regular.t.size > LARGEST_LOG:
+        raise FileError(
+            f"{log.source}: more than {LARGEST_LOG} samples; give it to undeadzone watch, or split "
+            "it"
+        )
     with in_notebook(progress, "estimating", None) as advance:
         estimated, sides, B = follower.follow(regular, advance)
-        smoothed = _smoothed(follower, regular, advance) if smoothing else {}
-    return _collected(regular, estimated, sides, B, known(), smoothed)
+        given = {name: value for name, value in of_estimate(estimated).items() if name in LOG.names}
+        signals = {"t": regular.t, "y": regular.y, "u": regular.u, "side": sides} | given
+        if B.size:
+            signals["B"] = B
+        if smoothing and follower.observer.smoothing is not None and regular.t.size:
+            parts = follower.model, follower.observer, follower.zone
+            signals |= smooth(*parts, regular.y, regular.u, advance)
+    info = follower.info(log.source, log.layout, log.placed, log.faults)
+    return Estimation(info, Signals(LOG, signals))
 
 
-Known = Callable[[], LogInfo]  # what a log comes to, once it was followed
+class _Log(NamedTuple):
+    """A log as it was read.
+
+    Attributes:
+        source: what it is called in messages.
+        placed: its samples, one step apart.
+        layout: its columns; None: it has none.
+        faults: the lines that cannot be read; None: it has no lines.
+    """
+
+    source: str
+    placed: Placed
+    layout: Layout | None = None
+    faults: Faults | None = None
 
 
-def _of_arrays(
-    scenario: Scenario, follower: Follower, t: Any, y: Any, u: Any
-) -> tuple[Regular, Known]:
-    """Samples from arrays, one step apart."""
-    step, model = scenario.simulation.step, follower.model
-    samples = samples_of_arrays(t, y, u, model.p, model.m, step)
-    on_steps = placed(samples, t is not None, step, "arrays")
-    return _limited(on_steps.samples, "arrays"), lambda: follower.info("arrays", None, on_steps)
-
-
-def _of_log(
+def _read(
     scenario: Scenario, follower: Follower, log: Any, chosen: Mapping[str, str], strict: bool
-) -> tuple[Regular, Known]:
-    """Samples from a file or a DataFrame, one step apart."""
+) -> _Log:
+    """A log from a file or a DataFrame."""
     is_path = isinstance(log, str | os.PathLike)
     if not is_path and not (hasattr(log, "columns") and hasattr(log, "index")):
         raise InputError(f"estimate: expected a path or a DataFrame, found {type(log).__name__}")
@@ -114,40 +130,4 @@ def _of_log(
         require_units(layout, scenario.units, source)
     timed = layout is not None and layout.timed
     on_steps = placed(samples, timed, scenario.simulation.step, source)
-    return _limited(on_steps.samples, source), lambda: follower.info(
-        source, layout, on_steps, faults
-    )
-
-
-def _limited(regular: Regular, source: str) -> Regular:
-    """The samples, if there are some and not too many. Raises FileError."""
-    if regular.t.size > LARGEST_LOG:
-        raise FileError(
-            f"{source}: more than {LARGEST_LOG} samples; give it to undeadzone watch, or split it"
-        )
-    return regular
-
-
-def _smoothed(
-    follower: Follower, regular: Regular, progress: Callable[[int], None] | None
-) -> dict[str, Floats]:
-    """The smoothed signals by name; none where the method has no smoother."""
-    observer = follower.observer
-    if observer.smoothing is None or not regular.t.size:
-        return {}
-    return smooth(follower.model, observer, follower.zone, regular.y, regular.u, progress)
-
-
-def _collected(
-    regular: Regular,
-    estimated: Estimate,
-    sides: Floats,
-    B: Floats,
-    info: LogInfo,
-    smoothed: dict[str, Floats],
-) -> Estimation:
-    """The result, without the signals that the observer does not estimate."""
-    given = {name: value for name, value in of_estimate(estimated).items() if name in LOG.names}
-    own = {"t": regular.t, "y": regular.y, "u": regular.u, "side": sides}
-    B_known = {"B": B} if B.size else {}
-    return Estimation(info, Signals(LOG, own | B_known | given | smoothed))
+    return _Log(source, on_steps, layout, faults)

@@ -119,8 +119,10 @@ def _coefficients(problem: Problem, grid: _Grid, held: Floats) -> list[Floats]:
         scaled = [scale * part for part in target[:3]]
         if problem.disturbance is not None:
             w = scale * problem.disturbance.value(t, k)
-        else:
-            w = _coefficient_of_lines(grid, k)
+        elif k == 0:
+            w = _disturbance(problem, grid, t, 0.0)
+        else:  # straight lines have a slope alone
+            w = (grid.knots[grid.lower + 1] - grid.knots[grid.lower]) * (k == 1) / grid.refine
         constant = held if k == 0 else np.zeros_like(held)
         parts.append(np.hstack([*scaled, w, constant]))
     for k in range(len(parts) - 1):  # from the nudged instant back to the step's start
@@ -134,14 +136,6 @@ def _disturbance(problem: Problem, grid: _Grid, t: Floats, fraction: float) -> F
         return problem.disturbance.value(t)
     share = (grid.rows % grid.refine + fraction)[:, None] / grid.refine
     return between(grid.knots[grid.lower], grid.knots[grid.lower + 1], share)
-
-
-def _coefficient_of_lines(grid: _Grid, k: int) -> Floats:
-    """The Taylor coefficient of order k of the random disturbance's straight lines (N x m)."""
-    first, last = grid.knots[grid.lower], grid.knots[grid.lower + 1]
-    if k == 0:
-        return between(first, last, (grid.rows % grid.refine)[:, None] / grid.refine)
-    return (last - first) * (k == 1) / grid.refine
 
 
 def _held(problem: Problem, seed: int, run: int) -> list[Floats]:

@@ -123,14 +123,8 @@ class Follower:
             the statistic B after each sample (N x p; N x 0 where no test exists).
         """
         if self._numeric is not None:
-            estimate, sides = numeric_along(
-                self._numeric,
-                self.zone,
-                samples.y,
-                samples.u,
-                self._scenario.simulation.seed,
-                progress,
-            )
+            along = self.zone, samples.y, samples.u, self._scenario.simulation.seed
+            estimate, sides = numeric_along(self._numeric, *along, progress)
         else:
             assert self._online is not None
             estimate, sides = self._online.update_many(samples.y, samples.u)
@@ -200,9 +194,8 @@ class Follower:
             seen = f" that can be read; {faults.why}" if faults.why else ""
             raise FileError(f"{source}: no samples{seen}; give lines of times, readings and inputs")
         last, scenario = self._last, self._scenario
-        stds = None
-        if last.right_std.size:
-            stds = np.concatenate([last.right_std, last.left_std])
+        given = last.right_std.size > 0
+        stds = np.concatenate([last.right_std, last.left_std]) if given else None
         widths = np.concatenate([last.right, last.left])
         verdict = verdict_of(self._tests or [], self._own, widths, stds, self._diverged)
         if unreadable > MOST_UNREADABLE * (self.samples - grid.gaps + unreadable):

@@ -15,16 +15,13 @@ from undeadzone.ends.actuator import ActuatorModel, believed
 from undeadzone.ends.sensor import Sensor, Zone, present
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Estimate, Observer, Reading, graph_of, known_side, received
-from undeadzone.observers.parts.actuated import built as behind
-from undeadzone.observers.parts.motion import require_hearer
 from undeadzone.plants import build as plants
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, pace, sampled
-from undeadzone.scenario.encoders import require_gears, sensed
+from undeadzone.scenario.encoders import sensed
 from undeadzone.scenario.messages import require_kind, require_words
 from undeadzone.scenario.overrun import overrun_along
-from undeadzone.scenario.problem import require_visible
-from undeadzone.scenario.time_step import require_bounded_error
+from undeadzone.scenario.problem import require_visible, watching
 from undeadzone.support import tree
 from undeadzone.support.arrays import Array, Floats, scalar, unmasked
 
@@ -40,10 +37,12 @@ class Out(NamedTuple):
     missing: Any
 
 
-class Symbols(NamedTuple):
-    """The symbols of an observer's graph.
+class ObserverGraph(NamedTuple):
+    """The graph of an observer alone, and what it is made of.
 
     Attributes:
+        step: step(s, w, p) -> (next, out).
+        out: shapes of what it gives.
         s, w, p: columns of the state, of [y; u] and of the params.
         state, params: the observer's own, as trees.
         used: the input, the last one where it is missing (m).
@@ -51,6 +50,8 @@ class Symbols(NamedTuple):
         start, numbers: values of s and p.
     """
 
+    step: ca.Function
+    out: Out
     s: ca.SX
     w: ca.SX
     p: ca.SX
@@ -62,8 +63,8 @@ class Symbols(NamedTuple):
     numbers: Floats
 
 
-def symbols(model: System, observer: Observer, sensor: Zone) -> Symbols:
-    """Fresh symbols for the graph of an observer.
+def observer_graph(model: System, observer: Observer, sensor: Zone) -> ObserverGraph:
+    """The graph of an observer alone.
 
     Args:
         model: the sampled model.
@@ -71,43 +72,19 @@ def symbols(model: System, observer: Observer, sensor: Zone) -> Symbols:
         sensor: the dead zone, for its threshold and its range.
     """
     values = (observer.params, (sensor.threshold, sensor.limits))
-    column, (params, levels) = tree.symbols(values, "p")
+    p, (params, levels) = tree.symbols(values, "p")
     start = (observer.init(observer.params), np.zeros(model.m))
-    s_column, (s, held) = tree.symbols(start, "s")
+    s, (state, held) = tree.symbols(start, "s")
     y, u = ca.SX.sym("y", model.p), ca.SX.sym("u", model.m)
     used = ca.if_else(present(u), u, held)
     w, reading = ca.vertcat(y, u), received(y, *levels)
-    return Symbols(
-        s_column, w, column, s, params, used, reading, tree.pack(start), tree.pack(values)
-    )
-
-
-def observer_graph(
-    model: System, observer: Observer, sensor: Zone
-) -> tuple[ca.Function, Symbols, Out]:
-    """The graph of an observer alone.
-
-    Args:
-        model: the sampled model.
-        observer: the observer.
-        sensor: the dead zone, for its threshold and its range.
-
-    Returns:
-        The function step(s, w, p) -> (next, out) with w = [y; u], what it was made of, and the
-        shapes of out.
-    """
-    known = symbols(model, observer, sensor)
-    used, reading = known.used, known.reading
-    after, estimate = observer.step(known.params, known.state, used, reading)
-    out = Out(estimate, known_side(reading, estimate), ca.mmin(present(known.w[: model.p])) == 0)
-    function = ca.Function(
-        "live",
-        [known.s, known.w, known.p],
-        [tree.stack((after, used)), tree.stack(out)],
-        {"cse": True},
-    )
+    after, estimate = observer.step(params, state, used, reading)
+    out = Out(estimate, known_side(reading, estimate), ca.mmin(present(y)) == 0)
+    results = [tree.stack((after, used)), tree.stack(out)]
+    step = ca.Function("live", [s, w, p], results, {"cse": True})
     shapes: Out = tree.mapped(lambda part: np.zeros(part.shape[0]), out)
-    return function, known, shapes
+    symbols = (s, w, p, state, params, used, reading)
+    return ObserverGraph(step, shapes, *symbols, tree.pack(start), tree.pack(values))
 
 
 class Online:
@@ -155,24 +132,22 @@ class Online:
     ) -> None:
         self._asked = observer, plant, sensor, step, substeps, compiled, actuator
         self.model, zone, built = built_for(observer, plant, sensor, step, substeps, actuator)
-        graph, known, shapes = observer_graph(self.model, graph_of(built), zone)
-        state, params = known.start, known.numbers
+        self._graph = observer_graph(self.model, graph_of(built), zone)
         self.samples = 0
         self.missing = 0
-        self._step, self.engine = _engine(graph, state, params, compiled)
+        self._step, self.engine = _engine(self._graph, compiled)
         self._p, self._w, self._out = self.model.p, self._step.w, self._step.out
-        self._where: Out = tree.slices(shapes)
+        self._where: Out = tree.slices(self._graph.out)
         self.latest = Estimate(*[self._out[part] for part in self._where.estimate])
         self._entries = cast("memoryview[float]", self._w.data)
         self._last = self._out.data
         self._is_single = (self.model.p, self.model.m) == (1, 1)
         self._load = zone if zone.inertia.any() and not self.model.nonlinear else None
-        self._graph, self._start, self._params = graph, state, params
         self.restart()
 
     def restart(self) -> None:
         """Begin anew, as if no sample had come in; what was counted stays."""
-        self._step.state[:] = self._start
+        self._step.state[:] = self._graph.start
         self._out[:] = np.nan
         self._out[self._where.side] = 0.0
 
@@ -188,8 +163,9 @@ class Online:
     @property
     def digest(self) -> str:
         """Of all that the observer is, whatever it has seen."""
-        numbers = np.concatenate([self._start, self._params])
-        return hashlib.sha256(self._graph.serialize().encode() + numbers.tobytes()).hexdigest()
+        numbers = np.concatenate([self._graph.start, self._graph.numbers])
+        graph = self._graph.step.serialize().encode()
+        return hashlib.sha256(graph + numbers.tobytes()).hexdigest()
 
     @property
     def state(self) -> Floats:
@@ -311,19 +287,17 @@ class Online:
         return estimate
 
 
-def _engine(
-    graph: ca.Function, state: Floats, params: Floats, compiled: bool
-) -> tuple[Stepper | CompiledStepper, str]:
+def _engine(graph: ObserverGraph, compiled: bool) -> tuple[Stepper | CompiledStepper, str]:
     """What runs samples, and how it is called."""
-    engine = "virtual machine"
+    engine, parts = "virtual machine", (graph.step, graph.start, graph.numbers)
     if compiled:
         from undeadzone.compile.live import CompiledStepper
 
         try:
-            return CompiledStepper(graph, state, params), "compiled"
+            return CompiledStepper(*parts), "compiled"
         except InputError as error:
             engine = f"virtual machine: {error}"
-    return Stepper(graph, state, params), engine
+    return Stepper(*parts), engine
 
 
 def built_for(
@@ -356,8 +330,5 @@ def built_for(
     require_visible(system, "plant")
     model = sampled(system, Ts, substeps)
     zone = sensed(sensor, system, Ts, pace(system.linear))
-    require_gears("observer", observer, system)
-    require_hearer(observer, zone)
-    built = behind(observer, model, zone, believed(actuator, model.m))
-    require_bounded_error(model, built, Ts)
-    return model, zone, built
+    belief = believed(actuator, model.m)
+    return model, zone, watching(observer, model, zone, belief, Ts)

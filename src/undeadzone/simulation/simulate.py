@@ -95,30 +95,20 @@ def simulated(
     with in_notebook(progress, "simulating", steps(scenario, check_step)) as advance:
         if controller is not None:
             problem = _under(controller, problem, engine)
-            return Simulated(_run_under(controller, problem, advance, began), problem, None)
-        start = None if _in_python(problem, engine) else prepare(problem)
-        signal, error = signals_of(problem, start, advance, check_step, engine)
-    return Simulated(collect(problem, signal, error, began), problem, start)
-
-
-def _in_python(problem: Problem, engine: Engine) -> bool:
-    """Whether the observer computes in Python; as lanes it is refused where the loop is closed."""
-    return problem.observer.python is not None and engine != "lanes"
+        # As lanes an observer in Python is refused where the loop is closed.
+        in_python = problem.observer.python is not None and engine != "lanes"
+        start = None if in_python or controller is not None else prepare(problem)
+        signal, error = signals_of(problem, start, advance, check_step, engine, controller)
+    run = collect(problem, signal, error, began)
+    if controller is not None:  # no text says what the function is
+        run = _told(run, scenario="")
+    return Simulated(run, problem, start)
 
 
 def steps(scenario: Scenario, check_step: bool = True) -> int:
     """How many steps `simulate` reports to its progress callback; arguments as there."""
     times = 3 if check_step and scenario.simulation.time == "continuous" else 1
     return round(times * scenario.simulation.duration / max(scenario.simulation.step, 1e-12))
-
-
-def _run_under(law: live.ControlLaw, problem: Problem, progress: Progress, began: float) -> Run:
-    """The run of a problem whose controller is a control law in Python."""
-    exogenous = inputs.exogenous(problem)
-    signal = live.run_sample_by_sample(problem, exogenous, progress, law)
-    run = collect(problem, signal, None, began)
-    # No text says what the function is.
-    return dataclasses.replace(run, info=msgspec.structs.replace(run.info, scenario=""))
 
 
 def _under(law: live.ControlLaw, problem: Problem, engine: Engine) -> Problem:
@@ -143,18 +133,21 @@ def signals_of(
     progress: Progress | None,
     check_step: bool = False,
     engine: Engine = "auto",
+    law: live.ControlLaw | None = None,
 ) -> tuple[Outputs, IntegrationError | None]:
     """The signals of a run, and the error of its integration where that is measured.
 
     Args:
         problem: the scenario's parts.
-        start: what the run starts from; None: an observer computes in Python.
+        start: what the run starts from; None: an observer or a law computes in Python.
         progress: called with the number of steps just done.
         check_step: as for `simulate`.
         engine: as for `simulate`.
+        law: in place of a controller; None: there is none.
     """
     if start is None:
-        return live.run_sample_by_sample(problem, inputs.exogenous(problem), progress), None
+        exogenous = inputs.exogenous(problem)
+        return live.run_sample_by_sample(problem, exogenous, progress, law), None
     twin = check_step and problem.plant.Ts is None
     run = engine_for(start.loop, engine, len(start.exogenous) * (3 if twin else 1))
     if twin:
@@ -323,7 +316,7 @@ def beside(
     rival = msgspec.structs.replace(scenario, observer=scenario.compare)
     second = simulate(rival, progress=progress)
     one, other = labels(scenario.observer, scenario.compare)
-    return _labelled(run, one), _labelled(second, other)
+    return _told(run, label=one), _told(second, label=other)
 
 
 def labels(first: Any, second: Any) -> tuple[str, str]:
@@ -353,6 +346,6 @@ def _in_words(options: dict[str, Any], name: str) -> str:
     return f"{method}, {name} = {value}"
 
 
-def _labelled(run: Run, label: str) -> Run:
-    """The run with a label."""
-    return dataclasses.replace(run, info=msgspec.structs.replace(run.info, label=label))
+def _told(run: Run, **info: Any) -> Run:
+    """The run with other words in its info."""
+    return dataclasses.replace(run, info=msgspec.structs.replace(run.info, **info))

@@ -24,12 +24,26 @@ from undeadzone.observers.parts.model_bank import LEAST
 from undeadzone.observers.parts.smoothing import Moments
 from undeadzone.plants.system import System
 from undeadzone.results.signals import SMOOTHED
-from undeadzone.simulation.online import Out, observer_graph
+from undeadzone.simulation.online import ObserverGraph, observer_graph
 from undeadzone.support import tree
 from undeadzone.support.arrays import Floats
 
 BLOCK = 5000  # samples whose moments are in memory at once
 SHOWN = ("x", "z", "right", "left", "x_std", "right_std", "left_std")  # of an estimate
+
+
+class _Ahead(NamedTuple):
+    """What the samples after a block say.
+
+    Attributes:
+        later: of the block's end, a member each.
+        odds: log of the odds of the members (K).
+        worst: record; None at the end of the log.
+    """
+
+    later: list[Later]
+    odds: Floats
+    worst: Any
 
 
 class _Graphs(NamedTuple):
@@ -39,8 +53,8 @@ class _Graphs(NamedTuple):
         step: step(s, w, p) is (next state, [estimate; s]).
         moments: of a row [s; w], those of its members; a step without a state, as is `shown`.
         shown: of a row [beliefs; share; record], what is `SHOWN`.
-        start, numbers: values of s and p.
-        out: where the estimate stands in what `step` gives.
+        filter: the filter itself.
+        causal: where `SHOWN` stands in what it gives.
         like: `Moments` of the members, of arrays of their shapes.
         odds, record: where these stand in the state.
     """
@@ -48,9 +62,8 @@ class _Graphs(NamedTuple):
     step: ca.Function
     moments: ca.Function
     shown: ca.Function
-    start: Floats
-    numbers: Floats
-    out: Out
+    filter: ObserverGraph
+    causal: list[Any]
     like: tuple[Moments, ...]
     odds: Any
     record: Any
@@ -76,18 +89,16 @@ def smooth(
     """
     graphs = _graphs(model, observer, sensor)
     w = np.hstack([y, u])
-    starts = [graphs.start]
+    starts, numbers = [graphs.filter.start], graphs.filter.numbers
     for first in range(0, len(w), BLOCK):
-        _, state = interpret.run(graphs.step, starts[-1], w[first : first + BLOCK], graphs.numbers)
+        _, state = interpret.run(graphs.step, starts[-1], w[first : first + BLOCK], numbers)
         starts.append(state)
-    count = len(graphs.like)
-    later = [Later.nothing(one.before.mean.size) for one in graphs.like]
-    odds: Floats = np.zeros(count)
-    worst = None
+    nothing = [Later.nothing(one.before.mean.size) for one in graphs.like]
+    ahead = _Ahead(nothing, np.zeros(len(nothing)), None)
     pieces = []
     for k in range(len(starts) - 2, -1, -1):
         part = w[k * BLOCK : (k + 1) * BLOCK]
-        rows, later, odds, worst = _block(graphs, starts[k], part, later, odds, worst)
+        rows, ahead = _block(graphs, starts[k], part, ahead)
         pieces.append(rows)
         if progress is not None:
             progress(len(part))
@@ -96,9 +107,9 @@ def smooth(
 
 def _graphs(model: System, observer: Observer, sensor: Zone) -> _Graphs:
     """The functions of a filter along a log."""
-    step, known, shapes = observer_graph(model, observer, sensor)
+    known = observer_graph(model, observer, sensor)
     smoothing, inputs = observer.smoothing, [known.s, known.w, known.p]
-    following, estimate = step(*inputs)
+    following, estimate = known.step(*inputs)
     every = smoothing.moments(known.params, known.state, known.used, known.reading)
     like = tree.mapped(lambda leaf: np.zeros(ca.SX(leaf).shape), every)
     init = observer.init(observer.params)
@@ -107,57 +118,50 @@ def _graphs(model: System, observer: Observer, sensor: Zone) -> _Graphs:
     row, (seen, share, kept) = tree.symbols((tuple(beliefs), np.zeros(len(like)), record), "r")
     shown: Estimate = smoothing.shown(known.params, seen, share, kept)
     out = tuple(getattr(shown, name) for name in SHOWN)
-    where = tree.slices((init, np.zeros(model.m)))[0]
+    where, of_estimate = tree.slices((init, np.zeros(model.m)))[0], tree.slices(known.out).estimate
     return _Graphs(
         ca.Function("watched", inputs, [following, ca.vertcat(estimate, known.s)]),
         interpret.stateless([ca.vertcat(known.s, known.w), known.p], ca.cse(tree.stack(every))),
         interpret.stateless([row, known.p], ca.cse(tree.stack(out))),
-        known.start,
-        known.numbers,
-        tree.slices(shapes),
+        known,
+        [getattr(of_estimate, name) for name in SHOWN],
         like,
         smoothing.odds(where) if len(like) > 1 else None,
         smoothing.record(where),
     )
 
 
-def _block(
-    graphs: _Graphs,
-    start: Floats,
-    w: Floats,
-    later: list[Later],
-    odds: Floats,
-    worst: Any,
-) -> tuple[Floats, list[Later], Floats, Any]:
+def _block(graphs: _Graphs, start: Floats, w: Floats, ahead: _Ahead) -> tuple[Floats, _Ahead]:
     """A block of samples, given what the later ones say.
 
     Args:
         graphs: of the filter.
         start: its state before the block.
         w: readings and inputs (B x p + m).
-        later: what the samples after the block say of its end, a member each.
-        odds: log of the odds of the members from those samples (K).
-        worst: record from those samples; None at the end of the log.
+        ahead: what the samples after the block say.
 
     Returns:
-        What is shown of each sample (B x outputs), and later, odds and worst before the block.
+        What is shown of each sample (B x outputs), and what is ahead of the samples before.
     """
-    watched, final = interpret.run(graphs.step, start, w, graphs.numbers)
+    numbers = graphs.filter.numbers
+    watched, final = interpret.run(graphs.step, start, w, numbers)
     estimates, before_each = np.split(watched, [-start.size], axis=1)
     states = np.vstack([before_each[1:], final])  # after each sample
-    moments = interpret.mapped(graphs.moments, np.hstack([before_each, w]), graphs.numbers)
+    moments = interpret.mapped(graphs.moments, np.hstack([before_each, w]), numbers)
     every = _arrays(graphs.like, moments)
     beliefs, before = [], []
-    for one, ahead in zip(every, later, strict=True):
-        mean, cov, first = back(one, ahead)
+    for one, later in zip(every, ahead.later, strict=True):
+        mean, cov, first = back(one, later)
         beliefs += [mean, np.swapaxes(cov, 1, 2).reshape(len(w), -1)]
         before.append(first)
-    shares, odds = _shares(graphs, states, np.column_stack([one.log for one in every]), odds)
-    records, worst = _records(graphs, states, worst)
-    shown = interpret.mapped(graphs.shown, np.hstack([*beliefs, shares, records]), graphs.numbers)
+    logs = np.column_stack([one.log for one in every])
+    shares, odds = _shares(graphs, states, logs, ahead.odds)
+    records, worst = _records(graphs, states, ahead.worst)
+    shown = interpret.mapped(graphs.shown, np.hstack([*beliefs, shares, records]), numbers)
+    # Where no belief can be smoothed, the filter itself shows.
     lost = ~np.isfinite(shown).all(axis=1)
-    shown[lost] = _causal(graphs, estimates[lost])
-    return shown, before, odds, worst
+    shown[lost] = np.hstack([estimates[lost, part] for part in graphs.causal])
+    return shown, _Ahead(before, odds, worst)
 
 
 def _arrays(like: tuple[Moments, ...], known: Floats) -> tuple[Moments, ...]:
@@ -210,11 +214,6 @@ def _records(graphs: _Graphs, states: Floats, worst: Any) -> tuple[Floats, Any]:
             records[k] = np.where(np.abs(records[k]) < np.abs(worst), worst, records[k])
         worst = records[k]
     return records, worst
-
-
-def _causal(graphs: _Graphs, out: Floats) -> Floats:
-    """What the filter itself shows, where no belief can be smoothed."""
-    return np.hstack([out[:, getattr(graphs.out.estimate, name)] for name in SHOWN])
 
 
 def _arranged(model: System, shown: Floats) -> dict[str, Floats]:

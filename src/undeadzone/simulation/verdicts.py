@@ -12,12 +12,7 @@ import numpy as np
 
 from undeadzone.analysis.identifiability.both_ends import both_ends, modes_visited
 from undeadzone.analysis.identifiability.disturbance import unknown_bias, unknown_inputs
-from undeadzone.analysis.identifiability.information import (
-    EXACT,
-    Deviations,
-    Readings,
-    deviations,
-)
+from undeadzone.analysis.identifiability.information import EXACT, Deviations, Readings, deviations
 from undeadzone.analysis.identifiability.linear import (
     MARGIN,
     Verdict,
@@ -26,8 +21,8 @@ from undeadzone.analysis.identifiability.linear import (
     verdicts,
 )
 from undeadzone.analysis.identifiability.nonlinear import beforehand
-from undeadzone.analysis.identifiability.play_and_zone import Told, told_of_both
-from undeadzone.analysis.identifiability.second_truth import farthest, second_truth
+from undeadzone.analysis.identifiability.play_and_zone import told_of_both
+from undeadzone.analysis.identifiability.second_truth import second_truth
 from undeadzone.analysis.side_schedule import Schedule, reading_levels
 from undeadzone.ends.play import gaps_of
 from undeadzone.ends.sensor import DIRECTIONS
@@ -39,6 +34,7 @@ from undeadzone.support.arrays import Floats, later
 
 NEGLIGIBLE = 1e-6  # share of the motion's range: a smaller deviation is known, also of width 0
 ROUNDING: Final = 1e-9  # share of a gap by which one that is told may miss it
+NONE: Final[dict[str, Any]] = dict.fromkeys(DIRECTIONS, False)  # no width is known
 
 
 def linear_verdicts(problem: Problem, schedule: Schedule, arrive: Floats) -> list[Verdict]:
@@ -56,7 +52,7 @@ def linear_verdicts(problem: Problem, schedule: Schedule, arrive: Floats) -> lis
     if sensor.kind == "jump":
         return verdicts(linear, schedule, bias, jump=True)
     if sensor.play is not None:
-        return [one.zone for one in verdicts_of_both(problem, schedule, arrive)]
+        return _of_both(problem, schedule, arrive)
     readings = readings_of(problem, schedule, arrive)
     alone = _with_deviations(problem, schedule, readings._replace(told=None))
     if readings.told is None:
@@ -89,11 +85,11 @@ def _second(
     if readings.bias is not None:
         enters[:, size - readings.bias.shape[1] :] = readings.bias
     constants = np.linalg.lstsq(linear.B, enters, rcond=None)[0]
-    change = farthest(expected.hidden, expected.covariance, i, widths)
-    return second_truth(change, expected.hidden.n + 2 * i, widths, np.eye(n, size), constants)
+    found = expected.hidden, expected.covariance, i, widths
+    return second_truth(*found, np.eye(n, size), constants)
 
 
-def verdicts_of_both(problem: Problem, schedule: Schedule, arrive: Floats) -> list[Told]:
+def _of_both(problem: Problem, schedule: Schedule, arrive: Floats) -> list[Verdict]:
     """What the readings behind a play and a dead zone tell; arguments as of `linear_verdicts`."""
     judged, play = [], problem.sensor.play
     assert play is not None
@@ -103,11 +99,10 @@ def verdicts_of_both(problem: Problem, schedule: Schedule, arrive: Floats) -> li
         zone = as_far_as_known(problem, schedule, told.zone, i, told.zone.std)
         gap = float(play.right[i] + play.left[i])
         if gap < told.gap_std < np.inf:
-            reason = (
+            zone = zone.because(
                 f"the gap {gap:.3g} is not known: noise leaves it a deviation of {told.gap_std:.3g}"
             )
-            zone = zone._replace(reasons=(*zone.reasons, reason))
-        judged.append(told._replace(zone=zone))
+        judged.append(zone)
     return judged
 
 
@@ -137,7 +132,7 @@ def gaps_known(problem: Problem) -> bool:
 
 def withdrawn(problem: Problem, why: str) -> list[Verdict]:
     """Verdicts that claim nothing, with the reason."""
-    return [Verdict(False, False, False, False, reasons=(why,))] * problem.model.p
+    return [Verdict(**NONE, reasons=(why,))] * problem.model.p
 
 
 def as_far_as_known(
@@ -205,8 +200,7 @@ def by_claims(traits: Traits, alone: Verdict, claimed: Verdict) -> Verdict:
         return alone
     sources = {"start": traits.start_std, "centre": traits.centre_std}
     names = [name for name, std in sources.items() if std is not None]
-    reason = f"{', '.join(gained)} from the declared {' and '.join(names)} alone"
-    return claimed._replace(reasons=(*claimed.reasons, reason))
+    return claimed.because(f"{', '.join(gained)} from the declared {' and '.join(names)} alone")
 
 
 def constant_inputs(problem: Problem, B: Floats) -> Floats | None:
@@ -242,8 +236,8 @@ def with_false_claims(problem: Problem, verdicts: Sequence[Verdict]) -> list[Ver
                     f"a false claim: the {side} width is {width:.4g}, observer.{side} says "
                     f"{low:.4g} to {high:.4g}"
                 )
-                found: dict[str, Any] = {side: False, "width": False, "centre": False}
-                verdict = verdict._replace(**found, reasons=(*verdict.reasons, reason))
+                found = {side: False, "width": False, "centre": False}
+                verdict = verdict.because(reason, **found)
         judged.append(_with_false_actuator(problem, _with_false_gaps(problem, verdict, i)))
     return judged
 
@@ -253,19 +247,11 @@ def _with_false_gaps(problem: Problem, verdict: Verdict, i: int) -> Verdict:
     play, model = problem.sensor.play, problem.scenario.model
     if play is None or model is None or model.play is None:
         return verdict
-    p = problem.model.p
-    gaps, ranges = gaps_of(model.play, p, "model.play")
-    low, high = gaps, gaps
-    if ranges is not None:
-        low, high = ranges.T.reshape(2, 2, p)
     true = np.stack([play.right, play.left])
-    slack = ROUNDING * true
-    if ((low - slack <= true) & (true <= high + slack))[:, i].all():
+    if _claimed(true, *gaps_of(model.play, problem.model.p, "model.play"))[:, i].all():
         return verdict
     reason = f"a false claim: model.play excludes the gaps of the sensor, {true[:, i].tolist()}"
-    return verdict._replace(
-        right=False, left=False, width=False, centre=False, reasons=(*verdict.reasons, reason)
-    )
+    return verdict.because(reason, **NONE)
 
 
 def _with_false_actuator(problem: Problem, verdict: Verdict) -> Verdict:
@@ -274,16 +260,18 @@ def _with_false_actuator(problem: Problem, verdict: Verdict) -> Verdict:
     if actuator is None or belief is None:
         return verdict
     true = np.stack([actuator.right, actuator.left])
-    low = high = np.stack([belief.drive.right, belief.drive.left])
-    if belief.ranges is not None:
-        low, high = belief.ranges.T.reshape(2, 2, -1)
-    slack = ROUNDING * true
-    if ((low - slack <= true) & (true <= high + slack)).all():
+    told = np.stack([belief.drive.right, belief.drive.left])
+    if _claimed(true, told, belief.ranges).all():
         return verdict
     reason = f"a false claim: model.actuator excludes the actuator's widths, {true.tolist()}"
-    return verdict._replace(
-        right=False, left=False, width=False, centre=False, reasons=(*verdict.reasons, reason)
-    )
+    return verdict.because(reason, **NONE)
+
+
+def _claimed(true: Floats, told: Floats, ranges: Floats | None) -> np.ndarray:
+    """Whether true [right, left] (2 x each) are as told, or in the ranges that are told."""
+    low, high = (told, told) if ranges is None else ranges.T.reshape(2, *true.shape)
+    slack = ROUNDING * true
+    return np.asarray((low - slack <= true) & (true <= high + slack))
 
 
 def with_cures(problem: Problem, verdicts: Sequence[Verdict], z: Floats) -> list[Verdict]:
@@ -303,7 +291,7 @@ def with_cures(problem: Problem, verdicts: Sequence[Verdict], z: Floats) -> list
     for i, verdict in enumerate(verdicts):
         where = "plant.arm.reference" + (f"[{i}]" if z.shape[1] > 1 else "")
         cure = _cure(where, z[:, i], float(offset[i]), *map(float, levels[i]))
-        cured.append(verdict._replace(reasons=(*verdict.reasons, *cure)))
+        cured.append(verdict.because(*cure))
     return cured
 
 

@@ -19,6 +19,7 @@ from undeadzone.analysis.dissipation import (
     Inequality,
     Solution,
     check,
+    deepest,
     no_more,
     optimise,
 )
@@ -118,13 +119,70 @@ def original_storage(errors: Dynamics, scaling: Scaling, solution: Solution) -> 
     return Storage(scaling.storage(solution.P), scaling.weights(weights), errors.gamma)
 
 
-def deepest(family: Family, start: Floats, extra: Extra) -> Solution | None:
-    """P, q deepest inside the inequality and `extra`, or as far as the check needs."""
+class _Search(NamedTuple):
+    """What is searched: P, q >= 0 of least cost'q under an inequality and a constraint besides.
 
-    def proved(solution: Solution) -> bool:
-        return check(family(solution.q), solution.P).proved
+    Attributes:
+        family: q -> the inequality, affine in q.
+        cost: weights of the multipliers.
+        confine: P, q -> what must be positive semidefinite besides.
+    """
 
-    return optimise(family, np.zeros(start.size), start, extra, deep=True, done=proved, passes=4)
+    family: Family
+    cost: Floats
+    confine: Extra
+
+    def least(self, unit: Floats, passes: int) -> Solution | None:
+        """P, q of least cost'q as the solver sees it, the multipliers in units that suit them."""
+
+        def bounds(P: Floats, q: Floats) -> list[Floats]:
+            return [q - FLOOR, CEILING - q, *self.confine(P, q * unit)]
+
+        cost = self.cost * unit / max(float(self.cost @ unit), 1e-300)
+        start = np.ones(unit.size)
+        best = optimise(lambda q: self.family(q * unit), cost, start, bounds, passes=passes)
+        return None if best is None else Solution(best.P, best.q * unit)
+
+    def inside(self, best: Solution, excess: float) -> Solution | None:
+        """P, q that check and cost little more than the best; None if that is not inside enough.
+
+        excess: what the deepest point may cost more, relatively.
+        """
+        unit = np.clip(best.q, LOWEST, HIGHEST)
+        limit = (1 + excess) * float(self.cost @ unit)
+
+        def bounds(P: Floats, q: Floats) -> list[Floats]:
+            left = np.array([1 - self.cost @ (q * unit) / limit])
+            return [q - FLOOR, CEILING - q, *self.confine(P, q * unit), left]
+
+        inside = deepest(lambda q: self.family(q * unit), np.ones(unit.size), bounds)
+        if inside is None:
+            return None
+        for share in SHARES:
+            P = share * inside.P + (1 - share) * best.P
+            q = share * inside.q * unit + (1 - share) * best.q
+            if (q > 0).all() and check(self.family(q), P).proved:
+                return Solution(P, q)
+        return None
+
+    def cheaper(self, best: Solution, solution: Solution, low: float, high: float) -> Solution:
+        """A solution that checks and costs next to no more than need be, by bisection.
+
+        Where the inequality is hardly feasible the solver's least cost lies below the true one.
+
+        Args:
+            best: as of `inside`.
+            solution: which checks.
+            low, high: the share of the best cost that did not do, and that of the solution.
+        """
+        while high > (1 + EXCESSES[0]) * low:
+            middle = float(np.sqrt(low * high))
+            found = self.inside(best, middle - 1)
+            if found is None:
+                low = middle
+            else:
+                solution, high = found, middle
+        return solution
 
 
 def prove(family: Family, cost: Floats, confine: Extra = no_more) -> Solution | None:
@@ -138,9 +196,9 @@ def prove(family: Family, cost: Floats, confine: Extra = no_more) -> Solution | 
     Returns:
         The solution, checked; None if there is none.
     """
-    unit = np.ones(cost.size)
+    search, unit = _Search(family, cost, confine), np.ones(cost.size)
     for _ in range(ROUNDS):
-        rough = _least(family, cost, confine, unit, passes=1)
+        rough = search.least(unit, passes=1)
         if rough is None:
             unit = unit * LARGER
             continue
@@ -148,82 +206,15 @@ def prove(family: Family, cost: Floats, confine: Extra = no_more) -> Solution | 
         unit = np.clip(rough.q, LOWEST, HIGHEST)
         if change.min() > 1 / NEAR and change.max() < NEAR:
             break
-    best = _least(family, cost, confine, unit, passes=2)
+    best = search.least(unit, passes=2)
     if best is None:
         return None
     failed = 0.0
     for excess in EXCESSES:
-        solution = _inside(family, cost, confine, best, excess)
+        solution = search.inside(best, excess)
         if solution is not None:
-            return _cheaper(family, cost, confine, best, solution, (failed, excess))
+            return search.cheaper(best, solution, 1 + failed, 1 + excess)
         failed = excess
-    return None
-
-
-def _cheaper(
-    family: Family,
-    cost: Floats,
-    confine: Extra,
-    best: Solution,
-    solution: Solution,
-    between: tuple[float, float],
-) -> Solution:
-    """A solution that checks and costs next to no more than need be, by bisection.
-
-    Where the inequality is hardly feasible the solver's least cost lies below the true one.
-
-    Args:
-        family, cost, confine, best: as of `_inside`.
-        solution: which checks.
-        between: the excess that did not do, and that of the solution.
-    """
-    low, high = (1 + excess for excess in between)
-    while high > (1 + EXCESSES[0]) * low:
-        middle = float(np.sqrt(low * high))
-        found = _inside(family, cost, confine, best, middle - 1)
-        if found is None:
-            low = middle
-        else:
-            solution, high = found, middle
-    return solution
-
-
-def _least(
-    family: Family, cost: Floats, confine: Extra, unit: Floats, passes: int
-) -> Solution | None:
-    """P, q of least cost'q as the solver sees it, the multipliers in units that suit them."""
-
-    def bounds(P: Floats, q: Floats) -> list[Floats]:
-        return [q - FLOOR, CEILING - q, *confine(P, q * unit)]
-
-    size = max(float(cost @ unit), 1e-300)
-    start = np.ones(unit.size)
-    best = optimise(lambda q: family(q * unit), cost * unit / size, start, bounds, passes=passes)
-    return None if best is None else Solution(best.P, best.q * unit)
-
-
-def _inside(
-    family: Family, cost: Floats, confine: Extra, best: Solution, excess: float
-) -> Solution | None:
-    """P, q that check and cost little more than the best; None if that is not inside enough.
-
-    excess: what the deepest point may cost more, relatively.
-    """
-    unit = np.clip(best.q, LOWEST, HIGHEST)
-    limit = (1 + excess) * float(cost @ unit)
-
-    def bounds(P: Floats, q: Floats) -> list[Floats]:
-        left = np.array([1 - cost @ (q * unit) / limit])
-        return [q - FLOOR, CEILING - q, *confine(P, q * unit), left]
-
-    inside = deepest(lambda q: family(q * unit), np.ones(unit.size), bounds)
-    if inside is None:
-        return None
-    for share in SHARES:
-        P = share * inside.P + (1 - share) * best.P
-        q = share * inside.q * unit + (1 - share) * best.q
-        if (q > 0).all() and check(family(q), P).proved:
-            return Solution(P, q)
     return None
 
 

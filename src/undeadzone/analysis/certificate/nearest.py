@@ -113,70 +113,50 @@ def decay_limit(linear: Matrices, Ts: float | None = None, tolerance: float = 1e
     return low / scaling.time
 
 
-class _Projection(NamedTuple):
-    """What half-spaces of admissible gains are made of, in units where W = 1.
-
-    Attributes:
-        A: delta form if sampled (n x n) [1/s].
-        C: outputs (p x n).
-        target: the gains to be projected (n x p).
-        inward: inverse of the metric, transposed (n x n).
-        least: margin that is asked for.
-        Ts: sample time [s]; None in continuous time.
-    """
-
-    A: Floats
-    C: Floats
-    target: Floats
-    inward: Floats
-    least: float
-    Ts: float | None
-
-
 def _project(errors: Dynamics, W: Floats, least: float) -> Floats:
     """L nearest to that of `errors` of margin `least` under W: least-distance cutting planes."""
-    (A,), C, start, _, Ts = errors
     root = np.sqrt(W)
     inward = np.linalg.inv(_metric(errors, W)).T
-    problem = _Projection(A, C * root[:, None], start / root, inward, least, Ts)
-    L = problem.target
+    # In units where W = 1.
+    errors = errors._replace(C=errors.C * root[:, None], L=errors.L / root)
+    L = errors.L
     seen = [set[float]() for _ in errors.steps]  # the frequencies of each step's half-spaces
     normals, levels = np.zeros((0, L.size)), np.zeros(0)
     for _ in range(CUTS):
         done = True
         for step, frequencies in zip(errors.steps, seen, strict=True):
             D = np.eye(root.size) - step / 2
-            lowest = worst(response(A, problem.C, L, D, Ts))
+            lowest = worst(response(errors.A[0], errors.C, L, D, errors.Ts))
             done &= lowest.value >= least
             frequencies.add(lowest.w)
-            for normal, level in _half_spaces(problem, L, D, np.array([*frequencies])):
-                normals = np.vstack([normals, normal])
+            for slope, level in _half_spaces(errors, L, D, least, np.array([*frequencies])):
+                normals = np.vstack([normals, (inward.T @ slope).ravel()])
                 levels = np.append(levels, level)
         if done:
             break
         move, active = _least_distance(normals, levels)
         normals, levels = normals[active], levels[active]
-        L = problem.target + inward @ move.reshape(L.shape)
+        L = errors.L + inward @ move.reshape(L.shape)
     return np.asarray(L * root)
 
 
 def _half_spaces(
-    problem: _Projection, L: Floats, D: Floats, frequencies: Floats
+    errors: Dynamics, L: Floats, D: Floats, least: float, frequencies: Floats
 ) -> list[tuple[Floats, float]]:
-    """(normal, level) of the half-spaces that L violates at these frequencies [rad/s].
+    """(slope, level) of the half-spaces that L violates at these frequencies [rad/s].
 
-    normal @ move >= level holds for admissible gains target + inward move.
+    The sum of slope times move is `level` or more for admissible gains errors.L + move.
     """
-    G = response(problem.A, problem.C, L, D, problem.Ts)
+    (A,), C, target, _, Ts = errors
+    G = response(A, C, L, D, Ts)
     half_spaces = []
     eigen = np.linalg.eigh(G.at(frequencies))
     for w, values, directions in zip(frequencies, *eigen, strict=True):
-        rows = problem.C @ _resolvent(problem.A, w, problem.Ts)
-        for v in directions.T[values < problem.least]:
+        rows = C @ _resolvent(A, w, Ts)
+        for v in directions.T[values < least]:
             slope = np.real((v.conj() @ rows)[:, None] * v)
             own = np.real(v.conj() @ D @ v)
-            level = problem.least * (1 + 1e-3) - own - (slope * problem.target).sum()
-            half_spaces.append(((problem.inward.T @ slope).ravel(), level))
+            half_spaces.append((slope, least * (1 + 1e-3) - own - (slope * target).sum()))
     return half_spaces
 
 

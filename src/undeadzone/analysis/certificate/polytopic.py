@@ -206,8 +206,7 @@ class Form(NamedTuple):
 
     def depth(self, c: Floats) -> Floats:
         """The least eigenvalue of -M, less rounding, for every c (rows x K); -inf if unbounded."""
-        c = c - self.mean
-        return self._least(np.abs(c), c, None)
+        return self.depth_within(c, np.zeros_like(c), np.zeros((len(c), 0, self.mean.size)))
 
     def depth_within(self, c: Floats, loose: Floats, turns: Floats) -> Floats:
         """`depth`, but the least over all entries within +-loose and turns of c.
@@ -218,16 +217,11 @@ class Form(NamedTuple):
             turns: by how much all entries may be off together, in each direction (rows x D x K).
         """
         c = c - self.mean
-        return self._least(np.abs(c) + loose + np.abs(turns).sum(axis=1), c, (loose, turns))
-
-    def _least(self, total: Floats, c: Floats, doubt: tuple[Floats, Floats] | None) -> Floats:
-        """The least eigenvalues of -M, less rounding; total: magnitude of each entry at most."""
+        total = np.abs(c) + loose + np.abs(turns).sum(axis=1)  # magnitude of each entry at most
         bounded = np.isfinite(total).all(axis=1)
+        together = absolute(np.tensordot(turns[bounded], self.slope, 1)).sum(axis=1)
         M = self.identity - np.tensordot(c[bounded], self.slope, 1)
-        if doubt is not None:
-            loose, turns = doubt
-            together = absolute(np.tensordot(turns[bounded], self.slope, 1)).sum(axis=1)
-            M = M - np.tensordot(loose[bounded], self.size, 1) - together
+        M = M - np.tensordot(loose[bounded], self.size, 1) - together
         of_identity, of_slopes = self.rounding
         least = np.full(len(c), -np.inf)
         least[bounded] = np.linalg.eigvalsh(M)[:, 0] - of_identity - total[bounded] @ of_slopes
@@ -274,28 +268,21 @@ def _entry_slopes(
     return slopes
 
 
-class _Doubt(NamedTuple):
+def _doubt(
+    bounds: Bounds, bends: Bounds, low: Floats, centre: Floats, high: Floats
+) -> tuple[Floats, Floats, Floats, Floats]:
     """What is known of the entries c of A on parts of the box.
 
-    Attributes:
-        middle: of c at the centres (parts x K).
-        loose: half width of the bounds there (parts x K).
-        turns: c changes by +-turns towards each side (parts x (n + m) x K).
-        doubt: half width of the bounds on turns (parts x (n + m) x K).
+    By the bounds at their centres and on the derivatives.
+
+    Returns:
+        c at the centres and half width of the bounds there (parts x K); c changes by +-turns
+        towards each side, and half width of the bounds on turns (parts x (n + m) x K).
     """
-
-    middle: Floats
-    loose: Floats
-    turns: Floats
-    doubt: Floats
-
-
-def _doubt(bounds: Bounds, bends: Bounds, low: Floats, centre: Floats, high: Floats) -> _Doubt:
-    """The bounds on parts of the box, by the bounds at their centres and on the derivatives."""
     reach = np.nextafter(np.maximum(high - centre, centre - low), np.inf)[:, :, None]
     middle, loose = _middle(bounds(Box(centre, centre)))
     turns, doubt = _middle(bends(Box(low, high)))
-    return _Doubt(middle[:, 0], loose[:, 0], turns * reach, doubt * reach)
+    return middle[:, 0], loose[:, 0], turns * reach, doubt * reach
 
 
 def missed(certificate: Certificate, slopes: Slopes, box: Box, parts: int) -> Floats:

@@ -103,9 +103,13 @@ def falsify(
     """
     rng = np.random.default_rng(seed)
     modes = _library(errors, rng, library)
-    root = _square_root(V)
-    seen = np.ix_(root.seen, root.seen)
-    maps = passages(errors, modes, lambda F: root.T @ F[seen] @ root.inverse)
+    if not np.linalg.eigvalsh(V.P)[0] > 0:
+        raise InputError("V: its P is not positive definite, there is nothing to break")
+    # V = |T e|^2 for the errors e of [x~; d~] that it sees; a width that it does not see is known.
+    seen, M = V.seen
+    T = np.linalg.cholesky(M).T
+    inverse = np.linalg.inv(T)
+    maps = passages(errors, modes, lambda F: T @ F[np.ix_(seen, seen)] @ inverse)
     size = -(-trajectories // GROUPS)
     states = _starts(rng, maps, size)
     rise, start, mode = -np.inf, states[0, 0], modes[0]
@@ -118,8 +122,8 @@ def falsify(
             rise, start, mode = float(lengths[at] - 1), states[at], modes[taken[at]]
         log += np.log(np.maximum(lengths, TINY))
         states = following / np.sqrt(np.maximum(lengths, TINY))[..., None]
-    worst = np.zeros(root.seen.size)
-    worst[root.seen] = root.inverse @ start
+    worst = np.zeros(seen.size)
+    worst[seen] = inverse @ start
     largest = float(np.exp(min(log.max(), LARGEST_LOG)))
     return Attack(rise > ROUNDING, rise, worst, mode, largest, GROUPS * size)
 
@@ -205,13 +209,8 @@ def generator(errors: Dynamics, mode: Mode) -> Floats:
     return np.asarray(free + np.vstack([-errors.L, errors.gamma @ mode.S.T]) @ innovation)
 
 
-def unmoved(F: Floats) -> Floats:
-    """F in the coordinates in which it is given."""
-    return F
-
-
 def passages(
-    errors: Dynamics, modes: list[Mode], moved: Callable[[Floats], Floats] = unmoved
+    errors: Dynamics, modes: list[Mode], moved: Callable[[Floats], Floats] = np.asarray
 ) -> Floats:
     """The maps of [x~; d~] over the modes' times, exactly (whole samples if sampled).
 
@@ -259,28 +258,3 @@ def _durations(errors: Dynamics, rng: np.random.Generator, count: int) -> Floats
     if errors.Ts is not None:
         times = errors.Ts * np.clip(np.round(times / errors.Ts), 1, 1000)
     return np.asarray(times)
-
-
-class _Root(NamedTuple):
-    """V = |T e|^2 for the errors e of [x~; d~] that V sees; a width that it does not see is known.
-
-    Attributes:
-        seen: which of [x~; d~] these are (bool).
-        T: the root (N x N).
-        inverse: of T.
-    """
-
-    seen: np.ndarray
-    T: Floats
-    inverse: Floats
-
-
-def _square_root(V: Storage) -> _Root:
-    """V as a squared length. Raises InputError where P is not positive definite."""
-    n, widths = len(V.P), np.diag(V.R) > 0
-    if not np.linalg.eigvalsh(V.P)[0] > 0:
-        raise InputError("V: its P is not positive definite, there is nothing to break")
-    T = np.zeros((n + widths.sum(), n + widths.sum()))
-    T[:n, :n] = np.linalg.cholesky(V.P).T
-    T[n:, n:] = np.linalg.cholesky(V.R[np.ix_(widths, widths)]).T
-    return _Root(np.concatenate([np.ones(n, bool), widths]), T, np.linalg.inv(T))

@@ -80,11 +80,10 @@ def rates(
         M, size = product(transitions(scaled, schedule))
     if not np.isfinite(M).all():
         return _without_bound(part.size, schedule)
-    modes = _modes(M, size, hidden, part)
+    logs, ways, never = _modes(M, size, hidden, part)
     # The modes that die last; a complex pair gives its real and its imaginary part.
-    logs = modes.logs
     slowest = np.flatnonzero(logs.real > logs.real.max(initial=-np.inf) - 1e-7)
-    ways = modes.ways * units[:, None]
+    ways = ways * units[:, None]
     slow = np.zeros((part.size, slowest.size))
     slow[part] = np.where(logs[slowest].imag < 0, ways[:, slowest].imag, ways[:, slowest].real)
     T = schedule.duration
@@ -94,7 +93,7 @@ def rates(
         1 / rate if rate > 0 else np.inf,
         logs[np.argsort(-logs.real)],
         slow / slow[np.abs(slow).argmax(axis=0), np.arange(slowest.size)],
-        modes.never,
+        never,
         T,
         schedule.periodic,
         float(np.linalg.norm(M, 2) * np.exp(size)),
@@ -108,24 +107,16 @@ def _without_bound(unknowns: int, schedule: Schedule) -> Rates:
     return Rates(-np.inf, np.inf, np.array([np.inf]), none, (), T, periodic, np.inf)
 
 
-class _Modes(NamedTuple):
-    """Multipliers of one pass but for those that unidentifiable directions keep on the circle.
-
-    Attributes:
-        logs: their logarithms, complex.
-        ways: their eigenvectors, as columns.
-        never: what is kept, in words.
-    """
-
-    logs: np.ndarray
-    ways: np.ndarray
-    never: tuple[str, ...]
-
-
-def _modes(M: Floats, size: Floats, hidden: Invisible, part: np.ndarray) -> _Modes:
+def _modes(
+    M: Floats, size: Floats, hidden: Invisible, part: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
     """The multipliers of the monodromy matrix M e^size.
 
     hidden: what no reading shows; part: which unknowns M is of.
+
+    Returns:
+        Logarithms of the multipliers but for those that unidentifiable directions keep on the
+        circle, complex; their eigenvectors, as columns; what is kept, in words.
     """
     count = hidden.basis.shape[1]
     U, V = np.split(np.linalg.svd(hidden.basis[part])[0], [count], axis=1)
@@ -139,7 +130,7 @@ def _modes(M: Floats, size: Floats, hidden: Invisible, part: np.ndarray) -> _Mod
     dying, vectors = np.linalg.eig(V.T @ M @ V)
     mu = np.append(multipliers[~stays], dying)
     logs = np.log(np.maximum(np.abs(mu), TINY)) + size + 1j * np.angle(mu)
-    return _Modes(logs, np.hstack([U @ kept[:, ~stays], V @ vectors]), never)
+    return logs, np.hstack([U @ kept[:, ~stays], V @ vectors]), never
 
 
 def error_matrices(

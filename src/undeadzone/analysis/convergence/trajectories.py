@@ -159,7 +159,7 @@ def settling(errors: Dynamics, V: Storage, schedule: Schedule, share: float = 0.
         The time in whole passes of the schedule [s]; None where some errors stay, or fall for more
         than 2^20 passes.
     """
-    seen, M = _seen(V)
+    seen, M = V.seen
     F, _ = error_matrices(errors.A[0], errors.C, errors.L, errors.gamma, merged(schedule).sides)
     once, size = product(transitions(F, merged(schedule)))
     passes = [np.asarray(once * np.exp(size))[np.ix_(seen, seen)]]  # 1, 2, 4, ... of them
@@ -209,19 +209,11 @@ def _start(V: Storage, rng: np.random.Generator) -> Floats:
 
     What V does not see is 0.
     """
-    seen, M = _seen(V)
+    seen, M = V.seen
     direction = rng.normal(size=len(M))
     error = np.zeros(seen.size)
     error[seen] = np.linalg.solve(np.linalg.cholesky(M).T, direction / np.linalg.norm(direction))
     return error
-
-
-def _seen(V: Storage) -> tuple[np.ndarray, Floats]:
-    """(which of [x~; d~] V sees, M with V = e'M e on these)."""
-    n, widths = len(V.P), np.diag(V.R) > 0
-    M = np.zeros((n + widths.sum(), n + widths.sum()))
-    M[:n, :n], M[n:, n:] = V.P, V.R[np.ix_(widths, widths)]
-    return np.concatenate([np.ones(n, bool), widths]), M
 
 
 def _value(V: Storage, errors: Floats) -> Floats:

@@ -70,10 +70,7 @@ def both_ends(
     drives = [np.hstack([constant, _entering(linear.B, mode, drive)]) for mode in modes]
     hidden = invisible(linear, visited, schedule.Ts, drives=drives or [constant])
     first = n + 2 * len(visited) + constant.shape[1]
-    outputs = []
-    for i in range(len(visited)):
-        right, left, width, centre = (hidden.width(i, name) for name in DIRECTIONS)
-        outputs.append(Verdict(right, left, width, centre, reasons=()))
+    outputs = [Verdict(**hidden.widths(i), reasons=()) for i in range(len(visited))]
     inputs = []
     for i in range(m):
         seen: dict[str, Any] = {}

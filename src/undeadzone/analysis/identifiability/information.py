@@ -13,6 +13,7 @@ from undeadzone.analysis.error_dynamics import pattern
 from undeadzone.analysis.identifiability.disturbance import Colour
 from undeadzone.analysis.identifiability.linear import Invisible, invisible
 from undeadzone.analysis.side_schedule import Schedule, merged
+from undeadzone.linear.hold import sampled_noise
 from undeadzone.linear.matrices import Matrices
 from undeadzone.support.arrays import Floats
 
@@ -87,20 +88,16 @@ def deviations(linear: Matrices, schedule: Schedule, readings: Readings) -> Devi
         schedule: of the sides.
         readings: what tells.
     """
-    noise, step, duration, arrive, bias, colour, told, _, process = readings
-    states_of_plant = linear.A.shape[0]
+    states_of_plant, told, colour = linear.A.shape[0], readings.told, readings.colour
     visited = schedule.visited(states_of_plant)
-    prior: Floats = np.zeros(linear.A.shape[0])
+    prior: Floats = np.zeros(states_of_plant)
     if colour is not None:
-        linear, process, bias, prior = _coloured(linear, schedule.Ts, colour, process, bias)
+        linear, readings = _coloured(linear, schedule.Ts, colour, readings)
+        prior = np.r_[prior, 1 / colour.rms**2]
     n, p = linear.A.shape[0], linear.C.shape[0]
-    least = (EXACT if process is None else BLURRED) * scale_of(schedule.levels)
-    variance = np.maximum(noise, least) ** 2
-    if arrive is not None:
-        variance = variance / arrive
-    fisher = information(linear, schedule, variance, step, duration, bias, process)
+    fisher = information(linear, schedule, readings)
     fisher[np.arange(n), np.arange(n)] += prior
-    hidden = invisible(linear, visited, schedule.Ts, bias)
+    hidden = invisible(linear, visited, schedule.Ts, readings.bias)
     if told is not None:
         rows = np.zeros((len(told), n + 2 * p))
         rows[:, :states_of_plant] = told[:, :states_of_plant]
@@ -110,10 +107,7 @@ def deviations(linear: Matrices, schedule: Schedule, readings: Readings) -> Devi
     units = np.outer(hidden.scale, hidden.scale)
     seen = np.linalg.svd(hidden.basis)[0][:, hidden.basis.shape[1] :]  # a basis of what is known
     covariance = units * (seen @ _inverse(seen.T @ (fisher * units) @ seen) @ seen.T)
-    widths = []
-    for i in range(p):
-        own = slice(n + 2 * i, n + 2 * i + 2)
-        widths.append(hidden.deviations(i, covariance[own, own]))
+    widths = [hidden.deviations(i, covariance) for i in range(p)]
     states = np.full(n, np.inf)
     for i in range(n):
         if hidden.state(i):
@@ -122,49 +116,38 @@ def deviations(linear: Matrices, schedule: Schedule, readings: Readings) -> Devi
 
 
 def _coloured(
-    linear: Matrices,
-    Ts: float | None,
-    colour: Colour,
-    process: Floats | None,
-    bias: Floats | None,
-) -> tuple[Matrices, Floats, Floats | None, Floats]:
-    """(model of [x; w], its process noise, its bias, information on [x(0); w(0)] beforehand)."""
-    from scipy.linalg import expm
-
+    linear: Matrices, Ts: float | None, colour: Colour, readings: Readings
+) -> tuple[Matrices, Readings]:
+    """The model of [x; w], and what tells of it, with its process noise and its bias."""
     n, b = colour.B.shape
     own, white = colour.A, colour.Q
     if Ts is not None:
-        own, white = expm(colour.A * Ts), _gramian(colour.A, colour.Q, Ts)
+        own, white = sampled_noise(colour.A, colour.Q, Ts)
     A = np.block([[linear.A, colour.B], [np.zeros((b, n)), own]])
-    none = np.zeros((b, linear.B.shape[1]))
     C = np.hstack([linear.C, np.zeros((linear.C.shape[0], b))])
-    noise = np.zeros((n + b, n + b))
-    noise[:n, :n] = 0.0 if process is None else process
-    noise[n:, n:] = white
-    if bias is not None:
-        bias = np.vstack([bias, np.zeros((b, bias.shape[1]))])
-    prior = np.r_[np.zeros(n), 1 / colour.rms**2]
-    return Matrices(A, np.vstack([linear.B, none]), C), noise, bias, prior
+    process = np.zeros((n + b, n + b))
+    process[:n, :n] = 0.0 if readings.process is None else readings.process
+    process[n:, n:] = white
+    bias = None if readings.bias is None else padded(readings.bias, b)
+    return Matrices(A, padded(linear.B, b), C), readings._replace(process=process, bias=bias)
 
 
-def information(
-    linear: Matrices,
-    schedule: Schedule,
-    variance: Floats,
-    step: float,
-    duration: float,
-    bias: Floats | None = None,
-    process: Floats | None = None,
-) -> Floats:
+def padded(B: Floats, more: int) -> Floats:
+    """Inputs of n states as those of n + more states, the last of which they do not move."""
+    return np.vstack([B, np.zeros((more, B.shape[1]))])
+
+
+def information(linear: Matrices, schedule: Schedule, readings: Readings) -> Floats:
     """The information matrix (n + 2p + b square) of [x(0); d; beta].
 
     Without process noise it is exact: the observability Gramian of the switched system divided by
-    the noise.
-
-    Args:
-        linear, schedule, step, duration, bias, process: see `deviations`.
-        variance: of the noise of z (p).
+    the noise. Arguments as of `deviations`.
     """
+    bias, process, step = readings.bias, readings.process, readings.step
+    least = (EXACT if process is None else BLURRED) * scale_of(schedule.levels)
+    variance = np.maximum(readings.noise, least) ** 2
+    if readings.arrive is not None:
+        variance = variance / readings.arrive
     n, p = linear.A.shape[0], linear.C.shape[0]
     B = np.zeros((n, 0)) if bias is None else bias
     size = n + 2 * p + B.shape[1]
@@ -174,7 +157,7 @@ def information(
     if process is not None:
         Q[:n, :n] = process
     one_step = F + np.diag(np.r_[np.zeros(n), np.ones(size - n)])  # of a sampled model
-    once = None
+    once = nothing(size)
     for sides, span in zip(*merged(schedule)[:2], strict=True):
         of_states = linear.C * np.abs(sides)[:, None]
         S = pattern(tuple(sides.astype(int)))
@@ -183,9 +166,9 @@ def information(
             stretch = _flow(F, Q, rows.T / (variance * step) @ rows, span, step)
         else:
             stretch = repeat(Stretch(one_step, Q, rows.T / variance @ rows), round(span))
-        once = stretch if once is None else then(once, stretch)
-    assert once is not None
-    return repeat(once, max(1, int(duration / schedule.duration * (1 + 1e-12)))).H
+        once = then(once, stretch)
+    passes = readings.duration / schedule.duration * (1 + 1e-12)
+    return repeat(once, max(1, int(passes))).H
 
 
 def scale_of(levels: Floats) -> Floats:
@@ -205,15 +188,20 @@ def then(first: Stretch, second: Stretch) -> Stretch:
 
 def repeat(once: Stretch, times: int) -> Stretch:
     """A stretch `times` >= 1 times in a row, by doubling."""
-    whole = None
+    whole = nothing(len(once.Q))
     while True:
         if times & 1:
-            whole = once if whole is None else then(whole, once)
+            whole = then(whole, once)
         times >>= 1
         if not times:
-            assert whole is not None
             return whole
         once = then(once, once)
+
+
+def nothing(size: int) -> Stretch:
+    """A stretch of no time, of so many unknowns."""
+    none = np.zeros((size, size))
+    return Stretch(np.eye(size), none, none)
 
 
 def _flow(F: Floats, Q: Floats, H: Floats, span: float, step: float) -> Stretch:
@@ -222,23 +210,13 @@ def _flow(F: Floats, Q: Floats, H: Floats, span: float, step: float) -> Stretch:
     Within a part readings come before process noise: with Q, a part holds one reading (every `step`
     [s]) at most. Q: covariance of w; H: information of readings per second.
     """
-    from scipy.linalg import expm
-
     readings = span / step if Q.any() else 1.0
     parts = max(1.0, float(np.linalg.norm(F, 1)) * span, readings)
     halvings = int(np.ceil(np.log2(parts)))
     part = span / 2**halvings
-    one = Stretch(expm(F * part), _gramian(F, Q, part), _gramian(F.T, H, part))
-    return repeat(one, 2**halvings)
-
-
-def _gramian(F: Floats, Q: Floats, span: float) -> Floats:
-    """The integral of e^(F s) Q e^(F' s) from 0 to `span` [s] (Van Loan 1978)."""
-    from scipy.linalg import expm
-
-    N, size = F.shape[0], float(np.abs(Q).max()) or 1.0
-    E = expm(np.block([[-F, Q / size], [np.zeros((N, N)), F.T]]) * span)
-    return np.asarray(size * E[N:, N:].T @ E[:N, N:])
+    Phi, gained = sampled_noise(F, Q, part)
+    _, told = sampled_noise(F.T, H, part)
+    return repeat(Stretch(Phi, gained, told), 2**halvings)
 
 
 def _inverse(information: Floats) -> Floats:

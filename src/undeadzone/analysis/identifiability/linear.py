@@ -172,19 +172,24 @@ class Invisible(NamedTuple):
         change = np.array(DIRECTIONS[name]) @ self.basis[first : first + 2]
         return not bool((np.abs(change) > self.present).any())
 
+    def widths(self, i: int) -> dict[str, Any]:
+        """Which of right, left, width, centre of output i are determined nevertheless."""
+        return {name: self.width(i, name) for name in DIRECTIONS}
+
     def sees(self, direction: Floats) -> bool:
         """Whether a combination of the unknowns (n + 2p + b) is determined nevertheless."""
         change = (direction * self.scale / np.abs(direction * self.scale).max()) @ self.basis
         return not bool((np.abs(change) > self.present).any())
 
-    def deviations(self, i: int, pair: Floats) -> dict[str, float]:
+    def deviations(self, i: int, covariance: Floats) -> dict[str, float]:
         """Standard deviations of right, left, width, centre of output i; inf if not determined.
 
         Args:
             i: the output.
-            pair: covariance of [d_r, d_l] (2 x 2).
+            covariance: of the unknowns (n + 2p + b square).
         """
-        std = {}
+        own, std = slice(self.n + 2 * i, self.n + 2 * i + 2), {}
+        pair = covariance[own, own]
         for name, direction in DIRECTIONS.items():
             g = np.array(direction)
             std[name] = float(np.sqrt(g @ pair @ g)) if self.width(i, name) else np.inf
@@ -235,6 +240,11 @@ class Verdict(NamedTuple):
     reasons: tuple[str, ...]
     std: dict[str, float] | None = None
     second: dict[str, Any] | None = None
+
+    def because(self, *reasons: str, **changed: bool) -> Verdict:
+        """The verdict with more reasons, and with what they change."""
+        changes: dict[str, Any] = {**changed, "reasons": (*self.reasons, *reasons)}
+        return self._replace(**changes)
 
 
 def invisible(
@@ -307,10 +317,8 @@ def verdicts(
     judged = []
     for i in range(visited.shape[0]):
         confounded = {} if told is not None else _confounded(linear, schedule, bias, i)
-        known: dict[str, Any] = {name: hidden.width(i, name) for name in DIRECTIONS}
-        remark = rarely_exact(schedule, i)
-        reasons = (*unreached(schedule, visited, i), *confounded, *remark)
-        judged.append(Verdict(**known, reasons=reasons, std=None))
+        reasons = (*unreached(schedule, visited, i), *confounded, *rarely_exact(schedule, i))
+        judged.append(Verdict(**hidden.widths(i), reasons=reasons))
     return judged
 
 

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from undeadzone.analysis.convergence.floquet import exponential
 from undeadzone.compile import interpret
 from undeadzone.plants.system import System
 from undeadzone.support.arrays import Floats, Integers
@@ -76,7 +77,7 @@ def linearised(
         of_outputs.append(C)
     h = step * (last - first)[:, None, None]
     A0, A1, A2 = of_rates
-    steps = _expm(_magnus(A0, A1, A2, h))
+    steps = exponential(_magnus(A0, A1, A2, h))
     return _run(steps[:, : model.n], of_outputs[0], first, TOLERANCE[1])
 
 
@@ -126,19 +127,6 @@ def _run(steps: Floats, outputs: Floats, kept: Integers, tolerance: float) -> Li
     constants = np.broadcast_to(np.eye(s)[n:], (end, s - n, s))
     whole = np.concatenate([steps[:end], constants], axis=1)
     return LinearisedRun(whole, outputs[:end], kept[:end], tolerance)
-
-
-def _expm(X: Floats) -> Floats:
-    """e^X of each of many matrices, by scaling, Taylor's series and squaring."""
-    norm = float(np.abs(X).sum(axis=1).max(initial=0.0))
-    halvings = max(0, int(np.ceil(np.log2(norm / 0.5)))) if norm else 0
-    X, one = X / 2.0**halvings, np.eye(X.shape[-1])
-    E = one + X / 13
-    for order in range(12, 0, -1):
-        E = one + X @ E / order
-    for _ in range(halvings):
-        E = E @ E
-    return E
 
 
 def symmetric(model: System, change: Floats) -> bool:

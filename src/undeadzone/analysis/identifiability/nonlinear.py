@@ -24,7 +24,7 @@ from undeadzone.analysis.identifiability.linear import (
     vague,
 )
 from undeadzone.analysis.identifiability.linearised_run import LinearisedRun, linearised, symmetric
-from undeadzone.analysis.identifiability.second_truth import farthest, second_truth
+from undeadzone.analysis.identifiability.second_truth import second_truth
 from undeadzone.analysis.side_schedule import reading, reading_levels, recorded
 from undeadzone.ends.sensor import DIRECTIONS, Zone
 from undeadzone.plants.system import System
@@ -99,8 +99,8 @@ def verdicts_along(
         arrived: whether each reading did (N x p); all of them if not given.
         centre: standard deviations of d_r - d_l as far as it is known beforehand (p), likewise.
     """
-    if arrived is None:
-        arrived = np.ones(z.shape, dtype=bool)
+    arrived = np.ones(z.shape, dtype=bool) if arrived is None else arrived
+    bias = np.zeros((model.m, 0)) if bias is None else bias
     diverged = np.flatnonzero(~(np.abs(np.hstack([x, u])).max(axis=1) < LIMIT))
     whole = slice(max(1, int(diverged[0])) if diverged.size else None)
     x, u, z, arrived = x[whole], u[whole], z[whole], arrived[whole]
@@ -115,10 +115,9 @@ def verdicts_along(
         told = block_diag(told, np.diag(1 / bias_std)[np.isfinite(bias_std)])
     known = observability(model, x, u, side, step, variance(sensor), bias, uncertain, told)
     visited = np.stack([(side > 0).any(axis=0), (side < 0).any(axis=0)], axis=1)
-    biases = 0 if bias is None else bias.shape[1]
+    biases = bias.shape[1]
     constants = np.zeros((model.m, known.hidden.scale.size))
-    if bias is not None:
-        constants[:, 2 * model.p : 2 * model.p + biases] = bias
+    constants[:, 2 * model.p : 2 * model.p + biases] = bias
     judged = []
     for i, (right, left) in enumerate(zip(sensor.right, sensor.left, strict=True)):
         std, most = known.std(i), largest_deviations(right, left, float(np.ptp(z[:, i])))
@@ -130,8 +129,8 @@ def verdicts_along(
         )
         enough = {name: std[name] <= most[name] for name in DIRECTIONS}
         widths = np.array([right, left])
-        change = farthest(known.hidden, known.covariance, i, widths)
-        second = second_truth(change, 2 * i, widths, known.follow, constants)
+        found = known.hidden, known.covariance, i, widths
+        second = second_truth(*found, known.follow, constants)
         judged.append(linear.Verdict(**enough, reasons=reasons, std=std, second=second))
     return judged
 
@@ -252,8 +251,7 @@ class Observability(NamedTuple):
 
     def std(self, i: int) -> dict[str, float]:
         """Deviations of right, left, width, centre of output i; infinite where no reading tells."""
-        own = slice(2 * i, 2 * i + 2)
-        return self.hidden.deviations(i, self.covariance[own, own])
+        return self.hidden.deviations(i, self.covariance)
 
 
 def observability(

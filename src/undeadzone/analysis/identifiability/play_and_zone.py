@@ -6,11 +6,11 @@ are states that never change, and each output stands twice, once for each contac
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from undeadzone.analysis.identifiability.information import EXACT, Readings, deviations
+from undeadzone.analysis.identifiability.information import EXACT, Readings, deviations, padded
 from undeadzone.analysis.identifiability.linear import Verdict, invisible, unreached
 from undeadzone.analysis.side_schedule import Schedule
 from undeadzone.ends.sensor import DIRECTIONS
@@ -44,9 +44,9 @@ def with_gaps(linear: Matrices, Ts: float | None) -> Matrices:
     n, p = linear.A.shape[0], linear.C.shape[0]
     still = np.zeros((2 * p, 2 * p)) if Ts is None else np.eye(2 * p)
     A = np.block([[linear.A, np.zeros((n, 2 * p))], [np.zeros((2 * p, n)), still]])
-    B = np.vstack([linear.B, np.zeros((2 * p, linear.B.shape[1]))])
     taken = np.diag(np.tile([-1.0, 1.0], p))
-    return Matrices(A, B, np.hstack([np.repeat(linear.C, 2, axis=0), taken]))
+    C = np.hstack([np.repeat(linear.C, 2, axis=0), taken])
+    return Matrices(A, padded(linear.B, 2 * p), C)
 
 
 def by_contact(schedule: Schedule) -> Schedule:
@@ -99,8 +99,8 @@ def _twofold(linear: Matrices, readings: Readings) -> Readings:
     return readings._replace(
         noise=np.repeat(readings.noise, 2),
         arrive=np.repeat(arrive, 2),
-        bias=None if bias is None else _padded(bias, p),
-        colour=None if colour is None else colour._replace(B=_padded(colour.B, p)),
+        bias=None if bias is None else padded(bias, 2 * p),
+        colour=None if colour is None else colour._replace(B=padded(colour.B, 2 * p)),
     )
 
 
@@ -122,8 +122,10 @@ def told_of_both(linear: Matrices, schedule: Schedule, readings: Readings) -> li
     expected = deviations(whole, twice, twofold._replace(told=told))
     each = []
     for i in range(p):
-        gap = {name: hidden.sees(_direction(n, p, i, pair)) for name, pair in DIRECTIONS.items()}
-        zone = {name: hidden.width(2 * i, name) for name in DIRECTIONS}
+        gap: dict[str, Any] = {
+            name: hidden.sees(_direction(n, p, i, pair)) for name, pair in DIRECTIONS.items()
+        }
+        zone = hidden.widths(2 * i)
         both = hidden.sees(_direction(n, p, i, (1.0, -1.0), (1.0, -1.0)))
         own = slice(n + 2 * i, n + 2 * i + 2)
         gap_std = float(np.sqrt(expected.covariance[own, own].sum())) if gap["width"] else np.inf
@@ -132,8 +134,8 @@ def told_of_both(linear: Matrices, schedule: Schedule, readings: Readings) -> li
             *_unturned(schedule, visited, i),
             *_mixed(zone, gap, both, readings.gaps_known),
         )
-        told_of_zone = _verdict(zone, reasons)._replace(std=expected.widths[2 * i])
-        each.append(Told(told_of_zone, _verdict(gap, ()), both, gap_std))
+        told_of_zone = Verdict(**zone, reasons=reasons, std=expected.widths[2 * i])
+        each.append(Told(told_of_zone, Verdict(**gap, reasons=()), both, gap_std))
     return each
 
 
@@ -145,17 +147,6 @@ def states_told(linear: Matrices, schedule: Schedule, readings: Readings) -> lis
     hidden = invisible(with_gaps(linear, schedule.Ts), visited, schedule.Ts, twofold.bias)
     hidden = hidden.told(beforehand_of_gaps(linear, readings, 1.0))
     return [hidden.state(i) for i in range(n)]
-
-
-def _verdict(known: dict[str, bool], reasons: tuple[str, ...]) -> Verdict:
-    """A verdict without deviations."""
-    right, left, width, centre = (known[name] for name in DIRECTIONS)
-    return Verdict(right, left, width, centre, reasons)
-
-
-def _padded(B: Floats, p: int) -> Floats:
-    """Inputs (n x b) of the plant as those of `with_gaps`, which move no gap."""
-    return np.vstack([B, np.zeros((2 * p, B.shape[1]))])
 
 
 def _direction(

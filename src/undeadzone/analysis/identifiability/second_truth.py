@@ -33,7 +33,7 @@ def farthest(hidden: Invisible, covariance: Floats, i: int, widths: Floats) -> F
     pair = slice(first, first + 2)
     size = float(widths.max()) or 1.0
     lost = [name for name in DIRECTIONS if not hidden.width(i, name)]
-    std = hidden.deviations(i, covariance[pair, pair])
+    std = hidden.deviations(i, covariance)
     name = lost[0] if lost else max(DIRECTIONS, key=lambda name: std[name] * _weight(name))
     along = np.zeros(hidden.scale.size)
     along[pair] = DIRECTIONS[name]
@@ -48,20 +48,19 @@ def farthest(hidden: Invisible, covariance: Floats, i: int, widths: Floats) -> F
 
 
 def second_truth(
-    change: Floats, first: int, widths: Floats, start: Floats, constants: Floats
+    hidden: Invisible, covariance: Floats, i: int, widths: Floats, start: Floats, constants: Floats
 ) -> dict[str, Any] | None:
     """A truth beside the one that is declared; None where its widths are nearly the same.
 
     Args:
-        change: of the unknowns, `farthest` (N).
-        first: where d_r of the output stands among them.
-        widths: d_r, d_l of the output (2) [z].
+        hidden, covariance, i, widths: as of `farthest`.
         start: how x(0) follows the change (n x N).
         constants: how constants at the inputs do (m x N).
 
     Returns:
         Its `right` and `left` [z], and how much `start` (n) and `input` (m) are larger there.
     """
+    change, first = farthest(hidden, covariance, i, widths), hidden.n + 2 * i
     moved = change[first : first + 2]
     if np.abs(moved).max() < NEAR * widths.max():
         return None

@@ -18,7 +18,6 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import casadi as ca
-import numpy as np
 
 from undeadzone.numerics.gaussian import Gaussian, linearise, mixed
 from undeadzone.numerics.runge_kutta import rk4_change
@@ -46,7 +45,6 @@ FAINT = 1e-4  # share below which a filter is not heard
 KNOWN = 1e-9  # variance of a payload that is known [kg^2]
 REST = ("mass", "load", "slope", "place", "weight", "carried")  # what a joint knows of its arm
 SPEED = QUANTITIES.index("link_speed")
-FREE = np.full(1, np.inf)
 
 
 def drive_of(gears: Geared, Ts: float, substeps: int, apart: bool = False) -> Drive:
@@ -111,10 +109,7 @@ def alone(gears: Geared, joint: int) -> Geared:
         turn=lambda _, __: ca.SX.eye(3),
         gravity=lambda _: ca.SX.zeros(3),
         plane=(0, 1),
-        limits=np.array([[-np.inf, np.inf]]),
-        torque=FREE,
-        speed=FREE,
-        friction=np.zeros((2, 1)),
+        **Chain.free(1),
     )
     one = geared_motion(link, Gears(half=0.0, inertia=1.0, measured=gears.measured), gears.rest)
     here = slice(joint, joint + 1)

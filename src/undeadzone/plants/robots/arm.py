@@ -54,6 +54,13 @@ class Chain(NamedTuple):
     friction: Floats
     slides: bool = False
 
+    @staticmethod
+    def free(N: int) -> dict[str, Any]:
+        """The fields of N joints without limits or friction."""
+        endless = np.full(N, np.inf)
+        bounds = {"limits": np.outer(endless, [-1, 1]), "torque": endless, "speed": endless}
+        return {**bounds, "friction": np.zeros((2, N))}
+
 
 class Arm(NamedTuple):
     """A chain with payload and friction.

@@ -63,7 +63,7 @@ def _rigid(plant: Plant, options: Rigid, key: str) -> System:
 
     x_eq = _equilibrium(plant, N, key)
     load = np.asarray(body.bias(params, x_eq[:N], np.zeros(N))).ravel()
-    u_eq = load if plant.u_eq is None else vector(f"{key}.u_eq", plant.u_eq, N, "one per input")
+    u_eq = _held(plant, load, key)
     plain = linearised(key, params, move, output, x_eq, u_eq)
     return plain._replace(arm=body, flat=flat(body), limit=chain.torque, names=body.names)
 
@@ -86,12 +86,12 @@ def _geared(plant: Plant, options: Rigid, chain: Chain, key: str) -> System:
     params, N = gears.values, gears.size
     _require_mass(gears.arm, gears.links(params), key)
     hold = _stops(options, chain, key)
-    at = "x0" if plant.x_eq is None else "x_eq"
-    x_eq = start(gears, getattr(plant, at), f"{key}.{at}")
+    at, given = _given(plant)
+    x_eq = start(gears, given, f"{key}.{at}")
     if at == "x0":
         x_eq[2 * N :] = 0.0
     load = np.asarray(gears.arm.bias(gears.links(params), x_eq[N : 2 * N], np.zeros(N))).ravel()
-    u_eq = load if plant.u_eq is None else vector(f"{key}.u_eq", plant.u_eq, N, "one per input")
+    u_eq = _held(plant, load, key)
     carrying = np.where(load < 0, -1.0, 1.0)
 
     def move(p: Any, x: Any, u: Any, contact: Any = None) -> Any:
@@ -160,6 +160,18 @@ def flat(body: Arm) -> Flat:
         return ca.vertcat(q, v), torque(body, p, q, v, a)
 
     return Flat(2, solve)
+
+
+def _given(plant: Plant) -> tuple[str, Array | None]:
+    """(key, value) of the state at which an arm is linearised: x_eq, or else x0."""
+    return ("x0", plant.x0) if plant.x_eq is None else ("x_eq", plant.x_eq)
+
+
+def _held(plant: Plant, load: Floats, key: str) -> Floats:
+    """u_eq: as given, or what holds a load (m). Raises ShapeError."""
+    if plant.u_eq is None:
+        return load
+    return vector(f"{key}.u_eq", plant.u_eq, load.size, "one per input")
 
 
 def _equilibrium(plant: Plant, N: int, key: str) -> Floats:
@@ -315,7 +327,6 @@ def _planar_chain(
         links = ca.horzcat(length * ca.cos(angle), length * ca.sin(angle), ca.DM.zeros(N))
         return ca.vertcat(ca.DM.zeros(1, 3), ca.cumsum(links, 0))
 
-    free = np.full(N, np.inf)
     return Chain(
         joints=tuple(f"q{i + 1}" for i in range(N)),
         parameters=parameters,
@@ -325,10 +336,7 @@ def _planar_chain(
         turn=_turn,
         gravity=_gravity,
         plane=(0, 1),
-        limits=np.outer(free, [-1, 1]),
-        torque=free,
-        speed=free,
-        friction=np.zeros((2, N)),
+        **Chain.free(N),
     )
 
 
@@ -369,10 +377,7 @@ def joint() -> Chain:
         bias=bias,
         points=lambda p, q: link.points(p, q[1]),
         turn=lambda p, q: link.turn(p, q[1]),
-        limits=np.repeat(link.limits, 2, axis=0),
-        torque=np.repeat(link.torque, 2),
-        speed=np.repeat(link.speed, 2),
-        friction=np.repeat(link.friction, 2, axis=1),
+        **Chain.free(2),
     )
 
 
@@ -418,17 +423,11 @@ def _elastic_equilibrium(
     plant: Plant, params: Floats, solve: ca.Function, key: str
 ) -> tuple[Floats, Floats]:
     """(x_eq, u_eq): as given, or where the motor holds the link still at its angle in x0."""
-    at = "x0" if plant.x_eq is None else "x_eq"
-    state = getattr(plant, at)
-    x: Floats = np.zeros(4)
-    if state is not None:
-        why = "the angles of motor and link, then their speeds"
-        x = vector(f"{key}.{at}", state, 4, why)
+    (at, given), why = _given(plant), "the angles of motor and link, then their speeds"
+    x = vector(f"{key}.{at}", np.zeros(4) if given is None else given, 4, why)
     at_rest = x[1] * np.eye(1, 5)  # the link's angle, its derivatives 0
     still, hold = (np.asarray(part).ravel() for part in solve(params, at_rest))
-    x_eq = x if at == "x_eq" else still
-    u_eq = hold if plant.u_eq is None else vector(f"{key}.u_eq", plant.u_eq, 1, "one per input")
-    return x_eq, u_eq
+    return x if at == "x_eq" else still, _held(plant, hold, key)
 
 
 def _inverse(body: Arm) -> ca.Function:

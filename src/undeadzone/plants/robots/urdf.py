@@ -58,15 +58,8 @@ def straightened(robot: Robot, moving: list[Joint], tip: str) -> Frames:
     poses = {link: _pose(robot.way(link)) for link in robot.links}
     axes = np.array([exact(poses[joint.child][1] @ joint.axis) for joint in moving])
     origins = np.array([poses[joint.child][0] for joint in moving])
-    place, turn = poses[tip]
-    return Frames(
-        axes,
-        origins,
-        _anchors(moving, axes, origins),
-        _bodies(robot, moving, poses),
-        place,
-        turn,
-    )
+    anchors, bodies = _anchors(moving, axes, origins), _bodies(robot, moving, poses)
+    return Frames(axes, origins, anchors, bodies, *poses[tip])
 
 
 def exact(values: Floats) -> Floats:
@@ -127,9 +120,48 @@ class _Kit(NamedTuple):
     """The classes of adam-robotics and of urdf_parser_py that links and joints are made of."""
 
     space: Any  # adam's mathematics on CasADi expressions
-    link: Any
-    joint: Any
+    link_class: Any
+    joint_class: Any
     urdf: Any
+
+    def link(self, name: str, inertial: Any = None) -> Any:
+        """A link, without mass by default."""
+        return self.link_class(self.urdf.Link(name, inertial=inertial), self.space)
+
+    def inertial(self, body: Body, mass: ca.SX, anchor: Floats) -> Any:
+        """The mass of a body about an anchor, its inertia in proportion to the mass [kg]."""
+        triangle = body.inertia[np.triu_indices(3)]  # xx, xy, xz, yy, yz, zz
+        inertia = self.urdf.Inertia(*[mass / body.mass * entry for entry in triangle])
+        return self.urdf.Inertial(mass, inertia, self.pose(body.centre - anchor))
+
+    def joint(
+        self,
+        name: str,
+        ends: tuple[str, str],
+        place: Floats,
+        kind: str = "fixed",
+        axis: Sequence[float] = (1.0, 0.0, 0.0),
+        index: int | None = None,
+    ) -> Any:
+        """A joint, which does not move by default.
+
+        Args:
+            name: name of the joint.
+            ends: parent and child link.
+            place: its place in the parent's coordinates (3) [m].
+            kind: revolute, continuous, prismatic or fixed.
+            axis: axis of motion, a unit vector (3).
+            index: number of the joint among those that move.
+        """
+        words = self.urdf.Joint(name, *ends, kind, list(axis), self.pose(place))
+        joint = self.joint_class(words, self.space, index)
+        if kind == "prismatic":  # adam 0.5.0 gives these 12 rows for 6
+            joint.motion_subspace = lambda: self.space.asarray([*axis, 0.0, 0.0, 0.0])
+        return joint
+
+    def pose(self, place: Floats) -> Any:
+        """A place (3) [m] without a turn."""
+        return self.urdf.Pose(exact(place).tolist(), LEVEL)
 
 
 def algorithms(moving: list[Joint], frames: Frames, masses: ca.SX) -> Any:
@@ -158,88 +190,28 @@ def algorithms(moving: list[Joint], frames: Frames, masses: ca.SX) -> Any:
     links, marks, joints = _parts(kit, moving, frames, masses)
     tree = Tree.build_tree(links, joints)
     names = [f"joint {i}" for i in range(len(moving))]
-    tables = _by_name(links), _by_name(marks), _by_name(joints)
+    tables = [{part.name: part for part in parts} for parts in (links, marks, joints)]
     return RBDAlgorithms(Model("arm", *tables, tree, len(moving), names), kit.space)
-
-
-def _by_name(parts: list[Any]) -> dict[str, Any]:
-    """Links or joints by their names."""
-    return {part.name: part for part in parts}
 
 
 def _parts(
     kit: _Kit, moving: list[Joint], frames: Frames, masses: ca.SX
 ) -> tuple[list[Any], list[Any], list[Any]]:
     """Links with mass, massless links at the joints' places, and joints, from base to tip."""
-    links, marks, joints = [_link(kit, "base")], [], []
+    links, marks, joints = [kit.link("base")], [], []
     before, parent = np.zeros(3), "base"  # the anchor and link up to here
     for i, (anchor, body) in enumerate(zip(frames.anchors, frames.bodies, strict=True)):
         here, mark = f"link {i}", f"origin {i}"
-        links.append(_link(kit, here, _inertial(kit, body, masses[i], anchor)))
-        joints.append(
-            _joint(
-                kit,
-                f"joint {i}",
-                moving[i].kind,
-                (parent, here),
-                anchor - before,
-                frames.axes[i].tolist(),
-                i,
-            )
-        )
-        marks.append(_link(kit, mark))
-        joints.append(_fixed(kit, f"to {mark}", (here, mark), frames.origins[i] - anchor))
+        links.append(kit.link(here, kit.inertial(body, masses[i], anchor)))
+        turning = moving[i].kind, frames.axes[i].tolist(), i
+        joints.append(kit.joint(f"joint {i}", (parent, here), anchor - before, *turning))
+        marks.append(kit.link(mark))
+        joints.append(kit.joint(f"to {mark}", (here, mark), frames.origins[i] - anchor))
         before, parent = anchor, here
-    level = kit.urdf.Pose(LEVEL, LEVEL)
-    links.append(_link(kit, "tip", kit.urdf.Inertial(masses[-1], kit.urdf.Inertia(), level)))
-    joints.append(_fixed(kit, "to tip", (parent, "tip"), frames.tip - before))
+    payload = kit.urdf.Inertial(masses[-1], kit.urdf.Inertia(), kit.pose(np.zeros(3)))
+    links.append(kit.link("tip", payload))
+    joints.append(kit.joint("to tip", (parent, "tip"), frames.tip - before))
     return links, marks, joints
-
-
-def _link(kit: _Kit, name: str, inertial: Any = None) -> Any:
-    """A link, without mass by default."""
-    return kit.link(kit.urdf.Link(name, inertial=inertial), kit.space)
-
-
-def _inertial(kit: _Kit, body: Body, mass: ca.SX, anchor: Floats) -> Any:
-    """The mass of a body about an anchor, its inertia in proportion to the mass [kg]."""
-    triangle = body.inertia[np.triu_indices(3)]  # xx, xy, xz, yy, yz, zz
-    inertia = kit.urdf.Inertia(*[mass / body.mass * entry for entry in triangle])
-    pose = kit.urdf.Pose(exact(body.centre - anchor).tolist(), LEVEL)
-    return kit.urdf.Inertial(mass, inertia, pose)
-
-
-def _joint(
-    kit: _Kit,
-    name: str,
-    kind: str,
-    ends: tuple[str, str],
-    place: Floats,
-    axis: Sequence[float],
-    index: int | None,
-) -> Any:
-    """A joint.
-
-    Args:
-        kit: the classes that it is made of.
-        name: name of the joint.
-        kind: revolute, continuous, prismatic or fixed.
-        ends: parent and child link.
-        place: its place in the parent's coordinates (3) [m].
-        axis: axis of motion, a unit vector (3).
-        index: number of the joint among those that move.
-    """
-    parent, child = ends
-    pose = kit.urdf.Pose(exact(place).tolist(), LEVEL)
-    joint = kit.joint(kit.urdf.Joint(name, parent, child, kind, list(axis), pose), kit.space, index)
-    if kind == "prismatic":  # adam 0.5.0 gives these 12 rows for 6
-        joint.motion_subspace = lambda: kit.space.asarray([*axis, 0.0, 0.0, 0.0])
-    return joint
-
-
-def _fixed(kit: _Kit, name: str, ends: tuple[str, str], place: Floats) -> Any:
-    """A joint that does not move."""
-    return _joint(kit, name, "fixed", ends, place, (1.0, 0.0, 0.0), None)
 
 
 def chain(
@@ -272,7 +244,7 @@ def chain(
     frames = straightened(robot, moving, tip)
     _require_masses(path, moving, frames)
     parameters = {f"m{i + 1}": body.mass for i, body in enumerate(frames.bodies)} | {"payload": 0.0}
-    functions = _functions(moving, frames, g)
+    mass, bias, points, turn = _functions(moving, frames, g)
 
     def masses(numbers: Numbers) -> Any:
         return ca.vertcat(*[numbers[name] for name in parameters])
@@ -280,10 +252,10 @@ def chain(
     return Chain(
         joints=tuple(joint.name for joint in moving),
         parameters=parameters,
-        mass=lambda numbers, q: functions.mass(masses(numbers), q),
-        bias=lambda numbers, q, v: functions.bias(masses(numbers), q, v),
-        points=lambda numbers, q: functions.points(q),
-        turn=lambda numbers, q: functions.turn(q),
+        mass=lambda numbers, q: mass(masses(numbers), q),
+        bias=lambda numbers, q, v: bias(masses(numbers), q, v),
+        points=lambda numbers, q: points(q),
+        turn=lambda numbers, q: turn(q),
         gravity=lambda numbers: ca.DM(g),
         plane=(0, 1, 2),
         limits=np.array([joint.limits for joint in moving]),
@@ -407,20 +379,8 @@ def _parting(robot: Robot, moved: Sequence[str]) -> str:
     return link
 
 
-class _Functions(NamedTuple):
-    """M(masses, q), h(masses, q, v), points(q) and turn(q) of a `Chain`.
-
-    masses: masses of the bodies, then the payload (N + 1) [kg].
-    """
-
-    mass: ca.Function
-    bias: ca.Function
-    points: ca.Function
-    turn: ca.Function
-
-
-def _functions(moving: list[Joint], frames: Frames, gravity: Floats) -> _Functions:
-    """The functions of a chain, by adam."""
+def _functions(moving: list[Joint], frames: Frames, gravity: Floats) -> tuple[ca.Function, ...]:
+    """M(masses, q), h(masses, q, v), points(q) and turn(q) of a `Chain`, by adam."""
     N = len(moving)
     masses = ca.SX.sym("m", N + 1)
     q, v = ca.SX.sym("q", N), ca.SX.sym("v", N)
@@ -436,7 +396,7 @@ def _functions(moving: list[Joint], frames: Frames, gravity: Floats) -> _Functio
     origins = [pose(f"origin {i}")[:3, 3].T for i in range(N)]
     tip = pose("tip")
     points = ca.vertcat(ca.SX(1, 3), *origins, tip[:3, 3].T)
-    return _Functions(
+    return (
         _function("mass", [masses, q], M[6:, 6:]),
         _function("bias", [masses, q, v], h[6:]),
         _function("points", [q], points),

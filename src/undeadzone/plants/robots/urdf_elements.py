@@ -94,12 +94,6 @@ def joint_of(element: Element) -> Joint:
     axis = _axis(element, kind, where)
     limits, effort, velocity = _limits(element.find("limit"), kind, where)
     friction = _friction(element.find("dynamics"), where)
-    _require_limits(kind, limits, effort, velocity, where)
-    if min(friction) < 0:
-        raise ValueError(
-            f"{where}: damping and friction must not be negative, "
-            f"found {friction[0]:g} and {friction[1]:g}"
-        )
     mimic = element.find("mimic")
     place, turn = _pose(element, where)
     return Joint(
@@ -130,39 +124,37 @@ def _axis(element: Element, kind: str, where: str) -> Floats:
 def _limits(
     limit: Element | None, kind: str, where: str
 ) -> tuple[tuple[float, float], float, float]:
-    """(lower and upper position, effort, velocity) of a <limit>, infinite where it has none."""
+    """(lower and upper position, effort, velocity) of a <limit>, infinite where it has none.
+
+    Raises ValueError unless a joint that is not fixed can move.
+    """
     bounded = None if kind == "continuous" else limit
     lower = _number(bounded, "lower", -math.inf, where)
     upper = _number(bounded, "upper", math.inf, where)
     effort = _number(limit, "effort", math.inf, where)
     velocity = _number(limit, "velocity", math.inf, where)
-    return (lower, upper), effort, velocity
-
-
-def _friction(dynamics: Element | None, where: str) -> tuple[float, float]:
-    """Viscous and Coulomb coefficients of a <dynamics>."""
-    viscous = _number(dynamics, "damping", 0.0, where)
-    coulomb = _number(dynamics, "friction", 0.0, where)
-    return viscous, coulomb
-
-
-def _require_limits(
-    kind: str, limits: tuple[float, float], effort: float, velocity: float, where: str
-) -> None:
-    """Raise ValueError unless a joint that is not fixed can move."""
-    if kind == "fixed":
-        return
-    lower, upper = limits
-    if not lower < upper:
+    if not lower < upper and kind != "fixed":
         raise ValueError(
             f"{where}: limit lower = {lower:g} must be less than upper = {upper:g}; "
             "remove both where there is no limit"
         )
-    if not min(effort, velocity) > 0:
+    if not min(effort, velocity) > 0 and kind != "fixed":
         raise ValueError(
             f"{where}: limit effort and velocity must be positive, "
             f"found {effort:g} and {velocity:g}; remove them where there is no limit"
         )
+    return (lower, upper), effort, velocity
+
+
+def _friction(dynamics: Element | None, where: str) -> tuple[float, float]:
+    """Viscous and Coulomb coefficients of a <dynamics>. Raises ValueError."""
+    viscous = _number(dynamics, "damping", 0.0, where)
+    coulomb = _number(dynamics, "friction", 0.0, where)
+    if min(viscous, coulomb) < 0:
+        raise ValueError(
+            f"{where}: damping and friction must not be negative, found {viscous:g} and {coulomb:g}"
+        )
+    return viscous, coulomb
 
 
 def body_of(element: Element) -> Body:
@@ -175,20 +167,15 @@ def body_of(element: Element) -> Body:
     inertia = _inertia(inertial.find("inertia"), where)
     if mass < 0:
         raise ValueError(f"{where}: mass must not be negative, found {mass:g}")
-    _require_inertia(inertia, where)
     return Body(mass, centre, turn @ inertia @ turn.T)
 
 
 def _inertia(element: Element | None, where: str) -> Floats:
-    """The matrix (3 x 3) [kg m^2] of an <inertia>."""
+    """The matrix (3 x 3) [kg m^2] of an <inertia>. Raises ValueError unless a body can have it."""
     xx, xy, xz, yy, yz, zz = (
         _number(element, f"i{pair}", 0.0, where) for pair in ("xx", "xy", "xz", "yy", "yz", "zz")
     )
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-
-
-def _require_inertia(inertia: Floats, where: str) -> None:
-    """Raise ValueError unless a body can have this inertia."""
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     a, b, c = np.linalg.eigvalsh(inertia)  # the principal moments, the largest last
     if a < -TRIANGLE * c:
         raise ValueError(
@@ -200,6 +187,7 @@ def _require_inertia(inertia: Floats, where: str) -> None:
             f"{where}: no body has the principal moments {a:g}, {b:g}, {c:g}: "
             "the largest must not exceed the sum of the others"
         )
+    return inertia
 
 
 def name_of(element: Element) -> str:
