@@ -63,8 +63,9 @@ def design(
     neutral = Certified(L=[[0.0] * flow.p] * flow.n, gamma=0.0)
     try:
         problem = resolve_scenario(msgspec.structs.replace(scenario, observer=neutral))
-    except InputError as error:
-        raise type(error)(_of_certified(str(error))) from None
+    except InputError as error:  # its remedy may be another method
+        own = "; a design is of 'certified' alone, others need none" * ("'certified'" in str(error))
+        raise type(error)(f"{error}{own}") from None
     task = make_task(problem, margin)
     present = _present(scenario, problem)
     before = None if present is None else candidate_of(task, *present)
@@ -135,18 +136,6 @@ def _require_task(scenario: Scenario, flow: System) -> None:
         )
     if not isinstance(scenario.controller, StateFeedback):
         raise InputError("controller.method: a design plans on z = r; use state_feedback")
-
-
-def _of_certified(message: str) -> str:
-    """A message in whose place another method would help, which no scenario of a design names."""
-    what, method, why = message.partition("'certified'")
-    if not method:
-        return message
-    why = why.partition("; ")[0]
-    return (
-        f"{what}{method}{why}, and a design finds gains of this method alone; a filter such as"
-        " 'auto' needs none: undeadzone run"
-    )
 
 
 def _present(scenario: Scenario, problem: Problem) -> tuple[Floats, Floats] | None:
