@@ -18,13 +18,13 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 31_055, 269
+MOST_CODE, MOST_FILES = 31_096, 269
 # Lines of code of the packages beside the tool, which are none of it: what leaves a room for one of
 # them is counted there.
 BESIDE = {
-    "undeadzone_arena": 4250,
+    "undeadzone_arena": 4253,
     "undeadzone_export": 2489,
-    "undeadzone_identify": 7908,
+    "undeadzone_identify": 7915,
     "undeadzone_paper": 1622,
 }
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
@@ -32,7 +32,7 @@ BESIDE = {
 BUDGET = {
     "(root)": 386,
     "analysis": 3358,
-    "cli": 1572,
+    "cli": 1609,
     "compensators": 147,
     "compile": 3740,
     "controllers": 785,
@@ -51,7 +51,7 @@ BUDGET = {
     "simulation": 2211,
     "statistics": 265,
     "support": 837,
-    "synthesis": 1045,
+    "synthesis": 1049,
     "tuning": 871,
 }
 SILENT = {

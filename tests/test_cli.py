@@ -268,6 +268,64 @@ def test_wrong_input_is_one_clear_line(
         assert word in done.stderr
 
 
+@pytest.mark.parametrize(
+    ("command", "more"),
+    [
+        ("run", []),
+        ("check", []),
+        ("design", []),
+        ("ensemble", []),
+        ("tune", ["--over", "observer.disturbance=0.1:1"]),
+        ("estimate", [EXAMPLES / "samples.csv"]),
+        ("watch", []),
+        ("export", []),
+    ],
+)
+def test_a_value_that_does_not_fit_is_named_with_its_file(
+    scenario: Path, command: str, more: list[object]
+) -> None:
+    """The key was named alone, which of two files it stands in was not."""
+    text = scenario.read_text().replace("noise = 0.01 ", "noise = -1.0 ", 1)
+    scenario.write_text(text + "\n[ensemble]\nruns = 4\n")
+    done = undeadzone(command, scenario, *more, cwd=scenario.parent)
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"undeadzone: {scenario}: sensor.noise: "), done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def test_a_log_of_which_nothing_can_be_learnt_is_named(tmp_path: Path) -> None:
+    log = tmp_path / "short.csv"
+    log.write_text("t,u,y\n0,0,0\n0.1,1,0\n0.2,1,0.1\n")
+    done = undeadzone("identify", log, cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr == f"undeadzone: {log}: 3 readings are too few; order 1 needs 100\n"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [["run", "MINE", "--out", ""], ["export", "MINE", "--out", ""], ["run", ""], ["arena", ""]],
+)
+def test_an_empty_name_is_refused(scenario: Path, words: list[str]) -> None:
+    """As a folder it was the one in which the command was started, and filled that."""
+    before = sorted(scenario.parent.iterdir())
+    named = [str(scenario) if word == "MINE" else word for word in words]
+    done = undeadzone(*named, cwd=scenario.parent)
+    assert done.returncode == 2
+    assert "the name is empty; the folder in which you are is '.'" in done.stderr
+    assert sorted(scenario.parent.iterdir()) == before
+
+
+def test_a_design_says_that_other_methods_need_none(scenario: Path) -> None:
+    """A filter helps the run, not the design: that it said so of one that has a filter was odd."""
+    ranges = "right = [0.0, 1.0]\nleft = [0.0, 1.0]\n"
+    text = scenario.read_text() + f"\n[actuator]\nright = 0.5\n\n[model.actuator]\n{ranges}"
+    scenario.write_text(text)
+    done = undeadzone("design", scenario, "--no-figures")
+    assert done.returncode == 2
+    assert "model.actuator.right: 'certified' cannot estimate" in done.stderr
+    assert "a design is of 'certified' alone, others need none" in done.stderr
+
+
 def test_reference_that_cannot_be_followed(certified: Path) -> None:
     text = certified.read_text()
     numerator, denominator = [1.0, 0.0, 1.5791367041742974], [1.0, 3.0, 3.0, 1.0]

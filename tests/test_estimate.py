@@ -406,6 +406,12 @@ def test_command_estimate(folder: Path) -> None:
     numbers = json.loads(done.stdout)
     assert numbers["consistent"] is False
     assert numbers["would_fit"] == "readings and inputs are exchanged: --columns names them"
+    words = command(
+        "estimate", folder / "log.toml", folder / "run.csv", "--no-figures",
+        "--columns", "t=t,y=u[0],u=y[0]",
+    )  # fmt: skip
+    assert "would fit" in words.stdout
+    assert "next" not in words.stdout  # a plant found in exchanged columns is no cure
     assert {"d_right", "d_left", "d_right_std", "d_left_std", "missing", "glitches"} <= set(numbers)
 
 

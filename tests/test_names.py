@@ -404,6 +404,25 @@ def test_dropouts_to_0_are_missing_and_counted() -> None:
     assert any("dropouts" in remark for remark in answer.answer.remarks)
 
 
+def test_a_silence_between_two_glitches_is_no_dropout() -> None:
+    """The whole silence was taken as missing, since a glitch is louder than any output."""
+    rng, u, z = driven(6, 1000)
+    y = dead_zone(z + 0.01 * rng.standard_normal(z.size), 0.4, 0.3)
+    first, last = silence(y)
+    y[[first + 1, last - 1]] = 6.0 * np.abs(y).max()
+    answer = found(u, y, place="sensor")
+    assert not any("dropouts" in remark for remark in answer.answer.remarks)
+    assert answer.right.low <= 0.4 <= answer.right.high
+    assert answer.left.low <= 0.3 <= answer.left.high
+
+
+def silence(y: Floats) -> tuple[int, int]:
+    """The first and the last sample of the longest silence of readings (N)."""
+    speaks = np.flatnonzero(np.r_[1.0, y, 1.0])
+    longest = int(np.argmax(np.diff(speaks)))
+    return int(speaks[longest]), int(speaks[longest + 1]) - 2
+
+
 def test_a_jump_sensor_does_not_drop_out() -> None:
     rng, u, z = driven(7, 700)
     z = z + 0.03 * rng.standard_normal(z.size)

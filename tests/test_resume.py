@@ -350,6 +350,21 @@ def test_what_is_finished_is_not_replaced_by_resuming_it(
     assert finished.read_bytes() == before
 
 
+@pytest.mark.parametrize("command", ["tune", "ensemble", "arena"])
+def test_a_resume_that_finds_nothing_says_so(command: str, mine: Path, tmp_path: Path) -> None:
+    """It began anew without a word, though the folder that was meant may be another one."""
+    mine.write_text(mine.read_text() + '\n[ensemble]\n"sensor.right" = { uniform = [0.5, 1.5] }\n')
+    more = {
+        "tune": ["--over", "observer.gamma=1:20", "--runs", "2", "--budget", "4", "--no-figures"],
+        "ensemble": ["--runs", "2", "--no-figures"],
+        "arena": ["--methods", METHODS.split(",")[0], "--seeds", "1", "--processes", "1"],
+    }
+    done = undeadzone(command, mine, "--out", tmp_path / "other", "--resume", *more[command])
+    assert done.returncode in (0, 1), done.stderr
+    assert f"--resume: there is no {tmp_path / 'other'}" in done.stderr
+    assert "begins anew" in done.stderr
+
+
 def test_arena_keeps_what_is_done_without_being_asked(mine: Path, tmp_path: Path) -> None:
     command = [*COMMAND, str(mine), "--methods", METHODS, "--seeds", "6"]
     partial = tmp_path / "arena-results/results.json.partial"

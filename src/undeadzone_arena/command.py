@@ -10,6 +10,7 @@ import click
 from click.core import ParameterSource
 
 from undeadzone.cli.common import (
+    PATH,
     force_option,
     guarded,
     origin,
@@ -18,7 +19,7 @@ from undeadzone.cli.common import (
     say,
     writable,
 )
-from undeadzone.cli.output import named_files, prepare_figures
+from undeadzone.cli.output import named_files, prepare_figures, tell_anew
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
@@ -32,9 +33,7 @@ FOLDER = Path("arena-results")
 @click.command(
     epilog="Example: undeadzone arena mine.toml --methods censored,adaptive_inverse,ekf --html"
 )
-@click.argument(
-    "scenarios", type=click.Path(path_type=Path), metavar="[SCENARIO.toml ...]", nargs=-1
-)
+@click.argument("scenarios", type=PATH, metavar="[SCENARIO.toml ...]", nargs=-1)
 @click.option(
     "--methods",
     default=None,
@@ -59,7 +58,7 @@ FOLDER = Path("arena-results")
 @click.option("--html", is_flag=True, help="Write results.json, figures and report.html to DIR.")
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
+    type=PATH,
     default=None,
     metavar="DIR",
     help=f"Folder for the files written; implies --html (default: {FOLDER}).",
@@ -86,7 +85,7 @@ FOLDER = Path("arena-results")
 )
 @click.option(
     "--tuned",
-    type=click.Path(path_type=Path),
+    type=PATH,
     default=None,
     metavar="FILE",
     help="A tuned.toml to use in the place of the built-in one.",
@@ -143,8 +142,12 @@ def arena(
     writes = tuning or html or out is not None
     if tuning:
         require_own(writable(folder) / "tuned.toml", force)
+        if resume:
+            tell_anew(folder / "tuned.toml.partial")
         return _tune(names, own or built_in(tuned_on), budget, processes, folder, as_json, resume)
     keep = folder / "results.json.partial" if _keeps(folder, writes) else None
+    if resume and keep is not None:
+        tell_anew(keep)
     grounds = own or built_in(held_out)
     try:
         contest = _held(names, grounds, tuple(range(seeds)), tuned, processes, keep, resume)

@@ -14,6 +14,7 @@ from undeadzone.cli.common import (
     flag,
     force_option,
     help_all,
+    naming,
     option,
     origin,
     rarely,
@@ -61,6 +62,7 @@ PLACES = click.Choice(["auto", "sensor"])
 @help_all
 @force_option
 @untrusted
+@naming
 @common
 def identify(
     logs: tuple[Path, ...],

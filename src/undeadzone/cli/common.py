@@ -36,7 +36,19 @@ VERDICT = re.compile(
     r"(?:yes|NO|OPEN LOOP|LEFT|never settles|at the end of its range)\b"
     r"|^(?:DIVERGED|NOT EXACT|REFUSED|NO)\b"
 )
-PATH = click.Path(path_type=Path)
+
+
+class Name(click.Path):
+    """A file or a folder by its name; an empty one would be the folder in which one is."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The path. Raises BadParameter where the name is empty."""
+        if value == "":
+            self.fail("the name is empty; the folder in which you are is '.'", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+PATH = Name(path_type=Path)
 
 
 def option(
@@ -117,7 +129,36 @@ def untrusted(command: Command) -> Command:
 
 def guarded(command: Command) -> Command:
     """Add --untrusted and --confine: a scenario names files, and may be a stranger's."""
-    return untrusted(_confined(command))
+    return untrusted(_confined(naming(command)))
+
+
+def naming(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Put the file in front of what is wrong with a key of the scenario, or with the log.
+
+    The readers of files name them; of what is found later, such as a value that does not fit,
+    the key is known alone.
+    """
+
+    @functools.wraps(command)
+    def named(**options: Any) -> Any:
+        try:
+            return command(**options)
+        except InputError as error:
+            raise type(error)(_with_file(str(error), options)) from None
+
+    return named
+
+
+def _with_file(message: str, options: Mapping[str, Any]) -> str:
+    """A message that begins with the scenario, or the logs, of which it is."""
+    from undeadzone.scenario.schema import Scenario
+
+    first, scenario = re.split(r"\W", message, maxsplit=1)[0], options.get("scenario")
+    if scenario is not None and first in Scenario.__struct_fields__:
+        return f"{scenario}: {message}"
+    if "logs" in options and message.startswith("log: "):
+        return f"{', '.join(map(str, options['logs']))}: {message.removeprefix('log: ')}"
+    return message
 
 
 def _written_folder(options: Mapping[str, Any]) -> Path | None:

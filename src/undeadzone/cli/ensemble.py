@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from undeadzone.cli.common import PATH, cmd, flag, guarded, option, origin, writable
-from undeadzone.cli.output import Output, common, prepare_figures
+from undeadzone.cli.output import Output, common, prepare_figures, tell_anew
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
@@ -65,6 +65,8 @@ def ensemble(
     total = varied.ensemble.runs if varied.ensemble else None
     folder = writable(output.out or Path(f"{scenario.stem}-ensemble"))
     path = folder / ("runs.parquet" if parquet else "runs.npz")
+    if resume and not path.exists():
+        tell_anew(Path(f"{path}.partial"))
     with progress("running", total, "runs", of=varied.observer) as advance:
         result = run_ensemble(
             varied, path, resume=resume, workers=workers, cluster=cluster, progress=advance

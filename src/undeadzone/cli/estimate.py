@@ -76,7 +76,7 @@ def estimate(
         written = write_estimation(result, folder, output.figures, tables, origin(scenario))
     files = named_files(written) | left_out if written else {}
     told = {} if cure is None else {"would fit": cure}
-    last = told | files | _next(scenario, log, columns, result)
+    last = told | files | ({} if cure else _next(scenario, log, columns, result))
     output.show(lambda: result.summary() | {"would_fit": cure}, result.blocks, written, last)
     return exit_code(result.info)
 

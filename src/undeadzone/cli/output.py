@@ -11,7 +11,16 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
-from undeadzone.cli.common import PATH, cmd, flag, option, print_blocks, print_json, writable
+from undeadzone.cli.common import (
+    PATH,
+    cmd,
+    flag,
+    option,
+    print_blocks,
+    print_json,
+    say,
+    writable,
+)
 from undeadzone.support.shown import Block
 
 if TYPE_CHECKING:
@@ -122,10 +131,22 @@ def partial_file(folder: Path | None, name: str, resume: bool) -> Path | None:
         whole, partial = folder / name, folder / f"{name}.partial"
         if resume and whole.exists() and not partial.exists():
             raise click.UsageError(f"{whole}: is finished; leave --resume out to replace it")
+        if resume:
+            tell_anew(partial)
         return partial
     if resume:
         raise click.UsageError("--resume needs the folder that was written to; name it with --out")
     return None
+
+
+def tell_anew(partial: Path) -> None:
+    """Say on stderr that --resume finds nothing in a folder that a stopped command has kept.
+
+    Args:
+        partial: the file that it would have kept.
+    """
+    if not partial.exists():
+        say(f"--resume: there is no {partial}; begins anew", err=True)
 
 
 def _import_scipy() -> None:

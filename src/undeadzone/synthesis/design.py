@@ -61,7 +61,11 @@ def design(
         raise StructureError(f"plant: no gains can be certified: {reason}")
     seed = seed_of("seed", seed)
     neutral = Certified(L=[[0.0] * flow.p] * flow.n, gamma=0.0)
-    problem = resolve_scenario(msgspec.structs.replace(scenario, observer=neutral))
+    try:
+        problem = resolve_scenario(msgspec.structs.replace(scenario, observer=neutral))
+    except InputError as error:  # its remedy may be another method
+        own = "; a design is of 'certified' alone, others need none" * ("'certified'" in str(error))
+        raise type(error)(f"{error}{own}") from None
     task = make_task(problem, margin)
     present = _present(scenario, problem)
     before = None if present is None else candidate_of(task, *present)

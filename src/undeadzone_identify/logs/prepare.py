@@ -83,6 +83,8 @@ def _dropouts(grid: Grid, ok: Flags, remarks: list[str]) -> Flags:
         beyond += np.where(side, np.abs(y) - np.abs(y[side]).min(initial=np.inf), 0.0)
         step[1:-1] += np.where(side[1:] & side[:-1], np.abs(np.diff(y)), 0.0)
     usual = float(np.median(step[step > 0])) if step.any() else np.inf
+    nearest = np.minimum(*(np.where(s > 0, s, np.inf) for s in (step[:-1], step[1:])))
+    beyond[beyond > beyond[LOUD * nearest < beyond].max(initial=0.0)] = 0.0  # glitches
     dropped = np.zeros_like(ok)
     for first, last in zip(*runs(ok & ~speaks), strict=True):
         before, after = max(first - 1, 0), min(last + 1, y.size - 1)

@@ -368,7 +368,10 @@ def _doubts(found: ServoGap, spread: _Spread, gaps: Floats) -> list[str]:
             f" {REVERSALS} are the least; record with an input that reverses more often"
         )
     if gap.low <= 0:
-        reasons.append(f"a gap of the play, if there is one, is below {gap.high:.3g}")
+        reasons.append(
+            f"a gap between motor and encoder, if there is one, is below {gap.high:.3g} (an encoder"
+            " at the motor's side hears little of the gap behind it)"
+        )
     elif gap.half > WIDEST * gap.value:
         reasons.append(
             f"the gap lies between {gap.low:.3g} and {gap.high:.3g}, which is hardly known; record"
