@@ -113,6 +113,8 @@ def test_what_editors_do_changes_nothing(tmp_path: Path, content: bytes) -> None
         (["mine.toml"], "to run this scenario: undeadzone run mine.toml"),
         (["simulate", "mine.toml"], "Did you mean 'run'?"),
         (["indentify", "log.csv"], "Did you mean 'identify'?"),
+        (["arenas"], "No such command 'arenas'. Did you mean 'arena'?"),
+        (["fly", "away"], "No such command 'fly'."),
         (["identify", "mine.toml"], "this is a scenario, no log"),
         (["estimate", "log.csv", "mine.toml"], "a log goes to undeadzone identify"),
     ],

@@ -7,6 +7,7 @@ import gc
 import os
 import sys
 from contextlib import suppress
+from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
 import click
@@ -52,10 +53,13 @@ class Commands(click.Group):
                 click.echo(ctx.get_help())
                 ctx.exit()
             name = args[0]
-        if name in OTHER_NAMES:
-            ctx.fail(f"No such command {name!r}. Did you mean {OTHER_NAMES[name]!r}?")
         if name.endswith(".toml"):
             ctx.fail(f"{name!r} is no command; to run this scenario: undeadzone run {name}")
+        if self.get_command(ctx, name) is None and not name.startswith("-"):
+            meant = OTHER_NAMES.get(name) or "".join(
+                get_close_matches(name, self.list_commands(ctx), 1)
+            )
+            ctx.fail(f"No such command {name!r}." + f" Did you mean {meant!r}?" * bool(meant))
         return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: click.Context) -> object:
