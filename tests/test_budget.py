@@ -18,7 +18,7 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 41_443, 334
+MOST_CODE, MOST_FILES = 41_438, 333
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
@@ -28,7 +28,7 @@ BUDGET = {
     "compensators": 147,
     "compile": 3740,
     "controllers": 785,
-    "ends": 416,
+    "ends": 417,
     "ensemble": 1878,
     "exports": 2348,
     "feedforward": 419,
@@ -42,7 +42,7 @@ BUDGET = {
     "results": 932,
     "scenario": 1419,
     "signals": 383,
-    "simulation": 2211,
+    "simulation": 2205,
     "statistics": 265,
     "support": 837,
     "synthesis": 1045,
