@@ -18,7 +18,7 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 41_438, 333
+MOST_CODE, MOST_FILES = 41_432, 333
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
@@ -42,7 +42,7 @@ BUDGET = {
     "results": 932,
     "scenario": 1419,
     "signals": 383,
-    "simulation": 2205,
+    "simulation": 2199,
     "statistics": 265,
     "support": 837,
     "synthesis": 1045,
