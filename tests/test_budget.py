@@ -18,7 +18,7 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 41_432, 333
+MOST_CODE, MOST_FILES = 41_422, 333
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
@@ -36,7 +36,7 @@ BUDGET = {
     "linear": 399,
     "logs": 1232,
     "numerics": 823,
-    "observers": 3807,
+    "observers": 3797,
     "plants": 1608,
     "report": 2941,
     "results": 932,
