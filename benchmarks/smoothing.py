@@ -20,8 +20,8 @@ from benchmarks.random_problems import Problems
 from undeadzone.ends.sensor import Sensor
 from undeadzone.interfaces import Estimate, graph_of
 from undeadzone.plants.options import Plant
+from undeadzone.simulation.estimate import smooth
 from undeadzone.simulation.online import Online, built_for
-from undeadzone.simulation.smoother import smooth
 from undeadzone.support.arrays import Floats
 
 ORDERS = (1, 2, 3)

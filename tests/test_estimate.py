@@ -16,9 +16,9 @@ from commands import undeadzone as command
 from undeadzone.interfaces import graph_of
 from undeadzone.scenario.reader import read_for_logs
 from undeadzone.simulation.consistency import Consistency
+from undeadzone.simulation.estimate import smooth
 from undeadzone.simulation.misread import what_would_fit
 from undeadzone.simulation.online import built_for
-from undeadzone.simulation.smoother import smooth
 from undeadzone.support.arrays import Floats
 
 EXAMPLES = Path(__file__).parents[1] / "examples"

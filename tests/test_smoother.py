@@ -19,8 +19,8 @@ from test_estimate import LOGS_ALONE, scenario
 from undeadzone.cli import group
 from undeadzone.interfaces import graph_of
 from undeadzone.numerics.adjoint import Later, back
+from undeadzone.simulation.estimate import smooth
 from undeadzone.simulation.online import built_for
-from undeadzone.simulation.smoother import smooth
 from undeadzone.support.arrays import Floats
 
 CLAIMS = {"right": [0.0, 2.0], "disturbance": 0.0, "drift": 0.0, "glitches": 0.0}

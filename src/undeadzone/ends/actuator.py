@@ -150,7 +150,8 @@ def resolve_actuator(actuator: Actuator | ActuatorModel, m: int, key: str = "act
     if not (slopes > 0).all():
         raise InputError(f"{key}.slope: must be positive, found {slopes.min():g}")
     ends = pairs(f"{key}.limit", actuator.limit, m, [-LARGEST, LARGEST], "[lo, hi]", "input")
-    if not (ends * [-1.0, 1.0] > 0).all():
+    low, high = ends.T
+    if not ((low < 0) & (high > 0)).all():
         raise InputError(f"{key}.limit: expected lo < 0 < hi, found {actuator.limit}")
     any_rate = [LARGEST, LARGEST]
     rates = pairs(f"{key}.rate", actuator.rate, m, any_rate, "[falling, rising]", "input")

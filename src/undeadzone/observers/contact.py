@@ -41,7 +41,6 @@ from undeadzone.observers.parts.contact_modes import (
     Modes,
     Numbers,
     Told,
-    beliefs_of,
     corrected,
     packed,
     predicted,
@@ -313,11 +312,10 @@ def _step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> tuple[
     drives, y = setup.drives, reading.y / q.slope
     count, layout = len(drives), Layout(setup.gears.size)
     parts = [part_of(q.modes, layout, joint, count) for joint in range(count)]
-    each, begun = [], []
-    for joint, (drive, part, modes) in enumerate(zip(drives, parts, s.modes, strict=True)):
-        told, once = _corrected(drive, part, modes, y[joint::count])
-        each.append(told)
-        begun.append(once)
+    readings = [y[joint::count] for joint in range(count)]
+    each = []
+    for drive, part, modes, read in zip(drives, parts, s.modes, readings, strict=True):
+        each.append([corrected(drive, part, one, read) for one in modes])
     odds, shares = _weighed(s.odds, each)
     each = list(map(renewed, each))
     ones = list(map(either, each, shares))
@@ -339,20 +337,9 @@ def _step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> tuple[
         later = []
         for one, before in zip(each[joint], modes, strict=True):
             moved = predicted(drive, part, one, u[joint::count])
-            later.append(packed(drive, moved, before, begun[joint]))
+            later.append(packed(drive, moved, before, readings[joint]))
         after.append(tuple(later))
     return State(tuple(after), odds, sums), shown
-
-
-def _corrected(
-    drive: Drive, part: Numbers, modes: Sequence[Modes], y: Any
-) -> tuple[list[Told], Any]:
-    """What the readings of a sample make of each filter of a joint; whether there is any belief."""
-    told = []
-    for one in modes:
-        before, begun = beliefs_of(drive, one, y)
-        told.append(corrected(drive, part, one.chances, before, y))
-    return told, begun
 
 
 def _weighed(

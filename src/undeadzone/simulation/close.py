@@ -171,30 +171,24 @@ class Wiring(NamedTuple):
 
     def _read(self, z: ca.SX, level: ca.SX, s: State, w: Exogenous, mode: Mode) -> Reading:
         """What the sensor gives of `ahead_of_zone` (p) on a given branch; level: of a play."""
-        sensor = self.p.sensor
+        sensor, limits, read = self.p.sensor, self.p.sensor.limits, mode.side
         if self.kind == "play":
             y = sensor.slope * level + w.after
-            if sensor.quantum.numel():
-                y = quantised(y, sensor.quantum)
-            y = self._within_range(y)
-            if sensor.limits is None:
-                return Reading(y, mode.side, s.plant)
-            end = at_limit(y, sensor.limits)
-            return Reading(y, ca.if_else(end != 0, 2 * end, mode.side), s.plant)
-        exact = branch(z, mode.zone, *self.widths(w), sensor.slope, self.kind)
-        y = exact + w.after
-        if sensor.quantum.numel():
-            y = self._within_range(quantised(y, sensor.quantum))
-            return Reading(y, side(y, sensor.threshold, sensor.limits), s.plant)
-        if sensor.limits is None:
-            return Reading(y, mode.side, s.plant)
-        if self.plant.Ts is None:
-            y = ca.if_else(mode.side > 1, sensor.limits.high, y)
-            y = ca.if_else(mode.side < -1, sensor.limits.low, y)
-            return Reading(y, mode.side, s.plant)
-        y = self._within_range(y)
-        active = ca.fmax(ca.fmin(mode.side, 1.0), -1.0)
-        return Reading(y, active + at_limit(y, sensor.limits), s.plant)
+        else:
+            y = branch(z, mode.zone, *self.widths(w), sensor.slope, self.kind) + w.after
+        if limits is not None and self.plant.Ts is None:  # the branch says when it is at a limit
+            y = ca.if_else(read > 1, limits.high, y)
+            return Reading(ca.if_else(read < -1, limits.low, y), read, s.plant)
+        rounded = sensor.quantum.numel() > 0
+        y = self._within_range(quantised(y, sensor.quantum) if rounded else y)
+        if self.kind == "play" and limits is not None:
+            end = at_limit(y, limits)
+            read = ca.if_else(end != 0, 2 * end, read)
+        elif self.kind != "play" and rounded:
+            read = side(y, sensor.threshold, limits)
+        elif limits is not None:
+            read = ca.fmax(ca.fmin(read, 1.0), -1.0) + at_limit(y, limits)
+        return Reading(y, read, s.plant)
 
     def _within_range(self, y: ca.SX) -> ca.SX:
         """A reading kept within its range, if it has one; a missing one stays missing."""

@@ -229,11 +229,11 @@ def verdict_of(
         reasons += claims_in_words(own.claims)
     for test in tests:
         reasons += _reasons(test)
-    consistent = None if not reasons and used < FEWEST else not reasons
-    if consistent is None:
-        reasons = [f"only {used} readings corrected the estimate"]
-        if not tests:
-            reasons = ["the observer gives no innovation_std"]
+    consistent: bool | None = not reasons
+    if consistent and not tests:
+        consistent, reasons = None, ["the observer gives no innovation_std"]
+    elif consistent and used < FEWEST:
+        consistent, reasons = None, [f"only {used} readings corrected the estimate"]
     squares = [test.square for test in tests if test.square is not None]
     return Verdict(
         consistent,

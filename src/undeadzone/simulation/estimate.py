@@ -1,23 +1,43 @@
-"""An observer along a log that was recorded: `estimate`."""
+"""An observer along a log that was recorded: `estimate`; and looking back along it.
+
+Looking back is fixed-interval smoothing of a filter: what a whole log says of each of its samples.
+The filter runs forward; adjoint variables run backward through its stored moments (modified
+Bryson-Frazier form: Bierman 1973, "Fixed interval smoothing with discrete measurements", Int. J.
+Control 18). It gives what the equations of Rauch, Tung and Striebel (1965) give, but inverts no
+motion. docs/filters.md, "Looking back", says what is exact and what is not.
+"""
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+import casadi as ca
+import numpy as np
+
+from undeadzone.compile import interpret
+from undeadzone.ends.sensor import Zone
 from undeadzone.errors import FileError, InputError
+from undeadzone.interfaces import Estimate, Observer
 from undeadzone.logs.names import Layout, parse_columns
 from undeadzone.logs.samples import Faults, LogReader, Placed, placed, samples_of_text
 from undeadzone.logs.whole import BINARY, samples_of, samples_of_arrays
+from undeadzone.numerics.adjoint import Later, back
+from undeadzone.numerics.gaussian import Gaussian
+from undeadzone.observers.parts.model_bank import LEAST
+from undeadzone.observers.parts.smoothing import Moments
+from undeadzone.plants.system import System
 from undeadzone.results.estimation import Estimation
-from undeadzone.results.signals import LOG, Signals, of_estimate
+from undeadzone.results.signals import LOG, SMOOTHED, Signals, of_estimate
 from undeadzone.scenario.reader import read_for_logs
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.follower import Follower, require_units
-from undeadzone.simulation.smoother import smooth
-from undeadzone.support.arrays import Array
+from undeadzone.simulation.online import ObserverGraph, observer_graph
+from undeadzone.support import tree
+from undeadzone.support.arrays import Array, Floats
 from undeadzone.support.files import LARGEST_RUN
 from undeadzone.support.progress import in_notebook
 
@@ -131,3 +151,203 @@ def _read(
     timed = layout is not None and layout.timed
     on_steps = placed(samples, timed, scenario.simulation.step, source)
     return _Log(source, on_steps, layout, faults)
+
+
+# --- Looking back
+
+BLOCK = 5000  # samples whose moments are in memory at once
+SHOWN = ("x", "z", "right", "left", "x_std", "right_std", "left_std")  # of an estimate
+
+
+class _Ahead(NamedTuple):
+    """What the samples after a block say.
+
+    Attributes:
+        later: of the block's end, a member each.
+        odds: log of the odds of the members (K).
+        worst: record; None at the end of the log.
+    """
+
+    later: list[Later]
+    odds: Floats
+    worst: Any
+
+
+class _Graphs(NamedTuple):
+    """The functions of one filter.
+
+    Attributes:
+        step: step(s, w, p) is (next state, [estimate; s]).
+        moments: of a row [s; w], those of its members; a step without a state, as is `shown`.
+        shown: of a row [beliefs; share; record], what is `SHOWN`.
+        filter: the filter itself.
+        causal: where `SHOWN` stands in what it gives.
+        like: `Moments` of the members, of arrays of their shapes.
+        odds, record: where these stand in the state.
+    """
+
+    step: ca.Function
+    moments: ca.Function
+    shown: ca.Function
+    filter: ObserverGraph
+    causal: list[Any]
+    like: tuple[Moments, ...]
+    odds: Any
+    record: Any
+
+
+def smooth(
+    model: System,
+    observer: Observer,
+    sensor: Zone,
+    y: Floats,
+    u: Floats,
+    progress: Callable[[int], None] | None = None,
+) -> dict[str, Floats]:
+    """The smoothed signals along a log: what it says as a whole of each of its samples.
+
+    Args:
+        model: the sampled model.
+        observer: a filter that is built for it, with `smoothing`.
+        sensor: the dead zone, for its threshold and its range.
+        y: readings (N x p), NaN where one is missing.
+        u: inputs (N x m), NaN where the last one is held.
+        progress: called with the number of samples just done.
+    """
+    graphs = _graphs(model, observer, sensor)
+    w = np.hstack([y, u])
+    starts, numbers = [graphs.filter.start], graphs.filter.numbers
+    for first in range(0, len(w), BLOCK):
+        _, state = interpret.run(graphs.step, starts[-1], w[first : first + BLOCK], numbers)
+        starts.append(state)
+    nothing = [Later.nothing(one.before.mean.size) for one in graphs.like]
+    ahead = _Ahead(nothing, np.zeros(len(nothing)), None)
+    pieces = []
+    for k in range(len(starts) - 2, -1, -1):
+        part = w[k * BLOCK : (k + 1) * BLOCK]
+        rows, ahead = _block(graphs, starts[k], part, ahead)
+        pieces.append(rows)
+        if progress is not None:
+            progress(len(part))
+    return _arranged(model, np.vstack(pieces[::-1]))
+
+
+def _graphs(model: System, observer: Observer, sensor: Zone) -> _Graphs:
+    """The functions of a filter along a log."""
+    known = observer_graph(model, observer, sensor)
+    smoothing, inputs = observer.smoothing, [known.s, known.w, known.p]
+    following, given = known.step(*inputs)
+    every = smoothing.moments(known.params, known.state, known.used, known.reading)
+    like = tree.mapped(lambda leaf: np.zeros(ca.SX(leaf).shape), every)
+    init = observer.init(observer.params)
+    record = smoothing.record(init)
+    beliefs = [Gaussian(np.zeros(one.before.mean.shape), one.before.cov) for one in like]
+    row, (seen, share, kept) = tree.symbols((tuple(beliefs), np.zeros(len(like)), record), "r")
+    shown: Estimate = smoothing.shown(known.params, seen, share, kept)
+    out = tuple(getattr(shown, name) for name in SHOWN)
+    where, of_estimate = tree.slices((init, np.zeros(model.m)))[0], tree.slices(known.out).estimate
+    return _Graphs(
+        ca.Function("watched", inputs, [following, ca.vertcat(given, known.s)]),
+        interpret.stateless([ca.vertcat(known.s, known.w), known.p], ca.cse(tree.stack(every))),
+        interpret.stateless([row, known.p], ca.cse(tree.stack(out))),
+        known,
+        [getattr(of_estimate, name) for name in SHOWN],
+        like,
+        smoothing.odds(where) if len(like) > 1 else None,
+        smoothing.record(where),
+    )
+
+
+def _block(graphs: _Graphs, start: Floats, w: Floats, ahead: _Ahead) -> tuple[Floats, _Ahead]:
+    """A block of samples, given what the later ones say.
+
+    Args:
+        graphs: of the filter.
+        start: its state before the block.
+        w: readings and inputs (B x p + m).
+        ahead: what the samples after the block say.
+
+    Returns:
+        What is shown of each sample (B x outputs), and what is ahead of the samples before.
+    """
+    numbers = graphs.filter.numbers
+    watched, final = interpret.run(graphs.step, start, w, numbers)
+    estimates, before_each = np.split(watched, [-start.size], axis=1)
+    states = np.vstack([before_each[1:], final])  # after each sample
+    moments = interpret.mapped(graphs.moments, np.hstack([before_each, w]), numbers)
+    every = _arrays(graphs.like, moments)
+    beliefs, before = [], []
+    for one, later in zip(every, ahead.later, strict=True):
+        mean, cov, first = back(one, later)
+        beliefs += [mean, np.swapaxes(cov, 1, 2).reshape(len(w), -1)]
+        before.append(first)
+    logs = np.column_stack([one.log for one in every])
+    shares, odds = _shares(graphs, states, logs, ahead.odds)
+    records, worst = _records(graphs, states, ahead.worst)
+    shown = interpret.mapped(graphs.shown, np.hstack([*beliefs, shares, records]), numbers)
+    # Where no belief can be smoothed, the filter itself shows.
+    lost = ~np.isfinite(shown).all(axis=1)
+    shown[lost] = np.hstack([estimates[lost, part] for part in graphs.causal])
+    return shown, _Ahead(before, odds, worst)
+
+
+def _arrays(like: tuple[Moments, ...], known: Floats) -> tuple[Moments, ...]:
+    """The moments of each member at each sample, from rows of packed numbers."""
+    leaves = []
+    columns = tree.leaves(tree.columns(like, known))
+    for (_, leaf), (_, values) in zip(tree.leaves(like), columns, strict=True):
+        if leaf.shape[1] > 1:
+            values = np.swapaxes(values.reshape(len(known), *leaf.shape[::-1]), 1, 2)
+        leaves.append(values)
+    every: tuple[Moments, ...] = tree.rebuild(like, iter(leaves))
+    return every
+
+
+def _shares(graphs: _Graphs, states: Floats, logs: Floats, odds: Floats) -> tuple[Floats, Floats]:
+    """How likely each member is at each sample, given the whole log (B x K); the odds before.
+
+    Args:
+        graphs: of the filter.
+        states: after each sample (B x S).
+        logs: of the densities with which members foretold each sample (B x K).
+        odds: log of the odds from the samples after the block (K).
+    """
+    if graphs.odds is None:
+        return np.ones((len(logs), 1)), odds
+    shares = np.empty(logs.shape)
+    for k in range(len(logs) - 1, -1, -1):
+        total = states[k, graphs.odds] + odds
+        share = np.exp(total - total.max())
+        shares[k] = share / share.sum()
+        odds = odds + logs[k]
+        odds = np.maximum(odds - odds.max(), math.log(LEAST))
+    return shares, odds
+
+
+def _records(graphs: _Graphs, states: Floats, worst: Any) -> tuple[Floats, Any]:
+    """The worst record from each sample on (B x numbers), and that of the whole block.
+
+    Args:
+        graphs: of the filter.
+        states: after each sample (B x S).
+        worst: from the samples after the block (numbers); None: there are none.
+    """
+    places = [part for _, part in tree.leaves(graphs.record)]
+    if not places:
+        return np.empty((len(states), 0)), None
+    records = np.hstack([states[:, part] for part in places])
+    for k in range(len(records) - 1, -1, -1):
+        if worst is not None:
+            records[k] = np.where(np.abs(records[k]) < np.abs(worst), worst, records[k])
+        worst = records[k]
+    return records, worst
+
+
+def _arranged(model: System, shown: Floats) -> dict[str, Floats]:
+    """The smoothed signals by name, right and left of each output in turn."""
+    n, p = model.n, model.p
+    ends = np.cumsum([n, p, p, p, n, p])
+    x, z, right, left, x_std, right_std, left_std = np.split(shown, ends, axis=1)
+    d = np.stack([right, left], axis=2).reshape(len(shown), -1)
+    d_std = np.stack([right_std, left_std], axis=2).reshape(len(shown), -1)
+    return dict(zip(SMOOTHED, (x, z, d, x_std, d_std), strict=True))

@@ -205,8 +205,8 @@ def start(layout: Layout, mean: Floats, std: Floats, slack: float) -> Modes:
     return Modes(np.full(len(means), 1 / len(means)), tuple(means), tuple(covs), np.zeros(1))
 
 
-def beliefs_of(drive: Drive, s: Modes, y: Any) -> tuple[list[Gaussian], Any]:
-    """The belief in each mode, and whether there is any: the first whole sample sets the angles.
+def _beliefs(drive: Drive, s: Modes, y: Any) -> list[Gaussian]:
+    """The belief in each mode: the first whole sample sets the angles.
 
     Args:
         drive: the plant.
@@ -220,15 +220,15 @@ def beliefs_of(drive: Drive, s: Modes, y: Any) -> tuple[list[Gaussian], Any]:
     beliefs = []
     for mean, cov in zip(s.means, s.covs, strict=True):
         beliefs.append(Gaussian(mean + shift, symmetric(cov, entries)))
-    return beliefs, ca.fmax(s.begun, whole)
+    return beliefs
 
 
-def corrected(drive: Drive, q: Numbers, chances: Any, beliefs: list[Gaussian], y: Any) -> Told:
+def corrected(drive: Drive, q: Numbers, s: Modes, y: Any) -> Told:
     """The modes after the readings of a sample; one that is no number is missing."""
-    each = []
+    beliefs, each = _beliefs(drive, s, y), []
     for contact, belief in zip(drive.layout.modes, beliefs, strict=True):
         each.append(_read(drive, q, contact, belief, y))
-    before = ca.vertsplit(chances)
+    before = ca.vertsplit(s.chances)
     alive = [ca.if_else(w > 0, one.log, -1e300) for w, one in zip(before, each, strict=True)]
     best = ca.mmax(ca.vertcat(*alive))
     logs = [ca.fmax(one.log - best, -MOST) for one in each]
@@ -528,9 +528,9 @@ def _still(speed: Any) -> Any:
     return ca.exp(-((speed / RESTING) ** 2))
 
 
-def packed(drive: Drive, moved: list[Mode], s: Modes, begun: Any) -> Modes:
+def packed(drive: Drive, moved: list[Mode], s: Modes, y: Any) -> Modes:
     """The state at the next sample; before a first whole sample it stays as it is."""
-    entries = ca.Sparsity.upper(drive.layout.entries)
+    entries, begun = ca.Sparsity.upper(drive.layout.entries), ca.fmax(s.begun, ca.mmin(present(y)))
 
     def kept(new: Any, old: Any) -> Any:
         return ca.if_else(begun > 0.5, new, old)
