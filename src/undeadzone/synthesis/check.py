@@ -20,9 +20,8 @@ from undeadzone.results.signals import output_names
 from undeadzone.scenario.overrun import overrun_numbers
 from undeadzone.scenario.problem import Problem, constant_gains, resolve_scenario
 from undeadzone.scenario.schema import Scenario
-from undeadzone.support import shown
 from undeadzone.support.arrays import Floats, finite, one_or_list
-from undeadzone.support.shown import Block
+from undeadzone.support.shown import Block, Shown
 from undeadzone.synthesis.assessment import Assessment, Gains, assess, determined
 from undeadzone.synthesis.words import in_words
 
@@ -58,8 +57,8 @@ class Nearest(NamedTuple):
     rate: float
 
 
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class Check:
+@dataclasses.dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Check(Shown):
     """What a scenario's own gains are worth, and what its readings can tell.
 
     Attributes:
@@ -147,12 +146,6 @@ class Check:
     def blocks(self) -> list[Block]:
         """The tables that `undeadzone check` prints."""
         return in_words(self.summary(), self.scenario, self.outputs)
-
-    __repr__ = shown.in_text
-    _repr_html_ = shown.in_notebook
-
-    plot = shown.plot
-    """Draw it."""
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Checked again from its scenario: what the report draws holds functions."""
