@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from undeadzone.cli.common import PATH, cmd, guarded, json_text, origin, with_schema
-from undeadzone.cli.output import Output, common, export_of, named_files, to_type
+from undeadzone.cli.common import cmd, json_text, origin, with_schema
+from undeadzone.cli.output import Output, export_of, named_files, on_scenario, to_type
 from undeadzone.support.files import write_text
 from undeadzone.support.progress import on_terminal as progress
 
@@ -20,9 +20,7 @@ if TYPE_CHECKING:
     epilog="Example: undeadzone check examples/paper_5sin.toml --out verdict, then look at "
     "verdict/report.html"
 )
-@click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
-@guarded
-@common
+@on_scenario
 def check(scenario: Path, output: Output, confine: Path | None) -> int:
     """Assess the scenario's gains, and how strongly its readings move z^.
 

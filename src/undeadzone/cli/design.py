@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import PATH, cmd, force_option, guarded, option, origin
-from undeadzone.cli.output import Output, common, named_files
+from undeadzone.cli.common import cmd, force_option, option, origin
+from undeadzone.cli.output import Output, named_files, on_scenario
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
     from undeadzone.analysis.certificate.design_file import Design
-    from undeadzone.report.html import Origin
     from undeadzone.scenario.schema import Scenario
     from undeadzone.support.shown import Block
     from undeadzone.synthesis.check import Check
@@ -47,7 +46,6 @@ COUNT = click.IntRange(min=0)
     epilog="Example: undeadzone design examples/paper_5sin.toml --out mine, then look at "
     "mine/report.html"
 )
-@click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
 @option("--maximise", None, "The knee of the front (default), or the rate alone.", type=AIMS)
 @option(
     "--weights",
@@ -58,8 +56,7 @@ COUNT = click.IntRange(min=0)
 @option("--margin", None, "Least margin of the certificate, between 0 and 1.", default=0.01)
 @option("--seed", None, "Of the search: the same seed, the same gains.", default=0, type=COUNT)
 @force_option
-@guarded
-@common
+@on_scenario
 def design(
     scenario: Path,
     maximise: str | None,
@@ -87,6 +84,7 @@ def design(
     from undeadzone.scenario.problem import systems
     from undeadzone.scenario.reader import read
     from undeadzone.support.own_files import require_own
+    from undeadzone.synthesis.assessment import attack
     from undeadzone.synthesis.check import check as assess_gains
     from undeadzone.synthesis.design import design as search
     from undeadzone.synthesis.design import impossible, rounds, with_gains
@@ -112,10 +110,14 @@ def design(
     aim: Any = (maximise or "knee") if weights is None else Weights(*weights)
     with progress("designing", rounds(aim)) as advance:
         result = search(planned, aim, margin=margin, seed=seed, progress=advance)
-        designed = with_gains(planned, result)
-        judged = assess_gains(designed)
-    page = output.figures, origin(scenario, seed)
-    written = [] if folder is None else _written(result, designed, folder, *page)
+        judged = assess_gains(with_gains(planned, result))
+    written = [] if folder is None else [result.save(folder / "design.toml")]
+    if folder is not None and output.figures:
+        from undeadzone.report.gains_page import write_gains
+
+        assessment = judged.assessment._replace(listens=())  # `check` tells these
+        attempts = attack(assessment, seed)
+        written += write_gains(assessment, attempts, folder, result, origin(scenario, seed))
     output.show(
         lambda: _numbers(result, judged),
         lambda: _words(result, judged),
@@ -143,30 +145,6 @@ def _impossible(scenario: Scenario, path: Path, reason: str) -> dict[str, str]:
         "why": reason,
         "next": f"{cmd('undeadzone', 'check', path)} says what can be known",
     }
-
-
-def _written(
-    design: Design, scenario: Scenario, folder: Path, figures: bool, again: Origin
-) -> list[Path]:
-    """The files of a design: design.toml always, figures and page where wanted.
-
-    Args:
-        design: the gains found.
-        scenario: that has these gains.
-        folder: for the files.
-        figures: whether figures and page are wanted.
-        again: what it takes to get the same design.
-    """
-    written = [design.save(folder / "design.toml")]
-    if figures:
-        from undeadzone.report.gains_page import write_gains
-        from undeadzone.scenario.problem import resolve_scenario
-        from undeadzone.synthesis.assessment import assess, attack
-
-        assessment = assess(resolve_scenario(scenario))
-        attempts = attack(assessment, design.seed)
-        written += write_gains(assessment, attempts, folder, design, again)
-    return written
 
 
 def _numbers(design: Design, judged: Check) -> dict[str, Any]:

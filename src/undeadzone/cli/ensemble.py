@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import PATH, cmd, flag, guarded, option, origin, writable
-from undeadzone.cli.output import Output, common, prepare_figures
+from undeadzone.cli.common import cmd, flag, option, origin, writable
+from undeadzone.cli.output import Output, on_scenario, prepare_figures
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
 
 @click.command(epilog="Example: undeadzone ensemble examples/ensemble.toml --out study")
-@click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
 @option("--runs", "N", "How many (default: [ensemble] runs, 10000).", type=click.IntRange(1))
 @flag("--resume", "Compute what an interrupted command left to do in DIR; the bits are the same.")
 @option(
@@ -29,17 +28,14 @@ if TYPE_CHECKING:
     "(needs the extra dask; docs/security.md says what is trusted).",
 )
 @flag("--parquet", "Write runs.parquet instead of runs.npz (needs the extra parquet).")
-@guarded
-@common
+@on_scenario
 def ensemble(
     scenario: Path,
     runs: int | None,
-    resume: bool,
-    workers: int | None,
-    cluster: str | None,
     parquet: bool,
     output: Output,
     confine: Path | None,
+    **options: Any,
 ) -> int:
     """Run a scenario many times: how often does it settle, how large are the errors, what decides?
 
@@ -66,9 +62,7 @@ def ensemble(
     folder = writable(output.out or Path(f"{scenario.stem}-ensemble"))
     path = folder / ("runs.parquet" if parquet else "runs.npz")
     with progress("running", total, "runs", of=varied.observer) as advance:
-        result = run_ensemble(
-            varied, path, resume=resume, workers=workers, cluster=cluster, progress=advance
-        )
+        result = run_ensemble(varied, path, progress=advance, **options)
     summary = result.summary()
     written = [path]
     if output.figures:

@@ -13,11 +13,17 @@ from undeadzone.cli.common import (
     columns_option,
     exit_code,
     flag,
-    guarded,
     origin,
     strict_option,
 )
-from undeadzone.cli.output import Output, common, csv_option, named_files, to_type, wanted_table
+from undeadzone.cli.output import (
+    Output,
+    csv_option,
+    named_files,
+    on_scenario,
+    to_type,
+    wanted_table,
+)
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
@@ -25,14 +31,12 @@ if TYPE_CHECKING:
 
 
 @click.command(epilog="Example: undeadzone estimate mine.toml log.csv --columns y=angle,u=voltage")
-@click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
-@click.argument("log", type=PATH, metavar="LOG")
 @columns_option
 @strict_option
 @flag("--causal", "The filter alone: no smoothing with the whole log.")
 @csv_option
-@guarded
-@common
+@on_scenario
+@click.argument("log", type=PATH, metavar="LOG")
 def estimate(
     scenario: Path,
     log: Path,

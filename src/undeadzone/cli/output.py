@@ -11,7 +11,16 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
-from undeadzone.cli.common import PATH, cmd, flag, option, print_blocks, print_json, writable
+from undeadzone.cli.common import (
+    PATH,
+    cmd,
+    flag,
+    guarded,
+    option,
+    print_blocks,
+    print_json,
+    writable,
+)
 from undeadzone.support.shown import Block
 
 if TYPE_CHECKING:
@@ -92,6 +101,12 @@ def common(command: Callable[..., int]) -> Callable[..., int]:
         return command(output=Output(out, as_json, not no_figures), **options)
 
     return reduce(lambda made, option: option(made), OUTPUTS, given)
+
+
+def on_scenario(command: Callable[..., int]) -> Callable[..., int]:
+    """Add SCENARIO.toml, --untrusted and --confine, and what `common` adds."""
+    argument = click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
+    return argument(guarded(common(command)))
 
 
 def wanted_table(as_csv: bool, size: float, name: str) -> tuple[bool, dict[str, str]]:

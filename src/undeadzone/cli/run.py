@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from undeadzone.cli.common import PATH, cmd, guarded, option, origin, writable
+from undeadzone.cli.common import PATH, cmd, option, origin, writable
 from undeadzone.cli.output import (
     Output,
-    common,
     csv_option,
     export_of,
     named_files,
+    on_scenario,
     prepare_figures,
     to_type,
     wanted_table,
@@ -34,7 +34,6 @@ OF_ENSEMBLE = (".npz", ".parquet")  # files that hold runs, no scenario
 @click.command(
     epilog="Example: undeadzone init mine.toml && undeadzone run mine.toml --out results"
 )
-@click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
 @option(
     "--replay",
     "NUMBER",
@@ -45,8 +44,7 @@ OF_ENSEMBLE = (".npz", ".parquet")  # files that hold runs, no scenario
     "--animation", "FILE", "Write an arm's motion as .gif (or .mp4, with ffmpeg) too.", type=PATH
 )
 @csv_option
-@guarded
-@common
+@on_scenario
 def run(
     scenario: Path,
     replay: int | None,

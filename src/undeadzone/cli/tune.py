@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import PATH, cmd, flag, force_option, guarded, option, origin
-from undeadzone.cli.output import Output, common, named_files, partial_file, to_type
+from undeadzone.cli.common import cmd, flag, force_option, option, origin
+from undeadzone.cli.output import Output, named_files, on_scenario, partial_file, to_type
 from undeadzone.errors import InputError
 from undeadzone.support.progress import on_terminal as progress
 
@@ -24,7 +24,6 @@ STATISTICS = click.Choice(["mean", "median", "p95", "worst"])
     epilog="Example: undeadzone tune examples/tune.toml --out tuned "
     "&& undeadzone run tuned/tuned.toml"
 )
-@click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
 @option(
     "--over",
     "ADDRESS=LOW:HIGH[:log]",
@@ -39,8 +38,7 @@ STATISTICS = click.Choice(["mean", "median", "p95", "worst"])
 @option("--seed", "N", "Of the runs and the search (default: [tune] seed).", type=int)
 @flag("--resume", "Continue a search that was stopped, from DIR/tuned.toml.partial.")
 @force_option
-@guarded
-@common
+@on_scenario
 def tune(
     scenario: Path,
     over: tuple[str, ...],

@@ -158,13 +158,8 @@ def _rates(axes: Axes, of: Assessment, gains: Gains, scaled: list[str]) -> None:
 
 def _rate(of: Assessment, gains: Gains, name: str, factor: float) -> float:
     """The rate [1/s] along the reference with one gain scaled."""
-    L, gamma = gains.L, gains.gamma
-    if name == "L":
-        L = factor * L
-    else:
-        gamma = factor * gamma
-    jump = of.problem.sensor.kind == "jump"
-    return rates(of.problem.model.linear, L, gamma, of.schedule, jump).rate
+    scaled, jump = gains._replace(**{name: factor * getattr(gains, name)}), of.problem.sensor.kind
+    return rates(of.problem.model.linear, scaled.L, scaled.gamma, of.schedule, jump == "jump").rate
 
 
 def _proved(proof: Certificate, name: str, factor: float) -> bool:

@@ -12,7 +12,7 @@ import numpy as np
 from undeadzone.observers.parts.judged_filter import FAR
 from undeadzone.observers.parts.prior import CHANCE
 from undeadzone.report import html, ink
-from undeadzone.report.run_page import actuator_tables, gap_tables
+from undeadzone.report.run_page import further_tables
 from undeadzone.report.style import finish, label, shade_gap, shade_zone, sheet, width_lines
 from undeadzone.results.estimation import Estimation, actuators, gaps, widths
 from undeadzone.support.arrays import Floats
@@ -87,8 +87,7 @@ def estimation_page(
     head = html.paragraph(
         html.tag("span", f"Is the record what the observer claims? {words}", style)
     )
-    driven = actuator_tables(actuators(info))
-    found = [_widths(result), *driven, *gap_tables(result.outputs, gaps(info))]
+    found = [_widths(result), *further_tables(result.outputs, actuators(info), gaps(info))]
     reasons = [html.paragraph(f"{reason[:1].upper()}{reason[1:]}.") for reason in info.reasons]
     return html.page(
         info.title,

@@ -95,13 +95,8 @@ def _numbers(result: Tuned) -> list[html.Html]:
         bounds = f"{parameter.low:g} to {parameter.high:g}{', log' if parameter.log else ''}"
         rows.append((parameter.name, parameter.start, value, bounds))
     head = ("number", "before", "tuned", "range")
-    return [html.table(head, rows), *map(html.paragraph, _at_edge(result))]
-
-
-def _at_edge(result: Tuned) -> list[str]:
-    """What lies at the end of its range."""
     words = "lies at the end of its range: a wider one may do better."
-    return [f"{name} {words}" for name in result.at_edge]
+    return [html.table(head, rows), *(html.paragraph(f"{name} {words}") for name in result.at_edge)]
 
 
 def _worth(result: Tuned) -> html.Html:
@@ -142,20 +137,16 @@ def history(result: Tuned) -> Figure:
     rows = [["trials", "trials", "trials", "held_out"]]
     figure, panels = sheet(rows, f"{result.scenario.title}: tuned", height=3.6)
     candidates(panels["trials"], result)
-    words = _words(result)
     _compare(panels["held_out"], result)
-    finish(panels["held_out"], "On held-out runs", words, "", legend=0)
+    finish(panels["held_out"], "On held-out runs", _words(result), "", legend=0)
     return figure
 
 
 def candidates(axes: Axes, result: Tuned) -> None:
-    """The cost of every candidate by the stage that tried it, and the best so far."""
-    _costs(axes, result)
-    finish(axes, "Candidates, on the runs tuned on", _words(result), "candidate", legend=3)
+    """The cost of every candidate by the stage that tried it, and the best so far.
 
-
-def _costs(axes: Axes, result: Tuned) -> None:
-    """Candidates as dots, those not certified as crosses, the best so far as a line."""
+    Those that are not certified are crossed out.
+    """
     cost = np.array([trial.cost for trial in result.trials])
     kept = np.array([not trial.margin < result.what.margin for trial in result.trials])
     best = np.minimum.accumulate(np.where(kept, cost, np.inf))
@@ -179,6 +170,7 @@ def _costs(axes: Axes, result: Tuned) -> None:
         )
     axes.plot(best, color=ink.ESTIMATE, drawstyle="steps-post", label="best so far")
     _scaled(axes, known)
+    finish(axes, "Candidates, on the runs tuned on", _words(result), "candidate", legend=3)
 
 
 def around(result: Tuned, sweeps: dict[str, Sweep]) -> Figure:
@@ -188,11 +180,10 @@ def around(result: Tuned, sweeps: dict[str, Sweep]) -> Figure:
     rows[-1] += [rows[-1][-1]] * (len(rows[0]) - len(rows[-1]))
     title = "Around what was found, on held-out runs, the other numbers unchanged"
     figure, panels = sheet(rows, title, height=3.0)
-    words = _words(result)
     for parameter, value in zip(result.parameters, result.values, strict=True):
         axes = panels[parameter.name]
         _curve(axes, parameter, value, sweeps[parameter.name], result.what.margin)
-        finish(axes, plain(parameter.name), words, legend=2, x_label="")
+        finish(axes, plain(parameter.name), _words(result), legend=2, x_label="")
     return figure
 
 

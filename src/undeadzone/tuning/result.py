@@ -247,13 +247,21 @@ def _interval(interval: Mapping[str, float | None]) -> str:
     return f"{value} [{low}, {high}]"
 
 
+def best_of(candidates: list[SimulatedCandidate], least: float) -> SimulatedCandidate:
+    """The cheapest candidate with the certificate, else that of the largest margin.
+
+    Args:
+        candidates: one at least
+        least: margin of a certificate
+    """
+    certified = [each for each in candidates if each.margin >= least]
+    if certified:
+        return min(certified, key=lambda candidate: candidate.cost)
+    return max(candidates, key=lambda candidate: candidate.margin)
+
+
 def validate(
-    on: Objective,
-    tuned: tuple[Parameter, ...],
-    candidates: list[SimulatedCandidate],
-    best: SimulatedCandidate,
-    seed: int,
-    threads: int | None = None,
+    on: Objective, tuned: tuple[Parameter, ...], candidates: list[SimulatedCandidate], seed: int
 ) -> Tuned:
     """The result of tuning: the worth of the best candidate on held-out runs, of the next seed.
 
@@ -261,16 +269,15 @@ def validate(
         on: the objective
         tuned: what was tuned
         candidates: those simulated, in order
-        best: one of them
         seed: of the runs tuned on
-        threads: default one per processor
     """
+    best = best_of(candidates, on.what.margin)
     scenarios = tuple(on.scenario(k, np.array(best.values)) for k in range(len(on.scenarios)))
     before_and_after = zip(on.scenarios, scenarios, strict=True)
     pairs = [list(map(resolve_scenario, pair)) for pair in before_and_after]
-    lost_as_is = [on.losses(k, pair[:1], threads) for k, pair in enumerate(pairs)]
+    lost_as_is = [on.losses(k, pair[:1]) for k, pair in enumerate(pairs)]
     others = on.redrawn(on.what.held_out, seed + 1)
-    lost = [others.losses(k, pair, threads) for k, pair in enumerate(pairs)]
+    lost = [others.losses(k, pair) for k, pair in enumerate(pairs)]
     return Tuned(
         scenarios=scenarios,
         what=on.what,
