@@ -12,6 +12,7 @@ from undeadzone.cli.common import PATH, cmd, flag, force_option, option, writabl
 from undeadzone.cli.output import Output, common
 from undeadzone.errors import InputError
 from undeadzone.support.files import write_text
+from undeadzone.support.shown import Block
 
 if TYPE_CHECKING:
     from undeadzone.plants.robots.survey import Survey
@@ -53,16 +54,9 @@ def arm(
     found = survey(robot, names, tip, None if at is None else _numbers(at))
     written = [] if folder is None else [_started(found, robot, folder, gears, force)]
     weak = _weak(found)
-    output.show(
-        lambda: _in_numbers(found),
-        lambda: [
-            _in_words(found, robot),
-            [HEAD, *_rows(found)],
-            _advice(found, weak, written, robot),
-        ],
-        written,
-        last={},
-    )
+    next_ = _advice(found, weak, written, robot)
+    blocks: list[Block] = [_in_words(found, robot), [HEAD, *_rows(found)], next_]
+    output.show(lambda: _in_numbers(found), lambda: blocks, written, last={})
     return 1 if weak else 0
 
 
@@ -121,21 +115,11 @@ def _rows(found: Survey) -> list[list[str]]:
         holding = 0.0 if abs(torque) <= least else torque
         slides = joint.kind == "prismatic"
         unit, force = ("m", "N") if slides else ("rad", "N m")
-        low, high = joint.limits
-        rows.append(
-            [
-                joint.name,
-                "slides" if slides else "turns",
-                _limit(low, unit),
-                _limit(high, unit),
-                _limit(joint.velocity, f"{unit}/s"),
-                _limit(joint.effort, force),
-                f"{holding:.3g} {force}",
-                f"{joint.friction[0]:.3g}",
-                f"{joint.friction[1]:.3g}",
-                f"{mass:.4g} kg",
-            ]
-        )
+        row = [joint.name, "slides" if slides else "turns"]
+        row += [_limit(end, unit) for end in joint.limits]
+        row += [_limit(joint.velocity, f"{unit}/s"), _limit(joint.effort, force)]
+        row += [f"{holding:.3g} {force}", *(f"{share:.3g}" for share in joint.friction)]
+        rows.append([*row, f"{mass:.4g} kg"])
     return rows
 
 

@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
+import undeadzone as uz
 from undeadzone.cli.common import cmd, force_option, option, origin
 from undeadzone.cli.output import Output, named_files, on_scenario
 from undeadzone.support.progress import on_terminal as progress
-
-if TYPE_CHECKING:
-    from undeadzone.analysis.certificate.design_file import Design
-    from undeadzone.scenario.schema import Scenario
-    from undeadzone.support.shown import Block
-    from undeadzone.synthesis.check import Check
+from undeadzone.support.shown import Block
 
 
 def powers(
@@ -82,19 +78,15 @@ def design(
     this plant.
     """
     from undeadzone.scenario.problem import systems
-    from undeadzone.scenario.reader import read
     from undeadzone.support.own_files import require_own
     from undeadzone.synthesis.assessment import attack
-    from undeadzone.synthesis.check import check as assess_gains
-    from undeadzone.synthesis.design import design as search
     from undeadzone.synthesis.design import impossible, rounds, with_gains
-    from undeadzone.synthesis.gain_search import Weights
 
     if maximise is not None and weights is not None:
         raise click.UsageError(
             "give --maximise or --weights, not both", click.get_current_context()
         )
-    planned = read(scenario, confine)
+    planned = uz.read(scenario, confine)
     folder = output.folder(f"{scenario.stem}-design")
     if folder is not None:
         require_own(folder / "design.toml", force)
@@ -107,10 +99,10 @@ def design(
             written=[],
         )
         return 1
-    aim: Any = (maximise or "knee") if weights is None else Weights(*weights)
+    aim: Any = (maximise or "knee") if weights is None else uz.Weights(*weights)
     with progress("designing", rounds(aim)) as advance:
-        result = search(planned, aim, margin=margin, seed=seed, progress=advance)
-        judged = assess_gains(with_gains(planned, result))
+        result = uz.design(planned, aim, margin=margin, seed=seed, progress=advance)
+        judged = uz.check(with_gains(planned, result))
     written = [] if folder is None else [result.save(folder / "design.toml")]
     if folder is not None and output.figures:
         from undeadzone.report.gains_page import write_gains
@@ -137,7 +129,7 @@ def _next(folder: Path | None) -> dict[str, str]:
     }
 
 
-def _impossible(scenario: Scenario, path: Path, reason: str) -> dict[str, str]:
+def _impossible(scenario: uz.Scenario, path: Path, reason: str) -> dict[str, str]:
     """Why no gains can be certified."""
     return {
         "scenario": scenario.title,
@@ -147,7 +139,7 @@ def _impossible(scenario: Scenario, path: Path, reason: str) -> dict[str, str]:
     }
 
 
-def _numbers(design: Design, judged: Check) -> dict[str, Any]:
+def _numbers(design: uz.Design, judged: uz.Check) -> dict[str, Any]:
     """A design for JSON, its gains first, and what `check` says of it."""
     import msgspec
 
@@ -156,7 +148,7 @@ def _numbers(design: Design, judged: Check) -> dict[str, Any]:
     return numbers.pop("best") | numbers | known
 
 
-def _words(design: Design, judged: Check) -> list[Block]:
+def _words(design: uz.Design, judged: uz.Check) -> list[Block]:
     """A design in words, and what `check` says of it."""
     import msgspec
 

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
+import undeadzone as uz
 from undeadzone.cli.common import cmd, flag, option, origin, writable
 from undeadzone.cli.output import Output, on_scenario, prepare_figures
 from undeadzone.support.progress import on_terminal as progress
-
-if TYPE_CHECKING:
-    from undeadzone.scenario.schema import Scenario
 
 
 @click.command(epilog="Example: undeadzone ensemble examples/ensemble.toml --out study")
@@ -54,15 +52,12 @@ def ensemble(
     Every block of runs is kept on disk as it is done: after Ctrl-C, kill or a crash --resume
     computes the rest. docs/ensemble.md says what the numbers mean, docs/scenario.md what can vary.
     """
-    from undeadzone.ensemble.run_ensemble import run_ensemble
-    from undeadzone.scenario.reader import read
-
-    varied = _sized(read(scenario, confine), runs)
+    varied = _sized(uz.read(scenario, confine), runs)
     total = varied.ensemble.runs if varied.ensemble else None
     folder = writable(output.out or Path(f"{scenario.stem}-ensemble"))
     path = folder / ("runs.parquet" if parquet else "runs.npz")
     with progress("running", total, "runs", of=varied.observer) as advance:
-        result = run_ensemble(varied, path, progress=advance, **options)
+        result = uz.run_ensemble(varied, path, progress=advance, **options)
     summary = result.summary()
     written = [path]
     if output.figures:
@@ -75,7 +70,7 @@ def ensemble(
     return 1 if summary["diverged"]["value"] else 0
 
 
-def _sized(scenario: Scenario, runs: int | None) -> Scenario:
+def _sized(scenario: uz.Scenario, runs: int | None) -> uz.Scenario:
     """The scenario with that many runs. Raises InputError."""
     import msgspec
 

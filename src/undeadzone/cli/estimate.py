@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
+import undeadzone as uz
 from undeadzone.cli.common import (
     PATH,
     cmd,
@@ -25,9 +25,6 @@ from undeadzone.cli.output import (
     wanted_table,
 )
 from undeadzone.support.progress import on_terminal as progress
-
-if TYPE_CHECKING:
-    from undeadzone.results.estimation import Estimation
 
 
 @click.command(epilog="Example: undeadzone estimate mine.toml log.csv --columns y=angle,u=voltage")
@@ -60,12 +57,11 @@ def estimate(
     """
     from undeadzone.report.log_page import write_estimation
     from undeadzone.scenario.reader import read_for_logs
-    from undeadzone.simulation.estimate import estimate as estimated
 
     folder = output.folder(f"{log.stem}-estimate", as_csv)
     watched = read_for_logs(scenario, confine)
     with progress("estimating", None, of=watched.observer) as advance:
-        result = estimated(
+        result = uz.estimate(
             watched, log, columns=columns, strict=strict, smoothing=not causal, progress=advance
         )
     cure = None
@@ -85,7 +81,7 @@ def estimate(
     return exit_code(result.info)
 
 
-def _next(scenario: Path, log: Path, columns: str | None, result: Estimation) -> dict[str, str]:
+def _next(scenario: Path, log: Path, columns: str | None, result: uz.Estimation) -> dict[str, str]:
     """What to type after a log: firmware where it fits, else a model that does."""
     if result.info.consistent is False:
         again = cmd("undeadzone", "identify", log, *["--columns", columns] * bool(columns))

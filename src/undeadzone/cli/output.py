@@ -7,10 +7,11 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import reduce, wraps
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import click
 
+import undeadzone as uz
 from undeadzone.cli.common import (
     PATH,
     cmd,
@@ -22,9 +23,6 @@ from undeadzone.cli.common import (
     writable,
 )
 from undeadzone.support.shown import Block
-
-if TYPE_CHECKING:
-    from undeadzone.scenario.schema import Scenario
 
 LARGE = 1e7  # [bytes] of a table of signals that is written unasked
 
@@ -173,7 +171,7 @@ def to_type(*words: str) -> dict[str, str]:
     return {"next": "; ".join(words)} if words else {}
 
 
-def export_of(path: Path, scenario: Scenario) -> list[str]:
+def export_of(path: Path, scenario: uz.Scenario) -> list[str]:
     """The command that exports a scenario, and what it asks for first; none of a told observer."""
     if scenario.observer.__struct_config__.tag == "full_state":
         return []

@@ -137,17 +137,14 @@ def _instruct(worker: subprocess.Popen[bytes], payload: bytes) -> None:
 def _started() -> subprocess.Popen[bytes]:
     """A new process, deaf to Ctrl-C: that is for this process, which then stops its workers."""
     command = [sys.executable, "-P", "-c", BEGIN]
+    pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
     try:
         if sys.platform == "win32":
-            return subprocess.Popen(
-                command,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                creationflags=subprocess.CREATE_NEW_PROCESS_GROUP,
-            )
+            apart = subprocess.CREATE_NEW_PROCESS_GROUP
+            return subprocess.Popen(command, **pipes, creationflags=apart)
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # children inherit it
         try:
-            return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+            return subprocess.Popen(command, **pipes)
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
     except OSError as error:

@@ -17,14 +17,9 @@ from undeadzone.support.arrays import Floats
 
 # Length of a unit of time [s]. A time that counts samples has no length of its own.
 SECONDS: Final = {
-    "": 1.0,
-    "s": 1.0,
-    "sec": 1.0,
-    "seconds": 1.0,
+    **dict.fromkeys(("", "s", "sec", "seconds"), 1.0),
     "ms": 1e-3,
-    "us": 1e-6,
-    "µs": 1e-6,
-    "μs": 1e-6,
+    **dict.fromkeys(("us", "µs", "μs"), 1e-6),
     "ns": 1e-9,
     "min": 60.0,
     "h": 3600.0,

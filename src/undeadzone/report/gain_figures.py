@@ -216,16 +216,9 @@ def _mark(
     axes: Axes, point: Point, price: str, marker: str, colour: str, name: str, size: float = 9
 ) -> None:
     """Mark one point of the front; price: what stands on the axis to the right."""
-    axes.plot(
-        [getattr(point, price)],
-        [point.rate],
-        marker,
-        color=colour,
-        markersize=size,
-        markeredgecolor="white",
-        label=name,
-        zorder=5,
-    )
+    place = [getattr(point, price)], [point.rate]
+    on_top: Any = {"markeredgecolor": "white", "zorder": 5}
+    axes.plot(*place, marker, color=colour, markersize=size, label=name, **on_top)
 
 
 def ellipses(of: Assessment) -> Figure:

@@ -13,9 +13,16 @@ from undeadzone.observers.parts.judged_filter import FAR
 from undeadzone.observers.parts.prior import CHANCE
 from undeadzone.report import html, ink
 from undeadzone.report.run_page import further_tables
-from undeadzone.report.style import finish, label, shade_gap, shade_zone, sheet, width_lines
+from undeadzone.report.style import (
+    DASHED,
+    finish,
+    label,
+    shade_gap,
+    shade_zone,
+    sheet,
+    width_lines,
+)
 from undeadzone.results.estimation import Estimation, actuators, gaps, widths
-from undeadzone.support.arrays import Floats
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -164,7 +171,7 @@ def output(
     axes.plot(t, result.z_hat[shown, i], color=ink.ESTIMATE, label="estimate ẑ")
     if result.z_smooth is not None:
         smooth = result.z_smooth[shown, i]
-        axes.plot(t, smooth, color=ink.TRUTH, linestyle=(0, (4, 2)), label="with the whole log")
+        axes.plot(t, smooth, color=ink.TRUTH, linestyle=DASHED, label="with the whole log")
     _mark_missing(axes, result, i)
     title = f"Output{of}: what was read, and what the observer makes of it"
     finish(axes, title, label("z, y", result.unit("z_hat")), legend=4)
@@ -190,7 +197,7 @@ def _draw_widths(axes: Axes, result: Estimation, i: int, of: str, shown: slice) 
     width_lines(axes, t, widths, std)
     if result.d_smooth is not None:
         for column, colour in ((2 * i, ink.PRINTED), (2 * i + 1, ink.OTHER)):
-            axes.plot(t, result.d_smooth[shown, column], color=colour, linestyle=(0, (4, 2)))
+            axes.plot(t, result.d_smooth[shown, column], color=colour, linestyle=DASHED)
     settled = widths[len(widths) // 10 :]  # the start would stretch the axis
     low, high = float(np.nanmin(settled)), float(np.nanmax(settled))
     room = 0.3 * (high - low) + 1e-12
@@ -215,13 +222,6 @@ def _innovations(axes: Axes, result: Estimation, i: int, of: str, shown: slice) 
     axes.plot(t[used], limited, ".", color=ink.ESTIMATE, markersize=2, label=name, rasterized=True)
     for bound in (-FAR, FAR):
         axes.axhline(bound, color=ink.REFERENCE, linewidth=0.8)
-    _statistic(axes, t, result.B[shown, i])
+    axes.plot(t, np.minimum(result.B[shown, i], 2 * FAR), color=ink.PRINTED, label="B")
+    axes.axhline(CHANCE, color=ink.PRINTED, linewidth=0.8, linestyle=DASHED, label="usual limit")
     finish(axes, f"Innovations{of} and their test", "standard deviations", legend=3)
-
-
-def _statistic(axes: Any, t: Floats, B: Floats) -> None:
-    """The statistic B and its limit, in the panel of the innovations."""
-    axes.plot(t, np.minimum(B, 2 * FAR), color=ink.PRINTED, label="B")
-    axes.axhline(
-        CHANCE, color=ink.PRINTED, linewidth=0.8, linestyle=(0, (4, 2)), label="usual limit"
-    )

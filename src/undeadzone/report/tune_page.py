@@ -10,7 +10,7 @@ import numpy as np
 
 from undeadzone.report import html, ink
 from undeadzone.report.ensemble_figures import words
-from undeadzone.report.style import finish, plain, sheet
+from undeadzone.report.style import DASHED, finish, plain, sheet
 from undeadzone.statistics.intervals import Interval
 from undeadzone.support import toml
 from undeadzone.support.arrays import Floats
@@ -159,15 +159,8 @@ def candidates(axes: Axes, result: Tuned) -> None:
             axes.plot(tried, shown[tried], ".", color=colour, markersize=5, label=stage)
     if not kept.all():
         lost = np.flatnonzero(~kept)
-        axes.plot(
-            lost,
-            shown[lost],
-            "x",
-            color=ink.PRINTED,
-            markersize=3.5,
-            alpha=0.6,
-            label="not certified",
-        )
+        small: Any = {"markersize": 3.5, "alpha": 0.6}
+        axes.plot(lost, shown[lost], "x", color=ink.PRINTED, label="not certified", **small)
     axes.plot(best, color=ink.ESTIMATE, drawstyle="steps-post", label="best so far")
     _scaled(axes, known)
     finish(axes, "Candidates, on the runs tuned on", _words(result), "candidate", legend=3)
@@ -199,7 +192,7 @@ def _curve(axes: Axes, parameter: Parameter, value: float, curve: Sweep, margin:
         axes.plot(x[lost], cost[lost], "x", color=ink.PRINTED, label="not certified")
     start = parameter.start
     axes.axvline(value, color=ink.REFERENCE, label=f"tuned {value:.4g}")
-    axes.axvline(start, color=ink.ZONE, linestyle=(0, (4, 2)), label=f"start {start:.4g}")
+    axes.axvline(start, color=ink.ZONE, linestyle=DASHED, label=f"start {start:.4g}")
     axes.set_xlim(parameter.low, parameter.high)
     _scaled(axes, cost[shown])
 
@@ -217,9 +210,8 @@ def _places(parameter: Parameter, value: float) -> Floats:
 def _compare(axes: Axes, result: Tuned) -> None:
     """The first scenario on held-out runs as it was and tuned, with intervals."""
     first = result.held_out[0]
-    for place, (worth, colour) in enumerate(
-        ((first.before, ink.TRUTH), (first.after, ink.ESTIMATE))
-    ):
+    pairs = (first.before, ink.TRUTH), (first.after, ink.ESTIMATE)
+    for place, (worth, colour) in enumerate(pairs):
         value, low, high = worth.value
         reach = [[_reach(low, value)], [_reach(high, value)]]
         axes.errorbar([place], [value], yerr=reach, fmt="o", capsize=5, color=colour)

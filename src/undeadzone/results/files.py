@@ -157,10 +157,8 @@ def untimed(info: Any) -> Any:
 
 def _write_npz(path: Path, info: Any, signals: Mapping[str, Floats]) -> None:
     """Write signals compressed."""
-    arrays: dict[str, Any] = {
-        "info": np.frombuffer(msgspec.json.encode(info), np.uint8),
-        **signals,
-    }
+    head = np.frombuffer(msgspec.json.encode(info), np.uint8)
+    arrays: dict[str, Any] = {"info": head, **signals}
     with replacing(path) as temporary, open(temporary, "wb") as file:
         np.savez_compressed(file, **arrays)
 

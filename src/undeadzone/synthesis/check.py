@@ -155,15 +155,8 @@ class Check(Shown):
 
 REFUSED: Final = "not certified: "  # what the reason begins with
 PROOF: Final = (
-    "certified",
-    "margin",
-    "frequency",
-    "l2_gain",
-    "rate",
-    "time_constant",
-    "left_region",
-    "never",
-    "states",
+    *("certified", "margin", "frequency", "l2_gain", "rate", "time_constant", "left_region"),
+    *("never", "states"),
 )  # what `check` says of the gains, None where it cannot
 
 

@@ -188,12 +188,8 @@ def _polished(cost: Cost, point: Floats, low: Floats, high: Floats) -> Floats:
     def cost_of_one(x: Floats) -> float:
         return float(cost(np.clip(x, low, high)[None])[0])
 
-    options = {
-        "maxfev": 150 * point.size,
-        "xatol": 1e-9,
-        "fatol": 1e-12,
-        "adaptive": point.size > 4,
-    }
+    n = point.size
+    options = {"maxfev": 150 * n, "xatol": 1e-9, "fatol": 1e-12, "adaptive": n > 4}
     result = minimize(cost_of_one, point, method="Nelder-Mead", options=options)
     return np.asarray(result.x.clip(low, high))
 
