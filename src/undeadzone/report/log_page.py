@@ -142,12 +142,11 @@ def log_overview(result: Estimation) -> Figure:
         rows.append([f"output {i}"] * 2)
         rows.append([f"widths {i}", f"innovation {i}"])
     figure, panels = sheet(rows, result.info.title, even=True)
-    shown = _shown(result)
     for i, name in enumerate(result.outputs):
         of = f" {name}" if len(result.outputs) > 1 else ""
-        output(panels[f"output {i}"], result, i, of, shown)
-        _draw_widths(panels[f"widths {i}"], result, i, of, shown)
-        _innovations(panels[f"innovation {i}"], result, i, of, shown)
+        output(panels[f"output {i}"], result, i, of)
+        _draw_widths(panels[f"widths {i}"], result, i, of)
+        _innovations(panels[f"innovation {i}"], result, i, of)
     return figure
 
 
@@ -156,11 +155,9 @@ def _shown(result: Estimation) -> slice:
     return slice(None, None, max(1, result.t.size // POINTS))
 
 
-def output(
-    axes: Axes, result: Estimation, i: int = 0, of: str = "", shown: slice | None = None
-) -> None:
+def output(axes: Axes, result: Estimation, i: int = 0, of: str = "") -> None:
     """Reading and estimates of output i over its estimated dead zone; of: its name."""
-    shown = _shown(result) if shown is None else shown
+    shown = _shown(result)
     t = result.t[shown]
     right, left = result.info.d_right[i], result.info.d_left[i]
     if result.info.sensor == "play":
@@ -188,10 +185,10 @@ def _mark_missing(axes: Axes, result: Estimation, i: int) -> None:
         axes.axvspan(result.t[start], result.t[last], color=ink.FORBIDDEN, linewidth=0)
 
 
-def _draw_widths(axes: Axes, result: Estimation, i: int, of: str, shown: slice) -> None:
+def _draw_widths(axes: Axes, result: Estimation, i: int, of: str) -> None:
     """The estimated widths of output i, with 95 % intervals."""
-    t = result.t[shown]
-    columns = slice(2 * i, 2 * i + 2)
+    shown = _shown(result)
+    t, columns = result.t[shown], slice(2 * i, 2 * i + 2)
     widths = result.d_hat[shown, columns]
     std = None if result.d_std is None else result.d_std[shown, columns]
     width_lines(axes, t, widths, std)
@@ -207,10 +204,10 @@ def _draw_widths(axes: Axes, result: Estimation, i: int, of: str, shown: slice) 
     finish(axes, f"Widths{of}{band}", label("d", result.unit("d_hat")))
 
 
-def _innovations(axes: Axes, result: Estimation, i: int, of: str, shown: slice) -> None:
+def _innovations(axes: Axes, result: Estimation, i: int, of: str) -> None:
     """The normalised innovations of output i and the statistic of the test; else innovations."""
-    t = result.t[shown]
-    innovation = result.innovation[shown, i]
+    shown = _shown(result)
+    t, innovation = result.t[shown], result.innovation[shown, i]
     used = innovation != 0
     if result.innovation_std is None or result.B is None:
         axes.plot(t[used], innovation[used], ".", color=ink.ESTIMATE, markersize=2, rasterized=True)

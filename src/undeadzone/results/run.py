@@ -23,6 +23,12 @@ from undeadzone.support.text import label
 
 LAST: Final = 2.0  # [s] over which errors are measured
 FRAMES: Final = 25  # per second, of an arm's poses
+ERRORS: Final = {  # over the end of a run: what they are called in a terminal, and on a page
+    "rms_tracking": ("rms z - r", "rms of z − r"),
+    "rms_estimation": ("rms z - z^", "rms of z − z^"),
+    "rms_behind_play": ("rms y/m - r", "rms of y / m − r"),
+    "rms_tip": ("rms tip", "rms distance of the tip from its path"),
+}
 INEXACT: Final = 0.01  # of the largest |z|: an integration error above this is a failure
 
 
@@ -244,18 +250,13 @@ def _rms(values: Floats) -> float:
 def errors(run: Run) -> list[Row]:
     """The errors of a run over its end."""
     last, unit = f"last {run.lasting:g} s", run.info.units.output
-    said = [
-        ("rms_tracking", "rms z - r", "rms of z − r", unit, ""),
-        ("rms_estimation", "rms z - z^", "rms of z − z^", unit, ""),
-        ("rms_behind_play", "rms y/m - r", "rms of y / m − r", unit, ""),
-        ("rms_tip", "rms tip", "rms distance of the tip from its path", "m", " from its path"),
-    ]
     rows = []
-    for key, name, title, of, note in said:
-        value, behind = getattr(run, key), f"{note} ({last})"
+    for key, (name, title) in ERRORS.items():
+        value, of, note = getattr(run, key), unit, f" ({last})"
+        if key == "rms_tip":
+            of, note = "m", f" from its path ({last})"
         if value is not None:
-            row = Row(name, f"{title}, {last}", value, of, key=key, form=".4g", note=behind)
-            rows.append(row)
+            rows.append(Row(name, f"{title}, {last}", value, of, key=key, form=".4g", note=note))
     return rows
 
 

@@ -60,6 +60,10 @@ class Nearest(NamedTuple):
     margin: float
     rate: float
 
+    def plain(self) -> dict[str, Any]:
+        """The same for JSON."""
+        return self._asdict() | {"L": self.L.tolist(), "gamma": self.gamma.tolist()}
+
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Check(Shown):
@@ -140,7 +144,7 @@ class Check(Shown):
             **({"overrun": one_or_list(self.overrun)} if self.overrun else {}),
             "reasons": self.reasons,
             "cures": self.cures,
-            "nearest": None if self.nearest is None else _plain(self.nearest),
+            "nearest": None if self.nearest is None else self.nearest.plain(),
         }
         return dict(finite(numbers))
 
@@ -204,11 +208,6 @@ def _overrun(problem: Problem) -> tuple[float | None, ...]:
 def _nearest(gains: Gains) -> Nearest:
     """Gains and what they are worth."""
     return Nearest(gains.L, gains.gamma, gains.certificate.margin, gains.rates.rate)
-
-
-def _plain(near: Nearest) -> dict[str, Any]:
-    """Gains for JSON."""
-    return near._asdict() | {"L": near.L.tolist(), "gamma": near.gamma.tolist()}
 
 
 def _proof(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:

@@ -13,7 +13,6 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from undeadzone.analysis.certificate.passivity import Certificate, certify
-from undeadzone.linear.matrices import Matrices
 from undeadzone.numerics.optimise import evolve, pareto, scalar, undominated
 from undeadzone.support.arrays import Floats
 from undeadzone.synthesis.task import (
@@ -83,18 +82,17 @@ Tick = Callable[[int], None]
 Cost = Callable[[Floats], Floats]  # of points (b, d): numbers (b)
 
 
-def fastest(task: Task, linear: Matrices, weights: Weights, seed: int, tick: Tick) -> Synthesis:
+def fastest(task: Task, weights: Weights, seed: int, tick: Tick) -> Synthesis:
     """The certified gains of the largest rate, or of the best trade that `weights` name.
 
     Args:
         task: the design task.
-        linear: its model, not balanced.
         weights: the trade.
         seed: of the search.
         tick: tick(1) is called STARTS times.
     """
     task, start = search(task, weights, seed, tick)
-    best, certificate = proved(task, linear, start, partial(_cost, weights=weights))
+    best, certificate = proved(task, start, partial(_cost, weights=weights))
     return Synthesis(best, certificate, [best], at_the_limit(task, best))
 
 
@@ -154,7 +152,7 @@ def _cost(task: Task, weights: Weights) -> Cost:
 
 
 def proved(
-    task: Task, linear: Matrices, point: Floats, cost_in: Callable[[Task], Cost]
+    task: Task, point: Floats, cost_in: Callable[[Task], Cost]
 ) -> tuple[Candidate, Certificate]:
     """The point polished and proved.
 
@@ -162,7 +160,6 @@ def proved(
 
     Args:
         task: the design task.
-        linear: its model, not balanced.
         point: to start from (d).
         cost_in: cost_in(task) is what is made small.
     """
@@ -170,14 +167,14 @@ def proved(
     for _ in range(POLISHED):
         point = _polished(cost_in(task), point, *box(task))
         candidate = candidate_at(task, point)
-        certificate = certify(linear, candidate.L, candidate.gamma, task.Ts)
+        certificate = certify(task.model, candidate.L, candidate.gamma, task.Ts)
         if certificate.certified and certificate.margin > enough:
             return candidate, certificate
         if certificate.frequency is not None:
             task = watched(task, np.array([certificate.frequency]))
     while not (certificate.certified and certificate.margin > enough):
         candidate = candidate_of(task, SHRINK * candidate.L, candidate.gamma)
-        certificate = certify(linear, candidate.L, candidate.gamma, task.Ts)
+        certificate = certify(task.model, candidate.L, candidate.gamma, task.Ts)
     return candidate, certificate
 
 
@@ -199,9 +196,7 @@ def population(task: Task) -> int:
     return 32 if box(task)[0].size < 8 else 64
 
 
-def balanced(
-    task: Task, linear: Matrices, present: Candidate | None, seed: int, tick: Tick
-) -> Synthesis:
+def balanced(task: Task, present: Candidate | None, seed: int, tick: Tick) -> Synthesis:
     """The front of rate, disturbance and noise, and its knee.
 
     The knee is the point whose largest normalised loss is smallest; a loss is a logarithm between
@@ -213,7 +208,6 @@ def balanced(
 
     Args:
         task: the design task.
-        linear: its model, not balanced.
         present: gains to beat; None: there are none.
         seed: of the search.
         tick: tick(1) is called STARTS + ROUNDS times.
@@ -238,11 +232,11 @@ def balanced(
     least, greatest = every.min(axis=0), every.max(axis=0)
     loss_in = partial(_loss, limit=limit, least=least, greatest=greatest, bar=bar)
     start = points[np.argmin(loss_in(task)(points))]
-    best, certificate = proved(task, linear, start, loss_in)
+    best, certificate = proved(task, start, loss_in)
     remarks = at_the_limit(task, best)
     if present is not None:
         remarks += _remarks(best, present)
-    return Synthesis(best, certificate, _front(task, linear, points), remarks)
+    return Synthesis(best, certificate, _front(task, points), remarks)
 
 
 def _loss(task: Task, limit: float, least: Floats, greatest: Floats, bar: Floats) -> Cost:
@@ -304,7 +298,7 @@ def _remarks(best: Candidate, present: Candidate) -> tuple[str, ...]:
     )
 
 
-def _front(task: Task, linear: Matrices, points: Floats) -> list[Candidate]:
+def _front(task: Task, points: Floats) -> list[Candidate]:
     """The undominated of these points by falling rate.
 
     Their margins are made exact at their own worst frequencies.
@@ -312,7 +306,7 @@ def _front(task: Task, linear: Matrices, points: Floats) -> list[Candidate]:
     worst = []
     for point in points:
         candidate = candidate_at(task, point)
-        worst.append(certify(linear, candidate.L, candidate.gamma, task.Ts).frequency)
+        worst.append(certify(task.model, candidate.L, candidate.gamma, task.Ts).frequency)
     task = watched(task, np.array([w for w in worst if w is not None and np.isfinite(w)]))
     candidates = [candidate_at(task, point) for point in points]
     candidates.sort(key=lambda one: -one.rate)
