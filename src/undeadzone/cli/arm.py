@@ -17,6 +17,7 @@ from undeadzone.support.shown import Block
 if TYPE_CHECKING:
     from undeadzone.plants.robots.survey import Survey
 
+OWN = ("name", "kind", "limits", "velocity", "effort")  # of a joint, as the file has them
 HEAD = ("joint", "moves", "from", "to", "speed", "torque", "to hold", "b", "f", "carries")
 
 
@@ -148,19 +149,9 @@ def _in_numbers(found: Survey) -> dict[str, Any]:
     """What the file says, for JSON."""
     joints = []
     for joint, mass, holding in zip(found.joints, found.masses, found.holding, strict=True):
-        joints.append(
-            {
-                "name": joint.name,
-                "kind": joint.kind,
-                "limits": list(joint.limits),
-                "velocity": joint.velocity,
-                "effort": joint.effort,
-                "holding": float(holding),
-                "viscous": joint.friction[0],
-                "coulomb": joint.friction[1],
-                "mass": float(mass),
-            }
-        )
+        own = {name: getattr(joint, name) for name in OWN}
+        friction = dict(zip(("viscous", "coulomb"), joint.friction, strict=True))
+        joints.append(own | {"holding": float(holding)} | friction | {"mass": float(mass)})
     return {
         "base": found.base,
         "tip": found.tip,

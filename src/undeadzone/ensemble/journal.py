@@ -98,15 +98,17 @@ class Store(NamedTuple):
         """Its bytes in all."""
         return self._checksums + self.layout.blocks * NUMBER
 
-    def find(self) -> None:
-        """Find the blocks whose rows have the checksum that is kept of them."""
+    def looked_through(self) -> Store:
+        """The store that knows which blocks it holds: those whose rows have their checksum."""
         checksums = _read(self.file, self._checksums, self.layout.blocks * NUMBER)
+        done = np.zeros(self.layout.blocks, bool)
         for block in np.flatnonzero(np.frombuffer(checksums, "<u8")).tolist():
             runs = self.layout.within(block)
             size = (runs.stop - runs.start) * NUMBER
             rows = b"".join(_read(self.file, offset, size) for offset in self._offsets(block))
             kept = checksums[block * NUMBER : (block + 1) * NUMBER]
-            self.done[block] = _checksum(block, rows) == kept
+            done[block] = _checksum(block, rows) == kept
+        return self._replace(done=done)
 
     @property
     def _checksums(self) -> int:
@@ -149,13 +151,12 @@ def start(path: Path, layout: Layout, resume: bool = False) -> Store:
         if not fresh:
             problem = problem_there(path, _line_of(there), "ensemble", WORDS, resume)
             require_same(path, problem, json.loads(_line_of(header)), CURE)
-        store = Store(path, layout, file, len(header), np.zeros(layout.blocks, bool))
+        store = Store(path, layout, file, len(header), np.empty(0, bool))
         with writing(path):
             _allocate(path, file, store.size, fresh)
             if fresh:
                 put(path, file, header, 0)
-            store.find()
-            return store
+            return store.looked_through()
 
 
 def _header(layout: Layout) -> bytes:

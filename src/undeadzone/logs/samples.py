@@ -493,11 +493,7 @@ def filled(samples: Regular, steps: Floats, step: float) -> Regular:
     if total == samples.t.size:
         return samples
     at = np.cumsum(steps).astype(int) - 1
-    full = Regular(
-        np.full(total, np.nan),
-        np.full((total, samples.y.shape[1]), np.nan),
-        np.full((total, samples.u.shape[1]), np.nan),
-    )
+    full = Regular(*[np.full((total, *part.shape[1:]), np.nan) for part in samples])
     for whole, part in zip(full, samples, strict=True):
         whole[at] = part
     following = at[np.searchsorted(at, np.arange(total))]

@@ -199,12 +199,9 @@ def _bounded(q: Floats) -> Floats:
 
 def _band(axes: Axes, t: Floats, q: Floats) -> None:
     """The median in the bands between quantiles (N x 5): 1, 5, 50, 95 and 99 %."""
-    axes.fill_between(
-        t, q[:, 0], q[:, 4], color=ink.ESTIMATE, alpha=0.18, linewidth=0, label="1–99 %"
-    )
-    axes.fill_between(
-        t, q[:, 1], q[:, 3], color=ink.ESTIMATE, alpha=0.35, linewidth=0, label="5–95 %"
-    )
+    shade: Any = {"color": ink.ESTIMATE, "linewidth": 0}
+    axes.fill_between(t, q[:, 0], q[:, 4], alpha=0.18, label="1–99 %", **shade)
+    axes.fill_between(t, q[:, 1], q[:, 3], alpha=0.35, label="5–95 %", **shade)
     axes.plot(t, q[:, 2], color=ink.TRUTH, linewidth=1.1, label="median")
 
 
@@ -354,10 +351,8 @@ def _over_one(axes: Axes, x: Floats, y: Floats, runs: Marked, scale: Scale) -> N
     shown, diverged = runs.shown, runs.diverged
     alpha = min(0.6, 20 / np.sqrt(shown.size))
     axes.set_yscale(scale)
-    axes.plot(
-        x[shown], y[shown], ".", color=ink.ESTIMATE, markersize=3, markeredgewidth=0, alpha=alpha,
-        rasterized=True,
-    )  # fmt: skip
+    dots: Any = {"markersize": 3, "markeredgewidth": 0, "rasterized": True}
+    axes.plot(x[shown], y[shown], ".", color=ink.ESTIMATE, alpha=alpha, **dots)
     _trend(axes, x[shown], y[shown])
     _mark(axes, x, y, runs)
     if diverged.size:

@@ -15,7 +15,7 @@ import numpy as np
 from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.ensemble import metrics
 from undeadzone.ensemble.batch import Batch, prepare
-from undeadzone.ensemble.binding import bind
+from undeadzone.ensemble.binding import Lanes, bind
 from undeadzone.ensemble.metrics import EDGES, width_error, widths_in_turn
 from undeadzone.errors import InputError, UndeadzoneError
 from undeadzone.interfaces import graph_of
@@ -118,10 +118,7 @@ class TestRuns(NamedTuple):
             state, params = packed(candidate, self.batch.loop)
             binding = self.batch.binding._replace(state=state, params=params)
             parts.append(binding.lanes(self.values))
-        lanes = parts[0]._replace(
-            states=np.concatenate([part.states for part in parts]),
-            params=np.concatenate([part.params for part in parts]),
-        )
+        lanes = Lanes(*map(np.concatenate, zip(*parts, strict=True)))
         return self.batch.measure(np.tile(self.runs, len(candidates)), lanes, threads)
 
 

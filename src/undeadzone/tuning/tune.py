@@ -233,10 +233,8 @@ class Search(NamedTuple):
         if chosen:
             cost[chosen] = self._costs(points[chosen], possible)
         for k in chosen:
-            point = tuple(points[k].tolist())
-            self.candidates.append(
-                SimulatedCandidate(point, float(cost[k]), float(margin[k]), stage)
-            )
+            point, worth = tuple(points[k].tolist()), (float(cost[k]), float(margin[k]))
+            self.candidates.append(SimulatedCandidate(point, *worth, stage))
         self.progress(len(chosen))
         return Evaluation(cost, margin)
 
