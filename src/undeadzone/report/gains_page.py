@@ -203,14 +203,12 @@ def _schedule(of: Assessment) -> str:
 
 def verdict(of: Assessment) -> html.Html:
     """One line: certified or not, and whether every width can be known."""
-    parts = []
+    parts = [html.widths_known(all(one.right and one.left for one in of.known))]
     if of.gains is not None:
         proof = of.gains.certificate
         certified = f"certified, margin {proof.margin:.4g}"
-        parts.append(html.yes_no(proof.certified, certified, "not certified"))
-    return html.verdict_line(
-        *parts, html.widths_known(all(one.right and one.left for one in of.known))
-    )
+        parts.insert(0, html.yes_no(proof.certified, certified, "not certified"))
+    return html.verdict_line(*parts)
 
 
 def gains_section(gains: Gains, design: Design | None) -> list[html.Html]:
@@ -273,13 +271,9 @@ def _no_guarantee(proof: Certificate, tried: Attacks | None) -> list[html.Html]:
     if tried is None or tried.cycle is None:
         return parts
     if "cycle" in {course.kind for course in tried.courses}:
+        found = "A periodic sequence of sides was found along which the error grows by"
         growth = f"{tried.cycle.factor:.4g} every {tried.cycle.seconds:.4g} s"
-        parts.append(
-            html.paragraph(
-                "A periodic sequence of sides was found along which the error grows by "
-                f"{growth}: these gains can diverge."
-            )
-        )
+        parts.append(html.paragraph(f"{found} {growth}: these gains can diverge."))
     return parts
 
 

@@ -91,9 +91,8 @@ def estimation_page(
     info = result.info
     words, style = VERDICTS[info.consistent]
     shown = html.pictures(images, {"figure": _OVERVIEW}).values()
-    head = html.paragraph(
-        html.tag("span", f"Is the record what the observer claims? {words}", style)
-    )
+    asked = f"Is the record what the observer claims? {words}"
+    head = html.paragraph(html.tag("span", asked, style))
     found = [_widths(result), *further_tables(result.outputs, actuators(info), gaps(info))]
     reasons = [html.paragraph(f"{reason[:1].upper()}{reason[1:]}.") for reason in info.reasons]
     return html.page(

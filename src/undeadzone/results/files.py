@@ -20,7 +20,7 @@ from undeadzone.results.signals import Layout, Signals, from_columns, output_nam
 from undeadzone.support import files
 from undeadzone.support.arrays import Floats
 from undeadzone.support.files import LARGEST_RUN, Name, path_of, reason, replacing
-from undeadzone.support.shown import Block, Shown
+from undeadzone.support.shown import Shown
 from undeadzone.support.text import json_line, printable
 
 CHECKSUM: Final = '"sha256":"'  # the last key of the info in a `.csv`
@@ -71,10 +71,6 @@ class Recorded(Shown):
     def outputs(self) -> list[str]:
         """The names of the outputs: an arm's joints where it has one for each, else numbers."""
         return output_names(self.info.joints, self.y.shape[1])
-
-    def blocks(self) -> list[Block]:
-        """The tables that its command prints."""
-        raise NotImplementedError
 
     def columns(self) -> dict[str, Floats]:
         """Every scalar signal by column name: t, y[0], ..., d_right[0], d_left[0], ..., V."""
