@@ -18,35 +18,35 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 41_697, 334
+MOST_CODE, MOST_FILES = 41_294, 333
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
     "(root)": 384,
     "analysis": 3445,
-    "cli": 1923,
+    "cli": 1856,
     "compensators": 147,
     "compile": 3740,
     "controllers": 789,
     "ends": 426,
-    "ensemble": 1878,
+    "ensemble": 1833,
     "exports": 2348,
     "feedforward": 429,
     "identification": 7272,
     "linear": 400,
-    "logs": 1232,
+    "logs": 1206,
     "numerics": 836,
     "observers": 3812,
     "plants": 1646,
-    "report": 2941,
-    "results": 932,
+    "report": 2844,
+    "results": 866,
     "scenario": 1430,
     "signals": 383,
     "simulation": 2286,
     "statistics": 265,
-    "support": 837,
-    "synthesis": 1045,
-    "tuning": 871,
+    "support": 833,
+    "synthesis": 979,
+    "tuning": 832,
 }
 SILENT = {
     tokenize.COMMENT,

@@ -91,16 +91,17 @@ def _weak(found: Survey) -> list[str]:
 
 def _in_words(found: Survey, robot: Path) -> dict[str, Any]:
     """What the file says, a line each."""
+    from undeadzone.support.arrays import listed
+
     tree = found.robot
-    place = ", ".join(f"{value:.4g}" for value in found.place)
     reach = "no limit: a sliding joint has none"
     if found.reach is not None:
         reach = f"{found.reach:.4g} m from {found.joints[0].name} to the tip at most"
     shown: dict[str, Any] = {
         "file": f"{robot}: {len(tree.links)} links, {len(tree.joints)} joints",
         "arm": f"{len(found.joints)} joints move, from {found.base} to {found.tip}",
-        "posture": f"q = ({', '.join(f'{value:.4g}' for value in found.q)}) [rad or m]",
-        "tip": f"({place}) m there, seen from the base",
+        "posture": f"q = ({listed(found.q)}) [rad or m]",
+        "tip": f"({listed(found.place)}) m there, seen from the base",
         "reach": reach,
     }
     if found.fixed:

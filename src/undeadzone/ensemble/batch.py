@@ -57,8 +57,7 @@ class Batch(NamedTuple):
 
     def block(self, index: int, threads: int | None = None) -> Floats:
         """The rows of one block, on that many threads (default: one per processor)."""
-        within = self.layout.within(index)
-        runs = np.arange(within.start, within.stop)
+        runs = np.array(self.layout.within(index))
         values = self.binding.draw(int(runs[0]), runs.size, self.layout.runs)
         return self.rows(runs, values, threads)
 

@@ -57,19 +57,15 @@ class Store(NamedTuple):
     @property
     def runs_done(self) -> int:
         """The number of runs that it holds."""
-        last = self.layout.within(self.layout.blocks - 1)
-        runs = int(self.done.sum()) * self.layout.block
-        if self.done[-1]:
-            runs -= self.layout.block - (last.stop - last.start)
-        return runs
+        blocks = np.flatnonzero(self.done).tolist()
+        return sum(len(self.layout.within(block)) for block in blocks)
 
     def put(self, block: int, rows: Floats) -> None:
         """Keep the rows of a block (its runs x columns).
 
         Raises ShapeError, and FileError (disk full, file removed).
         """
-        runs = self.layout.within(block)
-        count, width = runs.stop - runs.start, len(self.layout.columns)
+        count, width = len(self.layout.within(block)), len(self.layout.columns)
         if rows.shape != (count, width):
             shape = " x ".join(map(str, rows.shape))
             raise ShapeError(f"block {block}: expected {count} x {width}, found {shape}")
@@ -103,8 +99,7 @@ class Store(NamedTuple):
         checksums = _read(self.file, self._checksums, self.layout.blocks * NUMBER)
         done = np.zeros(self.layout.blocks, bool)
         for block in np.flatnonzero(np.frombuffer(checksums, "<u8")).tolist():
-            runs = self.layout.within(block)
-            size = (runs.stop - runs.start) * NUMBER
+            size = len(self.layout.within(block)) * NUMBER
             rows = b"".join(_read(self.file, offset, size) for offset in self._offsets(block))
             kept = checksums[block * NUMBER : (block + 1) * NUMBER]
             done[block] = _checksum(block, rows) == kept

@@ -186,7 +186,8 @@ def over_time(result: Ensemble) -> Figure | None:
         else:
             _band(axes, t, q)
             axes.axhline(0.0, color=ink.TRUTH, linewidth=0.7)
-            edge, error = quantity.removeprefix("d_"), rf"$\hat {quantity[:3]} - {quantity[:3]}$"
+            d, edge = quantity[:3], quantity[2:]  # d_r of d_right
+            error = rf"$\hat {d} - {d}$"
             finish(axes, f"Error of the {edge} width{of}", axis_label(error, unit))
     return figure
 

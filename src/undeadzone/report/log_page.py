@@ -23,6 +23,7 @@ from undeadzone.report.style import (
     width_lines,
 )
 from undeadzone.results.estimation import Estimation, actuators, gaps, widths
+from undeadzone.support.arrays import runs
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -44,6 +45,7 @@ VERDICTS: Final = {
     None: ("that cannot be tested", "mid"),
 }
 POINTS = 20_000  # samples that a line shows at most
+MOST_GAPS = 100  # that are shaded: more could not be told apart
 
 
 def write_estimation(
@@ -175,13 +177,12 @@ def output(axes: Axes, result: Estimation, i: int = 0, of: str = "") -> None:
 
 def _mark_missing(axes: Axes, result: Estimation, i: int) -> None:
     """Shade where readings of output i are missing."""
-    missing = ~np.isfinite(result.y[:, i])
-    edges = np.flatnonzero(np.diff(missing.astype(int), prepend=0, append=0))
-    if edges.size > POINTS // 100:
-        return  # too many to be told apart
-    for start, end in edges.reshape(-1, 2):
-        last = min(end, result.t.size - 1)
-        axes.axvspan(result.t[start], result.t[last], color=ink.FORBIDDEN, linewidth=0)
+    first, last = runs(~np.isfinite(result.y[:, i]))
+    if first.size > MOST_GAPS:
+        return
+    ends = np.minimum(last + 1, result.t.size - 1)
+    for start, end in zip(result.t[first], result.t[ends], strict=True):
+        axes.axvspan(start, end, color=ink.FORBIDDEN, linewidth=0)
 
 
 def _draw_widths(axes: Axes, result: Estimation, i: int, of: str) -> None:

@@ -14,7 +14,7 @@ from undeadzone.report.style import DASHED, finish, plain, sheet
 from undeadzone.statistics.intervals import Interval
 from undeadzone.support import toml
 from undeadzone.support.arrays import Floats
-from undeadzone.support.text import counted
+from undeadzone.support.text import bracketed, counted
 from undeadzone.tuning.parameters import Parameter
 from undeadzone.tuning.result import HeldOut, Tuned
 from undeadzone.tuning.tune import Sweep, sweep
@@ -118,8 +118,8 @@ def _held_out(title: str, held_out: HeldOut) -> tuple[Any, ...]:
 
 def _interval(interval: Interval) -> str:
     """A value with its interval."""
-    value, low, high = interval
-    return f"{value:.4g}" if low == high else f"{value:.4g} [{low:.4g}, {high:.4g}]"
+    alone = interval.low == interval.high
+    return f"{interval.value:.4g}" if alone else bracketed(*interval, ".4g")
 
 
 def slices(result: Tuned) -> dict[str, Sweep]:
