@@ -18,7 +18,7 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 41_294, 333
+MOST_CODE, MOST_FILES = 41_282, 333
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
@@ -29,7 +29,7 @@ BUDGET = {
     "compile": 3740,
     "controllers": 789,
     "ends": 426,
-    "ensemble": 1833,
+    "ensemble": 1827,
     "exports": 2348,
     "feedforward": 429,
     "identification": 7272,
@@ -44,7 +44,7 @@ BUDGET = {
     "signals": 383,
     "simulation": 2286,
     "statistics": 265,
-    "support": 833,
+    "support": 834,
     "synthesis": 979,
     "tuning": 832,
 }
