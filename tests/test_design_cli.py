@@ -21,7 +21,7 @@ from scipy.linalg import expm
 import once
 from scenes import PAPER, scene
 from test_report import check_page
-from undeadzone.analysis.certificate.design_file import Design
+from undeadzone.analysis.certificate.design_file import Design, plain
 from undeadzone.analysis.convergence.falsify import Mode, generator
 from undeadzone.analysis.convergence.trajectories import Trajectory, settling, trajectories
 from undeadzone.analysis.error_dynamics import pattern
@@ -35,7 +35,6 @@ from undeadzone.report.style import image, sheet
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.synthesis import design as synthesis
 from undeadzone.synthesis.assessment import Assessment, assess, attack
-from undeadzone.synthesis.words import plain
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 POLES = {"method": "certified", "L": [12.0, 15.0], "gamma": 2.0}

@@ -125,9 +125,8 @@ def finals(batch: Batch, steps: int) -> Floats:
     """The states of all runs after so many steps, as the ensemble computes them."""
     runs = batch.layout.runs
     own = batch.binding.lanes(batch.binding.draw(0, runs, runs))
-    start, supply = batch.started(own.states), batch.own.supply(np.arange(runs))
-    exogenous = batch.exogenous[:steps]
-    return lanes.run(batch.kernel, start, exogenous, batch.params, supply, own.params)[1]
+    short = batch._replace(exogenous=batch.exogenous[:steps])
+    return short.run(batch.kernel, np.arange(runs), own)[1]
 
 
 def metrics(run: Run, batch: Batch, tolerance: float) -> dict[str, float]:

@@ -219,7 +219,7 @@ def test_wrong_numbers_of_workers(tmp_path: Path, options: dict[str, int]) -> No
 def test_a_worker_ends_with_the_process_that_started_it() -> None:
     command = [sys.executable, "-P", "-c", local_workers.BEGIN]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as worker:
-        local_workers._instruct(worker, b"")
+        local_workers._tell(worker, sys.path, b"")
         assert worker.stdin is not None
         worker.stdin.close()
         assert worker.wait(60) == 0

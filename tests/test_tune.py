@@ -34,7 +34,7 @@ from undeadzone.simulation.simulate import prepare as prepare_loop
 from undeadzone.statistics.intervals import Interval
 from undeadzone.support import toml
 from undeadzone.support.arrays import Floats
-from undeadzone.tuning.candidates import Frame, Objective, losses, objective, row, statistic
+from undeadzone.tuning.candidates import Frame, Objective, losses, row, statistic
 from undeadzone.tuning.parameters import parameters, values_at
 from undeadzone.tuning.result import HeldOut, Tuned, Worth, change
 from undeadzone.tuning.tune import (
@@ -72,7 +72,7 @@ def freely() -> Tuned:
 
 
 def of(what: Tune, scenario: Scenario, names: list[str], probes: Any) -> Objective:
-    return objective(what, [scenario], [Frame()], names, np.array(probes, float), what.runs, 0)
+    return Objective(what, names, [scenario], [Frame()]).prepared(np.array(probes, float), 0)
 
 
 def test_numbers_of_the_options_by_address() -> None:

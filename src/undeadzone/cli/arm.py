@@ -12,10 +12,12 @@ from undeadzone.cli.common import PATH, cmd, flag, force_option, option, writabl
 from undeadzone.cli.output import Output, common
 from undeadzone.errors import InputError
 from undeadzone.support.files import write_text
+from undeadzone.support.shown import Block
 
 if TYPE_CHECKING:
     from undeadzone.plants.robots.survey import Survey
 
+OWN = ("name", "kind", "limits", "velocity", "effort")  # of a joint, as the file has them
 HEAD = ("joint", "moves", "from", "to", "speed", "torque", "to hold", "b", "f", "carries")
 
 
@@ -53,16 +55,9 @@ def arm(
     found = survey(robot, names, tip, None if at is None else _numbers(at))
     written = [] if folder is None else [_started(found, robot, folder, gears, force)]
     weak = _weak(found)
-    output.show(
-        lambda: _in_numbers(found),
-        lambda: [
-            _in_words(found, robot),
-            [HEAD, *_rows(found)],
-            _advice(found, weak, written, robot),
-        ],
-        written,
-        last={},
-    )
+    next_ = _advice(found, weak, written, robot)
+    blocks: list[Block] = [_in_words(found, robot), [HEAD, *_rows(found)], next_]
+    output.show(lambda: _in_numbers(found), lambda: blocks, written, last={})
     return 1 if weak else 0
 
 
@@ -96,16 +91,17 @@ def _weak(found: Survey) -> list[str]:
 
 def _in_words(found: Survey, robot: Path) -> dict[str, Any]:
     """What the file says, a line each."""
+    from undeadzone.support.arrays import listed
+
     tree = found.robot
-    place = ", ".join(f"{value:.4g}" for value in found.place)
     reach = "no limit: a sliding joint has none"
     if found.reach is not None:
         reach = f"{found.reach:.4g} m from {found.joints[0].name} to the tip at most"
     shown: dict[str, Any] = {
         "file": f"{robot}: {len(tree.links)} links, {len(tree.joints)} joints",
         "arm": f"{len(found.joints)} joints move, from {found.base} to {found.tip}",
-        "posture": f"q = ({', '.join(f'{value:.4g}' for value in found.q)}) [rad or m]",
-        "tip": f"({place}) m there, seen from the base",
+        "posture": f"q = ({listed(found.q)}) [rad or m]",
+        "tip": f"({listed(found.place)}) m there, seen from the base",
         "reach": reach,
     }
     if found.fixed:
@@ -121,21 +117,11 @@ def _rows(found: Survey) -> list[list[str]]:
         holding = 0.0 if abs(torque) <= least else torque
         slides = joint.kind == "prismatic"
         unit, force = ("m", "N") if slides else ("rad", "N m")
-        low, high = joint.limits
-        rows.append(
-            [
-                joint.name,
-                "slides" if slides else "turns",
-                _limit(low, unit),
-                _limit(high, unit),
-                _limit(joint.velocity, f"{unit}/s"),
-                _limit(joint.effort, force),
-                f"{holding:.3g} {force}",
-                f"{joint.friction[0]:.3g}",
-                f"{joint.friction[1]:.3g}",
-                f"{mass:.4g} kg",
-            ]
-        )
+        row = [joint.name, "slides" if slides else "turns"]
+        row += [_limit(end, unit) for end in joint.limits]
+        row += [_limit(joint.velocity, f"{unit}/s"), _limit(joint.effort, force)]
+        row += [f"{holding:.3g} {force}", *(f"{share:.3g}" for share in joint.friction)]
+        rows.append([*row, f"{mass:.4g} kg"])
     return rows
 
 
@@ -164,19 +150,9 @@ def _in_numbers(found: Survey) -> dict[str, Any]:
     """What the file says, for JSON."""
     joints = []
     for joint, mass, holding in zip(found.joints, found.masses, found.holding, strict=True):
-        joints.append(
-            {
-                "name": joint.name,
-                "kind": joint.kind,
-                "limits": list(joint.limits),
-                "velocity": joint.velocity,
-                "effort": joint.effort,
-                "holding": float(holding),
-                "viscous": joint.friction[0],
-                "coulomb": joint.friction[1],
-                "mass": float(mass),
-            }
-        )
+        own = {name: getattr(joint, name) for name in OWN}
+        friction = dict(zip(("viscous", "coulomb"), joint.friction, strict=True))
+        joints.append(own | {"holding": float(holding)} | friction | {"mass": float(mass)})
     return {
         "base": found.base,
         "tip": found.tip,

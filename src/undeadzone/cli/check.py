@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
-from undeadzone.cli.common import PATH, cmd, guarded, json_text, origin, with_schema
-from undeadzone.cli.output import Output, common, export_of, named_files, to_type
+import undeadzone as uz
+from undeadzone.cli.common import cmd, json_text, origin, with_schema
+from undeadzone.cli.output import Output, export_of, named_files, on_scenario, to_type
 from undeadzone.support.files import write_text
 from undeadzone.support.progress import on_terminal as progress
-
-if TYPE_CHECKING:
-    from undeadzone.scenario.schema import Scenario
 
 
 @click.command(
     epilog="Example: undeadzone check examples/paper_5sin.toml --out verdict, then look at "
     "verdict/report.html"
 )
-@click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
-@guarded
-@common
+@on_scenario
 def check(scenario: Path, output: Output, confine: Path | None) -> int:
     """Assess the scenario's gains, and how strongly its readings move z^.
 
@@ -34,21 +29,17 @@ def check(scenario: Path, output: Output, confine: Path | None) -> int:
     (observers without constant gains need not be), a run leaves the region, or not every width can
     be identified.
     """
-    from undeadzone.scenario.problem import resolve_scenario
-    from undeadzone.scenario.reader import read
-    from undeadzone.synthesis.assessment import assess, attack
-    from undeadzone.synthesis.check import checked
-
     folder = output.folder(f"{scenario.stem}-check")
     written = []
-    judged = read(scenario, confine)
+    judged = uz.read(scenario, confine)
     with progress("judging", None, of=judged.observer) as advance:
-        result = checked(assess(resolve_scenario(judged), listen=True))
+        result = uz.check(judged)
         if folder is not None:
             text = json_text(with_schema(result.summary()))
             written.append(write_text(text + "\n", folder / "check.json"))
         if folder is not None and output.figures:
             from undeadzone.report.gains_page import write_gains
+            from undeadzone.synthesis.assessment import attack
 
             attempts = attack(result.assessment)
             again = origin(scenario, judged.simulation.seed)
@@ -59,7 +50,7 @@ def check(scenario: Path, output: Output, confine: Path | None) -> int:
     return 0 if result.affirmed else 1
 
 
-def _next(path: Path, scenario: Scenario, certified: bool | None) -> dict[str, str]:
+def _next(path: Path, scenario: uz.Scenario, certified: bool | None) -> dict[str, str]:
     """What to type after a verdict; certified: None of an observer without constant gains."""
     if certified is False:
         return to_type(f"{cmd('undeadzone', 'design', path)} searches gains that have a proof")

@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from undeadzone.cli.common import PATH, cmd, force_option, guarded, option, origin
-from undeadzone.cli.output import Output, common, named_files
+import undeadzone as uz
+from undeadzone.cli.common import cmd, force_option, option, origin
+from undeadzone.cli.output import Output, named_files, on_scenario
 from undeadzone.support.progress import on_terminal as progress
-
-if TYPE_CHECKING:
-    from undeadzone.analysis.certificate.design_file import Design
-    from undeadzone.report.html import Origin
-    from undeadzone.scenario.schema import Scenario
-    from undeadzone.support.shown import Block
-    from undeadzone.synthesis.check import Check
+from undeadzone.support.shown import Block
 
 
 def powers(
@@ -47,7 +42,6 @@ COUNT = click.IntRange(min=0)
     epilog="Example: undeadzone design examples/paper_5sin.toml --out mine, then look at "
     "mine/report.html"
 )
-@click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
 @option("--maximise", None, "The knee of the front (default), or the rate alone.", type=AIMS)
 @option(
     "--weights",
@@ -58,8 +52,7 @@ COUNT = click.IntRange(min=0)
 @option("--margin", None, "Least margin of the certificate, between 0 and 1.", default=0.01)
 @option("--seed", None, "Of the search: the same seed, the same gains.", default=0, type=COUNT)
 @force_option
-@guarded
-@common
+@on_scenario
 def design(
     scenario: Path,
     maximise: str | None,
@@ -85,18 +78,15 @@ def design(
     this plant.
     """
     from undeadzone.scenario.problem import systems
-    from undeadzone.scenario.reader import read
     from undeadzone.support.own_files import require_own
-    from undeadzone.synthesis.check import check as assess_gains
-    from undeadzone.synthesis.design import design as search
+    from undeadzone.synthesis.assessment import attack
     from undeadzone.synthesis.design import impossible, rounds, with_gains
-    from undeadzone.synthesis.gain_search import Weights
 
     if maximise is not None and weights is not None:
         raise click.UsageError(
             "give --maximise or --weights, not both", click.get_current_context()
         )
-    planned = read(scenario, confine)
+    planned = uz.read(scenario, confine)
     folder = output.folder(f"{scenario.stem}-design")
     if folder is not None:
         require_own(folder / "design.toml", force)
@@ -109,13 +99,17 @@ def design(
             written=[],
         )
         return 1
-    aim: Any = (maximise or "knee") if weights is None else Weights(*weights)
+    aim: Any = (maximise or "knee") if weights is None else uz.Weights(*weights)
     with progress("designing", rounds(aim)) as advance:
-        result = search(planned, aim, margin=margin, seed=seed, progress=advance)
-        designed = with_gains(planned, result)
-        judged = assess_gains(designed)
-    page = output.figures, origin(scenario, seed)
-    written = [] if folder is None else _written(result, designed, folder, *page)
+        result = uz.design(planned, aim, margin=margin, seed=seed, progress=advance)
+        judged = uz.check(with_gains(planned, result))
+    written = [] if folder is None else [result.save(folder / "design.toml")]
+    if folder is not None and output.figures:
+        from undeadzone.report.gains_page import write_gains
+
+        assessment = judged.assessment._replace(listens=())  # `check` tells these
+        attempts = attack(assessment, seed)
+        written += write_gains(assessment, attempts, folder, result, origin(scenario, seed))
     output.show(
         lambda: _numbers(result, judged),
         lambda: _words(result, judged),
@@ -135,7 +129,7 @@ def _next(folder: Path | None) -> dict[str, str]:
     }
 
 
-def _impossible(scenario: Scenario, path: Path, reason: str) -> dict[str, str]:
+def _impossible(scenario: uz.Scenario, path: Path, reason: str) -> dict[str, str]:
     """Why no gains can be certified."""
     return {
         "scenario": scenario.title,
@@ -145,31 +139,7 @@ def _impossible(scenario: Scenario, path: Path, reason: str) -> dict[str, str]:
     }
 
 
-def _written(
-    design: Design, scenario: Scenario, folder: Path, figures: bool, again: Origin
-) -> list[Path]:
-    """The files of a design: design.toml always, figures and page where wanted.
-
-    Args:
-        design: the gains found.
-        scenario: that has these gains.
-        folder: for the files.
-        figures: whether figures and page are wanted.
-        again: what it takes to get the same design.
-    """
-    written = [design.save(folder / "design.toml")]
-    if figures:
-        from undeadzone.report.gains_page import write_gains
-        from undeadzone.scenario.problem import resolve_scenario
-        from undeadzone.synthesis.assessment import assess, attack
-
-        assessment = assess(resolve_scenario(scenario))
-        attempts = attack(assessment, design.seed)
-        written += write_gains(assessment, attempts, folder, design, again)
-    return written
-
-
-def _numbers(design: Design, judged: Check) -> dict[str, Any]:
+def _numbers(design: uz.Design, judged: uz.Check) -> dict[str, Any]:
     """A design for JSON, its gains first, and what `check` says of it."""
     import msgspec
 
@@ -178,7 +148,7 @@ def _numbers(design: Design, judged: Check) -> dict[str, Any]:
     return numbers.pop("best") | numbers | known
 
 
-def _words(design: Design, judged: Check) -> list[Block]:
+def _words(design: uz.Design, judged: uz.Check) -> list[Block]:
     """A design in words, and what `check` says of it."""
     import msgspec
 

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from undeadzone.cli.common import PATH, cmd, flag, guarded, option, origin, writable
-from undeadzone.cli.output import Output, common, prepare_figures, tell_anew
+import undeadzone as uz
+from undeadzone.cli.common import cmd, flag, option, origin, writable
+from undeadzone.cli.output import Output, on_scenario, prepare_figures, tell_anew
 from undeadzone.support.progress import on_terminal as progress
-
-if TYPE_CHECKING:
-    from undeadzone.scenario.schema import Scenario
 
 
 @click.command(epilog="Example: undeadzone ensemble examples/ensemble.toml --out study")
-@click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
 @option("--runs", "N", "How many (default: [ensemble] runs, 10000).", type=click.IntRange(1))
 @flag("--resume", "Compute what an interrupted command left to do in DIR; the bits are the same.")
 @option(
@@ -29,17 +26,14 @@ if TYPE_CHECKING:
     "(needs the extra dask; docs/security.md says what is trusted).",
 )
 @flag("--parquet", "Write runs.parquet instead of runs.npz (needs the extra parquet).")
-@guarded
-@common
+@on_scenario
 def ensemble(
     scenario: Path,
     runs: int | None,
-    resume: bool,
-    workers: int | None,
-    cluster: str | None,
     parquet: bool,
     output: Output,
     confine: Path | None,
+    **options: Any,
 ) -> int:
     """Run a scenario many times: how often does it settle, how large are the errors, what decides?
 
@@ -58,19 +52,14 @@ def ensemble(
     Every block of runs is kept on disk as it is done: after Ctrl-C, kill or a crash --resume
     computes the rest. docs/ensemble.md says what the numbers mean, docs/scenario.md what can vary.
     """
-    from undeadzone.ensemble.run_ensemble import run_ensemble
-    from undeadzone.scenario.reader import read
-
-    varied = _sized(read(scenario, confine), runs)
+    varied = _sized(uz.read(scenario, confine), runs)
     total = varied.ensemble.runs if varied.ensemble else None
     folder = writable(output.out or Path(f"{scenario.stem}-ensemble"))
     path = folder / ("runs.parquet" if parquet else "runs.npz")
-    if resume and not path.exists():
+    if options["resume"] and not path.exists():
         tell_anew(Path(f"{path}.partial"))
     with progress("running", total, "runs", of=varied.observer) as advance:
-        result = run_ensemble(
-            varied, path, resume=resume, workers=workers, cluster=cluster, progress=advance
-        )
+        result = uz.run_ensemble(varied, path, progress=advance, **options)
     summary = result.summary()
     written = [path]
     if output.figures:
@@ -83,7 +72,7 @@ def ensemble(
     return 1 if summary["diverged"]["value"] else 0
 
 
-def _sized(scenario: Scenario, runs: int | None) -> Scenario:
+def _sized(scenario: uz.Scenario, runs: int | None) -> uz.Scenario:
     """The scenario with that many runs. Raises InputError."""
     import msgspec
 

@@ -3,36 +3,37 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
+import undeadzone as uz
 from undeadzone.cli.common import (
     PATH,
     cmd,
     columns_option,
     exit_code,
     flag,
-    guarded,
     origin,
     strict_option,
 )
-from undeadzone.cli.output import Output, common, csv_option, named_files, to_type, wanted_table
+from undeadzone.cli.output import (
+    Output,
+    csv_option,
+    named_files,
+    on_scenario,
+    to_type,
+    wanted_table,
+)
 from undeadzone.support.progress import on_terminal as progress
-
-if TYPE_CHECKING:
-    from undeadzone.results.estimation import Estimation
 
 
 @click.command(epilog="Example: undeadzone estimate mine.toml log.csv --columns y=angle,u=voltage")
-@click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
-@click.argument("log", type=PATH, metavar="LOG")
 @columns_option
 @strict_option
 @flag("--causal", "The filter alone: no smoothing with the whole log.")
 @csv_option
-@guarded
-@common
+@on_scenario
+@click.argument("log", type=PATH, metavar="LOG")
 def estimate(
     scenario: Path,
     log: Path,
@@ -56,12 +57,11 @@ def estimate(
     """
     from undeadzone.report.log_page import write_estimation
     from undeadzone.scenario.reader import read_for_logs
-    from undeadzone.simulation.estimate import estimate as estimated
 
     folder = output.folder(f"{log.stem}-estimate", as_csv)
     watched = read_for_logs(scenario, confine)
     with progress("estimating", None, of=watched.observer) as advance:
-        result = estimated(
+        result = uz.estimate(
             watched, log, columns=columns, strict=strict, smoothing=not causal, progress=advance
         )
     cure = None
@@ -81,7 +81,7 @@ def estimate(
     return exit_code(result.info)
 
 
-def _next(scenario: Path, log: Path, columns: str | None, result: Estimation) -> dict[str, str]:
+def _next(scenario: Path, log: Path, columns: str | None, result: uz.Estimation) -> dict[str, str]:
     """What to type after a log: firmware where it fits, else a model that does."""
     if result.info.consistent is False:
         again = cmd("undeadzone", "identify", log, *["--columns", columns] * bool(columns))

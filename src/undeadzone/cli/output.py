@@ -7,14 +7,16 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import reduce, wraps
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import click
 
+import undeadzone as uz
 from undeadzone.cli.common import (
     PATH,
     cmd,
     flag,
+    guarded,
     option,
     print_blocks,
     print_json,
@@ -22,9 +24,6 @@ from undeadzone.cli.common import (
     writable,
 )
 from undeadzone.support.shown import Block
-
-if TYPE_CHECKING:
-    from undeadzone.scenario.schema import Scenario
 
 LARGE = 1e7  # [bytes] of a table of signals that is written unasked
 
@@ -103,6 +102,12 @@ def common(command: Callable[..., int]) -> Callable[..., int]:
     return reduce(lambda made, option: option(made), OUTPUTS, given)
 
 
+def on_scenario(command: Callable[..., int]) -> Callable[..., int]:
+    """Add SCENARIO.toml, --untrusted and --confine, and what `common` adds."""
+    argument = click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
+    return argument(guarded(common(command)))
+
+
 def wanted_table(as_csv: bool, size: float, name: str) -> tuple[bool, dict[str, str]]:
     """Whether a table of signals is written, and else the line that says so.
 
@@ -179,7 +184,7 @@ def to_type(*words: str) -> dict[str, str]:
     return {"next": "; ".join(words)} if words else {}
 
 
-def export_of(path: Path, scenario: Scenario) -> list[str]:
+def export_of(path: Path, scenario: uz.Scenario) -> list[str]:
     """The command that exports a scenario, and what it asks for first; none of a told observer."""
     if scenario.observer.__struct_config__.tag == "full_state":
         return []

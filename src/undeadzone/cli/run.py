@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import click
 
-from undeadzone.cli.common import PATH, cmd, guarded, option, origin, writable
+import undeadzone as uz
+from undeadzone.cli.common import PATH, cmd, option, origin, writable
 from undeadzone.cli.output import (
     Output,
-    common,
     csv_option,
     export_of,
     named_files,
+    on_scenario,
     prepare_figures,
     to_type,
     wanted_table,
@@ -21,10 +22,6 @@ from undeadzone.cli.output import (
 from undeadzone.errors import InputError
 from undeadzone.support.progress import on_terminal as progress
 from undeadzone.support.text import HALF_95, with_unit
-
-if TYPE_CHECKING:
-    from undeadzone.results.run import Run
-    from undeadzone.scenario.schema import Scenario
 
 WIDE: Final = 0.2  # half of an interval, in widths: what narrows it is said
 CLAIMS: Final = ("disturbance", "bias", "centre")  # that narrow most, the usual first
@@ -34,7 +31,6 @@ OF_ENSEMBLE = (".npz", ".parquet")  # files that hold runs, no scenario
 @click.command(
     epilog="Example: undeadzone init mine.toml && undeadzone run mine.toml --out results"
 )
-@click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
 @option(
     "--replay",
     "NUMBER",
@@ -45,8 +41,7 @@ OF_ENSEMBLE = (".npz", ".parquet")  # files that hold runs, no scenario
     "--animation", "FILE", "Write an arm's motion as .gif (or .mp4, with ffmpeg) too.", type=PATH
 )
 @csv_option
-@guarded
-@common
+@on_scenario
 def run(
     scenario: Path,
     replay: int | None,
@@ -73,7 +68,7 @@ def run(
 
         require_movie(animation)
         writable(animation.parent)
-    rival: Run | None = None
+    rival: uz.Run | None = None
     deviation: float | None = None
     follow: dict[str, str] = {}
     name = scenario.stem if replay is None else f"run-{replay}"
@@ -109,13 +104,13 @@ def run(
     return 0 if _is_good(result) else 1
 
 
-def _is_good(run: Run) -> bool:
+def _is_good(run: uz.Run) -> bool:
     """Whether a run is what was hoped for: exit code 0."""
     known = run.fully_identifiable or not run.adapts
     return run.diverged_at is None and not run.inexact and known
 
 
-def _next(path: Path, scenario: Scenario, run: Run) -> dict[str, str]:
+def _next(path: Path, scenario: uz.Scenario, run: uz.Run) -> dict[str, str]:
     """What to type after a run: what narrows wide intervals comes first."""
     import numpy as np
 
@@ -130,7 +125,7 @@ def _next(path: Path, scenario: Scenario, run: Run) -> dict[str, str]:
     return to_type(*[narrower] * bool(open_claims), check)
 
 
-def _read(path: Path, animated: bool, confine: Path | None) -> Scenario:
+def _read(path: Path, animated: bool, confine: Path | None) -> uz.Scenario:
     """The scenario that is to run. Raises InputError.
 
     Args:
@@ -138,20 +133,18 @@ def _read(path: Path, animated: bool, confine: Path | None) -> Scenario:
         animated: whether a film is wanted, which only an arm's run gives.
         confine: a folder outside of which the scenario may name no file; None: any.
     """
-    from undeadzone.scenario.reader import read
-
     if path.suffix in OF_ENSEMBLE:
         raise InputError(
             f"{path}: not a scenario; to see one of the runs of an ensemble add --replay and its "
             "number"
         )
-    scenario = read(path, confine)
+    scenario = uz.read(path, confine)
     if animated and scenario.plant.arm is None:
         raise InputError("animation: this plant is no arm; leave the option out")
     return scenario
 
 
-def _simulated(scenario: Scenario) -> tuple[Run, Run | None]:
+def _simulated(scenario: uz.Scenario) -> tuple[uz.Run, uz.Run | None]:
     """The run of a scenario, and that of the observer that it is to be compared with."""
     from undeadzone.simulation.listening import heard
     from undeadzone.simulation.simulate import beside
@@ -165,7 +158,7 @@ def _simulated(scenario: Scenario) -> tuple[Run, Run | None]:
         return (result, None) if scenario.compare is None else beside(scenario, result, advance)
 
 
-def _steps(scenario: Scenario) -> int:
+def _steps(scenario: uz.Scenario) -> int:
     """How many steps are simulated: of each observer, of its twin of half the step, of `heard`."""
     from undeadzone.simulation.simulate import steps
 
@@ -173,7 +166,7 @@ def _steps(scenario: Scenario) -> int:
     return observers * steps(scenario) + steps(scenario, check_step=False)
 
 
-def _replayed(path: Path, number: int, confine: Path | None) -> tuple[Run, float]:
+def _replayed(path: Path, number: int, confine: Path | None) -> tuple[uz.Run, float]:
     """A run of an ensemble, and how far it lies from what it was there.
 
     Args:
@@ -181,19 +174,18 @@ def _replayed(path: Path, number: int, confine: Path | None) -> tuple[Run, float
         number: of the run.
         confine: a folder outside of which the ensemble's scenario may name no file; None: any.
     """
-    from undeadzone.ensemble.result import Ensemble
-    from undeadzone.ensemble.run_ensemble import deviation, replay_run
+    from undeadzone.ensemble.run_ensemble import deviation
 
-    ensemble = Ensemble.load(path)
+    ensemble = uz.Ensemble.load(path)
     if confine is not None:
         from undeadzone.scenario.reader import confined as kept_inside
         from undeadzone.scenario.reader import parse
 
         kept_inside(parse(ensemble.info.scenario), confine)
-    return replay_run(ensemble, number), deviation(ensemble, number)
+    return uz.replay_run(ensemble, number), deviation(ensemble, number)
 
 
-def _film(result: Run, rival: Run | None, path: Path) -> Path:
+def _film(result: uz.Run, rival: uz.Run | None, path: Path) -> Path:
     """The film of an arm's run, once it is written."""
     from undeadzone.report.animation import frames, movie
 
@@ -202,7 +194,7 @@ def _film(result: Run, rival: Run | None, path: Path) -> Path:
 
 
 def _numbers(
-    result: Run, rival: Run | None, replay: int | None, deviation: float | None
+    result: uz.Run, rival: uz.Run | None, replay: int | None, deviation: float | None
 ) -> dict[str, Any]:
     """What a run came to, for JSON."""
     summary = result.summary()
@@ -222,7 +214,7 @@ def _replay_in_words(deviation: float | None) -> dict[str, str]:
     return {"replayed": f"off by {deviation:.1g} of the ensemble: another processor or version"}
 
 
-def _compared(rival: Run | None) -> dict[str, str]:
+def _compared(rival: uz.Run | None) -> dict[str, str]:
     """What a rival's run came to."""
     if rival is None:
         return {}

@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from undeadzone.cli.common import PATH, cmd, flag, force_option, guarded, option, origin
-from undeadzone.cli.output import Output, common, named_files, partial_file, to_type
+import undeadzone as uz
+from undeadzone.cli.common import cmd, flag, force_option, option, origin
+from undeadzone.cli.output import Output, named_files, on_scenario, partial_file, to_type
 from undeadzone.errors import InputError
 from undeadzone.support.progress import on_terminal as progress
-
-if TYPE_CHECKING:
-    from undeadzone.scenario.schema import Scenario
-    from undeadzone.scenario.tune_table import Tune
-
 
 STATISTICS = click.Choice(["mean", "median", "p95", "worst"])
 
@@ -24,7 +20,6 @@ STATISTICS = click.Choice(["mean", "median", "p95", "worst"])
     epilog="Example: undeadzone tune examples/tune.toml --out tuned "
     "&& undeadzone run tuned/tuned.toml"
 )
-@click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
 @option(
     "--over",
     "ADDRESS=LOW:HIGH[:log]",
@@ -39,8 +34,7 @@ STATISTICS = click.Choice(["mean", "median", "p95", "worst"])
 @option("--seed", "N", "Of the runs and the search (default: [tune] seed).", type=int)
 @flag("--resume", "Continue a search that was stopped, from DIR/tuned.toml.partial.")
 @force_option
-@guarded
-@common
+@on_scenario
 def tune(
     scenario: Path,
     over: tuple[str, ...],
@@ -69,19 +63,16 @@ def tune(
     after Ctrl-C, kill or a crash --resume goes on. Exit code 1: no better on the held-out runs,
     or not certified though this was asked for.
     """
-    from undeadzone.scenario.reader import read
     from undeadzone.support.own_files import require_own
-    from undeadzone.tuning.result import in_words
-    from undeadzone.tuning.tune import tune as search
 
-    tuned = read(scenario, confine)
+    tuned = uz.read(scenario, confine)
     folder = output.folder(f"{scenario.stem}-tune")
     if folder is not None:
         require_own(folder / "tuned.toml", force)
     wanted = _wanted(tuned, over, changes)
     keep = partial_file(folder, "tuned.toml", resume)
     with progress("tuning", wanted.budget, "candidates", of=tuned.observer) as advance:
-        result = search(tuned, wanted, progress=advance, keep=keep, resume=resume)
+        result = uz.tune(tuned, wanted, progress=advance, keep=keep, resume=resume)
     written = [] if folder is None else [result.save(folder / "tuned.toml")]
     if keep is not None:
         keep.unlink(missing_ok=True)
@@ -92,17 +83,15 @@ def tune(
     last = named_files(written)
     if written:
         last |= to_type(cmd("undeadzone", "run", written[0]))
-    output.show(result.summary, lambda: [in_words(result.summary())], written, last)
+    output.show(result.summary, result.blocks, written, last)
     return 0 if result.improved and result.certified else 1
 
 
-def _wanted(scenario: Scenario, over: tuple[str, ...], changes: dict[str, Any]) -> Tune:
+def _wanted(scenario: uz.Scenario, over: tuple[str, ...], changes: dict[str, Any]) -> uz.Tune:
     """The [tune] of a scenario with what the options say. Raises InputError."""
     import msgspec
 
-    from undeadzone.scenario.tune_table import Tune
-
-    table = scenario.tune or Tune()
+    table = scenario.tune or uz.Tune()
     options = {name: value for name, value in changes.items() if value is not None}
     entries = table.entries | dict(map(_bounds, over))
     return msgspec.structs.replace(table, entries=entries, **options)
@@ -110,15 +99,13 @@ def _wanted(scenario: Scenario, over: tuple[str, ...], changes: dict[str, Any]) 
 
 def _bounds(text: str) -> tuple[str, Any]:
     """An address and its bounds, from ADDRESS=LOW:HIGH[:log]. Raises InputError."""
-    from undeadzone.scenario.tune_table import Range
-
     address, _, bounds = text.partition("=")
     low, _, rest = bounds.partition(":")
     high, _, scale = rest.partition(":")
     try:
         if scale not in ("", "log"):
             raise ValueError
-        return address.strip(), Range(between=(float(low), float(high)), log=scale == "log")
+        return address.strip(), uz.Range(between=(float(low), float(high)), log=scale == "log")
     except ValueError:
         raise InputError(
             "--over: expected ADDRESS=LOW:HIGH or ADDRESS=LOW:HIGH:log, such as "

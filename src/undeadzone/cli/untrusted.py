@@ -7,6 +7,7 @@ import ctypes
 import os
 import shutil
 import signal
+import struct
 import sys
 import tempfile
 from collections.abc import Iterable
@@ -31,19 +32,6 @@ EXECUTE, WRITE_FILE, READ_FILE, READ_FOLDER = 1, 2, 4, 8
 OF_FILES: Final = EXECUTE | WRITE_FILE | READ_FILE
 EVERY: Final = {1: (1 << 13) - 1, 2: (1 << 14) - 1, 3: (1 << 15) - 1}  # rights by version
 TRUNCATE: Final = 1 << 14
-
-
-class _Ruleset(ctypes.Structure):
-    """The rights that are taken away unless a rule grants them."""
-
-    _fields_ = (("rights", ctypes.c_uint64),)
-
-
-class _Beneath(ctypes.Structure):
-    """The rights that are granted below a folder, or of a file."""
-
-    _pack_ = 1
-    _fields_ = (("rights", ctypes.c_uint64), ("place", ctypes.c_int32))
 
 
 def hold_apart(folder: Path, out: Path | None) -> list[str]:
@@ -146,8 +134,8 @@ def _landlocked(read: Iterable[Path], written: Iterable[Path]) -> bool:
     if version < 1:
         return False
     every = EVERY[min(version, max(EVERY))]
-    wanted = _Ruleset(every)
-    rules = kernel.syscall(CREATE, ctypes.byref(wanted), ctypes.c_size_t(ctypes.sizeof(wanted)), 0)
+    wanted = struct.pack("=Q", every)  # the rights that are taken away unless a rule grants them
+    rules = kernel.syscall(CREATE, wanted, ctypes.c_size_t(len(wanted)), 0)
     if rules < 0:
         return False
     try:
@@ -167,7 +155,6 @@ def _grant(kernel: ctypes.CDLL, rules: int, place: Path, rights: int) -> None:
         rights &= OF_FILES | TRUNCATE
     descriptor = os.open(place, os.O_PATH | os.O_CLOEXEC)
     try:
-        rule = _Beneath(rights, descriptor)
-        kernel.syscall(ADD, rules, BENEATH, ctypes.byref(rule), 0)
+        kernel.syscall(ADD, rules, BENEATH, struct.pack("=Qi", rights, descriptor), 0)
     finally:
         os.close(descriptor)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+import undeadzone as uz
 from undeadzone.cli.common import (
     PATH,
     SCHEMA,
@@ -33,7 +34,6 @@ from undeadzone.errors import FileError, Terminated
 from undeadzone.support.progress import on_terminal as progress
 
 if TYPE_CHECKING:
-    from undeadzone.interfaces import Estimate
     from undeadzone.results.info import LogInfo
     from undeadzone.simulation.follower import Follower, LiveLog
     from undeadzone.support.arrays import Floats
@@ -209,14 +209,14 @@ def _write(text: bytes) -> None:
     click.echo(text, nl=False)
 
 
-def _parts(estimate: Estimate, sides: Floats) -> dict[str, Floats]:
+def _parts(estimate: uz.Estimate, sides: Floats) -> dict[str, Floats]:
     """The parts of estimates, and the measured sides, by the names of their columns."""
     from undeadzone.interfaces import COLUMNS
 
     return dict(zip(COLUMNS, estimate, strict=True)) | {"side": sides}
 
 
-def _header(estimate: Estimate, sides: Floats) -> bytes:
+def _header(estimate: uz.Estimate, sides: Floats) -> bytes:
     """The names of the columns of a CSV file: t, x_hat[0], ..."""
     names = ["t"]
     for name, part in _parts(estimate, sides).items():
@@ -224,7 +224,7 @@ def _header(estimate: Estimate, sides: Floats) -> bytes:
     return ",".join(names).encode() + b"\n"
 
 
-def _csv(t: Floats, estimate: Estimate, sides: Floats) -> bytes:
+def _csv(t: Floats, estimate: uz.Estimate, sides: Floats) -> bytes:
     """Lines of a CSV file, with all digits."""
     import msgspec
     import numpy as np
@@ -236,7 +236,7 @@ def _csv(t: Floats, estimate: Estimate, sides: Floats) -> bytes:
     return rows.replace(b"],[", b"\n") + b"\n"
 
 
-def _json(t: Floats, estimate: Estimate, sides: Floats) -> bytes:
+def _json(t: Floats, estimate: uz.Estimate, sides: Floats) -> bytes:
     """Lines of JSON; what the observer does not estimate is left out."""
     import msgspec
 

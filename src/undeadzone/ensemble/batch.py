@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -57,8 +57,7 @@ class Batch(NamedTuple):
 
     def block(self, index: int, threads: int | None = None) -> Floats:
         """The rows of one block, on that many threads (default: one per processor)."""
-        within = self.layout.within(index)
-        runs = np.arange(within.start, within.stop)
+        runs = np.array(self.layout.within(index))
         values = self.binding.draw(int(runs[0]), runs.size, self.layout.runs)
         return self.rows(runs, values, threads)
 
@@ -80,24 +79,26 @@ class Batch(NamedTuple):
             own: the states and params of each lane
             threads: default one per processor
         """
-        _, finals = lanes.run(
-            self.kernel,
-            self.started(own.states),
-            self.exogenous,
-            self.params,
-            self.own.supply(runs),
-            own.params,
-            threads=threads,
-        )
+        _, finals = self.run(self.kernel, runs, own, threads=threads)
         states, tallied = np.split(finals, [own.states.shape[1]], axis=1)
         tally: Tally = tree.columns(self.measured.tally, tallied)
         samples, tracked = len(self.exogenous), len(self.problem.tracked)
         scales = plant_scales(self.problem)
         return metrics.rows(tally, states, scales, samples, self.tail, tracked)
 
-    def started(self, states: Floats) -> Floats:
-        """The states (lanes x S) of the loop with nothing counted yet."""
-        return np.hstack([states, np.zeros((len(states), tree.size(self.measured.tally)))])
+    def run(
+        self, kernel: lanes.Kernel, runs: Integers, own: Lanes, **options: Any
+    ) -> tuple[Floats, Floats]:
+        """What a kernel records of lanes, and their last states with what is counted.
+
+        Args:
+            kernel: that of the batch, or one that is called in its place
+            runs, own: as of `measure`
+            options: of `lanes.run`
+        """
+        nothing_yet = np.zeros((len(own.states), tree.size(self.measured.tally)))
+        start, noise = np.hstack([own.states, nothing_yet]), self.own.supply(runs)
+        return lanes.run(kernel, start, self.exogenous, self.params, noise, own.params, **options)
 
 
 def prepare(scenario: Scenario, moved: Iterable[int] = ()) -> Batch:

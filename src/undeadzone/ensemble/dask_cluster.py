@@ -81,12 +81,11 @@ def _prepared(payload: bytes, expected: tuple[tuple[str, str], ...]) -> Job:
 def _client(cluster: str) -> Iterator[Any]:
     """A client of the cluster at an address. Raises InputError, ClusterError."""
     try:
-        import distributed  # noqa: F401
+        from distributed import Client
     except ImportError:
         raise InputError(
             "cluster: the package distributed is missing; pip install 'undeadzone[dask]'"
         ) from None
-    from distributed import Client
     from distributed.utils import silence_logging_cmgr
 
     with ThreadPoolExecutor(1) as beside:  # a notebook's own thread has an event loop already

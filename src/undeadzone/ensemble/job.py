@@ -41,9 +41,9 @@ class Layout(NamedTuple):
         """The number of blocks."""
         return -(-self.runs // self.block)
 
-    def within(self, block: int) -> slice:
+    def within(self, block: int) -> range:
         """The runs of a block."""
-        return slice(block * self.block, min((block + 1) * self.block, self.runs))
+        return range(block * self.block, min((block + 1) * self.block, self.runs))
 
 
 class Job(Protocol):

@@ -57,29 +57,23 @@ class Store(NamedTuple):
     @property
     def runs_done(self) -> int:
         """The number of runs that it holds."""
-        last = self.layout.within(self.layout.blocks - 1)
-        runs = int(self.done.sum()) * self.layout.block
-        if self.done[-1]:
-            runs -= self.layout.block - (last.stop - last.start)
-        return runs
+        blocks = np.flatnonzero(self.done).tolist()
+        return sum(len(self.layout.within(block)) for block in blocks)
 
     def put(self, block: int, rows: Floats) -> None:
         """Keep the rows of a block (its runs x columns).
 
         Raises ShapeError, and FileError (disk full, file removed).
         """
-        runs = self.layout.within(block)
-        count, width = runs.stop - runs.start, len(self.layout.columns)
+        count, width = len(self.layout.within(block)), len(self.layout.columns)
         if rows.shape != (count, width):
             shape = " x ".join(map(str, rows.shape))
             raise ShapeError(f"block {block}: expected {count} x {width}, found {shape}")
         columns = np.ascontiguousarray(rows.T, "<f8")
-        for index, column in enumerate(columns):
-            offset = _start_of_rows(self.start, self.layout, index, block)
+        for column, offset in zip(columns, self._offsets(block), strict=True):
             put(self.path, self.file, column.tobytes(), offset)
-        checksums = _start_of_checksums(self.start, self.layout)
         checksum = _checksum(block, columns.tobytes())
-        put(self.path, self.file, checksum, checksums + block * NUMBER)
+        put(self.path, self.file, checksum, self._checksums + block * NUMBER)
         self.done[block] = True
 
     def columns(self) -> dict[str, Floats]:
@@ -94,6 +88,32 @@ class Store(NamedTuple):
         shape = (len(layout.columns), layout.runs)
         numbers = np.memmap(self.file, "<f8", "r", self.start, shape)
         return dict(zip(layout.columns, numbers, strict=True))
+
+    @property
+    def size(self) -> int:
+        """Its bytes in all."""
+        return self._checksums + self.layout.blocks * NUMBER
+
+    def looked_through(self) -> Store:
+        """The store that knows which blocks it holds: those whose rows have their checksum."""
+        checksums = _read(self.file, self._checksums, self.layout.blocks * NUMBER)
+        done = np.zeros(self.layout.blocks, bool)
+        for block in np.flatnonzero(np.frombuffer(checksums, "<u8")).tolist():
+            size = len(self.layout.within(block)) * NUMBER
+            rows = b"".join(_read(self.file, offset, size) for offset in self._offsets(block))
+            kept = checksums[block * NUMBER : (block + 1) * NUMBER]
+            done[block] = _checksum(block, rows) == kept
+        return self._replace(done=done)
+
+    @property
+    def _checksums(self) -> int:
+        """Where the checksums begin [bytes]."""
+        return self.start + len(self.layout.columns) * self.layout.runs * NUMBER
+
+    def _offsets(self, block: int) -> range:
+        """Where the numbers of a block begin in each column [bytes]."""
+        first = self.start + self.layout.within(block).start * NUMBER
+        return range(first, first + self._checksums - self.start, self.layout.runs * NUMBER)
 
     def close(self) -> None:
         """Close and unlock; the file stays."""
@@ -126,25 +146,19 @@ def start(path: Path, layout: Layout, resume: bool = False) -> Store:
         if not fresh:
             problem = problem_there(path, _line_of(there), "ensemble", WORDS, resume)
             require_same(path, problem, json.loads(_line_of(header)), CURE)
-        size = _start_of_checksums(len(header), layout) + layout.blocks * NUMBER
+        store = Store(path, layout, file, len(header), np.empty(0, bool))
         with writing(path):
-            _allocate(path, file, size, fresh)
+            _allocate(path, file, store.size, fresh)
             if fresh:
                 put(path, file, header, 0)
-            return Store(path, layout, file, len(header), _done(file, len(header), layout))
+            return store.looked_through()
 
 
 def _header(layout: Layout) -> bytes:
     """What determines the numbers, as a line of JSON in whole pages."""
-    words = {
-        "ensemble": 1,
-        "runs": layout.runs,
-        "columns": layout.columns,
-        "block": layout.block,
-        **layout.problem,
-        **versions(),
-    }
-    line = json.dumps(words).encode() + b"\n"
+    shape = layout._asdict()
+    problem = shape.pop("problem")
+    line = json.dumps({"ensemble": 1, **shape, **problem, **versions()}).encode() + b"\n"
     pages = -(-len(line) // PAGE)
     return line.ljust(pages * PAGE, b"\0")
 
@@ -174,31 +188,6 @@ def _difference(key: str, there: object, here: object) -> str:
     lines = zip_longest(str(there).splitlines(), str(here).splitlines(), fillvalue="nothing")
     was, now = next((pair for pair in lines if pair[0] != pair[1]), (there, here))
     return f"{key}: {was!s:.60} there, {now!s:.60} here"
-
-
-def _done(file: io.FileIO, start: int, layout: Layout) -> npt.NDArray[np.bool_]:
-    """Which blocks of a file have the checksum of their rows."""
-    checksums = _read(file, _start_of_checksums(start, layout), layout.blocks * NUMBER)
-    done = np.zeros(layout.blocks, bool)
-    for block in np.flatnonzero(np.frombuffer(checksums, "<u8")).tolist():
-        runs = layout.within(block)
-        size = (runs.stop - runs.start) * NUMBER
-        columns = range(len(layout.columns))
-        offsets = [_start_of_rows(start, layout, column, block) for column in columns]
-        rows = b"".join(_read(file, offset, size) for offset in offsets)
-        kept = checksums[block * NUMBER : (block + 1) * NUMBER]
-        done[block] = _checksum(block, rows) == kept
-    return done
-
-
-def _start_of_rows(start: int, layout: Layout, column: int, block: int) -> int:
-    """Where the numbers of a block begin in a column [bytes]."""
-    return start + (column * layout.runs + layout.within(block).start) * NUMBER
-
-
-def _start_of_checksums(start: int, layout: Layout) -> int:
-    """Where the checksums begin [bytes]."""
-    return start + len(layout.columns) * layout.runs * NUMBER
 
 
 def _checksum(block: int, data: bytes) -> bytes:

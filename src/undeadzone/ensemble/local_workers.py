@@ -107,10 +107,8 @@ def _computed(crew: _Crew, workers: int, blocks: Sequence[int]) -> tuple[float, 
 
 def _asked(worker: subprocess.Popen[bytes], blocks: Sequence[int]) -> Any:
     """A worker's answer. Raises OSError, EOFError or UnpicklingError where it died."""
-    assert worker.stdin is not None
     assert worker.stdout is not None
-    pickle.dump(list(blocks), worker.stdin)
-    worker.stdin.flush()
+    _tell(worker, list(blocks))
     return pickle.load(worker.stdout)
 
 
@@ -122,32 +120,29 @@ def _hire(crew: _Crew) -> None:
         worker = _started()
         crew.every.append(worker)
     with suppress(OSError):  # one that died already is noticed when it is asked
-        _instruct(worker, crew.payload)
+        _tell(worker, sys.path, crew.payload)  # where to import from, and its job
     crew.idle.put(worker)
 
 
-def _instruct(worker: subprocess.Popen[bytes], payload: bytes) -> None:
-    """Tell a worker where to import from, and its job."""
+def _tell(worker: subprocess.Popen[bytes], *parts: Any) -> None:
+    """Send parts to a worker. Raises OSError where it died."""
     assert worker.stdin is not None
-    pickle.dump(sys.path, worker.stdin)
-    pickle.dump(payload, worker.stdin)
+    for part in parts:
+        pickle.dump(part, worker.stdin)
     worker.stdin.flush()
 
 
 def _started() -> subprocess.Popen[bytes]:
     """A new process, deaf to Ctrl-C: that is for this process, which then stops its workers."""
     command = [sys.executable, "-P", "-c", BEGIN]
+    pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
     try:
         if sys.platform == "win32":
-            return subprocess.Popen(
-                command,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                creationflags=subprocess.CREATE_NEW_PROCESS_GROUP,
-            )
+            apart = subprocess.CREATE_NEW_PROCESS_GROUP
+            return subprocess.Popen(command, **pipes, creationflags=apart)
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # children inherit it
         try:
-            return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+            return subprocess.Popen(command, **pipes)
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
     except OSError as error:

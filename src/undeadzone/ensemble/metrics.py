@@ -96,10 +96,8 @@ def measured(loop: Loop, problem: Problem) -> Measured:
 
 def _nothing(plant: System, sensor: str) -> Tally:
     """The tally of a run that has not begun."""
-    one, each = np.zeros(1), np.zeros(plant.p)
-    tip = np.zeros(0 if plant.arm is None else 1)
-    behind = np.zeros(1 if sensor == "play" else 0)
-    return Tally(one, one, one, one, one, one, each, each, tip, behind)
+    tip, behind = int(plant.arm is not None), int(sensor == "play")
+    return Tally(*map(np.zeros, (*[1] * 6, plant.p, plant.p, tip, behind)))
 
 
 def _astray(plant: System, model: System, params: Params, out: Outputs, instant: Exogenous) -> Any:

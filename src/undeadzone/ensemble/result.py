@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Mapping
 from functools import reduce
 from pathlib import Path
 from typing import Any, Final
@@ -22,9 +21,8 @@ from undeadzone.results.run import LAST
 from undeadzone.statistics import sensitivity
 from undeadzone.statistics.intervals import LEVEL, Interval, describe, proportion
 from undeadzone.statistics.sensitivity import Sensitivity
-from undeadzone.support import shown
 from undeadzone.support.arrays import Floats, finite
-from undeadzone.support.shown import Block
+from undeadzone.support.shown import Block, Shown
 
 JUDGED: Final = 2**16  # runs from which sensitivities are found
 MAIN: Final = "rms_tracking"  # the metric by which runs are ranked
@@ -32,37 +30,13 @@ WIDTHS: Final = "d_error"  # the largest |d^ - d| of a run, at the end
 SHOWN: Final = 10  # worst runs, and runs that diverged, in a summary
 
 
-def sensitivities(
-    varied: Mapping[str, Floats], values: Floats, independent: slice, sampling: str
-) -> dict[str, Sensitivity]:
-    """The sensitivities by entry, the most influential first; none for too few runs.
-
-    Args:
-        varied: the values of the varied entries (runs each)
-        values: of the metric (runs); runs without a finite one are left out
-        independent: the runs that are independent of each other
-        sampling: how the values were drawn
-    """
-    kept = np.flatnonzero(np.isfinite(values[independent]))[:JUDGED]
-    entries = np.column_stack([column[kept] for column in varied.values()])
-    by_entry = sensitivity.given(entries, values[kept])
-    if sampling == "saltelli":
-        blocks = values.reshape(len(varied) + 2, -1)[:, :JUDGED]
-        by_entry = [
-            one._replace(first_order=index.first, floor=None, total_order=index.total)
-            for one, index in zip(by_entry, sensitivity.saltelli(blocks), strict=False)
-        ]
-    pairs = zip(varied, by_entry, strict=False)
-    return dict(sorted(pairs, key=lambda pair: -_influence(pair[1])))
-
-
 def _influence(one: Sensitivity) -> float:
     """The share of the variance (of that of the ranks if larger) that comes from the entry."""
     return max(one.spearman.value**2, (one.total_order or one.first_order).value)
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Ensemble:
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class Ensemble(Shown):
     """Many runs of a scenario as columns by name, one number a run; columns may be maps of files.
 
     Attributes:
@@ -221,7 +195,17 @@ class Ensemble:
         if not self.varied:
             return {}
         values = np.where(self.diverged, np.nan, self.column(metric))
-        return sensitivities(self.varied, values, self.independent, self.info.sampling)
+        kept = np.flatnonzero(np.isfinite(values[self.independent]))[:JUDGED]
+        entries = np.column_stack([column[kept] for column in self.varied.values()])
+        by_entry = sensitivity.given(entries, values[kept])
+        if self.info.sampling == "saltelli":
+            blocks = values.reshape(len(self.varied) + 2, -1)[:, :JUDGED]
+            by_entry = [
+                one._replace(first_order=index.first, floor=None, total_order=index.total)
+                for one, index in zip(by_entry, sensitivity.saltelli(blocks), strict=False)
+            ]
+        pairs = zip(self.varied, by_entry, strict=False)
+        return dict(sorted(pairs, key=lambda pair: -_influence(pair[1])))
 
     def row(self, run: int) -> dict[str, Any]:
         """One run as a table.
@@ -272,12 +256,6 @@ class Ensemble:
         """The tables that `undeadzone ensemble` prints; summary: its own, where it is known."""
         numbers = self.summary() if summary is None else summary
         return in_words(self.info, numbers, int(self.diverged.sum()))
-
-    __repr__ = shown.in_text
-    _repr_html_ = shown.in_notebook
-
-    plot = shown.plot
-    """Draw it."""
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write a file, a row for each run.

@@ -249,16 +249,7 @@ def _recorded(
         every: steps between two records
     """
     own = batch.binding.lanes(values)
-    start = batch.started(own.states)
-    trails, _ = lanes.run(
-        _watched(batch.kernel, every),
-        start,
-        batch.exogenous,
-        batch.params,
-        batch.own.supply(runs),
-        own.params,
-        every=every,
-    )
+    trails, finals = batch.run(_watched(batch.kernel, every), runs, own, every=every)
     instants = batch.exogenous[::every, :-2].copy()
     params = batch.binding.params.copy()
     step = batch.loop.step
@@ -266,7 +257,7 @@ def _recorded(
     show = interpret.stateless([ca.vertcat(s, w), p], step(s, w, p)[1][outputs])
     shown = np.empty((len(runs), len(instants), len(outputs)))
     for lane, trail in enumerate(trails):
-        states, _, drawn = np.split(trail, [s.numel(), start.shape[1]], axis=1)
+        states, _, drawn = np.split(trail, [s.numel(), finals.shape[1]], axis=1)
         instants[:, batch.own.entries] = drawn
         params[list(batch.binding.indices)] = own.params[lane]
         shown[lane] = interpret.mapped(show, np.hstack([states, instants]), params)
@@ -281,15 +272,8 @@ def _watched(kernel: lanes.Kernel, every: int) -> lanes.Kernel:
     shape = kernel.shape
     states, own = shape.sizes[0], len(shape.exogenous)
 
-    def block(
-        steps: int,
-        width: int,
-        work: Floats,
-        exogenous: Floats,
-        params: Floats,
-        inputs: Floats,
-        outputs: Floats,
-    ) -> None:
+    def block(steps: int, width: int, *arrays: Floats) -> None:
+        work, exogenous, params, inputs, outputs = arrays
         for k in range(0, steps, every):
             outputs[k, :states] = work[:states]
             outputs[k, states:] = inputs[k]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, Final, NamedTuple
 
 from undeadzone.ensemble.saved import Info, unit_of_column
-from undeadzone.results.run import LAST
+from undeadzone.results.run import ERRORS, LAST
 from undeadzone.results.sheet import number, within
 from undeadzone.support.shown import Block
 from undeadzone.support.text import counted, label
@@ -26,10 +26,8 @@ class Metric(NamedTuple):
 
 
 METRICS: Final = {
-    "rms_tracking": Metric("rms z - r", "rms of z − r", late=True),
-    "rms_estimation": Metric("rms z - z^", "rms of z − z^", late=True),
-    "rms_behind_play": Metric("rms y/m - r", "rms of y / m − r", late=True),
-    "rms_tip": Metric(*2 * ("rms distance of the tip from its path",), late=True),
+    **{key: Metric(*words, late=True) for key, words in ERRORS.items()},
+    "rms_tip": Metric(*2 * ERRORS["rms_tip"][1:], late=True),
     "d_error": Metric("largest |d^ - d|, at the end", "largest |d^ − d| at the end"),
     "settling_time": Metric("settling time", "settling time"),
     "peak_tracking": Metric("peak |z - r|", "largest |z − r|"),

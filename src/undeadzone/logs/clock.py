@@ -14,7 +14,7 @@ So a line that is one step after the last sample waits for nothing, any other fo
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from undeadzone.logs.samples import (
     Regular,
     Samples,
     filled,
+    joined,
     require_step,
     usual_step,
     whole_steps,
@@ -118,7 +119,7 @@ class Clock:
             faults += [Fault(k, "no_time", "it has no time") for k in without if k not in known]
         if self._strict and faults:
             before = samples.lines < min(faults).line
-            yield from self._placed(_part(samples, before), timed, last=False)
+            yield from self._placed(samples.part(before), timed, last=False)
         for fault in sorted(faults):
             self.faults.add(fault)
         yield from self._placed(samples, timed, last)
@@ -128,18 +129,18 @@ class Clock:
         if not timed:
             t = (self._count + np.arange(len(samples.t))) * self._step
             self._count += len(t)
-            yield Piece(False, Regular(t, samples.y, samples.u))
+            yield Piece(False, samples.regular._replace(t=t))
             return
-        samples = _part(samples, np.isfinite(samples.t))
+        samples = samples.part(np.isfinite(samples.t))
         ends = [count - self._first.size for count in TESTS]
         inner = [end for end in ends if 0 < end < len(samples.t)]
         for part in np.split(np.arange(len(samples.t)), inner):
-            yield from self._judged(_part(samples, part), last=False)
+            yield from self._judged(samples.part(part), last=False)
             self._test(samples.t[part])
         if last:
             if np.isnan(self.last) and self._first.size > 1:
                 require_step(self.measured, self._step, TOLERANCE, self._source)
-            yield from self._judged(_part(samples, slice(0)), last=True)
+            yield from self._judged(samples.part(slice(0)), last=True)
 
     def _test(self, t: Floats) -> None:
         """Compare the usual step of the first lines. Raises FileError where it is another one."""
@@ -151,8 +152,7 @@ class Clock:
     def _judged(self, samples: Samples, last: bool) -> Iterator[Piece]:
         """The samples among lines with times, so far as they can be told."""
         if self._waiting is not None:
-            both = zip(self._waiting, samples, strict=True)
-            samples = Samples(*[np.concatenate(rows) for rows in both])
+            samples = joined([self._waiting, samples])
             self._waiting = None
         runs: list[Run] = []
         missing = 0.0
@@ -180,7 +180,7 @@ class Clock:
             elif end < size or last:
                 kind = self._kind(steps, t[k], t[end] if end < size else None)
             else:
-                self._waiting = _part(samples, slice(k, size))
+                self._waiting = samples.part(slice(k, size))
                 return
             yield Run(slice(k, end), max(steps, 1.0), kind)
             if kind != "time":
@@ -217,7 +217,7 @@ class Clock:
         steps = np.ones(rows.size)
         steps[np.cumsum([0, *lengths[:-1]])] = [run.steps for run in runs]
         self.gaps += int(steps.sum()) - rows.size
-        regular = Regular(samples.t[rows], samples.y[rows], samples.u[rows])
+        regular = samples.part(rows).regular
         return Piece(runs[0].kind == "jump", filled(regular, steps, self._step))
 
     def _fault(self, samples: Samples, run: Run) -> Fault:
@@ -232,8 +232,3 @@ class Clock:
                 f"multiple of the step, {self._step:g} s"
             )
         return Fault(int(samples.lines[k]), run.kind, why)
-
-
-def _part(samples: Samples, rows: Any) -> Samples:
-    """Some of the samples."""
-    return Samples(*[part[rows] for part in samples])

@@ -17,14 +17,9 @@ from undeadzone.support.arrays import Floats
 
 # Length of a unit of time [s]. A time that counts samples has no length of its own.
 SECONDS: Final = {
-    "": 1.0,
-    "s": 1.0,
-    "sec": 1.0,
-    "seconds": 1.0,
+    **dict.fromkeys(("", "s", "sec", "seconds"), 1.0),
     "ms": 1e-3,
-    "us": 1e-6,
-    "µs": 1e-6,
-    "μs": 1e-6,
+    **dict.fromkeys(("us", "µs", "μs"), 1e-6),
     "ns": 1e-9,
     "min": 60.0,
     "h": 3600.0,
@@ -175,29 +170,11 @@ def layout_of_titles(
         FileError: a column cannot be told, or is used twice; names near it are listed.
     """
     _refuse_others(chosen, p, m)
-    time = _time(titles, chosen, source)
-    readings = _signals(titles, "y", p, READINGS, chosen, source)
-    inputs = _signals(titles, "u", m, INPUTS, chosen, source)
-    layout = _layout(titles, time, readings, inputs, source)
-    if m is not None:
-        return layout
-    return _with_reference(layout, titles, chosen, source)
-
-
-def _with_reference(
-    layout: Layout, titles: Sequence[Title], chosen: Mapping[str, str], source: str
-) -> Layout:
-    """The layout with the reference: a column that is nothing else. Raises FileError."""
-    same = [_same(titles, name) for name in REFERENCES]
-    if "r" in chosen:
-        same = [[_named(titles, chosen["r"], "r", source)]]
-        if same[0][0] in layout.columns:
-            raise FileError(f"{source}: column {titles[same[0][0]].name!r} would be used twice")
-    for one in same:
-        if len(one) == 1 and one[0] not in layout.columns:
-            said = f"{layout.said}, r from {titles[one[0]].name!r}"
-            return layout._replace(reference=one[0], said=said)
-    return layout
+    header = _Header(titles, chosen, source)
+    time = header.time()
+    readings, inputs = header.signals("y", p, READINGS), header.signals("u", m, INPUTS)
+    layout = header.layout(time, readings, inputs)
+    return layout if m is not None else header.with_reference(layout)
 
 
 def layout_of_numbers(
@@ -223,34 +200,152 @@ def layout_of_numbers(
     return layout_of_titles(titles, p, m, chosen, source)
 
 
-def _layout(
-    titles: Sequence[Title], time: int | None, readings: list[int], inputs: list[int], source: str
-) -> Layout:
-    """A layout, once no column is used twice and the unit of time is known."""
-    used = readings + inputs + ([] if time is None else [time])
-    for column in used:
-        if used.count(column) > 1:
-            raise FileError(f"{source}: column {titles[column].name!r} would be used twice")
-    seconds: float | None = 1.0
-    if time is not None:
-        seconds = _seconds(titles[time], source)
-    roles = [] if time is None else [f"t from {titles[time].name!r}"]
-    for signal, columns in (("y", readings), ("u", inputs)):
-        roles.append(f"{signal} from {', '.join(repr(titles[k].name) for k in columns)}")
-    date = None
-    if time is not None:
-        dated = [k for k, title in enumerate(titles) if title.name.lower() in DATES]
-        date = next((k for k in dated if k not in used), None)
-    return Layout(
-        time,
-        date,
-        readings,
-        inputs,
-        seconds,
-        [titles[k] for k in readings],
-        [titles[k] for k in inputs],
-        ", ".join(roles),
-    )
+class _Header(NamedTuple):
+    """What a header says of the columns, and which of them the user names.
+
+    Attributes:
+        titles: of the columns.
+        chosen: columns that the user names; see `parse_columns`.
+        source: the log, for messages.
+    """
+
+    titles: Sequence[Title]
+    chosen: Mapping[str, str]
+    source: str
+
+    def layout(self, time: int | None, readings: list[int], inputs: list[int]) -> Layout:
+        """A layout, once no column is used twice and the unit of time is known."""
+        used = readings + inputs + ([] if time is None else [time])
+        for column in used:
+            if used.count(column) > 1:
+                raise self.used_twice(column)
+        seconds: float | None = 1.0
+        date, roles = None, []
+        if time is not None:
+            seconds = _seconds(self.titles[time], self.source)
+            dated = [k for k, title in enumerate(self.titles) if title.name.lower() in DATES]
+            date = next((k for k in dated if k not in used), None)
+            roles.append(f"t from {self.titles[time].name!r}")
+        y, u = [self.titles[k] for k in readings], [self.titles[k] for k in inputs]
+        for signal, titles in (("y", y), ("u", u)):
+            roles.append(f"{signal} from {', '.join(repr(title.name) for title in titles)}")
+        return Layout(time, date, readings, inputs, seconds, y, u, ", ".join(roles))
+
+    def with_reference(self, layout: Layout) -> Layout:
+        """The layout with the reference: a column that is nothing else. Raises FileError."""
+        same = [self.same(name) for name in REFERENCES]
+        if "r" in self.chosen:
+            same = [[self.named("r")]]
+            if same[0][0] in layout.columns:
+                raise self.used_twice(same[0][0])
+        for one in same:
+            if len(one) == 1 and one[0] not in layout.columns:
+                said = f"{layout.said}, r from {self.titles[one[0]].name!r}"
+                return layout._replace(reference=one[0], said=said)
+        return layout
+
+    def used_twice(self, column: int) -> FileError:
+        """That one column would have two parts."""
+        name = self.titles[column].name
+        return FileError(f"{self.source}: column {name!r} would be used twice")
+
+    def time(self) -> int | None:
+        """The number of the column of times; None where there is none. Raises FileError."""
+        if "t" in self.chosen:
+            return self.named("t")
+        for name in TIMES:
+            same = self.same(name)
+            if len(same) > 1:
+                many = f"several columns are named {name!r}"
+                raise FileError(f"{self.source}: {many}; --columns t=NUMBER")
+            if same:
+                return same[0]
+        return None
+
+    def signals(self, signal: str, count: int | None, usual: Sequence[str]) -> list[int]:
+        """The numbers of the columns of a signal. Raises FileError."""
+        if count is None:
+            count = len(_of_signal(self.chosen, signal)) or self.count(usual)
+        wanted = [f"{signal}[{i}]" for i in range(count)]
+        named = [key for key in wanted if key in self.chosen]
+        if named and len(named) < count:
+            missing = next(key for key in wanted if key not in self.chosen)
+            raise InputError(f"--columns: {missing} is missing; expected {count} of {signal}")
+        if named:
+            return [self.named(key) for key in wanted]
+        for name in usual:
+            columns = self.usual(name, count)
+            if len(columns) == count:
+                return columns
+            if columns:
+                raise FileError(
+                    f"{self.source}: expected {count} of {signal}, the log has {len(columns)}: "
+                    f"{_listed([self.titles[k] for k in columns])}; say which by --columns "
+                    f"{wanted[0]}=NAME"
+                )
+        require_table(self.source)
+        raise FileError(
+            f"{self.source}: no name says which column holds {signal}; there are "
+            f"{_listed(self.titles)}{self.near(usual)}; say which by --columns {self.to_be_named()}"
+        )
+
+    def to_be_named(self) -> str:
+        """What --columns must say of the signals that no name of a column tells: y=NAME,u=NAME."""
+        wanted = [f"{signal}={name}" for signal, name in self.chosen.items()]
+        for signal, usual in (("y", READINGS), ("u", INPUTS)):
+            told = any(self.usual(name, 1) for name in usual)
+            if not told and not _of_signal(self.chosen, signal):
+                wanted.append(f"{signal}=NAME")
+        return ",".join(wanted).replace("[0]", "")
+
+    def count(self, usual: Sequence[str]) -> int:
+        """How many columns a signal seems to have: those with an index, else one."""
+        for name in usual:
+            if self.same(name):
+                return 1
+            if indexed := self.usual(name, 1):
+                return len(indexed)
+        return 1
+
+    def usual(self, name: str, count: int) -> list[int]:
+        """The columns of a usual name: the one of that name, or those with an index, in order."""
+        same = self.same(name)
+        if same and (count == 1 or len(same) > 1):
+            return same
+        indexed = []
+        for k, title in enumerate(self.titles):
+            match = INDEXED.match(title.name.lower())
+            if match and match[1] == name:
+                indexed.append((int(match[2]), k))
+        return [k for _, k in sorted(indexed)] or same
+
+    def same(self, name: str) -> list[int]:
+        """The columns of that name, be they written large or small."""
+        return [k for k, title in enumerate(self.titles) if title.name.lower() == name.lower()]
+
+    def named(self, key: str) -> int:
+        """The column of a chosen name or number (from 1). Raises FileError with the nearest."""
+        name = self.chosen[key]
+        exact = [k for k, title in enumerate(self.titles) if title.name == name]
+        same = exact or self.same(name)
+        if len(same) == 1:
+            return same[0]
+        if not same and name.isdigit() and 1 <= int(name) <= len(self.titles):
+            return int(name) - 1
+        how = "several columns are named" if same else "no column"
+        raise FileError(
+            f"{self.source}: --columns {key}: {how} {name!r}; there are {_listed(self.titles)}"
+            f"{self.near([name])}"
+        )
+
+    def near(self, names: Sequence[str]) -> str:
+        """A hint at the names of columns that are near some names."""
+        lower = {title.name.lower(): title.name for title in self.titles}
+        for name in names:
+            near = difflib.get_close_matches(name.lower(), lower, 1)
+            if near:
+                return f"; did you mean {lower[near[0]]!r}?"
+        return ""
 
 
 def _seconds(title: Title, source: str) -> float | None:
@@ -277,127 +372,15 @@ def _refuse_others(chosen: Mapping[str, str], p: int | None, m: int | None) -> N
             raise InputError(f"--columns: the plant has no {key}; it has {', '.join(known[2:])}")
 
 
-def _time(titles: Sequence[Title], chosen: Mapping[str, str], source: str) -> int | None:
-    """The number of the column of times; None where there is none. Raises FileError."""
-    if "t" in chosen:
-        return _named(titles, chosen["t"], "t", source)
-    for name in TIMES:
-        same = _same(titles, name)
-        if len(same) > 1:
-            raise FileError(f"{source}: several columns are named {name!r}; --columns t=NUMBER")
-        if same:
-            return same[0]
-    return None
-
-
-def _signals(
-    titles: Sequence[Title],
-    signal: str,
-    count: int | None,
-    usual: Sequence[str],
-    chosen: Mapping[str, str],
-    source: str,
-) -> list[int]:
-    """The numbers of the columns of a signal. Raises FileError."""
-    if count is None:
-        named_alone = len(_of_signal(chosen, signal))
-        count = named_alone or _count(titles, usual)
-    wanted = [f"{signal}[{i}]" for i in range(count)]
-    named = [key for key in wanted if key in chosen]
-    if named and len(named) < count:
-        missing = next(key for key in wanted if key not in chosen)
-        raise InputError(f"--columns: {missing} is missing; expected {count} of {signal}")
-    if named:
-        return [_named(titles, chosen[key], key, source) for key in wanted]
-    for name in usual:
-        columns = _usual(titles, name, count)
-        if len(columns) == count:
-            return columns
-        if columns:
-            raise FileError(
-                f"{source}: expected {count} of {signal}, the log has {len(columns)}: "
-                f"{_listed([titles[k] for k in columns])}; say which by --columns {wanted[0]}=NAME"
-            )
-    require_table(source)
-    raise FileError(
-        f"{source}: no name says which column holds {signal}; there are {_listed(titles)}"
-        f"{_near(titles, usual)}; say which by --columns {_to_be_named(titles, chosen)}"
-    )
-
-
 def require_table(source: str) -> None:
     """Raise FileError for the path of a scenario, which is no log."""
     if source.endswith(".toml"):
         raise FileError(f"{source}: this is a scenario, no log; the log is a table with t, u, y")
 
 
-def _to_be_named(titles: Sequence[Title], chosen: Mapping[str, str]) -> str:
-    """What --columns must say of the signals that no name of a column tells: y=NAME,u=NAME."""
-    wanted = [f"{signal}={name}" for signal, name in chosen.items()]
-    for signal, usual in (("y", READINGS), ("u", INPUTS)):
-        told = any(_usual(titles, name, 1) for name in usual)
-        if not told and not _of_signal(chosen, signal):
-            wanted.append(f"{signal}=NAME")
-    return ",".join(wanted).replace("[0]", "")
-
-
 def _of_signal(chosen: Mapping[str, str], signal: str) -> list[str]:
     """The keys of a signal among those that the user names."""
     return [key for key in chosen if key.startswith(signal + "[")]
-
-
-def _count(titles: Sequence[Title], usual: Sequence[str]) -> int:
-    """How many columns a signal seems to have: those with an index, else one."""
-    for name in usual:
-        if _same(titles, name):
-            return 1
-        indexed = _usual(titles, name, 1)
-        if indexed:
-            return len(indexed)
-    return 1
-
-
-def _usual(titles: Sequence[Title], name: str, count: int) -> list[int]:
-    """The columns of a usual name: the one of that name, or those with an index, in order."""
-    same = _same(titles, name)
-    if same and (count == 1 or len(same) > 1):
-        return same
-    indexed = []
-    for k, title in enumerate(titles):
-        match = INDEXED.match(title.name.lower())
-        if match and match[1] == name:
-            indexed.append((int(match[2]), k))
-    return [k for _, k in sorted(indexed)] or same
-
-
-def _same(titles: Sequence[Title], name: str) -> list[int]:
-    """The columns of that name, be they written large or small."""
-    return [k for k, title in enumerate(titles) if title.name.lower() == name.lower()]
-
-
-def _named(titles: Sequence[Title], name: str, key: str, source: str) -> int:
-    """The column of that name or number (from 1). Raises FileError with the nearest names."""
-    exact = [k for k, title in enumerate(titles) if title.name == name]
-    same = exact or _same(titles, name)
-    if len(same) == 1:
-        return same[0]
-    if not same and name.isdigit() and 1 <= int(name) <= len(titles):
-        return int(name) - 1
-    how = "several columns are named" if same else "no column"
-    raise FileError(
-        f"{source}: --columns {key}: {how} {name!r}; there are {_listed(titles)}"
-        f"{_near(titles, [name])}"
-    )
-
-
-def _near(titles: Sequence[Title], names: Sequence[str]) -> str:
-    """A hint at the names of columns that are near some names."""
-    lower = {title.name.lower(): title.name for title in titles}
-    for name in names:
-        near = difflib.get_close_matches(name.lower(), lower, 1)
-        if near:
-            return f"; did you mean {lower[near[0]]!r}?"
-    return ""
 
 
 def _listed(titles: Sequence[Title]) -> str:

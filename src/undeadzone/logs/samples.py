@@ -6,9 +6,9 @@ Other steps are refused, gaps become missing samples.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +29,7 @@ from undeadzone.logs.text import (
 from undeadzone.support.arrays import Floats
 
 Lines = npt.NDArray[np.int64]
+Numbered = list[tuple[int, str]]  # lines with their numbers
 
 MOST_UNREADABLE = 0.5  # share of the lines of a log that may be unreadable
 FIRST = 10  # lines that tell the dialect, if as many have come
@@ -57,6 +58,15 @@ class Samples(NamedTuple):
     y: Floats
     u: Floats
     lines: Lines
+
+    def part(self, rows: Any) -> Samples:
+        """Some of the samples."""
+        return Samples(*[part[rows] for part in self])
+
+    @property
+    def regular(self) -> Regular:
+        """The same, once they are one step apart."""
+        return Regular(self.t, self.y, self.u)
 
 
 class Fault(NamedTuple):
@@ -150,7 +160,7 @@ class LogReader:
         self._chosen = chosen
         self._text = Text(source)
         self._dialect: Dialect | None = None
-        self._first: list[tuple[int, str]] = []  # lines that wait for the dialect to be known
+        self._first: Numbered = []  # lines that wait for the dialect to be known
         self._stamps: Stamps | None = None  # how times are written that are no numbers
         self._plain_times = False  # whether they are numbers
         self._latest_time = math.nan  # [s], days counted, where times are of day
@@ -190,7 +200,7 @@ class LogReader:
             return lines
         return lines[:2] if dialect_of(lines[:1]).heads else lines[:1]
 
-    def _numbered(self, lines: Sequence[str]) -> list[tuple[int, str]]:
+    def _numbered(self, lines: Sequence[str]) -> Numbered:
         """The lines with content, with their numbers."""
         first = self._count + 1
         self._count += len(lines)
@@ -203,9 +213,7 @@ class LogReader:
             return layout_of_titles(dialect.titles, self._p, self._m, self._chosen, self._source)
         return layout_of_numbers(dialect.width, self._p, self._m, self._chosen, self._source)
 
-    def _require_readable(
-        self, dialect: Dialect, layout: Layout, lines: Sequence[tuple[int, str]]
-    ) -> None:
+    def _require_readable(self, dialect: Dialect, layout: Layout, lines: Numbered) -> None:
         """Raise FileError where the first line without a header says nothing of the columns."""
         if dialect.titles is None and lines:
             number, line = lines[0]
@@ -218,9 +226,7 @@ class LogReader:
         shapes = (np.empty(0), np.empty((0, self._p or 1)), np.empty((0, self._m or 1)))
         return Samples(*shapes, np.empty(0, np.int64))
 
-    def _samples(
-        self, numbered: list[tuple[int, str]], dialect: Dialect, layout: Layout
-    ) -> Samples:
+    def _samples(self, numbered: Numbered, dialect: Dialect, layout: Layout) -> Samples:
         """The samples in these lines."""
         values = _at_once([line for _, line in numbered], dialect, layout)
         if values is not None:
@@ -230,9 +236,9 @@ class LogReader:
                 self._learn_stamps(numbered, dialect, layout)
             values = self._one_by_one(numbered, dialect, layout)
         values[np.isinf(values)] = np.nan
-        first = 0 if layout.time is None else 1
-        t = values[:, 0] if first else np.full(len(values), np.nan)
-        t = self._in_seconds(t, layout) if first else t
+        first, t = 0, np.full(len(values), np.nan)
+        if layout.time is not None:
+            first, t = 1, self._in_seconds(values[:, 0], layout)
         end = first + len(layout.readings)
         lines = np.array([number for number, _ in numbered], np.int64)
         return Samples(t, values[:, first:end], values[:, end:], lines)
@@ -248,9 +254,7 @@ class LogReader:
             self._latest_time = float(t[np.isfinite(t)][-1])
         return t
 
-    def _learn_stamps(
-        self, numbered: list[tuple[int, str]], dialect: Dialect, layout: Layout
-    ) -> None:
+    def _learn_stamps(self, numbered: Numbered, dialect: Dialect, layout: Layout) -> None:
         """Learn from the first time that can be read how times are written. Raises FileError."""
         for k, (number, line) in enumerate(numbered):
             cells = dialect.cells(line)
@@ -273,9 +277,7 @@ class LogReader:
                 )
             return
 
-    def _one_by_one(
-        self, numbered: list[tuple[int, str]], dialect: Dialect, layout: Layout
-    ) -> Floats:
+    def _one_by_one(self, numbered: Numbered, dialect: Dialect, layout: Layout) -> Floats:
         """The numbers of the columns that are used; a line that cannot be read gives NaN."""
         values = np.full((len(numbered), len(layout.columns)), np.nan)
         for row, (number, line) in enumerate(numbered):
@@ -332,8 +334,12 @@ def samples_of_text(reader: LogReader, path: Path, largest: int, most: float) ->
         if count > most:
             break
     held = [block for block in blocks if block.t.size] or blocks[-1:]
-    t, y, u, lines = (np.concatenate(parts) for parts in zip(*held, strict=True))
-    return oldest_first(Samples(t, y, u, lines))
+    return oldest_first(joined(held))
+
+
+def joined(blocks: Iterable[Samples]) -> Samples:
+    """Samples of blocks, one after another."""
+    return Samples(*[np.concatenate(parts) for parts in zip(*blocks, strict=True)])
 
 
 def oldest_first(samples: Samples) -> Samples:
@@ -341,7 +347,7 @@ def oldest_first(samples: Samples) -> Samples:
     t = samples.t[np.isfinite(samples.t)]
     if t.size < 2 or not (np.diff(t) < 0).all():
         return samples
-    return Samples(samples.t[::-1], samples.y[::-1], samples.u[::-1], samples.lines[::-1])
+    return samples.part(slice(None, None, -1))
 
 
 def counted_lines(count: int) -> str:
@@ -409,29 +415,29 @@ def placed(samples: Samples, timed: bool, step: float, source: str) -> Placed:
         FileError: they are another step apart, irregular, or go back in time.
     """
     if not timed:
-        t = np.arange(len(samples.t)) * step
-        return Placed(Regular(t, samples.y, samples.u))
+        return Placed(samples.regular._replace(t=np.arange(len(samples.t)) * step))
     kept = np.isfinite(samples.t)  # what cannot be read shows as a gap in the others' times
-    read = Regular(samples.t[kept], samples.y[kept], samples.u[kept])
+    read = samples.part(kept)
     if not read.t.size:
-        return Placed(read)
+        return Placed(read.regular)
     lines_between = np.diff(np.flatnonzero(kept))  # 1 where all could be read
     intervals = np.append(step, np.diff(read.t))  # of the first sample a step
-    _require_order(intervals, read.t, samples.lines[kept], source)
+    _require_order(intervals, read, source)
     measured = usual_step((intervals[1:] / lines_between)[:WATCHED])
     require_step(measured, step, TOLERANCE, source)
-    steps = _placeable(intervals, step, read.t, samples.lines[kept], source)
-    return Placed(filled(read, steps, step), int(steps.sum()) - read.t.size, measured)
+    steps = _placeable(intervals, step, read, source)
+    return Placed(filled(read.regular, steps, step), int(steps.sum()) - read.t.size, measured)
 
 
-def _require_order(intervals: Floats, t: Floats, lines: Lines, source: str) -> None:
+def _require_order(intervals: Floats, samples: Samples, source: str) -> None:
     """Raise FileError where time does not increase."""
     back = np.flatnonzero(intervals <= 0)
     if back.size:
         k = int(back[0])
+        t = samples.t[k]
         raise FileError(
-            f"{source}, line {lines[k]}: time does not increase: {t[k]:.9g} s after "
-            f"{t[k] - intervals[k]:.9g} s; sort the lines, or give each run by itself"
+            f"{source}, line {samples.lines[k]}: time does not increase: {t:.9g} s after "
+            f"{t - intervals[k]:.9g} s; sort the lines, or give each run by itself"
         )
 
 
@@ -448,14 +454,13 @@ def whole_steps(intervals: Floats, step: float) -> Floats:
     return np.asarray(np.where(fits, steps, 0.0))
 
 
-def _placeable(intervals: Floats, step: float, t: Floats, lines: Lines, source: str) -> Floats:
+def _placeable(intervals: Floats, step: float, samples: Samples, source: str) -> Floats:
     """How many steps each sample is after the one before (N). Raises FileError.
 
     Args:
         intervals: from the sample before to each (N) [s].
         step: of the scenario [s].
-        t: times (N) [s].
-        lines: number of each line in the log (N).
+        samples: of the log.
         source: the log, for messages.
     """
     steps = whole_steps(intervals, step)
@@ -463,12 +468,12 @@ def _placeable(intervals: Floats, step: float, t: Floats, lines: Lines, source: 
     if bad.size:
         k = int(bad[0])
         raise FileError(
-            f"{source}, line {lines[k]}: t = {t[k]:.9g} s is {intervals[k]:.6g} s after "
-            f"the sample before; expected a multiple of the step, {step:g} s, and at "
-            f"most {LONGEST} of them: bring the log onto regular steps (never by interpolating "
+            f"{source}, line {samples.lines[k]}: t = {samples.t[k]:.9g} s is {intervals[k]:.6g} s "
+            f"after the sample before; expected a multiple of the step, {step:g} s, and at most "
+            f"{LONGEST} of them: bring the log onto regular steps (never by interpolating "
             "readings), or split it"
         )
-    if steps.sum() > LONGEST + MOST * t.size:
+    if steps.sum() > LONGEST + MOST * samples.t.size:
         raise FileError(f"{source}: consists of gaps: {steps.sum():.0f} missing steps")
     return steps
 
@@ -488,11 +493,7 @@ def filled(samples: Regular, steps: Floats, step: float) -> Regular:
     if total == samples.t.size:
         return samples
     at = np.cumsum(steps).astype(int) - 1
-    full = Regular(
-        np.full(total, np.nan),
-        np.full((total, samples.y.shape[1]), np.nan),
-        np.full((total, samples.u.shape[1]), np.nan),
-    )
+    full = Regular(*[np.full((total, *part.shape[1:]), np.nan) for part in samples])
     for whole, part in zip(full, samples, strict=True):
         whole[at] = part
     following = at[np.searchsorted(at, np.arange(total))]

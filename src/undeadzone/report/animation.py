@@ -147,22 +147,19 @@ def movie(
     require_movie(path)
     if run.poses is None:
         raise InputError("animation: this plant is no arm; leave the option out")
-    arms = _arms(run, rival)
-    stage = _stage(run, arms)
-    _draw(stage, arms, 0)
+    stage = _stage(run, _arms(run, rival))
+    _draw(stage, 0)
     stage.figure.draw_without_rendering()
     stage.figure.set_layout_engine("none")  # laid out once, for all frames
 
-    shown = range(0, max(len(arm.poses) for arm in arms), SKIPPED)
+    shown = range(0, max(len(arm.poses) for arm in stage.arms), SKIPPED)
     write = _write_gif if path.suffix.lower() == ".gif" else _write_mp4
     with replacing(path) as temporary:
-        write(stage, arms, shown, temporary, progress)
+        write(stage, shown, temporary, progress)
     return path
 
 
-def _write_mp4(
-    stage: Stage, arms: list[Arm], shown: range, path: Path, progress: Callable[[int], None]
-) -> None:
+def _write_mp4(stage: Stage, shown: range, path: Path, progress: Callable[[int], None]) -> None:
     """An MP4 of some frames. Arguments as of `_write_gif`."""
     from matplotlib.animation import FFMpegWriter
 
@@ -170,32 +167,29 @@ def _write_mp4(
     writer = FFMpegWriter(fps=speed)
     with writer.saving(stage.figure, path, DPI):
         for frame in shown:
-            _draw(stage, arms, frame)
+            _draw(stage, frame)
             writer.grab_frame()
             progress(1)
 
 
-def _write_gif(
-    stage: Stage, arms: list[Arm], shown: range, path: Path, progress: Callable[[int], None]
-) -> None:
+def _write_gif(stage: Stage, shown: range, path: Path, progress: Callable[[int], None]) -> None:
     """A GIF of some frames, in few colours, of which each picture keeps what does not change.
 
     Its comment is the run's title.
 
     Args:
-        stage: the figure.
-        arms: what moves on it.
+        stage: the figure, and what moves on it.
         shown: the frames.
         path: the file.
         progress: called with 1 for each frame done.
     """
     from PIL.Image import Dither
 
-    palette = _picture(stage, arms, shown[-1]).quantize(COLOURS)
+    palette = _picture(stage, shown[-1]).quantize(COLOURS)
 
     def pictures() -> Iterator[Image]:
         for frame in shown:
-            picture = _picture(stage, arms, frame)
+            picture = _picture(stage, frame)
             progress(1)
             yield picture.quantize(palette=palette, dither=Dither.NONE)
 
@@ -211,22 +205,23 @@ def _write_gif(
     )
 
 
-def _picture(stage: Stage, arms: list[Arm], frame: int) -> Image:
+def _picture(stage: Stage, frame: int) -> Image:
     """What the figure shows at a frame."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from PIL.Image import fromarray
 
-    _draw(stage, arms, frame)
+    _draw(stage, frame)
     canvas: Any = FigureCanvasAgg(stage.figure)
     canvas.draw()
     return fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
 
 
 class Stage(NamedTuple):
-    """A figure on which arms move: a line and a trail of the tip for each arm, and its title."""
+    """A figure on which arms move: a line and a trail of the tip for each of them, its title."""
 
     figure: Figure
     axes: Any
+    arms: list[Arm]
     lines: list[Any]
     trails: list[Any]
     spatial: bool
@@ -258,7 +253,7 @@ def _stage(run: Run, arms: list[Arm]) -> Stage:
         axes.set_box_aspect((1, 1, 1), zoom=1.15)
     axes.grid(visible=True, alpha=0.4)
     figure.legend(loc="outside lower center", fontsize=9, ncols=2, frameon=False)
-    return Stage(figure, axes, lines, trails, spatial, plain(run.info.title))
+    return Stage(figure, axes, arms, lines, trails, spatial, plain(run.info.title))
 
 
 def _limit(axes: Any, points: Floats) -> None:
@@ -272,9 +267,9 @@ def _limit(axes: Any, points: Floats) -> None:
     axes.set_aspect("equal")
 
 
-def _draw(stage: Stage, arms: list[Arm], frame: int) -> None:
+def _draw(stage: Stage, frame: int) -> None:
     """Move every arm to where it is in a frame, with the last way of its tip."""
-    for line, trail, arm in zip(stage.lines, stage.trails, arms, strict=True):
+    for line, trail, arm in zip(stage.lines, stage.trails, stage.arms, strict=True):
         now = min(frame, len(arm.poses) - 1)
         before = max(0, now - round(TRAIL * FRAMES))
         _move(line, arm.poses[now], stage.spatial)

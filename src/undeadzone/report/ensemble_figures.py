@@ -13,7 +13,7 @@ from undeadzone.ensemble.result import JUDGED, MAIN, WIDTHS, Ensemble
 from undeadzone.ensemble.words import METRICS
 from undeadzone.errors import InputError
 from undeadzone.report import ink
-from undeadzone.report.style import axis_label, finish, floor_of, plain, sheet
+from undeadzone.report.style import DASHED, axis_label, finish, floor_of, plain, sheet
 from undeadzone.results.run import LAST
 from undeadzone.statistics.intervals import LEVEL, shares_between
 from undeadzone.support.arrays import Floats
@@ -118,7 +118,7 @@ def _runs(result: Ensemble) -> str:
 
 
 def _histogram(axes: Axes, ordered: Floats) -> None:
-    """A histogram of ordered values; infinite ones are runs that never settled."""
+    """A histogram of ordered values and its quantiles; infinite ones never settled."""
     bounded = ordered[np.isfinite(ordered)]
     edges, logarithmic = bin_edges(bounded)
     if logarithmic:
@@ -126,7 +126,10 @@ def _histogram(axes: Axes, ordered: Floats) -> None:
     share = 100 * np.histogram(bounded, edges)[0] / ordered.size
     axes.stairs(share, edges, fill=True, color=ink.ESTIMATE, alpha=0.35, linewidth=0)
     for name, (q, colour) in MARKS.items():
-        _mark_quantile(axes, ordered, name, q, colour, float(share.max()))
+        place = ordered[int(np.ceil(q * ordered.size)) - 1]
+        words = f"{name} {place:.3g}" if np.isfinite(place) else f"{name} never"
+        line, style = ([place] * 2, [0, float(share.max())]), "-" if q == 0.5 else DASHED
+        axes.plot(*line, color=colour, linewidth=1.6, linestyle=style, label=words)
     axes.set_xlim(edges[0], edges[-1])
     axes.set_ylim(0, 1.05 * share.max())
 
@@ -143,22 +146,6 @@ def bin_edges(bounded: Floats) -> tuple[Floats, bool]:
         last = min(bounded[-1], high + 0.15 * reach)
         return np.linspace(first, last, bins + 1), False
     return high + 0.1 * (abs(high) or 1.0) * np.linspace(-1, 1, bins), False
-
-
-def _mark_quantile(
-    axes: Axes, ordered: Floats, name: str, q: float, colour: str, height: float
-) -> None:
-    """A vertical line at the q-quantile of ordered values; "never" where that is infinite."""
-    place = ordered[int(np.ceil(q * ordered.size)) - 1]
-    value = f"{place:.3g}" if np.isfinite(place) else "never"
-    axes.plot(
-        [place] * 2,
-        [0, height],
-        color=colour,
-        linewidth=1.6,
-        linestyle="-" if q == 0.5 else (0, (4, 2)),
-        label=f"{name} {value}",
-    )
 
 
 def _beyond(axes: Axes, ordered: Floats) -> None:
@@ -191,28 +178,18 @@ def over_time(result: Ensemble) -> Figure | None:
     for name, axes in panels.items():
         quantity, _, output = name.rstrip("]").partition("[")
         of = f" of output {output}" if outputs > 1 else ""
+        q = _bounded(quantiles[name])
         if quantity == "tracking":
-            _tracking_band(axes, t, quantiles[name], of, unit)
+            axes.set_yscale("log")
+            _band(axes, t, np.maximum(q, floor_of(q[:, 1])))
+            finish(axes, f"Tracking error{of}", axis_label("|z − r|", unit))
         else:
-            edge = quantity.removeprefix("d_")
-            _width_band(axes, t, quantiles[name], edge, of, unit)
+            _band(axes, t, q)
+            axes.axhline(0.0, color=ink.TRUTH, linewidth=0.7)
+            d, edge = quantity[:3], quantity[2:]  # d_r of d_right
+            error = rf"$\hat {d} - {d}$"
+            finish(axes, f"Error of the {edge} width{of}", axis_label(error, unit))
     return figure
-
-
-def _tracking_band(axes: Axes, t: Floats, quantiles: Floats, of: str, unit: str) -> None:
-    """Quantiles of |z - r| over time, on a logarithmic axis."""
-    q = _bounded(quantiles)
-    axes.set_yscale("log")
-    _band(axes, t, np.maximum(q, floor_of(q[:, 1])))
-    finish(axes, f"Tracking error{of}", axis_label("|z − r|", unit))
-
-
-def _width_band(axes: Axes, t: Floats, quantiles: Floats, edge: str, of: str, unit: str) -> None:
-    """Quantiles of the error of a width over time; edge: right or left."""
-    _band(axes, t, _bounded(quantiles))
-    axes.axhline(0.0, color=ink.TRUTH, linewidth=0.7)
-    error = rf"$\hat d_{edge[0]} - d_{edge[0]}$"
-    finish(axes, f"Error of the {edge} width{of}", axis_label(error, unit))
 
 
 def _bounded(q: Floats) -> Floats:
@@ -223,12 +200,9 @@ def _bounded(q: Floats) -> Floats:
 
 def _band(axes: Axes, t: Floats, q: Floats) -> None:
     """The median in the bands between quantiles (N x 5): 1, 5, 50, 95 and 99 %."""
-    axes.fill_between(
-        t, q[:, 0], q[:, 4], color=ink.ESTIMATE, alpha=0.18, linewidth=0, label="1–99 %"
-    )
-    axes.fill_between(
-        t, q[:, 1], q[:, 3], color=ink.ESTIMATE, alpha=0.35, linewidth=0, label="5–95 %"
-    )
+    shade: Any = {"color": ink.ESTIMATE, "linewidth": 0}
+    axes.fill_between(t, q[:, 0], q[:, 4], alpha=0.18, label="1–99 %", **shade)
+    axes.fill_between(t, q[:, 1], q[:, 3], alpha=0.35, label="5–95 %", **shade)
     axes.plot(t, q[:, 2], color=ink.TRUTH, linewidth=1.1, label="median")
 
 
@@ -317,18 +291,11 @@ def _bars(
     axes: Axes, shift: float, thick: float, indices: list[dict[str, float]], **style: Any
 ) -> None:
     """A bar with its interval for each index."""
-    values = [index["value"] for index in indices]
+    places, values = np.arange(len(indices)) + shift, [index["value"] for index in indices]
     below = [index["value"] - index["low"] for index in indices]
     above = [index["high"] - index["value"] for index in indices]
-    axes.barh(
-        np.arange(len(indices)) + shift,
-        values,
-        thick,
-        xerr=[below, above],
-        error_kw={"elinewidth": 1.0, "ecolor": ink.TRUTH, "capsize": 2.0},
-        alpha=0.75,
-        **style,
-    )
+    whisker = {"elinewidth": 1.0, "ecolor": ink.TRUTH, "capsize": 2.0}
+    axes.barh(places, values, thick, xerr=[below, above], error_kw=whisker, alpha=0.75, **style)
 
 
 def influence(result: Ensemble, sensitivities: Sensitivities) -> Figure | None:
@@ -385,36 +352,22 @@ def _over_one(axes: Axes, x: Floats, y: Floats, runs: Marked, scale: Scale) -> N
     shown, diverged = runs.shown, runs.diverged
     alpha = min(0.6, 20 / np.sqrt(shown.size))
     axes.set_yscale(scale)
-    axes.plot(
-        x[shown], y[shown], ".", color=ink.ESTIMATE, markersize=3, markeredgewidth=0, alpha=alpha,
-        rasterized=True,
-    )  # fmt: skip
+    dots: Any = {"markersize": 3, "markeredgewidth": 0, "rasterized": True}
+    axes.plot(x[shown], y[shown], ".", color=ink.ESTIMATE, alpha=alpha, **dots)
     _trend(axes, x[shown], y[shown])
     _mark(axes, x, y, runs)
     if diverged.size:
-        axes.plot(
-            x[diverged],
-            np.full(diverged.size, 0.02),
-            "|",
-            color=ink.PRINTED,
-            transform=axes.get_xaxis_transform(),
-            label="diverged",
-        )
+        at_bottom, low = axes.get_xaxis_transform(), np.full(diverged.size, 0.02)
+        axes.plot(x[diverged], low, "|", color=ink.PRINTED, transform=at_bottom, label="diverged")
     axes.margins(x=0.03)
 
 
 def _over_both(axes: Axes, x: Floats, y: Floats, values: Floats, runs: Marked, scale: Scale) -> Any:
     """The median of the metric over two entries, in hexagons; returned for a colour bar."""
-    hexagons = axes.hexbin(
-        x[runs.shown],
-        y[runs.shown],
-        values[runs.shown],
-        gridsize=int(np.clip(np.sqrt(runs.shown.size) / 3, 8, 30)),
-        norm=scale,
-        reduce_C_function=np.median,
-        cmap="viridis_r",
-        edgecolors="none",
-    )
+    points = x[runs.shown], y[runs.shown], values[runs.shown]
+    size = int(np.clip(np.sqrt(runs.shown.size) / 3, 8, 30))
+    looks: Any = {"norm": scale, "cmap": "viridis_r", "edgecolors": "none"}
+    hexagons = axes.hexbin(*points, gridsize=size, reduce_C_function=np.median, **looks)
     if runs.diverged.size:
         axes.plot(x[runs.diverged], y[runs.diverged], ".", color=ink.PRINTED, label="diverged")
     _mark(axes, x, y, runs)

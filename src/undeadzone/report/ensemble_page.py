@@ -216,10 +216,7 @@ def _asked(result: Ensemble) -> list[html.Html]:
         ("time", f"{info.time}, step {info.step:g} s, {info.duration:g} s"),
         ("runs", f"{info.runs:,}"),
         ("drawn by", f"{info.sampling}, seed {info.seed}"),
-        (
-            "settled",
-            f"|z − r| stays within {100 * info.tolerance:g} % of the largest |r| {lasts}",
-        ),
+        ("settled", f"|z − r| stays within {100 * info.tolerance:g} % of the largest |r| {lasts}"),
     ]
     parts = [html.table(("what", "value"), lines)]
     if result.varied:

@@ -158,13 +158,8 @@ def _rates(axes: Axes, of: Assessment, gains: Gains, scaled: list[str]) -> None:
 
 def _rate(of: Assessment, gains: Gains, name: str, factor: float) -> float:
     """The rate [1/s] along the reference with one gain scaled."""
-    L, gamma = gains.L, gains.gamma
-    if name == "L":
-        L = factor * L
-    else:
-        gamma = factor * gamma
-    jump = of.problem.sensor.kind == "jump"
-    return rates(of.problem.model.linear, L, gamma, of.schedule, jump).rate
+    scaled, jump = gains._replace(**{name: factor * getattr(gains, name)}), of.problem.sensor.kind
+    return rates(of.problem.model.linear, scaled.L, scaled.gamma, of.schedule, jump == "jump").rate
 
 
 def _proved(proof: Certificate, name: str, factor: float) -> bool:
@@ -221,16 +216,9 @@ def _mark(
     axes: Axes, point: Point, price: str, marker: str, colour: str, name: str, size: float = 9
 ) -> None:
     """Mark one point of the front; price: what stands on the axis to the right."""
-    axes.plot(
-        [getattr(point, price)],
-        [point.rate],
-        marker,
-        color=colour,
-        markersize=size,
-        markeredgecolor="white",
-        label=name,
-        zorder=5,
-    )
+    place = [getattr(point, price)], [point.rate]
+    on_top: Any = {"markeredgecolor": "white", "zorder": 5}
+    axes.plot(*place, marker, color=colour, markersize=size, label=name, **on_top)
 
 
 def ellipses(of: Assessment) -> Figure:

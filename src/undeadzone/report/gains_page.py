@@ -143,8 +143,8 @@ def _answer(of: Assessment) -> html.Html:
     """Gains, how fast they are, what can be known, and how strongly readings are heard."""
     rows: list[tuple[str, Any]] = []
     if of.gains is not None:
-        L, speed = numbers(np.ravel(of.gains.L)), of.gains.rates
-        rows = [("L, row by row [1/s]", L), ("γ [1/s]", numbers(of.gains.gamma))]
+        L, speed = listed(np.ravel(of.gains.L)), of.gains.rates
+        rows = [("L, row by row [1/s]", L), ("γ [1/s]", listed(of.gains.gamma))]
         rows.append(("rate; time constant", f"{speed.rate:.4g} 1/s; {speed.time_constant:.4g} s"))
     for i, known in enumerate(of.known[:2]):
         edges = html.join([_known(known, "right"), "and", _known(known, "left")])
@@ -177,9 +177,9 @@ def _asked(of: Assessment, design: Design | None) -> html.Html:
 def _sensor_rows(of: Assessment, unit: str) -> list[tuple[str, str]]:
     """The sensor and its noise."""
     sensor = of.problem.sensor
-    widths = f"d_r = {numbers(sensor.right)}, d_l = {numbers(sensor.left)}"
-    silent = f"silent below |y| = {numbers(sensor.threshold)}"
-    noise = f"{numbers(sensor.noise)} after the zone, {numbers(sensor.noise_before)} before it"
+    widths = f"d_r = {listed(sensor.right)}, d_l = {listed(sensor.left)}"
+    silent = f"silent below |y| = {listed(sensor.threshold)}"
+    noise = f"{listed(sensor.noise)} after the zone, {listed(sensor.noise_before)} before it"
     return [
         (label("sensor", unit), f"{sensor.kind}: {widths}, {silent}"),
         ("noise, rms", noise),
@@ -203,14 +203,12 @@ def _schedule(of: Assessment) -> str:
 
 def verdict(of: Assessment) -> html.Html:
     """One line: certified or not, and whether every width can be known."""
-    parts = []
+    parts = [html.widths_known(all(one.right and one.left for one in of.known))]
     if of.gains is not None:
         proof = of.gains.certificate
         certified = f"certified, margin {proof.margin:.4g}"
-        parts.append(html.yes_no(proof.certified, certified, "not certified"))
-    return html.verdict_line(
-        *parts, html.widths_known(all(one.right and one.left for one in of.known))
-    )
+        parts.insert(0, html.yes_no(proof.certified, certified, "not certified"))
+    return html.verdict_line(*parts)
 
 
 def gains_section(gains: Gains, design: Design | None) -> list[html.Html]:
@@ -261,7 +259,7 @@ def guarantee_section(gains: Gains, tried: Attacks | None) -> list[html.Html]:
     return [
         html.paragraph(guarantee + attempts),
         html.table(head, rows),
-        html.paragraph(f"W = {numbers(proof.W)}. {checked}"),
+        html.paragraph(f"W = {listed(proof.W)}. {checked}"),
         html.table(("what", "value"), _checked(proof)),
     ]
 
@@ -273,13 +271,9 @@ def _no_guarantee(proof: Certificate, tried: Attacks | None) -> list[html.Html]:
     if tried is None or tried.cycle is None:
         return parts
     if "cycle" in {course.kind for course in tried.courses}:
+        found = "A periodic sequence of sides was found along which the error grows by"
         growth = f"{tried.cycle.factor:.4g} every {tried.cycle.seconds:.4g} s"
-        parts.append(
-            html.paragraph(
-                "A periodic sequence of sides was found along which the error grows by "
-                f"{growth}: these gains can diverge."
-            )
-        )
+        parts.append(html.paragraph(f"{found} {growth}: these gains can diverge."))
     return parts
 
 
@@ -291,8 +285,8 @@ def _checked(proof: Certificate) -> list[tuple[str, Any]]:
     step = "" if proof.dynamics.Ts is None else " − Ts γ/2"
     at_infinity = proof.frequency is None or np.isinf(proof.frequency)
     return [
-        ("eigenvalues of P, all positive", numbers(np.linalg.eigvalsh(proof.P))),
-        ("eigenvalues of the inequality, all negative", numbers(np.sort(values))),
+        ("eigenvalues of P, all positive", listed(np.linalg.eigvalsh(proof.P))),
+        ("eigenvalues of the inequality, all negative", listed(np.sort(values))),
         ("greatest of them, scaled to a diagonal of −1", proof.check.lmi),
         ("bound on the rounding of the scaled ones", proof.check.rounding),
         (f"margin: least eigenvalue of the Hermitian part of 1 + G{step}", proof.margin),
@@ -372,11 +366,6 @@ def _front_table(design: Design) -> html.Html:
     rows = []
     for point in design.front:
         scores = [getattr(point, name) for name in SCORES]
-        rows.append((numbers(np.ravel(point.L)), numbers(point.gamma), *scores))
+        rows.append((listed(np.ravel(point.L)), listed(point.gamma), *scores))
     title = f"The {len(design.front)} gains of the front"
     return html.folded(title, html.table(("L", "γ", *SCORES), rows))
-
-
-def numbers(values: Any) -> str:
-    """Numbers to four digits, with commas."""
-    return ", ".join(f"{value:.4g}" for value in np.atleast_1d(values))

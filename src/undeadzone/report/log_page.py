@@ -12,10 +12,18 @@ import numpy as np
 from undeadzone.observers.parts.judged_filter import FAR
 from undeadzone.observers.parts.prior import CHANCE
 from undeadzone.report import html, ink
-from undeadzone.report.run_page import actuator_tables, gap_tables
-from undeadzone.report.style import finish, label, shade_gap, shade_zone, sheet, width_lines
+from undeadzone.report.run_page import further_tables
+from undeadzone.report.style import (
+    DASHED,
+    finish,
+    label,
+    shade_gap,
+    shade_zone,
+    sheet,
+    width_lines,
+)
 from undeadzone.results.estimation import Estimation, actuators, gaps, widths
-from undeadzone.support.arrays import Floats
+from undeadzone.support.arrays import runs
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,6 +45,7 @@ VERDICTS: Final = {
     None: ("that cannot be tested", "mid"),
 }
 POINTS = 20_000  # samples that a line shows at most
+MOST_GAPS = 100  # that are shaded: more could not be told apart
 
 
 def write_estimation(
@@ -84,11 +93,9 @@ def estimation_page(
     info = result.info
     words, style = VERDICTS[info.consistent]
     shown = html.pictures(images, {"figure": _OVERVIEW}).values()
-    head = html.paragraph(
-        html.tag("span", f"Is the record what the observer claims? {words}", style)
-    )
-    driven = actuator_tables(actuators(info))
-    found = [_widths(result), *driven, *gap_tables(result.outputs, gaps(info))]
+    asked = f"Is the record what the observer claims? {words}"
+    head = html.paragraph(html.tag("span", asked, style))
+    found = [_widths(result), *further_tables(result.outputs, actuators(info), gaps(info))]
     reasons = [html.paragraph(f"{reason[:1].upper()}{reason[1:]}.") for reason in info.reasons]
     return html.page(
         info.title,
@@ -136,12 +143,11 @@ def log_overview(result: Estimation) -> Figure:
         rows.append([f"output {i}"] * 2)
         rows.append([f"widths {i}", f"innovation {i}"])
     figure, panels = sheet(rows, result.info.title, even=True)
-    shown = _shown(result)
     for i, name in enumerate(result.outputs):
         of = f" {name}" if len(result.outputs) > 1 else ""
-        output(panels[f"output {i}"], result, i, of, shown)
-        _draw_widths(panels[f"widths {i}"], result, i, of, shown)
-        _innovations(panels[f"innovation {i}"], result, i, of, shown)
+        output(panels[f"output {i}"], result, i, of)
+        _draw_widths(panels[f"widths {i}"], result, i, of)
+        _innovations(panels[f"innovation {i}"], result, i, of)
     return figure
 
 
@@ -150,11 +156,9 @@ def _shown(result: Estimation) -> slice:
     return slice(None, None, max(1, result.t.size // POINTS))
 
 
-def output(
-    axes: Axes, result: Estimation, i: int = 0, of: str = "", shown: slice | None = None
-) -> None:
+def output(axes: Axes, result: Estimation, i: int = 0, of: str = "") -> None:
     """Reading and estimates of output i over its estimated dead zone; of: its name."""
-    shown = _shown(result) if shown is None else shown
+    shown = _shown(result)
     t = result.t[shown]
     right, left = result.info.d_right[i], result.info.d_left[i]
     if result.info.sensor == "play":
@@ -165,7 +169,7 @@ def output(
     axes.plot(t, result.z_hat[shown, i], color=ink.ESTIMATE, label="estimate ẑ")
     if result.z_smooth is not None:
         smooth = result.z_smooth[shown, i]
-        axes.plot(t, smooth, color=ink.TRUTH, linestyle=(0, (4, 2)), label="with the whole log")
+        axes.plot(t, smooth, color=ink.TRUTH, linestyle=DASHED, label="with the whole log")
     _mark_missing(axes, result, i)
     title = f"Output{of}: what was read, and what the observer makes of it"
     finish(axes, title, label("z, y", result.unit("z_hat")), legend=4)
@@ -173,25 +177,24 @@ def output(
 
 def _mark_missing(axes: Axes, result: Estimation, i: int) -> None:
     """Shade where readings of output i are missing."""
-    missing = ~np.isfinite(result.y[:, i])
-    edges = np.flatnonzero(np.diff(missing.astype(int), prepend=0, append=0))
-    if edges.size > POINTS // 100:
-        return  # too many to be told apart
-    for start, end in edges.reshape(-1, 2):
-        last = min(end, result.t.size - 1)
-        axes.axvspan(result.t[start], result.t[last], color=ink.FORBIDDEN, linewidth=0)
+    first, last = runs(~np.isfinite(result.y[:, i]))
+    if first.size > MOST_GAPS:
+        return
+    ends = np.minimum(last + 1, result.t.size - 1)
+    for start, end in zip(result.t[first], result.t[ends], strict=True):
+        axes.axvspan(start, end, color=ink.FORBIDDEN, linewidth=0)
 
 
-def _draw_widths(axes: Axes, result: Estimation, i: int, of: str, shown: slice) -> None:
+def _draw_widths(axes: Axes, result: Estimation, i: int, of: str) -> None:
     """The estimated widths of output i, with 95 % intervals."""
-    t = result.t[shown]
-    columns = slice(2 * i, 2 * i + 2)
+    shown = _shown(result)
+    t, columns = result.t[shown], slice(2 * i, 2 * i + 2)
     widths = result.d_hat[shown, columns]
     std = None if result.d_std is None else result.d_std[shown, columns]
     width_lines(axes, t, widths, std)
     if result.d_smooth is not None:
         for column, colour in ((2 * i, ink.PRINTED), (2 * i + 1, ink.OTHER)):
-            axes.plot(t, result.d_smooth[shown, column], color=colour, linestyle=(0, (4, 2)))
+            axes.plot(t, result.d_smooth[shown, column], color=colour, linestyle=DASHED)
     settled = widths[len(widths) // 10 :]  # the start would stretch the axis
     low, high = float(np.nanmin(settled)), float(np.nanmax(settled))
     room = 0.3 * (high - low) + 1e-12
@@ -201,10 +204,10 @@ def _draw_widths(axes: Axes, result: Estimation, i: int, of: str, shown: slice) 
     finish(axes, f"Widths{of}{band}", label("d", result.unit("d_hat")))
 
 
-def _innovations(axes: Axes, result: Estimation, i: int, of: str, shown: slice) -> None:
+def _innovations(axes: Axes, result: Estimation, i: int, of: str) -> None:
     """The normalised innovations of output i and the statistic of the test; else innovations."""
-    t = result.t[shown]
-    innovation = result.innovation[shown, i]
+    shown = _shown(result)
+    t, innovation = result.t[shown], result.innovation[shown, i]
     used = innovation != 0
     if result.innovation_std is None or result.B is None:
         axes.plot(t[used], innovation[used], ".", color=ink.ESTIMATE, markersize=2, rasterized=True)
@@ -216,13 +219,6 @@ def _innovations(axes: Axes, result: Estimation, i: int, of: str, shown: slice) 
     axes.plot(t[used], limited, ".", color=ink.ESTIMATE, markersize=2, label=name, rasterized=True)
     for bound in (-FAR, FAR):
         axes.axhline(bound, color=ink.REFERENCE, linewidth=0.8)
-    _statistic(axes, t, result.B[shown, i])
+    axes.plot(t, np.minimum(result.B[shown, i], 2 * FAR), color=ink.PRINTED, label="B")
+    axes.axhline(CHANCE, color=ink.PRINTED, linewidth=0.8, linestyle=DASHED, label="usual limit")
     finish(axes, f"Innovations{of} and their test", "standard deviations", legend=3)
-
-
-def _statistic(axes: Any, t: Floats, B: Floats) -> None:
-    """The statistic B and its limit, in the panel of the innovations."""
-    axes.plot(t, np.minimum(B, 2 * FAR), color=ink.PRINTED, label="B")
-    axes.axhline(
-        CHANCE, color=ink.PRINTED, linewidth=0.8, linestyle=(0, (4, 2)), label="usual limit"
-    )

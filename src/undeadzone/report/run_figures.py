@@ -9,6 +9,7 @@ import numpy as np
 
 from undeadzone.report import ink
 from undeadzone.report.style import (
+    DASHED,
     axis_label,
     finish,
     plain,
@@ -78,11 +79,8 @@ def rows_below(outputs: int, with_V: bool) -> list[list[str]]:
     """
     rows = []
     for i in range(outputs):
-        rows.append([f"output {i}"] * 6)
-        if with_V and i == 0:
-            rows.append([f"error {i}"] * 2 + [f"widths {i}"] * 2 + ["V"] * 2)
-        else:
-            rows.append([f"error {i}"] * 3 + [f"widths {i}"] * 3)
+        below = [f"error {i}", f"widths {i}", *["V"] * (with_V and i == 0)]
+        rows += [[f"output {i}"] * 6, np.repeat(below, 6 // len(below)).tolist()]
     return rows
 
 
@@ -113,7 +111,7 @@ def output(axes: Axes, run: Run, i: int = 0, of: str = "") -> None:
     axes.plot(t, run.y[shown, i], color=ink.READING, label="reading y")
     axes.plot(t, run.z[shown, i], color=ink.TRUTH, label="output z")
     estimate = run.z_hat[shown, i]
-    axes.plot(t, estimate, color=ink.ESTIMATE, linestyle=(0, (4, 2)), label="estimate ẑ")
+    axes.plot(t, estimate, color=ink.ESTIMATE, linestyle=DASHED, label="estimate ẑ")
     title = f"Output{of} and what is known of it"
     if run.diverged_at is not None:
         title += f", diverged at {run.diverged_at:.4g} s"
@@ -143,7 +141,7 @@ def _loop(axes: Axes, run: Run, i: int, of: str) -> None:
     last = slice(2 * run.t.size // 3, None)
     axes.plot(run.z[last, i], run.y[last, i], color=ink.TRUTH, label="z")
     z_hat = run.z_hat[last, i]
-    axes.plot(z_hat, run.y[last, i], color=ink.ESTIMATE, linestyle=(0, (4, 2)), label="ẑ")
+    axes.plot(z_hat, run.y[last, i], color=ink.ESTIMATE, linestyle=DASHED, label="ẑ")
     title, unit = f"Reading{of} over the output, last third", run.unit("z")
     finish(axes, title, axis_label("y", run.unit("y")), axis_label("z", unit))
 
@@ -219,11 +217,8 @@ def phase(run: Run) -> Figure:
 def joint_rows(joints: int) -> list[list[str]]:
     """The panels of joints, some in a row; a dot is an empty place after the last one."""
     columns = min(COLUMNS, joints)
-    rows = []
-    for first in range(0, joints, COLUMNS):
-        row = [f"{i}" for i in range(first, min(first + columns, joints))]
-        rows.append(row + ["."] * (columns - len(row)))
-    return rows
+    names = [*map(str, range(joints)), *["."] * (-joints % columns)]
+    return [names[first : first + columns] for first in range(0, len(names), columns)]
 
 
 def _phase_plane(axes: Axes, run: Run, i: int, name: str) -> None:
@@ -231,17 +226,10 @@ def _phase_plane(axes: Axes, run: Run, i: int, name: str) -> None:
     states, joints = run.x.shape[1], len(run.info.joints)
     position, velocity = states // 2 - joints + i, states - joints + i  # behind those of motors
     q, q_rate = run.x[run.shown, position], run.x[run.shown, velocity]
-    q_hat, q_hat_rate = run.x_hat[run.shown, position], run.x_hat[run.shown, velocity]
+    found = run.x_hat[run.shown, position], run.x_hat[run.shown, velocity]
     _zone(axes, run, i)
     axes.plot(q, q_rate, color=ink.TRUTH, linewidth=1.3, linestyle="-", label="truth")
-    axes.plot(
-        q_hat,
-        q_hat_rate,
-        color=ink.ESTIMATE,
-        linewidth=0.9,
-        linestyle=(0, (4, 2)),
-        label="estimate",
-    )
+    axes.plot(*found, color=ink.ESTIMATE, linewidth=0.9, linestyle=DASHED, label="estimate")
     axes.set_xlim(*_range(q))
     axes.set_ylim(*_range(q_rate))
     upwards, to_the_right = run.unit(f"x[{velocity}]"), run.unit(f"x[{position}]")

@@ -61,8 +61,7 @@ def run_page(
         html.section(
             "Widths",
             _widths_table(run),
-            *actuator_tables(actuators(run)),
-            *gap_tables(run.outputs, gaps(run)),
+            *further_tables(run.outputs, actuators(run), gaps(run)),
             *map(html.paragraph, reasons),
         ),
         html.section("Gains", *_gains(run)),
@@ -137,15 +136,13 @@ def _widths_table(run: Run) -> html.Html:
     return html.estimates("output", run.outputs, widths(run), heads, known)
 
 
-def actuator_tables(found: Sequence[Sequence[Row]]) -> list[html.Html]:
-    """The table of the widths of each actuator; nothing where none are estimated."""
-    names = [f"u[{j}]" for j in range(len(found))]
-    return [html.estimates("actuator", names, found)] if found else []
-
-
-def gap_tables(outputs: Sequence[str], found: Sequence[Sequence[Row]]) -> list[html.Html]:
-    """The table of the gaps ahead of dead zones; nothing where none are estimated."""
-    return [html.estimates("play ahead of the zone", outputs, found)] if found else []
+def further_tables(
+    outputs: Sequence[str], driven: Sequence[Sequence[Row]], ahead: Sequence[Sequence[Row]]
+) -> list[html.Html]:
+    """The widths of each actuator and the gaps ahead of dead zones; nothing of none."""
+    inputs = [f"u[{j}]" for j in range(len(driven))]
+    said = ("actuator", inputs, driven), ("play ahead of the zone", outputs, ahead)
+    return [html.estimates(*each) for each in said if each[2]]
 
 
 def _gains(run: Run) -> list[html.Html]:

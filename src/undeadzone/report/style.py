@@ -30,6 +30,7 @@ FLOOR: Final = 1e-16  # least value on a logarithmic axis
 SPANS: Final = 120  # of time, in each of which the largest sample is shown
 LEGEND_ROOM: Final = 0.22  # share of an axis that a legend adds above it
 ROOM: Final = (0.85, 0.2, 0.5, 0.6, 0.85, 0.8)  # left, right, below, above; between [inch]
+DASHED: Final = (0, (4, 2))  # the style of a second line of one colour
 EDGE: Final = 0.1  # between the top of a figure and its title [inch]
 
 
@@ -97,14 +98,8 @@ def _leave_room(figure: Figure, rows: list[list[str]]) -> None:
     columns = len(rows[0])
     wide = (width - left - right - beside * (columns - 1)) / columns
     high = (height - below - above - between * (len(rows) - 1)) / len(rows)
-    figure.subplots_adjust(
-        left / width,
-        below / height,
-        1 - right / width,
-        1 - above / height,
-        beside / wide,
-        between / high,
-    )
+    edges = left / width, below / height, 1 - right / width, 1 - above / height
+    figure.subplots_adjust(*edges, beside / wide, between / high)
 
 
 def finish(

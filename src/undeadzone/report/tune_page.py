@@ -10,11 +10,11 @@ import numpy as np
 
 from undeadzone.report import html, ink
 from undeadzone.report.ensemble_figures import words
-from undeadzone.report.style import finish, plain, sheet
+from undeadzone.report.style import DASHED, finish, plain, sheet
 from undeadzone.statistics.intervals import Interval
 from undeadzone.support import toml
 from undeadzone.support.arrays import Floats
-from undeadzone.support.text import counted
+from undeadzone.support.text import bracketed, counted
 from undeadzone.tuning.parameters import Parameter
 from undeadzone.tuning.result import HeldOut, Tuned
 from undeadzone.tuning.tune import Sweep, sweep
@@ -95,13 +95,8 @@ def _numbers(result: Tuned) -> list[html.Html]:
         bounds = f"{parameter.low:g} to {parameter.high:g}{', log' if parameter.log else ''}"
         rows.append((parameter.name, parameter.start, value, bounds))
     head = ("number", "before", "tuned", "range")
-    return [html.table(head, rows), *map(html.paragraph, _at_edge(result))]
-
-
-def _at_edge(result: Tuned) -> list[str]:
-    """What lies at the end of its range."""
     words = "lies at the end of its range: a wider one may do better."
-    return [f"{name} {words}" for name in result.at_edge]
+    return [html.table(head, rows), *(html.paragraph(f"{name} {words}") for name in result.at_edge)]
 
 
 def _worth(result: Tuned) -> html.Html:
@@ -123,8 +118,8 @@ def _held_out(title: str, held_out: HeldOut) -> tuple[Any, ...]:
 
 def _interval(interval: Interval) -> str:
     """A value with its interval."""
-    value, low, high = interval
-    return f"{value:.4g}" if low == high else f"{value:.4g} [{low:.4g}, {high:.4g}]"
+    alone = interval.low == interval.high
+    return f"{interval.value:.4g}" if alone else bracketed(*interval, ".4g")
 
 
 def slices(result: Tuned) -> dict[str, Sweep]:
@@ -142,20 +137,16 @@ def history(result: Tuned) -> Figure:
     rows = [["trials", "trials", "trials", "held_out"]]
     figure, panels = sheet(rows, f"{result.scenario.title}: tuned", height=3.6)
     candidates(panels["trials"], result)
-    words = _words(result)
     _compare(panels["held_out"], result)
-    finish(panels["held_out"], "On held-out runs", words, "", legend=0)
+    finish(panels["held_out"], "On held-out runs", _words(result), "", legend=0)
     return figure
 
 
 def candidates(axes: Axes, result: Tuned) -> None:
-    """The cost of every candidate by the stage that tried it, and the best so far."""
-    _costs(axes, result)
-    finish(axes, "Candidates, on the runs tuned on", _words(result), "candidate", legend=3)
+    """The cost of every candidate by the stage that tried it, and the best so far.
 
-
-def _costs(axes: Axes, result: Tuned) -> None:
-    """Candidates as dots, those not certified as crosses, the best so far as a line."""
+    Those that are not certified are crossed out.
+    """
     cost = np.array([trial.cost for trial in result.trials])
     kept = np.array([not trial.margin < result.what.margin for trial in result.trials])
     best = np.minimum.accumulate(np.where(kept, cost, np.inf))
@@ -168,17 +159,11 @@ def _costs(axes: Axes, result: Tuned) -> None:
             axes.plot(tried, shown[tried], ".", color=colour, markersize=5, label=stage)
     if not kept.all():
         lost = np.flatnonzero(~kept)
-        axes.plot(
-            lost,
-            shown[lost],
-            "x",
-            color=ink.PRINTED,
-            markersize=3.5,
-            alpha=0.6,
-            label="not certified",
-        )
+        small: Any = {"markersize": 3.5, "alpha": 0.6}
+        axes.plot(lost, shown[lost], "x", color=ink.PRINTED, label="not certified", **small)
     axes.plot(best, color=ink.ESTIMATE, drawstyle="steps-post", label="best so far")
     _scaled(axes, known)
+    finish(axes, "Candidates, on the runs tuned on", _words(result), "candidate", legend=3)
 
 
 def around(result: Tuned, sweeps: dict[str, Sweep]) -> Figure:
@@ -188,11 +173,10 @@ def around(result: Tuned, sweeps: dict[str, Sweep]) -> Figure:
     rows[-1] += [rows[-1][-1]] * (len(rows[0]) - len(rows[-1]))
     title = "Around what was found, on held-out runs, the other numbers unchanged"
     figure, panels = sheet(rows, title, height=3.0)
-    words = _words(result)
     for parameter, value in zip(result.parameters, result.values, strict=True):
         axes = panels[parameter.name]
         _curve(axes, parameter, value, sweeps[parameter.name], result.what.margin)
-        finish(axes, plain(parameter.name), words, legend=2, x_label="")
+        finish(axes, plain(parameter.name), _words(result), legend=2, x_label="")
     return figure
 
 
@@ -208,7 +192,7 @@ def _curve(axes: Axes, parameter: Parameter, value: float, curve: Sweep, margin:
         axes.plot(x[lost], cost[lost], "x", color=ink.PRINTED, label="not certified")
     start = parameter.start
     axes.axvline(value, color=ink.REFERENCE, label=f"tuned {value:.4g}")
-    axes.axvline(start, color=ink.ZONE, linestyle=(0, (4, 2)), label=f"start {start:.4g}")
+    axes.axvline(start, color=ink.ZONE, linestyle=DASHED, label=f"start {start:.4g}")
     axes.set_xlim(parameter.low, parameter.high)
     _scaled(axes, cost[shown])
 
@@ -226,9 +210,8 @@ def _places(parameter: Parameter, value: float) -> Floats:
 def _compare(axes: Axes, result: Tuned) -> None:
     """The first scenario on held-out runs as it was and tuned, with intervals."""
     first = result.held_out[0]
-    for place, (worth, colour) in enumerate(
-        ((first.before, ink.TRUTH), (first.after, ink.ESTIMATE))
-    ):
+    pairs = (first.before, ink.TRUTH), (first.after, ink.ESTIMATE)
+    for place, (worth, colour) in enumerate(pairs):
         value, low, high = worth.value
         reach = [[_reach(low, value)], [_reach(high, value)]]
         axes.errorbar([place], [value], yerr=reach, fmt="o", capsize=5, color=colour)

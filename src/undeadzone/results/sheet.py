@@ -6,12 +6,12 @@ take label and `words`; a page takes title and `cell`, as `report.html.estimates
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from undeadzone.support.arrays import finite
 from undeadzone.support.text import label, with_interval, with_unit
 
 
@@ -44,8 +44,8 @@ class Row(NamedTuple):
     def found(self) -> str:
         """The value, with its 95 % interval where that is known; nan where there is none."""
         if self.std is None:
-            return number(_finite(self.value), self.form)
-        return with_interval(_finite(self.value), _finite(self.std))
+            return number(finite(self.value), self.form)
+        return with_interval(finite(self.value), finite(self.std))
 
     @property
     def words(self) -> str:
@@ -143,8 +143,3 @@ def _of_one(
         total = None if true is None else sum(true)
         rows.append(Row("gap_right + gap_left", title, sum(found[:2]), unit, found[4], total))
     return rows
-
-
-def _finite(value: float | None) -> float | None:
-    """A number that is finite, or None."""
-    return value if value is not None and math.isfinite(value) else None

@@ -46,24 +46,13 @@ def _estimated() -> dict[str, Signal]:
 ESTIMATED: Final = _estimated()
 SIGNALS: Final = {
     "t": Signal("s"),
-    "x": Signal("state"),
-    "z": Signal("output"),
-    "y": Signal("output"),
-    "side": Signal("1"),
+    **dict.fromkeys(("x", "x_smooth", "x_smooth_std"), Signal("state")),
+    **dict.fromkeys(("z", "y", "r", "level", "z_smooth"), Signal("output")),
     "u": Signal("input"),
-    "r": Signal("output"),
-    "V": Signal("1"),
-    "B": Signal("1"),
+    **dict.fromkeys(("tip", "tip_hat", "tip_r", "poses"), Signal("m")),
+    **dict.fromkeys(("side", "V", "B"), Signal("1")),
     **ESTIMATED,
-    "level": Signal("output"),
-    "tip": Signal("m"),
-    "tip_hat": Signal("m"),
-    "tip_r": Signal("m"),
-    "poses": Signal("m"),
-    "x_smooth": Signal("state"),
-    "z_smooth": Signal("output"),
     "d_smooth": Signal("output", ("d_right_smooth", "d_left_smooth")),
-    "x_smooth_std": Signal("state"),
     "d_smooth_std": Signal("output", ("d_right_smooth_std", "d_left_smooth_std")),
 }
 SERIES: Final = ("t", "V")  # signals of one column, which has no number
@@ -103,16 +92,8 @@ RUN: Final = _layout(
     ("u", "r"),
     ("V", *FURTHER, "level", "tip", "tip_hat", "tip_r", "poses"),
 )
-LOG: Final = _layout(
-    ("t", "y", "u", "side"),
-    (),
-    (
-        *DEVIATIONS,
-        "B",
-        *(name for name in FURTHER if name not in (*DEVIATIONS, *NOT_OF_LOGS)),
-        *SMOOTHED,
-    ),
-)
+_REST: Final = [name for name in FURTHER if name not in (*DEVIATIONS, *NOT_OF_LOGS)]
+LOG: Final = _layout(("t", "y", "u", "side"), (), (*DEVIATIONS, "B", *_REST, *SMOOTHED))
 
 
 class Signals:
@@ -164,22 +145,6 @@ class Signals:
             return {}
         ends = zip(names, self.arrays["theta_hat"][-1], self.arrays["theta_std"][-1], strict=True)
         return {name: {"estimate": float(value), "std": float(std)} for name, value, std in ends}
-
-
-def attribute(result: Any, name: str) -> Any:
-    """A signal by name, None where there is none; `__getattr__` of results.
-
-    Raises:
-        AttributeError: such a result cannot have it.
-    """
-    if name not in type(result).layout.names:
-        raise AttributeError(f"{type(result).__name__} has no attribute {name!r}")
-    return result.signals.arrays.get(name)
-
-
-def attributes(result: Any) -> list[str]:
-    """The names of attributes, signals among them; `__dir__` of results."""
-    return [*object.__dir__(result), *type(result).layout.names]
 
 
 def final(signals: Mapping[str, Floats], *names: str) -> dict[str, Any]:

@@ -116,12 +116,8 @@ def matrix(
     if entries.ndim == 0:
         entries = entries.reshape(1, 1)
     shape = entries.shape
-    if (
-        entries.ndim == 2
-        and 0 not in shape
-        and rows in (None, shape[0])
-        and columns in (None, shape[1])
-    ):
+    as_wanted = rows in (None, shape[0]) and columns in (None, shape[-1])
+    if entries.ndim == 2 and 0 not in shape and as_wanted:
         return entries
     wanted = _matrix_text(rows, columns)
     present = f"a list of {_count_text(shape[0])}" if entries.ndim == 1 else shape_text(shape)

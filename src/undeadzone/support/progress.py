@@ -16,7 +16,7 @@ from html import escape
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 if TYPE_CHECKING:
-    from rich.progress import Progress, TaskID
+    from rich.progress import Progress
 
 Advance = Callable[[int], None]  # called with the number of steps just done
 PATIENCE: Final = 2.0  # [s] before a bar appears
@@ -125,36 +125,35 @@ class _Terminal:
 
     def __init__(self) -> None:
         self._bar: Progress | None = None
-        self._task: TaskID | None = None
 
     def draw(self, what: str, done: int, total: int | None, rate: str) -> None:
         """Draw the bar, or draw it anew."""
         if self._bar is None:
-            self._start(what, total)
-        assert self._bar is not None
-        assert self._task is not None
-        self._bar.update(self._task, description=what, completed=done, rate=rate)
+            self._bar = _bar()
+            self._bar.start()
+            self._bar.add_task(what, total=total, rate="")
+        (task,) = self._bar.task_ids
+        self._bar.update(task, description=what, completed=done, rate=rate)
 
     def clear(self) -> None:
         """Take it away."""
         if self._bar is not None:
             self._bar.stop()
 
-    def _start(self, what: str, total: int | None) -> None:
-        """Draw the bar."""
-        from rich import progress
-        from rich.console import Console
 
-        columns = (
-            progress.TextColumn("{task.description}"),
-            progress.BarColumn(),
-            progress.MofNCompleteColumn(),
-            progress.TextColumn("{task.fields[rate]}"),
-            progress.TimeRemainingColumn(),
-        )
-        self._bar = progress.Progress(*columns, console=Console(stderr=True), transient=True)
-        self._bar.start()
-        self._task = self._bar.add_task(what, total=total, rate="")
+def _bar() -> Progress:
+    """A bar of rich on stderr, that is not drawn yet."""
+    from rich import progress
+    from rich.console import Console
+
+    columns = (
+        progress.TextColumn("{task.description}"),
+        progress.BarColumn(),
+        progress.MofNCompleteColumn(),
+        progress.TextColumn("{task.fields[rate]}"),
+        progress.TimeRemainingColumn(),
+    )
+    return progress.Progress(*columns, console=Console(stderr=True), transient=True)
 
 
 class _Page:

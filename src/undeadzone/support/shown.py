@@ -14,6 +14,8 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+import undeadzone as uz
+from undeadzone.errors import InputError
 from undeadzone.support.text import printable
 
 if TYPE_CHECKING:
@@ -58,9 +60,7 @@ def plot(result: Any, path: str | os.PathLike[str] | None = None, ax: Axes | Non
         path: the file to write, a PNG, PDF or SVG by its suffix; None writes none.
         ax: axes that take the panel that says most; None: a new figure with all panels.
     """
-    import undeadzone
-
-    return undeadzone.plot(result, path, ax)
+    return uz.plot(result, path, ax)
 
 
 def in_text(result: Any) -> str:
@@ -70,18 +70,25 @@ def in_text(result: Any) -> str:
 
 def in_notebook(result: Any) -> str:
     """The same and the figure that `uz.plot` draws; `_repr_html_` of results with `blocks`."""
-    import undeadzone
-    from undeadzone.errors import InputError
-
     shown = html(result.blocks())
     try:
-        figure = undeadzone.plot(result)
+        figure = uz.plot(result)
     except InputError:  # nothing in it can be drawn
         return shown
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=DOTS)
     image = base64.b64encode(buffer.getvalue()).decode("ascii")
     return f'{shown}\n<img alt="figure" src="data:image/png;base64,{image}" width="100%">'
+
+
+class Shown:
+    """What results with `blocks` have in common: how they are looked at."""
+
+    __repr__ = in_text
+    _repr_html_ = in_notebook
+
+    plot = plot
+    """Draw it."""
 
 
 def _lines(block: Block, width: int | None) -> list[str]:

@@ -30,8 +30,7 @@ def tables(value: msgspec.Struct) -> dict[str, Any]:
     Raises:
         InputError: something in it that no text can hold.
     """
-    fields: dict[str, Any] = _without_none(msgspec.to_builtins(value, enc_hook=_plain))
-    return fields
+    return dict(_without_none(msgspec.to_builtins(value, enc_hook=_plain)))
 
 
 def _plain(value: Any) -> Any:

@@ -6,25 +6,28 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
+import msgspec
 import numpy as np
 
-from undeadzone.analysis.certificate.design_file import Knowledge
+from undeadzone.analysis.certificate.design_file import Knowledge, in_words_of_margin, plain
 from undeadzone.analysis.certificate.passivity import Certificate
 from undeadzone.analysis.certificate.polytopic import certify_on
 from undeadzone.analysis.certificate.robust import l2_gain
+from undeadzone.analysis.identifiability.linear import yes_no
+from undeadzone.analysis.identifiability.second_truth import in_words as in_words_of_truths
 from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.linear.matrices import delta
 from undeadzone.plants.region import Box, box
+from undeadzone.results.listening import in_words as share_in_words
 from undeadzone.results.run import Run
 from undeadzone.results.signals import output_names
 from undeadzone.scenario.overrun import overrun_numbers
 from undeadzone.scenario.problem import Problem, constant_gains, resolve_scenario
 from undeadzone.scenario.schema import Scenario
-from undeadzone.support import shown
 from undeadzone.support.arrays import Floats, finite, one_or_list
-from undeadzone.support.shown import Block
+from undeadzone.support.shown import Block, Rows, Shown
+from undeadzone.support.text import HALF_95, label, with_unit
 from undeadzone.synthesis.assessment import Assessment, Gains, assess, determined
-from undeadzone.synthesis.words import in_words
 
 
 class Bounds(NamedTuple):
@@ -57,9 +60,13 @@ class Nearest(NamedTuple):
     margin: float
     rate: float
 
+    def plain(self) -> dict[str, Any]:
+        """The same for JSON."""
+        return self._asdict() | {"L": self.L.tolist(), "gamma": self.gamma.tolist()}
 
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class Check:
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Check(Shown):
     """What a scenario's own gains are worth, and what its readings can tell.
 
     Attributes:
@@ -127,46 +134,33 @@ class Check:
         see docs/json.md.
         """
         verdicts = [{name: getattr(one, name) for name in DIRECTIONS} for one in self.known]
-        numbers: dict[str, Any] = {"title": self.scenario.title}
-        numbers |= {name: getattr(self, name) for name in PROOF}
-        numbers |= {
-            "l2_gain": None if self.l2_gain is None else self.l2_gain._asdict(),
-            "never": list(self.never),
-            "states": list(self.states),
+        numbers: dict[str, Any] = {
+            "title": self.scenario.title,
+            **{name: getattr(self, name) for name in PROOF},
             "identifiable": one_or_list(verdicts),
             "std": one_or_list([one.std for one in self.known]),
             "second": one_or_list([one.second for one in self.known]),
             "listens": one_or_list(self.listens) if self.listens else None,
             **({"overrun": one_or_list(self.overrun)} if self.overrun else {}),
-            "reasons": list(self.reasons),
-            "cures": list(self.cures),
-            "nearest": None if self.nearest is None else _plain(self.nearest),
+            "reasons": self.reasons,
+            "cures": self.cures,
+            "nearest": None if self.nearest is None else self.nearest.plain(),
         }
         return dict(finite(numbers))
 
     def blocks(self) -> list[Block]:
         """The tables that `undeadzone check` prints."""
-        return in_words(self.summary(), self.scenario, self.outputs)
-
-    __repr__ = shown.in_text
-    _repr_html_ = shown.in_notebook
-
-    plot = shown.plot
-    """Draw it."""
+        return in_words(self)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Checked again from its scenario: what the report draws holds functions."""
         return check, (self.scenario,)
 
 
+REFUSED: Final = "not certified: "  # what the reason begins with
 PROOF: Final = (
-    "certified",
-    "margin",
-    "frequency",
-    "l2_gain",
-    "rate",
-    "time_constant",
-    "left_region",
+    *("certified", "margin", "frequency", "l2_gain", "rate", "time_constant", "left_region"),
+    *("never", "states"),
 )  # what `check` says of the gains, None where it cannot
 
 
@@ -192,7 +186,7 @@ def checked(assessment: Assessment) -> Check:
         cures += one.cures
     return Check(
         scenario=problem.scenario,
-        **{name: _known(value) for name, value in proved.items()},
+        **proved,
         states=tuple(determined(problem, assessment.schedule)),
         known=tuple(known),
         listens=assessment.listens,
@@ -211,19 +205,9 @@ def _overrun(problem: Problem) -> tuple[float | None, ...]:
     return tuple(overrun_numbers(problem.sensor, *parts) or ())
 
 
-def _known(value: Any) -> Any:
-    """A value; None for a number that is not finite."""
-    return finite(value) if isinstance(value, float) else value
-
-
 def _nearest(gains: Gains) -> Nearest:
     """Gains and what they are worth."""
     return Nearest(gains.L, gains.gamma, gains.certificate.margin, gains.rates.rate)
-
-
-def _plain(near: Nearest) -> dict[str, Any]:
-    """Gains for JSON."""
-    return near._asdict() | {"L": near.L.tolist(), "gamma": near.gamma.tolist()}
 
 
 def _proof(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
@@ -247,7 +231,7 @@ def _proof_of_linear(problem: Problem, gains: Gains) -> tuple[dict[str, Any], li
     proof, speed = gains.certificate, gains.rates
     reasons = []
     if not proof.certified:
-        reasons.append(f"not certified: {proof.reason}")
+        reasons.append(f"{REFUSED}{proof.reason}")
     if speed.rate < 0:
         reasons.append("the error grows along the reference")
     told = problem.observer.traits.told or problem.sensor.kind == "jump"
@@ -258,11 +242,11 @@ def _proof_of_linear(problem: Problem, gains: Gains) -> tuple[dict[str, Any], li
         )
     return {
         "certified": proof.certified,
-        "margin": proof.margin,
-        "frequency": proof.frequency,
+        "margin": finite(proof.margin),
+        "frequency": finite(proof.frequency),
         "l2_gain": _bounded(proof, problem) if proof.certified else None,
-        "rate": speed.rate,
-        "time_constant": speed.time_constant,
+        "rate": finite(speed.rate),
+        "time_constant": finite(speed.time_constant),
         "never": tuple(speed.never),
     }, reasons
 
@@ -276,10 +260,10 @@ def _proof_on_region(
     assert region is not None
     ranges = box(region, problem.model)
     proof = certify_on(problem.model, L, gamma, ranges)
-    reasons = [] if proof.certified else [f"not certified: {proof.reason}"]
+    reasons = [] if proof.certified else [f"{REFUSED}{proof.reason}"]
     return {
         "certified": proof.certified,
-        "margin": proof.margin,
+        "margin": finite(proof.margin),
         "left_region": _left(assessment.run, ranges),
     }, reasons
 
@@ -311,3 +295,127 @@ def _left(run: Run | None, ranges: Box) -> float | None:
     assert run is not None
     outside = np.flatnonzero(ranges.left(run.x, run.x_hat, run.u))
     return float(run.t[outside[0]]) if outside.size else None
+
+
+# --- In words
+
+
+def in_words(found: Check) -> list[Block]:
+    """What was found of a scenario's gains: pairs, and of several outputs a table."""
+    scenario, names = found.scenario, found.outputs
+    shown: dict[str, Any] = {
+        "scenario": scenario.title,
+        "observer": f"{scenario.observer.__struct_config__.tag}, {scenario.simulation.time} time",
+        **_certified(found),
+        **_bounds(found),
+        **_speed(found),
+    }
+    if found.listens:
+        shown["listens"] = share_in_words(found.listens)
+    if found.overrun:
+        shown["overrun"] = _coasting(found.overrun)
+    if len(names) == 1:
+        shown |= _told(scenario, found.known[0])
+    if told := in_words_of_truths([one.second for one in found.known]):
+        shown["same readings"] = told
+    if reasons := [reason for reason in found.reasons if not reason.startswith(REFUSED)]:
+        shown["why"] = reasons
+    if found.cures:
+        shown["cure"] = list(found.cures)
+    if len(names) == 1:
+        return [shown]
+    duration = scenario.simulation.duration
+    note = label(f"±: 95 % at best after {duration:g} s", scenario.units.output)
+    return [shown, _rows(found), note]
+
+
+def _rows(found: Check) -> Rows:
+    """A row for each output: what its readings tell, with the least deviations they allow."""
+    table: list[Sequence[str]] = [("identifiable", *DIRECTIONS)]
+    for name, known in zip(found.outputs, found.known, strict=True):
+        table.append((name, *(_known(known, each) for each in DIRECTIONS)))
+    return table
+
+
+def _known(known: Knowledge, name: str) -> str:
+    """Whether a direction can be known, and how well."""
+    if not getattr(known, name):
+        return "NO"
+    std = finite(known.std.get(name))
+    return "yes" if std is None else f"yes, ± {HALF_95 * std:.2g}"
+
+
+def _certified(found: Check) -> dict[str, str]:
+    """Whether the gains are certified, and whether a run stays where they are."""
+    shown = {}
+    on_region = found.scenario.region is not None
+    if found.certified and on_region:
+        shown["certified"] = (
+            f"yes on the region, margin {found.margin:.4g}: V never rises while x, x^ and u "
+            "stay in it, whatever the sides do"
+        )
+    elif found.certified:
+        assert found.margin is not None
+        shown["certified"] = in_words_of_margin(found.margin, found.frequency)
+    elif found.certified is False:
+        refused = [reason for reason in found.reasons if reason.startswith(REFUSED)]
+        why = "; ".join(reason.removeprefix(REFUSED) for reason in refused)
+        shown["certified"] = f"NO: {why}"
+    if on_region and found.certified is not None:
+        left = found.left_region
+        shown["region"] = "a run of the scenario stays in it"
+        if left is not None:
+            shown["region"] = f"LEFT at {left:.4g} s of a run of the scenario: no claim from there"
+    return shown
+
+
+def _bounds(found: Check) -> dict[str, str]:
+    """Certified gains near to those that are not, and bounds of those that are."""
+    shown, near = {}, found.nearest
+    if near is not None:
+        gains = f"L = {plain(near.L.tolist())}, gamma = {plain(near.gamma.tolist())}"
+        shown["nearest certified"] = f"{gains}: margin {near.margin:.3g}, rate {near.rate:.4g} 1/s"
+        shown["faster ones"] = (
+            "undeadzone design finds certified gains by their rate and what they trade for it"
+        )
+    if found.l2_gain is not None:
+        shown["bounded"] = (
+            f"L2 gain to z - z^ {found.l2_gain.disturbance:.4g} from the input's disturbance, "
+            f"{found.l2_gain.noise:.4g} from noise on y"
+        )
+    return shown
+
+
+def _speed(found: Check) -> dict[str, str]:
+    """How fast the error dies, and which errors stay."""
+    shown = {}
+    if found.rate is not None:
+        after = "the error does not die"
+        if found.time_constant is not None:
+            after = f"time constant {found.time_constant:.4g} s"
+        shown["rate"] = f"{found.rate:.4g} 1/s along the reference, {after}"
+    if found.never:
+        shown["stays"] = (
+            f"{', '.join(found.never)}: these errors stay along this reference, whatever the gains"
+        )
+    return shown
+
+
+def _coasting(overrun: Sequence[float | None]) -> str:
+    """Whether what is behind a play rests in its gap."""
+    told = ", ".join(f"{number:.3g}" for number in overrun if finite(number) is not None)
+    if not told:
+        return "cannot be told: the reference has corners"
+    return f"J a / f = {told}: below 1 the load rests against its contact"
+
+
+def _told(scenario: Scenario, one: Knowledge) -> dict[str, str]:
+    """What the readings tell of a single output, and how well at best."""
+    shown = {"identifiable": yes_no(msgspec.structs.asdict(one))}
+    kept = {name: std for name, std in one.std.items() if finite(std) is not None}
+    known = [f"{name} ± {HALF_95 * std:.2g}" for name, std in kept.items()]
+    if known:
+        duration = scenario.simulation.duration
+        words = with_unit(", ".join(known), scenario.units.output)
+        shown["known to"] = f"{words} (95 %) after {duration:g} s at best"
+    return shown

@@ -69,14 +69,13 @@ def design(
     task = make_task(problem, margin)
     present = _present(scenario, problem)
     before = None if present is None else candidate_of(task, *present)
-    linear = problem.model.linear
     with in_notebook(progress, "designing", rounds(maximise)) as advance:
         if maximise == "knee":
-            result = gain_search.balanced(task, linear, before, seed, advance)
+            result = gain_search.balanced(task, before, seed, advance)
         else:
             weights = maximise if isinstance(maximise, gain_search.Weights) else gain_search.RATE
-            result = gain_search.fastest(task, linear, weights, seed, advance)
-    never = rates(linear, result.best.L, result.best.gamma, task.whole).never
+            result = gain_search.fastest(task, weights, seed, advance)
+    never = rates(task.model, result.best.L, result.best.gamma, task.whole).never
     return Design(
         title=scenario.title,
         chosen=_in_words(maximise),

@@ -13,7 +13,6 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from undeadzone.analysis.certificate.passivity import Certificate, certify
-from undeadzone.linear.matrices import Matrices
 from undeadzone.numerics.optimise import evolve, pareto, scalar, undominated
 from undeadzone.support.arrays import Floats
 from undeadzone.synthesis.task import (
@@ -83,20 +82,17 @@ Tick = Callable[[int], None]
 Cost = Callable[[Floats], Floats]  # of points (b, d): numbers (b)
 
 
-def fastest(
-    task: Task, linear: Matrices, weights: Weights = RATE, seed: int = 0, tick: Tick | None = None
-) -> Synthesis:
+def fastest(task: Task, weights: Weights, seed: int, tick: Tick) -> Synthesis:
     """The certified gains of the largest rate, or of the best trade that `weights` name.
 
     Args:
         task: the design task.
-        linear: its model, not balanced.
         weights: the trade.
         seed: of the search.
         tick: tick(1) is called STARTS times.
     """
     task, start = search(task, weights, seed, tick)
-    best, certificate = proved(task, linear, start, partial(_cost, weights=weights))
+    best, certificate = proved(task, start, partial(_cost, weights=weights))
     return Synthesis(best, certificate, [best], at_the_limit(task, best))
 
 
@@ -111,7 +107,7 @@ def at_the_limit(task: Task, best: Candidate) -> tuple[str, ...]:
     )
 
 
-def search(task: Task, weights: Weights, seed: int, tick: Tick | None) -> tuple[Task, Floats]:
+def search(task: Task, weights: Weights, seed: int, tick: Tick) -> tuple[Task, Floats]:
     """The best of several seeded searches, before it is polished, and the task it was found in.
 
     Where it touches the largest gains that are tried, larger ones are tried too.
@@ -123,8 +119,7 @@ def search(task: Task, weights: Weights, seed: int, tick: Tick | None) -> tuple[
         point, value = evolve(cost, low, high, seed * STARTS + start, size, SHORT)
         if start == 0 or value < least:
             best, least = point, value
-        if tick is not None:
-            tick(1)
+        tick(1)
     best = _better(cost, best, evolve(cost, low, high, seed, size, LONG, best)[0])
     while True:
         low, high = box(task)
@@ -157,7 +152,7 @@ def _cost(task: Task, weights: Weights) -> Cost:
 
 
 def proved(
-    task: Task, linear: Matrices, point: Floats, cost_in: Callable[[Task], Cost]
+    task: Task, point: Floats, cost_in: Callable[[Task], Cost]
 ) -> tuple[Candidate, Certificate]:
     """The point polished and proved.
 
@@ -165,7 +160,6 @@ def proved(
 
     Args:
         task: the design task.
-        linear: its model, not balanced.
         point: to start from (d).
         cost_in: cost_in(task) is what is made small.
     """
@@ -173,14 +167,14 @@ def proved(
     for _ in range(POLISHED):
         point = _polished(cost_in(task), point, *box(task))
         candidate = candidate_at(task, point)
-        certificate = certify(linear, candidate.L, candidate.gamma, task.Ts)
+        certificate = certify(task.model, candidate.L, candidate.gamma, task.Ts)
         if certificate.certified and certificate.margin > enough:
             return candidate, certificate
         if certificate.frequency is not None:
             task = watched(task, np.array([certificate.frequency]))
     while not (certificate.certified and certificate.margin > enough):
         candidate = candidate_of(task, SHRINK * candidate.L, candidate.gamma)
-        certificate = certify(linear, candidate.L, candidate.gamma, task.Ts)
+        certificate = certify(task.model, candidate.L, candidate.gamma, task.Ts)
     return candidate, certificate
 
 
@@ -191,12 +185,8 @@ def _polished(cost: Cost, point: Floats, low: Floats, high: Floats) -> Floats:
     def cost_of_one(x: Floats) -> float:
         return float(cost(np.clip(x, low, high)[None])[0])
 
-    options = {
-        "maxfev": 150 * point.size,
-        "xatol": 1e-9,
-        "fatol": 1e-12,
-        "adaptive": point.size > 4,
-    }
+    n = point.size
+    options = {"maxfev": 150 * n, "xatol": 1e-9, "fatol": 1e-12, "adaptive": n > 4}
     result = minimize(cost_of_one, point, method="Nelder-Mead", options=options)
     return np.asarray(result.x.clip(low, high))
 
@@ -206,13 +196,7 @@ def population(task: Task) -> int:
     return 32 if box(task)[0].size < 8 else 64
 
 
-def balanced(
-    task: Task,
-    linear: Matrices,
-    present: Candidate | None = None,
-    seed: int = 0,
-    tick: Tick | None = None,
-) -> Synthesis:
+def balanced(task: Task, present: Candidate | None, seed: int, tick: Tick) -> Synthesis:
     """The front of rate, disturbance and noise, and its knee.
 
     The knee is the point whose largest normalised loss is smallest; a loss is a logarithm between
@@ -224,64 +208,56 @@ def balanced(
 
     Args:
         task: the design task.
-        linear: its model, not balanced.
-        present: gains to beat.
+        present: gains to beat; None: there are none.
         seed: of the search.
         tick: tick(1) is called STARTS + ROUNDS times.
     """
     task, quickest = search(task, RATE, seed, tick)
     quick = score(task, *gains_at(task, quickest[None]), mismatch=False, gains=False)
     limit = float(quick.rate[0]) * FLOOR
-    points, costs = _explored(task, quickest, limit, seed, tick)
+    traded, advance = partial(_costs, task, limit=limit), partial(tick, 1)
+    points, costs = pareto(traded, *box(task), seed, quickest[None], rounds=ROUNDS, tick=advance)
     bars = [np.full(3, np.inf)]
     if present is not None:
         level = np.log([1 / max(present.rate, 1e-300), present.disturbance, present.noise])
         bars = [level - BETTER, level, *bars]
         near = _around(task, present, level, limit, seed)
         points = np.vstack([points, near])
-        costs = np.vstack([costs, _costs(task, near[None], limit)])
+        costs = np.vstack([costs, traded(near[None])])
         admitted = np.isfinite(costs).all(axis=1)
         points, costs = points[admitted], costs[admitted]
     bar = next(bar for bar in bars if (costs < bar).all(axis=1).any())
     mismatch = score(task, *gains_at(task, points), gains=False).mismatch
     every = np.hstack([np.log(mismatch)[:, None], costs])
     least, greatest = every.min(axis=0), every.max(axis=0)
-
-    def loss_in(task: Task) -> Cost:
-        return _Loss(task, limit, least, greatest, bar).of
-
+    loss_in = partial(_loss, limit=limit, least=least, greatest=greatest, bar=bar)
     start = points[np.argmin(loss_in(task)(points))]
-    best, certificate = proved(task, linear, start, loss_in)
+    best, certificate = proved(task, start, loss_in)
     remarks = at_the_limit(task, best)
     if present is not None:
         remarks += _remarks(best, present)
-    return Synthesis(best, certificate, _front(task, linear, points), remarks)
+    return Synthesis(best, certificate, _front(task, points), remarks)
 
 
-class _Loss(NamedTuple):
+def _loss(task: Task, limit: float, least: Floats, greatest: Floats, bar: Floats) -> Cost:
     """What the knee makes small: the largest loss between the ends of the front.
 
-    Attributes:
+    Args:
         task: the design task.
         limit: least rate [1/s].
         least, greatest: logarithms on the front (4), that of the mismatch before the others.
         bar: logarithms to be beaten (3).
     """
 
-    task: Task
-    limit: float
-    least: Floats
-    greatest: Floats
-    bar: Floats
-
-    def of(self, points: Floats) -> Floats:
-        """The loss of points (b, d): b numbers."""
-        scores = score(self.task, *gains_at(self.task, points))
-        costs = _traded(scores, self.limit)
+    def loss(points: Floats) -> Floats:
+        scores = score(task, *gains_at(task, points))
+        costs = _traded(scores, limit)
         every = np.hstack([np.log(scores.mismatch)[:, None], costs])
         weights = np.array([[FIRST, 1.0, 1.0, 1.0]])
-        loss = scalar(every, self.least, self.greatest, weights)[0]
-        return np.asarray(loss + WORSE * (costs >= self.bar).any(axis=1))
+        largest = scalar(every, least, greatest, weights)[0]
+        return np.asarray(largest + WORSE * (costs >= bar).any(axis=1))
+
+    return loss
 
 
 def _costs(task: Task, points: Floats, limit: float) -> Floats:
@@ -300,19 +276,6 @@ def _traded(scores: Scores, limit: float) -> Floats:
     return np.where(admitted[:, None], logs, np.inf)
 
 
-def _explored(
-    task: Task, quickest: Floats, limit: float, seed: int, tick: Tick | None
-) -> tuple[Floats, Floats]:
-    """Points (b, d) of the front and their costs (b, 3)."""
-
-    def advance() -> None:
-        if tick is not None:
-            tick(1)
-
-    costs = partial(_costs, task, limit=limit)
-    return pareto(costs, *box(task), seed, quickest[None], rounds=ROUNDS, tick=advance)
-
-
 def _around(task: Task, present: Candidate, level: Floats, limit: float, seed: int) -> Floats:
     """The point near present gains that beats their costs, the level (3), by most."""
 
@@ -325,7 +288,8 @@ def _around(task: Task, present: Candidate, level: Floats, limit: float, seed: i
 
 def _remarks(best: Candidate, present: Candidate) -> tuple[str, ...]:
     """In what gains are worse than the present ones."""
-    worse = [name for name in TRADED if not _beats(best, present, name)]
+    pairs = zip(TRADED, _prices(best), _prices(present), strict=True)
+    worse = [name for name, here, before in pairs if not here < before]
     if not worse:
         return ()
     return (
@@ -334,7 +298,7 @@ def _remarks(best: Candidate, present: Candidate) -> tuple[str, ...]:
     )
 
 
-def _front(task: Task, linear: Matrices, points: Floats) -> list[Candidate]:
+def _front(task: Task, points: Floats) -> list[Candidate]:
     """The undominated of these points by falling rate.
 
     Their margins are made exact at their own worst frequencies.
@@ -342,15 +306,14 @@ def _front(task: Task, linear: Matrices, points: Floats) -> list[Candidate]:
     worst = []
     for point in points:
         candidate = candidate_at(task, point)
-        worst.append(certify(linear, candidate.L, candidate.gamma, task.Ts).frequency)
+        worst.append(certify(task.model, candidate.L, candidate.gamma, task.Ts).frequency)
     task = watched(task, np.array([w for w in worst if w is not None and np.isfinite(w)]))
     candidates = [candidate_at(task, point) for point in points]
     candidates.sort(key=lambda one: -one.rate)
-    keep = undominated(np.array([[-one.rate, one.disturbance, one.noise] for one in candidates]))
+    keep = undominated(np.array([_prices(one) for one in candidates]))
     return [one for one, kept in zip(candidates, keep, strict=True) if kept]
 
 
-def _beats(one: Candidate, other: Candidate, name: str) -> bool:
-    """Whether one candidate is better than another in rate, disturbance or noise."""
-    sign = 1 if name == "rate" else -1
-    return bool(sign * getattr(one, name) > sign * getattr(other, name))
+def _prices(one: Candidate) -> tuple[float, float, float]:
+    """What is `TRADED` of a candidate, each the better the smaller it is."""
+    return -one.rate, one.disturbance, one.noise

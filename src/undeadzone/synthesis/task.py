@@ -29,6 +29,7 @@ class Task(NamedTuple):
     exosystem has k states, w' = S w.
 
     Attributes:
+        model: the model as it is.
         linear: the model, balanced.
         A: its state matrix (n x n) [1/s].
         units: of the states (n).
@@ -47,6 +48,7 @@ class Task(NamedTuple):
         room: largest gains that are tried, per step.
     """
 
+    model: Matrices
     linear: Matrices
     A: Floats
     units: Floats
@@ -109,6 +111,7 @@ def make_task(problem: Problem, margin: float) -> Task:
     hidden = invisible(linear, schedule.visited(), Ts)
     basis = np.linalg.qr(hidden.basis * hidden.scale[:, None])[0]
     task = Task(
+        model=model.linear,
         linear=linear,
         A=delta(linear, Ts).A,
         units=units,

@@ -15,7 +15,7 @@ import numpy as np
 from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.ensemble import metrics
 from undeadzone.ensemble.batch import Batch, prepare
-from undeadzone.ensemble.binding import bind
+from undeadzone.ensemble.binding import Lanes, bind
 from undeadzone.ensemble.metrics import EDGES, width_error, widths_in_turn
 from undeadzone.errors import InputError, UndeadzoneError
 from undeadzone.interfaces import graph_of
@@ -118,10 +118,7 @@ class TestRuns(NamedTuple):
             state, params = packed(candidate, self.batch.loop)
             binding = self.batch.binding._replace(state=state, params=params)
             parts.append(binding.lanes(self.values))
-        lanes = parts[0]._replace(
-            states=np.concatenate([part.states for part in parts]),
-            params=np.concatenate([part.params for part in parts]),
-        )
+        lanes = Lanes(*map(np.concatenate, zip(*parts, strict=True)))
         return self.batch.measure(np.tile(self.runs, len(candidates)), lanes, threads)
 
 
@@ -233,15 +230,43 @@ class Objective(NamedTuple):
         what: the table [tune]
         names: addresses of the numbers of a candidate
         scenarios: as they are, without a candidate's numbers
-        test_runs: of each scenario
         frames: of each scenario
+        threads: on which to compute; None: one per processor
+        test_runs: of each scenario
     """
 
     what: Tune
-    names: tuple[str, ...]
-    scenarios: tuple[Scenario, ...]
-    test_runs: tuple[TestRuns | OneByOne, ...]
-    frames: tuple[Frame, ...]
+    names: Sequence[str]
+    scenarios: Sequence[Scenario]
+    frames: Sequence[Frame]
+    threads: int | None = None
+    test_runs: tuple[TestRuns | OneByOne, ...] = ()
+
+    def prepared(self, probes: Floats, seed: int) -> Objective:
+        """The objective on the first runs of a seed.
+
+        Args:
+            probes: candidates (rows) that move whatever others will move; the first one is possible
+            seed: of the runs
+
+        Raises:
+            InputError or a subclass
+        """
+        scenarios = range(len(self.scenarios))
+        return self._replace(test_runs=tuple(self._test_runs(k, probes, seed) for k in scenarios))
+
+    def _test_runs(self, index: int, probes: Floats, seed: int) -> TestRuns | OneByOne:
+        """The test runs of a scenario: on the lanes, unless its observer computes in Python."""
+        first = resolve_scenario(self.scenario(index, probes[0]))
+        _check_metric(self.what.metric, first)
+        if first.observer.python is None:
+            others = [self.problem(index, probe) for probe in probes[1:]]
+            near = [problem for problem in others if problem is not None]
+            return prepare_test_runs(first.scenario, near, self.what.runs, seed)
+        vary = first.scenario.ensemble
+        if vary is not None and vary.entries:
+            graph_of(first.observer)  # no more than noise and disturbance can vary without a graph
+        return OneByOne(first).redrawn(self.what.runs, seed)
 
     def scenario(self, index: int, point: Floats) -> Scenario:
         """A scenario with the numbers of a candidate."""
@@ -281,20 +306,15 @@ class Objective(NamedTuple):
                 margins[k] = min(map(certified_margin, problems))
         return margins
 
-    def costs(self, candidates: Sequence[Problems], threads: int | None = None) -> Floats:
+    def costs(self, candidates: Sequence[Problems]) -> Floats:
         """What candidates (one or more) cost."""
-        lost = []
-        for k in range(len(self.scenarios)):
-            problems = [each[k] for each in candidates]
-            lost.append(self.losses(k, problems, threads))
-        return self.scores(lost)
+        of_each = zip(*candidates, strict=True)
+        return self.scores([self.losses(k, problems) for k, problems in enumerate(of_each)])
 
-    def losses(
-        self, index: int, candidates: Sequence[Problem], threads: int | None = None
-    ) -> Floats:
+    def losses(self, index: int, candidates: Sequence[Problem]) -> Floats:
         """What each candidate loses in each run of a scenario (candidates x runs)."""
         runs = self.test_runs[index]
-        return losses(self.what.metric, runs, runs.rows(candidates, threads))
+        return losses(self.what.metric, runs, runs.rows(candidates, self.threads))
 
     def scores(self, lost: Sequence[Floats]) -> Floats:
         """The mean over the scenarios of framed statistics.
@@ -311,50 +331,6 @@ class Objective(NamedTuple):
     def redrawn(self, runs: int, seed: int) -> Objective:
         """The same on other runs: the first `runs` of a seed."""
         return self._replace(test_runs=tuple(each.redrawn(runs, seed) for each in self.test_runs))
-
-
-def objective(
-    what: Tune,
-    scenarios: Sequence[Scenario],
-    frames: Sequence[Frame],
-    names: Sequence[str],
-    probes: Floats,
-    runs: int,
-    seed: int,
-) -> Objective:
-    """The objective on the first runs of a seed.
-
-    Args:
-        what: the table [tune]
-        scenarios: to be done well at once
-        frames: of each scenario
-        names: addresses of the numbers of a candidate
-        probes: candidates (rows) that move whatever others will move; the first one is possible
-        runs: how many
-        seed: of the runs
-
-    Raises:
-        InputError or a subclass
-    """
-    on = Objective(what, tuple(names), tuple(scenarios), (), tuple(frames))
-    test_runs = tuple(_test_runs(on, k, probes, runs, seed) for k in range(len(scenarios)))
-    return on._replace(test_runs=test_runs)
-
-
-def _test_runs(
-    on: Objective, index: int, probes: Floats, runs: int, seed: int
-) -> TestRuns | OneByOne:
-    """The test runs of a scenario: on the lanes, unless its observer computes in Python."""
-    first = resolve_scenario(on.scenario(index, probes[0]))
-    _check_metric(on.what.metric, first)
-    if first.observer.python is None:
-        others = [on.problem(index, probe) for probe in probes[1:]]
-        near = [problem for problem in others if problem is not None]
-        return prepare_test_runs(first.scenario, near, runs, seed)
-    vary = first.scenario.ensemble
-    if vary is not None and vary.entries:
-        graph_of(first.observer)  # no more than noise and disturbance can vary without a graph
-    return OneByOne(first).redrawn(runs, seed)
 
 
 def _check_metric(metric: str, problem: Problem) -> None:

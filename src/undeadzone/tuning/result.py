@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -19,10 +18,11 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.tune_table import Tune
 from undeadzone.statistics import intervals as statistics
 from undeadzone.statistics.intervals import LEVEL, QUANTILES, Interval
-from undeadzone.support import shown, toml
+from undeadzone.support import toml
 from undeadzone.support.arrays import Floats, finite
 from undeadzone.support.files import path_of, write_text
 from undeadzone.support.own_files import marked
+from undeadzone.support.shown import Block, Shown
 from undeadzone.tuning.candidates import Objective, statistic
 from undeadzone.tuning.parameters import Parameter
 
@@ -72,8 +72,8 @@ class HeldOut(NamedTuple):
     runs: int
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Tuned:
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class Tuned(Shown):
     """Scenarios with tuned numbers, and how they were found.
 
     Attributes:
@@ -130,15 +130,9 @@ class Tuned:
         pairs = zip(self.parameters, self.values, strict=True)
         return [p.name for p, value in pairs if not EDGE < p.share(value) < 1 - EDGE]
 
-    def blocks(self) -> list[shown.Block]:
+    def blocks(self) -> list[Block]:
         """The tables that `undeadzone tune` prints."""
-        return [in_words(self.summary())]
-
-    __repr__ = shown.in_text
-    _repr_html_ = shown.in_notebook
-
-    plot = shown.plot
-    """Draw it."""
+        return [in_words(self)]
 
     def save(self, path: str | os.PathLike[str], index: int = 0) -> Path:
         """Write a tuned scenario as TOML, every number exactly.
@@ -203,62 +197,70 @@ class Tuned:
         return dict(finite(summary))
 
 
-def in_words(summary: Mapping[str, Any]) -> dict[str, Any]:
-    """What tuning found, by what it is about.
-
-    Args:
-        summary: of a `Tuned`
-    """
+def in_words(found: Tuned) -> dict[str, Any]:
+    """What tuning found, by what it is about."""
+    what = found.what
     shown: dict[str, Any] = {
-        "scenario": summary["titles"][0],
+        "scenario": found.scenario.title,
         "made small": (
-            f"{summary['statistic']} of {summary['metric']}, {summary['runs']} runs, "
-            f"{summary['evaluations']} candidates of {summary['budget']}"
+            f"{what.statistic} of {what.metric}, {what.runs} runs, "
+            f"{len(found.trials)} candidates of {what.budget}"
         ),
     }
-    for parameter in summary["parameters"]:
-        name = parameter["name"]
-        shown[name] = f"{parameter['value']:.6g} (from {parameter['start']:.6g})"
-        if name in summary["at_edge"]:
-            shown[name] += ", at the end of its range: a wider one may do better"
-    shown |= _gained(summary)
-    if summary["margin"] is not None:
-        yes_no = "yes" if summary["certified"] else "NO"
-        shown["certified"] = f"{yes_no}, margin {summary['margin']:.4g}"
+    for parameter, value in zip(found.parameters, found.values, strict=True):
+        words = f"{value:.6g} (from {parameter.start:.6g})"
+        if parameter.name in found.at_edge:
+            words += ", at the end of its range: a wider one may do better"
+        shown[parameter.name] = words
+    shown |= _gained(found)
+    if finite(found.margin) is not None:
+        yes_no = "yes" if found.certified else "NO"
+        shown["certified"] = f"{yes_no}, margin {found.margin:.4g}"
     return shown
 
 
-def _gained(summary: Mapping[str, Any]) -> dict[str, str]:
+def _gained(found: Tuned) -> dict[str, str]:
     """What tuning gained, on the runs tuned on and on those held out."""
-    held_out, tuning = summary["held_out"], summary["tuning"]
-    before, after, runs = (held_out["scenarios"][0][key] for key in ("before", "after", "runs"))
+    before, after, runs = found.held_out[0]
     drawn = f"{runs} runs" if runs > 1 else "one run: nothing differs between them"
-    verdict = "better" if summary["improved"] else "NO improvement that chance could not explain"
-    costs = [number(tuning[name], none="?") for name in ("before", "after")]
+    verdict = "better" if found.improved else "NO improvement that chance could not explain"
     shown = {
-        "runs tuned on": " -> ".join(costs),
-        "held-out runs": f"{_interval(before['value'])} -> {_interval(after['value'])}, {drawn}",
-        "change": f"{_interval(held_out['change'])}: {verdict}",
+        "runs tuned on": " -> ".join(map(_number, found.cost)),
+        "held-out runs": f"{_interval(before.value)} -> {_interval(after.value)}, {drawn}",
+        "change": f"{_interval(found.change)}: {verdict}",
     }
-    lost = before["diverged"]["value"], after["diverged"]["value"]
+    lost = before.diverged.value, after.diverged.value
     if any(lost):
         shown["diverged"] = f"{100 * lost[0]:.3g} % -> {100 * lost[1]:.3g} % of the held-out runs"
     return shown
 
 
-def _interval(interval: Mapping[str, float | None]) -> str:
+def _interval(interval: Interval) -> str:
     """A value and its interval, an end of which may be unknown."""
-    value, low, high = (number(interval[name], none="?") for name in ("value", "low", "high"))
+    value, low, high = map(_number, interval)
     return f"{value} [{low}, {high}]"
 
 
+def _number(value: float) -> str:
+    """A number, or that it is not known."""
+    return number(finite(value), none="?")
+
+
+def best_of(candidates: list[SimulatedCandidate], least: float) -> SimulatedCandidate:
+    """The cheapest candidate with the certificate, else that of the largest margin.
+
+    Args:
+        candidates: one at least
+        least: margin of a certificate
+    """
+    certified = [each for each in candidates if each.margin >= least]
+    if certified:
+        return min(certified, key=lambda candidate: candidate.cost)
+    return max(candidates, key=lambda candidate: candidate.margin)
+
+
 def validate(
-    on: Objective,
-    tuned: tuple[Parameter, ...],
-    candidates: list[SimulatedCandidate],
-    best: SimulatedCandidate,
-    seed: int,
-    threads: int | None = None,
+    on: Objective, tuned: tuple[Parameter, ...], candidates: list[SimulatedCandidate], seed: int
 ) -> Tuned:
     """The result of tuning: the worth of the best candidate on held-out runs, of the next seed.
 
@@ -266,16 +268,15 @@ def validate(
         on: the objective
         tuned: what was tuned
         candidates: those simulated, in order
-        best: one of them
         seed: of the runs tuned on
-        threads: default one per processor
     """
+    best, name = best_of(candidates, on.what.margin), on.what.statistic
     scenarios = tuple(on.scenario(k, np.array(best.values)) for k in range(len(on.scenarios)))
     before_and_after = zip(on.scenarios, scenarios, strict=True)
     pairs = [list(map(resolve_scenario, pair)) for pair in before_and_after]
-    lost_as_is = [on.losses(k, pair[:1], threads) for k, pair in enumerate(pairs)]
+    lost_as_is = [on.losses(k, pair[:1]) for k, pair in enumerate(pairs)]
     others = on.redrawn(on.what.held_out, seed + 1)
-    lost = [others.losses(k, pair, threads) for k, pair in enumerate(pairs)]
+    lost = [others.losses(k, pair) for k, pair in enumerate(pairs)]
     return Tuned(
         scenarios=scenarios,
         what=on.what,
@@ -285,16 +286,10 @@ def validate(
         trials=tuple(candidates),
         runs=len(candidates) * sum(each.shape[1] for each in lost_as_is),
         cost=(float(on.scores(lost_as_is)[0]), best.cost),
-        held_out=tuple(_held_out(on.what.statistic, each) for each in lost),
+        held_out=tuple(HeldOut(worth(name, old), worth(name, new), old.size) for old, new in lost),
         change=change(others, lost, seed),
         margin=best.margin if on.what.certified else None,
     )
-
-
-def _held_out(name: str, lost: Floats) -> HeldOut:
-    """A statistic of losses (2 x runs) before and after."""
-    before, after = lost
-    return HeldOut(worth(name, before), worth(name, after), before.size)
 
 
 def worth(name: str, lost: Floats) -> Worth:

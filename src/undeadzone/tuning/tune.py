@@ -26,9 +26,9 @@ from undeadzone.support import toml
 from undeadzone.support.answers import Answers
 from undeadzone.support.arrays import Floats, scalar, seed_of, series
 from undeadzone.support.progress import in_notebook
-from undeadzone.tuning.candidates import Frame, Objective, Problems, objective
+from undeadzone.tuning.candidates import Frame, Objective, Problems
 from undeadzone.tuning.parameters import Parameter, checked_parameters, named, values_at, with_gains
-from undeadzone.tuning.result import SimulatedCandidate, Tuned, validate
+from undeadzone.tuning.result import SimulatedCandidate, Tuned, best_of, validate
 
 PLACES: Final = (0.0, 0.3, 0.7, 1.0)  # shares of a range that are no accident
 # To either side, as a share of a range: wide enough that a reading which changes its side makes no
@@ -87,14 +87,14 @@ def tune(
     together = [np.full(start.size, share) for share in PLACES]
     probes = [start, *_moved_alone(start, [PLACES] * start.size), *together]
     points, names = values_at(tuned, np.stack(probes)), [p.name for p in tuned]
-    on = objective(what, scenarios, frames, names, points, what.runs, seed)
+    on = Objective(what, names, scenarios, frames, threads).prepared(points, seed)
     with (
         in_notebook(progress, "tuning", what.budget, "candidates") as advance,
         _answers(on, keep, resume, seed) as kept,
     ):
-        search = Search(on, tuned, [], threads, advance, kept)
+        search = Search(on, tuned, [], advance, kept)
         search.run(start, seed)
-        return validate(on, tuned, search.candidates, search.best, seed, threads)
+        return validate(on, tuned, search.candidates, seed)
 
 
 @contextlib.contextmanager
@@ -186,7 +186,6 @@ class Search(NamedTuple):
         objective: what is to be made small
         parameters: what is tuned
         candidates: those simulated so far, in order; the list grows
-        threads: default one per processor
         progress: called with the number of candidates just simulated
         kept: what candidates of an earlier run cost, on disk; None: nothing is kept
     """
@@ -194,18 +193,13 @@ class Search(NamedTuple):
     objective: Objective
     parameters: tuple[Parameter, ...]
     candidates: list[SimulatedCandidate]
-    threads: int | None
     progress: Callable[[int], None]
     kept: Answers | None
 
     @property
     def best(self) -> SimulatedCandidate:
         """The cheapest candidate with the certificate, else that of the largest margin."""
-        least = self.objective.what.margin
-        certified = [each for each in self.candidates if each.margin >= least]
-        if certified:
-            return min(certified, key=lambda candidate: candidate.cost)
-        return max(self.candidates, key=lambda candidate: candidate.margin)
+        return best_of(self.candidates, self.objective.what.margin)
 
     @property
     def best_shares(self) -> Floats:
@@ -239,21 +233,18 @@ class Search(NamedTuple):
         if chosen:
             cost[chosen] = self._costs(points[chosen], possible)
         for k in chosen:
-            point = tuple(points[k].tolist())
-            self.candidates.append(
-                SimulatedCandidate(point, float(cost[k]), float(margin[k]), stage)
-            )
+            point, worth = tuple(points[k].tolist()), (float(cost[k]), float(margin[k]))
+            self.candidates.append(SimulatedCandidate(point, *worth, stage))
         self.progress(len(chosen))
         return Evaluation(cost, margin)
 
     def _costs(self, points: Floats, problems: list[Problems]) -> Floats:
         """What candidates cost, computed or kept."""
         if self.kept is None:
-            return self.objective.costs(problems, self.threads)
+            return self.objective.costs(problems)
 
         def compute(missing: list[int]) -> Iterator[tuple[int, float]]:
-            wanted = [problems[k] for k in missing]
-            costs = self.objective.costs(wanted, self.threads)
+            costs = self.objective.costs([problems[k] for k in missing])
             yield from zip(missing, costs.tolist(), strict=True)
 
         return np.array(self.kept.of(points.tolist(), compute))
@@ -357,16 +348,8 @@ def _evolve(evaluate: Evaluate, what: Tune, start: Floats, seed: int, spread: fl
         return _penalised(evaluate(u), what.margin)
 
     size = 4 + int(3 * np.log(start.size))
-    evolve(
-        cost,
-        np.zeros(start.size),
-        np.ones(start.size),
-        seed,
-        size,
-        PATIENCE * what.budget // size,
-        start,
-        spread,
-    )
+    low, high, rounds = np.zeros(start.size), np.ones(start.size), PATIENCE * what.budget // size
+    evolve(cost, low, high, seed, size, rounds, start, spread)
 
 
 def _penalised(worth: Evaluation, least: float) -> Floats:
@@ -421,11 +404,11 @@ def sweep(
     seed = seed_of("seed", seed if what.seed is None else what.seed)
     places = [axis[[0, axis.size // 2, -1]] for axis in axes.values()]
     probes = np.stack(_moved_alone(points[0], places))
-    on = objective(what, [scenario], [Frame()], list(axes), probes, what.runs, seed)
+    on = Objective(what, list(axes), [scenario], [Frame()], threads).prepared(probes, seed)
     candidates = on.problems(points)
     possible = {k: problems for k, problems in enumerate(candidates) if problems is not None}
     cost = np.full(len(points), np.inf)
-    cost[[*possible]] = on.costs([*possible.values()], threads)
+    cost[[*possible]] = on.costs([*possible.values()])
     shape = meshes[0].shape
     return Sweep(axes, cost.reshape(shape), on.margins(candidates).reshape(shape))
 
