@@ -21,8 +21,9 @@ from undeadzone.results.run import LAST
 from undeadzone.statistics import sensitivity
 from undeadzone.statistics.intervals import LEVEL, Interval, describe, proportion
 from undeadzone.statistics.sensitivity import Sensitivity
+from undeadzone.support import shown
 from undeadzone.support.arrays import Floats, finite
-from undeadzone.support.shown import Block, Shown
+from undeadzone.support.shown import Block
 
 JUDGED: Final = 2**16  # runs from which sensitivities are found
 MAIN: Final = "rms_tracking"  # the metric by which runs are ranked
@@ -35,8 +36,8 @@ def _influence(one: Sensitivity) -> float:
     return max(one.spearman.value**2, (one.total_order or one.first_order).value)
 
 
-@dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class Ensemble(Shown):
+@dataclasses.dataclass(frozen=True, eq=False)
+class Ensemble:
     """Many runs of a scenario as columns by name, one number a run; columns may be maps of files.
 
     Attributes:
@@ -256,6 +257,12 @@ class Ensemble(Shown):
         """The tables that `undeadzone ensemble` prints; summary: its own, where it is known."""
         numbers = self.summary() if summary is None else summary
         return in_words(self.info, numbers, int(self.diverged.sum()))
+
+    __repr__ = shown.in_text
+    _repr_html_ = shown.in_notebook
+
+    plot = shown.plot
+    """Draw it."""
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write a file, a row for each run.

@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
+import dataclasses
+import os
 from collections.abc import Sequence
 from typing import Any, ClassVar, Final
 
 import msgspec
 
 from undeadzone.logs.samples import counted_lines
-from undeadzone.results import sheet
-from undeadzone.results.files import Recorded
+from undeadzone.results import files, sheet
 from undeadzone.results.info import LogInfo
 from undeadzone.results.sheet import Row
-from undeadzone.results.signals import LOG, final, output_names
-from undeadzone.support.arrays import finite
+from undeadzone.results.signals import LOG, Signals, attribute, attributes, final, output_names
+from undeadzone.support import shown
+from undeadzone.support.arrays import Floats, finite
 from undeadzone.support.shown import Block, Rows
 from undeadzone.support.text import label
 
 
-class Estimation(Recorded):
+@dataclasses.dataclass(frozen=True, eq=False, init=False)
+class Estimation:
     """What an observer makes of a log, one row per sample.
 
     Each signal is an attribute, None where the method does not estimate it: those of a log, and
@@ -60,14 +63,32 @@ class Estimation(Recorded):
         x_smooth_std, d_smooth_std: their standard deviations.
     """
 
+    signals: Signals
     info: LogInfo
+
+    def __init__(
+        self, info: LogInfo, signals: Signals | None = None, **given: Floats | None
+    ) -> None:
+        before = {} if signals is None else signals.arrays
+        object.__setattr__(self, "info", info)
+        object.__setattr__(self, "signals", Signals(LOG, {**before, **given}))
+
     layout: ClassVar = LOG
-    kind: ClassVar = LogInfo
+    __dir__ = attributes
+
+    def __getattr__(self, name: str) -> Any:
+        """A signal by name, None where there is none. Raises AttributeError."""
+        return attribute(self, name)
 
     @property
     def consistent(self) -> bool | None:
         """Whether the innovations are what the observer claims; None: it cannot be tested."""
         return self.info.consistent
+
+    @property
+    def outputs(self) -> list[str]:
+        """The names of the outputs: an arm's joints where it has one for each, else numbers."""
+        return output_names(self.info.joints, self.y.shape[1])
 
     def summary(self) -> dict[str, Any]:
         """The numbers of the log, ready for JSON; lists where there are several outputs."""
@@ -81,6 +102,30 @@ class Estimation(Recorded):
     def blocks(self) -> list[Block]:
         """The tables that `undeadzone estimate` prints."""
         return in_words(self.info)
+
+    __repr__ = shown.in_text
+    _repr_html_ = shown.in_notebook
+
+    plot = shown.plot
+    """Draw it."""
+
+    columns = files.columns
+    unit = files.unit
+    to_pandas = files.to_pandas
+    save = files.save
+    table_size = property(files.table_size)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Estimation:
+        """Read estimates saved as `.npz` or `.csv`, exactly as they were.
+
+        Args:
+            path: of the file.
+
+        Raises:
+            FileError: it cannot be read, or holds no estimates of a log.
+        """
+        return cls(*files.read(path, LOG, LogInfo))
 
 
 FAULTS: Final = {  # by kind, after a number

@@ -1,26 +1,24 @@
-"""What a run and the estimates of a log have in common: signals as attributes, a table, files.
+"""A result as a table, and its files: signals with their info, exactly as they were.
 
-Files hold signals with their info, exactly as they were.
+What takes a result here is a method of it: of a run, and of what an observer makes of a log.
 """
 
 from __future__ import annotations
 
 import csv
-import dataclasses
 import hashlib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar, Final, Self
+from typing import Any, Final
 
 import msgspec
 import numpy as np
 
 from undeadzone.errors import FileError, InputError
-from undeadzone.results.signals import Layout, Signals, from_columns, output_names, unit_of
+from undeadzone.results.signals import Layout, Signals, from_columns, unit_of
 from undeadzone.support import files
 from undeadzone.support.arrays import Floats
 from undeadzone.support.files import LARGEST_RUN, Name, path_of, reason, replacing
-from undeadzone.support.shown import Shown
 from undeadzone.support.text import json_line, printable
 
 CHECKSUM: Final = '"sha256":"'  # the last key of the info in a `.csv`
@@ -31,124 +29,88 @@ NO_SUM: Final = 64 * "0"
 NOT_A_RUN: Final = (*files.NO_ARRAYS, StopIteration, msgspec.DecodeError)
 
 
-@dataclasses.dataclass(frozen=True, eq=False, init=False, repr=False)
-class Recorded(Shown):
-    """A result with signals, one row per sample; each is an attribute, None where there is none.
+def columns(result: Any) -> dict[str, Floats]:
+    """Every scalar signal by column name: t, y[0], ..., d_right[0], d_left[0], ..., V."""
+    found: dict[str, Floats] = result.signals.columns()
+    return found
+
+
+def unit(result: Any, name: str) -> str:
+    """The unit of a signal or of one of its columns.
 
     Args:
-        info: what is known besides the signals.
-        signals: by name; None: those that are given alone.
-        given: signals in their place, or besides them.
-
-    Attributes:
-        signals: all of them by name.
-        info: what is known besides the signals.
-        layout: which signals such a result may have.
-        kind: of its info.
+        result: whose signal it is.
+        name: of the signal, `x_hat`, or of the column, `x_hat[0]`.
     """
+    return unit_of(name, result.info.units)
 
-    signals: Signals
-    info: Any
-    layout: ClassVar[Layout]
-    kind: ClassVar[type[msgspec.Struct]]
 
-    def __init__(self, info: Any, signals: Signals | None = None, **given: Floats | None) -> None:
-        before = {} if signals is None else signals.arrays
-        object.__setattr__(self, "info", info)
-        object.__setattr__(self, "signals", Signals(self.layout, {**before, **given}))
+def to_pandas(result: Any) -> Any:
+    """A pandas DataFrame indexed by t, one column per scalar signal; needs pandas."""
+    import pandas as pd
 
-    def __dir__(self) -> list[str]:
-        """The names of attributes, signals among them."""
-        return [*object.__dir__(self), *self.layout.names]
+    table = columns(result)
+    t = pd.Index(table.pop("t"), name="t")
+    return pd.DataFrame(table, index=t)
 
-    def __getattr__(self, name: str) -> Any:
-        """A signal by name, None where there is none. Raises AttributeError."""
-        if name not in type(self).layout.names:
-            raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
-        return self.signals.arrays.get(name)
 
-    @property
-    def outputs(self) -> list[str]:
-        """The names of the outputs: an arm's joints where it has one for each, else numbers."""
-        return output_names(self.info.joints, self.y.shape[1])
+def table_size(result: Any) -> float:
+    """About how many bytes its `.csv` has."""
+    return DIGITS * sum(float(column.size) for column in columns(result).values())
 
-    def columns(self) -> dict[str, Floats]:
-        """Every scalar signal by column name: t, y[0], ..., d_right[0], d_left[0], ..., V."""
-        return self.signals.columns()
 
-    def unit(self, name: str) -> str:
-        """The unit of a signal or of one of its columns.
+def save(result: Any, path: Name) -> Path:
+    """Write the signals to a file.
 
-        Args:
-            name: of the signal, `x_hat`, or of the column, `x_hat[0]`.
-        """
-        return unit_of(name, self.info.units)
+    Args:
+        result: whose signals they are.
+        path: ending in `.npz`, or in `.csv` (17 digits, units in the header, the info as a
+            first line after #).
 
-    def to_pandas(self) -> Any:
-        """A pandas DataFrame indexed by t, one column per scalar signal; needs pandas."""
-        import pandas as pd
+    Returns:
+        The path.
 
-        table = self.columns()
-        t = pd.Index(table.pop("t"), name="t")
-        return pd.DataFrame(table, index=t)
-
-    @property
-    def table_size(self) -> float:
-        """About how many bytes its `.csv` has."""
-        return DIGITS * sum(float(column.size) for column in self.columns().values())
-
-    def save(self, path: Name) -> Path:
-        """Write the signals to a file.
-
-        Args:
-            path: ending in `.npz`, or in `.csv` (17 digits, units in the header, the info as a
-                first line after #).
-
-        Returns:
-            The path.
-
-        Raises:
-            FileError: it cannot be written.
-            InputError: the name ends otherwise.
-        """
-        path, info = path_of(path), untimed(self.info)
-        if path.suffix == ".npz":
-            _write_npz(path, info, self.signals.arrays)
-        elif path.suffix == ".csv":
-            _write_csv(path, info, self.columns())
-        else:
-            raise InputError(f"{path}: the name must end in .npz or .csv")
-        return path
-
-    @classmethod
-    def load(cls, path: Name) -> Self:
-        """Read a result saved as `.npz` or `.csv`, exactly as it was.
-
-        Args:
-            path: of the file.
-
-        Raises:
-            FileError: it cannot be read, or holds no such result.
-        """
-        path = path_of(path)
-        try:
-            if path.suffix == ".csv":
-                files.require_plain(path, LARGEST_RUN)
-                info, table = _read_csv(path, cls.kind)
-                return cls(info, None, **from_columns(table, cls.layout))
-            arrays = files.arrays_of(path, LARGEST_RUN)
-            info = msgspec.json.decode(arrays["info"].tobytes(), type=cls.kind)
-            given = {name: arrays[name] for name in cls.layout.names if name in arrays}
-            return cls(info, None, **given)
-        except OSError as error:
-            raise FileError(f"{path}: cannot read: {reason(error)}") from None
-        except NOT_A_RUN as error:
-            raise FileError(f"{path}: not a run saved by undeadzone ({error})") from None
+    Raises:
+        FileError: it cannot be written.
+        InputError: the name ends otherwise.
+    """
+    path, info = path_of(path), untimed(result.info)
+    if path.suffix == ".npz":
+        _write_npz(path, info, result.signals.arrays)
+    elif path.suffix == ".csv":
+        _write_csv(path, info, columns(result))
+    else:
+        raise InputError(f"{path}: the name must end in .npz or .csv")
+    return path
 
 
 def untimed(info: Any) -> Any:
     """An info without the time that it took, so that equal runs have equal files."""
     return msgspec.structs.replace(info, seconds=0.0) if hasattr(info, "seconds") else info
+
+
+def read(path: Name, layout: Layout, kind: type[msgspec.Struct]) -> tuple[Any, Signals]:
+    """The info and the signals of a result. Raises FileError.
+
+    Args:
+        path: of a file that `save` wrote.
+        layout: of the signals.
+        kind: of the info.
+    """
+    path = path_of(path)
+    try:
+        if path.suffix == ".csv":
+            files.require_plain(path, LARGEST_RUN)
+            info, table = _read_csv(path, kind)
+            return info, Signals(layout, from_columns(table, layout))
+        arrays = files.arrays_of(path, LARGEST_RUN)
+        info = msgspec.json.decode(arrays["info"].tobytes(), type=kind)
+        signals = {name: arrays[name] for name in layout.names if name in arrays}
+        return info, Signals(layout, signals)
+    except OSError as error:
+        raise FileError(f"{path}: cannot read: {reason(error)}") from None
+    except NOT_A_RUN as error:
+        raise FileError(f"{path}: not a run saved by undeadzone ({error})") from None
 
 
 def _write_npz(path: Path, info: Any, signals: Mapping[str, Floats]) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import os
 from collections.abc import Sequence
 from typing import Any, ClassVar, Final
 
@@ -10,15 +12,23 @@ import numpy as np
 from undeadzone.analysis.identifiability.linear import yes_no
 from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.interfaces import claims_in_words
-from undeadzone.results import sheet
-from undeadzone.results.files import Recorded
+from undeadzone.results import files, sheet
 from undeadzone.results.info import Info
 from undeadzone.results.listening import in_words as listening_in_words
 from undeadzone.results.scales import LIMIT, Scales, shares
 from undeadzone.results.sheet import Row, in_json
-from undeadzone.results.signals import RUN, claims_at_end, ending, final
+from undeadzone.results.signals import (
+    RUN,
+    Signals,
+    attribute,
+    attributes,
+    claims_at_end,
+    ending,
+    final,
+    output_names,
+)
 from undeadzone.support.arrays import Floats, finite, one_or_list
-from undeadzone.support.shown import Block, Rows
+from undeadzone.support.shown import Block, Rows, in_notebook, in_text, plot
 from undeadzone.support.text import label
 
 LAST: Final = 2.0  # [s] over which errors are measured
@@ -32,7 +42,8 @@ ERRORS: Final = {  # over the end of a run: what they are called in a terminal, 
 INEXACT: Final = 0.01  # of the largest |z|: an integration error above this is a failure
 
 
-class Run(Recorded):
+@dataclasses.dataclass(frozen=True, eq=False, init=False)
+class Run:
     """Signals of one run, one row per sample.
 
     Each signal is an attribute, None where the method does not estimate it or the plant does not
@@ -82,9 +93,20 @@ class Run(Recorded):
             (F x K x 3) [m]; in `.npz` files only.
     """
 
+    signals: Signals
     info: Info
+
+    def __init__(self, info: Info, signals: Signals | None = None, **given: Floats | None) -> None:
+        before = {} if signals is None else signals.arrays
+        object.__setattr__(self, "info", info)
+        object.__setattr__(self, "signals", Signals(RUN, {**before, **given}))
+
     layout: ClassVar = RUN
-    kind: ClassVar = Info
+    __dir__ = attributes
+
+    def __getattr__(self, name: str) -> Any:
+        """A signal by name, None where there is none. Raises AttributeError."""
+        return attribute(self, name)
 
     @property
     def last(self) -> slice:
@@ -174,6 +196,11 @@ class Run(Recorded):
         return {name: each | {"true": true[name]} for name, each in found.items()}
 
     @property
+    def outputs(self) -> list[str]:
+        """The names of the outputs: an arm's joints where it has one for each, else numbers."""
+        return output_names(self.info.joints, self.z.shape[1])
+
+    @property
     def silent_fraction(self) -> float:
         """The share of samples at which an output is silent."""
         return float((self.side == 0).mean())
@@ -234,6 +261,30 @@ class Run(Recorded):
     def blocks(self) -> list[Block]:
         """The tables that `undeadzone run` prints."""
         return in_words(self)
+
+    __repr__ = in_text
+    _repr_html_ = in_notebook
+
+    plot = plot
+    """Draw it."""
+
+    columns = files.columns
+    unit = files.unit
+    to_pandas = files.to_pandas
+    save = files.save
+    table_size = property(files.table_size)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Run:
+        """Read a run saved as `.npz` or `.csv`, exactly as it was.
+
+        Args:
+            path: of the file.
+
+        Raises:
+            FileError: it cannot be read, or is no run.
+        """
+        return cls(*files.read(path, RUN, Info))
 
 
 def last_samples(t: Floats) -> slice:

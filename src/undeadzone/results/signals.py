@@ -147,6 +147,22 @@ class Signals:
         return {name: {"estimate": float(value), "std": float(std)} for name, value, std in ends}
 
 
+def attribute(result: Any, name: str) -> Any:
+    """A signal by name, None where there is none; `__getattr__` of results.
+
+    Raises:
+        AttributeError: such a result cannot have it.
+    """
+    if name not in type(result).layout.names:
+        raise AttributeError(f"{type(result).__name__} has no attribute {name!r}")
+    return result.signals.arrays.get(name)
+
+
+def attributes(result: Any) -> list[str]:
+    """The names of attributes, signals among them; `__dir__` of results."""
+    return [*object.__dir__(result), *type(result).layout.names]
+
+
 def final(signals: Mapping[str, Floats], *names: str) -> dict[str, Any]:
     """The last rows of signals, for a summary; nothing of those that there are not.
 

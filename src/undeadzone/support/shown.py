@@ -81,16 +81,6 @@ def in_notebook(result: Any) -> str:
     return f'{shown}\n<img alt="figure" src="data:image/png;base64,{image}" width="100%">'
 
 
-class Shown:
-    """What results with `blocks` have in common: how they are looked at."""
-
-    __repr__ = in_text
-    _repr_html_ = in_notebook
-
-    plot = plot
-    """Draw it."""
-
-
 def _lines(block: Block, width: int | None) -> list[str]:
     """One block as lines."""
     if isinstance(block, str):

@@ -24,8 +24,9 @@ from undeadzone.results.signals import output_names
 from undeadzone.scenario.overrun import overrun_numbers
 from undeadzone.scenario.problem import Problem, constant_gains, resolve_scenario
 from undeadzone.scenario.schema import Scenario
+from undeadzone.support import shown
 from undeadzone.support.arrays import Floats, finite, one_or_list
-from undeadzone.support.shown import Block, Rows, Shown
+from undeadzone.support.shown import Block, Rows
 from undeadzone.support.text import HALF_95, label, with_unit
 from undeadzone.synthesis.assessment import Assessment, Gains, assess, determined
 
@@ -65,8 +66,8 @@ class Nearest(NamedTuple):
         return self._asdict() | {"L": self.L.tolist(), "gamma": self.gamma.tolist()}
 
 
-@dataclasses.dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class Check(Shown):
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Check:
     """What a scenario's own gains are worth, and what its readings can tell.
 
     Attributes:
@@ -151,6 +152,12 @@ class Check(Shown):
     def blocks(self) -> list[Block]:
         """The tables that `undeadzone check` prints."""
         return in_words(self)
+
+    __repr__ = shown.in_text
+    _repr_html_ = shown.in_notebook
+
+    plot = shown.plot
+    """Draw it."""
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Checked again from its scenario: what the report draws holds functions."""

@@ -18,11 +18,10 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.tune_table import Tune
 from undeadzone.statistics import intervals as statistics
 from undeadzone.statistics.intervals import LEVEL, QUANTILES, Interval
-from undeadzone.support import toml
+from undeadzone.support import shown, toml
 from undeadzone.support.arrays import Floats, finite
 from undeadzone.support.files import path_of, write_text
 from undeadzone.support.own_files import marked
-from undeadzone.support.shown import Block, Shown
 from undeadzone.tuning.candidates import Objective, statistic
 from undeadzone.tuning.parameters import Parameter
 
@@ -72,8 +71,8 @@ class HeldOut(NamedTuple):
     runs: int
 
 
-@dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class Tuned(Shown):
+@dataclasses.dataclass(frozen=True, eq=False)
+class Tuned:
     """Scenarios with tuned numbers, and how they were found.
 
     Attributes:
@@ -130,9 +129,15 @@ class Tuned(Shown):
         pairs = zip(self.parameters, self.values, strict=True)
         return [p.name for p, value in pairs if not EDGE < p.share(value) < 1 - EDGE]
 
-    def blocks(self) -> list[Block]:
+    def blocks(self) -> list[shown.Block]:
         """The tables that `undeadzone tune` prints."""
         return [in_words(self)]
+
+    __repr__ = shown.in_text
+    _repr_html_ = shown.in_notebook
+
+    plot = shown.plot
+    """Draw it."""
 
     def save(self, path: str | os.PathLike[str], index: int = 0) -> Path:
         """Write a tuned scenario as TOML, every number exactly.
