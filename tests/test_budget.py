@@ -18,7 +18,7 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 31_096, 269
+MOST_CODE, MOST_FILES = 30_708, 267
 # Lines of code of the packages beside the tool, which are none of it: what leaves a room for one of
 # them is counted there.
 BESIDE = {
@@ -32,27 +32,27 @@ BESIDE = {
 BUDGET = {
     "(root)": 386,
     "analysis": 3358,
-    "cli": 1609,
+    "cli": 1538,
     "compensators": 147,
     "compile": 3740,
     "controllers": 785,
-    "ends": 416,
-    "ensemble": 1878,
+    "ends": 417,
+    "ensemble": 1832,
     "feedforward": 419,
     "linear": 399,
-    "logs": 1232,
+    "logs": 1206,
     "numerics": 823,
-    "observers": 3807,
+    "observers": 3797,
     "plants": 1608,
-    "report": 2522,
-    "results": 932,
+    "report": 2425,
+    "results": 910,
     "scenario": 1419,
     "signals": 383,
-    "simulation": 2211,
+    "simulation": 2199,
     "statistics": 265,
-    "support": 837,
-    "synthesis": 1049,
-    "tuning": 871,
+    "support": 829,
+    "synthesis": 988,
+    "tuning": 835,
 }
 SILENT = {
     tokenize.COMMENT,
