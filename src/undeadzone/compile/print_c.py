@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections import defaultdict
 from collections.abc import Callable, Iterable
 from typing import Final, NamedTuple
 
@@ -184,12 +185,15 @@ class Names(NamedTuple):
         results: for each result, where each of its entries goes (an lvalue).
         locals: for each result, the local that holds each of its entries.
         meanings: further names of locals.
+        kept: of inputs that results overwrite, where they stand before (an lvalue); their
+            expressions are locals that hold them.
     """
 
     inputs: dict[str, str]
     results: list[list[str]]
     locals: list[list[str]]
     meanings: dict[Node, str]
+    kept: dict[str, str]
 
 
 class Body(NamedTuple):
@@ -205,20 +209,54 @@ class Body(NamedTuple):
 
 
 def body(results: Results, style: Style, names: Names) -> Body:
-    """The statements that compute results and store them."""
+    """The statements that compute results and store them.
+
+    In long ones an input is read where it is first used, and a result stored once it is there and
+    what it overwrites is used no more: so less is alive at a time.
+    """
     labels: dict[Node, str] = {}  # the first result of a node names it
     for nodes, wanted in zip(results, names.locals, strict=True):
         for node, name in zip(nodes, wanted, strict=True):
             if node.args:
                 labels.setdefault(node, name)
     expressions = Expressions(style, names.inputs)
-    lines = lines_of(locals_of(results, expressions, names.meanings | labels))
-    if lines:
-        lines.append("")
+    found = locals_of(results, expressions, names.meanings | labels)
+    end, used = len(found), _uses_of_inputs(found, results)
+    short = len(needed(itertools.chain(*results))) <= SMALL
+    ahead: list[list[str]] = [[] for _ in range(end + 1)]
+    behind: list[list[str]] = [[] for _ in range(end + 1)]
+    for name, place in names.kept.items():
+        if name in used:
+            first = 0 if short else min(used[name])
+            ahead[first] += wrapped(f"const {style.real} {names.inputs[name]} = {place};")
+    if short and ahead[0]:
+        ahead[0].append("")
+    number = {local.node: k for k, local in enumerate(found)}
+    kept = {place: name for name, place in names.kept.items()}
     for nodes, targets in zip(results, names.results, strict=True):
         for node, target in zip(nodes, targets, strict=True):
-            lines += wrapped(f"{target} = {expressions.text(node).text};")
-    return Body(lines, expressions.functions)
+            last = max(used.get(kept.get(target, ""), [0]))
+            at = end if short else max(number.get(node, end), last)
+            behind[at] += wrapped(f"{target} = {expressions.text(node).text};")
+    lines: list[str] = []
+    for local, before, after in zip(found, ahead, behind, strict=False):
+        lines += [*before, *local.lines, *after]
+    lines += [*ahead[end], ""] if found else ahead[end]
+    return Body([*lines, *behind[end]], expressions.functions)
+
+
+def _uses_of_inputs(found: list[Local], results: Results) -> dict[str, list[int]]:
+    """The numbers of the locals that use each input, by its name; their count: a result does."""
+    at, used = {local.node: k for k, local in enumerate(found)}, defaultdict[str, list[int]](list)
+    for node in reversed(needed(itertools.chain(*results))):
+        for arg in node.args:
+            at.setdefault(arg, at[node])  # a part of the expression that uses it
+            if arg.op == "input":
+                used[arg.text].append(at[node])
+    for node in itertools.chain(*results):
+        if node.op == "input":
+            used[node.text].append(len(found))
+    return used
 
 
 class Local(NamedTuple):
@@ -372,8 +410,3 @@ def functions(names: Iterable[str], used: set[str], style: Style) -> list[str]:
 def _commented(name: str) -> str:
     """The comment of a function."""
     return f"/** {str(FUNCTIONS[name].__doc__).strip()} */"
-
-
-def inputs_of(results: Results) -> set[str]:
-    """The names of the inputs on which results depend."""
-    return {node.text for node in needed(itertools.chain(*results)) if node.op == "input"}
