@@ -15,6 +15,7 @@ import numpy as np
 
 from undeadzone.compile.elementary import FUNCTIONS, OF_WORDS, Own, formula
 from undeadzone.compile.graph import Node, Results, needed, uses
+from undeadzone.compile.schedule import nested
 from undeadzone.compile.simplify import held
 
 WIDTH: Final = 100  # columns of a line
@@ -285,6 +286,8 @@ def locals_of(results: Results, expressions: Expressions, labels: dict[Node, str
     counts = uses(results)
     order = sorted(counts, key=lambda node: node.number)
     apart = language.apart(order) | labels.keys()
+    if len(order) > SMALL:
+        order = nested(order, list(itertools.chain(*results)))
     found: list[Local] = []
     for node in order:
         often = bool(node.args) and counts[node] > 1

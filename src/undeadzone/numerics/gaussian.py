@@ -190,7 +190,8 @@ def cut_to(mean: Any, variance: Any, low: Any, high: Any) -> tuple[Any, Any, Any
     a, b = (low - mean) * scale, (high - mean) * scale
     twice = ca.erf(b) - ca.erf(a)  # the chance
     at_a, at_b = ca.exp(-(a**2)), ca.exp(-(b**2))
-    share = ca.if_else(twice > 2 * UNLIKELY, 2 / math.sqrt(math.pi) / twice, 0.0) * scale
+    least = 2 * UNLIKELY
+    share = (twice > least) * (2 / math.sqrt(math.pi) * scale / ca.fmax(twice, least))
     shift = (at_a - at_b) * share
     return shift, shift**2 + (b * at_b - a * at_a) * (2 * scale * share), twice / 2
 
@@ -438,7 +439,7 @@ def cut(
     moving = K if moved is None else moved * K
     certain = trust * told.lost
     lost = lost_given(K, moving, certain, between)
-    after = Gaussian(mean + trust * (moving @ told.shift), from_upper(P - lost))
+    after = Gaussian(mean + moving @ (trust * told.shift), from_upper(P - lost))
     return Cut(after, told.used, trust, likely)
 
 

@@ -380,7 +380,7 @@ def clipped(
     if doubts:
         rest = cov.shape[0] - n - count
         cov = cov + ca.diagcat(alone * ca.SX.eye(n), ca.diag(gained), ca.SX(rest, rest))
-    return Gaussian(mean, cov), ca.mmax(gained) == 0
+    return Gaussian(mean, cov), ca.sum1(gained) == 0
 
 
 def limit_widths(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, Any]:
@@ -418,9 +418,9 @@ def within_ranges(q: Params, n: int, belief: Gaussian) -> tuple[Gaussian, Any]:
 
 def _is_inside(pair: Gaussian, ranges: Any) -> Any:
     """Whether every width lies farther than `INSIDE` from both ends of its range."""
-    least = INSIDE * ca.sqrt(ca.diag(pair.cov))
-    above, below = pair.mean - ranges[:, 0], ranges[:, 1] - pair.mean
-    return ca.mmin(ca.logic_and(above > least, below > least))
+    scale, least = ca.sqrt(0.5 / ca.diag(pair.cov)), INSIDE / np.sqrt(2)
+    low, high = (ranges[:, 0] - pair.mean) * scale, (ranges[:, 1] - pair.mean) * scale
+    return ca.mmin(ca.logic_and(low < -least, high > least))
 
 
 def _cut_to(pair: Gaussian, ranges: Any, order: tuple[int, int]) -> tuple[Any, Any]:

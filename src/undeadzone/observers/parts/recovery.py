@@ -105,8 +105,8 @@ def sound(q: Params, entries: ca.Sparsity, belief: Gaussian) -> tuple[Any, Any, 
         (mean, covariance (its `triangle`), 1 where it is the prior).
     """
     cov = triangle(belief.cov, entries)
-    size = ca.sum1(ca.fabs(ca.vertcat(belief.mean, cov)))
     every = ca.densify(ca.diag(belief.cov))
+    size = ca.sum1(ca.fabs(ca.vertcat(belief.mean, every))) + ca.fabs(ca.sum1(cov))
     below = ca.sum1(ca.fabs(every) - every)
     fine = ca.logic_and(size < LIMIT, below == 0)
     mean = ca.if_else(fine, belief.mean, q.mean)
