@@ -18,7 +18,7 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 41_697, 334
+MOST_CODE, MOST_FILES = 41_743, 334
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
@@ -26,16 +26,16 @@ BUDGET = {
     "analysis": 3445,
     "cli": 1923,
     "compensators": 147,
-    "compile": 3740,
+    "compile": 3774,
     "controllers": 789,
     "ends": 426,
     "ensemble": 1878,
-    "exports": 2348,
+    "exports": 2342,
     "feedforward": 429,
     "identification": 7272,
     "linear": 400,
     "logs": 1232,
-    "numerics": 836,
+    "numerics": 854,
     "observers": 3812,
     "plants": 1646,
     "report": 2941,

@@ -186,8 +186,7 @@ class Names(NamedTuple):
         results: for each result, where each of its entries goes (an lvalue).
         locals: for each result, the local that holds each of its entries.
         meanings: further names of locals.
-        kept: of inputs that results overwrite, where they stand before (an lvalue); their
-            expressions are locals that hold them.
+        kept: the input that stands where a result will, by that lvalue; its expression is a local.
     """
 
     inputs: dict[str, str]
@@ -223,25 +222,23 @@ def body(results: Results, style: Style, names: Names) -> Body:
     expressions = Expressions(style, names.inputs)
     found = locals_of(results, expressions, names.meanings | labels)
     end, used = len(found), _uses_of_inputs(found, results)
+    number = {local.node: k for k, local in enumerate(found)}
     short = len(needed(itertools.chain(*results))) <= SMALL
-    ahead: list[list[str]] = [[] for _ in range(end + 1)]
-    behind: list[list[str]] = [[] for _ in range(end + 1)]
-    for name, place in names.kept.items():
+    ahead, behind = defaultdict[int, list[str]](list), defaultdict[int, list[str]](list)
+    for place, name in names.kept.items():
         if name in used:
             first = 0 if short else min(used[name])
             ahead[first] += wrapped(f"const {style.real} {names.inputs[name]} = {place};")
     if short and ahead[0]:
         ahead[0].append("")
-    number = {local.node: k for k, local in enumerate(found)}
-    kept = {place: name for name, place in names.kept.items()}
     for nodes, targets in zip(results, names.results, strict=True):
         for node, target in zip(nodes, targets, strict=True):
-            last = max(used.get(kept.get(target, ""), [0]))
+            last = max(used.get(names.kept.get(target, ""), [0]))
             at = end if short else max(number.get(node, end), last)
             behind[at] += wrapped(f"{target} = {expressions.text(node).text};")
     lines: list[str] = []
-    for local, before, after in zip(found, ahead, behind, strict=False):
-        lines += [*before, *local.lines, *after]
+    for k, local in enumerate(found):
+        lines += [*ahead[k], *local.lines, *behind[k]]
     lines += [*ahead[end], ""] if found else ahead[end]
     return Body([*lines, *behind[end]], expressions.functions)
 

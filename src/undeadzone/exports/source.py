@@ -89,7 +89,7 @@ def _bodies(code: Code, style: Style) -> dict[str, Body]:
     out = [f"out->{name}[{k}]" for name, k in members(step.outputs)]
     shown = [f"{name}_{k}" for name, k in members(step.outputs)]
     inputs = _inputs(code)
-    kept = entries(s=stored)
+    kept = dict(zip(stored, entries(s=stored), strict=True))
     known = meanings(code.results, step, 1)
     names = Names(inputs, [stored, out], [following, shown], known, kept)
     bodies = {"step": body(code.results, style, names)}

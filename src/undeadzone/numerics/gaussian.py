@@ -55,7 +55,7 @@ class Products(NamedTuple):
     """A function G Z (l r) of x whose l and r (C) are linear in x, and multiplied one by one.
 
     Attributes:
-        G: (N x M).
+        G: its first rows; the others are 0 (at most N x M).
         Z: which products each of the M rows sums up (M x C).
         left, right: l and r.
     """
@@ -90,6 +90,7 @@ def predict(
         G, (shift, excess) = ca.SX.eye(X.shape[0]), bent(belief, change(X), X)
     else:
         G, (shift, excess) = bend(X).G, multiplied(belief.cov, bend(X), X)
+        G = ca.vertcat(G, ca.SX(X.shape[0] - G.shape[0], G.shape[1]))
     mean = belief.mean + (moved + G @ shift)
     return Gaussian(mean, spread(belief.cov, E, Q + G @ (lasting * excess) @ G.T))
 

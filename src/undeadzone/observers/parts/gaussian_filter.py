@@ -29,8 +29,7 @@ class Augmentation(NamedTuple):
         noise: noise(q, x, u) is the covariances (n x n, E x E) that a step adds to x and extra.
         alternative: alternative(q, belief) is (the belief if some claim is stronger than the filter
             takes it, its odds); None: no claim is.
-        bilinear: bilinear(q, x, extra, u) is what bends x+, with rows of x, as `predict` takes it;
-            None: x+ itself.
+        bilinear: bilinear(q, x, extra, u) is what bends x+, as `predict` takes it; None: x+ itself.
         slope: slope(q) is the Jacobian of the change of [x; d; extra] that a prediction to first
             order takes; None: the exact one.
         disturbance: disturbance(q, extra) is what it adds to x' (n) [1/s]; None: that of the change

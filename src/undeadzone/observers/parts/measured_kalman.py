@@ -16,15 +16,7 @@ import numpy as np
 
 from undeadzone.ends.sensor import LEFT, RIGHT, Zone, present
 from undeadzone.interfaces import Estimate, Observer, Reading, Traits
-from undeadzone.numerics.gaussian import (
-    Gaussian,
-    Products,
-    Weighed,
-    advance,
-    linearise,
-    predict,
-    symmetric,
-)
+from undeadzone.numerics.gaussian import Gaussian, Weighed, advance, linearise, predict, symmetric
 from undeadzone.observers.parts.augmented_state import counted_prior, shown_states
 from undeadzone.observers.parts.further_constants import (
     SAME,
@@ -376,12 +368,11 @@ def predicted(setup: Setup, q: Params, belief: Gaussian, u: Any, side: Any) -> G
     return predict(belief, change, Q, q.lasting, bend)
 
 
-def bilinear_part(setup: Setup, q: Params, drive: Callable[[Any], Any], X: Any) -> Products:
-    """The products of the augmentation with the rows of all of X = [x; d; extra]."""
+def bilinear_part(setup: Setup, q: Params, drive: Callable[[Any], Any], X: Any) -> Any:
+    """The `Products` of the augmentation, at X = [x; d; extra]."""
     assert setup.augmentation.bilinear is not None
     n, p = setup.model.n, setup.model.p
-    of = setup.augmentation.bilinear(q, X[:n], X[n + 2 * p :], drive(X))
-    return of._replace(G=ca.vertcat(of.G, ca.SX(X.shape[0] - n, of.G.shape[1])))
+    return setup.augmentation.bilinear(q, X[:n], X[n + 2 * p :], drive(X))
 
 
 class Pace(NamedTuple):

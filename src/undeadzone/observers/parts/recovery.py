@@ -68,15 +68,13 @@ def reopened(
     share = ca.if_else(ca.logic_or(used, refused), mean, patience.share)
     opens = ca.mmax(share) > TOO_MANY
     moving = moving_ones(model, constants, entries)
-    others = variances(entries) & ~moving
     again = ca.logic_and(opens, patience.opened > RECENT)
-    for gain, gained in ((opens, moving), (again, others)):
+    for gain, gained in ((opens, moving), (again, variances(entries) & ~moving)):
         cov = cov + ca.if_else(gain, ca.DM(1.0 * gained) * q.cov, 0.0)
-    after = Patience(
+    return cov, Patience(
         share=ca.if_else(opens, 0.0, share),
         opened=ca.if_else(opens, 1.0, q.doubt.keep * patience.opened),
     )
-    return cov, after
 
 
 def variances(entries: ca.Sparsity) -> Flags:
@@ -106,8 +104,8 @@ def sound(q: Params, entries: ca.Sparsity, belief: Gaussian) -> tuple[Any, Any, 
     """
     cov = triangle(belief.cov, entries)
     every = ca.densify(ca.diag(belief.cov))
+    # Covariances are not larger than variances; one that is no number shows in their sum.
     size = ca.sum1(ca.fabs(ca.vertcat(belief.mean, every))) + ca.fabs(ca.sum1(cov))
-    below = ca.sum1(ca.fabs(every) - every)
-    fine = ca.logic_and(size < LIMIT, below == 0)
+    fine = ca.logic_and(size < LIMIT, ca.sum1(ca.fabs(every) - every) == 0)
     mean = ca.if_else(fine, belief.mean, q.mean)
     return mean, ca.if_else(fine, cov, q.cov), ca.logic_not(fine)
