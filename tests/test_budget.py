@@ -18,12 +18,12 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 30_708, 267
+MOST_CODE, MOST_FILES = 30_760, 267
 # Lines of code of the packages beside the tool, which are none of it: what leaves a room for one of
 # them is counted there.
 BESIDE = {
     "undeadzone_arena": 4253,
-    "undeadzone_export": 2489,
+    "undeadzone_export": 2483,
     "undeadzone_identify": 7915,
     "undeadzone_paper": 1622,
 }
@@ -34,14 +34,14 @@ BUDGET = {
     "analysis": 3358,
     "cli": 1538,
     "compensators": 147,
-    "compile": 3740,
+    "compile": 3774,
     "controllers": 785,
     "ends": 417,
     "ensemble": 1832,
     "feedforward": 419,
     "linear": 399,
     "logs": 1206,
-    "numerics": 823,
+    "numerics": 841,
     "observers": 3797,
     "plants": 1608,
     "report": 2425,

@@ -28,6 +28,8 @@ from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone_export import accuracy, compiler, exporting, parts, vectors
 from undeadzone_export.code import code
+from undeadzone_export.source import Labels
+from undeadzone_export.source import source as printed_source
 
 FLAGS = ["-std=c99", "-ffp-contract=off", "-fno-math-errno"]
 WARNINGS = [
@@ -583,3 +585,25 @@ def test_boards_say_what_fits_and_what_would(tmp_path: Path) -> None:
     assert told["Arduino Uno"] == "its double is single"
     assert told["ESP32"] == ""
     assert "boards" not in uz.export(slow, "python", out=tmp_path / "module").report
+
+
+def test_long_code_stores_each_state_behind_its_last_use() -> None:
+    """And reads it ahead of its first, so that little is alive at a time."""
+    scenario = small("sampled", observer={"method": "censored", "right": [0.0, 2.0]})
+    printed = code(parts.build(resolve_scenario(scenario)), single=True)
+    text = printed_source(printed, Labels("o", "long", "observer")).code
+    body = text[text.index("void o_step(") :].split("\n}\n")[0]
+    lines = [line for line in body.splitlines() if line.startswith("    ") and " = " in line]
+    stored = {}
+    for number, line in enumerate(lines):
+        target = line.split(" = ")[0].strip()
+        if target.startswith("state->"):
+            stored[target] = number
+    reads = [line for line in lines if re.search(r"const float \w+_was_\d+ = state->", line)]
+    assert len(stored) == len(printed.results[0]) >= len(reads) > 100
+    assert sum(number < 0.9 * len(lines) for number in stored.values()) > len(stored) / 2
+    for line in reads:
+        name, place = line.strip().removeprefix("const float ").rstrip(";").split(" = ")
+        pattern = re.compile(rf"    const .* = .*\b{name}\b")
+        users = [k for k, other in enumerate(lines) if pattern.match(other)]
+        assert max(users, default=0) < stored[place]

@@ -89,21 +89,23 @@ def _bodies(code: Code, style: Style) -> dict[str, Body]:
     out = [f"out->{name}[{k}]" for name, k in members(step.outputs)]
     shown = [f"{name}_{k}" for name, k in members(step.outputs)]
     inputs = _inputs(code)
-    names = Names(inputs, [stored, out], [following, shown], meanings(code.results, step, 1))
+    kept = dict(zip(stored, entries(s=stored), strict=True))
+    known = meanings(code.results, step, 1)
+    names = Names(inputs, [stored, out], [following, shown], known, kept)
     bodies = {"step": body(code.results, style, names)}
     if code.phases is not None:
         carry = [f"state->carry[{k}]" for k in range(code.carried)]
         local = [f"carry_{k}" for k in range(code.carried)]
         first, second = code.phases.estimate, code.phases.advance
-        names = Names(inputs, [out, carry], [shown, local], meanings(first, step, 0))
+        names = Names(inputs, [out, carry], [shown, local], meanings(first, step, 0), kept)
         bodies["estimate"] = body(first, style, names)
-        names = Names(inputs, [stored], [following], meanings(second, step, None))
+        names = Names(inputs, [stored], [following], meanings(second, step, None), kept)
         bodies["advance"] = body(second, style, names)
-    return {name: _with_states(part, code, name) for name, part in bodies.items()}
+    return bodies
 
 
 def _inputs(code: Code) -> dict[str, str]:
-    """The C expression of each entry of the inputs; states are read into locals first."""
+    """The C expression of each entry of the inputs; states are read into locals."""
     step = code.step
     return entries(
         s=[f"{name}_was_{k}" for name, k in members(step.state)],
@@ -111,17 +113,6 @@ def _inputs(code: Code) -> dict[str, str]:
         p=[f"params->{name}[{k}]" for name, k in members(step.params)],
         c=[f"state->carry[{k}]" for k in range(code.carried)],
     )
-
-
-def _with_states(part: Body, code: Code, name: str) -> Body:
-    """A body that first reads the states that it uses, as results overwrite them."""
-    results = code.results if name == "step" else getattr(code.phases, name)
-    used = print_c.inputs_of(results)
-    reads: list[str] = []
-    for entry, (field, k) in enumerate(members(code.step.state)):
-        if f"s{entry}" in used:
-            reads.append(f"{INDENT}const {code.real} {field}_was_{k} = state->{field}[{k}];")
-    return Body([*reads, "", *part.lines] if reads else part.lines, part.functions)
 
 
 def _elementary(names: list[str], used: set[str], style: Style) -> dict[str, Any]:

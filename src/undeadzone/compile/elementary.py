@@ -101,19 +101,21 @@ def turned(m: Maths, x: Any) -> Any:
     return sine, cosine, n if m.bitless else m.bits(shifted)
 
 
-def power(m: Maths, shifted: Any) -> Any:
-    """2^n of n + shift, in the normal range."""
+def power(m: Maths, shifted: Any, less: Any = None) -> Any:
+    """2^n of n + shift, in the normal range; 2^(n - k) with k + shift, which is `less`."""
     if m.bitless:
-        return m.call("power", shifted - m.c.shift)
-    return m.number((m.bits(shifted) << m.c.mantissa) + m.c.one)
+        return m.call("power", shifted - (m.c.shift if less is None else less))
+    bits = m.bits(shifted) if less is None else m.bits(shifted) - m.bits(less)
+    return m.number((bits << m.c.mantissa) + m.c.one)
 
 
 def raised(m: Maths, x: Any) -> Any:
-    """n and e^r - 1 of x = n log 2 + r, |r| <= log(2) / 2."""
+    """n, n + shift and e^r - 1 of x = n log 2 + r, |r| <= log(2) / 2."""
     c = m.c
-    n = m.fma(x, 1 / math.log(2), c.shift) - c.shift
+    shifted = m.fma(x, 1 / math.log(2), c.shift)
+    n = shifted - c.shift
     r = m.fma(-n, c.log2[1], m.fma(-n, c.log2[0], x))
-    return n, m.fma(r * r, m.polynomial(r, c.exp), r)
+    return n, shifted, m.fma(r * r, m.polynomial(r, c.exp), r)
 
 
 def limited(m: Maths, x: Any) -> Any:
@@ -124,8 +126,8 @@ def limited(m: Maths, x: Any) -> Any:
 
 def lost(m: Maths, g: Any) -> Any:
     """1 - e^-g of a g that is not negative nor so large that e^-g is not normal."""
-    n, part = raised(m, -g)
-    scale = power(m, n + m.c.shift)
+    _, shifted, part = raised(m, -g)
+    scale = power(m, shifted)
     return m.fma(-scale, part, 1.0 - scale)
 
 
@@ -161,16 +163,16 @@ def ceil(m: Maths, x: Any) -> Any:
 
 def exp(m: Maths, x: Any) -> Any:
     """Exponential; 2^n in two factors, so that the largest numbers and subnormal ones come out."""
-    n, part = raised(m, limited(m, x))
+    n, shifted, part = raised(m, limited(m, x))
     half = m.fma(n, 0.5, m.c.shift)
     scale = power(m, half)
-    return m.fma(scale, part, scale) * power(m, n - (half - m.c.shift) + m.c.shift)
+    return m.fma(scale, part, scale) * power(m, shifted, half)
 
 
 def expm1(m: Maths, x: Any) -> Any:
     """e^x - 1, from half of it."""
     most = (m.c.bias + 1.25) * math.log(2)  # infinite, by the largest n that has a power
-    n, part = raised(m, m.select(x < -50.0, -50.0, m.select(x > most, most, x)))
+    n, _, part = raised(m, m.select(x < -50.0, -50.0, m.select(x > most, most, x)))
     half = power(m, n + (m.c.shift - 1.0))
     return 2.0 * m.fma(half, part, half - 0.5)
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections import defaultdict
 from collections.abc import Callable, Iterable
 from typing import Final, NamedTuple
 
@@ -14,6 +15,7 @@ import numpy as np
 
 from undeadzone.compile.elementary import FUNCTIONS, OF_WORDS, Own, formula
 from undeadzone.compile.graph import Node, Results, needed, uses
+from undeadzone.compile.schedule import nested
 from undeadzone.compile.simplify import held
 
 WIDTH: Final = 100  # columns of a line
@@ -184,12 +186,14 @@ class Names(NamedTuple):
         results: for each result, where each of its entries goes (an lvalue).
         locals: for each result, the local that holds each of its entries.
         meanings: further names of locals.
+        kept: the input that stands where a result will, by that lvalue; its expression is a local.
     """
 
     inputs: dict[str, str]
     results: list[list[str]]
     locals: list[list[str]]
     meanings: dict[Node, str]
+    kept: dict[str, str]
 
 
 class Body(NamedTuple):
@@ -205,20 +209,52 @@ class Body(NamedTuple):
 
 
 def body(results: Results, style: Style, names: Names) -> Body:
-    """The statements that compute results and store them."""
+    """The statements that compute results and store them.
+
+    In long ones an input is read where it is first used, and a result stored once it is there and
+    what it overwrites is used no more: so less is alive at a time.
+    """
     labels: dict[Node, str] = {}  # the first result of a node names it
     for nodes, wanted in zip(results, names.locals, strict=True):
         for node, name in zip(nodes, wanted, strict=True):
             if node.args:
                 labels.setdefault(node, name)
     expressions = Expressions(style, names.inputs)
-    lines = lines_of(locals_of(results, expressions, names.meanings | labels))
-    if lines:
-        lines.append("")
+    found = locals_of(results, expressions, names.meanings | labels)
+    end, used = len(found), _uses_of_inputs(found, results)
+    number = {local.node: k for k, local in enumerate(found)}
+    short = len(needed(itertools.chain(*results))) <= SMALL
+    ahead, behind = defaultdict[int, list[str]](list), defaultdict[int, list[str]](list)
+    for place, name in names.kept.items():
+        if name in used:
+            first = 0 if short else min(used[name])
+            ahead[first] += wrapped(f"const {style.real} {names.inputs[name]} = {place};")
+    if short and ahead[0]:
+        ahead[0].append("")
     for nodes, targets in zip(results, names.results, strict=True):
         for node, target in zip(nodes, targets, strict=True):
-            lines += wrapped(f"{target} = {expressions.text(node).text};")
-    return Body(lines, expressions.functions)
+            last = max(used.get(names.kept.get(target, ""), [0]))
+            at = end if short else max(number.get(node, end), last)
+            behind[at] += wrapped(f"{target} = {expressions.text(node).text};")
+    lines: list[str] = []
+    for k, local in enumerate(found):
+        lines += [*ahead[k], *local.lines, *behind[k]]
+    lines += [*ahead[end], ""] if found else ahead[end]
+    return Body([*lines, *behind[end]], expressions.functions)
+
+
+def _uses_of_inputs(found: list[Local], results: Results) -> dict[str, list[int]]:
+    """The numbers of the locals that use each input, by its name; their count: a result does."""
+    at, used = {local.node: k for k, local in enumerate(found)}, defaultdict[str, list[int]](list)
+    for node in reversed(needed(itertools.chain(*results))):
+        for arg in node.args:
+            at.setdefault(arg, at[node])  # a part of the expression that uses it
+            if arg.op == "input":
+                used[arg.text].append(at[node])
+    for node in itertools.chain(*results):
+        if node.op == "input":
+            used[node.text].append(len(found))
+    return used
 
 
 class Local(NamedTuple):
@@ -247,6 +283,8 @@ def locals_of(results: Results, expressions: Expressions, labels: dict[Node, str
     counts = uses(results)
     order = sorted(counts, key=lambda node: node.number)
     apart = language.apart(order) | labels.keys()
+    if len(order) > SMALL:
+        order = nested(order, list(itertools.chain(*results)))
     found: list[Local] = []
     for node in order:
         often = bool(node.args) and counts[node] > 1
@@ -372,8 +410,3 @@ def functions(names: Iterable[str], used: set[str], style: Style) -> list[str]:
 def _commented(name: str) -> str:
     """The comment of a function."""
     return f"/** {str(FUNCTIONS[name].__doc__).strip()} */"
-
-
-def inputs_of(results: Results) -> set[str]:
-    """The names of the inputs on which results depend."""
-    return {node.text for node in needed(itertools.chain(*results)) if node.op == "input"}

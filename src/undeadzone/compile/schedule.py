@@ -46,7 +46,7 @@ def ordered(results: list[Node], registers: int) -> list[Node]:
     """
     made = of_graph(results)
     if not registers:
-        return _nested(made, results)
+        return nested(made, results)
     state = _started(made, results)
     order: list[Node] = []
     while state.ready:
@@ -56,8 +56,13 @@ def ordered(results: list[Node], registers: int) -> list[Node]:
     return order
 
 
-def _nested(made: list[Node], results: list[Node]) -> list[Node]:
-    """Each instruction right behind what it needs, of which the longest chain comes first."""
+def nested(made: list[Node], results: list[Node]) -> list[Node]:
+    """Each instruction right behind what it needs, of which the longest chain comes first.
+
+    Args:
+        made: the instructions, each behind those that it needs.
+        results: the last ones.
+    """
     length: dict[Node, int] = {}
     for node in made:
         length[node] = 1 + max((length.get(arg, 0) for arg in node.args), default=0)

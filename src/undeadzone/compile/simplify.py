@@ -54,6 +54,8 @@ class Exact:
             return self.selected(self.truth(args[0]), args[1], self.zero)
         if word in ARITHMETIC:
             return self.nodes.made(word, *args)
+        if word in ("fmin", "fmax") and all(map(condition, args)):
+            return self.made("and" if word == "fmin" else "or", *args)
         return self.nodes.made("call", *args, text=word)
 
     def constant(self, value: float) -> Node:
@@ -270,7 +272,7 @@ class Plain:
             truth = condition(factor)
             if truth is not None:
                 return self._selected(truth, value, self.exact.zero)
-        return self.nodes.made("mul", a, b)
+        return self._either_way("mul", a, b)
 
     def _sum(self, a: Node, b: Node) -> Node:
         """A sum; of what a truth and its opposite select, one selection."""
@@ -284,7 +286,11 @@ class Plain:
                 return self.exact.selected(truth, first, fourth)
             if first is zero and fourth is zero:
                 return self.exact.selected(truth, third, second)
-        return self.nodes.made("add", a, b)
+        return self._either_way("add", a, b)
+
+    def _either_way(self, word: str, a: Node, b: Node) -> Node:
+        """A sum or product, the same one whichever operand stands first."""
+        return self.nodes.made(word, *sorted((a, b), key=lambda node: node.number))
 
     def _bounded(self, word: str, a: Node, b: Node) -> Node:
         """The smaller or larger of two numbers; a selection where one is constant."""

@@ -45,8 +45,25 @@ def linearise(f: Callable[[Any], Any], at: Any) -> tuple[Any, Any]:
     """The value of f and its Jacobian at the column `at`."""
     X = ca.SX.sym("X", at.shape[0])
     value = f(X)
-    value_at, jacobian = ca.substitute([value, ca.jacobian(value, X)], [X], [at])
+    options = [{"helper_options": {"ad_weight": weight}} for weight in (0.0, 1.0)]
+    slopes = [ca.jacobian(value, X, option) for option in options]  # forward, and backward
+    value_at, jacobian = ca.substitute([value, min(slopes, key=ca.n_nodes)], [X], [at])
     return value_at, jacobian
+
+
+class Products(NamedTuple):
+    """A function G Z (l r) of x whose l and r (C) are linear in x, and multiplied one by one.
+
+    Attributes:
+        G: its first rows; the others are 0 (at most N x M).
+        Z: which products each of the M rows sums up (M x C).
+        left, right: l and r.
+    """
+
+    G: Any
+    Z: Any
+    left: Any
+    right: Any
 
 
 def predict(
@@ -54,7 +71,7 @@ def predict(
     change: Callable[[Any], Any],
     Q: Any,
     lasting: Any = 1.0,
-    bend: Callable[[Any], tuple[Any, Any]] | None = None,
+    bend: Callable[[Any], Products] | None = None,
 ) -> Gaussian:
     """The belief after x+ = x + f(x) + w, to second order; exact for degree 2 and lasting = 1.
 
@@ -64,25 +81,39 @@ def predict(
         Q: covariance of w (N x N).
         lasting: steps for which the error of linearisation keeps its sign. It is not white, and
             counts that much more.
-        bend: bend(x) = (G (N x M), b (M)) such that all that is nonlinear in f(x) is, nearly, in
-            G b(x). With few b this is much cheaper. Default: G = I, b = f.
+        bend: bend(x) is all that is nonlinear in f(x), nearly; much cheaper than to bend f itself,
+            which is the default.
     """
-    P, X = belief.cov, ca.SX.sym("X", belief.mean.shape[0])
-    value = change(X)
-    G, b = (ca.SX.eye(X.shape[0]), value) if bend is None else bend(X)
-    nonlinear = ca.which_depends(b, X, 2, True)
-    rows = [row for row, bends in enumerate(nonlinear) if bends]
-    hessians = [ca.hessian(b[row], X)[0] for row in rows]
-    expressions = [value, ca.jacobian(value, X), *hessians]
-    moved, E, *curvatures = ca.substitute(expressions, [X], [belief.mean])
-    products = [H @ P for H in curvatures]
+    moved, E = linearise(change, belief.mean)
+    X = ca.SX.sym("X", belief.mean.shape[0])
+    if bend is None:
+        G, (shift, excess) = ca.SX.eye(X.shape[0]), bent(belief, change(X), X)
+    else:
+        G, (shift, excess) = bend(X).G, multiplied(belief.cov, bend(X), X)
+        G = ca.vertcat(G, ca.SX(X.shape[0] - G.shape[0], G.shape[1]))
+    mean = belief.mean + (moved + G @ shift)
+    return Gaussian(mean, spread(belief.cov, E, Q + G @ (lasting * excess) @ G.T))
+
+
+def bent(belief: Gaussian, b: Any, X: Any) -> tuple[Any, Any]:
+    """What the second derivatives of b(X) add to its mean and covariance at first order."""
+    rows = [row for row, bends in enumerate(ca.which_depends(b, X, 2, True)) if bends]
+    hessians = ca.substitute([ca.hessian(b[row], X)[0] for row in rows], [X], [belief.mean])
+    products = [H @ belief.cov for H in hessians]
     shift, excess = ca.SX(b.shape[0], 1), ca.SX(b.shape[0], b.shape[0])
     for row, M in zip(rows, products, strict=True):
         shift[row] = ca.trace(M) / 2
         for column, other in zip(rows, products, strict=True):
-            excess[row, column] = lasting * ca.dot(M, other.T) / 2
-    mean = belief.mean + (moved + G @ shift)
-    return Gaussian(mean, spread(P, E, Q + G @ excess @ G.T))
+            excess[row, column] = ca.dot(M, other.T) / 2
+    return shift, excess
+
+
+def multiplied(P: Any, of: Products, X: Any) -> tuple[Any, Any]:
+    """The same of Z (l r), which has no others, if P is the covariance of X."""
+    left, right = ca.jacobian(of.left, X), ca.jacobian(of.right, X)
+    across = left @ P @ right.T
+    each = from_upper((left @ P @ left.T) * (right @ P @ right.T) + across * across.T)
+    return of.Z @ ca.diag(across), of.Z @ each @ of.Z.T
 
 
 def advance(belief: Gaussian, change: Callable[[Any], Any], Q: Any, E: Any = None) -> Gaussian:
@@ -124,10 +155,11 @@ def update(belief: Gaussian, h: Any, e: Any, R: Any, use: Any) -> tuple[Gaussian
         The belief, and the variance of the innovation.
     """
     mean, P = belief
-    S = h @ P @ h.T + R
-    K = use * (P @ h.T) / S
-    half = P - K @ (h @ P)
-    cov = half - (half @ h.T) @ K.T + R * (K @ K.T)
+    along = P @ h.T
+    S = h @ along + R
+    K = use * along / S
+    half = P - K @ along.T
+    cov = half - (half @ h.T - R * K) @ K.T
     return Gaussian(mean + K * e, from_upper(cov)), S
 
 
@@ -155,14 +187,14 @@ def cut_to(mean: Any, variance: Any, low: Any, high: Any) -> tuple[Any, Any, Any
         By how much a mean moves along its covariance with x, by how much a covariance is less along
         the same, and that probability.
     """
-    std = ca.sqrt(variance)
-    a, b = (low - mean) / std, (high - mean) / std
-    chance = (ca.erf(b / math.sqrt(2)) - ca.erf(a / math.sqrt(2))) / 2
-    at_a, at_b = density(a), density(b)
-    share = ca.if_else(chance > UNLIKELY, 1 / chance, 0.0)
+    scale = ca.sqrt(0.5 / variance)
+    a, b = (low - mean) * scale, (high - mean) * scale
+    twice = ca.erf(b) - ca.erf(a)  # the chance
+    at_a, at_b = ca.exp(-(a**2)), ca.exp(-(b**2))
+    least = 2 * UNLIKELY
+    share = (twice > least) * (2 / math.sqrt(math.pi) * scale / ca.fmax(twice, least))
     shift = (at_a - at_b) * share
-    lost = (shift**2 + (b * at_b - a * at_a) * share) / variance
-    return shift / std, lost, chance
+    return shift, shift**2 + (b * at_b - a * at_a) * (2 * scale * share), twice / 2
 
 
 def chance(alpha: Any) -> tuple[Any, Any]:
@@ -189,7 +221,7 @@ def below(x: Any) -> Any:
 
 def density(x: Any) -> Any:
     """phi(x) of the standard normal distribution."""
-    return ca.exp(-(x**2) / 2) / math.sqrt(2 * math.pi)
+    return ca.exp(-0.5 * x**2) * (1 / math.sqrt(2 * math.pi))
 
 
 def from_upper(cov: Any) -> Any:
@@ -281,7 +313,7 @@ def settle(
     wrong = ca.exp(odds) / (reach + TAIL * std)
     right = ca.exp(surprise - (r**2) / 2) / (math.sqrt(2 * math.pi) * std)
     trust = right / (right + wrong)
-    weight = ca.if_else(use, trust, 0.0)
+    weight = trust * use
     after = _moved(belief, K, near, S, (1 - weight) * near**2, R, weight, moved)
     likely = ca.if_else(use, right + wrong, 1.0)
     return Weighed(after, near, std, ca.if_else(use, trust, 1.0), likely)
@@ -304,17 +336,17 @@ def _moved(
     """
     mean, P = belief
     shift = K if moved is None else moved * K
-    if moved is None:
-        cov = P - (weight * (S - between) * K) @ K.T
-    else:
-        cov = P - lost_given(K, shift, weight * S, weight * between)
+    cov = P - lost_given(K, shift, weight * S, weight * between)
     least = weight * R * shift**2
-    cov += ca.diag(ca.fmax(least - ca.diag(cov), 0.0))
+    cov += ca.diag(ca.fmax(least - ca.project(ca.diag(cov), least.sparsity()), 0.0))
     return Gaussian(mean + weight * e * shift, from_upper(cov))
 
 
 def lost_given(along: Any, shift: Any, certain: Any, between: Any) -> Any:
     """What a covariance loses: g certain g' - (g - s) certain (g - s)' - s between s'.
+
+    Its upper triangle; of variables that are moved fully, those of s = g, it is one product of g
+    with another vector, which only the shares of the others make longer.
 
     Args:
         along: g, along which bounds or a reading would move the mean (N x k).
@@ -322,8 +354,15 @@ def lost_given(along: Any, shift: Any, certain: Any, between: Any) -> Any:
         certain: by how much the covariance is less where they are right (k x k).
         between: by how much it is more, as they may be wrong (k x k).
     """
-    half = shift @ (ca.mtimes(certain, along.T) - (certain + between) / 2 @ shift.T)
-    return half + half.T
+    rest = ca.sparsify(along - shift)
+    held = sorted(set(rest.sparsity().row()))
+    lost = along @ (ca.mtimes(certain - between, along.T) + ca.mtimes(between, rest.T))
+    if held:
+        g, s = along[held, :], shift[held, :]
+        half = s @ (ca.mtimes(certain, g.T) - ca.mtimes((certain + between) / 2, s.T))
+        lost[held, :] = lost[:, held].T
+        lost[held, held] = half + half.T
+    return lost
 
 
 def together(readings: Sequence[Weighed]) -> Weighed:
@@ -400,10 +439,8 @@ def cut(
         between = trust * (1 - trust) * (told.shift @ told.shift.T)
     moving = K if moved is None else moved * K
     certain = trust * told.lost
-    lost = (
-        K @ (certain - between) @ K.T if moved is None else lost_given(K, moving, certain, between)
-    )
-    after = Gaussian(mean + trust * (moving @ told.shift), from_upper(P - lost))
+    lost = lost_given(K, moving, certain, between)
+    after = Gaussian(mean + moving @ (trust * told.shift), from_upper(P - lost))
     return Cut(after, told.used, trust, likely)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from undeadzone.ends.sensor import Zone
 from undeadzone.interfaces import Estimate, Reading, estimate
-from undeadzone.numerics.gaussian import Gaussian, cut_to, from_upper, linearise
+from undeadzone.numerics.gaussian import Gaussian, Products, cut_to, from_upper, linearise
 from undeadzone.observers.parts.prior import Prior
 from undeadzone.plants.system import System, held
 from undeadzone.support.arrays import Floats
@@ -29,8 +29,7 @@ class Augmentation(NamedTuple):
         noise: noise(q, x, u) is the covariances (n x n, E x E) that a step adds to x and extra.
         alternative: alternative(q, belief) is (the belief if some claim is stronger than the filter
             takes it, its odds); None: no claim is.
-        bilinear: bilinear(q, x, extra, u) is (G (n x M), b (M)), as `predict` takes them; None: x+
-            itself.
+        bilinear: bilinear(q, x, extra, u) is what bends x+, as `predict` takes it; None: x+ itself.
         slope: slope(q) is the Jacobian of the change of [x; d; extra] that a prediction to first
             order takes; None: the exact one.
         disturbance: disturbance(q, extra) is what it adds to x' (n) [1/s]; None: that of the change
@@ -48,7 +47,7 @@ class Augmentation(NamedTuple):
     change: Callable[[Any, Any, Any, Any], tuple[Any, Any]]
     noise: Callable[[Any, Any, Any], tuple[Any, Any]]
     alternative: Callable[[Any, Gaussian], tuple[Gaussian, Any]] | None = None
-    bilinear: Callable[[Any, Any, Any, Any], tuple[Any, Any]] | None = None
+    bilinear: Callable[[Any, Any, Any, Any], Products] | None = None
     slope: Callable[[Any], Any] | None = None
     disturbance: Callable[[Any, Any], Any] | None = None
     entries: ca.Sparsity | None = None
@@ -380,7 +379,7 @@ def clipped(
     if doubts:
         rest = cov.shape[0] - n - count
         cov = cov + ca.diagcat(alone * ca.SX.eye(n), ca.diag(gained), ca.SX(rest, rest))
-    return Gaussian(mean, cov), ca.mmax(gained) == 0
+    return Gaussian(mean, cov), ca.sum1(gained) == 0
 
 
 def limit_widths(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, Any]:
@@ -411,16 +410,16 @@ def within_ranges(q: Params, n: int, belief: Gaussian) -> tuple[Gaussian, Any]:
         one, first = _cut_to(pair, ranges, (0, 1))
         other, second = _cut_to(pair, ranges, (1, 0))
         far = _is_inside(pair, ranges)
-        mean = mean + P[:, both] @ ca.if_else(far, 0.0, (one + other) / 2)
+        mean = mean + P[:, both] @ (ca.logic_not(far) * (one + other) / 2)
         chance *= ca.if_else(far, 1.0, ca.sqrt(ca.fmax(first * second, LEAST)))
     return Gaussian(mean, _no_wider(q, n, P)), chance
 
 
 def _is_inside(pair: Gaussian, ranges: Any) -> Any:
     """Whether every width lies farther than `INSIDE` from both ends of its range."""
-    least = INSIDE * ca.sqrt(ca.diag(pair.cov))
-    above, below = pair.mean - ranges[:, 0], ranges[:, 1] - pair.mean
-    return ca.mmin(ca.logic_and(above > least, below > least))
+    scale, least = ca.sqrt(0.5 / ca.diag(pair.cov)), INSIDE / np.sqrt(2)
+    low, high = (ranges[:, 0] - pair.mean) * scale, (ranges[:, 1] - pair.mean) * scale
+    return ca.mmin(ca.logic_and(low < -least, high > least))
 
 
 def _cut_to(pair: Gaussian, ranges: Any, order: tuple[int, int]) -> tuple[Any, Any]:

@@ -368,12 +368,11 @@ def predicted(setup: Setup, q: Params, belief: Gaussian, u: Any, side: Any) -> G
     return predict(belief, change, Q, q.lasting, bend)
 
 
-def bilinear_part(setup: Setup, q: Params, drive: Callable[[Any], Any], X: Any) -> tuple[Any, Any]:
-    """(G, b) of the augmentation with the rows of all of X = [x; d; extra]."""
+def bilinear_part(setup: Setup, q: Params, drive: Callable[[Any], Any], X: Any) -> Any:
+    """The `Products` of the augmentation, at X = [x; d; extra]."""
     assert setup.augmentation.bilinear is not None
     n, p = setup.model.n, setup.model.p
-    G, b = setup.augmentation.bilinear(q, X[:n], X[n + 2 * p :], drive(X))
-    return ca.vertcat(G, ca.SX(X.shape[0] - n, b.shape[0])), b
+    return setup.augmentation.bilinear(q, X[:n], X[n + 2 * p :], drive(X))
 
 
 class Pace(NamedTuple):

@@ -67,14 +67,14 @@ def reopened(
     mean = forget * patience.share + (1 - forget) * refused
     share = ca.if_else(ca.logic_or(used, refused), mean, patience.share)
     opens = ca.mmax(share) > TOO_MANY
-    every = ca.DM(1.0 * variances(entries))
-    moving = ca.DM(1.0 * moving_ones(model, constants, entries))
-    gained = ca.if_else(patience.opened > RECENT, every, moving) * q.cov
-    after = Patience(
+    moving = moving_ones(model, constants, entries)
+    again = ca.logic_and(opens, patience.opened > RECENT)
+    for gain, gained in ((opens, moving), (again, variances(entries) & ~moving)):
+        cov = cov + ca.if_else(gain, ca.DM(1.0 * gained) * q.cov, 0.0)
+    return cov, Patience(
         share=ca.if_else(opens, 0.0, share),
         opened=ca.if_else(opens, 1.0, q.doubt.keep * patience.opened),
     )
-    return cov + ca.if_else(opens, gained, 0.0), after
 
 
 def variances(entries: ca.Sparsity) -> Flags:
@@ -103,8 +103,9 @@ def sound(q: Params, entries: ca.Sparsity, belief: Gaussian) -> tuple[Any, Any, 
         (mean, covariance (its `triangle`), 1 where it is the prior).
     """
     cov = triangle(belief.cov, entries)
-    size = ca.sum1(ca.fabs(ca.vertcat(belief.mean, cov)))
-    least = ca.mmin(ca.densify(ca.diag(belief.cov)))
-    fine = ca.logic_and(size < LIMIT, least >= 0)
+    every = ca.densify(ca.diag(belief.cov))
+    # Covariances are not larger than variances; one that is no number shows in their sum.
+    size = ca.sum1(ca.fabs(ca.vertcat(belief.mean, every))) + ca.fabs(ca.sum1(cov))
+    fine = ca.logic_and(size < LIMIT, ca.sum1(ca.fabs(every) - every) == 0)
     mean = ca.if_else(fine, belief.mean, q.mean)
     return mean, ca.if_else(fine, cov, q.cov), ca.logic_not(fine)

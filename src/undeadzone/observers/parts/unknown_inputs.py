@@ -16,7 +16,7 @@ import numpy as np
 from undeadzone.errors import InputError
 from undeadzone.linear.hold import sampled_noise, zoh_slopes
 from undeadzone.linear.matrices import Matrices, similar
-from undeadzone.numerics.gaussian import Gaussian, update
+from undeadzone.numerics.gaussian import Gaussian, Products, update
 from undeadzone.observers.parts.further_constants import informed
 from undeadzone.observers.parts.gaussian_filter import Augmentation, Params
 from undeadzone.plants.system import System, held, in_units, state_units, time_scale
@@ -227,16 +227,17 @@ def change_with_unknowns(setup: Setup, q: Params, x: Any, extra: Any, u: Any) ->
     return gained, ca.vertcat(none[0], faded, none[1])
 
 
-def tolerance_times_state(setup: Setup, q: Params, x: Any, extra: Any, u: Any) -> tuple[Any, Any]:
-    """(G, b) for `predict`: theta_i a_i [x; u] in the rows of A and B, held over the step."""
+def tolerance_times_state(setup: Setup, q: Params, x: Any, extra: Any, u: Any) -> Products:
+    """theta_i a_i [x; u] in the rows of A and B, held over the step."""
     numbers, entries = q.augmentation, setup.tolerance.entries
     constant, shaped, theta = ca.vertsplit(extra, setup.ends)
     moved = ca.vertcat(x - numbers.rest @ constant, u + setup.disturbing @ shaped)
     rows = sorted({row for row, _ in entries})
-    b = ca.SX(len(rows), 1)
+    Z, right = ca.SX(len(rows), len(entries)), ca.SX(len(entries), 1)
     for k, (row, column) in enumerate(entries):
-        b[rows.index(row)] += theta[k] * numbers.values[k] * moved[column]
-    return numbers.held[:, rows], b
+        Z[rows.index(row), k] = 1
+        right[k] = numbers.values[k] * moved[column]
+    return Products(numbers.held[:, rows], Z, theta, right)
 
 
 def noise_of_unknowns(setup: Setup, q: Params, x: Any, u: Any) -> tuple[Any, Any]:
