@@ -19,6 +19,7 @@ from click.testing import CliRunner
 from scipy.linalg import expm
 
 import once
+import undeadzone
 from scenes import PAPER, scene
 from test_report import check_page
 from undeadzone.analysis.certificate.design_file import Design, plain
@@ -33,7 +34,6 @@ from undeadzone.report.proof_figures import courses as courses_figure
 from undeadzone.report.proof_figures import positive_realness
 from undeadzone.report.style import image, sheet
 from undeadzone.scenario.problem import resolve_scenario
-from undeadzone.synthesis import design as synthesis
 from undeadzone.synthesis.assessment import Assessment, assess, attack
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -78,7 +78,7 @@ def watched_by(observer: str) -> str:
 def designed_once() -> Iterator[None]:
     """What two tests design is designed once; `test_design_synthesis` designs again."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(synthesis, "design", once.design)
+        patch.setattr(undeadzone, "design", once.design)
         yield
 
 
