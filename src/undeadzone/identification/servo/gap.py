@@ -41,7 +41,6 @@ from undeadzone.identification.servo.likelihood import (
     Slopes,
     lanes_of,
     newton,
-    scores,
 )
 from undeadzone.identification.servo.predictor import LATEST, MEAN, NUMBERS
 from undeadzone.identification.servo.search import searched
@@ -313,7 +312,7 @@ class _Spread:
 
     def __init__(self, log: Heard, one: Servo, slopes: Slopes) -> None:
         place = list(one.structure.free(log.ticks, False)).index(At.GAP)
-        score, (_, hessian) = scores(slopes), newton(slopes)
+        score, hessian = newton(slopes)
         spread = sandwich(score, hessian)
         self.covariance = spread.V
         turned = np.cumsum((log if log.ticks else triggered(log)).turns)
