@@ -136,7 +136,7 @@ class Objective:
         slope = self.simulator.gradient(theta, z)
         scores = terms.slopes[:, likelihood.Z : likelihood.Z + 1] * slope
         if self.kind == "pairs":
-            scores[1:] += terms.slopes[1:, likelihood.Z_BEFORE : likelihood.Z_BEFORE + 1] * slope[:-1]
+            scores[1:] += terms.slopes[1:, likelihood.Z_BEFORE, None] * slope[:-1]
         right = self.layout.right
         scores[:, right:] += terms.slopes[:, likelihood.Z_BEFORE + 1 :]
         scores[0, self.layout.x0] -= self.x0_weight * theta[self.layout.x0]
