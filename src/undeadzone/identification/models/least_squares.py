@@ -112,13 +112,9 @@ class LeastSquares(Generic[M]):
 
     def _without_level(self, columns: Floats) -> Floats:
         """Less their mean, which is the best constant; 0 where a reading is missing."""
-        ok = self.data.ok
-        level: Floats | float = 0.0
-        if self.model.has_level:
-            there = np.ascontiguousarray(columns) if self._whole else columns[ok]
-            level = there.mean(axis=0)
-        left = columns - level
-        return left if self._whole else np.where(ok, left.T, 0.0).T
+        there = np.ascontiguousarray(columns) if self._whole else columns[self.data.ok]
+        left = columns - (there.mean(axis=0) if self.model.has_level else 0.0)
+        return left if self._whole else np.where(self.data.ok, left.T, 0.0).T
 
     def rows(self, theta: Floats) -> tuple[Floats, Floats]:
         """Residual (N) and derivatives of the reading by the free numbers (N x free)."""

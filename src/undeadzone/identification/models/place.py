@@ -206,8 +206,8 @@ class PlaceModel:
     def _run(self, theta: Floats) -> Floats:
         """z of the numbers, and of those around them ((1 + 2 free) x N)."""
         points = around(theta, self.free, self._steps(theta))
-        tail = points[:, self.base + 2 : self.base + WIDTHS]
-        rows = np.hstack([points[:, : self.base], self.c(points), tail])
+        plant, tail = points[:, : self.base], points[:, self.base + 2 : self.base + WIDTHS]
+        rows = np.hstack([plant, self.c(points), tail])
         return simulate(self.n, self.m, self.shape.position, self.exogenous, rows)
 
     def _steps(self, theta: Floats) -> Floats:

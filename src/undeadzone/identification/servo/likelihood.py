@@ -308,16 +308,14 @@ class Likelihood:
         """Where damped steps lead, whatever the bounds (trials x P)."""
         scores, hessian = newton(slopes)
         score = scores.sum(axis=0)
-        diagonal = np.diag(hessian).copy()
-        diagonal[~(diagonal > 0)] = 1e-12
-        scale = 1 / np.sqrt(diagonal)
+        diagonal = hessian.diagonal()
+        scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1e-12))
         scaled = hessian * np.outer(scale, scale)
         if not np.isfinite(scaled).all() or not np.isfinite(score).all():
             return np.tile(theta, (DAMPINGS.size, 1))
         damped = scaled + DAMPINGS[:, None, None] * np.eye(places.size)
-        right = np.tile((score * scale)[:, None], (DAMPINGS.size, 1, 1))
         try:
-            found = np.linalg.solve(damped, right)[:, :, 0] * scale
+            found = np.linalg.solve(damped, (score * scale)[:, None])[:, :, 0] * scale
         except np.linalg.LinAlgError:
             found = np.tile(score * scale**2, (DAMPINGS.size, 1))
         longest = reach_of(theta)[places]
