@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import gc
 import hashlib
 import os
+import pickle
 import random
 import shutil
 import subprocess
+import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -24,6 +27,7 @@ import undeadzone
 from tools import pytest_terminal_summary as pytest_terminal_summary
 from undeadzone.ensemble import journal
 from undeadzone.report.style import own_settings
+from undeadzone.support import files
 from undeadzone_export import compiler
 
 gc.set_threshold(100_000)  # as the command line does
@@ -35,6 +39,9 @@ settings.register_profile(
     derandomize=True,
 )
 settings.load_profile("shared")
+
+COMPILED = Path(".pytest_cache", "compiled")  # C of earlier runs
+UNUSED = 30 * 86400  # [s] after which it is dropped
 
 # Files that share what `once.py` makes: one process has them.
 TOGETHER = {
@@ -61,7 +68,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Keep compiled kernels between runs of the tests, while the compiler is the same."""
+    """Keep compiled kernels between runs of the tests, while the compiler is the same.
+
+    Programs of C (`compiled_once`) are kept while any run uses them.
+    """
     digest = hashlib.sha256()
     for path in sorted((Path(undeadzone.__file__).parent / "compile").glob("*.py")):
         digest.update(path.read_bytes())
@@ -71,11 +81,15 @@ def pytest_configure(config: pytest.Config) -> None:
         if other != own:
             shutil.rmtree(other, ignore_errors=True)
     own.parent.mkdir(parents=True, exist_ok=True)
+    for path in (config.rootpath / COMPILED).glob("*"):
+        with contextlib.suppress(FileNotFoundError):  # another process was here
+            if time.time() - path.stat().st_mtime > UNUSED:
+                path.unlink()
     os.environ["UNDEADZONE_CACHE"] = str(own)
 
 
 @pytest.fixture(autouse=True, scope="session")
-def code_of_no_effort(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+def code_of_no_effort(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """What an export compiles to look at its bits is not optimised: that takes ten times as long.
 
     `test_export.py` and `test_export_emulator.py` show that effort changes no bit.
@@ -86,34 +100,49 @@ def code_of_no_effort(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None
     with pytest.MonkeyPatch.context() as patch:
         if shutil.which("gcc"):
             patch.setenv("CC", str(script))
-        yield
+        yield script
 
 
 @pytest.fixture(autouse=True, scope="session")
-def compiled_once() -> Iterator[None]:
-    """The same C is compiled once by the same compiler: float's accuracy asks for much of it again.
+def compiled_once(pytestconfig: pytest.Config, code_of_no_effort: Path) -> Iterator[None]:
+    """The same C is compiled once by the same gcc, also for the next run of the tests.
 
-    A copy of what was made then, libraries and accounts of the stack, stands in the new folder.
+    A copy of what was made then, programs, libraries and accounts of the stack, stands in the new
+    folder. Other compilers are called, as are all with files of other folders.
     """
-    kept: dict[Any, tuple[subprocess.CompletedProcess[str], dict[str, bytes]]] = {}
-    compile_ = compiler._called
+    place = pytestconfig.rootpath / COMPILED
+    place.mkdir(parents=True, exist_ok=True)
+    compile_, of_no_effort = compiler._called, str(code_of_no_effort)
+
+    @functools.cache
+    def bits(command: str) -> bytes:
+        found = shutil.which(command)
+        return hashlib.sha256(Path(found).read_bytes()).digest() if found else b""
 
     def called(line: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
+        words = [word.replace(f"{folder.absolute()}{os.sep}", "") for word in line]
+        elsewhere = any(os.sep in word or word == "-march=native" for word in words[1:])
+        if words[0] not in ("cc", "gcc", of_no_effort) or elsewhere:
+            return compile_(line, folder)
         codes = sorted(path for path in folder.iterdir() if path.suffix in (".c", ".h"))
-        words = tuple(word.replace(f"{folder.absolute()}{os.sep}", "") for word in line)
-        key = words, os.environ.get("PATH"), tuple((one.name, one.read_bytes()) for one in codes)
-        if key not in kept:
+        texts = [(one.name, one.read_bytes()) for one in codes]
+        key = bits("gcc"), bits(words[0]), words[1:], os.environ.get("PATH"), texts
+        kept = place / hashlib.sha256(repr(key).encode()).hexdigest()[:32]
+        if not kept.exists():
             before = {(path, path.stat().st_mtime_ns) for path in folder.iterdir()}
             done = compile_(line, folder)
             after = {(path, path.stat().st_mtime_ns) for path in folder.iterdir()}
             made = {path.name: path.read_bytes() for path, _ in after - before}
-            kept[key] = done, made
+            if done.returncode == 0:
+                with files.replacing(kept) as new:
+                    new.write_bytes(pickle.dumps((done, made)))
             return done
-        done, made = kept[key]
+        os.utime(kept)
+        done, made = pickle.loads(kept.read_bytes())
         for name, content in made.items():
             (folder / name).write_bytes(content)
             (folder / name).chmod(0o755)
-        return done
+        return cast(subprocess.CompletedProcess[str], done)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(compiler, "_called", called)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import ast
 import functools
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -18,6 +19,7 @@ from undeadzone.support import toml
 from undeadzone.synthesis import gain_search
 from undeadzone.synthesis.design import Aim
 from undeadzone.synthesis.design import design as search
+from undeadzone_export import compiler
 from undeadzone_paper import Paper
 from undeadzone_paper import audit as audited
 
@@ -26,6 +28,19 @@ from undeadzone_paper import audit as audited
 def nodes(text: str) -> list[ast.AST]:
     """All nodes of a Python text, as `ast.walk` gives them."""
     return list(ast.walk(ast.parse(text)))
+
+
+def program(words: list[str], folder: Path) -> Path:
+    """A program, the first of the words, of C in a folder; `conftest.compiled_once` keeps it.
+
+    Args:
+        words: its name, then gcc's options and the names of the files.
+        folder: where they are.
+    """
+    name, *more = words
+    done = compiler._called(["gcc", *more, "-o", name, "-lm"], folder)
+    assert done.returncode == 0, done.stderr
+    return folder / name
 
 
 HASTY = {"STARTS": 2, "SHORT": 30, "LONG": 100, "ROUNDS": 40}

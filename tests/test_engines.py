@@ -20,6 +20,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.scenes import scene
 
+import once
 from undeadzone import catalogue
 from undeadzone.compile import cache, interpret, kernel, lanes
 from undeadzone.compile.lower import Arithmetic
@@ -239,9 +240,8 @@ def generated(step: ca.Function, folder: Path) -> ca.Function:
     generator.add(step)
     generator.generate(f"{folder}/")
     options = ["-O2", "-ffp-contract=off", "-fPIC", "-shared"]
-    files = [folder / "step.c", "-o", folder / "step.so"]
-    subprocess.run(["gcc", *options, *files, "-lm"], check=True)
-    return ca.external("step", str(folder / "step.so"))
+    library = once.program(["step.so", *options, "step.c"], folder)
+    return ca.external("step", str(library))
 
 
 @pytest.mark.parametrize("scenario", [scene(), small("sampled")], ids=["paper", "sampled"])

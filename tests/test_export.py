@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import once
 import undeadzone as uz
 from scenes import scene
 from test_engines import CONTROLLERS, OBSERVERS, PENDULUM, TWO_OUTPUTS, small
@@ -63,10 +64,8 @@ def joint(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def built(folder: Path, name: str, options: list[str]) -> subprocess.CompletedProcess[str]:
     """The self-test compiled with options, and run."""
-    program = folder / "program"
-    sources = [str(folder / f"{name}.c"), str(folder / f"{name}_test.c")]
-    subprocess.run(["gcc", *FLAGS, *options, "-o", str(program), *sources, "-lm"], check=True)
-    return subprocess.run([str(program)], capture_output=True, text=True)
+    words = ["program", *FLAGS, *options, f"{name}.c", f"{name}_test.c"]
+    return subprocess.run([str(once.program(words, folder))], capture_output=True, text=True)
 
 
 def certified(**changes: Any) -> Scenario:

@@ -15,6 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+import once
 import undeadzone as uz
 from structured_text import Reader, Refused
 from test_engines import CONTROLLERS, OBSERVERS, PENDULUM, TWO_OUTPUTS, small
@@ -129,8 +130,7 @@ def driven(
     shown = printed.step.start.size + sum(field.size for field in printed.step.outputs)
     words = {"real": printed.real, "inputs": rows.shape[1], "shown": shown}
     (folder / "main.c").write_text(text + DRIVER.format(start=start, step=step, **words))
-    program = folder / "program"
-    subprocess.run(["gcc", *FLAGS, *more, "-o", program, folder / "main.c", "-lm"], check=True)
+    program = once.program(["program", *FLAGS, *more, "main.c"], folder)
     rows.astype(printed.kind).tofile(folder / "rows")
     subprocess.run([program, folder / "rows", folder / "seen"], check=True)
     seen = np.fromfile(folder / "seen", printed.kind).reshape(len(rows), shown)
@@ -292,8 +292,7 @@ def selftested(text: str, folder: Path, cycles: int) -> tuple[int, ...]:
     }}
     """
     (folder / "t.c").write_text(Reader(text).c() + main)
-    program = folder / "t"
-    subprocess.run(["gcc", *FLAGS, "-o", program, folder / "t.c", "-lm"], check=True)
+    program = once.program(["t", *FLAGS, "t.c"], folder)
     said = subprocess.run([program], capture_output=True, text=True, check=True).stdout
     return tuple(map(int, said.split()))
 
@@ -386,8 +385,7 @@ def test_elementary_functions_have_the_bits_of_the_c(single: bool, tmp_path: Pat
     }}
     """
     (tmp_path / "f.c").write_text(text + main)
-    program = tmp_path / "f"
-    subprocess.run(["gcc", *FLAGS, "-o", program, tmp_path / "f.c", "-lm"], check=True)
+    program = once.program(["f", *FLAGS, "f.c"], tmp_path)
     done = subprocess.run([program], capture_output=True, text=True, cwd=tmp_path)
     assert done.returncode == 0, done.stdout
 

@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import once
 import undeadzone as uz
 from scenes import linear
 from undeadzone.ends.sensor import Sensor, deadzone, resolve, side
@@ -280,8 +281,7 @@ def in_c(readings: Floats, at_left: int, noise: float, before: float, folder: Pa
     words = {"AT_LEFT": at_left, "NOISE": noise, "BEFORE": before}
     defined = [f"-D{name}={value}" for name, value in words.items()]
     flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-O1", *defined]
-    program = folder / "ear"
-    subprocess.run(["gcc", *flags, "-o", program, folder / "main.c", "-lm"], check=True)
+    program = once.program(["ear", *flags, "main.c"], folder)
     text = "\n".join(map(str, readings))
     done = subprocess.run([program], input=text, capture_output=True, text=True, check=True)
     return np.array([line.split() for line in done.stdout.splitlines()], float)

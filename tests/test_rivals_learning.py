@@ -6,7 +6,6 @@ Adaptive inverse, gradient, networks as observers and as output feedback (docs/m
 from __future__ import annotations
 
 import math
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+import once
 from scenes import PAPER_PLANT, linear, random_plant, scene
 from undeadzone.compile import interpret
 from undeadzone.ends import sensor
@@ -447,23 +447,11 @@ def test_one_of_them_as_generated_C(tmp_path: Path) -> None:
     generator = ca.CodeGenerator("step")
     generator.add(loop.step)
     generator.generate(f"{tmp_path}/")
-    subprocess.run(
-        [
-            "gcc",
-            "-O1",
-            "-ffp-contract=off",
-            "-fPIC",
-            "-shared",
-            tmp_path / "step.c",
-            "-o",
-            tmp_path / "step.so",
-            "-lm",
-        ],
-        check=True,
-    )
+    options = ["-O1", "-ffp-contract=off", "-fPIC", "-shared"]
+    library = once.program(["step.so", *options, "step.c"], tmp_path)
     arguments = (state, exogenous, tree.pack(loop.params))
     computed, expected = (
-        interpret.run(ca.external("step", str(tmp_path / "step.so")), *arguments)[0],
+        interpret.run(ca.external("step", str(library)), *arguments)[0],
         interpret.run(loop.step, *arguments)[0],
     )
     assert np.isfinite(expected).all()

@@ -6,7 +6,6 @@ What each promises, where it coincides with another, and what a dead zone makes 
 from __future__ import annotations
 
 import math
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import once
 from scenes import PAPER_PLANT, OnNumbers, linear, random_plant, response, scene, slopes
 from undeadzone.compile import interpret
 from undeadzone.ends.sensor import Sensor, Zone, deadzone, resolve, side
@@ -284,24 +284,12 @@ def test_interval_on_generated_C(tmp_path: Path) -> None:
     generator = ca.CodeGenerator("step")
     generator.add(loop.step)
     generator.generate(f"{tmp_path}/")
-    subprocess.run(
-        [
-            "gcc",
-            "-O1",
-            "-ffp-contract=off",
-            "-fPIC",
-            "-shared",
-            tmp_path / "step.c",
-            "-o",
-            tmp_path / "step.so",
-            "-lm",
-        ],
-        check=True,
-    )
+    options = ["-O1", "-ffp-contract=off", "-fPIC", "-shared"]
+    library = once.program(["step.so", *options, "step.c"], tmp_path)
     params = tree.pack(loop.params)
     computed, expected = (
         interpret.run(f, state, exogenous, params)[0]
-        for f in (ca.external("step", str(tmp_path / "step.so")), loop.step)
+        for f in (ca.external("step", str(library)), loop.step)
     )
     np.testing.assert_allclose(computed, expected, rtol=1e-12, atol=1e-12)
 

@@ -372,6 +372,7 @@ def test_a_play_about_an_offset_says_how_to_take_it_away() -> None:
 
 
 @functools.cache
+@functools.cache
 def valve(seed: int, **more: Any) -> tuple[Any, tuple[float, float]]:
     """What is identified of a plant behind an actuator's dead zone, and the true widths."""
     rng, u, _ = driven(seed)

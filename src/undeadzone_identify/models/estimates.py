@@ -227,9 +227,10 @@ def run_along(kernel: lanes.Kernel, exogenous: Floats, rows: Floats) -> tuple[Fl
 
 def around(theta: Floats, free: Integers, steps: Floats) -> Floats:
     """The numbers, then each free one a step larger, then each a step smaller (1 + 2 free, P)."""
-    moves = np.zeros((free.size, theta.size))
-    moves[np.arange(free.size), free] = steps
-    return np.vstack([theta, theta + moves, theta - moves])
+    moves, each = np.zeros((1 + 2 * free.size, theta.size)), np.arange(1, 1 + free.size)
+    moves[each, free] = steps
+    moves[each + free.size, free] = -steps
+    return theta + moves
 
 
 def differences(moved: Floats, steps: Floats) -> Floats:

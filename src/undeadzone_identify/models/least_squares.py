@@ -103,6 +103,7 @@ class LeastSquares(Generic[M]):
         self.data = model.simulator.data
         self.free, self.gain, self.climbs = model.free, model.gain, self.data.climbs
         self._count = int(self.data.ok.sum())
+        self._whole = self._count == self.data.ok.size
 
     def residual(self, theta: Floats) -> Floats:
         """y less what is expected (N); 0 where a reading is missing."""
@@ -111,9 +112,9 @@ class LeastSquares(Generic[M]):
 
     def _without_level(self, columns: Floats) -> Floats:
         """Less their mean, which is the best constant; 0 where a reading is missing."""
-        ok = self.data.ok
-        level = columns[ok].mean(axis=0) if self.model.has_level else 0.0
-        return np.where(ok, (columns - level).T, 0.0).T
+        there = np.ascontiguousarray(columns) if self._whole else columns[self.data.ok]
+        left = columns - (there.mean(axis=0) if self.model.has_level else 0.0)
+        return left if self._whole else np.where(self.data.ok, left.T, 0.0).T
 
     def rows(self, theta: Floats) -> tuple[Floats, Floats]:
         """Residual (N) and derivatives of the reading by the free numbers (N x free)."""

@@ -165,8 +165,8 @@ class PlaceModel:
         return PlaceModel(self.simulator.along(data), self.shape)
 
     def part(self, theta: Floats, name: str) -> Floats:
-        """The numbers of a part: sensor, inner, sigma or input; a view."""
-        return theta[self.base :][PARTS[name]]
+        """The numbers of a part, of one set or of several: sensor, inner, sigma, input; a view."""
+        return theta[..., self.base :][..., PARTS[name]]
 
     def project(self, theta: Floats) -> Floats:
         """Widths and sigma brought back to 0 or above."""
@@ -175,14 +175,17 @@ class PlaceModel:
         return theta
 
     def c(self, theta: Floats) -> Floats:
-        """c_1 to c_n: free ones, or those of friction where the input acts, or of one pole."""
-        c, free = np.zeros(self.n), self.shape.free
+        """c_1 to c_n: free ones, or those of friction where the input acts, or of one pole.
+
+        Of one set of numbers, or of several (K x n).
+        """
+        c, free = np.zeros((*theta.shape[:-1], self.n)), self.shape.free
         if free and self.shape.inner:
-            c[:free] = theta[self.base + WIDTHS :][:free]
+            c[..., :free] = theta[..., self.base + WIDTHS :][..., :free]
         elif self.shape.inner:
-            first = theta[self.n]
-            size = max(abs(first), 1e-9)
-            c[: self.n - 1] = theta[self.n + 1 : 2 * self.n] / math.copysign(size, first)
+            first = theta[..., self.n : self.n + 1]
+            size = np.copysign(np.maximum(np.abs(first), 1e-9), first)
+            c[..., : self.n - 1] = theta[..., self.n + 1 : 2 * self.n] / size
         return c
 
     def output(self, theta: Floats) -> Floats:
@@ -190,24 +193,22 @@ class PlaceModel:
         return self._run(theta)[0]
 
     def readings(self, z: Floats, theta: Floats) -> Floats:
-        """The reading that z makes: through the sensor's zone if there is one."""
-        return dead_zone(z, *self.part(theta, "sensor"))
+        """The reading that z makes, of one set or of several: through the sensor's zone if any."""
+        return dead_zone(z, *self.part(theta, "sensor").T[..., None])
 
     def slopes(self, theta: Floats) -> tuple[Floats, Floats]:
         """The readings (N), and their derivatives by the free numbers (N x free)."""
-        z = self._run(theta)
         steps = self._steps(theta)
-        pairs = zip(z, around(theta, self.free, steps), strict=True)
-        y, *moved = [self.readings(one, point) for one, point in pairs]
-        return y, differences(np.array(moved), steps).T
+        read = self.readings(self._run(theta), around(theta, self.free, steps))
+        return read[0], differences(read[1:], steps).T
 
     @latest
     def _run(self, theta: Floats) -> Floats:
         """z of the numbers, and of those around them ((1 + 2 free) x N)."""
-        tail = slice(self.base + 2, self.base + WIDTHS)
         points = around(theta, self.free, self._steps(theta))
-        rows = [np.concatenate([p[: self.base], self.c(p), p[tail]]) for p in points]
-        return simulate(self.n, self.m, self.shape.position, self.exogenous, np.array(rows))
+        plant, tail = points[:, : self.base], points[:, self.base + 2 : self.base + WIDTHS]
+        rows = np.hstack([plant, self.c(points), tail])
+        return simulate(self.n, self.m, self.shape.position, self.exogenous, rows)
 
     def _steps(self, theta: Floats) -> Floats:
         """By how much each free number is moved."""

@@ -195,7 +195,7 @@ class Layout:
 
     def denominator(self, a: Floats) -> Floats:
         """The coefficients 1, a_1 to a_n of the whole denominator, integrators included."""
-        whole = np.append(1.0, a)
+        whole = np.concatenate([[1.0], a])
         for _ in range(self.integrators):
             whole = np.convolve(whole, [1.0, -1.0])
         return whole

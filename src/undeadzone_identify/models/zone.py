@@ -135,7 +135,8 @@ class Objective:
         z, terms = self.at(theta)
         slope = self.simulator.gradient(theta, z)
         scores = terms.slopes[:, likelihood.Z : likelihood.Z + 1] * slope
-        scores[1:] += terms.slopes[1:, likelihood.Z_BEFORE : likelihood.Z_BEFORE + 1] * slope[:-1]
+        if self.kind == "pairs":
+            scores[1:] += terms.slopes[1:, likelihood.Z_BEFORE, None] * slope[:-1]
         right = self.layout.right
         scores[:, right:] += terms.slopes[:, likelihood.Z_BEFORE + 1 :]
         scores[0, self.layout.x0] -= self.x0_weight * theta[self.layout.x0]
@@ -159,7 +160,7 @@ class Objective:
         rows, quiet = self._gauss_newton(theta, slope)
         hessian = rows.T @ rows
         right = self.layout.right
-        spread = scores[quiet].copy()
+        spread = scores[quiet]
         spread[:, right + 2 :] = 0.0
         hessian += spread.T @ spread
         speaking = int(self.readings.ok.sum() - quiet.sum())

@@ -42,7 +42,6 @@ from undeadzone_identify.servo.likelihood import (
     Slopes,
     lanes_of,
     newton,
-    scores,
 )
 from undeadzone_identify.servo.predictor import LATEST, MEAN, NUMBERS
 from undeadzone_identify.servo.search import searched
@@ -313,13 +312,12 @@ class _Spread:
 
     def __init__(self, log: Heard, one: Servo, slopes: Slopes) -> None:
         place = list(one.structure.free(log.ticks, False)).index(At.GAP)
-        score, (_, hessian) = scores(slopes), newton(slopes)
-        spread = sandwich(score, hessian)
+        spread = sandwich(*newton(slopes))
         self.covariance = spread.V
         turned = np.cumsum((log if log.ticks else triggered(log)).turns)
         self.reversals = int(turned[-1])
         used = Likelihood(log).used
-        told = score @ spread.naive[:, place]  # of the gap, by each error
+        told = spread.scores @ spread.naive[:, place]  # of the gap, by each error
         runs = np.bincount(turned[used], told)
         whole = float(runs @ runs)
         of_runs = max(whole + float(runs[1:] @ runs[:-1]), 0.5 * whole)

@@ -240,15 +240,14 @@ class Likelihood:
 
     def slopes(self, points: Floats, free: Sequence[Integers], lag: bool) -> list[Slopes]:
         """Errors and derivatives at points (M x P) by the free numbers of each."""
-        pairs = zip(points, free, strict=True)
-        rows = [around(theta, places, steps_of(theta)[places]) for theta, places in pairs]
+        moves = [steps_of(theta)[own] for theta, own in zip(points, free, strict=True)]
+        rows = [around(*one) for one in zip(points, free, moves, strict=True)]
         seen, _ = self._run(self.kernel("errors"), np.concatenate(rows), lag)
         found, row = [], 0
-        for theta, places in zip(points, free, strict=True):
-            count = places.size
+        for steps in moves:
+            count = steps.size
             own = seen[row : row + 1 + 2 * count].take(self.used, axis=1)
-            twice = 2 * steps_of(theta)[places][:, None, None]
-            slope = (own[1 : 1 + count] - own[1 + count :]) / twice
+            slope = (own[1 : 1 + count] - own[1 + count :]) / (2 * steps[:, None, None])
             e, log_s = np.ascontiguousarray(own[0].T)
             de, dlog = np.ascontiguousarray(slope.transpose(2, 1, 0))
             found.append(Slopes(e, log_s, de, dlog))
@@ -291,7 +290,7 @@ class Likelihood:
             trials = []
             for k, slopes in zip(going, self.slopes(theta[going], places, lag), strict=True):
                 trials.append(self._trials(theta[k], slopes, free[k]))
-            tried = np.concatenate(trials)
+            tried = bounded(np.concatenate(trials), self.log)
             reached = self.values(tried, lag).reshape(going.size, -1)
             best = np.argmax(np.nan_to_num(reached, nan=-np.inf), axis=1)
             for row, k in enumerate(going):
@@ -306,24 +305,23 @@ class Likelihood:
         return [Servo(one.structure, numbers, float(value)) for one, numbers, value in pairs]
 
     def _trials(self, theta: Floats, slopes: Slopes, places: Integers) -> Floats:
-        """Where damped steps lead (trials x P)."""
-        score, hessian = newton(slopes)
-        diagonal = np.diag(hessian).copy()
-        diagonal[~(diagonal > 0)] = 1e-12
-        scale = 1 / np.sqrt(diagonal)
+        """Where damped steps lead, whatever the bounds (trials x P)."""
+        scores, hessian = newton(slopes)
+        score = scores.sum(axis=0)
+        diagonal = hessian.diagonal()
+        scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1e-12))
         scaled = hessian * np.outer(scale, scale)
         if not np.isfinite(scaled).all() or not np.isfinite(score).all():
             return np.tile(theta, (DAMPINGS.size, 1))
         damped = scaled + DAMPINGS[:, None, None] * np.eye(places.size)
-        right = np.tile((score * scale)[:, None], (DAMPINGS.size, 1, 1))
         try:
-            found = np.linalg.solve(damped, right)[:, :, 0] * scale
+            found = np.linalg.solve(damped, (score * scale)[:, None])[:, :, 0] * scale
         except np.linalg.LinAlgError:
             found = np.tile(score * scale**2, (DAMPINGS.size, 1))
         longest = reach_of(theta)[places]
         trials = np.tile(theta, (DAMPINGS.size, 1))
         trials[:, places] += np.clip(found, -longest, longest)
-        return bounded(trials, self.log)
+        return trials
 
     def bic(self, one: Servo) -> float:
         """BIC, with numbers that are dear."""
@@ -331,24 +329,17 @@ class Likelihood:
         return -2 * one.value + DEAR * count * math.log(max(self.used.size, 2))
 
 
-def scores(slopes: Slopes) -> Floats:
-    """Derivatives of the log density of each error (n x free)."""
-    inverse = np.exp(-slopes.log_s)
-    r = slopes.e * inverse
-    weight = (DEGREES + 1) / (DEGREES + r * r)
-    of_errors = -slopes.de * (inverse * weight * r)[:, None]
-    return np.asarray(of_errors + slopes.dlog * (weight * r * r - 1)[:, None])
-
-
 def newton(slopes: Slopes) -> tuple[Floats, Floats]:
-    """The score, and a positive Hessian of minus the log likelihood."""
+    """The scores of the errors (n x free), and a positive Hessian of minus the log likelihood."""
     inverse = np.exp(-slopes.log_s)
     r = slopes.e * inverse
     weight = (DEGREES + 1) / (DEGREES + r * r)
+    of_errors = slopes.de * (-inverse * weight * r)[:, None]
+    scores = of_errors + slopes.dlog * (weight * r * r - 1)[:, None]
     scaled = slopes.de * inverse[:, None]
     hessian = scaled.T @ (scaled * np.minimum(weight, CAREFUL)[:, None])
     hessian += OF_SPREAD * slopes.dlog.T @ (slopes.dlog * np.minimum(weight, 1.0)[:, None])
-    return scores(slopes).sum(axis=0), hessian
+    return scores, hessian
 
 
 def steps_of(theta: Floats) -> Floats:
