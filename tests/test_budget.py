@@ -18,7 +18,7 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 41_745, 334
+MOST_CODE, MOST_FILES = 41_748, 334
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
@@ -32,7 +32,7 @@ BUDGET = {
     "ensemble": 1878,
     "exports": 2348,
     "feedforward": 429,
-    "identification": 7277,
+    "identification": 7280,
     "linear": 400,
     "logs": 1232,
     "numerics": 836,
