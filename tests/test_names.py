@@ -431,6 +431,17 @@ def test_a_jump_sensor_does_not_drop_out() -> None:
     assert not any("dropouts" in remark for remark in answer.answer.remarks)
 
 
+def test_readings_without_noise_name_a_jump_sensor_among_all_orders() -> None:
+    """(L2) began where it is far below (L1), its case rho = 0, and the first order was taken."""
+    rng = np.random.default_rng(0)
+    u = np.repeat(1.5 * rng.standard_normal(48), 25)
+    z = 1.07 * lfilter([0.0, 0.001, 0.0005], [1.0, -1.9592, 0.9608], u)
+    answer = uz.identify(t=0.02, u=u, y=np.where((z > 0.5) | (z < -0.3), z, 0.0), order="1-2")
+    assert answer.verdict == "jump"
+    assert answer.right.low <= 0.5 <= answer.right.high
+    assert answer.left.low <= 0.3 <= answer.left.high
+
+
 def test_a_stuck_reading_is_missing_and_counted() -> None:
     rng, u, z = driven(8, 900)
     y = dead_zone(z, 0.4, 0.3) + 0.02 * rng.standard_normal(z.size)

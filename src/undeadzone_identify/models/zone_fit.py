@@ -116,7 +116,10 @@ def refit(fit: Fit, kind: Kind, use: Flags | None = None, steps: int = 60) -> Fi
     theta = fit.theta.copy()
     if kind == "pairs" and fit.rho == 0.0:
         theta[-1] = math.atanh(speaking_correlation(fit))
-    return Fit(objective, *climb(objective, theta, steps))
+    top = climb(objective, theta, steps)
+    if (old.kind, kind) == ("singles", "pairs") and top.value < fit.value:  # as rho = 0 is (L1)
+        top = climb(objective, fit.theta, steps)
+    return Fit(objective, *top)
 
 
 def better(fit: Fit, theta: Floats) -> Fit:
