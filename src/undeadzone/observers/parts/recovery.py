@@ -106,6 +106,6 @@ def sound(q: Params, entries: ca.Sparsity, belief: Gaussian) -> tuple[Any, Any, 
     every = ca.densify(ca.diag(belief.cov))
     # Covariances are not larger than variances; one that is no number shows in their sum.
     size = ca.sum1(ca.fabs(ca.vertcat(belief.mean, every))) + ca.fabs(ca.sum1(cov))
-    fine = ca.logic_and(size < LIMIT, ca.sum1(ca.fabs(every) - every) == 0)
+    fine = ca.logic_and(size < LIMIT, ca.mmin(every >= 0.0))
     mean = ca.if_else(fine, belief.mean, q.mean)
     return mean, ca.if_else(fine, cov, q.cov), ca.logic_not(fine)
