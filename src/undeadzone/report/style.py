@@ -28,6 +28,7 @@ DPI: Final = 110
 FINE: Final = 200  # of what is no curve in an SVG: thousands of dots
 FLOOR: Final = 1e-16  # least value on a logarithmic axis
 SPANS: Final = 120  # of time, in each of which the largest sample is shown
+DECADES: Final = 100.0  # beyond this ratio an axis has ticks at decades alone
 LEGEND_ROOM: Final = 0.22  # share of an axis that a legend adds above it
 ROOM: Final = (0.85, 0.2, 0.5, 0.6, 0.85, 0.8)  # left, right, below, above; between [inch]
 DASHED: Final = (0, (4, 2))  # the style of a second line of one colour
@@ -171,7 +172,7 @@ def plot_magnitude(axes: Axes, t: Floats, values: Floats, colour: str, name: str
         values: a sample for each instant
         colour, name: of the line
     """
-    from matplotlib.ticker import LogFormatter
+    from matplotlib.ticker import LogFormatter, NullLocator
 
     size = np.abs(values)
     starts = np.linspace(0, t.size, min(SPANS, t.size), endpoint=False).astype(int)
@@ -180,6 +181,8 @@ def plot_magnitude(axes: Axes, t: Floats, values: Floats, colour: str, name: str
     axes.set_yscale("log")
     axes.yaxis.set_major_formatter(LogFormatter())
     axes.yaxis.set_minor_formatter(LogFormatter())
+    if peaks.max() > DECADES * floor:  # ticks between decades take as long as the lines
+        axes.yaxis.set_minor_locator(NullLocator())
     faint = np.maximum(size, floor)
     axes.plot(t, faint, color=colour, alpha=0.22, linewidth=0.7, rasterized=True)
     axes.plot(t[starts], np.maximum(peaks, floor), color=colour, label=name)
