@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import functools
 import gc
 import os
 import sys
@@ -56,9 +57,8 @@ class Commands(click.Group):
         if name.endswith(".toml"):
             ctx.fail(f"{name!r} is no command; to run this scenario: undeadzone run {name}")
         if self.get_command(ctx, name) is None and not name.startswith("-"):
-            meant = OTHER_NAMES.get(name) or "".join(
-                get_close_matches(name, self.list_commands(ctx), 1)
-            )
+            near = get_close_matches(name, self.list_commands(ctx), 1)
+            meant = OTHER_NAMES.get(name, "".join(near))
             ctx.fail(f"No such command {name!r}." + f" Did you mean {meant!r}?" * bool(meant))
         return super().resolve_command(ctx, args)
 
@@ -102,8 +102,12 @@ class Commands(click.Group):
         return " ".join(typed), command.get_short_help_str(100)
 
 
+@functools.cache
 def _registered() -> dict[str, EntryPoint]:
-    """The commands that installed packages register under `undeadzone.commands`, by name."""
+    """The commands that installed packages register under `undeadzone.commands`, by name.
+
+    `--help` asks for each; what is installed is read once, as a process is one command.
+    """
     from importlib.metadata import entry_points
 
     return {point.name: point for point in entry_points(group="undeadzone.commands")}
