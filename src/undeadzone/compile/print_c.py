@@ -128,11 +128,18 @@ class Expressions:
         self.style, self.inputs = style, inputs
         self.names: dict[Node, str] = {}
         self.functions: set[str] = set()
+        self._written: dict[Node, Text] = {}
 
     def text(self, node: Node) -> Text:
-        """A node."""
+        """A node; it is written once, since locals among its operands are named before."""
         if node in self.names:
             return Text(self.names[node])
+        if node not in self._written:
+            self._written[node] = self._text(node)
+        return self._written[node]
+
+    def _text(self, node: Node) -> Text:
+        """A node that is no local."""
         if node.op == "input":
             return Text(self.inputs[node.text])
         if node.op == "const":

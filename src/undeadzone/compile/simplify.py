@@ -38,6 +38,7 @@ class Exact:
         self.nodes, self.real, self.granted = nodes, real, granted
         self.zero, self.one = nodes.constant(0.0, real), nodes.constant(1.0, real)
         self.no, self.yes = nodes.constant(0, "bool"), nodes.constant(1, "bool")
+        self._implied: dict[tuple[Node, Node], bool] = {}
 
     def made(self, word: str, *args: Node) -> Node:
         """The number that an instruction gives, where truths are 1 or 0."""
@@ -85,7 +86,7 @@ class Exact:
         for one, other in ((a, b), (b, a)):
             if one.value is not None:
                 return other if one.value else self.no
-            if implies(one, other):
+            if self.implies(one, other):
                 return one
         return self.nodes.made("and", a, b)
 
@@ -94,9 +95,30 @@ class Exact:
         for one, other in ((a, b), (b, a)):
             if one.value is not None:
                 return self.yes if one.value else other
-            if implies(one, other):
+            if self.implies(one, other):
                 return other
         return self.nodes.made("or", a, b)
+
+    def implies(self, one: Node, other: Node) -> bool:
+        """Whether a truth holds only where another does, as far as that shows.
+
+        Each pair is asked once: truths share their parts, and have more paths than nodes.
+        """
+        pair = one, other
+        if pair not in self._implied:
+            self._implied[pair] = self._shown(one, other)
+        return self._implied[pair]
+
+    def _shown(self, one: Node, other: Node) -> bool:
+        """`implies`, from the parts of two truths."""
+        if one is other or other.value == 1.0:
+            return True
+        every, some = {"and": all, "or": any}, {"and": any, "or": all}
+        if other.op in every and every[other.op](self.implies(one, part) for part in other.args):
+            return True
+        if one.op in some:
+            return some[one.op](self.implies(part, other) for part in one.args)
+        return one.op == "lt" and other.op == "ne" and set(one.args) == set(other.args)
 
     def compared(self, word: str, a: Node, b: Node) -> Node:
         """A comparison of numbers."""
@@ -168,7 +190,7 @@ class Exact:
 
     def _under(self, truth: Node, number: Node) -> Node:
         """A number where a truth holds, without a selection that the truth decides."""
-        if number.op == "select" and implies(truth, number.args[0]):
+        if number.op == "select" and self.implies(truth, number.args[0]):
             return self._under(truth, number.args[1])
         if number.op == "neg":
             return self.nodes.made("neg", self._under(truth, number.args[0]))
@@ -234,7 +256,7 @@ class Plain:
     def _gated(self, truth: Node, number: Node, there: Node) -> Node:
         """A number where a truth holds, else 0."""
         gated = self._selected(truth, number, self.exact.zero)
-        if implies(truth, there):
+        if self.exact.implies(truth, there):
             return gated
         return self._where(self.exact.either(self.exact.negated(truth), there), gated)
 
@@ -371,21 +393,6 @@ class Gathered:
         if value.op == "neg":
             return self.nodes.made("neg", self._gated(truth, value.args[0]))
         return self.exact.selected(truth, value, self.exact.zero)
-
-
-def implies(one: Node, other: Node) -> bool:
-    """Whether a truth holds only where another does, as far as that shows."""
-    if one is other or other.value == 1.0:
-        return True
-    if other.op == "and" and all(implies(one, part) for part in other.args):
-        return True
-    if other.op == "or" and any(implies(one, part) for part in other.args):
-        return True
-    if one.op == "and":
-        return any(implies(part, other) for part in one.args)
-    if one.op == "or":
-        return all(implies(part, other) for part in one.args)
-    return one.op == "lt" and other.op == "ne" and set(one.args) == set(other.args)
 
 
 def _conjuncts(truth: Node) -> list[Node]:
