@@ -49,7 +49,7 @@ def own_settings() -> None:
 
     A file `matplotlibrc` there would change figures, and may belong to a stranger. This is for the
     command line, whose process is its own: in a notebook the user's settings hold. No command reads
-    the help of Matplotlib's setters, a fifth of its import: it is left out.
+    the help and signatures of Matplotlib's setters, a quarter of its import: they are left out.
     """
     if "matplotlib" in sys.modules:
         return
@@ -59,11 +59,10 @@ def own_settings() -> None:
         from matplotlib import artist
 
         matplotlib.get_backend()
-        help_of, artist.kwdoc = artist.kwdoc, lambda artist: ""
-        try:
-            import matplotlib.figure
-        finally:
-            artist.kwdoc = help_of
+        every: Any = artist.Artist
+        artist.kwdoc = lambda artist: ""
+        every._update_set_signature_and_docstring = classmethod(lambda cls: None)
+        import matplotlib.figure
 
 
 def sheet(
