@@ -189,10 +189,12 @@ class LeastSquares(Generic[M]):
     def best_density(self, theta: Floats) -> Density:
         """The model's account of the readings where that is best, near least squares."""
         first = best = self.density(theta)
+        ok, e, z = self.data.ok, self.residual(theta), self.model.output(theta)
+        strange = first.rms > LEAST_ODD and is_strange(*curve_over(z[ok], e[ok]))
         for _ in range(ROUNDS):
             theta = estimates.climb(self._coloured(theta), theta, STEPS).theta
             best = min(best, self.density(theta), key=lambda one: one.bic)
-        return best._replace(rms=first.rms, strange=first.strange)
+        return best._replace(rms=first.rms, strange=strange)
 
     @estimates.latest
     def _coloured(self, theta: Floats) -> LeastSquares[M]:
@@ -213,15 +215,13 @@ class LeastSquares(Generic[M]):
 
     def density(self, theta: Floats) -> Density:
         """The model's account of the readings, residuals taken as autoregressive Gaussian noise."""
-        ok, e = self.data.ok, self.residual(theta)
+        e = self.residual(theta)
         coloured = self._coloured(theta)
         innovation = coloured._whitened(e)
         variance = float(np.mean(innovation**2)) + 1e-12
         value = -0.5 * innovation**2 / variance - 0.5 * math.log(2 * math.pi * variance)
-        rms = float(np.sqrt(np.mean(e**2)))
-        strange = rms > LEAST_ODD and is_strange(*curve_over(self.model.output(theta)[ok], e[ok]))
         numbers = self.free.size + self.model.has_level + coloured.past.size + 1
-        return Density(self.model.name, value, numbers, rms, strange)
+        return Density(self.model.name, value, numbers, float(np.sqrt(np.mean(e**2))))
 
 
 class Fitted(NamedTuple, Generic[M]):
