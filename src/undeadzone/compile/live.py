@@ -21,10 +21,10 @@ _BLOCK: Final = """
 define void @block(ptr noalias %memory) nounwind {{
   %samples = load double, ptr %memory
   %steps = fptosi double %samples to i64
-  %p = getelementptr double, ptr %memory, i64 {p}
-  %s = getelementptr double, ptr %memory, i64 {s}
-  %w = getelementptr double, ptr %memory, i64 {w}
-  %out = getelementptr double, ptr %memory, i64 {out}
+  %p = getelementptr double, ptr %memory, i64 {1}
+  %s = getelementptr double, ptr %memory, i64 {2}
+  %w = getelementptr double, ptr %memory, i64 {3}
+  %out = getelementptr double, ptr %memory, i64 {4}
   call void @steps(i64 %steps, i64 1, ptr %s, ptr %w, ptr %p, ptr %w, ptr %out)
   ret void
 }}
@@ -57,7 +57,7 @@ class CompiledStepper:
         self._rows = self._memory[starts[3] : starts[4]].reshape(ROWS, -1)
         self._outs = self._memory[starts[4] : starts[5]].reshape(ROWS, -1)
         self.w, self.out = self._rows[0], self._outs[0]
-        self._block = cache.load(_source(step, starts), ("float64*",))
+        self._block = cache.made(_recipe(step, starts), ("float64*",))
         function = ctypes.cast(self._block.function, ctypes.c_void_p).value
         assert function is not None
         # It holds the interpreter's lock, as a change of threads takes longer than a sample.
@@ -83,10 +83,14 @@ class CompiledStepper:
         return outputs
 
 
-def _source(step: ca.Function, starts: list[int]) -> str:
-    """The text of `block`, whose memory has parts that begin there."""
+def _recipe(step: ca.Function, starts: list[int]) -> cache.Recipe:
+    """How to make `block`, whose memory has parts that begin there."""
     sizes = (step.size1_in(0), step.size1_in(1), step.size1_in(2))
     shape = Shape(sizes, (), (), tuple(range(step.size1_out(1))))
-    made = source(graphs(step, (), shape, {}, {}), shape, here(), Arithmetic(), 1, ONE, "steps")
-    _, p, s, w, out, _ = starts
-    return made.text + _BLOCK.format(p=p, s=s, w=w, out=out)
+    functions = graphs(step, (), shape, {}, {})
+
+    def make() -> tuple[str, str]:
+        made = source(functions, shape, here(), Arithmetic(), 1, ONE, "steps")
+        return made.text + _BLOCK.format(*starts), ""
+
+    return cache.Recipe(f"{functions.usual.serialize()}\n{shape} {starts}", make)
