@@ -126,7 +126,7 @@ def count(printed: Code) -> Counted:
     text = source(printed, Labels("o", "benchmark", "observer"))
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        for path, content in text.files("o").items():
+        for path, content in text.files().items():
             (folder / path).write_text(content)
         build = ["arm-none-eabi-gcc", *CORE, *FLAGS, *WARNINGS, "-c", "-o", "o.o", "o.c"]
         built = subprocess.run(build, cwd=folder, capture_output=True, text=True, check=True)
@@ -175,7 +175,7 @@ def tested(name: str, single: bool) -> list[str]:
     rows = chosen(recorded(problem, step), step.readings)
     printed = code(step, single)
     text = source(printed, Labels("o", "benchmark", "observer"))
-    files = text.files("o") | {"o_test.c": selftest(printed, "o", reference(printed, rows))}
+    files = text.files() | {"o_test.c": selftest(printed, "o", reference(printed, rows))}
     with tempfile.TemporaryDirectory() as folder:
         for path, content in files.items():
             Path(folder, path).write_text(content)

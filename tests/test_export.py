@@ -360,7 +360,9 @@ def test_float_that_is_not_enough_is_refused_with_its_number(tmp_path: Path) -> 
     scenario = scene(simulation={"time": "sampled", "step": 1e-5, "duration": 0.01}, observer=slow)
     step = parts.build(resolve_scenario(scenario))
     rows = np.tile([5.0, 0.0], (100_000, 1))
-    result = accuracy.measure(code(step, False), code(step, True), rows, False)
+    printed = code(step, True)
+    text = printed_source(printed, Labels("o", "slow", "observer"))
+    result = accuracy.measure(code(step, False), printed, text, rows)
     assert len(result.refusals) == 1
     assert re.match(r"float is not enough: right is wrong by 0\.00\d+", result.refusals[0])
 

@@ -72,7 +72,7 @@ def made(scenario: Scenario, single: bool, part: str = "observer", **options: An
     exported = plc.exported(printed, LABELS, reference(printed, chosen(rows, step.readings)))
     return Made(
         printed,
-        source(printed, LABELS).files("o"),
+        source(printed, LABELS).files(),
         plc_files.text_of(exported.units, LABELS, printed),
         plc_files.text_of([exported.test], LABELS, printed),
         exported.units,

@@ -15,7 +15,7 @@ from undeadzone.support.arrays import Floats, finite
 from undeadzone_export.code import Code
 from undeadzone_export.compiler import shared_library, stack_bytes, written
 from undeadzone_export.parts import Field, places_of, total
-from undeadzone_export.source import Labels, source
+from undeadzone_export.source import Labels, Source, source
 from undeadzone_export.template import called, filled
 
 CHUNK = 500  # steps between two looks at the memory
@@ -23,6 +23,7 @@ MACHINE_STEPS = 2000  # of the comparison with CasADi's virtual machine
 EXACT, CLOSE = 1e-13, 1e-9  # bars of that: without elementary functions, and with
 SHARE_OF_STD = 0.1  # largest error of a width, relative to its standard deviation
 SHARE_OF_WIDTH = 1e-3  # the same relative to the width, where no deviation is estimated
+Options = tuple[str, ...]
 SMALLEST = 1e-6  # eigenvalue of a correlation matrix below which float is not enough
 
 
@@ -60,13 +61,15 @@ class Compiled:
         code: what is printed.
         folder: where the library goes.
         options: for the compiler.
+        text: its C; None: printed here, which takes as long as to make the code.
     """
 
-    def __init__(self, code: Code, folder: Path, options: tuple[str, ...] = ("-O1",)) -> None:
-        prefix = f"run_{code.kind}"
-        words = called(prefix, bool(code.step.params))
-        files = source(code, Labels(prefix, "accuracy", "replica")).files(prefix)
-        files[f"{prefix}_run.c"] = filled("templates/runner.c", words)
+    def __init__(
+        self, code: Code, folder: Path, options: Options = ("-O1",), text: Source | None = None
+    ) -> None:
+        text = text or source(code, Labels(f"run_{code.kind}", "accuracy", "replica"))
+        prefix, files, given = text.prefix, text.files(), bool(code.step.params)
+        files[f"{prefix}_run.c"] = filled("templates/runner.c", called(prefix, given))
         library = shared_library(written(files, folder), folder / f"{prefix}.so", options)
         self._functions = ctypes.CDLL(str(library))
         self.stack = stack_bytes(folder, prefix)
@@ -93,35 +96,36 @@ def _address(values: Any) -> Any:
     return values.ctypes.data_as(ctypes.c_void_p)
 
 
-def measure(double: Code, single: Code | None, rows: Floats, functions: bool) -> Accuracy:
+def measure(double: Code, printed: Code, text: Source, rows: Floats) -> Accuracy:
     """Compare the code in double with the virtual machine, and in float with that in double.
 
     Args:
         double: the code in double.
-        single: the code in float; None: the export is in double.
+        printed: the code in float; where the export is in double, the same.
+        text: the C of what is printed; elementary functions that it uses differ in the last bits.
         rows: the inputs along the scenario's own run, continued (steps x inputs).
-        functions: whether the code uses elementary functions, which differ in the last bits.
 
     Raises:
         InputError: there is no C compiler.
     """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        replica = Compiled(double, folder)
+        replica = Compiled(double, folder, text=None if printed.single else text)
         error = _against_machine(double, replica, rows[:MACHINE_STEPS])
-        bar = CLOSE if functions else EXACT
+        bar = CLOSE if text.functions else EXACT
         refusals = []
         if not error <= bar:
             refusals.append(
                 f"the code in double differs from the graph by {error:.2g}, above {bar:g}"
             )
         plain = Accuracy(error, bar, 0, {}, 0, None, None, refusals, replica.stack)
-        if single is None:
+        if not printed.single:
             return plain
-        rounded = Compiled(single, folder)
+        (folder / "single").mkdir()
+        rounded = Compiled(printed, folder / "single", text=text)
         plain = plain._replace(stack=rounded.stack)
         replica.begin()
-        return _beside(plain, replica, rounded, single, rows)
+        return _beside(plain, replica, rounded, printed, rows)
 
 
 def _against_machine(code: Code, replica: Compiled, rows: Floats) -> float:

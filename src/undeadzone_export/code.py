@@ -75,10 +75,8 @@ class Code(NamedTuple):
     @property
     def hash(self) -> str:
         """Of the nodes, their numbers and the precision, 16 hexadecimal digits."""
-        nodes = []
-        for node in needed(itertools.chain(*self.results)):
-            args = [arg.number for arg in node.args]
-            nodes.append((node.op, args, node.text, node.kind, node.number))
+        order = needed(itertools.chain(*self.results))
+        nodes = [(n.op, [arg.number for arg in n.args], n.text, n.kind, n.number) for n in order]
         fields = (self.step.state, self.step.inputs, self.step.outputs, self.step.params)
         numbers = (self.step.start.tolist(), self.step.defaults.tolist(), self.step.Ts)
         results = [[node.number for node in result] for result in self.results]

@@ -281,8 +281,5 @@ def _measured(double: Code, printed: Code, text: Source, rows: Floats) -> dict[s
         message = "accuracy was not measured: no C compiler (cc, gcc or clang in PATH, or $CC)"
         refusals = [message] if printed.single else []
         return {"accuracy": None, "stack": None, "refusals": refusals}
-    single = printed if printed.single else None
-    result = accuracy.measure(double, single, rows, bool(text.functions))
-    found = result._asdict()
-    stack, refusals = found.pop("stack"), found.pop("refusals")
-    return {"accuracy": found, "stack": stack, "refusals": refusals}
+    found = accuracy.measure(double, printed, text, rows)._asdict()
+    return {"accuracy": found, "stack": found.pop("stack"), "refusals": found.pop("refusals")}

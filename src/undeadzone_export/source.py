@@ -35,25 +35,23 @@ class Source(NamedTuple):
     """The text of the C files.
 
     Attributes:
+        prefix: what every symbol begins with.
         header: the interface.
         code: init and step.
         math: the elementary functions; empty where none is used.
         functions: the names of those.
     """
 
+    prefix: str
     header: str
     code: str
     math: str
     functions: list[str]
 
-    def files(self, prefix: str) -> dict[str, str]:
-        """The files by name.
-
-        Args:
-            prefix: what every symbol begins with.
-        """
-        named = {f"{prefix}.h": self.header, f"{prefix}.c": self.code}
-        return named | ({f"{prefix}_math.h": self.math} if self.math else {})
+    def files(self) -> dict[str, str]:
+        """The files by name."""
+        named = {f"{self.prefix}.h": self.header, f"{self.prefix}.c": self.code}
+        return named | ({f"{self.prefix}_math.h": self.math} if self.math else {})
 
 
 def source(code: Code, labels: Labels) -> Source:
@@ -74,6 +72,7 @@ def source(code: Code, labels: Labels) -> Source:
         "with_math": bool(used),
     }
     return Source(
+        name,
         filled("templates/header.h", words | _declared(code, name, style)),
         filled("templates/code.c", words | _defined(code, name, style, bodies)),
         filled("templates/math.h", words | _elementary(functions, used, style)) if used else "",

@@ -164,7 +164,7 @@ class Material(NamedTuple):
         """The C by the names of its files, with the self-test."""
         name = self.report["name"]
         test = selftest(self.printed, name, self.vectors)
-        return self.text.files(name) | {f"{name}_test.c": test}
+        return self.text.files() | {f"{name}_test.c": test}
 
 
 def files(to: str, material: Material) -> Files:
@@ -178,7 +178,7 @@ def files(to: str, material: Material) -> Files:
         InputError: the C compiler refuses an FMU, or Structured Text lacks an operation.
     """
     report, name = material.report, material.report["name"]
-    code = material.text.files(name)
+    code = material.text.files()
     content: Files = dict(code)
     if to == "arduino":
         content = {f"src/{path}": text for path, text in code.items()}

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import itertools
+import operator
 from collections import Counter
-from collections.abc import Container, Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from typing import Final
 
@@ -52,6 +53,7 @@ class Node:
 
 
 Results = list[list[Node]]  # the nodes that each output of a graph consists of
+_number: Final = operator.attrgetter("number")  # when a node was made
 
 
 class Nodes:
@@ -91,16 +93,14 @@ class Nodes:
         return self.made("input", text=name, kind=kind, level=level)
 
 
-def needed(results: Iterable[Node], known: Container[Node] = ()) -> list[Node]:
+def needed(results: Iterable[Node], known: Collection[Node] = ()) -> list[Node]:
     """What results need beyond what is known, in the order in which it was made."""
-    seen: set[Node] = set()
-    waiting = list(results)
-    while waiting:
-        node = waiting.pop()
-        if node not in seen and node not in known:
-            seen.add(node)
-            waiting.extend(node.args)
-    return sorted(seen, key=_number)
+    seen = set(known)
+    new = set(results) - seen
+    while new:
+        seen |= new
+        new = set(itertools.chain(*[node.args for node in new])) - seen
+    return sorted(seen.difference(known), key=_number)
 
 
 def used(order: Iterable[Node], results: Iterable[Node], level: int) -> list[Node]:
@@ -128,8 +128,3 @@ def condition(number: Node) -> Node | None:
     if number.op != "select" or (number.args[1].text, number.args[2].text) != ("1.0", "0.0"):
         return None
     return number.args[0]
-
-
-def _number(node: Node) -> int:
-    """When a node was made."""
-    return node.number
