@@ -199,7 +199,7 @@ def test_a_contact_that_is_told_far_too_slow_is_found_firm() -> None:
 
 
 def test_engines_agree() -> None:
-    short = servo(simulation={"duration": 0.3})
+    short = servo(simulation={"duration": 0.3}, observer={"starts": 1})
     one, other = (uz.simulate(short, engine=engine) for engine in ("interpret", "lanes"))
     assert np.allclose(one.z_hat, other.z_hat, rtol=0, atol=1e-9)
     assert np.allclose(one.d_hat, other.d_hat, rtol=0, atol=1e-9)
@@ -382,7 +382,7 @@ def six_joints(**observer: Any) -> uz.Scenario:
 def test_six_joints_are_filtered_joint_by_joint() -> None:
     """Readings follow the motors; a link is known by its claim at first, and held there."""
     pytest.importorskip("adam")
-    run = uz.simulate(six_joints(joints="separate", payload=[0.0, 1.0]))
+    run = uz.simulate(six_joints(joints="separate", payload=[0.0, 1.0], starts=1))
     assert (np.abs(run.z - run.z_hat)[-1] < 0.06).all()
     assert (np.abs(run.d_hat[-1] - 0.02) < 4 * run.d_std[-1]).all()
     assert abs(run.theta_hat[-1, 0]) < 4 * run.theta_std[-1, 0]
@@ -420,9 +420,9 @@ def test_exported_C_has_every_bit_and_fits_a_microcontroller(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its self-test compares the bits with the reference's; step and flash are estimates."""
-    monkeypatch.setattr(exporting, "STEPS", 2000)
+    monkeypatch.setattr(exporting, "STEPS", 200)  # of the comparison with double
     said: list[str] = []
-    three = servo(simulation={"duration": 0.2})
+    three = servo(simulation={"duration": 0.01})
     report = exporting.export(three, out=tmp_path / "three", told=said.append).report
     assert said[0].endswith("a compiler takes minutes; observer.starts = 1 takes less")
     assert "Cortex-M4F (STM32F4)" in report["leaner"]["starts = 1"]
