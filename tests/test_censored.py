@@ -820,10 +820,10 @@ def test_intervals_of_an_ambiguous_bias_hold_95_percent(
 def test_a_narrow_range_is_a_claim_that_lasts() -> None:
     """A width known to 6 mm drifted by what suits all that the sensor hides: 24 mm in 200 s."""
     narrow = Censored(right=[0.997, 1.003])
-    seen = watch(narrow, MODEL, zone(noise=0.005), np.zeros((4000, 1)), np.zeros(2))
+    seen = watch(narrow, MODEL, zone(noise=0.005), np.zeros((1000, 1)), np.zeros(2))
     assert seen.right_std.max() <= 0.006 / np.sqrt(12) * (1 + 1e-9)
     wide = Censored(right=[0.0, 1.0])
-    seen = watch(wide, MODEL, zone(noise=0.005), np.zeros((4000, 1)), np.zeros(2))
+    seen = watch(wide, MODEL, zone(noise=0.005), np.zeros((1000, 1)), np.zeros(2))
     assert seen.right_std.max() <= 1.0 / np.sqrt(12) * (1 + 1e-9)
 
 

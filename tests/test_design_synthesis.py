@@ -49,7 +49,9 @@ COUPLED = {
 
 @pytest.fixture(scope="module")
 def knee() -> Design:
-    return once.design(scene())
+    with pytest.MonkeyPatch.context() as patch:
+        once.in_haste(patch)
+        return once.design(scene())
 
 
 @pytest.fixture(scope="module")

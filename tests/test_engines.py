@@ -642,9 +642,9 @@ def test_processes_may_compile_the_same_kernel_at_once(folder: Path) -> None:
             text=True,
             env=path_of_tests(),
         )
-        for _ in range(3)
+        for _ in range(2)
     ]
-    assert [process.communicate()[0] for process in racing] == ["6.0\n"] * 3
+    assert [process.communicate()[0] for process in racing] == ["6.0\n"] * 2
     assert [path.suffix for path in folder.iterdir()] == [".kernel"]
     assert doubled() == (6.0, True)
 
