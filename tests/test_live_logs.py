@@ -158,7 +158,7 @@ def test_after_a_jump_the_observer_is_as_new(lever: Path) -> None:
 FAULTS = st.sampled_from(WRONG_LINES)
 
 
-@settings(max_examples=20)
+@settings(max_examples=8)
 @given(
     where=st.lists(st.tuples(st.integers(0, 80), FAULTS, st.booleans()), max_size=12),
     seed=st.integers(0, 10**6),

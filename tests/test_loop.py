@@ -185,11 +185,11 @@ def test_jump_sensor_equals_its_event_twin() -> None:
     ids=["no threshold guards the zone", "before and after", "jump"],
 )
 def test_noise_is_held_over_each_step(twin: Twin, after: float, before: float) -> None:
-    """The twin judges reading and side anew at each stage of fifty small steps.
+    """The twin judges reading and side anew at each stage of many small steps.
 
     Both err by about h^2 at a change of side.
     """
-    step, substeps, steps = 1e-3, 50, 500
+    step, substeps, steps = 1e-3, 32, 500
     sensor = {
         "right": twin.right,
         "left": twin.left,
