@@ -29,7 +29,13 @@ RIGHT, LEFT = 0.3, 0.2  # of the zone, of the play, of the actuator's zone
 WORDS = {"zone": "dead_zone", "play": "play", "both": "both", "actuator": "input_zone"}
 WORDS |= {"ends": "two_zones"}  # of actuator and sensor
 # Behind noise each is in test_identify.py or test_which.py, and in firmware below.
-STABLE = list(itertools.product(WORDS, ("encoder", "exact")))
+# Exact, a zone's stands for the actuator's, a play's for that with a zone; see also MOTORS.
+STABLE = [*itertools.product(WORDS, ["encoder"]),
+          *itertools.product(["zone", "play", "ends"], ["exact"])]  # fmt: skip
+# Every element and every step; a play of the middle one is in the test of its noise, and what
+# rounding does is the same for those that have no zone of the sensor.
+ROUNDED = [*itertools.product(["zone"], [0.001, 0.005, 0.016]), ("play", 0.001), ("both", 0.005),
+           ("actuator", 0.016), ("ends", 0.001), ("ends", 0.016)]  # fmt: skip
 MOTORS = [("zone", "noise"), ("zone", "encoder"), ("zone", "exact"), ("play", "noise"),
           ("both", "encoder"), ("actuator", "exact")]  # fmt: skip
 
@@ -121,8 +127,7 @@ def test_the_filter_is_told_where_readings_end(element: str) -> None:
             assert abs(error) < 3 * numbers[f"{letter}_{side}_std"]
 
 
-@pytest.mark.parametrize("step", [0.001, 0.005, 0.016])
-@pytest.mark.parametrize("element", WORDS)
+@pytest.mark.parametrize(("element", "step"), ROUNDED)
 def test_a_noisy_log_that_a_converter_rounds_ends_in_a_scenario(element: str, step: float) -> None:
     """Noise of 5, 1 and .3 steps: a zero is no silence, and a tick that is taken back no motion."""
     u, y = record(element, "noise", integrates=False)
@@ -233,8 +238,10 @@ def test_a_log_ends_in_firmware(
     assert estimated.returncode in (0, 1), estimated.stderr
     ran = undeadzone("run", "log.toml", "--no-figures", cwd=tmp_path)
     assert ran.returncode in (0, 1), ran.stderr
+    if element in ("zone", "actuator"):  # firmware of a zone is below, of an actuator in `ends`
+        return
     made = undeadzone("export", "log.toml", "--out", "fw", "--check", cwd=tmp_path)
-    if element in ("zone", "jump"):  # too narrow ranges for float, which export says with the cure
+    if element == "jump":  # too narrow ranges for float, which export says with the cure
         assert "use --precision double" in made.stdout
         double = ("--precision", "double")
         made = undeadzone("export", "log.toml", "--out", "fw", "--check", *double, cwd=tmp_path)
@@ -316,7 +323,7 @@ def test_what_is_recorded_next_narrows_the_widest_interval_as_was_said(tmp_path:
 def test_a_play_with_few_turns_is_undecided_and_the_next_log_decides() -> None:
     """It was called friction, with odds of 98 %."""
     u, y = record("play", "exact", integrates=True)
-    found = uz.identify(t=STEP, u=u, y=y)
+    found = uz.identify(t=STEP, u=u, y=y, order=2, delay=0)
     assert found.verdict == "undecided"
     assert any("the readings turn 4 times" in reason for reason in found.answer.reasons)
     assert found.width is None
