@@ -254,7 +254,8 @@ def test_two_outputs_two_inputs_one_scenario(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     header = "t,u[0],u[1],y[0],y[1]"
     np.savetxt(path, table, delimiter=",", header=header, comments="", fmt="%.9g")
-    options = ["--order", "1-2", "--delay", "0", "--no-figures", "--json", "--out", str(tmp_path)]
+    told = ["--order", "1-2", "--delay", "0", "--place", "sensor", "--kind", "deadzone"]
+    options = [*told, "--no-figures", "--json", "--out", str(tmp_path)]
     done = CliRunner().invoke(group, ["identify", str(path), *options], standalone_mode=False)
     assert done.return_value == 0
     numbers = json.loads(done.stdout)
