@@ -24,9 +24,6 @@ def run(name: str) -> uz.Run:
         if name in SHORTER:
             short = msgspec.structs.replace(scenario.simulation, duration=SHORTER[name])
             scenario = msgspec.structs.replace(scenario, simulation=short)
-        if name == "two_link_gears":  # three filters take three times as long to put together
-            one = msgspec.structs.replace(scenario.observer, starts=1)
-            scenario = msgspec.structs.replace(scenario, observer=one)
         if name == "ur5":
             pytest.importorskip("adam")
         RUNS[name] = uz.simulate(scenario)
