@@ -109,9 +109,7 @@ def knee(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Done]:
     """The default design of the paper's example, with everything that it writes."""
     folder = tmp_path_factory.mktemp("knee")
     (folder / "paper.toml").write_text(PAPER, encoding="utf-8")
-    with pytest.MonkeyPatch.context() as patch:
-        once.in_haste(patch)
-        return folder, run("design", folder / "paper.toml", "--json", "--out", folder / "out")
+    return folder, run("design", folder / "paper.toml", "--json", "--out", folder / "out")
 
 
 # ---- check: verdicts

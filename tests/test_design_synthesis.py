@@ -49,9 +49,7 @@ COUPLED = {
 
 @pytest.fixture(scope="module")
 def knee() -> Design:
-    with pytest.MonkeyPatch.context() as patch:
-        once.in_haste(patch)
-        return once.design(scene())
+    return once.design(scene())
 
 
 @pytest.fixture(scope="module")

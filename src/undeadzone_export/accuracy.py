@@ -23,8 +23,9 @@ MACHINE_STEPS = 2000  # of the comparison with CasADi's virtual machine
 EXACT, CLOSE = 1e-13, 1e-9  # bars of that: without elementary functions, and with
 SHARE_OF_STD = 0.1  # largest error of a width, relative to its standard deviation
 SHARE_OF_WIDTH = 1e-3  # the same relative to the width, where no deviation is estimated
-Options = tuple[str, ...]
 SMALLEST = 1e-6  # eigenvalue of a correlation matrix below which float is not enough
+
+Options = tuple[str, ...]  # for the compiler
 
 
 class Accuracy(NamedTuple):

@@ -21,10 +21,10 @@ _BLOCK: Final = """
 define void @block(ptr noalias %memory) nounwind {{
   %samples = load double, ptr %memory
   %steps = fptosi double %samples to i64
-  %p = getelementptr double, ptr %memory, i64 {1}
-  %s = getelementptr double, ptr %memory, i64 {2}
-  %w = getelementptr double, ptr %memory, i64 {3}
-  %out = getelementptr double, ptr %memory, i64 {4}
+  %p = getelementptr double, ptr %memory, i64 {p}
+  %s = getelementptr double, ptr %memory, i64 {s}
+  %w = getelementptr double, ptr %memory, i64 {w}
+  %out = getelementptr double, ptr %memory, i64 {out}
   call void @steps(i64 %steps, i64 1, ptr %s, ptr %w, ptr %p, ptr %w, ptr %out)
   ret void
 }}
@@ -91,6 +91,7 @@ def _recipe(step: ca.Function, starts: list[int]) -> cache.Recipe:
 
     def make() -> tuple[str, str]:
         made = source(functions, shape, here(), Arithmetic(), 1, ONE, "steps")
-        return made.text + _BLOCK.format(*starts), ""
+        _, p, s, w, out, _ = starts
+        return made.text + _BLOCK.format(p=p, s=s, w=w, out=out), ""
 
     return cache.Recipe(f"{functions.usual.serialize()}\n{shape} {starts}", make)

@@ -104,10 +104,9 @@ class Exact:
 
         Each pair is asked once: truths share their parts, and have more paths than nodes.
         """
-        pair = one, other
-        if pair not in self._implied:
-            self._implied[pair] = self._shown(one, other)
-        return self._implied[pair]
+        if (one, other) not in self._implied:
+            self._implied[one, other] = self._shown(one, other)
+        return self._implied[one, other]
 
     def _shown(self, one: Node, other: Node) -> bool:
         """`implies`, from the parts of two truths."""
