@@ -18,7 +18,7 @@ from undeadzone.ensemble.metrics import EDGES, true_width, widths_in_turn
 from undeadzone.scenario.reader import read
 from undeadzone.scenario.schema import Scenario
 from undeadzone.statistics.intervals import Interval, proportion, quantile
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 RUNS = 100

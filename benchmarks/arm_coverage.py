@@ -15,9 +15,9 @@ import numpy as np
 from benchmarks.coverage import Verdict, covariance, verdict
 from benchmarks.markdown import row
 from undeadzone.compile import lanes
-from undeadzone.ends import sensor
-from undeadzone.ends.sensor import Sensor, Zone, resolve
 from undeadzone.interfaces import Estimate, Reading
+from undeadzone.nonlinearities import sensor
+from undeadzone.nonlinearities.sensor import Sensor, Zone, resolve
 from undeadzone.observers import Extended
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant, TwoLink
@@ -26,8 +26,8 @@ from undeadzone.plants.system import System, sampled
 from undeadzone.scenario.reader import read
 from undeadzone.signals import noise as noises
 from undeadzone.simulation.simulate import simulate
-from undeadzone.support import tree
-from undeadzone.support.arrays import Floats
+from undeadzone.util import tree
+from undeadzone.util.arrays import Floats
 
 STEP, DURATION, CORRELATION = 4e-3, 4.0, 0.1  # [s]
 RANGE = (0.02, 0.15)  # [rad] declared range of the widths, from which they are drawn evenly

@@ -10,16 +10,16 @@ import casadi as ca
 
 from benchmarks.markdown import row
 from undeadzone.controllers import LQR, ComputedTorque
-from undeadzone.ends import sensor
-from undeadzone.ends.sensor import Sensor, resolve
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Estimate, Reading
+from undeadzone.nonlinearities import sensor
+from undeadzone.nonlinearities.sensor import Sensor, resolve
 from undeadzone.observers import Extended
 from undeadzone.plants.build import system
 from undeadzone.plants.options import URDF, Plant
 from undeadzone.plants.robots.arm import acceleration
 from undeadzone.plants.system import System, sampled
-from undeadzone.support import tree
+from undeadzone.util import tree
 from undeadzone_arena import GravityPD
 
 UR5 = Path(__file__).parents[1] / "examples" / "ur5.urdf"

@@ -14,7 +14,7 @@ from undeadzone.ensemble.batch import known_params
 from undeadzone.numerics.runge_kutta import rk4
 from undeadzone.plants.robots import urdf
 from undeadzone.plants.robots.arm import acceleration, arm, torque
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 UR5 = Path(__file__).parents[1] / "examples" / "ur5.urdf"
 JOINTS = 6

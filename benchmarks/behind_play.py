@@ -10,14 +10,14 @@ from benchmarks.play import WORLDS, Options, World, kalman, known, posed
 from benchmarks.random_loops import Loops, run_loops
 from benchmarks.two_masses import GAIN, NOISE, TAU, TS, TURN, Log, two_masses
 from undeadzone.controllers import StateFeedback
-from undeadzone.ends.sensor import Sensor
+from undeadzone.nonlinearities.sensor import Sensor
 from undeadzone.observers import Kalman, Luenberger
 from undeadzone.plants.options import Plant
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Model, Scenario, Simulation
 from undeadzone.signals.exosystem import Sine
 from undeadzone.simulation.estimate import estimate
-from undeadzone.support.arrays import Array
+from undeadzone.util.arrays import Array
 
 MOTOR, READING = WORLDS["motor"], "encoder 0.3 %"
 RATES = (15.0, 30.0, 60.0, 120.0)

@@ -15,18 +15,18 @@ import numpy as np
 
 from benchmarks.markdown import head, row
 from benchmarks.random_loops import Loops, run_loops
-from undeadzone.catalogue import CompensatorOptions, ControllerOptions, ObserverOptions
 from undeadzone.compensators import NoInverse, SmoothZoneInverse, ZoneInverse
 from undeadzone.controllers import StateFeedback
-from undeadzone.ends.actuator import Actuator, ActuatorModel
-from undeadzone.ends.sensor import Sensor
+from undeadzone.nonlinearities.actuator import Actuator, ActuatorModel
+from undeadzone.nonlinearities.sensor import Sensor
 from undeadzone.observers import Censored, FullState, Kalman, Luenberger
 from undeadzone.plants.options import Plant
+from undeadzone.registry import CompensatorOptions, ControllerOptions, ObserverOptions
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Model, Scenario, Simulation
 from undeadzone.signals.exosystem import Random, Sine
 from undeadzone.statistics.intervals import quantile
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 from undeadzone_arena import AdaptiveZoneInverse, RobustAdaptive
 
 NOTHING: Mapping[str, Any] = MappingProxyType({})

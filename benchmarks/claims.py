@@ -20,10 +20,10 @@ from benchmarks.honest_problems import CLAIMED, KINDS, ORDERS, SAMPLES, Kind, pr
 from benchmarks.honesty import CLAIMS
 from benchmarks.markdown import head, row
 from benchmarks.random_problems import Problems, World
-from undeadzone.ends.sensor import deadzone
 from undeadzone.interfaces import CLAIMS as TABLE
 from undeadzone.interfaces import Estimate
-from undeadzone.support.arrays import Floats
+from undeadzone.nonlinearities.sensor import deadzone
+from undeadzone.util.arrays import Floats
 
 SEED = 310_000  # of which nothing else draws: thresholds stood before
 TOP = 1.3  # true width over the top of its claimed range

@@ -15,13 +15,13 @@ import numpy as np
 
 from benchmarks.markdown import head, row
 from undeadzone.controllers import StateFeedback
-from undeadzone.ends.sensor import Sensor
+from undeadzone.nonlinearities.sensor import Sensor
 from undeadzone.observers import Censored
-from undeadzone.observers.parts.prior import Claims
+from undeadzone.observers.filtering.prior import Assumptions
 from undeadzone.plants.options import Plant
 from undeadzone.scenario.schema import Model, Scenario, Simulation
 from undeadzone.signals.exosystem import Random, Sines, Tone
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 from undeadzone_arena.contest.leaderboard import FRAME, NAIVE, regrets
 from undeadzone_arena.contest.methods import METHODS, Knob, Method
 from undeadzone_arena.contest.trials import score
@@ -153,7 +153,7 @@ def loop(rng: np.random.Generator) -> Scenario:
         sensor=Sensor(right=right, left=left, noise=float(rng.uniform(0.005, 0.1))),
         reference=Sines(components=tones),
         disturbance=Random(rms=share * claimed, correlation_time=0.3),
-        declared=Claims(
+        declared=Assumptions(
             right=list(RANGE), disturbance=claimed, correlation_time=0.3, tolerance=TOLERANCE
         ),
         controller=StateFeedback(),

@@ -18,16 +18,16 @@ import numpy as np
 from benchmarks.closed_loops import RANGE, TOLERANCE, loop
 from benchmarks.markdown import head, row
 from undeadzone.controllers import StateFeedback
-from undeadzone.ends.sensor import Sensor
+from undeadzone.nonlinearities.sensor import Sensor
 from undeadzone.observers import Censored
-from undeadzone.observers.parts import model_bank
-from undeadzone.observers.parts.judged_filter import Member
-from undeadzone.observers.parts.model_bank import bank
-from undeadzone.observers.parts.prior import Claims
+from undeadzone.observers.filtering import multiple_models
+from undeadzone.observers.filtering.consistency import Member
+from undeadzone.observers.filtering.multiple_models import bank
+from undeadzone.observers.filtering.prior import Assumptions
 from undeadzone.plants.options import Plant
 from undeadzone.scenario.schema import Model, Scenario, Simulation
 from undeadzone.signals.exosystem import Random, Sines, Step, Tone
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 from undeadzone_arena.contest.leaderboard import FRAME, regrets
 from undeadzone_arena.contest.methods import METHODS, Method
 from undeadzone_arena.contest.trials import score
@@ -98,7 +98,7 @@ def slow_loop(rng: np.random.Generator) -> Scenario:
         sensor=Sensor(right=right, left=left, noise=float(rng.uniform(0.005, 0.1))),
         reference=_sum(tones),
         disturbance=_sum([(claimed, gust), (0.6 * claimed, 1.7 * gust)], constant),
-        declared=Claims(
+        declared=Assumptions(
             right=list(RANGE), disturbance=claimed, correlation_time=SLOW, tolerance=TOLERANCE
         ),
         controller=StateFeedback(),
@@ -134,11 +134,11 @@ def grounds() -> dict[str, Scenario]:
 @contextmanager
 def both_colours() -> Iterator[None]:
     """`censored` with a washout weighs every level in both colours."""
-    model_bank.bank = _of_both
+    multiple_models.bank = _of_both
     try:
         yield
     finally:
-        model_bank.bank = bank
+        multiple_models.bank = bank
 
 
 def _of_both(member: Member, variants: Sequence[Callable[[Any], Any]]) -> Member:

@@ -24,16 +24,16 @@ from benchmarks.random_problems import (
 )
 from benchmarks.random_problems import World as World
 from undeadzone.compile import lanes
-from undeadzone.ends.sensor import Sensor, resolve, side
 from undeadzone.interfaces import Estimate, Observer, Reading
-from undeadzone.linear.hold import zoh
-from undeadzone.linear.matrices import Matrices
+from undeadzone.linalg.hold import zoh
+from undeadzone.linalg.matrices import Matrices
+from undeadzone.nonlinearities.sensor import Sensor, resolve, side
 from undeadzone.observers import Censored, Kalman
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import pace, sampled
-from undeadzone.support import tree
-from undeadzone.support.arrays import Floats
+from undeadzone.util import tree
+from undeadzone.util.arrays import Floats
 
 ORDERS = (1, 2, 3)
 ROUNDING = 1e-12  # of z: without a disturbance the state's variance decays below it

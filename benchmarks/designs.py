@@ -6,9 +6,9 @@ import numpy as np
 
 from undeadzone.analysis.certificate.weights import margin
 from undeadzone.analysis.error_dynamics import dynamics
-from undeadzone.linear.hold import zoh
-from undeadzone.linear.matrices import Matrices
-from undeadzone.support.arrays import Floats
+from undeadzone.linalg.hold import zoh
+from undeadzone.linalg.matrices import Matrices
+from undeadzone.util.arrays import Floats
 
 
 def random_matrices(rng: np.random.Generator, n: int, p: int, spread: float = 1.0) -> Matrices:

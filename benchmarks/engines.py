@@ -12,7 +12,7 @@ from benchmarks.timing import medians
 from undeadzone.compile import interpret, lanes
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.simulation.simulate import prepare
-from undeadzone.support import tree
+from undeadzone.util import tree
 
 LANES = 1000
 

@@ -19,11 +19,11 @@ from benchmarks.exact_problems import RANGE, SAMPLES, STEP, Problem, problems
 from benchmarks.markdown import head, row
 from benchmarks.plain_filters import Track, filterpy_unscented, hearing, matching, tobit, tracked
 from undeadzone.compile import lanes
-from undeadzone.ends.sensor import Sensor
 from undeadzone.interfaces import Estimate
+from undeadzone.nonlinearities.sensor import Sensor
 from undeadzone.observers import Auto, Censored
-from undeadzone.support import tree
-from undeadzone.support.arrays import Floats
+from undeadzone.util import tree
+from undeadzone.util.arrays import Floats
 
 ORDERS = (1, 2)
 LEVELS = (4.0, 1.0, 0.25)  # of the disturbance that `Censored` weighs by default
@@ -123,7 +123,9 @@ def one_by_one(track: Callable[[Problem], Track]) -> Callable[[list[Problem]], l
 
 
 PLAIN = {
-    "Kalman filter with `uz.hear`": one_by_one(lambda posed: tracked(posed, hearing(posed))),
+    "Kalman filter with `uz.deadzone_update`": one_by_one(
+        lambda posed: tracked(posed, hearing(posed))
+    ),
     "moment matching at every sample": one_by_one(lambda posed: tracked(posed, matching(posed))),
     "Tobit Kalman filter": one_by_one(lambda posed: tracked(posed, tobit(posed))),
     "FilterPy's UKF": one_by_one(filterpy_unscented),

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from benchmarks.exact_problems import RANGE, SAMPLES, Problem
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 WIDTHS, PARTICLES = 300, 50  # drawn of the widths, and of z for each
 EVERY = 10  # samples from one snapshot to the next

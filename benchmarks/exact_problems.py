@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.linalg import expm, solve_discrete_lyapunov
 
-from undeadzone.ends.sensor import deadzone
-from undeadzone.linear.matrices import Matrices
-from undeadzone.support.arrays import Floats
+from undeadzone.linalg.matrices import Matrices
+from undeadzone.nonlinearities.sensor import deadzone
+from undeadzone.util.arrays import Floats
 
 STEP, SAMPLES = 0.01, 500
 RANGE = (0.3, 2.0)  # declared range of the widths, from which they are drawn evenly

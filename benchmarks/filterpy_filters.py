@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.random_problems import STEP
-from undeadzone.ends.sensor import deadzone
-from undeadzone.support.arrays import Floats
+from undeadzone.nonlinearities.sensor import deadzone
+from undeadzone.util.arrays import Floats
 
 
 def extended(n: int) -> Any:

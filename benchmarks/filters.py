@@ -15,11 +15,11 @@ from benchmarks.markdown import head, row
 from undeadzone.compile import lanes
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
-from undeadzone.support.arrays import Floats
-from undeadzone_export import accuracy, parts
+from undeadzone.util.arrays import Floats
+from undeadzone_export import accuracy, exported_step
 from undeadzone_export.code import code, operations
-from undeadzone_export.parts import Step
-from undeadzone_export.vectors import recorded
+from undeadzone_export.exported_step import Step
+from undeadzone_export.selftest_vectors import record_inputs
 
 RUNS, STEPS = 1000, 50
 OPTIONS = ("-O3", "-march=native", "-ffp-contract=fast")
@@ -49,8 +49,8 @@ def cases() -> dict[str, Scenario]:
 def _row(name: str, scenario: Scenario, rounds: int) -> str:
     """One filter."""
     problem = resolve_scenario(scenario)
-    step = parts.build(problem)
-    rows = recorded(problem, step)
+    step = exported_step.build(problem)
+    rows = record_inputs(problem, step)
     readings = np.stack([rows[k % len(rows) :][:STEPS] for k in range(RUNS)])
     with tempfile.TemporaryDirectory() as folder:
         ways = {"gcc": by_gcc(step, readings, Path(folder)), "lanes": in_lanes(step, readings)}

@@ -16,11 +16,17 @@ import undeadzone as uz
 from benchmarks.markdown import head, row
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
-from undeadzone_export import accuracy, compiler, parts
+from undeadzone_export import accuracy, compiler, exported_step
 from undeadzone_export.code import Code, code
-from undeadzone_export.parts import Step
+from undeadzone_export.exported_step import Step
+from undeadzone_export.selftest_vectors import (
+    chosen,
+    continue_scenario,
+    record_inputs,
+    reference,
+    selftest,
+)
 from undeadzone_export.source import Labels, source
-from undeadzone_export.vectors import chosen, continued, recorded, reference, selftest
 
 ROOT = Path(__file__).parents[1]
 EMULATOR = ROOT / "tests" / "emulator"
@@ -87,7 +93,7 @@ def instructions() -> str:
 
 def _counted_row(name: str, scenario: Scenario, bar: int) -> str:
     """One case."""
-    counted = count(code(parts.build(resolve_scenario(scenario)), True))
+    counted = count(code(exported_step.build(resolve_scenario(scenario)), True))
     kilobytes = (f"{counted.alone / 1e3:.1f}", f"{counted.text / 1e3:.1f}")
     return row(name, f"{counted.mean:,}", f"{bar:,}", f"{counted.most:,}", f"{counted.stack:,}",
                *kilobytes, str(counted.warnings), str(counted.symbols))  # fmt: skip
@@ -171,8 +177,8 @@ def tested(name: str, single: bool) -> list[str]:
     scenario = case(name)
     simulation = msgspec.structs.replace(scenario.simulation, duration=1.0)
     problem = resolve_scenario(msgspec.structs.replace(scenario, simulation=simulation))
-    step = parts.build(problem)
-    rows = chosen(recorded(problem, step), step.readings)
+    step = exported_step.build(problem)
+    rows = chosen(record_inputs(problem, step), step.readings)
     printed = code(step, single)
     text = source(printed, Labels("o", "benchmark", "observer"))
     files = text.files() | {"o_test.c": selftest(printed, "o", reference(printed, rows))}
@@ -203,7 +209,7 @@ class _Beside:
         self.step = step
         self.exact = accuracy.Compiled(code(step, False), folder)
         self.rounded = accuracy.Compiled(code(step, True), folder)
-        self.places = parts.places_of(step.outputs)
+        self.places = exported_step.places_of(step.outputs)
         self.errors = np.zeros(self.exact.outputs)
         self.smallest = [np.inf, np.inf]  # eigenvalue of a correlation matrix, double and float
 
@@ -231,8 +237,8 @@ def precision() -> str:
     for step in (1e-3, 1e-4):
         scenario = _sampled(uz.read(ROOT / "examples" / "paper_5sin.toml"), step)
         with tempfile.TemporaryDirectory() as name:
-            both = _Beside(parts.build(resolve_scenario(scenario)), Path(name))
-            rows = recorded(continued(scenario, LONG // 10), both.step)
+            both = _Beside(exported_step.build(resolve_scenario(scenario)), Path(name))
+            rows = record_inputs(continue_scenario(scenario, LONG // 10), both.step)
             for _ in range(-(-LONG // len(rows))):
                 both.run(rows)
         errors = [f"{both.error(name):.2g}" for name in ("right", "left", "z")]
@@ -247,8 +253,8 @@ def covariances() -> str:
     for rate in RATES:
         scenario = filtered(1.0 / rate)
         with tempfile.TemporaryDirectory() as name:
-            both = _Beside(parts.build(resolve_scenario(scenario)), Path(name))
-            both.run(recorded(continued(scenario, ALONG), both.step)[:ALONG])
+            both = _Beside(exported_step.build(resolve_scenario(scenario)), Path(name))
+            both.run(record_inputs(continue_scenario(scenario, ALONG), both.step)[:ALONG])
             std = both.exact(np.full((1, 2), np.nan))[0, both.places["right_std"]]
         worst = both.error("right") / float(std.min())
         values = [f"{value:.2g}" for value in both.smallest]

@@ -18,14 +18,14 @@ from benchmarks.markdown import head, row
 from benchmarks.mujoco_gears import UR5, Arm, Twin, servo, two_link, ur5
 from benchmarks.names import commit
 from benchmarks.timing import least
-from undeadzone.compile.live import CompiledStepper
+from undeadzone.compile.scalar_step import CompiledStepper
 from undeadzone.plants.robots.arm import evaluate_rows
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.reader import convert
 from undeadzone.simulation.close import close
 from undeadzone.simulation.exogenous import exogenous
 from undeadzone.simulation.loop import Loop
-from undeadzone.support import tree
+from undeadzone.util import tree
 
 Floats = NDArray[np.float64]
 FRESH = 7000  # first seed; those below 100 were used while the filter was made

@@ -16,17 +16,17 @@ import undeadzone as uz
 from benchmarks.gears import LAST, Bench, bench, driven, geared, rows
 from benchmarks.markdown import head, row
 from benchmarks.mujoco_gears import Arm
-from undeadzone.compile.live import CompiledStepper
+from undeadzone.compile.scalar_step import CompiledStepper
 from undeadzone.numerics.gaussian import below, density
 from undeadzone.numerics.runge_kutta import rk4_change
 from undeadzone.observers.contact import DRIFT, JERK, unknown_torques
-from undeadzone.observers.parts.contact_drive import FADING, LASTING
+from undeadzone.observers.contact_filter.drive import FADING, LASTING
 from undeadzone.plants.robots.arm import acceleration
 from undeadzone.plants.system import System
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
-from undeadzone.support import tree
-from undeadzone.support.arrays import Floats
+from undeadzone.util import tree
+from undeadzone.util.arrays import Floats
 
 SUBSTEPS = 2
 NOTE = """MuJoCo's servos of `gears`, whose loops `contact` closes; all filters read the same.

@@ -17,7 +17,7 @@ from benchmarks.markdown import row
 from benchmarks.random_problems import DURATION, STEP, Problems, World, problems
 from undeadzone.interfaces import Estimate, Observer
 from undeadzone.observers import Auto
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 ORDER = 2
 QUIET, SHAKEN = World(), World(0.05, 0.2, 0.05)

@@ -12,10 +12,10 @@ import numpy as np
 
 from benchmarks.glitches import HALF, Spoil, anywhere, clean, frozen, one_of, tenth_of, zeros
 from benchmarks.random_problems import CORRELATION, Problems, World, drive, response, wrong_model
-from undeadzone.ends.sensor import deadzone
-from undeadzone.linear.hold import zoh
-from undeadzone.linear.matrices import Matrices
-from undeadzone.support.arrays import Floats
+from undeadzone.linalg.hold import zoh
+from undeadzone.linalg.matrices import Matrices
+from undeadzone.nonlinearities.sensor import deadzone
+from undeadzone.util.arrays import Floats
 
 ORDERS = (1, 2, 3, 4)
 SAMPLES = 2 * HALF

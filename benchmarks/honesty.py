@@ -21,7 +21,7 @@ from benchmarks.honest_problems import KINDS, ORDERS, RATES, SAMPLES, problems
 from benchmarks.markdown import head, row
 from undeadzone.observers import Extended
 from undeadzone.statistics.intervals import proportion
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 CLAIMS = {"told": doubting, "ranges alone": from_ranges}
 FILTERS = CLAIMS | {

@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 from benchmarks.identify_logs import excitation, make, plant
 from benchmarks.markdown import head, row
 from undeadzone.statistics.intervals import proportion
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 from undeadzone_identify.logs.grid import to_grid
 from undeadzone_identify.logs.log import Options, log_of_arrays
 from undeadzone_identify.logs.prepare import prepare

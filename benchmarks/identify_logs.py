@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import cont2discrete, lfilter
 
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 SAMPLES = 1500
 DISTURBED = {"coloured": 0.1, "strong": 0.3}  # rms at z of a disturbance of the input

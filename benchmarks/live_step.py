@@ -12,9 +12,9 @@ import numpy as np
 import undeadzone as uz
 from benchmarks.markdown import head, row
 from benchmarks.timing import least
-from undeadzone.catalogue import ObserverOptions
+from undeadzone.registry import ObserverOptions
 from undeadzone.scenario.problem import resolve_scenario
-from undeadzone_export import accuracy, parts
+from undeadzone_export import accuracy, exported_step
 from undeadzone_export.code import code
 
 BLOCK = 10  # calls' worth of samples in a block
@@ -65,7 +65,7 @@ def _ways(
         controller=uz.StateFeedback(alpha=10.0),
         simulation=uz.Simulation(time="sampled", step=1e-3, duration=1.0),
     )
-    step = parts.build(resolve_scenario(scenario))
+    step = exported_step.build(resolve_scenario(scenario))
     block = partial(fast.update_many, rows[:, :1], rows[:, 1:])
     ways: dict[str, tuple[int, Callable[[], None]]] = {
         "Online.update": (count, partial(_each, plain.update, count)),

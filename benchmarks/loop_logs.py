@@ -9,7 +9,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from benchmarks.names_logs import random_plant, through_zone, wanted
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 KINDS = ("input zone", "play", "both ends")
 SHORTEST, LONGEST = 700, 5000  # samples

@@ -21,7 +21,7 @@ from benchmarks.loop_logs import DISTURBANCES, KINDS, LoopLog, make
 from benchmarks.markdown import head, row
 from benchmarks.names import commit
 from undeadzone.statistics.intervals import proportion
-from undeadzone.support.progress import on_terminal
+from undeadzone.util.progress import on_terminal
 
 KEPT = Path("build/loops.jsonl")
 WORDS = {"input zone": "input_zone", "play": "play", "both ends": "two_zones"}

@@ -19,7 +19,7 @@ from undeadzone_identify.logs.prepare import prepare
 from undeadzone_identify.models.place import fit_at_input, fit_both_ends
 from undeadzone_identify.models.plant import Simulator
 from undeadzone_identify.models.zone_fit import fit_zone
-from undeadzone_identify.verdict.place import find_places
+from undeadzone_identify.selection.location import find_places
 
 
 def errors(log: LoopLog) -> list[tuple[float, float]]:

@@ -24,8 +24,8 @@ import undeadzone as uz
 from benchmarks.markdown import head, row
 from benchmarks.names_logs import TRUTHS, NamedLog, make
 from undeadzone.statistics.intervals import proportion
-from undeadzone.support.progress import on_terminal
-from undeadzone_identify.verdict.verdict import FEW
+from undeadzone.util.progress import on_terminal
+from undeadzone_identify.selection.decision import FEW
 
 KEPT = Path("build/names.jsonl")
 FIGURE = Path(__file__).with_name("names.svg")

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import cont2discrete, lfilter
 
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 # What is there, and the word of `identify` for it.
 TRUTHS = {

@@ -15,8 +15,8 @@ from undeadzone.ensemble.batch import known_inputs, known_params
 from undeadzone.simulation.loop import Loop
 from undeadzone.simulation.simulate import closed
 from undeadzone.simulation.simulate import prepare as prepare_run
-from undeadzone.support import tree
-from undeadzone.support.arrays import Floats
+from undeadzone.util import tree
+from undeadzone.util.arrays import Floats
 
 WIDTHS = ("sensor.right[0]", "sensor.left[0]")
 # 1 or 0: rivals have no such numbers

@@ -11,8 +11,8 @@ from scipy.stats import norm
 from benchmarks.exact_posterior import EVERY
 from benchmarks.exact_problems import RANGE, Problem
 from benchmarks.filterpy_filters import unscented
-from undeadzone.numerics.hear import SILENT, Ear, hear
-from undeadzone.support.arrays import Floats
+from undeadzone.numerics.hear import SILENT, DeadzoneMemory, deadzone_update
+from undeadzone.util.arrays import Floats
 
 SHARE = 0.16  # of a quarter period, for which an edge is not heard again: a 25th of a period
 
@@ -65,16 +65,16 @@ def _linear(posed: Problem) -> tuple[Floats, Floats, Floats, Floats, Floats]:
 
 
 def hearing(posed: Problem) -> Correct:
-    """`uz.hear`, in the way of docs/hear.md."""
+    """`uz.deadzone_update`, in the way of docs/hear.md."""
     C, right, left = rows(posed)
-    ear = Ear()
+    ear = DeadzoneMemory()
     rest = max(1, round(SHARE * np.pi / 2 / posed.frequency / 0.01))
 
     def correct(m: Floats, P: Floats, y: float) -> tuple[Floats, Floats]:
         nonlocal ear
         behind = 0.0 if posed.ahead else posed.noise
         before = posed.noise if posed.ahead else 0.0
-        heard = hear(
+        heard = deadzone_update(
             m,
             P,
             C,

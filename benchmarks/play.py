@@ -14,12 +14,12 @@ import numpy as np
 
 from benchmarks.markdown import head, row
 from benchmarks.random_loops import Loops, run_loops
-from undeadzone.catalogue import ObserverOptions
 from undeadzone.controllers import StateFeedback
-from undeadzone.ends.sensor import Sensor, resolve
+from undeadzone.nonlinearities.sensor import Sensor, resolve
 from undeadzone.observers import Censored, Certified, Kalman, Luenberger
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import pace
+from undeadzone.registry import ObserverOptions
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario, Simulation
 from undeadzone.signals.exosystem import Random, Sine

@@ -28,7 +28,7 @@ from benchmarks.play import (
     rms_and_quantum,
 )
 from benchmarks.random_loops import Loops, run_loops
-from undeadzone.ends.sensor import Sensor, resolve
+from undeadzone.nonlinearities.sensor import Sensor, resolve
 from undeadzone.observers import Kalman
 from undeadzone.plants.system import pace
 from undeadzone.scenario.problem import Problem, resolve_scenario

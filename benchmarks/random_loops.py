@@ -8,13 +8,13 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.compile import lanes
-from undeadzone.ends.play import levels
 from undeadzone.interfaces import Estimate
+from undeadzone.nonlinearities.play import levels
 from undeadzone.plants.options import Plant
 from undeadzone.scenario.problem import Problem
 from undeadzone.simulation.simulate import prepare
-from undeadzone.support import tree
-from undeadzone.support.arrays import Floats
+from undeadzone.util import tree
+from undeadzone.util.arrays import Floats
 
 
 class Loops(NamedTuple):

@@ -6,11 +6,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from undeadzone.ends.sensor import deadzone
-from undeadzone.linear.hold import zoh
-from undeadzone.linear.matrices import Matrices
+from undeadzone.linalg.hold import zoh
+from undeadzone.linalg.matrices import Matrices
+from undeadzone.nonlinearities.sensor import deadzone
 from undeadzone.signals import noise as noises
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 STEP, DURATION, RAMP = 0.01, 10.0, 2.0  # [s]
 RANGE = (0.3, 2.0)  # declared range of the widths, from which they are drawn evenly

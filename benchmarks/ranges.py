@@ -16,19 +16,19 @@ from benchmarks import coverage
 from benchmarks.markdown import row
 from benchmarks.random_loops import Loops, random_plant, run_loops
 from benchmarks.random_problems import RANGE, STEP, WORLDS, Problems, problems
-from undeadzone.catalogue import ObserverOptions
 from undeadzone.compile import lanes
 from undeadzone.controllers import StateFeedback
-from undeadzone.ends.limits import Limits
-from undeadzone.ends.sensor import Sensor, deadzone
 from undeadzone.interfaces import Observer, received
+from undeadzone.nonlinearities.limits import Limits
+from undeadzone.nonlinearities.sensor import Sensor, deadzone
 from undeadzone.observers import Censored, Certified, Kalman
+from undeadzone.registry import ObserverOptions
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario, Simulation
 from undeadzone.signals.exosystem import Random, Sine
 from undeadzone.statistics.intervals import quantile
-from undeadzone.support import tree
-from undeadzone.support.arrays import Floats
+from undeadzone.util import tree
+from undeadzone.util.arrays import Floats
 
 SHARES = (0.44, 0.12, 0.02)  # of the readings that are exact
 AMPLITUDE, FREQUENCY, NOISE, DISTURBANCE = 5.0, 0.3, 0.01, 0.5

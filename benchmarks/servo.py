@@ -22,7 +22,7 @@ from benchmarks.servo_logs import Recorded, random_log, resting_log
 from undeadzone.scenario.reader import parse
 from undeadzone.statistics.intervals import proportion
 from undeadzone_identify.servo.gap import REVERSALS, ServoGap, servo_gap
-from undeadzone_identify.servo.heard import heard
+from undeadzone_identify.servo.observations import read_observations
 
 FRESH = 5000  # first seed: those below were used while the method was made
 PER_LOG = 4000  # samples, to which CPU times are scaled
@@ -66,7 +66,7 @@ def outcome_of(log: Recorded) -> Outcome:
     """What the predictor says of a log."""
     begun = time.process_time()
     whole, first = np.ones(log.y.size, bool), np.zeros(1, int)
-    found = servo_gap(heard(log.u, log.y, whole, first, log.step))
+    found = servo_gap(read_observations(log.u, log.y, whole, first, log.step))
     spent = (time.process_time() - begun) * PER_LOG / log.y.size
     ticks = log.servo.gap / (log.servo.quantum or log.noise)
     family = "noise" if log.noise else _family(ticks)

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.compile import lanes
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 PARTS = 20  # of a sample
 LATEST = 3  # samples by which the input is late at most

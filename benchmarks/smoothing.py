@@ -17,12 +17,12 @@ from benchmarks.glitches import doubting, from_ranges
 from benchmarks.honest_problems import KINDS, problems
 from benchmarks.markdown import head, row
 from benchmarks.random_problems import Problems
-from undeadzone.ends.sensor import Sensor
 from undeadzone.interfaces import Estimate, graph_of
+from undeadzone.nonlinearities.sensor import Sensor
 from undeadzone.plants.options import Plant
 from undeadzone.simulation.estimate import smooth
 from undeadzone.simulation.online import Online, built_for
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 ORDERS = (1, 2, 3)
 CLAIMS = {"told": doubting, "ranges alone": from_ranges}

@@ -31,7 +31,7 @@ from benchmarks.honesty import CLAIMS
 from benchmarks.markdown import head, row
 from benchmarks.random_problems import Problems, World
 from undeadzone.interfaces import Estimate
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 GATE = 4.0  # rms of noise beyond which a reading is none of silence
 FARTHEST = 6.0  # deviations of an innovation that count

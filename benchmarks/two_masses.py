@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 TS, GAIN, TAU = 5e-3, 100.0, 0.1  # sample time [s], of the motor z'' = GAIN u - z' / TAU
 TURN = np.pi**2  # deceleration of r = sin(pi t) at a turn [1/s^2]

@@ -15,14 +15,14 @@ from scipy.signal import lsim
 from tests import scenes
 
 from benchmarks.markdown import head, row
-from undeadzone.ends.sensor import deadzone
-from undeadzone.linear.matrices import Matrices
+from undeadzone.linalg.matrices import Matrices
+from undeadzone.nonlinearities.sensor import deadzone
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
 from undeadzone.signals.exosystem import exosystem
-from undeadzone.support.arrays import Floats
-from undeadzone.support.text import HALF_95
 from undeadzone.synthesis.assessment import knowledge, plan
+from undeadzone.util.arrays import Floats
+from undeadzone.util.text import HALF_95
 
 KINDS = ("sine", "sines", "step", "trapezoid", "ramp", "pulse", "square wave", "slow random")
 DURATION, STEP = 20.0, 0.01

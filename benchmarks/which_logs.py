@@ -10,7 +10,7 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 
 from benchmarks.identify_logs import excitation, plant
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 from undeadzone_identify.models.motion import Moving
 
 KINDS = ("neither", "dead_zone", "play", "both")

@@ -11,8 +11,8 @@ import undeadzone as uz
 from undeadzone.feedforward.targets import steady_state
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.simulation.simulate import prepare
-from undeadzone.support import tree
-from undeadzone.support.arrays import Floats
+from undeadzone.util import tree
+from undeadzone.util.arrays import Floats
 
 Time = Literal["continuous", "sampled"]
 

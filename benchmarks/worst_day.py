@@ -13,11 +13,11 @@ import undeadzone as uz
 from benchmarks.markdown import head, row
 from undeadzone.errors import InputError
 from undeadzone.scenario.schema import Scenario
-from undeadzone.support.arrays import Floats
-from undeadzone_export import parts, vectors
+from undeadzone.util.arrays import Floats
+from undeadzone_export import exported_step, selftest_vectors
 from undeadzone_export.accuracy import Compiled
 from undeadzone_export.code import code
-from undeadzone_export.parts import places_of
+from undeadzone_export.exported_step import places_of
 
 SAMPLES = 10_000
 FLAGS = ("side", "consistent", "refused", "restarts")
@@ -85,9 +85,9 @@ def spoilt(rows: Floats, seed: int = 0) -> Floats:
 
 def day(one: Scenario, samples: int = SAMPLES) -> Day:
     """What the exports of a scenario's observer do on a worst day."""
-    problem = vectors.continued(one, samples)
-    step = parts.build(problem)
-    rows = spoilt(vectors.recorded(problem, step))
+    problem = selftest_vectors.continue_scenario(one, samples)
+    step = exported_step.build(problem)
+    rows = spoilt(selftest_vectors.record_inputs(problem, step))
     with tempfile.TemporaryDirectory() as folder:
         double, single = (Compiled(code(step, kind), Path(folder))(rows) for kind in (False, True))
     online = uz.Online(one.observer, one.plant, one.sensor, one.simulation.step)

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import msgspec
 
-from undeadzone.catalogue import CATALOGUES
+from undeadzone.registry import CATALOGUES
 from undeadzone.scenario.schema import Scenario
-from undeadzone.support.arrays import Array
+from undeadzone.util.arrays import Array
 
 PAGE = Path(__file__).with_name("scenario.md")
 ENTRY = re.compile(r"    (\w[\w, ]*): (.*)")

@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.ends.actuator import Actuator, resolve_actuator, through_zone
-from undeadzone.ends.play import held
-from undeadzone.support.arrays import Floats
+from undeadzone.nonlinearities.actuator import Actuator, resolve_actuator, through_zone
+from undeadzone.nonlinearities.play import apply_backlash
+from undeadzone.util.arrays import Floats
 from undeadzone_identify.models.place import simulate
 
 FOLDER = Path(__file__).parent / "figures" / "which"
@@ -50,7 +50,7 @@ def played(z: Floats, right: float, left: float) -> Floats:
     """z behind a play, by the rule of the simulated sensor."""
     y, now = np.empty(z.size), 0.0
     for k, value in enumerate(z):
-        now = float(held(np, value, now, right, left))
+        now = float(apply_backlash(np, value, now, right, left))
         y[k] = now
     return y
 

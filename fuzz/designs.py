@@ -19,7 +19,7 @@ from fuzz.case import Case
 from fuzz.damage import anything, bent, number
 from undeadzone.analysis.certificate.design_file import Design
 from undeadzone.analysis.certificate.passivity import certify
-from undeadzone.linear.matrices import Matrices
+from undeadzone.linalg.matrices import Matrices
 
 NAME = "design.toml"
 A, B, C = [[0.0, 1.0], [-1.0, -2.0]], [[0.0], [1.0]], [[1.0, 0.0]]

@@ -22,7 +22,7 @@ from undeadzone.compile import interpret, lanes
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
 from undeadzone.simulation.simulate import prepare
-from undeadzone.support import tree
+from undeadzone.util import tree
 
 CLOSE: Final = 1e-9  # of the size of a signal
 OURS: Final = {

@@ -11,7 +11,7 @@ import msgspec
 
 from fuzz.damage import TEXTS, anything, number
 from undeadzone.scenario.schema import Scenario
-from undeadzone.support.arrays import Array
+from undeadzone.util.arrays import Array
 
 # Keys by which anybody may ask for a long computation, and what is not asked for here.
 LENGTHS: Final = {

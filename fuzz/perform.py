@@ -23,7 +23,7 @@ from fuzz.case import Case, End
 from undeadzone.cli import group
 from undeadzone.cli.ending import ended
 from undeadzone.errors import UndeadzoneError
-from undeadzone.support.text import printable
+from undeadzone.util.text import printable
 
 LONGEST: Final = 120  # [s] of the clock that a process of its own may take
 

@@ -20,7 +20,7 @@ FOLDER: Final = ROOT / ".pytest_cache" / "mutants"
 LOOP: Final = ("simulation/close.py", "simulation/close.py", "results/scales.py")
 ROOMS: Final = (
     "numerics",
-    "linear",
+    "linalg",
     "analysis",
     "observers/parts",
     *LOOP,

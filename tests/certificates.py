@@ -10,7 +10,7 @@ from undeadzone.analysis import error_dynamics
 from undeadzone.analysis.certificate.driven import original_storage
 from undeadzone.analysis.dissipation import LEAST, NOTHING, Check, Inequality, check, deepest
 from undeadzone.errors import InputError
-from undeadzone.support.arrays import Floats, matrix, vector
+from undeadzone.util.arrays import Floats, matrix, vector
 
 
 class Sector(NamedTuple):

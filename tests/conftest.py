@@ -27,7 +27,7 @@ import undeadzone
 from tools import pytest_terminal_summary as pytest_terminal_summary
 from undeadzone.ensemble import journal
 from undeadzone.report.style import own_settings
-from undeadzone.support import files
+from undeadzone.util import files
 from undeadzone_export import compiler
 
 gc.set_threshold(100_000)  # as the command line does

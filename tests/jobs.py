@@ -18,7 +18,7 @@ import numpy as np
 
 from undeadzone.ensemble import run_blocks
 from undeadzone.ensemble.job import Layout
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 
 class Sines(NamedTuple):

@@ -9,14 +9,14 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.interfaces import Estimate, Observer, Reading
-from undeadzone.linear.matrices import Matrices
+from undeadzone.linalg.matrices import Matrices
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System
 from undeadzone.scenario.reader import convert
 from undeadzone.scenario.schema import Scenario
-from undeadzone.support import tree
-from undeadzone.support.arrays import Floats
+from undeadzone.util import tree
+from undeadzone.util.arrays import Floats
 
 PAPER = """
 title = "Paper example"

@@ -14,10 +14,12 @@ from hypothesis import strategies as st
 import undeadzone as uz
 from scenes import PAPER_PLANT, scene
 from test_engines import distance, parts, small
-from undeadzone.analysis.identifiability.both_ends import both_ends
 from undeadzone.analysis.identifiability.linear import invisible
+from undeadzone.analysis.identifiability.sensor_and_actuator import both_ends
 from undeadzone.compile import interpret, lanes
-from undeadzone.ends.actuator import (
+from undeadzone.ensemble.run_ensemble import deviation, run_ensemble
+from undeadzone.errors import InputError, ShapeError, StructureError
+from undeadzone.nonlinearities.actuator import (
     Actuator,
     ActuatorModel,
     believed,
@@ -25,10 +27,8 @@ from undeadzone.ends.actuator import (
     through_zone,
     within_rate,
 )
-from undeadzone.ensemble.run_ensemble import deviation, run_ensemble
-from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.numerics.gaussian import Gaussian
-from undeadzone.observers.parts.further_constants import Zones, entering
+from undeadzone.observers.filtering.constant_states import Zones, entering
 from undeadzone.plants.system import sampled
 from undeadzone.report.log_page import estimation_page
 from undeadzone.report.run_figures import overview
@@ -38,9 +38,9 @@ from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.loop import Outputs
 from undeadzone.simulation.simulate import outputs_of, prepare, simulate
-from undeadzone.support.arrays import Floats
-from undeadzone_export import parts as export_parts
-from undeadzone_export import vectors
+from undeadzone.util.arrays import Floats
+from undeadzone_export import exported_step as export_parts
+from undeadzone_export import selftest_vectors
 
 TS = 0.01
 RIGHT, LEFT = 3.0, 2.0
@@ -296,7 +296,7 @@ def test_an_integrator_shows_its_actuator_without_coasts_and_hides_its_sensor() 
 def test_no_mode_visited_tells_nothing_of_the_actuator() -> None:
     run = simulate(loop(compensator=INVERSE))
     problem = resolve_scenario(loop())
-    from undeadzone.analysis.side_schedule import recorded
+    from undeadzone.analysis.branch_schedule import recorded
 
     schedule = recorded(run.z, problem.sensor, TS, TS)
     found = both_ends(problem.model.linear, schedule, np.zeros((0, 1)), problem.belief.drive)
@@ -380,9 +380,9 @@ def test_exported_c_passes_its_self_test(tmp_path: Path) -> None:
 def test_an_exported_controller_commands_what_the_loop_commands(method: str) -> None:
     compensator = {"method": method, "coast": 0.4, "every": 1.0}
     problem = resolve_scenario(loop(compensator=compensator, simulation={"duration": 3.0}))
-    expected = vectors.recorded(problem, export_parts.build(problem))[:, 1]
+    expected = selftest_vectors.record_inputs(problem, export_parts.build(problem))[:, 1]
     step = export_parts.build(problem, "observer+controller")
-    rows = vectors.recorded(problem, step)
+    rows = selftest_vectors.record_inputs(problem, step)
     found, _ = interpret.run(step.function, step.start, rows, step.defaults)
     assert np.abs(found[:, 0] - expected).max() < 1e-9 * np.abs(expected).max()
 

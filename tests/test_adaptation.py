@@ -15,12 +15,12 @@ from hypothesis import strategies as st
 
 from scenes import PAPER_PLANT, OnNumbers, scene
 from undeadzone.analysis.certificate.passivity import certify
-from undeadzone.ends import sensor
-from undeadzone.ends.sensor import Sensor, resolve
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate
+from undeadzone.nonlinearities import sensor
+from undeadzone.nonlinearities.sensor import Sensor, resolve
 from undeadzone.observers import Certified
-from undeadzone.observers.parts.width_laws import (
+from undeadzone.observers.adaptive.adaptation_laws import (
     Adaptation,
     EModification,
     Gradient,
@@ -30,7 +30,7 @@ from undeadzone.observers.parts.width_laws import (
 )
 from undeadzone.plants.system import System, sampled
 from undeadzone.simulation.simulate import simulate
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 seeds = st.integers(0, 2**32 - 1)
 TRUTH = np.array([1.3, 0.6])

@@ -19,11 +19,11 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from scenes import scene, slopes
-from undeadzone.catalogue import OBSERVERS
 from undeadzone.cli import group
 from undeadzone.ensemble.binding import bind, drawn
 from undeadzone.errors import FileError, InputError
 from undeadzone.observers.luenberger import Luenberger
+from undeadzone.registry import OBSERVERS
 from undeadzone.scenario.ensemble_table import Vary
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import read
@@ -31,7 +31,7 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.signals import noise
 from undeadzone.simulation import exogenous as inputs
 from undeadzone.simulation.simulate import closed, simulate
-from undeadzone.support import toml
+from undeadzone.util import toml
 from undeadzone_arena.contest import leaderboard
 from undeadzone_arena.contest import tune as tuning
 from undeadzone_arena.contest import tuned_file as tuned

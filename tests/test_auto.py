@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 
 from scenes import PAPER_PLANT, scene
-from undeadzone.ends.sensor import Sensor, Zone, resolve
 from undeadzone.errors import InputError
+from undeadzone.nonlinearities.sensor import Sensor, Zone, resolve
 from undeadzone.observers import Auto, Censored, Certified, HighGain
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled
 from undeadzone.simulation.simulate import simulate
-from undeadzone.support import tree
+from undeadzone.util import tree
 from undeadzone_arena.contest.leaderboard import regrets
 from undeadzone_arena.contest.methods import Method
 from undeadzone_arena.contest.scenario_sets import scenarios

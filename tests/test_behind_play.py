@@ -19,7 +19,7 @@ from undeadzone.results.run import Run
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.simulate import simulate
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 TS = 5e-3
 GAPS = {"right": 0.06, "left": 0.04}

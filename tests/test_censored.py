@@ -21,18 +21,18 @@ import undeadzone as uz
 from scenes import PAPER_PLANT, OnNumbers, linear, random_plant, scene
 from undeadzone.compile import interpret
 from undeadzone.controllers.state_feedback import rest
-from undeadzone.ends import sensor
-from undeadzone.ends.sensor import Sensor, Zone, resolve
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Estimate
-from undeadzone.linear.hold import zoh
-from undeadzone.linear.matrices import Matrices
+from undeadzone.linalg.hold import zoh
+from undeadzone.linalg.matrices import Matrices
+from undeadzone.nonlinearities import sensor
+from undeadzone.nonlinearities.sensor import Sensor, Zone, resolve
 from undeadzone.numerics import gaussian
 from undeadzone.observers import Censored, Kalman
-from undeadzone.observers.parts import model_bank
-from undeadzone.observers.parts.gaussian_filter import Params, ambiguous
-from undeadzone.observers.parts.model_bank import mixture_std, weighted_mean, wider_of_two
-from undeadzone.observers.parts.unknown_inputs import (
+from undeadzone.observers.filtering import multiple_models
+from undeadzone.observers.filtering.gaussian_filter import Params, ambiguous
+from undeadzone.observers.filtering.multiple_models import mixture_std, weighted_mean, wider_of_two
+from undeadzone.observers.filtering.unknown_inputs import (
     SMALL,
     coloured,
     rest_under_bias,
@@ -46,8 +46,8 @@ from undeadzone.plants.system import System, sampled, time_scale
 from undeadzone.results.run import Run
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.simulation.simulate import prepare, simulate
-from undeadzone.support import tree
-from undeadzone.support.arrays import Floats
+from undeadzone.util import tree
+from undeadzone.util.arrays import Floats
 
 seeds = st.integers(0, 2**32 - 1)
 TS = 0.02
@@ -787,7 +787,7 @@ def test_levels_lie_about_the_claim_and_wider_about_the_default(
         return member
 
     found: list[list[float]] = []
-    monkeypatch.setattr(model_bank, "bank", levels)
+    monkeypatch.setattr(multiple_models, "bank", levels)
     told: dict[str, Any] = {"disturbance": 1.0}
     for options in (told, told | {"levels": 2}, {}):
         Censored(right=[0, 2], **options).build(MODEL, zone())

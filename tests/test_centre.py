@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from scenes import scene
-from undeadzone.ends.sensor import Sensor, resolve
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.observers.parts.prior import Claims, build_prior
+from undeadzone.nonlinearities.sensor import Sensor, resolve
+from undeadzone.observers.filtering.prior import Assumptions, build_prior
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import sampled
@@ -43,7 +43,7 @@ def test_the_prior_is_that_of_ranges_given_the_centre(claimed: Any) -> None:
     """Of many draws from the ranges as Gaussians, weighed by the claim on d_r - d_l."""
     where = resolve(Sensor(right=0.1, left=0.1, noise=0.01), 1, 0.01)
     ranges = {"right": [0.2, 1.0], "left": [0.0, 0.6]}
-    prior = build_prior(Claims(**ranges, x_std=1.0, drift=0.0), MODEL, where, centre=claimed)
+    prior = build_prior(Assumptions(**ranges, x_std=1.0, drift=0.0), MODEL, where, centre=claimed)
     mean, cov = prior.widths()
     low, high = np.broadcast_to(np.ravel(claimed), 2)
     spread = max((high - low) / np.sqrt(12), 0.01)

@@ -26,9 +26,9 @@ from undeadzone.analysis.certificate.passivity import (
 from undeadzone.analysis.certificate.weights import margin
 from undeadzone.analysis.error_dynamics import Dynamics, adaptation, dynamics
 from undeadzone.errors import InputError, ShapeError, StructureError
-from undeadzone.linear.hold import zoh
-from undeadzone.linear.matrices import Matrices, delta
-from undeadzone.support.arrays import Floats
+from undeadzone.linalg.hold import zoh
+from undeadzone.linalg.matrices import Matrices, delta
+from undeadzone.util.arrays import Floats
 
 PAPER = PAPER_PLANT.linear
 TIMES = [None, 1e-4, 1e-3, 1e-2, 0.1, 1.0]

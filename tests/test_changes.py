@@ -12,7 +12,7 @@ import undeadzone as uz
 from scenes import scene, table
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.scenario.reader import parse
-from undeadzone.support import toml
+from undeadzone.util import toml
 
 
 def test_replace_changes_one_key_and_leaves_the_rest() -> None:

@@ -14,7 +14,13 @@ from benchmarks.honesty import CLAIMS as CLAIMED
 
 import undeadzone as uz
 from undeadzone.interfaces import CLAIMS, Estimate, Reading, claims_in_words, false_claims
-from undeadzone.observers.parts.scores import Scores, refuted, scored, unscored, verdict
+from undeadzone.observers.filtering.innovation_tests import (
+    Scores,
+    rejected_assumptions,
+    start_scores,
+    update_scores,
+    verdict,
+)
 from undeadzone.simulation.consistency import Own
 
 TS, RATE, N = 0.01, 2.0, 2500
@@ -69,9 +75,9 @@ def followed(regress: Callable[[Any], Any], count: int = 400) -> dict[str, list[
     q: Any = SimpleNamespace(doubt=doubt, slope=1.0)
     symbols = Scores(*[ca.SX.sym(name, lanes) for name in Scores._fields])
     nu, y, u = (ca.SX.sym(name, lanes) for name in ("nu", "y", "u"))
-    after = scored(q, symbols, nu, nu, 1.0, 0.0, Reading(y, 0.0), u)
+    after = update_scores(q, symbols, nu, nu, 1.0, 0.0, Reading(y, 0.0), u)
     step = ca.Function("step", [*symbols, nu, y, u], list(after))
-    state: list[Any] = list(unscored(lanes))
+    state: list[Any] = list(start_scores(lanes))
     for _ in range(count):
         own = Scores(*[ca.DM(part).full().ravel() for part in state])
         shown = rng.normal(size=(2, lanes))
@@ -80,7 +86,7 @@ def followed(regress: Callable[[Any], Any], count: int = 400) -> dict[str, list[
     found: dict[str, list[float]] = {}
     for lane in range(lanes):
         one = Scores(*[ca.SX(part[lane]) for part in kept])
-        for name, ratio in refuted(doubt, one).items():
+        for name, ratio in rejected_assumptions(doubt, one).items():
             found.setdefault(name, []).append(float(ratio))
     return found
 
@@ -129,13 +135,13 @@ def test_readings_are_refused_in_rows_again_and_again(
     q: Any = SimpleNamespace(doubt=doubt, slope=1.0)
     each = Scores(*[ca.SX.sym(name) for name in Scores._fields])
     e, refuse, read = ca.SX.sym("e"), ca.SX.sym("refuse"), ca.SX.sym("y")
-    after = scored(q, each, e, e, 1 - refuse, refuse, Reading(read, 0.0), ca.SX(0.0))
+    after = update_scores(q, each, e, e, 1 - refuse, refuse, Reading(read, 0.0), ca.SX(0.0))
     step = ca.Function("step", [*each, e, refuse, read], list(after))
-    state: list[Any] = list(unscored(1))
+    state: list[Any] = list(start_scores(1))
     rng, told = np.random.default_rng(0), np.resize(refused, 650)
     for k, one in enumerate(told):
         state = step.call([*state, 9.0 if one else rng.normal(), float(one), y[k % 2]])
-    ratio = refuted(doubt, Scores(*[ca.SX(part) for part in state]))["sensor"]
+    ratio = rejected_assumptions(doubt, Scores(*[ca.SX(part) for part in state]))["sensor"]
     assert (float(ratio) > 1) is found
 
 

@@ -20,7 +20,7 @@ import pytest
 from commands import undeadzone
 from undeadzone.cli import group
 from undeadzone.results.run import Run
-from undeadzone.support import progress
+from undeadzone.util import progress
 from undeadzone_export import exporting
 from undeadzone_identify.command import identify
 

@@ -18,16 +18,22 @@ import undeadzone as uz
 from undeadzone.cli import group
 from undeadzone.numerics.first_passage import arriving, at_edge, beyond
 from undeadzone.numerics.gaussian import Gaussian, cut_to, mixed
-from undeadzone.observers.parts.contact_drive import PASSED, drive_of, either, made_up, posture
-from undeadzone.observers.parts.contact_modes import (
+from undeadzone.observers.contact_filter.drive import (
+    PASSED,
+    combine_joints,
+    drive_of,
+    either,
+    posture,
+)
+from undeadzone.observers.contact_filter.modes import (
     LOST,
     OPEN,
     Layout,
     Mode,
-    Told,
+    Posterior,
     _moved,
+    condition_on_impact,
     renewed,
-    struck,
 )
 from undeadzone.plants.robots.build import two_link
 from undeadzone.plants.robots.geared import Gears, geared_motion
@@ -245,11 +251,11 @@ def test_what_a_motor_tells_of_its_gears_moves_the_free_links_of_others() -> Non
     gears = geared_motion(two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
     mean = ca.DM([0.3, 0.8, 0.3, 0.8, *[0.0] * 17])
     belief = Gaussian(ca.SX(11, 1), ca.SX.eye(11))
-    told = Told((), (belief,) * 3, belief, belief.mean, 0.0, 1.0)
+    told = Posterior((), (belief,) * 3, belief, belief.mean, 0.0, 1.0)
     arm = posture(gears, gears.values, mean, ca.DM.zeros(2))
     news, impulse = ca.SX(21, 1), 0.2
     news[5] = -impulse / 0.03  # the second motor, slower than was foretold
-    first, second = made_up([told, told], news, arm)
+    first, second = combine_joints([told, told], news, arm)
     right, free, left = (float(one.mean[3]) for one in first.beliefs)
     answer = np.asarray(ca.evalf(drive_of(gears, 1e-3, 1).mobility(gears.values, mean)))
     assert free == pytest.approx(PASSED * impulse * answer[2, 1])
@@ -277,7 +283,7 @@ def test_filters_count_by_their_shares_and_one_that_overflows_is_renewed() -> No
     beliefs = [Gaussian(ca.SX(rng.normal(size=entries)), ca.SX.eye(entries)) for _ in range(2)]
     told = []
     for belief, e in zip(beliefs, (1.0, 3.0), strict=True):
-        told.append(Told((0.2, 0.3, 0.5), (belief,) * 3, belief, belief.mean, e, 2.0, 0.0))
+        told.append(Posterior((0.2, 0.3, 0.5), (belief,) * 3, belief, belief.mean, e, 2.0, 0.0))
     both = either(told, (ca.SX([0.5, 0.5]), ca.SX([0.25, 0.75])))
     first, second = (np.asarray(ca.evalf(belief.mean)).ravel() for belief in beliefs)
     mean, off = 0.25 * first + 0.75 * second, first - second
@@ -317,7 +323,7 @@ def test_joint_by_joint_a_gap_is_not_told_by_a_link_that_rests(speed: float, hea
     def told(apart: bool) -> float:
         q = SimpleNamespace(model=gears.values, slack=1e-8, impact=0.3)
         drive = drive_of(gears, 1e-3, 1, apart)
-        return float(struck(drive, q, 0, -1, belief).mean[place]) - 0.05
+        return float(condition_on_impact(drive, q, 0, -1, belief).mean[place]) - 0.05
 
     assert abs(told(False)) > 1e-3
     assert told(True) == pytest.approx(heard * told(False), abs=1e-9)

@@ -18,8 +18,8 @@ from undeadzone.interfaces import Controller, Estimate
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled
-from undeadzone.support import tree
-from undeadzone.support.arrays import Floats
+from undeadzone.util import tree
+from undeadzone.util.arrays import Floats
 
 TWO_INPUTS = random_plant(np.random.default_rng(3), 3, 2, 2)
 

@@ -12,14 +12,14 @@ from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.controllers import LQR, ComputedTorque, StateFeedback
 from undeadzone.errors import InputError
 from undeadzone.observers import Auto, Certified, Kalman
-from undeadzone.observers.parts.gain import default_adaptation, default_gain
+from undeadzone.observers.adaptive.gain import default_adaptation, default_gain
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled
-from undeadzone.results.listening import in_words, on_trust
+from undeadzone.results.feedback import describe_feedback, is_open_loop
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert, read_for_logs
-from undeadzone.simulation.listening import listening
+from undeadzone.simulation.feedback import feedback_shares
 from undeadzone.simulation.simulate import simulate
 
 BARE: dict[str, Any] = {
@@ -63,20 +63,20 @@ def test_kalman_listens_unless_it_is_told_not_to() -> None:
         scenario = convert(BARE | wrong | time | {"observer": observer})
         run = simulate(scenario)
         error[name] = run.rms_estimation
-        shares[name] = listening(resolve_scenario(scenario), run)
+        shares[name] = feedback_shares(resolve_scenario(scenario), run)
     assert error["usual"] < 0.1 < error["deaf"]
-    assert not on_trust(shares["usual"])
-    assert on_trust(shares["deaf"])
+    assert not is_open_loop(shares["usual"])
+    assert is_open_loop(shares["deaf"])
 
 
 def test_an_observer_without_gain_follows_its_model_alone() -> None:
     scenario = scene(
         observer={"method": "luenberger", "L": [0.0, 0.0]}, simulation={"duration": 12.0}
     )
-    (share,) = listening(resolve_scenario(scenario), None)
+    (share,) = feedback_shares(resolve_scenario(scenario), None)
     assert share == pytest.approx(0.0, abs=0.01)
-    assert in_words([share]).startswith("OPEN LOOP")
-    assert not in_words([0.9, None]).startswith("OPEN LOOP")
+    assert describe_feedback([share]).startswith("OPEN LOOP")
+    assert not describe_feedback([0.9, None]).startswith("OPEN LOOP")
 
 
 def test_an_output_at_rest_tells_nothing_of_listening() -> None:
@@ -85,8 +85,8 @@ def test_an_output_at_rest_tells_nothing_of_listening() -> None:
         reference={"kind": "sine", "amplitude": 0.0, "frequency": 1.0},
         simulation={"duration": 2.0},
     )
-    assert np.isnan(listening(resolve_scenario(still), None)).all()
-    assert not on_trust([None])
+    assert np.isnan(feedback_shares(resolve_scenario(still), None)).all()
+    assert not is_open_loop([None])
 
 
 def test_a_scenario_that_names_neither_gets_the_usual_ones() -> None:

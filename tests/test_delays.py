@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from undeadzone.ends.sensor import DIRECTIONS
+from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone_identify.models.plant import Data, delayed
 from undeadzone_identify.models.zone import Limits
-from undeadzone_identify.verdict.delays import _late, alike, better_delay, refined_delay
-from undeadzone_identify.verdict.orders import OrderFit, fit_orders, order_to_write
-from undeadzone_identify.verdict.widths import find_widths
+from undeadzone_identify.selection.delays import _late, alike, better_delay, refined_delay
+from undeadzone_identify.selection.orders import OrderFit, fit_orders, order_to_write
+from undeadzone_identify.selection.widths import find_widths
 
 LATE = 6
 POLES = np.array([0.86 + 0.19j, 0.86 - 0.19j, 0.71])

@@ -28,11 +28,11 @@ from undeadzone.numerics.optimise import evolve, pareto, undominated
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
 from undeadzone.simulation.simulate import simulate
-from undeadzone.support.arrays import Floats
 from undeadzone.synthesis.check import check
 from undeadzone.synthesis.design import design, rounds
 from undeadzone.synthesis.gain_search import Weights
 from undeadzone.synthesis.task import candidate_of, certified, make_task, watched
+from undeadzone.util.arrays import Floats
 
 SAMPLED = {"time": "sampled", "step": 1e-2}
 COUPLED = {

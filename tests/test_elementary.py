@@ -20,7 +20,7 @@ from test_engines import SPECIAL, identical, stateless
 from undeadzone.compile import lanes
 from undeadzone.compile.coefficients import FUSED
 from undeadzone.compile.elementary import LANES_OWN as FUNCTIONS
-from undeadzone.support.arrays import Array, Floats
+from undeadzone.util.arrays import Array, Floats
 
 ULPS = {"sin": 1.0, "cos": 1.0, "exp": 1.0, "log": 1.0, "erf": 1.5, "tanh": 3.0}
 FAR = FUSED.far

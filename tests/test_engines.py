@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 from tests.scenes import scene
 
 import once
-from undeadzone import catalogue
+from undeadzone import registry
 from undeadzone.compile import cache, interpret, kernel, lanes
 from undeadzone.compile.lower import Arithmetic
 from undeadzone.compile.machine import here
@@ -29,8 +29,8 @@ from undeadzone.errors import InputError, ShapeError
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.simulate import prepare, simulate
-from undeadzone.support import tree
-from undeadzone.support.arrays import Floats
+from undeadzone.util import tree
+from undeadzone.util.arrays import Floats
 
 BOTH, SAMPLED, CONTINUOUS = ("continuous", "sampled"), ("sampled",), ("continuous",)
 PLAIN: tuple[tuple[str, ...], dict[str, Any]] = (BOTH, {})  # for a method that is not listed below
@@ -92,8 +92,8 @@ TWO_OUTPUTS = {
 }
 
 
-PAIRS = [(observer, "state_feedback") for observer in catalogue.OBSERVERS.tags()] + [
-    ("certified", controller) for controller in catalogue.CONTROLLERS.tags()
+PAIRS = [(observer, "state_feedback") for observer in registry.OBSERVERS.tags()] + [
+    ("certified", controller) for controller in registry.CONTROLLERS.tags()
 ]
 
 

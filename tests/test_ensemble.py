@@ -37,8 +37,8 @@ from undeadzone.results.run import LAST, Run
 from undeadzone.scenario.ensemble_table import Vary
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.exogenous import exogenous
-from undeadzone.support.arrays import Floats
-from undeadzone.support.toml import dumps
+from undeadzone.util.arrays import Floats
+from undeadzone.util.toml import dumps
 
 RUNS = 150  # more than one block of lanes
 WIDTHS: dict[str, Any] = {

@@ -20,7 +20,7 @@ from undeadzone.errors import FileError, InputError
 from undeadzone.report.ensemble_page import figures, write_ensemble
 from undeadzone.scenario.schema import Units
 from undeadzone.statistics.intervals import describe, proportion
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 ENTRIES = ("sensor.right[0]", "plant.A[1,0] (relative)", "sensor.noise[0]")
 NASTY = "<b>Ω & more</b>"

@@ -17,9 +17,9 @@ from undeadzone.interfaces import graph_of
 from undeadzone.scenario.reader import read_for_logs
 from undeadzone.simulation.consistency import Consistency
 from undeadzone.simulation.estimate import smooth
-from undeadzone.simulation.misread import what_would_fit
+from undeadzone.simulation.log_diagnosis import what_would_fit
 from undeadzone.simulation.online import built_for
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 COMMAND = [sys.executable, "-c", "from undeadzone.cli import main; main()"]

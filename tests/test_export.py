@@ -22,12 +22,12 @@ import undeadzone as uz
 from scenes import scene
 from test_engines import CONTROLLERS, OBSERVERS, PENDULUM, TWO_OUTPUTS, small
 from tools import require
-from undeadzone.compile import elementary, lanes, live
+from undeadzone.compile import elementary, lanes, scalar_step
 from undeadzone.compile.graph import needed
 from undeadzone.errors import FileError, InputError
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
-from undeadzone_export import accuracy, compiler, exporting, parts, vectors
+from undeadzone_export import accuracy, compiler, exported_step, exporting, selftest_vectors
 from undeadzone_export.code import code
 from undeadzone_export.source import Labels
 from undeadzone_export.source import source as printed_source
@@ -115,7 +115,7 @@ def test_auto_is_exported_as_what_it_chooses() -> None:
     hashes = set()
     for method in ("auto", "censored"):
         scenario = small("sampled", observer={"method": method, "right": [0.1, 1.0]})
-        hashes.add(code(parts.build(resolve_scenario(scenario)), True).hash)
+        hashes.add(code(exported_step.build(resolve_scenario(scenario)), True).hash)
     assert len(hashes) == 1
 
 
@@ -160,7 +160,7 @@ def test_make_builds_the_self_test_and_it_passes(joint: Path, tmp_path: Path) ->
     ],
     ids=["two outputs", "nonlinear", "jump", "dropout"],
 )  # fmt: skip
-@pytest.mark.parametrize("part", parts.PARTS)
+@pytest.mark.parametrize("part", exported_step.PARTS)
 def test_every_kind_of_plant_and_sensor(changes: dict[str, Any], part: str, tmp_path: Path) -> None:
     done = uz.export(
         small("sampled", **changes), out=tmp_path / "fw", part=part, name="o", check=True
@@ -172,8 +172,8 @@ def test_every_kind_of_plant_and_sensor(changes: dict[str, Any], part: str, tmp_
 def test_certified_has_the_bits_of_online(tmp_path: Path) -> None:
     scenario = certified()
     problem = resolve_scenario(scenario)
-    step = parts.build(problem)
-    rows = vectors.recorded(problem, step)
+    step = exported_step.build(problem)
+    rows = selftest_vectors.record_inputs(problem, step)
     rows[37, 0] = np.nan
     values = accuracy.Compiled(code(step, False), tmp_path)(rows)
     online = uz.Online(scenario.observer, scenario.plant, scenario.sensor, scenario.simulation.step)
@@ -187,9 +187,9 @@ def test_certified_has_the_bits_of_online(tmp_path: Path) -> None:
 
 def test_a_stored_state_goes_on_with_the_same_bits(tmp_path: Path) -> None:
     problem = resolve_scenario(certified())
-    step = parts.build(problem)
+    step = exported_step.build(problem)
     printed = code(step, False)
-    rows = vectors.recorded(problem, step)[:200]
+    rows = selftest_vectors.record_inputs(problem, step)[:200]
     runner = accuracy.Compiled(printed, tmp_path)
     whole = runner(rows)
     runner.begin()
@@ -213,10 +213,10 @@ def test_a_stored_state_goes_on_with_the_same_bits(tmp_path: Path) -> None:
 
 def test_observer_and_controller_give_the_input_of_the_loop(tmp_path: Path) -> None:
     problem = resolve_scenario(certified())
-    step = parts.build(problem, "observer+controller")
-    rows = vectors.recorded(problem, step)
-    alone = parts.build(problem)
-    expected = vectors.recorded(problem, alone)[:, 1]
+    step = exported_step.build(problem, "observer+controller")
+    rows = selftest_vectors.record_inputs(problem, step)
+    alone = exported_step.build(problem)
+    expected = selftest_vectors.record_inputs(problem, alone)[:, 1]
     values = accuracy.Compiled(code(step, False), tmp_path)(rows)[:, 0]
     assert np.abs(values - expected).max() < 1e-12 * np.abs(expected).max()
 
@@ -224,8 +224,10 @@ def test_observer_and_controller_give_the_input_of_the_loop(tmp_path: Path) -> N
 def test_a_drive_limit_limits_u(tmp_path: Path) -> None:
     problem = resolve_scenario(certified())
     limited = problem._replace(plant=problem.plant._replace(limit=np.array([0.5])))
-    step = parts.build(limited, "observer+controller")
-    rows = vectors.recorded(problem, parts.build(problem, "observer+controller"))
+    step = exported_step.build(limited, "observer+controller")
+    rows = selftest_vectors.record_inputs(
+        problem, exported_step.build(problem, "observer+controller")
+    )
     values = accuracy.Compiled(code(step, False), tmp_path)(rows)[:, 0]
     assert np.abs(values).max() == 0.5
 
@@ -239,9 +241,9 @@ def test_tunable_numbers_are_parameters(tmp_path: Path) -> None:
     assert "leaves what was proved" in text
     assert done.passed
     problem = resolve_scenario(certified(sensor={"threshold": 0.3}))
-    step = parts.build(resolve_scenario(certified()), tunable=("sensor.threshold",))
-    rows = vectors.recorded(problem, step)
-    expected = accuracy.Compiled(code(parts.build(problem), False), tmp_path)(rows)
+    step = exported_step.build(resolve_scenario(certified()), tunable=("sensor.threshold",))
+    rows = selftest_vectors.record_inputs(problem, step)
+    expected = accuracy.Compiled(code(exported_step.build(problem), False), tmp_path)(rows)
     tuned = accuracy.Compiled(code(step._replace(defaults=np.array([0.3])), False), tmp_path / "fw")
     assert (tuned(rows) == expected).all()
 
@@ -332,7 +334,7 @@ def test_nothing_is_undefined(tmp_path: Path) -> None:
 
 def test_no_constant_overflows_or_vanishes(tmp_path: Path) -> None:
     scenario = small("sampled", observer={"method": "censored"} | OBSERVERS["censored"][1])
-    step = parts.build(resolve_scenario(scenario))
+    step = exported_step.build(resolve_scenario(scenario))
     assert exporting.replaced_constants(code(step, False)) == [
         "-1e+300: -3.3572615e+38f",
         "1e+100: 2.2533617e+38f",
@@ -358,7 +360,7 @@ def test_float_that_is_not_enough_is_refused_with_its_number(tmp_path: Path) -> 
     """A width that moves by less than float's last digit at each sample stands still in float."""
     slow = {"method": "certified", "L": [1.0, 1.5], "gamma": 1e-3, "widths0": [3.99, 3.99]}
     scenario = scene(simulation={"time": "sampled", "step": 1e-5, "duration": 0.01}, observer=slow)
-    step = parts.build(resolve_scenario(scenario))
+    step = exported_step.build(resolve_scenario(scenario))
     rows = np.tile([5.0, 0.0], (100_000, 1))
     printed = code(step, True)
     text = printed_source(printed, Labels("o", "slow", "observer"))
@@ -400,7 +402,7 @@ def test_two_uncoupled_groups_have_a_smaller_triangle() -> None:
 
 
 def vectors_field(name: str, size: int) -> Any:
-    return parts.Field(name, size, "")
+    return exported_step.Field(name, size, "")
 
 
 def test_an_arduino_library_has_its_layout(tmp_path: Path) -> None:
@@ -520,10 +522,12 @@ def test_the_long_run_of_float(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
 def test_a_run_that_ends_by_itself_is_not_continued() -> None:
     scenario = certified()
-    longer = vectors.continued(scenario, 5000)
+    longer = selftest_vectors.continue_scenario(scenario, 5000)
     assert longer.steps == 5000
-    assert vectors.continued(scenario, 10).steps == resolve_scenario(scenario).steps
-    huge = vectors.continued(scenario, 10**9)
+    assert (
+        selftest_vectors.continue_scenario(scenario, 10).steps == resolve_scenario(scenario).steps
+    )
+    huge = selftest_vectors.continue_scenario(scenario, 10**9)
     assert huge.steps == resolve_scenario(scenario).steps
 
 
@@ -531,7 +535,7 @@ def test_a_run_that_ends_by_itself_is_not_continued() -> None:
 def test_cppcheck_finds_nothing_in_certified(controller: bool, tmp_path: Path) -> None:
     """Its checks, and its MISRA add-on but for 2.5: the step and the hash are for the user."""
     require("emulator", [] if shutil.which("cppcheck") else ["cppcheck"])
-    part = parts.PARTS[int(controller)]
+    part = exported_step.PARTS[int(controller)]
     uz.export(certified(), out=tmp_path / "fw", name="joint", part=part)
     source = str(tmp_path / "fw" / "joint.c")
     options = ["--std=c99", "--enable=warning,style,portability", "--addon=misra"]
@@ -547,9 +551,9 @@ def test_exported_C_has_the_bits_of_lanes_and_of_a_live_step(observer: str, tmp_
     problem = resolve_scenario(
         small("sampled", observer={"method": observer} | OBSERVERS[observer][1])
     )
-    step = parts.build(problem)
+    step = exported_step.build(problem)
     printed = code(step, False)
-    rows = vectors.recorded(problem, step)
+    rows = selftest_vectors.record_inputs(problem, step)
     rows[50:60, 0] = np.nan
     in_c = accuracy.Compiled(printed, tmp_path)(rows)
     function = step.function
@@ -559,7 +563,7 @@ def test_exported_C_has_the_bits_of_lanes_and_of_a_live_step(observer: str, tmp_
     for lane in in_lanes:
         np.testing.assert_array_equal(lane, in_c)
     if not elementary.called(printed.results) & OWN:
-        stepper = live.CompiledStepper(function, step.start, step.defaults)
+        stepper = scalar_step.CompiledStepper(function, step.start, step.defaults)
         np.testing.assert_array_equal(stepper.run(rows), in_c)
 
 
@@ -591,7 +595,7 @@ def test_boards_say_what_fits_and_what_would(tmp_path: Path) -> None:
 def test_long_code_stores_each_state_behind_its_last_use() -> None:
     """And reads it ahead of its first, so that little is alive at a time."""
     scenario = small("sampled", observer={"method": "censored", "right": [0.0, 2.0]})
-    printed = code(parts.build(resolve_scenario(scenario)), single=True)
+    printed = code(exported_step.build(resolve_scenario(scenario)), single=True)
     text = printed_source(printed, Labels("o", "long", "observer")).code
     body = text[text.index("void o_step(") :].split("\n}\n")[0]
     lines = [line for line in body.splitlines() if line.startswith("    ") and " = " in line]

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from undeadzone.compile.elementary import FUNCTIONS, formula, needed
+from undeadzone.compile.numpy_reference import elementary
 from undeadzone.compile.print_c import Style, functions
-from undeadzone.compile.replica import elementary
 
 POINTS = 100_000
 LONG: Any = np.longdouble

@@ -17,17 +17,17 @@ from hypothesis import strategies as st
 from test_engines import BINARY, ELEMENTARY, SPECIAL, UNARY
 from undeadzone.compile.graph import needed
 from undeadzone.compile.lower import portable
+from undeadzone.compile.numpy_reference import replica
 from undeadzone.compile.print_c import literal
-from undeadzone.compile.replica import replica
-from undeadzone.compile.simplify import held
+from undeadzone.compile.simplify import round_to_type
 from undeadzone.errors import InputError
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import sampled
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 from undeadzone_export.accuracy import Compiled
 from undeadzone_export.code import code, operations, split
-from undeadzone_export.parts import Field, Step
+from undeadzone_export.exported_step import Field, Step
 
 
 @pytest.fixture(autouse=True)
@@ -222,7 +222,7 @@ def test_a_literal_means_its_number(value: float) -> None:
         size = text.lstrip("-")
         number = limits[size] if size in limits else real(size.removesuffix("f"))
         sign = -1 if text.startswith("-") else 1
-        kept = held(value, kind)
+        kept = round_to_type(value, kind)
         assert real(number) * sign == kept
         assert np.isfinite(kept)
         assert (kept == 0) == (value == 0)

@@ -21,11 +21,11 @@ from test_engines import PENDULUM
 from tools import require
 from undeadzone.compile import print_wasm
 from undeadzone.compile.lower import portable
-from undeadzone.compile.replica import elementary
+from undeadzone.compile.numpy_reference import elementary
 from undeadzone.errors import FileError, InputError
 from undeadzone.report import html
 from undeadzone.scenario.schema import Scenario
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 from undeadzone_export.page.build import build
 
 ROOT = Path(__file__).parents[1]

@@ -21,17 +21,17 @@ from structured_text import Reader, Refused
 from test_engines import CONTROLLERS, OBSERVERS, PENDULUM, TWO_OUTPUTS, small
 from test_export import EXPORTED
 from tools import require
-from undeadzone.compile import bitless, elementary
+from undeadzone.compile import elementary, portable_maths
 from undeadzone.compile.graph import Nodes
 from undeadzone.compile.print_c import Expressions, Style, functions
 from undeadzone.compile.print_st import ST, assigned
 from undeadzone.errors import InputError
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
-from undeadzone_export import exporting, parts, plc, plc_files
+from undeadzone_export import exported_step, exporting, plc, plcopen
 from undeadzone_export.code import Code, code
+from undeadzone_export.selftest_vectors import chosen, continue_scenario, record_inputs, reference
 from undeadzone_export.source import Labels, source
-from undeadzone_export.vectors import chosen, continued, recorded, reference
 
 SAMPLES = 10_000
 FLAGS = ["-std=c99", "-ffp-contract=off", "-fno-math-errno", "-w", "-O0"]
@@ -66,15 +66,15 @@ class Made(NamedTuple):
 def made(scenario: Scenario, single: bool, part: str = "observer", **options: Any) -> Made:
     """An export, without its folder."""
     problem = resolve_scenario(scenario)
-    step = parts.build(problem, part, **options)
+    step = exported_step.build(problem, part, **options)
     printed = code(step, single)
-    rows = recorded(problem, step)
-    exported = plc.exported(printed, LABELS, reference(printed, chosen(rows, step.readings)))
+    rows = record_inputs(problem, step)
+    exported = plc.export_plc(printed, LABELS, reference(printed, chosen(rows, step.readings)))
     return Made(
         printed,
         source(printed, LABELS).files(),
-        plc_files.text_of(exported.units, LABELS, printed),
-        plc_files.text_of([exported.test], LABELS, printed),
+        plcopen.text_of(exported.units, LABELS, printed),
+        plcopen.text_of([exported.test], LABELS, printed),
         exported.units,
     )
 
@@ -98,8 +98,8 @@ def run_of(plant: str = "") -> Any:
     """The inputs along a run of one of the plants, corrupted."""
     changes = {"plant": TWO_OUTPUTS, "observer": {"method": "certified", "gamma": 5.0}}
     scenario = small("sampled", **changes) if plant == "two" else observer("certified")
-    problem = continued(scenario, SAMPLES)
-    return corrupted(recorded(problem, parts.build(problem)), 7)
+    problem = continue_scenario(scenario, SAMPLES)
+    return corrupted(record_inputs(problem, exported_step.build(problem)), 7)
 
 
 DOMAINS = {"log1p": "x > -1", "pow": "x > 0", "acosh": "x >= 1", "atanh": "x > -1 && x < 1"}
@@ -251,7 +251,7 @@ def test_with_its_controller_and_tunable_numbers(controller: str, tmp_path: Path
     scenario = small("sampled", controller=options)
     each = made(scenario, True, "observer+controller", tunable=tunable)
     problem = resolve_scenario(scenario)
-    rows = corrupted(recorded(problem, each.code.step), 3)
+    rows = corrupted(record_inputs(problem, each.code.step), 3)
     assert_same_bits(by_reader(each, rows, tmp_path), by_c(each, rows, tmp_path))
     assert "observer_gamma_0 : REAL := 0." in each.blocks
 
@@ -270,7 +270,7 @@ def test_real_has_floats_bits_where_expressions_are_wider(
 def test_readings_that_are_marked_missing_stop_no_plc(method: str, tmp_path: Path) -> None:
     """No operation is invalid and none divides by zero, so that no exception is raised."""
     problem = resolve_scenario(observer(method))
-    rows = recorded(problem, parts.build(problem))
+    rows = record_inputs(problem, exported_step.build(problem))
     rows[::10, 0] = 3e38  # what `missing` makes of a reading
     each = made(observer(method), True)
     text = f"#include <fenv.h>\n{Reader(each.blocks).c()}"
@@ -345,9 +345,9 @@ def test_elementary_functions_have_the_bits_of_the_c(single: bool, tmp_path: Pat
     np.concatenate([*values, edges]).astype(kind).tofile(tmp_path / "values")
     names = list(elementary.FUNCTIONS)
     style = Style(kind, "o", ST)
-    units = [plc.function_unit(name, style) for name in bitless.OWN.functions]
+    units = [plc.function_unit(name, style) for name in portable_maths.OWN.functions]
     labels, printed = LABELS, made(observer("certified"), single).code
-    text = Reader(plc_files.text_of(units, labels, printed)).c()
+    text = Reader(plcopen.text_of(units, labels, printed)).c()
     theirs = "\n".join(functions(names, set(names), Style(kind, "c")))
     calls = []
     for name in names:
@@ -459,7 +459,7 @@ def test_the_reader_refuses_what_the_standard_does_not_know(before: str, after: 
 
 
 def test_no_two_names_differ_by_capitals_alone() -> None:
-    assert parts.distinct(["W_0", "w_0", "x_0", "W_0"], str.lower) == [
+    assert exported_step.distinct(["W_0", "w_0", "x_0", "W_0"], str.lower) == [
         "W_0",
         "w_0_2",
         "x_0",
@@ -468,7 +468,7 @@ def test_no_two_names_differ_by_capitals_alone() -> None:
 
 
 def test_what_the_language_lacks_is_refused() -> None:
-    node = Nodes().made("call", Nodes().constant(1.0), Nodes().constant(2.0), text="fmod")
+    node = Nodes().intern("call", Nodes().constant(1.0), Nodes().constant(2.0), text="fmod")
     with pytest.raises(InputError, match="Structured Text has no function fmod"):
         Expressions(Style("float64", "o", ST), {}).text(node)
 

@@ -16,18 +16,18 @@ from hypothesis import strategies as st
 
 from scenes import OnNumbers, random_plant, scene
 from undeadzone.compile import interpret
-from undeadzone.ends import sensor
-from undeadzone.ends.sensor import Sensor, Zone, resolve
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Estimate
+from undeadzone.nonlinearities import sensor
+from undeadzone.nonlinearities.sensor import Sensor, Zone, resolve
 from undeadzone.observers import Censored, Extended, Kalman
-from undeadzone.observers.parts.augmented_state import even_units
+from undeadzone.observers.filtering.augmented_state import even_units
 from undeadzone.plants.build import system
 from undeadzone.plants.options import OneLink, Plant, TwoLink
 from undeadzone.plants.system import System, sampled
 from undeadzone.simulation.simulate import simulate
-from undeadzone.support import tree
-from undeadzone.support.arrays import Floats
+from undeadzone.util import tree
+from undeadzone.util.arrays import Floats
 
 TS = 2e-3
 RANGE = [0.02, 0.15]

@@ -12,11 +12,11 @@ from undeadzone.analysis.certificate.passivity import certify, passive_gain
 from undeadzone.analysis.convergence.falsify import Cycle, Mode, diverge, falsify, generator
 from undeadzone.analysis.error_dynamics import dynamics, pattern
 from undeadzone.errors import InputError
-from undeadzone.linear.hold import zoh
-from undeadzone.linear.matrices import Matrices
+from undeadzone.linalg.hold import zoh
+from undeadzone.linalg.matrices import Matrices
 from undeadzone.numerics.runge_kutta import rk4
 from undeadzone.simulation.simulate import simulate
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 PAPER = PAPER_PLANT.linear
 

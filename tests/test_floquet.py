@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.linalg import expm, solve_continuous_lyapunov
 
 from scenes import random_plant, scene
+from undeadzone.analysis.branch_schedule import Schedule, merged, planned, recorded, roots
 from undeadzone.analysis.convergence.floquet import (
     Rates,
     error_matrices,
@@ -21,7 +22,6 @@ from undeadzone.analysis.convergence.floquet import (
 )
 from undeadzone.analysis.error_dynamics import adaptation, pattern
 from undeadzone.analysis.identifiability.linear import invisible
-from undeadzone.analysis.side_schedule import Schedule, merged, planned, recorded, roots
 from undeadzone.scenario.problem import constant_gains, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.signals.exosystem import Samples, Sine, Sines, Tone, Trapezoid, exosystem

@@ -45,8 +45,8 @@ from undeadzone.compile.machine import (
 from undeadzone.errors import InputError
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.simulation.simulate import prepare
-from undeadzone.support import tree
-from undeadzone.support.arrays import Floats
+from undeadzone.util import tree
+from undeadzone.util.arrays import Floats
 
 FORMS = {
     "one": Form(1, 1, False, 0),

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from scenes import PAPER_PLANT, linear, random_plant, response
 from undeadzone.analysis.certificate.passivity import certify, passive_gain
 from undeadzone.errors import StructureError
-from undeadzone.linear.hold import zoh
-from undeadzone.linear.matrices import companion
+from undeadzone.linalg.hold import zoh
+from undeadzone.linalg.matrices import companion
 from undeadzone.plants.build import matrices
 from undeadzone.plants.options import Plant
 

@@ -18,7 +18,7 @@ from undeadzone.plants.robots.arm import arm
 from undeadzone.plants.robots.build import one_link, two_link
 from undeadzone.plants.robots.geared import Geared, Gears, geared_motion
 from undeadzone.scenario.reader import convert
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 GEARS: dict[str, Any] = {"half": [0.05, 0.06], "inertia": [0.08, 0.03]}
 FRICTION = {"friction": [0.3, 0.1], "viscous": [0.4, 0.2]}

@@ -20,11 +20,11 @@ from scenes import PAPER_PLANT, scene
 from undeadzone.errors import InputError
 from undeadzone.numerics import gaussian
 from undeadzone.numerics.gaussian import Gaussian
-from undeadzone.observers.parts.measured_kalman import foretold
-from undeadzone.observers.parts.measured_reading import Heard
+from undeadzone.observers.filtering.measured_kalman import log_likelihood
+from undeadzone.observers.filtering.measurement_update import Corrected
 from undeadzone.plants.system import sampled
 from undeadzone.simulation.simulate import simulate
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 TS, AT = 0.01, 500  # sample time [s], sample of the first wrong reading
 PLANT = uz.Plant(A=[[0.0, 1.0], [-1.0, -2.0]], B=[[0.0], [1.0]], C=[[1.0, 0.0]])
@@ -236,9 +236,9 @@ def test_what_outputs_foretell_leaves_the_range_of_no_number(size: float) -> Non
     belief = Gaussian(ca.SX(1.0), ca.SX(1.0))
     one = gaussian.Weighed(belief, ca.SX(0.0), ca.SX(1.0), ca.SX(1.0), ca.SX(size))
     both = gaussian.together([one, one])
-    heard = Heard(belief, ca.SX(0), both.trust, both.likely)
+    heard = Corrected(belief, ca.SX(0), both.trust, both.likely)
     setup: Any = SimpleNamespace(doubts=True)
-    (log,) = numbers(foretold(setup, both, heard))
+    (log,) = numbers(log_likelihood(setup, both, heard))
     assert log[0, 0] == pytest.approx(2 * math.log(size))
 
 

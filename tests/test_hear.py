@@ -17,21 +17,21 @@ from hypothesis import strategies as st
 import once
 import undeadzone as uz
 from scenes import linear
-from undeadzone.ends.sensor import Sensor, deadzone, resolve, side
 from undeadzone.interfaces import Reading
-from undeadzone.numerics.hear import Ear, Heard, hear
+from undeadzone.nonlinearities.sensor import Sensor, deadzone, resolve, side
+from undeadzone.numerics.hear import DeadzoneMemory, DeadzoneUpdate, deadzone_update
 from undeadzone.plants.system import sampled
-from undeadzone.support import tree
-from undeadzone.support.arrays import Floats
+from undeadzone.util import tree
+from undeadzone.util.arrays import Floats
 
 TS = 0.01
 C, RIGHT, LEFT = np.eye(3)  # of [z; d_r; d_l]
 
 
-def one_silence(mean: Any, cov: Any, **claims: Any) -> Heard:
+def one_silence(mean: Any, cov: Any, **claims: Any) -> DeadzoneUpdate:
     """What is known after one silent reading of [z; d_r; d_l]."""
     told = {"right": RIGHT, "left": LEFT, "noise": 0.001, "rest": 5} | claims
-    return hear(mean, cov, C, 0.0, ear=Ear(), **told)
+    return deadzone_update(mean, cov, C, 0.0, ear=DeadzoneMemory(), **told)
 
 
 # --- One silence
@@ -132,14 +132,14 @@ def test_the_graph_of_censored_hears_what_hear_does(
     step, s, rest = graph(noise, before, disturbance)
     t = TS * np.arange(600)
     z = 1.6 * np.sin(3 * t) + 0.4 * np.sin(7 * t)
-    ear, used = Ear(), [0, 0]
+    ear, used = DeadzoneMemory(), [0, 0]
     for k in range(600):
         y = float(deadzone(z[k] + before * rng.normal(), 1.1, 0.8) + noise * rng.normal())
         y = math.nan if rng.uniform() < 0.05 else y
         s, mean, cov, expected, cov_after, edges = step(s, [y, 0.0])
         n = len(mean)
         right, left = np.eye(n)[2], np.eye(n)[3]
-        heard = hear(
+        heard = deadzone_update(
             mean,
             cov,
             edges[0] + right,
@@ -167,7 +167,18 @@ def test_the_graph_of_censored_hears_what_hear_does(
 
 def test_a_reading_on_a_sure_side_is_a_kalman_update() -> None:
     mean, cov = np.array([2.0, 1.0, 1.0]), np.diag([1.0, 0.2, 0.2])
-    heard = hear(mean, cov, C, 3.0, right=RIGHT, left=LEFT, noise=0.1, ear=Ear(), rest=5, slope=2.0)
+    heard = deadzone_update(
+        mean,
+        cov,
+        C,
+        3.0,
+        right=RIGHT,
+        left=LEFT,
+        noise=0.1,
+        ear=DeadzoneMemory(),
+        rest=5,
+        slope=2.0,
+    )
     h = C - RIGHT
     S = h @ cov @ h + 0.05**2
     assert heard.side == 1
@@ -175,12 +186,14 @@ def test_a_reading_on_a_sure_side_is_a_kalman_update() -> None:
     assert heard.innovation_std == pytest.approx(math.sqrt(S))
     assert heard.mean == pytest.approx(mean + cov @ h / S * 0.5)
     assert heard.cov == pytest.approx(cov - np.outer(cov @ h, cov @ h) / S)
-    assert heard.ear == Ear(3.0, 0.0, 0, 0)
+    assert heard.ear == DeadzoneMemory(3.0, 0.0, 0, 0)
 
 
 def test_a_column_stays_a_column_and_nothing_is_changed_in_place() -> None:
     mean, cov = np.array([[2.0], [1.0], [1.0]]), np.eye(3)
-    heard = hear(mean, cov, C, -3.0, right=1.0, left=LEFT, noise=0.1, ear=Ear(), rest=5)
+    heard = deadzone_update(
+        mean, cov, C, -3.0, right=1.0, left=LEFT, noise=0.1, ear=DeadzoneMemory(), rest=5
+    )
     assert heard.mean.shape == (3, 1)
     assert heard.side == -1
     assert mean.ravel().tolist() == [2.0, 1.0, 1.0]
@@ -188,8 +201,8 @@ def test_a_column_stays_a_column_and_nothing_is_changed_in_place() -> None:
 
 
 def test_a_missing_reading_says_nothing() -> None:
-    before = Ear(0.7, 0.5, 3, 0)
-    heard = hear(
+    before = DeadzoneMemory(0.7, 0.5, 3, 0)
+    heard = deadzone_update(
         [2.0, 1.0, 1.0],
         np.eye(3),
         C,
@@ -201,7 +214,7 @@ def test_a_missing_reading_says_nothing() -> None:
         rest=5,
     )
     assert heard.mean.tolist() == [2.0, 1.0, 1.0]
-    assert heard.ear == Ear(0.0, 0.7, 2, 0)
+    assert heard.ear == DeadzoneMemory(0.0, 0.7, 2, 0)
 
 
 @pytest.mark.parametrize(
@@ -217,9 +230,9 @@ def test_a_missing_reading_says_nothing() -> None:
 )
 def test_what_cannot_be_is_refused(changes: dict[str, Any], words: str) -> None:
     given_ = {"mean": [0.0, 1.0, 1.0], "cov": np.eye(3), "C": C, "y": 0.0, "right": RIGHT}
-    given_ |= {"left": LEFT, "noise": 0.1, "ear": Ear(), "rest": 5}
+    given_ |= {"left": LEFT, "noise": 0.1, "ear": DeadzoneMemory(), "rest": 5}
     with pytest.raises(uz.InputError, match=words):
-        hear(**given_ | changes)
+        deadzone_update(**given_ | changes)
 
 
 # --- In C
@@ -259,12 +272,12 @@ def test_the_header_computes_the_same(
     readings = deadzone(z, 1.0, 0.8, 2.0) + noise * rng.normal(size=300)
     readings[::17] = np.nan
     rows = in_c(readings, at_left, noise, before, tmp_path)
-    x, P, ear = np.array([0, 0, 1.15, 1.15]), np.diag([25, 1, 0.24, 0.24]), Ear()
+    x, P, ear = np.array([0, 0, 1.15, 1.15]), np.diag([25, 1, 0.24, 0.24]), DeadzoneMemory()
     eye = np.eye(4)
     for y, row in zip(readings, rows, strict=True):
         left: Any = eye[3] if at_left > 0 else 0.8
         claims = {"noise": noise, "noise_before": before, "slope": 2.0, "ear": ear, "rest": 5}
-        heard = hear(x, P, eye[0], y, right=eye[2], left=left, **claims)
+        heard = deadzone_update(x, P, eye[0], y, right=eye[2], left=left, **claims)
         x, P, ear = heard.mean, heard.cov, heard.ear
         assert row[0] == heard.side
         assert row[1:5] == pytest.approx(x, rel=1e-6, abs=1e-8)

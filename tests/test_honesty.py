@@ -16,14 +16,14 @@ from hypothesis import strategies as st
 import undeadzone as uz
 from scenes import PAPER_PLANT
 from test_glitches import AT, PLANT, SENSOR, TS, drive
-from undeadzone.ends.sensor import resolve
 from undeadzone.interfaces import Estimate, InPython, Reading
-from undeadzone.linear.hold import zoh
+from undeadzone.linalg.hold import zoh
+from undeadzone.nonlinearities.sensor import resolve
 from undeadzone.numerics.gaussian import Bound, Gaussian, cut, update_unless_glitch
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import arrival, sampled
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 LOW, HIGH = 0.2, 3.0
 FILTERS = {

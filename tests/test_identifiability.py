@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from scenes import PAPER_PLANT, random_plant, scene, table
+from undeadzone.analysis.branch_schedule import Schedule, planned
 from undeadzone.analysis.error_dynamics import pattern
 from undeadzone.analysis.identifiability.disturbance import first_order
 from undeadzone.analysis.identifiability.information import (
@@ -29,18 +30,17 @@ from undeadzone.analysis.identifiability.linear import (
     unobservable,
     verdicts,
 )
-from undeadzone.analysis.side_schedule import Schedule, planned
-from undeadzone.ends.sensor import deadzone
-from undeadzone.linear.hold import zoh
-from undeadzone.linear.matrices import Matrices
+from undeadzone.linalg.hold import zoh
+from undeadzone.linalg.matrices import Matrices
+from undeadzone.nonlinearities.sensor import deadzone
 from undeadzone.plants.build import matrices
 from undeadzone.plants.options import Plant, TransferFunction
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.simulate import simulate
-from undeadzone.support.arrays import Floats
 from undeadzone.synthesis.check import check
+from undeadzone.util.arrays import Floats
 
 seeds = st.integers(0, 2**32 - 1)
 CHAIN = matrices(Plant(integrators=2))

@@ -14,7 +14,7 @@ from scipy.special import log_ndtr, ndtr
 
 import undeadzone as uz
 from undeadzone.errors import InputError
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 from undeadzone_identify.models.estimates import (
     Spread,
     long_run_covariance,
@@ -36,7 +36,7 @@ from undeadzone_identify.models.place import simulate
 from undeadzone_identify.models.plant import Data, Layout, Simulator
 from undeadzone_identify.models.zone import Limits, Objective
 from undeadzone_identify.models.zone_fit import Fit, fit_zone, less_odd, polished, refit
-from undeadzone_identify.verdict.widths import profile
+from undeadzone_identify.selection.widths import profile
 
 A, B = np.array([-1.6, 0.68]), np.array([0.05, 0.03])
 

@@ -15,11 +15,11 @@ from scipy.signal import lfilter
 import undeadzone as uz
 from undeadzone.cli import group
 from undeadzone.errors import InputError
-from undeadzone.linear.hold import zoh
-from undeadzone_identify.answer.to_continuous import continuous
+from undeadzone.linalg.hold import zoh
 from undeadzone_identify.logs.prepare import edge_of
 from undeadzone_identify.models.plant import Data, Simulator, delayed
 from undeadzone_identify.models.zone import Limits, Objective
+from undeadzone_identify.results.to_continuous import continuous
 
 DENOMINATOR = [1.0, -1.6, 0.68]
 STEP = 0.05

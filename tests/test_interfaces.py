@@ -8,10 +8,10 @@ import pytest
 
 import undeadzone as uz
 from scenes import PAPER_PLANT
-from undeadzone.ends.sensor import Zone, resolve
 from undeadzone.interfaces import COLUMNS, Estimate, Observer, Reading
+from undeadzone.nonlinearities.sensor import Zone, resolve
 from undeadzone.plants.system import System, sampled
-from undeadzone.support import tree
+from undeadzone.util import tree
 
 CONTINUOUS = PAPER_PLANT
 SAMPLED = sampled(PAPER_PLANT, 0.01)

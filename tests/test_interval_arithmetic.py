@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from undeadzone.compile import interval as arithmetic
 from undeadzone.compile.interval import SMOOTH, Interval
 from undeadzone.errors import InputError
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 UNARY: dict[str, Callable[[Any], Any]] = {
     "negative": np.negative,

@@ -20,22 +20,22 @@ from scipy.integrate import quad
 from scipy.stats import norm, truncnorm
 
 from scenes import PAPER_PLANT, OnNumbers, random_plant, scene
-from undeadzone.ends import sensor
-from undeadzone.ends.sensor import Sensor, Zone, resolve
 from undeadzone.errors import InputError, ShapeError
+from undeadzone.nonlinearities import sensor
+from undeadzone.nonlinearities.sensor import Sensor, Zone, resolve
 from undeadzone.numerics import gaussian
 from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.observers import Kalman
-from undeadzone.observers.parts import measured_kalman as filtering
-from undeadzone.observers.parts.gaussian_filter import Params, within_ranges
-from undeadzone.observers.parts.measured_kalman import State
-from undeadzone.observers.parts.prior import Claims, build_prior, width_ranges
+from undeadzone.observers.filtering import measured_kalman as filtering
+from undeadzone.observers.filtering.gaussian_filter import Params, within_ranges
+from undeadzone.observers.filtering.measured_kalman import State
+from undeadzone.observers.filtering.prior import Assumptions, build_prior, width_ranges
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled
 from undeadzone.results.run import Run
 from undeadzone.simulation.simulate import simulate
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 seeds = st.integers(0, 2**32 - 1)
 TS = 0.05
@@ -560,7 +560,7 @@ def test_widths_within_their_ranges_have_the_mean_of_a_cut_gaussian() -> None:
 
 def test_a_prior_is_uniform_over_its_ranges() -> None:
     where = zone(noise=0.1)
-    prior = build_prior(Claims(right=[0.5, 2.0], left=[0.0, 1.0]), MODEL, where, wear=0.01)
+    prior = build_prior(Assumptions(right=[0.5, 2.0], left=[0.0, 1.0]), MODEL, where, wear=0.01)
     assert prior.mean.tolist() == [0.0, 0.0, 1.25, 0.5]
     assert prior.std == pytest.approx([10.0, 10.0, 1.5 / np.sqrt(12), 1.0 / np.sqrt(12)])
     assert pytest.approx([0.01]) == prior.R

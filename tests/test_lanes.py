@@ -20,8 +20,8 @@ from undeadzone.ensemble.result import Ensemble
 from undeadzone.errors import InputError
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.simulation.simulate import prepare
-from undeadzone.support import tree
-from undeadzone.support.arrays import Floats
+from undeadzone.util import tree
+from undeadzone.util.arrays import Floats
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 

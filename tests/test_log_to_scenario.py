@@ -17,12 +17,12 @@ import pytest
 import undeadzone as uz
 from commands import undeadzone
 from undeadzone.scenario.reader import parse
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 from undeadzone_export import exporting
-from undeadzone_identify.answer.to_scenario import scenario_text
 from undeadzone_identify.command import _next
 from undeadzone_identify.models.estimates import positive
 from undeadzone_identify.models.plant import roots, stabilised
+from undeadzone_identify.results.to_scenario import scenario_text
 
 STEP = 0.01
 RIGHT, LEFT = 0.3, 0.2  # of the zone, of the play, of the actuator's zone

@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 
 import undeadzone as uz
 from undeadzone_identify.models import plant
-from undeadzone_identify.models.plant import Data, Simulator, part_of, taken
+from undeadzone_identify.models.plant import Data, Simulator, part_of, select_samples
 from undeadzone_identify.models.zone import Limits
 from undeadzone_identify.models.zone_fit import (
     fit_zone,
@@ -85,7 +85,7 @@ def test_the_longest_of_several_records_is_taken_alone() -> None:
     fit = refit(fit_zone(Simulator(data, 2), "singles", Limits()), "pairs")
     one = longest_record(fit)
     assert np.array_equal(one.objective.data.y, y[620:])
-    alone = taken(data, [slice(620, 1600)])
+    alone = select_samples(data, [slice(620, 1600)])
     assert one.value == pytest.approx(moved(fit, alone).value)
 
 

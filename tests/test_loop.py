@@ -20,7 +20,7 @@ from undeadzone.results.run import Run
 from undeadzone.signals import noise
 from undeadzone.simulation.close import Mode, entered, exogenous_at
 from undeadzone.simulation.simulate import simulate
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 A, B, C = np.array([[0.0, 1.0], [-1.0, -2.0]]), np.array([0.0, 1.0]), np.array([1.0, 0.0])
 L, GAMMA = np.array([1.0, 1.5]), 10.0

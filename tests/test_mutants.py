@@ -14,16 +14,16 @@ import sys
 from pathlib import Path
 
 import hypothesis
-import undeadzone.support.text
+import undeadzone.util.text
 from mutants.changes import mutant, places
 from mutants.trial import noticed
 
-package, file = Path("src/undeadzone").resolve(), "support/text.py"
+package, file = Path("src/undeadzone").resolve(), "util/text.py"
 place = next(place for place in places(package, file) if place.what.startswith("HALF_95 * std"))
 print(*noticed(package, file, mutant(package, place), sys.argv[1:], 3.0))
 """
 NOTICES = """
-from undeadzone.support.text import with_interval
+from undeadzone.util.text import with_interval
 
 
 def test_an_interval():
@@ -51,4 +51,4 @@ def test_a_mutant_is_noticed_by_a_test_of_what_it_changes(
 def test_a_trial_that_does_not_run_is_no_mutant_noticed(tmp_path: Path) -> None:
     done = tried(tmp_path / "test_missing.py")
     assert done.returncode == 1
-    assert "RuntimeError: support/text.py: exit 4 before the first test" in done.stderr
+    assert "RuntimeError: util/text.py: exit 4 before the first test" in done.stderr

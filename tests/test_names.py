@@ -16,8 +16,7 @@ from scipy.signal import lfilter
 import undeadzone as uz
 from undeadzone.cli import group
 from undeadzone.scenario.reader import parse
-from undeadzone.support.arrays import Floats
-from undeadzone_identify.answer.answer import _of_reference, to_answer
+from undeadzone.util.arrays import Floats
 from undeadzone_identify.logs.grid import to_grid
 from undeadzone_identify.logs.log import Options, log_of_arrays
 from undeadzone_identify.logs.prepare import usable
@@ -29,13 +28,14 @@ from undeadzone_identify.models.plant import Data, Simulator
 from undeadzone_identify.models.zone import Limits
 from undeadzone_identify.models.zone_fit import fit_linear, fit_zone
 from undeadzone_identify.page import identified_page
+from undeadzone_identify.results.assemble import _of_reference, to_answer
+from undeadzone_identify.selection import servo
+from undeadzone_identify.selection.decision import _claimed, detect_feedback
+from undeadzone_identify.selection.odds import behind, odds_of
+from undeadzone_identify.selection.orders import answered, trained_part
+from undeadzone_identify.selection.servo import observations_of, servo_of_ticks
 from undeadzone_identify.servo.gap import ServoGap, servo_gap
-from undeadzone_identify.servo.heard import Heard, heard
-from undeadzone_identify.verdict import servo
-from undeadzone_identify.verdict.odds import behind, odds_of
-from undeadzone_identify.verdict.orders import answered, trained_part
-from undeadzone_identify.verdict.servo import heard_of, servo_of_ticks
-from undeadzone_identify.verdict.verdict import _claimed, heard_loop
+from undeadzone_identify.servo.observations import Observations, read_observations
 
 DENOMINATOR = [1.0, -1.6, 0.68]
 STEP = 0.05
@@ -309,8 +309,10 @@ def test_a_play_with_a_zone_is_not_heard_as_a_servo_when_that_is_asked_late() ->
     """A lag behind a play, asked once no other plant settled, had odds of 1 in its place."""
     log = make(8003, "play and zone")
     grid = to_grid([log_of_arrays(log.step, log.u, log.y)])
-    assert heard(log.u, log.y, grid.ok, grid.start, log.step).ticks  # but for its silence
-    assert heard_of(grid, Options()) is None
+    assert read_observations(
+        log.u, log.y, grid.ok, grid.start, log.step
+    ).ticks  # but for its silence
+    assert observations_of(grid, Options()) is None
 
 
 @pytest.mark.parametrize(("seed", "order"), [(30131, 3), (30172, 1)])
@@ -336,7 +338,7 @@ def test_a_servo_with_a_gap_for_certain_is_none_where_another_model_is_likelier(
     """Noisy readings of a play with a zone behind a lag, for which a motor has a gap as well."""
     servos = []
 
-    def kept(log: Heard | None) -> ServoGap | None:
+    def kept(log: Observations | None) -> ServoGap | None:
         servos.append(servo_gap(log))
         return servos[-1]
 
@@ -600,12 +602,12 @@ def test_a_column_with_the_reference_is_told(loop: loop_logs.LoopLog) -> None:
     assert any("closed loop" in one for one in answer.numbers()["remarks"])
     case = answer.answer.case
     still = case._replace(grid=case.grid._replace(r=0 * case.grid.r + 2))
-    assert heard_loop(still).answered is None
-    assert _of_reference(still.grid, case.data.ok, heard_loop(still)) == [
+    assert detect_feedback(still).answered is None
+    assert _of_reference(still.grid, case.data.ok, detect_feedback(still)) == [
         "the reference never moves: it is not used"
     ]
     swapped = case.grid._replace(y=case.grid.r[:, 0], r=case.grid.y[:, None])
-    assert "exchanged" in " ".join(_of_reference(swapped, case.data.ok, heard_loop(case)))
+    assert "exchanged" in " ".join(_of_reference(swapped, case.data.ok, detect_feedback(case)))
 
 
 def test_a_glitch_or_a_second_record_hides_no_loop(loop: loop_logs.LoopLog) -> None:

@@ -23,7 +23,7 @@ from undeadzone.compile import normal
 from undeadzone.compile.philox import box_muller, philox
 from undeadzone.errors import ShapeError
 from undeadzone.signals import noise
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 UNLIKELY = 1e-6  # of a test of true Gaussian numbers to fail, were the seed not fixed
 STREAMS = [

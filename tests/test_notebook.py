@@ -11,7 +11,7 @@ import nbclient
 import nbformat
 import pytest
 
-from undeadzone.support import progress
+from undeadzone.util import progress
 
 TESTS = Path(__file__).parent
 BEGIN = """
@@ -21,7 +21,7 @@ import once
 import pytest
 import undeadzone as uz
 from scenes import scene
-from undeadzone.support import progress
+from undeadzone.util import progress
 from undeadzone_arena.contest.contest import run_contest
 once.in_haste(pytest.MonkeyPatch())
 progress.PATIENCE = 0.0

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from scenes import linear, random_plant
+from undeadzone.analysis.branch_schedule import reading_levels, recorded
 from undeadzone.analysis.convergence.floquet import exponential
 from undeadzone.analysis.identifiability import linearised_run, nonlinear
 from undeadzone.analysis.identifiability.disturbance import unknown_bias
@@ -23,15 +24,14 @@ from undeadzone.analysis.identifiability.nonlinear import (
     variance,
     verdicts_along,
 )
-from undeadzone.analysis.side_schedule import reading_levels, recorded
-from undeadzone.ends.sensor import Sensor, Zone, deadzone, resolve, zone
+from undeadzone.nonlinearities.sensor import Sensor, Zone, deadzone, resolve, zone
 from undeadzone.plants.build import initial_state, system
 from undeadzone.plants.options import ElasticJoint, OneLink, Plant, TwoLink
 from undeadzone.plants.system import System, sampled
 from undeadzone.scenario.reader import convert
 from undeadzone.signals.exosystem import Step
 from undeadzone.simulation.simulate import simulate
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 STEP = 2e-3
 TABLE = {"g": 0.0}

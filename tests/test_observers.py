@@ -15,13 +15,13 @@ from scipy.linalg import solve_continuous_are
 
 from scenes import PAPER_PLANT, OnNumbers, linear, random_plant, scene
 from undeadzone.analysis.certificate.passivity import certify
-from undeadzone.ends import sensor
-from undeadzone.ends.sensor import Sensor, Zone, resolve
 from undeadzone.errors import InputError, ShapeError, StructureError
+from undeadzone.nonlinearities import sensor
+from undeadzone.nonlinearities.sensor import Sensor, Zone, resolve
 from undeadzone.observers import Certified, Luenberger, Oracle
 from undeadzone.plants.system import System, sampled
 from undeadzone.simulation.simulate import simulate
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 from undeadzone_paper.observer import Printed
 
 seeds = st.integers(0, 2**32 - 1)

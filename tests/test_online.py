@@ -13,7 +13,7 @@ import pytest
 import undeadzone as uz
 from scenes import scene
 from test_engines import OBSERVERS, small
-from undeadzone.compile import live
+from undeadzone.compile import scalar_step
 
 PLANT = uz.Plant(A=[[0, 1], [-1, -2]], B=[[0], [1]], C=[[1, 0]], x0=[0.5, 0])
 SENSOR = uz.Sensor(right=1.3, left=0.6, noise=0.02)
@@ -152,7 +152,7 @@ def test_what_cannot_be_compiled_runs_on_the_virtual_machine_and_says_so(
     def refuse(*_: object) -> None:
         raise uz.InputError("no instruction OP_OF_TOMORROW")
 
-    monkeypatch.setattr(live, "CompiledStepper", refuse)
+    monkeypatch.setattr(scalar_step, "CompiledStepper", refuse)
     online = uz.Online(OBSERVER, PLANT, SENSOR, STEP, compiled=True)
     assert online.engine == "virtual machine: no instruction OP_OF_TOMORROW"
     assert np.isfinite(online.update(2.0, 1.0).x).all()

@@ -17,7 +17,7 @@ from scenes import scene
 from undeadzone.controllers.linear_controller import LinearController, Params
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Estimate
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 SAMPLED = {"duration": 4.0, "step": 0.01, "time": "sampled"}
 CONTINUOUS = {"duration": 4.0, "step": 0.01}

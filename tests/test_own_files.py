@@ -12,7 +12,7 @@ import pytest
 
 from commands import undeadzone
 from undeadzone.errors import FileError
-from undeadzone.support.own_files import marked, require_own, write_own
+from undeadzone.util.own_files import marked, require_own, write_own
 from undeadzone_export.targets import MANIFEST, manifest, write_folder
 
 EXAMPLES = Path(__file__).parents[1] / "examples"

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 import undeadzone
-from undeadzone.catalogue import OBSERVERS
+from undeadzone.registry import OBSERVERS
 
 ROOT = Path(__file__).parents[1]
 OWN = '''"""An observer whose widths stay where they are, and a command."""
@@ -22,14 +22,14 @@ OWN = '''"""An observer whose widths stay where they are, and a command."""
 import click
 import numpy as np
 
-from undeadzone.catalogue import Options
+from undeadzone.registry import Options
 from undeadzone.interfaces import Observer
-from undeadzone.observers.parts.gain import gains
-from undeadzone.observers.parts.measured_side import measured_side
-from undeadzone.observers.parts.width_laws import bounded_widths
+from undeadzone.observers.adaptive.gain import gains
+from undeadzone.observers.adaptive.branch_observer import measured_side
+from undeadzone.observers.adaptive.adaptation_laws import bounded_widths
 from undeadzone.plants.system import System
-from undeadzone.ends.sensor import Zone
-from undeadzone.support.arrays import Array
+from undeadzone.nonlinearities.sensor import Zone
+from undeadzone.util.arrays import Array
 
 
 class Held(Options, frozen=True, kw_only=True, tag="held"):
@@ -184,7 +184,7 @@ def test_a_new_method_of_the_tool_is_one_file_and_one_line(tmp_path: Path) -> No
     (tool / "observers" / "held.py").write_text(OWN, encoding="utf-8")
     listed = (tool / "catalogue.py").read_text(encoding="utf-8")
     first = '        "auto": "undeadzone.observers.auto:Auto",\n'
-    line = '        "held": "undeadzone.observers.held:Held",\n'
+    line = '        "held": "undeadzone.observers:held.Held",\n'
     assert first in listed
     (tool / "catalogue.py").write_text(listed.replace(first, first + line), encoding="utf-8")
     (tmp_path / "mine.toml").write_text(SCENARIO, encoding="utf-8")

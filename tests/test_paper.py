@@ -22,7 +22,7 @@ import undeadzone_paper
 from test_docs import PAGES, same
 from tools import script_of_docs
 from undeadzone.controllers import PD
-from undeadzone.linear.riccati import paper_riccati
+from undeadzone.linalg.riccati import paper_riccati
 from undeadzone.plants.build import matrices, system
 from undeadzone.results.run import Run
 from undeadzone.scenario.reader import read

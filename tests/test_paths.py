@@ -20,7 +20,7 @@ from undeadzone.errors import InputError, ShapeError, TrackingError
 from undeadzone.feedforward import joint_path as kinematics
 from undeadzone.feedforward.joint_path import equations_of, mapped, nearest, singular, solved
 from undeadzone.feedforward.targets import linear_targets
-from undeadzone.linear.matrices import Matrices
+from undeadzone.linalg.matrices import Matrices
 from undeadzone.plants.robots import build
 from undeadzone.plants.robots.arm import Arm, Chain, arm
 from undeadzone.plants.robots.build import flat
@@ -28,7 +28,7 @@ from undeadzone.plants.system import System
 from undeadzone.signals import paths
 from undeadzone.signals.exosystem import Exosystem, Signal, exosystem
 from undeadzone.signals.paths import Circle, FigureEight, Path, Quintic
-from undeadzone.support.arrays import Floats, decode
+from undeadzone.util.arrays import Floats, decode
 
 T = np.linspace(-0.9, 9.9, 541) + 0.003
 VIA = Quintic(points=[[0.0, 1.0], [1.0, -1.0], [0.5, 2.0], [0.0, 1.0]], times=[0.0, 1.0, 3.0, 4.0])

@@ -18,8 +18,8 @@ from scipy.linalg import expm
 
 from scenes import PAPER_PLANT, random_plant, response, scene, slopes
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.linear.hold import zoh
-from undeadzone.linear.matrices import Matrices
+from undeadzone.linalg.hold import zoh
+from undeadzone.linalg.matrices import Matrices
 from undeadzone.plants.build import initial_state, matrices, system
 from undeadzone.plants.interop import from_control, from_scipy, to_control, to_scipy
 from undeadzone.plants.options import Plant, SecondOrder, TransferFunction
@@ -32,8 +32,8 @@ from undeadzone.plants.system import (
     time_scale,
 )
 from undeadzone.simulation.simulate import simulate
-from undeadzone.support.arrays import Floats
-from undeadzone_arena.speeds import in_poles
+from undeadzone.util.arrays import Floats
+from undeadzone_arena.gain_defaults import in_poles
 
 seeds = st.integers(0, 2**32 - 1)
 FREQUENCIES = [0.0, 0.3, 1.0, 7.0, 200.0]

@@ -18,19 +18,20 @@ from hypothesis import strategies as st
 import undeadzone as uz
 from scenes import scene
 from test_engines import distance, parts
-from undeadzone.analysis.side_schedule import planned
+from undeadzone.analysis.branch_schedule import planned
 from undeadzone.compile import interpret, lanes
-from undeadzone.ends.play import contacts, held, levels
-from undeadzone.ends.sensor import Sensor, resolve
 from undeadzone.ensemble.run_ensemble import deviation, run_ensemble
 from undeadzone.errors import InputError
-from undeadzone.observers.parts import measured_side, motion
+from undeadzone.nonlinearities.play import apply_backlash, contacts, levels
+from undeadzone.nonlinearities.sensor import Sensor, resolve
+from undeadzone.observers.adaptive import branch_observer
+from undeadzone.observers.filtering import motion_detection
 from undeadzone.results.run import Run
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.signals.exosystem import Sine, exosystem
 from undeadzone.simulation.simulate import simulate
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 TS = 0.01
 SLOW = {"kind": "sine", "amplitude": 5.0, "frequency": 0.2}
@@ -89,7 +90,7 @@ def test_the_level_stays_within_the_gap_and_moves_in_contact_alone(
 ) -> None:
     level = 0.0
     for now in z:
-        before, level = level, float(held(np, now, level, right, left))
+        before, level = level, float(apply_backlash(np, now, level, right, left))
         assert -left - 1e-12 <= now - level <= right + 1e-12
         if level > before:
             assert level == now - right
@@ -109,7 +110,7 @@ def test_the_levels_of_a_record_are_those_of_its_samples_one_after_another(
     column = np.array(z).reshape(-1, 1)
     along = levels(column, np.array([right]), np.array([left]), np.array([level]))
     for now, found in zip(z, along[:, 0], strict=True):
-        level = float(held(np, now, level, right, left))
+        level = float(apply_backlash(np, now, level, right, left))
         assert found == level
 
 
@@ -126,7 +127,7 @@ def test_the_run_reads_what_the_element_says() -> None:
     run = simulate(slow({"slope": 2.0, "start": 3.0}, {"method": "luenberger", "L": [1.0, 1.0]}))
     level = 1.5
     for z, y, side in zip(run.z[:, 0], run.y[:, 0], run.side[:, 0], strict=True):
-        before, level = level, held(np, z, level, 1.0, 0.7)
+        before, level = level, apply_backlash(np, z, level, 1.0, 0.7)
         assert y == pytest.approx(2 * level, abs=1e-12)
         assert side == np.sign(level - before)
 
@@ -162,7 +163,7 @@ def test_keys_of_a_play_are_refused_of_a_dead_zone(key: str) -> None:
 @pytest.mark.parametrize("window", [8, 20, 100])
 def test_the_fading_line_has_the_variance_of_a_straight_one(window: int) -> None:
     """The stationary variance of its slope under unit noise, by the Lyapunov equation."""
-    fade = motion.fading(window)
+    fade = motion_detection.fading(window)
     g, h = 1 - fade**2, (1 - fade) ** 2
     F = np.array([[1 - g, 1 - g], [-h, 1 - h]])
     drive = np.array([g, h])
@@ -174,9 +175,9 @@ def test_the_fading_line_has_the_variance_of_a_straight_one(window: int) -> None
 @pytest.mark.parametrize("window", [4, 10, 25])
 def test_a_young_line_asks_for_as_many_deviations_as_an_old_one(window: int) -> None:
     """Of the slope through any number of readings since the beginning, in exact deviations."""
-    fade, sigmas = motion.fading(window), 5.0
+    fade, sigmas = motion_detection.fading(window), 5.0
     sensor = resolve(Sensor(kind="play", right=1.0, left=1.0, noise=1.0), 1, 0.01, 1.0)
-    q = motion.Motion(
+    q = motion_detection.Motion(
         slope=np.ones(1),
         quantum=np.zeros(1),
         threshold=np.array([sigmas * window * math.sqrt(12 / window**3)]),
@@ -187,17 +188,17 @@ def test_a_young_line_asks_for_as_many_deviations_as_an_old_one(window: int) -> 
     size, none = 3 * window, ca.DM.zeros(1)
     slopes = np.zeros((size, size))  # of unit noise in one reading each
     for place in range(size):
-        s = motion.State(None, none, none, none, ca.DM.ones(1), none)
+        s = motion_detection.State(None, none, none, none, ca.DM.ones(1), none)
         for k in range(size):
-            line = motion.followed(sensor, q, s, ca.DM(float(k == place)), 1.0)
-            s = motion.State(None, *line, ca.DM.ones(1), none)
+            line = motion_detection.followed(sensor, q, s, ca.DM(float(k == place)), 1.0)
+            s = motion_detection.State(None, *line, ca.DM.ones(1), none)
             slopes[k, place] = float(s.slope)
             assert float(s.known) == min(k + 1, window)
     for k, std in enumerate(np.linalg.norm(slopes, axis=1)):
-        s = motion.State(None, none, none, ca.DM(min(k + 1, window)), ca.DM.ones(1), none)
+        s = motion_detection.State(None, none, none, ca.DM(min(k + 1, window)), ca.DM.ones(1), none)
         for share, moves in ((0.88, 0.0), (1.08, 1.0)):
             young = s._replace(slope=ca.DM(share * sigmas * max(std, 1e-9)))
-            assert float(motion.by_line(q, young, none, 0)[0]) == (moves if k else 0.0)
+            assert float(motion_detection.by_line(q, young, none, 0)[0]) == (moves if k else 0.0)
 
 
 @pytest.mark.parametrize("reading", READINGS)
@@ -338,13 +339,13 @@ def rise(right: float, left: float, x0: float, start: float) -> float:
 def test_v_rises_if_a_held_reading_is_heard_with_the_wrong_sign(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    right_one = measured_side.silent_violation
+    right_one = branch_observer.silent_violation
 
     def wrong(*arguments: Any) -> Any:
         over, under = right_one(*arguments)
         return -under, -over
 
-    monkeypatch.setattr(measured_side, "silent_violation", wrong)
+    monkeypatch.setattr(branch_observer, "silent_violation", wrong)
     assert rise(0.4, 0.4, 3.0, -3.0) > 1e-4
 
 

@@ -17,20 +17,20 @@ import undeadzone as uz
 from test_engines import distance, parts
 from test_play import CENSORED, KALMAN, late, slow
 from test_which import STEP, driven, through
+from undeadzone.analysis.branch_schedule import planned, recorded
 from undeadzone.analysis.identifiability.play_and_zone import Readings, told_of_both
-from undeadzone.analysis.side_schedule import planned, recorded
 from undeadzone.compile import interpret, lanes
-from undeadzone.ends.sensor import Sensor, resolve
 from undeadzone.ensemble.run_ensemble import deviation, run_ensemble
 from undeadzone.errors import InputError, UndeadzoneError
-from undeadzone.linear.matrices import Matrices
-from undeadzone.observers.parts import further_constants
+from undeadzone.linalg.matrices import Matrices
+from undeadzone.nonlinearities.sensor import Sensor, resolve
+from undeadzone.observers.filtering import constant_states
 from undeadzone.report.run_page import run_page
 from undeadzone.results.run import Run
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.simulate import simulate
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 from undeadzone_arena.contest.prior_knowledge import situation
 
 BOTH = {"kind": "deadzone", "right": 1.0, "left": 0.7, "play": [0.5, 0.3]}
@@ -239,12 +239,12 @@ def test_a_wrong_model_leaves_the_error() -> None:
 
 def test_a_wrong_sign_puts_the_gap_into_the_widths(monkeypatch: pytest.MonkeyPatch) -> None:
     right = simulate(both({"noise": 0.02}, KALMAN))
-    sign = further_constants.offset
+    sign = constant_states.offset
 
     def wrong(side: Any, *gaps: Any) -> Any:
         return -sign(side, *gaps)
 
-    monkeypatch.setattr(further_constants, "offset", wrong)
+    monkeypatch.setattr(constant_states, "offset", wrong)
     turned = follow(right, both({"noise": 0.02}, KALMAN))
     assert turned.consistent is False
     assert np.abs(turned.d_hat[-1] - [1.0, 0.7]).min() > 0.5

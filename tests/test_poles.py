@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from scenes import PAPER_PLANT, random_plant
 from undeadzone.errors import InputError, ShapeError, StructureError
-from undeadzone.linear.hold import zoh
-from undeadzone.linear.matrices import Matrices
-from undeadzone.linear.poles import (
+from undeadzone.linalg.hold import zoh
+from undeadzone.linalg.matrices import Matrices
+from undeadzone.linalg.poles import (
     _ackermann,
     _place_poles,
     observer_gain,

@@ -30,8 +30,8 @@ from undeadzone.plants.options import ElasticJoint, Plant, TwoLink
 from undeadzone.plants.region import Box, Region, box
 from undeadzone.plants.system import System, sampled
 from undeadzone.scenario.problem import resolve_scenario
-from undeadzone.support.arrays import Floats
 from undeadzone.synthesis.check import check
+from undeadzone.util.arrays import Floats
 
 GRAVITY = 9.81
 NONE = np.zeros((2, 1))

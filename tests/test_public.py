@@ -18,7 +18,7 @@ import pytest
 
 import undeadzone
 from undeadzone import PD, Luenberger, Plant, Sine, TwoLink, ZoneInverse
-from undeadzone.catalogue import COMPENSATORS, CONTROLLERS, OBSERVERS
+from undeadzone.registry import COMPENSATORS, CONTROLLERS, OBSERVERS
 from undeadzone.scenario.schema import Scenario
 
 STUB = ast.parse(Path(undeadzone.__file__).with_suffix(".pyi").read_text(encoding="utf-8"))
@@ -55,11 +55,20 @@ def test_every_public_name_is_there_and_documented(name: str) -> None:
 def test_what_dir_shows_suffices_for_a_first_hour() -> None:
     assert sorted(undeadzone.__all__) == sorted(OWN)
     shown = [name for name in dir(undeadzone) if not name.startswith("_")]
-    assert len(shown) <= 46
+    assert len(shown) <= 50
     assert set(shown) <= set(NAMES)
     inner = {name for room in ROOMS for name in dir(getattr(undeadzone, room))}
     methods = {kind.__name__ for kind in (Sine, Plant, TwoLink, Luenberger, PD, ZoneInverse)}
     assert methods <= inner
+
+
+@pytest.mark.parametrize(("old", "new"), undeadzone._RENAMED.items())
+def test_a_replaced_name_warns_and_still_works(old: str, new: str) -> None:
+    with pytest.warns(DeprecationWarning, match=f"uz.{old} is now uz.{new}"):
+        found = getattr(undeadzone, old)
+    assert found is getattr(undeadzone, new)
+    versions = Path(undeadzone.__file__).parents[2] / "docs" / "versions.md"
+    assert f"| `uz.{old}` | `uz.{new}` |" in versions.read_text(encoding="utf-8")
 
 
 def test_what_the_other_packages_register_is_in_the_stub() -> None:
@@ -113,8 +122,8 @@ def test_what_public_functions_return_is_public() -> None:
 def test_help_says_where_claims_are_explained() -> None:
     """`help(uz.Auto)` named a class whose own help has no claims."""
     for options in (undeadzone.Auto, undeadzone.Censored):
-        assert "options are those of `Claims`" in (options.__doc__ or "")
-    assert "right, left: ranges [lo, hi] of d_r and d_l" in (undeadzone.Claims.__doc__ or "")
+        assert "options are those of `Assumptions`" in (options.__doc__ or "")
+    assert "right, left: ranges [lo, hi] of d_r and d_l" in (undeadzone.Assumptions.__doc__ or "")
 
 
 @pytest.mark.parametrize(

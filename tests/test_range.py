@@ -18,24 +18,24 @@ from scipy.stats import norm
 import undeadzone as uz
 from scenes import OnNumbers, scene
 from test_engines import OBSERVERS, distance, parts, small
-from undeadzone.analysis.side_schedule import planned
+from undeadzone.analysis.branch_schedule import planned
 from undeadzone.cli import group
 from undeadzone.compile import interpret, lanes
-from undeadzone.ends.limits import Limits
-from undeadzone.ends.sensor import Sensor, Zone, deadzone, quantised, resolve
 from undeadzone.ensemble.run_ensemble import deviation, replay_run, run_ensemble
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Estimate, Reading, graph_of, received
 from undeadzone.logs.range_ends import RunningEnds, range_ends
-from undeadzone.observers.parts import measured_side
-from undeadzone.observers.parts.measured_reading import Ends, surely_exact
+from undeadzone.nonlinearities.limits import Limits
+from undeadzone.nonlinearities.sensor import Sensor, Zone, deadzone, quantised, resolve
+from undeadzone.observers.adaptive import branch_observer
+from undeadzone.observers.filtering.measurement_update import Ends, surely_exact
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled
 from undeadzone.results.run import Run
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.simulation.simulate import simulate
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 from undeadzone_arena import MovingHorizon, ParticleFilter
 from undeadzone_identify.logs.grid import to_grid
 from undeadzone_identify.logs.log import Log, Options
@@ -254,14 +254,14 @@ def rise(high: float, low: float, right: float, left: float, time: str) -> float
 def test_v_rises_if_a_limit_is_taken_with_the_wrong_sign(
     time: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    right_one = measured_side.bounded
+    right_one = branch_observer.bounded
 
     def wrong(correction: Any, side: Any, jump: bool) -> Any:
         return right_one(correction, -side, jump)
 
-    monkeypatch.setattr(measured_side, "bounded", wrong)
+    monkeypatch.setattr(branch_observer, "bounded", wrong)
     assert rise(1.0, 1.0, 1.0, 1.0, time) > 1e-4
-    monkeypatch.setattr(measured_side, "bounded", lambda correction, side, jump: correction)
+    monkeypatch.setattr(branch_observer, "bounded", lambda correction, side, jump: correction)
     assert rise(1.0, 1.0, 1.0, 1.0, time) > 1e-4
 
 

@@ -29,7 +29,7 @@ STRUCTS = {
     "Options",
     "Kind",
     "Coasts",
-    "Claims",
+    "Assumptions",
     "JointClaims",
     "LearnedOptions",
     "FeedbackOptions",

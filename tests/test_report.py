@@ -47,10 +47,10 @@ from undeadzone.results.run import Run
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import read
 from undeadzone.simulation.simulate import simulate
-from undeadzone.support.files import write_text
 from undeadzone.synthesis.assessment import assess
 from undeadzone.tuning.result import Tuned
 from undeadzone.tuning.tune import tune
+from undeadzone.util.files import write_text
 from undeadzone_arena.contest.figures import cell, envelope
 
 NASTY = '<script src="http://evil">alert("x")</script> & more'

@@ -26,7 +26,7 @@ from undeadzone.results.signals import (
 )
 from undeadzone.scenario.schema import Units
 from undeadzone.simulation.simulate import simulate
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 N = 5
 UNITS = Units(output="rad", input="V", state=["rad", "rad/s"])

@@ -26,12 +26,12 @@ from undeadzone.errors import FileError, InputError, Terminated
 from undeadzone.scenario.reader import digests
 from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.tune_table import Range, Tune
-from undeadzone.support.answers import Answers
-from undeadzone.support.own_files import write_own
 from undeadzone.tuning.tune import tune
+from undeadzone.util.answers import Answers
+from undeadzone.util.own_files import write_own
 from undeadzone_arena.contest.contest import run_contest
-from undeadzone_identify.questions import identify
-from undeadzone_identify.verdict.widths import profile
+from undeadzone_identify.pipeline import identify
+from undeadzone_identify.selection.widths import profile
 
 PROBLEM = {"a": 1}
 FORK = multiprocessing.get_context("fork")
@@ -51,7 +51,7 @@ def squares(
             yield k, k * k
 
     kept = Answers(path, PROBLEM, "squares", resume)
-    with kept.kept():
+    with kept.hold_file():
         return kept.of(list(range(10)), compute)
 
 
@@ -108,7 +108,7 @@ def test_what_cannot_be_continued_is_refused(tmp_path: Path, monkeypatch: Any) -
         squares(path, resume=False)
     with pytest.raises(InputError, match=r"holds another problem \(a differ\)"):
         Answers(path, {"a": 2}, "squares", True)
-    monkeypatch.setattr("undeadzone.support.answers.versions", lambda: {"numpy": "1.0"})
+    monkeypatch.setattr("undeadzone.util.answers.versions", lambda: {"numpy": "1.0"})
     with pytest.raises(InputError, match="numpy"):
         squares(path)
     path.write_text('{"somebody": "else"}\n')
@@ -119,7 +119,7 @@ def test_what_cannot_be_continued_is_refused(tmp_path: Path, monkeypatch: Any) -
 
 def test_two_at_once_are_refused(tmp_path: Path) -> None:
     first = Answers(tmp_path / "kept", PROBLEM, "squares")
-    with first.kept():
+    with first.hold_file():
         with pytest.raises(FileError, match="another process is writing it"):
             squares(tmp_path / "kept")
         (tmp_path / "kept").unlink()
@@ -166,7 +166,7 @@ def test_what_is_stopped_before_its_first_answer_leaves_nothing(
     if was_there:
         folder.mkdir()
     answers = Answers(folder / "some.partial", {}, "answers")
-    with pytest.raises(KeyboardInterrupt), answers.kept():
+    with pytest.raises(KeyboardInterrupt), answers.hold_file():
         raise KeyboardInterrupt
     assert list(tmp_path.rglob("*")) == [folder] * was_there
 

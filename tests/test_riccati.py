@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 
 from scenes import PAPER_PLANT, random_plant, slopes
 from undeadzone.errors import InputError, ShapeError, StructureError
-from undeadzone.linear.hold import zoh
-from undeadzone.linear.matrices import Matrices
-from undeadzone.linear.riccati import (
+from undeadzone.linalg.hold import zoh
+from undeadzone.linalg.matrices import Matrices
+from undeadzone.linalg.riccati import (
     _candidate,
     _Equation,
     feedback,

@@ -12,11 +12,11 @@ from scipy.linalg.tests.test_solvers import TestSolveDiscreteAre as Darex
 
 from scenes import random_plant
 from undeadzone.errors import StructureError
-from undeadzone.linear.hold import zoh
-from undeadzone.linear.matrices import Matrices
-from undeadzone.linear.poles import place
-from undeadzone.linear.riccati import paper_riccati, riccati
-from undeadzone.support.arrays import Floats
+from undeadzone.linalg.hold import zoh
+from undeadzone.linalg.matrices import Matrices
+from undeadzone.linalg.poles import place
+from undeadzone.linalg.riccati import paper_riccati, riccati
+from undeadzone.util.arrays import Floats
 
 REAL = [k for k, case in enumerate(Darex.cases) if not any(np.iscomplexobj(M) for M in case[:4])]
 for published in (Carex, Darex):

@@ -19,19 +19,19 @@ from hypothesis import strategies as st
 import once
 from scenes import PAPER_PLANT, linear, random_plant, scene
 from undeadzone.compile import interpret
-from undeadzone.ends import sensor
-from undeadzone.ends.sensor import Sensor, Zone, resolve
 from undeadzone.errors import InputError, ShapeError, StepError, StructureError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Estimate, Observer, Reading
-from undeadzone.linear.matrices import Matrices
-from undeadzone.linear.riccati import fast_gain
+from undeadzone.linalg.matrices import Matrices
+from undeadzone.linalg.riccati import fast_gain
+from undeadzone.nonlinearities import sensor
+from undeadzone.nonlinearities.sensor import Sensor, Zone, resolve
 from undeadzone.plants.system import System, fastest_pole, sampled
 from undeadzone.results.run import Run
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.simulation.simulate import prepare, simulate
-from undeadzone.support import tree
-from undeadzone.support.arrays import Floats
+from undeadzone.util import tree
+from undeadzone.util.arrays import Floats
 from undeadzone_arena import (
     AdaptiveInverse,
     FuzzyFeedback,
@@ -45,7 +45,7 @@ from undeadzone_arena import (
 )
 from undeadzone_arena.approximators import Basis, gaussians, jumps, monomials
 from undeadzone_arena.controllers.learned_feedback import error_weights, relative_degree
-from undeadzone_arena.speeds import injection
+from undeadzone_arena.gain_defaults import injection
 
 seeds = st.integers(0, 2**32 - 1)
 TWO = linear([[-1.0, 0.5], [-0.5, -2.0]], np.eye(2), [[1.0, 0.0], [0.2, 1.0]])

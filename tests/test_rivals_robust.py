@@ -20,14 +20,14 @@ from hypothesis import strategies as st
 import once
 from scenes import PAPER_PLANT, OnNumbers, linear, random_plant, response, scene, slopes
 from undeadzone.compile import interpret
-from undeadzone.ends.sensor import Sensor, Zone, deadzone, resolve, side
-from undeadzone.ends.sensor import jump as jump_sensor
 from undeadzone.errors import InputError, ShapeError, StepError, StructureError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Estimate, Observer, Reading
-from undeadzone.linear.matrices import companion
-from undeadzone.linear.poles import state_gain
-from undeadzone.linear.structure import output_chains
+from undeadzone.linalg.matrices import companion
+from undeadzone.linalg.poles import state_gain
+from undeadzone.linalg.structure import output_chains
+from undeadzone.nonlinearities.sensor import Sensor, Zone, deadzone, resolve, side
+from undeadzone.nonlinearities.sensor import jump as jump_sensor
 from undeadzone.numerics.runge_kutta import rk4
 from undeadzone.observers import HighGain
 from undeadzone.observers.full_state import FullState
@@ -37,8 +37,8 @@ from undeadzone.plants.system import System, sampled
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.simulate import outputs_of, prepare, simulate
-from undeadzone.support import tree
-from undeadzone.support.arrays import Floats
+from undeadzone.util import tree
+from undeadzone.util.arrays import Floats
 from undeadzone_arena import Interval, SlidingMode, SuperTwisting, WalcottZak
 from undeadzone_arena.observers.parts import interval_step
 from undeadzone_arena.observers.parts.boxes import Bounds, Boxes, cut

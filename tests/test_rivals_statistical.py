@@ -19,13 +19,13 @@ from scipy.optimize import minimize
 
 import undeadzone_arena.unscented as unscented
 from scenes import PAPER_PLANT, OnNumbers, random_plant, scene
-from undeadzone.ends import sensor
-from undeadzone.ends.sensor import Sensor, Zone, resolve
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import COLUMNS, Estimate, InPython, Observer, Reading, Traits, in_python
+from undeadzone.nonlinearities import sensor
+from undeadzone.nonlinearities.sensor import Sensor, Zone, resolve
 from undeadzone.numerics.gaussian import symmetric, triangle
 from undeadzone.observers import Kalman
-from undeadzone.observers.parts.augmented_state import agitation, even_units, quarter_period
+from undeadzone.observers.filtering.augmented_state import agitation, even_units, quarter_period
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sampled
@@ -34,7 +34,7 @@ from undeadzone.simulation import exogenous as inputs
 from undeadzone.simulation import sample_by_sample as live
 from undeadzone.simulation.online import Online
 from undeadzone.simulation.simulate import simulate
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 from undeadzone_arena import EKF, UKF, MovingHorizon, ParticleFilter, Tobit
 from undeadzone_arena.observers import moving_horizon, particle
 from undeadzone_arena.observers.particle import reweighted, systematic

@@ -22,10 +22,10 @@ from test_engines import compiled, distance, generated, parts
 from test_ensemble import table
 from test_report import Auditor
 from undeadzone.compile import interpret
-from undeadzone.ends.sensor import quantised, side
 from undeadzone.ensemble.batch import prepare
 from undeadzone.ensemble.run_ensemble import replay
 from undeadzone.errors import FileError, InputError, ShapeError, StepError, TrackingError
+from undeadzone.nonlinearities.sensor import quantised, side
 from undeadzone.plants.build import system
 from undeadzone.plants.options import URDF, OneLink, Plant, TwoLink
 from undeadzone.plants.robots.arm import evaluate_rows, torque

@@ -18,8 +18,8 @@ from undeadzone.controllers.lqr import Params, gains, linearised
 from undeadzone.errors import InputError, ShapeError, StepError
 from undeadzone.feedforward.targets import Target, flat_targets
 from undeadzone.interfaces import Controller, Estimate
-from undeadzone.linear.matrices import Matrices
-from undeadzone.linear.riccati import riccati, riccati_along
+from undeadzone.linalg.matrices import Matrices
+from undeadzone.linalg.riccati import riccati, riccati_along
 from undeadzone.plants.robots.arm import acceleration
 from undeadzone.plants.system import System, sampled
 from undeadzone.results.run import Run
@@ -28,8 +28,8 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation import exogenous as inputs
 from undeadzone.simulation.packed import graph
 from undeadzone.simulation.simulate import outputs_of, prepare, simulate
-from undeadzone.support import tree
-from undeadzone.support.arrays import Floats
+from undeadzone.util import tree
+from undeadzone.util.arrays import Floats
 from undeadzone_arena import GravityPD
 
 TWO = {"kind": "two_link"}

@@ -17,7 +17,7 @@ from undeadzone.plants.options import ElasticJoint, OneLink, Plant, TwoLink
 from undeadzone.plants.robots import build
 from undeadzone.plants.robots.arm import Arm, acceleration, arm, torque
 from undeadzone.plants.system import System
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 seeds = st.integers(0, 2**32 - 1)
 CHAINS = {"one_link": build.one_link(), "two_link": build.two_link()}

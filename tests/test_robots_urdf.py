@@ -18,7 +18,7 @@ from undeadzone.plants.options import URDF, Plant
 from undeadzone.plants.robots.arm import Arm, acceleration, arm
 from undeadzone.plants.robots.build import robot
 from undeadzone.plants.robots.urdf import chain
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 pytest.importorskip("adam.casadi")
 

@@ -22,11 +22,11 @@ from undeadzone.analysis.certificate.robust import certified_radius, closed_loop
 from undeadzone.analysis.convergence.falsify import Mode, falsify, generator
 from undeadzone.analysis.error_dynamics import Dynamics, dynamics, pattern
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.linear.hold import zoh
-from undeadzone.linear.matrices import Matrices
+from undeadzone.linalg.hold import zoh
+from undeadzone.linalg.matrices import Matrices
 from undeadzone.numerics.semidefinite import minimise
 from undeadzone.simulation.simulate import simulate
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 PAPER = PAPER_PLANT.linear
 B, C = PAPER.B, PAPER.C

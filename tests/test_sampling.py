@@ -15,7 +15,7 @@ from scipy import stats
 
 from undeadzone.errors import InputError
 from undeadzone.statistics.sampling import BITS, ROUNDS, _feistel, permuted, points
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 DESIGNS = ["random", "latin_hypercube", "sobol", "saltelli"]
 

@@ -33,7 +33,7 @@ from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert, parse, read
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.simulate import simulate
-from undeadzone.support.toml import tables
+from undeadzone.util.toml import tables
 
 SAMPLED = """
 # What runs on hardware: 100 Hz sampling, asymmetric widths, sensor noise, an inexact model.

@@ -12,13 +12,13 @@ from scipy.signal import lsim
 
 from scenes import scene
 from undeadzone.analysis.identifiability.disturbance import correlation_time, unknown_constants
-from undeadzone.analysis.identifiability.second_truth import in_words
-from undeadzone.ends.sensor import deadzone
+from undeadzone.analysis.identifiability.indistinguishable import in_words
+from undeadzone.nonlinearities.sensor import deadzone
 from undeadzone.scenario.schema import Scenario
 from undeadzone.signals.exosystem import Random, Sine
-from undeadzone.support.arrays import Floats
-from undeadzone.support.text import HALF_95
 from undeadzone.synthesis.check import check
+from undeadzone.util.arrays import Floats
+from undeadzone.util.text import HALF_95
 
 SLOW = {"kind": "sine", "amplitude": 0.2, "frequency": 0.125}
 SAMPLED = {"duration": 20.0, "time": "sampled", "step": 0.01}

@@ -14,9 +14,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from undeadzone.ends import sensor
-from undeadzone.ends.sensor import Sensor, deadzone
 from undeadzone.errors import InputError, ShapeError
+from undeadzone.nonlinearities import sensor
+from undeadzone.nonlinearities.sensor import Sensor, deadzone
 
 reals = st.floats(-20, 20, allow_subnormal=False)
 widths = st.floats(0, 5, allow_subnormal=False)

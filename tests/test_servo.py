@@ -20,13 +20,12 @@ from scipy.stats import norm
 import undeadzone as uz
 from undeadzone.cli import group
 from undeadzone.scenario.reader import parse
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 from undeadzone_export import exporting
 from undeadzone_identify.logs.grid import spacing_of
 from undeadzone_identify.servo import predictor
 from undeadzone_identify.servo.crossings import Crossings, crossings_of
 from undeadzone_identify.servo.gap import ServoGap, odd_errors, servo_gap
-from undeadzone_identify.servo.heard import CHANCE, Heard, heard, loop_chance
 from undeadzone_identify.servo.likelihood import (
     At,
     Likelihood,
@@ -35,6 +34,12 @@ from undeadzone_identify.servo.likelihood import (
     discretised,
 )
 from undeadzone_identify.servo.likelihood import Servo as Fitted
+from undeadzone_identify.servo.observations import (
+    CHANCE,
+    Observations,
+    loop_chance,
+    read_observations,
+)
 from undeadzone_identify.servo.search import neighbours
 
 STEP, SIZE = 0.005, 1600
@@ -78,9 +83,9 @@ def write_log(u: Floats, y: Floats) -> None:
     np.savetxt("log.csv", rows, delimiter=",", header="t,u,y", comments="", fmt="%.12g")
 
 
-def listened(u: Floats, y: Floats, step: float = STEP) -> Heard:
+def listened(u: Floats, y: Floats, step: float = STEP) -> Observations:
     """The log as the predictor hears it."""
-    found = heard(u, y, np.ones(y.size, bool), START, step)
+    found = read_observations(u, y, np.ones(y.size, bool), START, step)
     assert found is not None
     return found
 
@@ -179,7 +184,7 @@ def test_a_play_behind_a_plant_of_first_order_is_one(quantum: float) -> None:
 
 
 @pytest.fixture(scope="module")
-def with_friction() -> tuple[Heard, ServoGap]:
+def with_friction() -> tuple[Observations, ServoGap]:
     """A log with much friction, and what is found."""
     u, y = logged(MOTOR._replace(friction=0.3), seed=4)
     found = answered(u, y)
@@ -187,7 +192,7 @@ def with_friction() -> tuple[Heard, ServoGap]:
 
 
 def test_friction_that_is_left_out_shows_in_the_crossings(
-    with_friction: tuple[Heard, ServoGap],
+    with_friction: tuple[Observations, ServoGap],
 ) -> None:
     log, found = with_friction
     assert "friction" in found.servo.structure.parts
@@ -199,7 +204,9 @@ def test_friction_that_is_left_out_shows_in_the_crossings(
     assert bare.trends() or abs(bare.median - 0.03) > 3 * bare.error
 
 
-def test_a_part_that_is_added_never_costs_likelihood(with_friction: tuple[Heard, ServoGap]) -> None:
+def test_a_part_that_is_added_never_costs_likelihood(
+    with_friction: tuple[Observations, ServoGap],
+) -> None:
     log, found = with_friction
     likelihood = Likelihood(log)
     larger = []
@@ -215,14 +222,14 @@ def test_a_part_that_is_added_never_costs_likelihood(with_friction: tuple[Heard,
 
 
 def test_a_record_that_is_cut_in_motion_says_the_same(
-    with_friction: tuple[Heard, ServoGap],
+    with_friction: tuple[Observations, ServoGap],
 ) -> None:
     log, found = with_friction
     first = int(found.crossings.at[0]) - 12
     moving = np.abs(np.diff(log.y))[first] + log.quantum
     assert moving > 0
     kept = slice(first, None)
-    part = heard(log.u[kept], log.y[kept], log.ok[kept], START, STEP)
+    part = read_observations(log.u[kept], log.y[kept], log.ok[kept], START, STEP)
     cut = servo_gap(part)
     assert cut is not None
     assert cut.gap.value * log.y_scale == pytest.approx(
@@ -254,7 +261,7 @@ def test_too_few_reversals_give_no_gap() -> None:
     u, y = logged(MOTOR)
     found = answered(u[:400], y[:400])
     assert any("turn" in reason for reason in found.reasons)
-    still = heard(u, np.zeros(SIZE), np.ones(SIZE, bool), START, STEP)
+    still = read_observations(u, np.zeros(SIZE), np.ones(SIZE, bool), START, STEP)
     assert still is None
     assert servo_gap(None) is None
 
@@ -410,7 +417,7 @@ def test_a_filter_with_the_torques_of_a_servo_follows_its_log(seed: int, lost: f
     assert apart(re.sub(r"(?m)^(disturbance|correlation_time) = .*$", "", text)) > lost
 
 
-def test_motors_and_lags_climb_side_by_side(with_friction: tuple[Heard, ServoGap]) -> None:
+def test_motors_and_lags_climb_side_by_side(with_friction: tuple[Observations, ServoGap]) -> None:
     log, found = with_friction
     lag = Fitted(
         found.servo.structure._replace(parts=frozenset(), lag=True), found.servo.theta, 0.0

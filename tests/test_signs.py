@@ -15,6 +15,7 @@ from scipy.stats import norm
 
 from scenes import PAPER_PLANT, linear
 from test_identifiability import visiting
+from undeadzone.analysis.branch_schedule import _samples, arriving
 from undeadzone.analysis.certificate.passivity import certify, defective
 from undeadzone.analysis.certificate.robust import l2_gain
 from undeadzone.analysis.convergence.falsify import falsify
@@ -22,19 +23,18 @@ from undeadzone.analysis.dissipation import _lyapunov
 from undeadzone.analysis.identifiability.disturbance import unknown_bias
 from undeadzone.analysis.identifiability.linear import reaching
 from undeadzone.analysis.identifiability.linearised_run import _run
-from undeadzone.analysis.side_schedule import _samples, arriving
-from undeadzone.ends.sensor import Sensor, resolve
 from undeadzone.errors import InputError
-from undeadzone.linear.matrices import Matrices
-from undeadzone.linear.riccati import riccati
-from undeadzone.linear.structure import output_chains, uncontrollable_modes, unobservable_modes
+from undeadzone.linalg.matrices import Matrices
+from undeadzone.linalg.riccati import riccati
+from undeadzone.linalg.structure import output_chains, uncontrollable_modes, unobservable_modes
+from undeadzone.nonlinearities.sensor import Sensor, resolve
 from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.numerics.optimise import evolve, pareto
 from undeadzone.observers import Certified
-from undeadzone.observers.parts.gaussian_filter import FAR, clipped
-from undeadzone.observers.parts.judged_filter import log_density
-from undeadzone.observers.parts.prior import Claims, build_prior
-from undeadzone.observers.parts.width_laws import bounded_widths
+from undeadzone.observers.adaptive.adaptation_laws import bounded_widths
+from undeadzone.observers.filtering.consistency import log_density
+from undeadzone.observers.filtering.gaussian_filter import FAR, clipped
+from undeadzone.observers.filtering.prior import Assumptions, build_prior
 from undeadzone.plants.system import sampled
 from undeadzone.signals.exosystem import Random
 from undeadzone_arena.observers.parts import interval_step
@@ -179,7 +179,9 @@ def test_the_least_noise_is_a_share_of_the_wider_range() -> None:
     model = sampled(PAPER_PLANT, 0.01)
     sensor = resolve(Sensor(right=0.5, left=0.5), 1, 0.01)
     for right, left in (([0.0, 1.0], [0.0, 3.0]), ([0.0, 3.0], [0.0, 1.0])):
-        claimed = build_prior(Claims(right=right, left=left), model, sensor, floor=0.1, wear=0.0)
+        claimed = build_prior(
+            Assumptions(right=right, left=left), model, sensor, floor=0.1, wear=0.0
+        )
         np.testing.assert_allclose(claimed.R, 0.3**2)
 
 

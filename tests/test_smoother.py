@@ -21,7 +21,7 @@ from undeadzone.interfaces import graph_of
 from undeadzone.numerics.adjoint import Later, back
 from undeadzone.simulation.estimate import smooth
 from undeadzone.simulation.online import built_for
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 CLAIMS = {"right": [0.0, 2.0], "disturbance": 0.0, "drift": 0.0, "glitches": 0.0}
 PENDULUM = uz.Plant(

@@ -33,7 +33,7 @@ from undeadzone.statistics.sensitivity import (
     rank_correlations,
     saltelli,
 )
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 TRIALS = 400
 SLACK = 3.5 * np.sqrt(LEVEL * (1 - LEVEL) / TRIALS)  # of a coverage counted in so many trials

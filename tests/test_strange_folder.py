@@ -21,8 +21,8 @@ from undeadzone.logs import whole
 from undeadzone.scenario.reader import parse, read
 from undeadzone.simulation.simulate import simulate
 from undeadzone_arena.contest.processes import SAFE, pool
+from undeadzone_export.exported_step import identifier
 from undeadzone_export.exporting import export
-from undeadzone_export.parts import identifier
 
 
 @pytest.fixture

@@ -28,11 +28,11 @@ from undeadzone.results.run import Run
 from undeadzone.scenario.reader import confined, parse, read
 from undeadzone.signals.exosystem import read_csv
 from undeadzone.simulation.simulate import compare, simulate
-from undeadzone.support import files
-from undeadzone.support.files import read_bytes, require_folder
-from undeadzone.support.shown import text as text_of
-from undeadzone.support.text import UNPRINTABLE, printable
-from undeadzone.support.text import json_line as escaped_json
+from undeadzone.util import files
+from undeadzone.util.files import read_bytes, require_folder
+from undeadzone.util.shown import text as text_of
+from undeadzone.util.text import UNPRINTABLE, printable
+from undeadzone.util.text import json_line as escaped_json
 from undeadzone_export.source import _plain as commented
 from undeadzone_identify.logs.log import read_log
 

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from scenes import linear, random_plant
 from undeadzone.errors import StructureError
-from undeadzone.linear.matrices import Matrices
-from undeadzone.linear.structure import require_structure, uncontrollable_modes, unobservable_modes
+from undeadzone.linalg.matrices import Matrices
+from undeadzone.linalg.structure import require_structure, uncontrollable_modes, unobservable_modes
 from undeadzone.plants.build import matrices
 from undeadzone.plants.options import Plant
 

@@ -12,33 +12,33 @@ from scipy.stats import norm
 
 from scenes import PAPER_PLANT, linear
 from test_identifiability import visiting
+from undeadzone.analysis.branch_schedule import arriving, recorded
 from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.analysis.convergence import trajectories
 from undeadzone.analysis.convergence.floquet import spans
 from undeadzone.analysis.convergence.trajectories import settling
 from undeadzone.analysis.dissipation import Inequality, check
 from undeadzone.analysis.identifiability import nonlinear
-from undeadzone.analysis.identifiability.both_ends import both_ends
 from undeadzone.analysis.identifiability.information import Readings, deviations
-from undeadzone.analysis.side_schedule import arriving, recorded
-from undeadzone.ends.sensor import Sensor, resolve
+from undeadzone.analysis.identifiability.sensor_and_actuator import both_ends
 from undeadzone.errors import InputError, StructureError
 from undeadzone.interfaces import Estimate, Reading
-from undeadzone.linear import riccati
-from undeadzone.linear.matrices import Matrices
-from undeadzone.linear.poles import place
+from undeadzone.linalg import riccati
+from undeadzone.linalg.matrices import Matrices
+from undeadzone.linalg.poles import place
+from undeadzone.nonlinearities.sensor import Sensor, resolve
 from undeadzone.numerics.dense_output import Levels, _crossing
 from undeadzone.numerics.gaussian import TAIL
 from undeadzone.observers import Kalman
-from undeadzone.observers.parts.augmented_state import agitation
-from undeadzone.observers.parts.further_constants import against_friction, informed
-from undeadzone.observers.parts.judged_filter import LOST, widened
-from undeadzone.observers.parts.measured_reading import distrusted
-from undeadzone.observers.parts.measured_side import correct_jump
-from undeadzone.observers.parts.prior import _claimed_noise as claimed_noise
-from undeadzone.observers.parts.scores import unscored
-from undeadzone.observers.parts.unknown_inputs import span
-from undeadzone.observers.parts.width_laws import e_modification_move
+from undeadzone.observers.adaptive.adaptation_laws import e_modification_move
+from undeadzone.observers.adaptive.branch_observer import correct_jump
+from undeadzone.observers.filtering.augmented_state import agitation
+from undeadzone.observers.filtering.consistency import LOST, widen_intervals
+from undeadzone.observers.filtering.constant_states import against_friction, informed
+from undeadzone.observers.filtering.innovation_tests import start_scores
+from undeadzone.observers.filtering.measurement_update import downweight_outliers
+from undeadzone.observers.filtering.prior import _claimed_noise as claimed_noise
+from undeadzone.observers.filtering.unknown_inputs import span
 from undeadzone.plants.system import sampled
 from undeadzone_arena.observers.parts import learned_residual
 from undeadzone_arena.observers.parts.boxes import cut
@@ -108,12 +108,12 @@ def test_a_filter_that_is_lost_knows_no_more_than_the_prior() -> None:
         share=one * (LOST + 0.1),
         constant=none,
         opened=none,
-        scores=unscored(1),
+        scores=start_scores(1),
     )
     blind = Estimate(*[ca.SX(0.0)] * len(Estimate._fields))._replace(
         x=ca.SX([1.5, 0.0]), right=ca.SX(1.4), left=ca.SX(1.7), x_std=ca.SX([0.0, 0.0])
     )
-    found = widened(SimpleNamespace(n=2, p=1), q, record, blind)  # type: ignore[arg-type]
+    found = widen_intervals(SimpleNamespace(n=2, p=1), q, record, blind)  # type: ignore[arg-type]
     values = [float(std) for std in (found.right_std, found.left_std, found.width_std)]
     assert values == pytest.approx([0.5, 0.5, np.sqrt(0.5)], rel=1e-12)
     assert ca.DM(found.x_std).full()[:, 0] == pytest.approx([2.5, 2.0])
@@ -190,12 +190,12 @@ def test_a_filter_whose_claims_are_refuted_gains_the_offset() -> None:
         share=0 * one,
         constant=none,
         opened=none,
-        scores=unscored(1),
+        scores=start_scores(1),
     )
     shown = Estimate(*[ca.SX(0.0)] * len(Estimate._fields))._replace(
         x=ca.SX([0.0, 0.0]), right_std=ca.SX(0.1), x_std=ca.SX([0.0, 0.0])
     )
-    found = widened(SimpleNamespace(n=2, p=1), q, record, shown)  # type: ignore[arg-type]
+    found = widen_intervals(SimpleNamespace(n=2, p=1), q, record, shown)  # type: ignore[arg-type]
     assert ca.DM(found.x_std).full()[:, 0] == pytest.approx([0.3, 0.15])
     assert float(found.right_std) == pytest.approx(0.5)  # root of (4 * 0.1)^2 + 0.3^2
 
@@ -228,7 +228,9 @@ def test_a_leak_grows_with_the_way_from_the_first_width() -> None:
 
 
 def test_a_reading_beyond_all_numbers_is_trusted_in_nothing() -> None:
-    trusted = distrusted(ca.SX([0.7, 0.7]), Reading(ca.SX([0.9e300, 1.1e300]), ca.SX([1.0, 1.0])))
+    trusted = downweight_outliers(
+        ca.SX([0.7, 0.7]), Reading(ca.SX([0.9e300, 1.1e300]), ca.SX([1.0, 1.0]))
+    )
     assert ca.DM(trusted).full()[:, 0].tolist() == [0.7, 0.0]
 
 

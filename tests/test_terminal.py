@@ -19,7 +19,7 @@ from commands import undeadzone
 from undeadzone.cli.common import painted
 from undeadzone.cli.output import LARGE, wanted_table
 from undeadzone.cli.watch import watch
-from undeadzone.support import shown
+from undeadzone.util import shown
 from undeadzone_identify.command import identify
 
 ROOT = Path(__file__).parents[1]

@@ -11,9 +11,9 @@ from scipy.stats import t as student
 
 import undeadzone as uz
 from undeadzone.errors import InputError
-from undeadzone_identify.answer.answer import Answer, told_range
 from undeadzone_identify.logs.prepare import edge_of
 from undeadzone_identify.models.estimates import Interval
+from undeadzone_identify.results.assemble import Answer, told_range
 
 RIGHT, LEFT = 0.4, 0.9
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
-from undeadzone.support import tree
+from undeadzone.util import tree
 
 
 class Inner(NamedTuple):

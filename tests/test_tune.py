@@ -32,8 +32,6 @@ from undeadzone.simulation.packed import graph
 from undeadzone.simulation.simulate import outputs_of
 from undeadzone.simulation.simulate import prepare as prepare_loop
 from undeadzone.statistics.intervals import Interval
-from undeadzone.support import toml
-from undeadzone.support.arrays import Floats
 from undeadzone.tuning.candidates import Frame, Objective, losses, row, statistic
 from undeadzone.tuning.parameters import parameters, values_at
 from undeadzone.tuning.result import HeldOut, Tuned, Worth, change
@@ -46,6 +44,8 @@ from undeadzone.tuning.tune import (
     sweep,
     tune,
 )
+from undeadzone.util import toml
+from undeadzone.util.arrays import Floats
 from undeadzone_arena import ParticleFilter, TaylorResidual
 
 EXAMPLES = Path(__file__).parents[1] / "examples"

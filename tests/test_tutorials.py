@@ -11,8 +11,8 @@ import pytest
 import once
 import undeadzone as uz
 from scenes import scene
-from undeadzone.support import shown
-from undeadzone.support.text import with_interval
+from undeadzone.util import shown
+from undeadzone.util.text import with_interval
 
 FOLDER = Path(__file__).parents[1] / "docs/tutorials"
 SCRIPTS = sorted(FOLDER.glob("*.py"))

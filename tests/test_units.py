@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 import undeadzone as uz
-from undeadzone.ends.sensor import resolve
 from undeadzone.ensemble.metrics import Tally, rows
-from undeadzone.linear.hold import sampled_noise, zoh, zoh_slopes
-from undeadzone.linear.matrices import Matrices, companion
-from undeadzone.observers.parts.prior import Claims, build_prior
+from undeadzone.linalg.hold import sampled_noise, zoh, zoh_slopes
+from undeadzone.linalg.matrices import Matrices, companion
+from undeadzone.nonlinearities.sensor import resolve
+from undeadzone.observers.filtering.prior import Assumptions, build_prior
 from undeadzone.plants.build import system
 from undeadzone.plants.system import pace, rates_of_motion, sampled, state_units, time_scale
 from undeadzone.results.scales import plant_scales
@@ -215,7 +215,7 @@ def test_a_chain_of_integrators_has_the_time_of_its_samples(time: float) -> None
         plant = uz.Plant(A=chain.A, B=chain.B / unit**2, C=chain.C)
         model = sampled(system(plant), 0.01 * unit)
         sensor = resolve(uz.Sensor(right=1.0, left=1.0, noise=0.1), 1, 0.01 * unit)
-        prior = build_prior(Claims(right=[0.0, 2.0]), model, sensor, wear=0.1)
+        prior = build_prior(Assumptions(right=[0.0, 2.0]), model, sensor, wear=0.1)
         built.append(prior)
     np.testing.assert_allclose(built[1].std * [1.0, time, 1.0, 1.0], built[0].std)
     np.testing.assert_allclose(built[1].drift, built[0].drift)

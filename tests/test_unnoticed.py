@@ -13,6 +13,7 @@ from scipy.stats import truncnorm
 from scenes import PAPER_PLANT
 from test_identifiability import visiting
 from test_observability import Trial, swinging
+from undeadzone.analysis.branch_schedule import reading
 from undeadzone.analysis.certificate.nearest import _resolvent
 from undeadzone.analysis.dissipation import _definite
 from undeadzone.analysis.error_dynamics import adaptation
@@ -20,27 +21,25 @@ from undeadzone.analysis.identifiability.flanks import visited
 from undeadzone.analysis.identifiability.information import Readings
 from undeadzone.analysis.identifiability.linear import invisible
 from undeadzone.analysis.identifiability.play_and_zone import _unturned, beforehand_of_gaps
-from undeadzone.analysis.side_schedule import reading
-from undeadzone.ends.sensor import Sensor, resolve
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Reading
-from undeadzone.linear.matrices import Matrices
+from undeadzone.linalg.matrices import Matrices
+from undeadzone.nonlinearities.sensor import Sensor, resolve
 from undeadzone.numerics.gaussian import Bound, Gaussian, cut
-from undeadzone.observers.parts.contact_drive import (
-    _moved,
-    _span,
-    drive_of,
-    posture,
-    together,
+from undeadzone.observers.adaptive.adaptation_laws import LeastSquares
+from undeadzone.observers.adaptive.output_error import adapted
+from undeadzone.observers.contact_filter.drive import _moved, _span, drive_of, posture, together
+from undeadzone.observers.contact_filter.modes import Layout, Posterior, condition_on_impact
+from undeadzone.observers.filtering.constant_states import with_friction
+from undeadzone.observers.filtering.gaussian_filter import FAR, clipped, excess_alone
+from undeadzone.observers.filtering.innovation_tests import (
+    FORETOLD,
+    squares,
+    start_scores,
+    update_scores,
 )
-from undeadzone.observers.parts.contact_modes import Layout, Told, struck
-from undeadzone.observers.parts.further_constants import with_friction
-from undeadzone.observers.parts.gaussian_filter import FAR, clipped, excess_alone
-from undeadzone.observers.parts.motion import followed
-from undeadzone.observers.parts.output_error import adapted
-from undeadzone.observers.parts.prior import _ranges
-from undeadzone.observers.parts.scores import FORETOLD, scored, squares, unscored
-from undeadzone.observers.parts.width_laws import LeastSquares
+from undeadzone.observers.filtering.motion_detection import followed
+from undeadzone.observers.filtering.prior import _ranges
 from undeadzone.plants.robots.build import two_link
 from undeadzone.plants.robots.geared import Gears, geared_motion
 
@@ -56,10 +55,10 @@ def of_scores(y: float, last: float, slope: float) -> Any:
         keep=0.5, stays=0.1, noisy=0, push=np.zeros((1, 1)), means=np.zeros(3), reach=100.0
     )
     q = SimpleNamespace(doubt=doubt, slope=slope)
-    before = unscored(1)._replace(last=np.array([last]))
+    before = start_scores(1)._replace(last=np.array([last]))
     zero = ca.SX(1, 1)
     nu = ca.SX(FORETOLD + 1)
-    return scored(q, before, nu, nu, zero, zero, Reading(ca.SX(y), ca.SX(1.0)), zero)
+    return update_scores(q, before, nu, nu, zero, zero, Reading(ca.SX(y), ca.SX(1.0)), zero)
 
 
 def test_where_readings_stay_is_told_in_units_of_z() -> None:
@@ -167,7 +166,9 @@ def test_payloads_of_joints_count_by_their_variance_and_err_alike() -> None:
     for std, payload in zip(stds, payloads, strict=True):
         mean, cov = ca.SX(Layout(1).entries, 1), ca.SX.eye(Layout(1).entries)
         mean[-1], cov[-1, -1] = payload, std**2
-        told.append(Told((), (), Gaussian(mean, cov), ca.SX(mean.shape[0], 1), ca.SX(0.0), 1.0))
+        told.append(
+            Posterior((), (), Gaussian(mean, cov), ca.SX(mean.shape[0], 1), ca.SX(0.0), 1.0)
+        )
     whole = together(Layout(2), told).whole
     weights = stds**-2.0 / np.sum(stds**-2.0)
     assert float(whole.mean[-1]) == pytest.approx(weights @ payloads)
@@ -193,12 +194,12 @@ def test_a_link_that_struck_half_a_sample_ago_has_the_gap_that_was_foretold(join
     mean[layout.of("motor").start + joint] = 0.05 + 3.0 * step / 2
     belief = Gaussian(ca.SX(mean), 1e-4 * ca.SX.eye(layout.entries))
     q: Any = SimpleNamespace(model=GEARS.values, slack=1e-8, impact=0.3)
-    after = struck(drive_of(GEARS, step, 1), q, joint, 1, belief)
+    after = condition_on_impact(drive_of(GEARS, step, 1), q, joint, 1, belief)
     assert float(after.mean[layout.of("half").start + joint]) == pytest.approx(0.05, abs=1e-12)
 
 
 def test_scores_of_small_inputs_are_normal_numbers_too() -> None:
-    many = unscored(1)._replace(count=np.array([1e6]), lift=np.ones(1), rise=np.ones(1))
+    many = start_scores(1)._replace(count=np.array([1e6]), lift=np.ones(1), rise=np.ones(1))
     few = many._replace(lift_square=np.full(1, 0.25), rise_square=np.full(1, 4.0))
     found = squares(few)
     assert float(found["slope"]) == pytest.approx(4.0)

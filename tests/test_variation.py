@@ -18,7 +18,7 @@ from undeadzone.compile import interpret
 from undeadzone.ensemble.binding import Binding, bind, initial_copies
 from undeadzone.ensemble.varied import sizes
 from undeadzone.errors import InputError, UndeadzoneError
-from undeadzone.linear import hold
+from undeadzone.linalg import hold
 from undeadzone.plants.system import sampled
 from undeadzone.scenario.address import matching
 from undeadzone.scenario.ensemble_table import TABLE, Distribution, Vary, spread
@@ -27,8 +27,8 @@ from undeadzone.scenario.reader import convert, parse
 from undeadzone.signals.exosystem import Random, Sine, Step
 from undeadzone.simulation.loop import Loop
 from undeadzone.simulation.simulate import prepare
-from undeadzone.support import tree
-from undeadzone.support.arrays import Floats
+from undeadzone.util import tree
+from undeadzone.util.arrays import Floats
 
 AT_100_HZ = {"time": "sampled", "step": 0.01, "duration": 2.0}
 MODEL = {"A": [[0.0, 1.0], [-1.0, -2.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]}

@@ -18,8 +18,7 @@ from tools import script_of_docs
 from undeadzone.cli import group
 from undeadzone.errors import InputError
 from undeadzone.scenario.reader import read
-from undeadzone.support.arrays import Floats
-from undeadzone_identify.answer.words import rivals_in_words
+from undeadzone.util.arrays import Floats
 from undeadzone_identify.models.elements import PlayModel, fit_play
 from undeadzone_identify.models.least_squares import LeastSquares
 from undeadzone_identify.models.motion import (
@@ -37,6 +36,7 @@ from undeadzone_identify.models.motion import (
 )
 from undeadzone_identify.models.plant import Data, Simulator, disturbance_ahead
 from undeadzone_identify.models.play_gap import find_gap
+from undeadzone_identify.results.words import rivals_in_words
 
 A, B = np.array([-1.6, 0.68]), np.array([0.05, 0.03])
 STEP = 0.05

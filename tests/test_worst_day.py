@@ -13,10 +13,10 @@ import undeadzone as uz
 from test_engines import OBSERVERS, small
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
-from undeadzone.support.arrays import Floats
-from undeadzone_export import accuracy, parts, vectors
+from undeadzone.util.arrays import Floats
+from undeadzone_export import accuracy, exported_step, selftest_vectors
 from undeadzone_export.code import code
-from undeadzone_export.parts import Step
+from undeadzone_export.exported_step import Step
 
 FILTERS = ("kalman", "extended", "censored")
 FLAGS = ("consistent", "refused", "restarts", "side")
@@ -24,7 +24,7 @@ FLAGS = ("consistent", "refused", "restarts", "side")
 
 def broken(step: Step, scenario: Scenario) -> Floats:
     """A run with readings beyond both ends, none for a while, and at last a wire that broke."""
-    rows = vectors.recorded(resolve_scenario(scenario), step)
+    rows = selftest_vectors.record_inputs(resolve_scenario(scenario), step)
     rows = np.vstack([rows, np.repeat(rows[-1:], 400, axis=0)])
     rows[40:45, 0] = np.nan
     rows[[60, 70, 80, 90, 91], 0] = 7.0, -3.0, np.inf, 1.2, -0.8
@@ -37,7 +37,7 @@ def test_float_refuses_what_double_refuses(method: str, tmp_path: Path) -> None:
     sensor = {"right": 0.5, "left": 0.3, "noise": 0.01, "range": [-0.8, 1.2]}
     observer = {"method": method} | OBSERVERS[method][1]
     scenario = small("sampled", sensor=sensor, observer=observer)
-    step = parts.build(resolve_scenario(scenario))
+    step = exported_step.build(resolve_scenario(scenario))
     rows, places = broken(step, scenario), accuracy.places_of(step.outputs)
     single, double = (accuracy.Compiled(code(step, kind), tmp_path)(rows) for kind in (True, False))
     for flag in FLAGS:
@@ -61,7 +61,7 @@ def test_the_side_of_an_export_is_that_of_online(sensor: dict[str, Any], tmp_pat
     """Along a random stream, missing readings among it."""
     observer = {"method": "kalman", "right": [0.05, 1.0]}
     scenario = small("sampled", sensor=sensor, observer=observer)
-    step = parts.build(resolve_scenario(scenario))
+    step = exported_step.build(resolve_scenario(scenario))
     random = np.random.default_rng(7)
     rows = 0.1 * np.cumsum(random.standard_normal((500, 2)), axis=0)
     rows[random.random(500) < 0.05, 0] = np.nan

@@ -12,7 +12,7 @@ import numpy as np
 from mujoco import rollout
 
 from benchmarks.arm_work import Work
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 INTEGRATORS = {"euler": mujoco.mjtIntegrator.mjINT_EULER, "rk4": mujoco.mjtIntegrator.mjINT_RK4}
 

@@ -11,7 +11,7 @@ from pathsim.blocks import ODE, Function, Scope, Source
 from pathsim.solvers import RK4
 
 from benchmarks.workload import Result, Work
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 
 def prepare(work: Work) -> Callable[[], Result]:

@@ -19,7 +19,7 @@ import pinocchio as pin
 
 from benchmarks.arm_work import MOVES, Work
 from undeadzone.numerics.runge_kutta import rk4
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 SOURCE = Path(__file__).with_name("pinocchio_arm.cpp")
 EIGEN = Path(ca.__file__).with_name("include") / "eigen3"  # comes with CasADi

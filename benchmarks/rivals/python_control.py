@@ -12,7 +12,7 @@ import control
 import numpy as np
 
 from benchmarks.workload import Result, Work, grid
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 
 def prepare(work: Work, *, rtol: float = 1e-6) -> Callable[[], Result]:

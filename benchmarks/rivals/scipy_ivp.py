@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 
 from benchmarks.rivals.equations import dot, rate
 from benchmarks.workload import Result, Work, grid
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 
 def prepare(

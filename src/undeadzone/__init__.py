@@ -14,22 +14,39 @@ __version__ = "0.1.0"
 _own, _, __all__ = lazy_loader.attach_stub(__name__, __file__)
 _SHOWN = """
 Plant Model Sensor Actuator Scenario Simulation Units Sine Step Trapezoid Random
-Auto Censored Certified Extended Kalman StateFeedback LQR PID ComputedTorque
+Auto Censored Certified Extended Kalman Luenberger
+StateFeedback LinearController LQG LQR PID ComputedTorque
 read simulate compare identify estimate check design tune run_ensemble replay_run export plot
-from_control from_scipy Online Run Estimation Identified InputError UndeadzoneError
+from_control from_scipy deadzone_update Online Run Estimation Identified InputError UndeadzoneError
 observers controllers compensators signals plants
 """
+# Public names that were replaced, understood until version 0.2 (docs/versions.md).
+_RENAMED = {"Ear": "DeadzoneMemory", "Heard": "DeadzoneUpdate", "hear": "deadzone_update"}
 
 
 def __dir__() -> list[str]:
-    """The names that a first hour needs, and the rooms of the others."""
+    """Return the names that a first hour needs, and the packages of the others."""
     return [*_SHOWN.split(), "__version__", "__doc__"]
 
 
 def __getattr__(name: str) -> Any:
-    """A public name, or what another package registers. Raises AttributeError."""
+    """Return a public name, an old one with a warning, or one that a package registers.
+
+    Raises:
+        AttributeError: no such name.
+    """
+    if name in _RENAMED:
+        import warnings
+
+        current = _RENAMED[name]
+        warnings.warn(
+            f"uz.{name} is now uz.{current}; the old name goes in version 0.2",
+            DeprecationWarning,
+            stacklevel=2,
+        )
+        return _own(current)
     if name in __all__ or name.startswith("_"):
         return _own(name)
-    from undeadzone.catalogue import named
+    from undeadzone.registry import named
 
     return named(name)

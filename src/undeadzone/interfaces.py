@@ -8,11 +8,11 @@ from typing import Any, Final, Literal, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.ends.limits import Limits, beyond
-from undeadzone.ends.sensor import inverse, present, side
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
-from undeadzone.support.arrays import Floats
+from undeadzone.nonlinearities.limits import Limits, beyond
+from undeadzone.nonlinearities.sensor import inverse, present, side
+from undeadzone.util.arrays import Floats
 
 
 class Reading(NamedTuple):

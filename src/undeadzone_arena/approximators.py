@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 LARGEST = 200  # functions in a basis; each is computed at every step
 

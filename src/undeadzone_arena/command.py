@@ -20,7 +20,7 @@ from undeadzone.cli.common import (
     writable,
 )
 from undeadzone.cli.output import named_files, prepare_figures, tell_anew
-from undeadzone.support.progress import on_terminal as progress
+from undeadzone.util.progress import on_terminal as progress
 
 if TYPE_CHECKING:
     from undeadzone.scenario.schema import Scenario
@@ -128,7 +128,7 @@ def arena(
     and about how long they take. What is done is kept in DIR meanwhile: after Ctrl-C, kill or a
     crash --resume goes on. See docs/arena.md.
     """
-    from undeadzone.support.own_files import require_own
+    from undeadzone.util.own_files import require_own
     from undeadzone_arena.contest.scenario_sets import SETS, from_files
     from undeadzone_arena.contest.scenario_sets import scenarios as built_in
 
@@ -272,8 +272,8 @@ def _tune(
 def _written(contest: Contest, folder: Path, own: bool) -> list[Path]:
     """Results, figures and page; of scenarios of one's own also each with the best method in it."""
     from undeadzone.errors import InputError
-    from undeadzone.support import toml
-    from undeadzone.support.files import write_text
+    from undeadzone.util import toml
+    from undeadzone.util.files import write_text
     from undeadzone_arena.contest.page import write_arena
     from undeadzone_arena.contest.traces import traced
 

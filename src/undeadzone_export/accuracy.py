@@ -11,10 +11,10 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.compile import interpret
-from undeadzone.support.arrays import Floats, finite
+from undeadzone.util.arrays import Floats, finite
 from undeadzone_export.code import Code
 from undeadzone_export.compiler import shared_library, stack_bytes, written
-from undeadzone_export.parts import Field, places_of, total
+from undeadzone_export.exported_step import Field, places_of, total
 from undeadzone_export.source import Labels, Source, source
 from undeadzone_export.template import called, filled
 

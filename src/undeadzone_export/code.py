@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 from undeadzone.compile.graph import LANES, Node, Nodes, Results, condition, needed
 from undeadzone.compile.lower import portable
 from undeadzone.compile.print_c import TYPES
-from undeadzone_export.parts import Field, Step
+from undeadzone_export.exported_step import Field, Step
 
 _COUNTED: Final = {
     **{"add": "add", "sub": "add", "neg": "negate", "mul": "multiply", "div": "divide"},
@@ -125,7 +125,7 @@ def split(results: Results, acting: Iterable[str]) -> Phases:
         copies[node] = nodes.input(f"c{entry}", LANES, node.kind)
     for node in needed(following, carried):
         args = [copies[arg] for arg in node.args]
-        copies[node] = nodes.made(node.op, *args, text=node.text, kind=node.kind)
+        copies[node] = nodes.intern(node.op, *args, text=node.text, kind=node.kind)
     return Phases([out, list(carried)], [[copies[node] for node in following]], len(carried))
 
 

@@ -20,11 +20,11 @@ from undeadzone.cli.common import (
     print_json,
     say,
 )
-from undeadzone.support.progress import on_terminal as progress
-from undeadzone.support.text import counted
+from undeadzone.util.progress import on_terminal as progress
+from undeadzone.util.text import counted
 
 if TYPE_CHECKING:
-    from undeadzone.support.shown import Block
+    from undeadzone.util.shown import Block
 
 
 @click.command(epilog="Example: undeadzone export mine.toml --to c --out firmware --check")

@@ -9,7 +9,7 @@ import tempfile
 from pathlib import Path
 
 from undeadzone.errors import InputError
-from undeadzone.support.files import reason
+from undeadzone.util.files import reason
 
 FLAGS = ("-std=c99", "-ffp-contract=off", "-fno-math-errno")
 NAMES = ("cc", "gcc", "clang")

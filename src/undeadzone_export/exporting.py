@@ -14,24 +14,24 @@ import msgspec
 import numpy as np
 
 import undeadzone
-from undeadzone.catalogue import OBSERVERS
 from undeadzone.compile.graph import needed
 from undeadzone.compile.print_c import literal
 from undeadzone.errors import InputError
+from undeadzone.registry import OBSERVERS
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.simulate import simulate
-from undeadzone.support.arrays import Floats, finite
-from undeadzone.support.text import HALF_95
-from undeadzone_export import accuracy, compiler, parts, targets
+from undeadzone.util.arrays import Floats, finite
+from undeadzone.util.text import HALF_95
+from undeadzone_export import accuracy, compiler, exported_step, targets
 from undeadzone_export.boards import fits
 from undeadzone_export.code import Code, code, operations
+from undeadzone_export.exported_step import Field, identifier, total
 from undeadzone_export.fmu.package import require_buildable
 from undeadzone_export.page.build import write_page
-from undeadzone_export.parts import Field, identifier, total
+from undeadzone_export.selftest_vectors import chosen, continue_scenario, record_inputs, reference
 from undeadzone_export.source import Labels, Source, source
 from undeadzone_export.targets import Material
-from undeadzone_export.vectors import chosen, continued, recorded, reference
 
 PRECISIONS = ("single", "double")
 FIRMWARE = ("c", "arduino")  # targets whose boards matter
@@ -113,7 +113,7 @@ def export(
     if to in targets.VERSIONS:
         require_buildable(prefix, targets.VERSIONS[to])
     problem = resolve_scenario(scenario)
-    step = parts.build(problem, part, tunable)
+    step = exported_step.build(problem, part, tunable)
     double = code(step, single=False)
     printed = code(step, single=True) if precision == "single" else double
     labels = Labels(prefix, scenario.title, part)
@@ -121,7 +121,7 @@ def export(
     if told is not None and count > MANY:
         told(_minutes(count, scenario.observer))
     text = source(printed, labels)
-    rows = recorded(continued(scenario, STEPS), step)
+    rows = record_inputs(continue_scenario(scenario, STEPS), step)
     report = _report(printed, text, labels, tunable)
     report["replaced_constants"] = replaced_constants(double) if printed.single else []
     report |= _measured(double, printed, text, rows)
@@ -166,9 +166,9 @@ def _choices(observer: Any) -> dict[str, Callable[[], Any]]:
     if own not in ("kalman", "certified"):
         sides = ("right", "left")
         claims = {name: getattr(observer, name) for name in sides if hasattr(observer, name)}
-        leaner["kalman"] = partial(OBSERVERS.made, "kalman", **claims)
+        leaner["kalman"] = partial(OBSERVERS.create, "kalman", **claims)
     if own != "certified":
-        leaner["certified"] = partial(OBSERVERS.made, "certified")
+        leaner["certified"] = partial(OBSERVERS.create, "certified")
     return leaner
 
 
@@ -236,7 +236,7 @@ def _leaner(
     for name, made in _choices(scenario.observer).items():
         with suppress(InputError, TypeError):  # the scenario cannot have it
             other = msgspec.structs.replace(scenario, observer=made())
-            printed = code(parts.build(resolve_scenario(other), part, ()), single=is_single)
+            printed = code(exported_step.build(resolve_scenario(other), part, ()), single=is_single)
             costs = {
                 "precision": "single" if is_single else "double",
                 "step": scenario.simulation.step,

@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from undeadzone.compile import bitless, elementary
+from undeadzone.compile import elementary, portable_maths
 from undeadzone.compile.graph import Node
 from undeadzone.compile.print_c import (
     INDENT,
@@ -20,12 +20,12 @@ from undeadzone.compile.print_c import (
     wrapped,
 )
 from undeadzone.compile.print_st import ST, TYPES, assigned, initial, reads
-from undeadzone.support.arrays import Floats
-from undeadzone.support.text import one_line
+from undeadzone.util.arrays import Floats
+from undeadzone.util.text import one_line
 from undeadzone_export.code import Code
-from undeadzone_export.parts import Field, distinct, entries, members, numbers_of
+from undeadzone_export.exported_step import Field, distinct, entries, members, numbers_of
+from undeadzone_export.selftest_vectors import Vectors
 from undeadzone_export.source import Labels, meanings
-from undeadzone_export.vectors import Vectors
 
 STATEMENTS: Final = 1000  # of one function block; what has more is divided
 INPUTS, OUTPUTS, LOCALS = "VAR_INPUT", "VAR_OUTPUT", "VAR"
@@ -89,7 +89,7 @@ class Exported(NamedTuple):
         return [unit.keyword for unit in self.units].count("FUNCTION_BLOCK")
 
 
-def exported(code: Code, labels: Labels, vectors: Vectors) -> Exported:
+def export_plc(code: Code, labels: Labels, vectors: Vectors) -> Exported:
     """An export as units.
 
     Args:
@@ -102,7 +102,7 @@ def exported(code: Code, labels: Labels, vectors: Vectors) -> Exported:
     """
     style = Style(code.kind, labels.prefix, ST)
     block = _Block(code, labels, style)
-    names = elementary.needed(block.called, code.kind, bitless.OWN)
+    names = elementary.needed(block.called, code.kind, portable_maths.OWN)
     functions = [function_unit(name, style) for name in names]
     blocks = block.units()
     return Exported([*functions, *blocks], _test(code, labels, vectors, blocks[-1]))
@@ -115,14 +115,14 @@ def function_unit(name: str, style: Style) -> Unit:
         name: one of `bitless.OWN`.
         style: how numbers and functions are written.
     """
-    shape = elementary.formula(name, style.kind, bitless.OWN)
+    shape = elementary.formula(name, style.kind, portable_maths.OWN)
     expressions = Expressions(style, {text: text for text in shape.inputs})
     found = locals_of([[shape.result]], expressions, {})
     called = f"{style.prefix}_{name}"
     result = wrapped(f"{called} := {expressions.text(shape.result).text};")
     given = [Variable(text, style.real) for text in shape.inputs]
     variables = {INPUTS: given, LOCALS: list(map(_declared, found))}
-    meaning = str(bitless.OWN.functions[name].__doc__).strip()
+    meaning = str(portable_maths.OWN.functions[name].__doc__).strip()
     return Unit("FUNCTION", called, meaning, variables, [*lines_of(found), *result], style.real)
 
 

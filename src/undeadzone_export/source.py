@@ -9,11 +9,11 @@ import undeadzone
 from undeadzone.compile import elementary, print_c
 from undeadzone.compile.graph import Node, Results, condition, needed
 from undeadzone.compile.print_c import INDENT, Body, Names, Style, body, literal
-from undeadzone.compile.simplify import held
+from undeadzone.compile.simplify import round_to_type
 from undeadzone.interfaces import CLAIMS
-from undeadzone.support.text import one_line
+from undeadzone.util.text import one_line
 from undeadzone_export.code import Code
-from undeadzone_export.parts import Field, Step, entries, members
+from undeadzone_export.exported_step import Field, Step, entries, members
 from undeadzone_export.template import filled
 
 
@@ -290,7 +290,7 @@ def _bounded_input(node: Node) -> str:
         return ""
     low, high = node.args
     for bound, value, sign in ((low, high, -1.0), (high, low, 1.0)):
-        is_huge = sign * (bound.value or 0.0) >= held(HUGE, bound.kind)
+        is_huge = sign * (bound.value or 0.0) >= round_to_type(HUGE, bound.kind)
         if is_huge and value.op == "input":
             return value.text
     return ""

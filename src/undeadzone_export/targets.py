@@ -10,16 +10,16 @@ from typing import Any, Final, NamedTuple
 
 from undeadzone.errors import FileError
 from undeadzone.scenario.schema import Units
-from undeadzone.support.files import read_text, require_folder, writing
-from undeadzone.support.own_files import CURE, digest, edited
-from undeadzone.support.text import one_line, printable
-from undeadzone_export import plc, plc_files
+from undeadzone.util.files import read_text, require_folder, writing
+from undeadzone.util.own_files import CURE, digest, edited
+from undeadzone.util.text import one_line, printable
+from undeadzone_export import plc, plcopen
 from undeadzone_export.code import Code
+from undeadzone_export.exported_step import Field
 from undeadzone_export.fmu import package
-from undeadzone_export.parts import Field
+from undeadzone_export.selftest_vectors import Vectors, selftest
 from undeadzone_export.source import Labels, Source
 from undeadzone_export.template import called, filled
-from undeadzone_export.vectors import Vectors, selftest
 
 Files = dict[str, str | bytes]
 GENERATOR = "undeadzone export"
@@ -248,13 +248,13 @@ def _arduino_files(report: dict[str, Any]) -> dict[str, str]:
 def _st_files(material: Material) -> tuple[Files, dict[str, str]]:
     """(the Structured Text, its README) by name; the report gets its sizes."""
     report, labels, printed = material.report, material.labels, material.printed
-    made = plc.exported(printed, labels, material.vectors)
-    name, text = labels.prefix, plc_files.text_of(made.units, labels, printed)
+    made = plc.export_plc(printed, labels, material.vectors)
+    name, text = labels.prefix, plcopen.text_of(made.units, labels, printed)
     report["structured_text"] = {"blocks": made.blocks, "lines": text.count("\n")}
     content: Files = {
         f"{name}.st": text,
-        f"{name}_test.st": plc_files.text_of([made.test], labels, printed),
-        f"{name}.xml": plc_files.xml_of([*made.units, made.test], labels, printed),
+        f"{name}_test.st": plcopen.text_of([made.test], labels, printed),
+        f"{name}.xml": plcopen.xml_of([*made.units, made.test], labels, printed),
     }
     words = _words(report) | {
         "blocks": made.blocks,

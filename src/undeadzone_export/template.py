@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib.resources import files
 from typing import Any
 
-from undeadzone.support import text
+from undeadzone.util import text
 
 
 def text_of(path: str) -> str:

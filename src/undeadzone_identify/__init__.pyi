@@ -1,3 +1,3 @@
-from .answer.result import Identified as Identified
-from .answer.result import IdentifiedOutputs as IdentifiedOutputs
-from .questions import identify as identify
+from .pipeline import identify as identify
+from .results.result import Identified as Identified
+from .results.result import IdentifiedOutputs as IdentifiedOutputs

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import msgspec
 import numpy as np
 
-from undeadzone.support.arrays import Floats, finite
-from undeadzone.support.text import with_unit
+from undeadzone.util.arrays import Floats, finite
+from undeadzone.util.text import with_unit
 
 if TYPE_CHECKING:
     from undeadzone.results.estimation import Estimation
@@ -101,7 +101,7 @@ def followed(scenario: Scenario, found: Estimation, code: Code) -> tuple[float, 
         rms of y / m - z, and of the C's z^ - z, over all outputs [z].
     """
     from undeadzone_export.accuracy import Compiled
-    from undeadzone_export.parts import places_of
+    from undeadzone_export.exported_step import places_of
 
     z = found.z_hat if found.z_smooth is None else found.z_smooth
     with tempfile.TemporaryDirectory() as scratch:

@@ -24,12 +24,12 @@ from undeadzone.cli.common import (
 )
 from undeadzone.cli.output import Output, common, named_files, partial_file
 from undeadzone.errors import InputError
-from undeadzone.support.files import write_text
-from undeadzone.support.progress import on_terminal as progress
+from undeadzone.util.files import write_text
+from undeadzone.util.progress import on_terminal as progress
 
 if TYPE_CHECKING:
-    from undeadzone_identify.answer.next_log import Next
-    from undeadzone_identify.answer.result import Identified, IdentifiedOutputs
+    from undeadzone_identify.results.next_log import Next
+    from undeadzone_identify.results.result import Identified, IdentifiedOutputs
 
     Answers = Identified | IdentifiedOutputs
 
@@ -87,10 +87,10 @@ def identify(
     else that a scenario could be written for; or the firmware is refused.
     """
     from undeadzone.logs.names import require_table
-    from undeadzone.support.own_files import require_own
-    from undeadzone_identify.answer.result import WRITTEN
+    from undeadzone.util.own_files import require_own
     from undeadzone_identify.chain import chained
-    from undeadzone_identify.questions import identify as identified
+    from undeadzone_identify.pipeline import identify as identified
+    from undeadzone_identify.results.result import WRITTEN
 
     first = logs[0]
     if chain is not None and (len(logs) > 1 or options["zero"]):
@@ -157,7 +157,7 @@ def _next(scenario: Path, logs: tuple[Path, ...], options: dict[str, Any], drive
 
 def _asked_next(answer: Answers) -> tuple[Next | None, dict[str, str]]:
     """What to record next, and its words; or why nothing is."""
-    from undeadzone_identify.answer.result import Identified
+    from undeadzone_identify.results.result import Identified
 
     if not isinstance(answer, Identified):
         return None, {"no next log": "several outputs: ask it of one, named by --columns"}
@@ -170,7 +170,7 @@ def _asked_next(answer: Answers) -> tuple[Next | None, dict[str, str]]:
 
 def _scenario(answer: Answers, path: Path, force: bool) -> tuple[list[Path], str | None]:
     """The scenario that was written, or why there is none."""
-    from undeadzone.support.own_files import write_own
+    from undeadzone.util.own_files import write_own
 
     try:
         return [write_own(answer.scenario(path.stem), path, force)], None
@@ -181,9 +181,9 @@ def _scenario(answer: Answers, path: Path, force: bool) -> tuple[list[Path], str
 def _pages(answer: Answers, folder: Path, source: str, best: Next | None) -> list[Path]:
     """A page with figures for each output, written to a folder."""
     from undeadzone.results.mjcf import write
-    from undeadzone_identify.answer.result import Identified
-    from undeadzone_identify.answer.words import joints
     from undeadzone_identify.page import write_identified
+    from undeadzone_identify.results.result import Identified
+    from undeadzone_identify.results.words import joints
 
     if isinstance(answer, Identified):
         written = write(joints(answer.answer), folder)

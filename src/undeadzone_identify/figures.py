@@ -9,23 +9,23 @@ import numpy as np
 
 from undeadzone.report import ink
 from undeadzone.report.style import finish, label, plain, sheet
-from undeadzone.support.text import HALF_95
-from undeadzone_identify.answer.next_log import Next
-from undeadzone_identify.answer.result import Identified
-from undeadzone_identify.answer.words import crossing_columns
+from undeadzone.util.text import HALF_95
 from undeadzone_identify.models.kalman_fit import innovations as filtered
 from undeadzone_identify.models.plant import MANY
 from undeadzone_identify.models.zone_fit import expected_reading
-from undeadzone_identify.verdict.orders import correlation, innovations, trained_part
-from undeadzone_identify.verdict.widths import profile
+from undeadzone_identify.results.next_log import Next
+from undeadzone_identify.results.result import Identified
+from undeadzone_identify.results.words import crossing_columns
+from undeadzone_identify.selection.orders import correlation, innovations, trained_part
+from undeadzone_identify.selection.widths import profile
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from undeadzone.support.arrays import Floats, Integers
-    from undeadzone_identify.answer.result import IdentifiedOutputs
-    from undeadzone_identify.verdict.which import Element
+    from undeadzone.util.arrays import Floats, Integers
+    from undeadzone_identify.results.result import IdentifiedOutputs
+    from undeadzone_identify.selection.alternatives import Element
 
 WITHIN = 0.9  # of the crossings that a figure is sure to show
 MAPS = {"jump": "jump sensor"}  # by verdict, what the fitted sensor is called

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from undeadzone.report import html
-from undeadzone.support.text import HALF_95, label, with_interval
-from undeadzone_identify.answer.next_log import Next
-from undeadzone_identify.answer.result import Identified
-from undeadzone_identify.answer.words import HEADS, crossing_columns, rivals_in_words
+from undeadzone.util.text import HALF_95, label, with_interval
 from undeadzone_identify.figures import figures
-from undeadzone_identify.verdict.orders import OrderFit, at_limit
+from undeadzone_identify.results.next_log import Next
+from undeadzone_identify.results.result import Identified
+from undeadzone_identify.results.words import HEADS, crossing_columns, rivals_in_words
+from undeadzone_identify.selection.orders import OrderFit, at_limit
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

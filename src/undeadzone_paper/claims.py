@@ -16,7 +16,7 @@ from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 
-from undeadzone.support.arrays import finite
+from undeadzone.util.arrays import finite
 from undeadzone_paper.evidence import CONDITIONS, Evidence
 from undeadzone_paper.trials import Measured, measure
 

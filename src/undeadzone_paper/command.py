@@ -9,7 +9,7 @@ import click
 
 from undeadzone.cli.common import origin, print_json
 from undeadzone.cli.output import Output, common
-from undeadzone.support.progress import on_terminal as progress
+from undeadzone.util.progress import on_terminal as progress
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -15,7 +15,7 @@ import numpy as np
 
 from undeadzone.controllers import StateFeedback
 from undeadzone.controllers.state_feedback import Robust
-from undeadzone.ends.sensor import Sensor
+from undeadzone.nonlinearities.sensor import Sensor
 from undeadzone.observers import Kalman
 from undeadzone.observers.certified import Certified
 from undeadzone.observers.luenberger import Luenberger
@@ -23,8 +23,8 @@ from undeadzone.results.run import Run
 from undeadzone.scenario.schema import Model, Scenario, Simulation
 from undeadzone.signals.exosystem import Sine
 from undeadzone.simulation.simulate import simulate
-from undeadzone_identify.answer.result import IdentifiedOutputs
-from undeadzone_identify.questions import identify
+from undeadzone_identify.pipeline import identify
+from undeadzone_identify.results.result import IdentifiedOutputs
 from undeadzone_paper.example import (
     ALPHA,
     AMPLITUDES,

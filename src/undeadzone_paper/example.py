@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 
 from undeadzone.controllers import PD, StateFeedback
-from undeadzone.ends.sensor import Sensor
+from undeadzone.nonlinearities.sensor import Sensor
 from undeadzone.observers import Certified
 from undeadzone.plants.options import Plant, SecondOrder
 from undeadzone.scenario.schema import Scenario, Simulation

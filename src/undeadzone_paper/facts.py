@@ -8,13 +8,13 @@ import numpy as np
 from scipy.optimize import brentq
 
 from undeadzone.analysis.certificate.passivity import certify
-from undeadzone.linear.matrices import Matrices
-from undeadzone.linear.poles import observer_gain
-from undeadzone.linear.riccati import paper_riccati
+from undeadzone.linalg.matrices import Matrices
+from undeadzone.linalg.poles import observer_gain
+from undeadzone.linalg.riccati import paper_riccati
 from undeadzone.plants.build import matrices, system
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.simulation.simulate import outputs_of, prepare
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 from undeadzone_paper.example import (
     ALPHA,
     AMPLITUDES,

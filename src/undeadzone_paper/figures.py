@@ -11,7 +11,7 @@ import numpy as np
 from undeadzone.report import ink
 from undeadzone.report.style import finish, plot_magnitude, shade_zone, sheet
 from undeadzone.results.run import Run
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 from undeadzone_paper.equations import FIGURES
 from undeadzone_paper.example import D
 from undeadzone_paper.measures import predicted_reading

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from undeadzone.ends.sensor import deadzone, indicators, zone
-from undeadzone.linear.riccati import paper_riccati
+from undeadzone.linalg.riccati import paper_riccati
+from undeadzone.nonlinearities.sensor import deadzone, indicators, zone
 from undeadzone.plants.build import matrices
 from undeadzone.results.run import LAST, Run
 from undeadzone.results.scales import LIMIT
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 from undeadzone_paper.example import ALPHA, L_PRINTED, printed
 
 

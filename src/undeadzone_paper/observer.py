@@ -6,15 +6,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from undeadzone.catalogue import Options
-from undeadzone.ends.sensor import Zone, indicators, saturation
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate, Observer, Reading, Traits, estimate
-from undeadzone.linear.riccati import paper_riccati, weight
-from undeadzone.observers.parts.gain import gains
-from undeadzone.observers.parts.width_laws import pairs
+from undeadzone.linalg.riccati import paper_riccati, weight
+from undeadzone.nonlinearities.sensor import Zone, indicators, saturation
+from undeadzone.observers.adaptive.adaptation_laws import pairs
+from undeadzone.observers.adaptive.gain import gains
 from undeadzone.plants.system import System
-from undeadzone.support.arrays import Array, Floats, scalar
+from undeadzone.registry import Options
+from undeadzone.util.arrays import Array, Floats, scalar
 
 STAND_INS = {
     "(16) L": "L in R^{1 x n} is read as n x 1, else L (y - y^) is no state",

@@ -18,7 +18,7 @@ from undeadzone.report.html import (
     tag,
 )
 from undeadzone.report.style import write
-from undeadzone.support.files import write_text
+from undeadzone.util.files import write_text
 from undeadzone_paper.claims import HOW, counted
 from undeadzone_paper.equations import FIGURES
 from undeadzone_paper.evidence import BEGUN, RESTING

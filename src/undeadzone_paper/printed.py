@@ -15,15 +15,15 @@ import msgspec
 import numpy as np
 
 from undeadzone.controllers import PD
-from undeadzone.linear.poles import observer_gain
+from undeadzone.linalg.poles import observer_gain
 from undeadzone.plants.build import system
 from undeadzone.plants.system import System
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Simulation
 from undeadzone.simulation.loop import Loop, Outputs
 from undeadzone.simulation.simulate import Start, engine_for, outputs_of, prepare
-from undeadzone.support import tree
-from undeadzone.support.arrays import Floats
+from undeadzone.util import tree
+from undeadzone.util.arrays import Floats
 from undeadzone_paper.example import ALPHA, L_PRINTED, POLES, READINGS, STARTED, D, printed
 from undeadzone_paper.observer import Printed
 

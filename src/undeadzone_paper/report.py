@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 
 from undeadzone.report.html import Origin
-from undeadzone.support.files import replacing, write_text
+from undeadzone.util.files import replacing, write_text
 from undeadzone_paper.audit import Paper, Progress
 from undeadzone_paper.page import write_figures, write_report
 from undeadzone_paper.printed import Outcome, Variant

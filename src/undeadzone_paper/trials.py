@@ -10,18 +10,18 @@ import msgspec
 import numpy as np
 from scipy.optimize import brentq
 
-from undeadzone.catalogue import OBSERVERS
-from undeadzone.ends.sensor import bound, deadzone, offset, resolve, saturation, zone
 from undeadzone.interfaces import Reading, graph_of
-from undeadzone.linear.hold import zoh
-from undeadzone.linear.matrices import Matrices
-from undeadzone.linear.poles import observer_gain
-from undeadzone.linear.riccati import paper_riccati
+from undeadzone.linalg.hold import zoh
+from undeadzone.linalg.matrices import Matrices
+from undeadzone.linalg.poles import observer_gain
+from undeadzone.linalg.riccati import paper_riccati
+from undeadzone.nonlinearities.sensor import bound, deadzone, offset, resolve, saturation, zone
 from undeadzone.plants.build import matrices, system
+from undeadzone.registry import OBSERVERS
 from undeadzone.results.run import Run
 from undeadzone.scenario.schema import Scenario
-from undeadzone.support import tree
-from undeadzone.support.arrays import Floats
+from undeadzone.util import tree
+from undeadzone.util.arrays import Floats
 from undeadzone_paper import measures as m
 from undeadzone_paper.equations import EQUATIONS, FIGURES
 from undeadzone_paper.evidence import BEGUN, CONDITIONS, RESTING, SLOPE, Evidence, Pair
@@ -319,7 +319,7 @@ def _others() -> Numbers:
     example = repaired(5.0)
     steps = {}
     for name, table in OTHERS.items():
-        observer = OBSERVERS.decoded(table)
+        observer = OBSERVERS.decode_options(table)
         steps[name] = SIMPLE / operations(msgspec.structs.replace(example, observer=observer))
     calm = {"with the sign": calm_share(np.sign), "with tanh(k_s s)": calm_share(_smooth_sign)}
     return {"others-too-complex": Measured(steps, None), "chattering": Measured(calm, None)}

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.linear.riccati import storage_of
+from undeadzone.linalg.riccati import storage_of
 from undeadzone.numerics.semidefinite import minimise, symmetric
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 # Smallest eigenvalue of P, and smallest multiplier, that the solver may choose when balanced.
 LEAST = 1e-8

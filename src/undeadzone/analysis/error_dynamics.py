@@ -15,8 +15,8 @@ import numpy as np
 
 from undeadzone.analysis.dissipation import Inequality, quadratic
 from undeadzone.errors import InputError
-from undeadzone.linear.matrices import Matrices, balancing, delta
-from undeadzone.support.arrays import Floats, array, matrix, vector
+from undeadzone.linalg.matrices import Matrices, balancing, delta
+from undeadzone.util.arrays import Floats, array, matrix, vector
 
 
 class Dynamics(NamedTuple):

@@ -11,8 +11,8 @@ import click
 from undeadzone.cli.common import PATH, cmd, flag, force_option, option, writable
 from undeadzone.cli.output import Output, common
 from undeadzone.errors import InputError
-from undeadzone.support.files import write_text
-from undeadzone.support.shown import Block
+from undeadzone.util.files import write_text
+from undeadzone.util.shown import Block
 
 if TYPE_CHECKING:
     from undeadzone.plants.robots.survey import Survey
@@ -74,7 +74,7 @@ def _numbers(text: str) -> list[float]:
 def _started(found: Survey, robot: Path, folder: Path, gears: bool, force: bool) -> Path:
     """The scenario that was written. Raises FileError where there is one already."""
     from undeadzone.scenario.urdf_start import starting_scenario
-    from undeadzone.support.own_files import require_own
+    from undeadzone.util.own_files import require_own
 
     path = folder / f"{robot.stem}.toml"
     require_own(path, force)  # it is for the user to edit: without a mark
@@ -91,7 +91,7 @@ def _weak(found: Survey) -> list[str]:
 
 def _in_words(found: Survey, robot: Path) -> dict[str, Any]:
     """What the file says, a line each."""
-    from undeadzone.support.arrays import listed
+    from undeadzone.util.arrays import listed
 
     tree = found.robot
     reach = "no limit: a sliding joint has none"

@@ -9,8 +9,8 @@ import click
 import undeadzone as uz
 from undeadzone.cli.common import cmd, json_text, origin, with_schema
 from undeadzone.cli.output import Output, export_of, named_files, on_scenario, to_type
-from undeadzone.support.files import write_text
-from undeadzone.support.progress import on_terminal as progress
+from undeadzone.util.files import write_text
+from undeadzone.util.progress import on_terminal as progress
 
 
 @click.command(

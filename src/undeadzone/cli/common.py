@@ -18,10 +18,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from undeadzone.errors import InputError
-from undeadzone.support.files import read_text, require_folder
-from undeadzone.support.shown import Block
-from undeadzone.support.shown import text as text_of
-from undeadzone.support.text import printable
+from undeadzone.util.files import read_text, require_folder
+from undeadzone.util.shown import Block
+from undeadzone.util.shown import text as text_of
+from undeadzone.util.text import printable
 
 if TYPE_CHECKING:
     from undeadzone.report.html import Origin
@@ -219,7 +219,7 @@ def say(text: str = "", err: bool = False) -> None:
 
 def json_text(value: Any) -> str:
     """A value as JSON; numbers that are not finite become null."""
-    from undeadzone.support.arrays import finite
+    from undeadzone.util.arrays import finite
 
     return json.dumps(finite(value), indent=2, allow_nan=False)
 

@@ -10,8 +10,8 @@ import click
 import undeadzone as uz
 from undeadzone.cli.common import cmd, force_option, option, origin
 from undeadzone.cli.output import Output, named_files, on_scenario
-from undeadzone.support.progress import on_terminal as progress
-from undeadzone.support.shown import Block
+from undeadzone.util.progress import on_terminal as progress
+from undeadzone.util.shown import Block
 
 
 def powers(
@@ -78,9 +78,9 @@ def design(
     this plant.
     """
     from undeadzone.scenario.problem import systems
-    from undeadzone.support.own_files import require_own
     from undeadzone.synthesis.assessment import attack
     from undeadzone.synthesis.design import impossible, rounds, with_gains
+    from undeadzone.util.own_files import require_own
 
     if maximise is not None and weights is not None:
         raise click.UsageError(

@@ -10,7 +10,7 @@ import click
 import undeadzone as uz
 from undeadzone.cli.common import cmd, flag, option, origin, writable
 from undeadzone.cli.output import Output, on_scenario, prepare_figures, tell_anew
-from undeadzone.support.progress import on_terminal as progress
+from undeadzone.util.progress import on_terminal as progress
 
 
 @click.command(epilog="Example: undeadzone ensemble examples/ensemble.toml --out study")

@@ -24,7 +24,7 @@ from undeadzone.cli.output import (
     to_type,
     wanted_table,
 )
-from undeadzone.support.progress import on_terminal as progress
+from undeadzone.util.progress import on_terminal as progress
 
 
 @click.command(epilog="Example: undeadzone estimate mine.toml log.csv --columns y=angle,u=voltage")
@@ -66,7 +66,7 @@ def estimate(
         )
     cure = None
     if result.info.consistent is False:
-        from undeadzone.simulation.misread import what_would_fit
+        from undeadzone.simulation.log_diagnosis import what_would_fit
 
         with progress("trying what would fit", None, of=watched.observer):
             cure = what_would_fit(watched, result)

@@ -27,7 +27,7 @@ from undeadzone.cli.common import (
 )
 from undeadzone.cli.output import Output, common
 from undeadzone.errors import InputError
-from undeadzone.support.files import read_text, write_text
+from undeadzone.util.files import read_text, write_text
 
 OTHERS: Final = {
     "samples.csv": "A log for undeadzone watch and estimate, of asymmetric_noise",
@@ -57,7 +57,7 @@ def init(
     With --full it says what else could stand there. With --example two_link write that example
     (default FILE: two_link.toml); --list shows all.
     """
-    from undeadzone.support.own_files import require_own
+    from undeadzone.util.own_files import require_own
 
     if as_list:
         return _listed(output.as_json)

@@ -23,7 +23,7 @@ from undeadzone.cli.common import (
     say,
     writable,
 )
-from undeadzone.support.shown import Block
+from undeadzone.util.shown import Block
 
 LARGE = 1e7  # [bytes] of a table of signals that is written unasked
 

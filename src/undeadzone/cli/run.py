@@ -20,8 +20,8 @@ from undeadzone.cli.output import (
     wanted_table,
 )
 from undeadzone.errors import InputError
-from undeadzone.support.progress import on_terminal as progress
-from undeadzone.support.text import HALF_95, with_unit
+from undeadzone.util.progress import on_terminal as progress
+from undeadzone.util.text import HALF_95, with_unit
 
 WIDE: Final = 0.2  # half of an interval, in widths: what narrows it is said
 CLAIMS: Final = ("disturbance", "bias", "centre")  # that narrow most, the usual first
@@ -146,7 +146,7 @@ def _read(path: Path, animated: bool, confine: Path | None) -> uz.Scenario:
 
 def _simulated(scenario: uz.Scenario) -> tuple[uz.Run, uz.Run | None]:
     """The run of a scenario, and that of the observer that it is to be compared with."""
-    from undeadzone.simulation.listening import heard
+    from undeadzone.simulation.feedback import measure_feedback
     from undeadzone.simulation.simulate import beside
 
     with progress("simulating", _steps(scenario), of=scenario.observer) as advance:
@@ -154,7 +154,7 @@ def _simulated(scenario: uz.Scenario) -> tuple[uz.Run, uz.Run | None]:
             from undeadzone.ensemble.binding import require_bound
 
             require_bound(scenario)
-        result = heard(scenario, advance)
+        result = measure_feedback(scenario, advance)
         return (result, None) if scenario.compare is None else beside(scenario, result, advance)
 
 

@@ -11,7 +11,7 @@ import undeadzone as uz
 from undeadzone.cli.common import cmd, flag, force_option, option, origin
 from undeadzone.cli.output import Output, named_files, on_scenario, partial_file, to_type
 from undeadzone.errors import InputError
-from undeadzone.support.progress import on_terminal as progress
+from undeadzone.util.progress import on_terminal as progress
 
 STATISTICS = click.Choice(["mean", "median", "p95", "worst"])
 
@@ -63,7 +63,7 @@ def tune(
     after Ctrl-C, kill or a crash --resume goes on. Exit code 1: no better on the held-out runs,
     or not certified though this was asked for.
     """
-    from undeadzone.support.own_files import require_own
+    from undeadzone.util.own_files import require_own
 
     tuned = uz.read(scenario, confine)
     folder = output.folder(f"{scenario.stem}-tune")

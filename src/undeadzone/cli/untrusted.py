@@ -16,7 +16,7 @@ from types import FrameType
 from typing import Final
 
 from undeadzone.errors import InputError, Terminated
-from undeadzone.support.files import require_folder
+from undeadzone.util.files import require_folder
 
 MEMORY: Final = 4_000_000_000  # [bytes] of addresses
 CPU_TIME: Final = 600  # [s]

@@ -31,12 +31,12 @@ from undeadzone.cli.common import (
 )
 from undeadzone.cli.output import to_type
 from undeadzone.errors import FileError, Terminated
-from undeadzone.support.progress import on_terminal as progress
+from undeadzone.util.progress import on_terminal as progress
 
 if TYPE_CHECKING:
     from undeadzone.results.info import LogInfo
     from undeadzone.simulation.follower import Follower, LiveLog
-    from undeadzone.support.arrays import Floats
+    from undeadzone.util.arrays import Floats
 
 BLOCK = 1 << 20  # bytes that are read at once, if as many have come
 TIME = click.FloatRange(min=0, min_open=True, max=threading.TIMEOUT_MAX)  # [s]
@@ -195,7 +195,7 @@ def _follow(log: LiveLog, follower: Follower, kept: Kept, as_json: bool) -> None
 def _say_end(info: LogInfo, as_json: bool) -> None:
     """What the log comes to, on stderr."""
     from undeadzone.results.estimation import in_words
-    from undeadzone.support.arrays import finite
+    from undeadzone.util.arrays import finite
 
     if as_json:
         say(json.dumps(finite(with_schema(info.summary())), allow_nan=False), err=True)

@@ -7,8 +7,8 @@ from typing import Any
 import casadi as ca
 
 from undeadzone.compensators.parts.coasting import Coasts, coasted, coasting
-from undeadzone.ends.actuator import Belief
 from undeadzone.interfaces import Compensator, Estimate, Reading
+from undeadzone.nonlinearities.actuator import Belief
 from undeadzone.plants.system import System
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from undeadzone.compensators.parts.coasting import Coasts, inverting, known_drive
-from undeadzone.ends.actuator import Belief
 from undeadzone.interfaces import Compensator
+from undeadzone.nonlinearities.actuator import Belief
 from undeadzone.plants.system import System
-from undeadzone.support.arrays import Array, positive
+from undeadzone.util.arrays import Array, positive
 
 SOFT = 0.1  # of the mean width: |v| over which the step is spread, unless it is given
 

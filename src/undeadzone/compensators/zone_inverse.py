@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from undeadzone.compensators.parts.coasting import Coasts, inverting, known_drive
-from undeadzone.ends.actuator import Belief
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Compensator
+from undeadzone.nonlinearities.actuator import Belief
 from undeadzone.plants.system import System
 
 

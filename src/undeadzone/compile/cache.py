@@ -188,7 +188,7 @@ def made(recipe: Recipe, kinds: tuple[str, ...], hurry: bool = False) -> Block:
         hurry: of a long text whose numbers fit onto the stack, code of no effort at once, and the
             best one behind it.
     """
-    block = kept(recipe, kinds)
+    block = cached_block(recipe, kinds)
     if block is not None:
         return block
     text, note = recipe.make()
@@ -201,7 +201,7 @@ def made(recipe: Recipe, kinds: tuple[str, ...], hurry: bool = False) -> Block:
     return block
 
 
-def kept(recipe: Recipe, kinds: tuple[str, ...]) -> Block | None:
+def cached_block(recipe: Recipe, kinds: tuple[str, ...]) -> Block | None:
     """The function `block` of a recipe, if it is on disk."""
     found = _read(recipe.key, kinds)
     code = None if found is None else linked(found[1], kinds)

@@ -62,7 +62,7 @@ class Nodes:
     def __init__(self) -> None:
         self._known: dict[tuple[object, ...], Node] = {}
 
-    def made(self, op: str, *args: Node, text: str = "", kind: str = "", level: int = 0) -> Node:
+    def intern(self, op: str, *args: Node, text: str = "", kind: str = "", level: int = 0) -> Node:
         """An instruction, the one that is there if it is.
 
         Args:
@@ -86,11 +86,11 @@ class Nodes:
     def constant(self, value: float, kind: str = "float64") -> Node:
         """A number, a word or a truth (1 or 0)."""
         text = repr(float(value)) if kind.startswith("float") else str(int(value))
-        return self.made("const", text=text, kind=kind)
+        return self.intern("const", text=text, kind=kind)
 
     def input(self, name: str, level: int, kind: str = "float64") -> Node:
         """What a graph is given."""
-        return self.made("input", text=name, kind=kind, level=level)
+        return self.intern("input", text=name, kind=kind, level=level)
 
 
 def needed(results: Iterable[Node], known: Collection[Node] = ()) -> list[Node]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import casadi as ca
 import numpy as np
 
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 if TYPE_CHECKING:
     from undeadzone.compile.lanes import Kernel

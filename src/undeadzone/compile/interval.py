@@ -13,9 +13,9 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.compile.listing import Program, evaluated, program
+from undeadzone.compile.casadi_reader import Program, evaluated, program
 from undeadzone.errors import InputError
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 PAD = 16 * np.finfo(float).eps  # relative error of NumPy's elementary functions, amply
 SLACK = 1e-12  # of an argument of sine or cosine, relative: far more than its rounding

@@ -13,6 +13,8 @@ from typing import Final, NamedTuple
 
 import casadi as ca
 
+from undeadzone.compile.assumptions import Promise
+from undeadzone.compile.cold_paths import RareParts
 from undeadzone.compile.graph import (
     LANES,
     SHARED,
@@ -27,10 +29,16 @@ from undeadzone.compile.graph import (
 )
 from undeadzone.compile.lower import Arithmetic, lowered
 from undeadzone.compile.machine import ONE, Form, Machine, Shape
-from undeadzone.compile.pieces import Pieces
-from undeadzone.compile.print_llvm import Names, Text, entries_of, in_lanes, kept, once, plain
-from undeadzone.compile.promises import Promise
-from undeadzone.compile.rare import RareParts
+from undeadzone.compile.outline import Pieces
+from undeadzone.compile.print_llvm import (
+    Names,
+    Text,
+    entries_of,
+    in_lanes,
+    once,
+    plain,
+    store_value,
+)
 from undeadzone.compile.schedule import Branch, gathered, of_graph, ordered
 
 _ARGUMENTS: Final = ("work", "exogenous", "params", "own", "outputs")
@@ -68,7 +76,7 @@ class _Table:
         forms: dict[Node, str] = {}
         for place, node in enumerate(self.entries):
             if node not in forms:
-                forms[node] = kept(text, node, have[node])
+                forms[node] = store_value(text, node, have[node])
             text.store(forms[node], text.at(base, place))
 
 
@@ -170,7 +178,7 @@ class Block:
                 at += _rounded(count * lanes)
         self.steady.fill(text, "%steady", self.have)
         for place, node in enumerate(self.rare.steady):
-            text.store(kept(text, node, self.have[node]), text.at("%rare", place))
+            text.store(store_value(text, node, self.have[node]), text.at("%rare", place))
         text.line("%none = icmp slt i64 %steps, 1")
         text.line("br i1 %none, label %end, label %chunk")
         return at

@@ -19,13 +19,13 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.compile import cache, promises
+from undeadzone.compile import assumptions, cache
+from undeadzone.compile.assumptions import Promise
 from undeadzone.compile.kernel import KINDS, Graphs, graphs, source
 from undeadzone.compile.lower import Arithmetic
 from undeadzone.compile.machine import Form, Shape, here, told_form
-from undeadzone.compile.promises import Promise
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.support.arrays import Floats, Integers, shape_text
+from undeadzone.util.arrays import Floats, Integers, shape_text
 
 WIDTH = 128
 WIDE = 1024  # lanes of a block that neither records nor has inputs of its own
@@ -124,10 +124,10 @@ def build(
     return plan.kernel(block)
 
 
-def kept(step: ca.Function, rare: Sequence[ca.Function] = ()) -> Kernel | None:
+def cached_kernel(step: ca.Function, rare: Sequence[ca.Function] = ()) -> Kernel | None:
     """The kernel of a single run that `build` would give, if it is on disk."""
     plan = _plan(step, rare, 1, Arithmetic())
-    block = cache.kept(plan.recipe(None), KINDS)
+    block = cache.cached_block(plan.recipe(None), KINDS)
     return None if block is None else plan.kernel(block)
 
 
@@ -160,7 +160,7 @@ class _Plan(NamedTuple):
     def kernel(self, block: cache.Block) -> Kernel:
         """It, with its note."""
         form, granted = json.loads(block.note)
-        return Kernel(block, self.shape, Form(*form), self.width, promises.read(granted))
+        return Kernel(block, self.shape, Form(*form), self.width, assumptions.read(granted))
 
     def size(self) -> str:
         """The class of kernels for which one form is the fastest; "" where none is measured."""
@@ -235,7 +235,7 @@ def run(
     """
     shape = kernel.shape
     inputs = checked(shape, states, exogenous, params, lane_exogenous, lane_params)
-    promises.require(kernel.promises, inputs.params, shape.params, inputs.own_params)
+    assumptions.require(kernel.promises, inputs.params, shape.params, inputs.own_params)
     total, lanes = len(inputs.exogenous), len(inputs.states)
     outputs = np.empty((lanes, -(-total // every), len(shape.record)))
     finals = np.empty((lanes, shape.sizes[0]))

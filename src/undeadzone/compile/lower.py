@@ -15,10 +15,10 @@ from typing import Final, NamedTuple
 import casadi as ca
 
 from undeadzone.compile import elementary
+from undeadzone.compile.assumptions import Promise
+from undeadzone.compile.casadi_reader import listed
 from undeadzone.compile.coefficients import DOUBLE, FUSED
 from undeadzone.compile.graph import SHARED, Node, Nodes, Results, condition, uses
-from undeadzone.compile.listing import listed
-from undeadzone.compile.promises import Promise
 from undeadzone.compile.simplify import Exact, Gathered, Plain
 
 SUMS: Final = ("add", "sub", "neg")
@@ -190,11 +190,11 @@ class _Lowering(NamedTuple):
             return self._extreme(node.text, *args)
         if node.text in self.ours:
             return self.ours[node.text](*args)
-        return self.nodes.made(node.op, *args, text=node.text, kind=node.kind)
+        return self.nodes.intern(node.op, *args, text=node.text, kind=node.kind)
 
     def _extreme(self, word: str, a: Node, b: Node) -> Node:
         """The lesser or greater of two numbers, the first of equals; the other of NaN and one."""
-        made, op = self.nodes.made, "least" if word == "fmin" else "most"
+        made, op = self.nodes.intern, "least" if word == "fmin" else "most"
         if _is_number(a):
             return made(op, b, a)
         if _is_number(b) and (self.fused or b.value):
@@ -212,7 +212,7 @@ class _Lowering(NamedTuple):
         one under a truth is added where it holds: a single masked instruction where the processor
         has them.
         """
-        made = self.nodes.made
+        made = self.nodes.intern
         waiting = sorted(_terms(self.taken, node, False), key=Term.order)
         first = min(waiting[:2], key=Term.effort)
         waiting.remove(first)
@@ -232,14 +232,14 @@ class _Lowering(NamedTuple):
     def _signed(self, term: Term) -> Node:
         """The value of a term with its sign."""
         value = self.values[term.value]
-        return self.nodes.made("neg", value) if term.minus else value
+        return self.nodes.intern("neg", value) if term.minus else value
 
     def _plus(self, total: Node, term: Term) -> Node:
         """A sum and one term more."""
         if term.factor is not None:
             factors = self.values[term.factor], self._signed(term)
-            return self.nodes.made("call", *factors, total, text="fma")
-        return self.nodes.made("sub" if term.minus else "add", total, self.values[term.value])
+            return self.nodes.intern("call", *factors, total, text="fma")
+        return self.nodes.intern("sub" if term.minus else "add", total, self.values[term.value])
 
 
 def _is_number(node: Node) -> bool:

@@ -20,7 +20,7 @@ from undeadzone.compile.print_llvm import TYPES, Names, Text, in_lanes, once
 from undeadzone.compile.schedule import of_graph
 from undeadzone.compile.trace import Numpy, Value
 from undeadzone.errors import ShapeError
-from undeadzone.support.arrays import Floats, Integers, shape_text
+from undeadzone.util.arrays import Floats, Integers, shape_text
 
 
 def fill(

@@ -16,7 +16,7 @@ import numpy as np
 from undeadzone.compile.elementary import FUNCTIONS, OF_WORDS, Own, formula
 from undeadzone.compile.graph import Node, Results, needed, uses
 from undeadzone.compile.schedule import nested
-from undeadzone.compile.simplify import held
+from undeadzone.compile.simplify import round_to_type
 
 WIDTH: Final = 100  # columns of a line
 LONGEST: Final = 150  # characters of an expression that is not split into locals
@@ -92,7 +92,7 @@ class Text(NamedTuple):
 
 def literal(value: float, kind: str) -> str:
     """A number; its text means these bits and no others, beyond the type its largest number."""
-    return _number(held(value, kind), kind)
+    return _number(round_to_type(value, kind), kind)
 
 
 def _number(value: float, kind: str) -> str:

@@ -253,7 +253,7 @@ def once(text: Text, wanted: Iterable[Node], have: dict[Node, str], source: Name
         have[node] = source(node) if node.op == "input" else text.print(node, name, False)
 
 
-def kept(text: Text, node: Node, name: str, vector: bool = False) -> str:
+def store_value(text: Text, node: Node, name: str, vector: bool = False) -> str:
     """A value as a double, the form in which tables keep it."""
     double = text.type("double", vector)
     if node.kind == "bool":

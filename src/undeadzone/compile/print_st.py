@@ -13,8 +13,8 @@ from typing import Final
 
 import numpy as np
 
-from undeadzone.compile.bitless import OWN
 from undeadzone.compile.graph import Node
+from undeadzone.compile.portable_maths import OWN
 from undeadzone.compile.print_c import INDENT, WIDTH, Expressions, Grammar, Local, Text, wrapped
 from undeadzone.errors import InputError
 

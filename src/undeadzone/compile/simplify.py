@@ -15,10 +15,10 @@ from typing import Final
 
 import numpy as np
 
-from undeadzone.compile import promises
+from undeadzone.compile import assumptions
+from undeadzone.compile.assumptions import Promise
+from undeadzone.compile.casadi_reader import ARITHMETIC
 from undeadzone.compile.graph import SHARED, Node, Nodes, condition
-from undeadzone.compile.listing import ARITHMETIC
-from undeadzone.compile.promises import Promise
 
 _COMPARED: Final = {"lt": operator.lt, "le": operator.le, "eq": operator.eq, "ne": operator.ne}
 
@@ -54,10 +54,10 @@ class Exact:
         if word == "if_else_zero":
             return self.selected(self.truth(args[0]), args[1], self.zero)
         if word in ARITHMETIC:
-            return self.nodes.made(word, *args)
+            return self.nodes.intern(word, *args)
         if word in ("fmin", "fmax") and all(map(condition, args)):
             return self.made("and" if word == "fmin" else "or", *args)
-        return self.nodes.made("call", *args, text=word)
+        return self.nodes.intern("call", *args, text=word)
 
     def constant(self, value: float) -> Node:
         """A number that is written down."""
@@ -69,7 +69,7 @@ class Exact:
         """A truth as 1 or 0."""
         if truth.value is not None:
             return self.one if truth.value else self.zero
-        return self.nodes.made("select", truth, self.one, self.zero)
+        return self.nodes.intern("select", truth, self.one, self.zero)
 
     def truth(self, number: Node) -> Node:
         """That a number is not 0."""
@@ -79,7 +79,7 @@ class Exact:
         """Where a truth does not hold."""
         if truth.value is not None:
             return self.no if truth.value else self.yes
-        return truth.args[0] if truth.op == "not" else self.nodes.made("not", truth)
+        return truth.args[0] if truth.op == "not" else self.nodes.intern("not", truth)
 
     def both(self, a: Node, b: Node) -> Node:
         """Where two truths hold."""
@@ -88,7 +88,7 @@ class Exact:
                 return other if one.value else self.no
             if self.implies(one, other):
                 return one
-        return self.nodes.made("and", a, b)
+        return self.nodes.intern("and", a, b)
 
     def either(self, a: Node, b: Node) -> Node:
         """Where one of two truths holds."""
@@ -97,7 +97,7 @@ class Exact:
                 return self.yes if one.value else other
             if self.implies(one, other):
                 return other
-        return self.nodes.made("or", a, b)
+        return self.nodes.intern("or", a, b)
 
     def implies(self, one: Node, other: Node) -> bool:
         """Whether a truth holds only where another does, as far as that shows.
@@ -134,7 +134,7 @@ class Exact:
             return self._sign(word, *_sides(a)[::-1])
         if x == 0.0 and _sides(b):
             return self._sign(word, *_sides(b))
-        return self.nodes.made(word, a, b, kind="bool")
+        return self.nodes.intern(word, a, b, kind="bool")
 
     def _chosen(self, truth: Node, yes: bool, no: bool) -> Node:
         """One of two known truths by a third."""
@@ -144,7 +144,7 @@ class Exact:
 
     def _unequal(self, word: str, a: Node, b: Node) -> Node:
         """Whether one of two truths holds alone; of eq, whether not."""
-        unequal = self.nodes.made("ne", a, b)
+        unequal = self.nodes.intern("ne", a, b)
         return unequal if word == "ne" else self.negated(unequal)
 
     def _sign(self, word: str, more: Node, less: Node) -> Node:
@@ -163,7 +163,7 @@ class Exact:
         """Whether high < y is a part of one truth and y < low of the other, low not above high."""
         for above in _conjuncts(a):
             for below in _conjuncts(b):
-                promise = promises.apart(above, below)
+                promise = assumptions.apart(above, below)
                 if promise is None:
                     continue
                 if promise.is_evident:
@@ -185,14 +185,14 @@ class Exact:
         yes = self._under(truth, yes)
         if yes.op == "select" and yes.args[2] is no:
             return self.selected(self.both(truth, yes.args[0]), yes.args[1], no)
-        return yes if yes is no else self.nodes.made("select", truth, yes, no)
+        return yes if yes is no else self.nodes.intern("select", truth, yes, no)
 
     def _under(self, truth: Node, number: Node) -> Node:
         """A number where a truth holds, without a selection that the truth decides."""
         if number.op == "select" and self.implies(truth, number.args[0]):
             return self._under(truth, number.args[1])
         if number.op == "neg":
-            return self.nodes.made("neg", self._under(truth, number.args[0]))
+            return self.nodes.intern("neg", self._under(truth, number.args[0]))
         return number
 
 
@@ -205,7 +205,7 @@ class Plain:
 
     def __init__(self, nodes: Nodes, real: str) -> None:
         self.nodes, self.real, self.exact = nodes, real, Exact(nodes, real)
-        self.nan, self.largest = nodes.constant(math.nan, real), held(math.inf, real)
+        self.nan, self.largest = nodes.constant(math.nan, real), round_to_type(math.inf, real)
 
     def made(self, word: str, *args: Node) -> Node:
         """The number that an instruction gives, where truths are 1 or 0."""
@@ -229,7 +229,7 @@ class Plain:
 
     def constant(self, value: float) -> Node:
         """A number that is written down."""
-        return self.nodes.constant(held(value, self.real), self.real)
+        return self.nodes.constant(round_to_type(value, self.real), self.real)
 
     def _parts(self, node: Node) -> tuple[Node, Node]:
         """A number, and the truth without which it is NaN."""
@@ -311,7 +311,7 @@ class Plain:
 
     def _either_way(self, word: str, a: Node, b: Node) -> Node:
         """A sum or product, the same one whichever operand stands first."""
-        return self.nodes.made(word, *sorted((a, b), key=lambda node: node.number))
+        return self.nodes.intern(word, *sorted((a, b), key=lambda node: node.number))
 
     def _bounded(self, word: str, a: Node, b: Node) -> Node:
         """The smaller or larger of two numbers; a selection where one is constant."""
@@ -325,7 +325,7 @@ class Plain:
         return self.exact.made(word, a, b)
 
 
-def held(value: float, real: str) -> float:
+def round_to_type(value: float, real: str) -> float:
     """A number as a type holds it.
 
     Infinity is the largest number. Other numbers beyond the type stand in its upper half, in their
@@ -359,7 +359,7 @@ class Gathered:
         if word == "if_else_zero":
             return self._gated(self.exact.truth(args[0]), args[1])
         if word == "div" and _is_steady(args[1]) and not _is_steady(args[0]):
-            inverse = self.nodes.made("div", self.exact.one, args[1])
+            inverse = self.nodes.intern("div", self.exact.one, args[1])
             return self._product(inverse, args[0])
         if word == "mul":
             return self._product(*args)
@@ -381,16 +381,16 @@ class Gathered:
                 inner, rest = _factors(value)
                 if inner is not None:
                     factor = self._product(factor, inner)
-                return self.nodes.made("mul", factor, rest)
-        return self.nodes.made("mul", a, b)
+                return self.nodes.intern("mul", factor, rest)
+        return self.nodes.intern("mul", a, b)
 
     def _gated(self, truth: Node, value: Node) -> Node:
         """The value where a truth holds, else 0; a steady factor and a sign stay outside."""
         factor, rest = _factors(value)
         if factor is not None:
-            return self.nodes.made("mul", factor, self._gated(truth, rest))
+            return self.nodes.intern("mul", factor, self._gated(truth, rest))
         if value.op == "neg":
-            return self.nodes.made("neg", self._gated(truth, value.args[0]))
+            return self.nodes.intern("neg", self._gated(truth, value.args[0]))
         return self.exact.selected(truth, value, self.exact.zero)
 
 

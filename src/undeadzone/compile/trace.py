@@ -23,12 +23,12 @@ def lifted(nodes: Nodes, x: Any, kind: str) -> Node:
 
 def _operator(op: str, kind: str = "") -> Callable[[Value, Any], Value]:
     """An operator with a value on the left, whose result is of a kind."""
-    return lambda a, other: Value(a.nodes, a.nodes.made(op, a.node, a.lifted(other), kind=kind))
+    return lambda a, other: Value(a.nodes, a.nodes.intern(op, a.node, a.lifted(other), kind=kind))
 
 
 def _swapped(op: str, kind: str = "") -> Callable[[Value, Any], Value]:
     """An operator with a value on the right, whose result is of a kind."""
-    return lambda b, other: Value(b.nodes, b.nodes.made(op, b.lifted(other), b.node, kind=kind))
+    return lambda b, other: Value(b.nodes, b.nodes.intern(op, b.lifted(other), b.node, kind=kind))
 
 
 class Value:
@@ -56,11 +56,11 @@ class Value:
 
     def __neg__(self) -> Value:
         """The number with the other sign."""
-        return Value(self.nodes, self.nodes.made("neg", self.node))
+        return Value(self.nodes, self.nodes.intern("neg", self.node))
 
     def __abs__(self) -> Value:
         """The number without its sign."""
-        return Value(self.nodes, self.nodes.made("call", self.node, text="fabs"))
+        return Value(self.nodes, self.nodes.intern("call", self.node, text="fabs"))
 
     __add__ = _operator("add")
     __radd__ = _swapped("add")
@@ -90,7 +90,7 @@ class Value:
         """This number as one of another type, by value (convert) or by bits (view)."""
         if kind == self.node.kind:
             return self
-        return Value(self.nodes, self.nodes.made(op, self.node, kind=kind))
+        return Value(self.nodes, self.nodes.intern(op, self.node, kind=kind))
 
 
 class Kind(NamedTuple):
@@ -124,7 +124,7 @@ class Numpy:
     def where(self, truth: Value, yes: Any, no: Any) -> Value:
         """One of two numbers."""
         operands = [lifted(self.nodes, x, self.real) for x in (yes, no)]
-        return Value(self.nodes, self.nodes.made("select", truth.node, *operands))
+        return Value(self.nodes, self.nodes.intern("select", truth.node, *operands))
 
     def sqrt(self, x: Value) -> Value:
         """The square root."""
@@ -133,4 +133,4 @@ class Numpy:
     def call(self, name: str, *args: Any) -> Value:
         """A function by its name."""
         operands = [lifted(self.nodes, x, self.real) for x in args]
-        return Value(self.nodes, self.nodes.made("call", *operands, text=name))
+        return Value(self.nodes, self.nodes.intern("call", *operands, text=name))

@@ -17,16 +17,16 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.catalogue import Options
-from undeadzone.ends.sensor import deadzone
 from undeadzone.errors import InputError, StepError
 from undeadzone.feedforward.flank_path import LEAD, doubly_integrated, led, turned
 from undeadzone.feedforward.targets import Target, along_targets
 from undeadzone.interfaces import Controller, Estimate, Plan
+from undeadzone.nonlinearities.sensor import deadzone
 from undeadzone.plants.robots.arm import Arm, acceleration, torque
 from undeadzone.plants.robots.geared import Geared
 from undeadzone.plants.system import System
-from undeadzone.support.arrays import Array, Floats, positive, scalar
+from undeadzone.registry import Options
+from undeadzone.util.arrays import Array, Floats, positive, scalar
 
 KEY = "controller.crossing"
 FLOATS = 0.5  # of a gap's half, by which a link that hangs in its gap is off its path

@@ -7,14 +7,14 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from undeadzone.catalogue import Options
 from undeadzone.controllers.parts.tracked_error import require_square, tracked_output
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
 from undeadzone.plants.interop import in_state_space
 from undeadzone.plants.system import System
-from undeadzone.support.arrays import Array, Floats, array, matrix, scalar
+from undeadzone.registry import Options
+from undeadzone.util.arrays import Array, Floats, array, matrix, scalar
 
 HELD = 1e-9  # relative difference of two sample times that are the same
 

@@ -6,15 +6,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from undeadzone.catalogue import Options
 from undeadzone.controllers.parts.tracked_error import tracked_output
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
-from undeadzone.linear.matrices import Matrices
-from undeadzone.linear.riccati import riccati, weight
+from undeadzone.linalg.matrices import Matrices
+from undeadzone.linalg.riccati import riccati, weight
 from undeadzone.plants.system import System
-from undeadzone.support.arrays import Array, Floats
+from undeadzone.registry import Options
+from undeadzone.util.arrays import Array, Floats
 
 
 class LQG(Options, frozen=True, kw_only=True, tag="lqg"):

@@ -7,14 +7,14 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.catalogue import Options
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate, Plan
-from undeadzone.linear.matrices import Matrices
-from undeadzone.linear.riccati import riccati, riccati_along, weight
+from undeadzone.linalg.matrices import Matrices
+from undeadzone.linalg.riccati import riccati, riccati_along, weight
 from undeadzone.plants.system import System
-from undeadzone.support.arrays import Array, Floats
+from undeadzone.registry import Options
+from undeadzone.util.arrays import Array, Floats
 
 
 class LQR(Options, frozen=True, kw_only=True, tag="lqr"):

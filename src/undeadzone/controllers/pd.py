@@ -9,14 +9,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from undeadzone.catalogue import Options
 from undeadzone.controllers.parts.tracked_error import require_square
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
-from undeadzone.linear.riccati import paper_riccati, weight
+from undeadzone.linalg.riccati import paper_riccati, weight
 from undeadzone.plants.system import System
-from undeadzone.support.arrays import Array, Floats, scalar, vector
+from undeadzone.registry import Options
+from undeadzone.util.arrays import Array, Floats, scalar, vector
 
 
 class PD(Options, frozen=True, kw_only=True, tag="pd"):

@@ -7,13 +7,13 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.catalogue import Options
 from undeadzone.controllers.parts.tracked_error import require_square, tracked_output
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
 from undeadzone.plants.system import System
-from undeadzone.support.arrays import Array, Floats, matrix, nonnegative, positive, vector
+from undeadzone.registry import Options
+from undeadzone.util.arrays import Array, Floats, matrix, nonnegative, positive, vector
 
 
 class PID(Options, frozen=True, kw_only=True, tag="pid"):

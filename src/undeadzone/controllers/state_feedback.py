@@ -8,14 +8,14 @@ import casadi as ca
 import msgspec
 import numpy as np
 
-from undeadzone.catalogue import Options
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
-from undeadzone.linear.poles import state_gain
-from undeadzone.linear.riccati import fast_feedback, feedback, lyapunov, weight
+from undeadzone.linalg.poles import state_gain
+from undeadzone.linalg.riccati import fast_feedback, feedback, lyapunov, weight
 from undeadzone.plants.system import System, mean_pole, pace, state_units
-from undeadzone.support.arrays import Array, Floats, array, matrix, scalar
+from undeadzone.registry import Options
+from undeadzone.util.arrays import Array, Floats, array, matrix, scalar
 
 CHOICES = ("K", "poles", "alpha", "speed")
 SPEED = 5.0  # of the closed loop, in mean poles of the plant, where nothing is chosen

@@ -21,8 +21,8 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.exogenous import exogenous as exogenous_inputs
 from undeadzone.simulation.loop import Loop
 from undeadzone.simulation.simulate import closed
-from undeadzone.support import toml, tree
-from undeadzone.support.arrays import Floats, Integers
+from undeadzone.util import toml, tree
+from undeadzone.util.arrays import Floats, Integers
 
 BLOCK = 16 * lanes.WIDTH  # runs that are computed, and kept, together
 

@@ -11,7 +11,7 @@ from undeadzone.compile.lanes import Source, Supply
 from undeadzone.ensemble.varied import UncertainNumber, quantities, uncertain_numbers
 from undeadzone.errors import InputError
 from undeadzone.interfaces import graph_of
-from undeadzone.linear.hold import zoh_of_each
+from undeadzone.linalg.hold import zoh_of_each
 from undeadzone.scenario.ensemble_table import Vary
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
@@ -20,8 +20,8 @@ from undeadzone.simulation import exogenous
 from undeadzone.simulation.loop import RUNGE_KUTTA, Loop
 from undeadzone.simulation.simulate import closed
 from undeadzone.statistics import sampling
-from undeadzone.support import tree
-from undeadzone.support.arrays import Floats, Integers, scalar, seed_of
+from undeadzone.util import tree
+from undeadzone.util.arrays import Floats, Integers, scalar, seed_of
 
 
 class Lanes(NamedTuple):

@@ -18,8 +18,8 @@ from typing import Any
 
 from undeadzone.ensemble.job import Job, Pool, compute
 from undeadzone.errors import ClusterError, InputError, UndeadzoneError
-from undeadzone.support.arrays import Floats
-from undeadzone.support.versions import versions
+from undeadzone.util.arrays import Floats
+from undeadzone.util.versions import versions
 
 REACH = 5.0  # [s] to connect to a scheduler
 

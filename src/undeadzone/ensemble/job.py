@@ -11,7 +11,7 @@ from contextlib import AbstractContextManager
 from queue import Empty, SimpleQueue
 from typing import Any, NamedTuple, Protocol
 
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 LONGEST = 1.5  # [s] of a batch
 SHORTEST = 0.1  # [s] of a batch: below it, the few ms that sharing out takes are no longer few

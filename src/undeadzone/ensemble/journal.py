@@ -20,10 +20,10 @@ import numpy.typing as npt
 
 from undeadzone.ensemble.job import Layout
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.support.answers import problem_there
-from undeadzone.support.arrays import Floats
-from undeadzone.support.files import kept_file, put, writing
-from undeadzone.support.versions import versions
+from undeadzone.util.answers import problem_there
+from undeadzone.util.arrays import Floats
+from undeadzone.util.files import kept_file, put, writing
+from undeadzone.util.versions import versions
 
 PAGE = 4096  # [bytes] the columns begin at a multiple of it
 NUMBER = 8  # [bytes] of a float64 and of a checksum

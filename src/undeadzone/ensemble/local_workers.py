@@ -23,7 +23,7 @@ from typing import Any, BinaryIO, Final, NamedTuple
 
 from undeadzone.ensemble.job import Job, Pool, compute
 from undeadzone.errors import ClusterError
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 STOPPED: Final = "local workers: stopped"
 DEATHS: Final = 4  # workers that may die at the same blocks before these are given up

@@ -8,14 +8,14 @@ from typing import Any, Final, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.ends.sensor import Zone
+from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.plants.system import System
 from undeadzone.results.scales import LIMIT, Scales, shares
 from undeadzone.scenario.address import matching
 from undeadzone.scenario.problem import Problem
 from undeadzone.simulation.loop import Exogenous, Loop, Outputs, Params
-from undeadzone.support import tree
-from undeadzone.support.arrays import Floats
+from undeadzone.util import tree
+from undeadzone.util.arrays import Floats
 
 LEVELS: Final = (0.01, 0.05, 0.5, 0.95, 0.99)
 EDGES: Final = ("right", "left")

@@ -21,9 +21,9 @@ from undeadzone.results.run import LAST
 from undeadzone.statistics import sensitivity
 from undeadzone.statistics.intervals import LEVEL, Interval, describe, proportion
 from undeadzone.statistics.sensitivity import Sensitivity
-from undeadzone.support import shown
-from undeadzone.support.arrays import Floats, finite
-from undeadzone.support.shown import Block
+from undeadzone.util import shown
+from undeadzone.util.arrays import Floats, finite
+from undeadzone.util.shown import Block
 
 JUDGED: Final = 2**16  # runs from which sensitivities are found
 MAIN: Final = "rms_tracking"  # the metric by which runs are ranked

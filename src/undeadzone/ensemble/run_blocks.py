@@ -10,9 +10,9 @@ from pathlib import Path
 from undeadzone.ensemble import journal
 from undeadzone.ensemble.job import Job, results
 from undeadzone.errors import InputError
-from undeadzone.support import answers
-from undeadzone.support.arrays import Floats
-from undeadzone.support.progress import silent
+from undeadzone.util import answers
+from undeadzone.util.arrays import Floats
+from undeadzone.util.progress import silent
 
 
 def run(

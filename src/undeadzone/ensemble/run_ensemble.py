@@ -16,7 +16,6 @@ import numpy as np
 
 import undeadzone
 from undeadzone.compile import interpret, lanes
-from undeadzone.ends.sensor import Zone
 from undeadzone.ensemble import run_blocks, saved
 from undeadzone.ensemble.batch import Batch, prepare
 from undeadzone.ensemble.journal import Store, require_same
@@ -24,6 +23,7 @@ from undeadzone.ensemble.metrics import EDGES, Bands, bands, true_width, widths_
 from undeadzone.ensemble.result import Ensemble
 from undeadzone.ensemble.saved import Info
 from undeadzone.errors import FileError, InputError
+from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.results.run import Run
 from undeadzone.scenario.encoders import with_gaps
 from undeadzone.scenario.ensemble_table import Vary
@@ -33,9 +33,9 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.collect import collect
 from undeadzone.simulation.loop import Params
 from undeadzone.simulation.simulate import named
-from undeadzone.support import toml, tree
-from undeadzone.support.arrays import Floats, Integers
-from undeadzone.support.progress import in_notebook
+from undeadzone.util import toml, tree
+from undeadzone.util.arrays import Floats, Integers
+from undeadzone.util.progress import in_notebook
 
 RECORDED = 256  # runs whose signals make the bands
 POINTS = 1000  # samples of a recorded trajectory, or a few more

@@ -19,8 +19,8 @@ import numpy as np
 from undeadzone.ensemble.metrics import Bands
 from undeadzone.errors import FileError, InputError
 from undeadzone.scenario.schema import Units
-from undeadzone.support.arrays import Floats
-from undeadzone.support.files import Name, path_of, reason, replacing, require_plain
+from undeadzone.util.arrays import Floats
+from undeadzone.util.files import Name, path_of, reason, replacing, require_plain
 
 HEADER: Final = "undeadzone"
 COLUMNS: Final = "columns/"  # what names of arrays in an `.npz` begin with

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from undeadzone.errors import InputError
-from undeadzone.observers.parts.actuated import built
+from undeadzone.observers.filtering.actuator import built
 from undeadzone.plants.robots.arm import signless
 from undeadzone.plants.system import pace
 from undeadzone.scenario.address import entries_there, index_of, matching, similar, stem
@@ -30,8 +30,8 @@ from undeadzone.scenario.problem import Problem, known_sensor
 from undeadzone.signals.exosystem import Random, Signal, Sine, Step, Trapezoid
 from undeadzone.simulation.loop import Loop
 from undeadzone.simulation.packed import packed
-from undeadzone.support import tree
-from undeadzone.support.arrays import Floats
+from undeadzone.util import tree
+from undeadzone.util.arrays import Floats
 
 FIXED: Final = (
     *("h", "controller.tau", "controller.rate"),  # set by the clock, never varied

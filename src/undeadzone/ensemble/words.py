@@ -7,8 +7,8 @@ from typing import Any, Final, NamedTuple
 from undeadzone.ensemble.saved import Info, unit_of_column
 from undeadzone.results.run import ERRORS, LAST
 from undeadzone.results.sheet import number, within
-from undeadzone.support.shown import Block
-from undeadzone.support.text import counted, label
+from undeadzone.util.shown import Block
+from undeadzone.util.text import counted, label
 
 
 class Metric(NamedTuple):

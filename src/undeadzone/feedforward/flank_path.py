@@ -15,9 +15,9 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.errors import StructureError
-from undeadzone.linear.matrices import Matrices
-from undeadzone.linear.poles import state_gain
-from undeadzone.support.arrays import Floats
+from undeadzone.linalg.matrices import Matrices
+from undeadzone.linalg.poles import state_gain
+from undeadzone.util.arrays import Floats
 
 LEAD = 2.0  # time constants 1 / w that half of a step takes: by so much it begins earlier
 

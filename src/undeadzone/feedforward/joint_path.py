@@ -16,7 +16,7 @@ from undeadzone.plants.robots.arm import Arm, Chain
 from undeadzone.plants.system import System
 from undeadzone.signals.exosystem import Exosystem, exosystem, piecewise
 from undeadzone.signals.paths import Quintic, Swing
-from undeadzone.support.arrays import Floats, listed, matrix, series
+from undeadzone.util.arrays import Floats, listed, matrix, series
 
 JUMP = 0.3  # [rad] from where the speed leads within one step: another solution
 SHORT = 1e-6  # of the arm's reach: a tip farther than this from its goal does not get there

@@ -12,10 +12,10 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.errors import TrackingError
-from undeadzone.linear.matrices import Matrices, delta, sizes
+from undeadzone.linalg.matrices import Matrices, delta, sizes
 from undeadzone.plants.system import System
 from undeadzone.signals.exosystem import Exosystem
-from undeadzone.support.arrays import Floats, listed
+from undeadzone.util.arrays import Floats, listed
 
 SOLVED = 1e-8  # largest relative residual of the regulator equations
 INVERTED = 1e-9  # largest relative gap between the reference and what Newton's method finds

@@ -32,7 +32,7 @@ from undeadzone.logs.samples import (
     usual_step,
     whole_steps,
 )
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 # After so many lines with times the usual step is compared with the scenario's, by this share.
 TESTS: Final = {21: JITTER, 1001: TOLERANCE}

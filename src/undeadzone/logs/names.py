@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from undeadzone.errors import FileError, InputError
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 # Length of a unit of time [s]. A time that counts samples has no length of its own.
 SECONDS: Final = {

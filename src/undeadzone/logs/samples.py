@@ -26,7 +26,7 @@ from undeadzone.logs.text import (
     flaw,
     is_content,
 )
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 Lines = npt.NDArray[np.int64]
 Numbered = list[tuple[int, str]]  # lines with their numbers

@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 DAY: Final = 86_400.0  # [s]
 NOON: Final = 12  # [h]

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 
 from undeadzone.errors import FileError, InputError
 from undeadzone.logs.names import Title, split_unit
-from undeadzone.support.files import LARGEST_RUN, reason, require_plain
+from undeadzone.util.files import LARGEST_RUN, reason, require_plain
 
 BLOCK: Final = 1 << 22  # bytes of a file that are read at once
 LONGEST_LINE: Final = 65_536  # characters of a line; a longer one is no line of numbers

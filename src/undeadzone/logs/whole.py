@@ -19,8 +19,8 @@ from undeadzone.logs.names import Layout, Title, layout_of_titles, numbers, spli
 from undeadzone.logs.samples import Samples, oldest_first
 from undeadzone.logs.stamps import since_1970
 from undeadzone.logs.text import LARGEST
-from undeadzone.support.arrays import Floats
-from undeadzone.support.files import LARGEST_RUN, LARGEST_TABLE, arrays_of, reason, require_plain
+from undeadzone.util.arrays import Floats
+from undeadzone.util.files import LARGEST_RUN, LARGEST_TABLE, arrays_of, reason, require_plain
 
 BINARY: Final = (".npz", ".mat")  # endings of files that are no CSV text
 LARGEST_MATRICES: Final = LARGEST_RUN // 8  # [bytes] of a .mat file, of which each may be a number

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 TINY = 1e-12  # relative eigenvalues below which a covariance tells nothing of a direction
 EXACT = 1e-8  # standard deviations within which a reading moved a belief along its rows alone
@@ -42,8 +42,8 @@ def back(moments: Any, later: Later) -> tuple[Floats, Floats, Later]:
         Means (B x N), covariances (B x N x N), and what is said of the belief before the first
         reading.
     """
-    read_push, read_known = told(moments.before, moments.read, moments.rows)
-    edge_push, edge_known = told(moments.read, moments.heard, moments.edges)
+    read_push, read_known = adjoint_information(moments.before, moments.read, moments.rows)
+    edge_push, edge_known = adjoint_information(moments.read, moments.heard, moments.edges)
     count, size = moments.before.mean.shape
     mean, cov = np.empty((count, size)), np.empty((count, size, size))
     unit = np.eye(size)
@@ -65,7 +65,7 @@ def back(moments: Any, later: Later) -> tuple[Floats, Floats, Later]:
     return mean, cov, Later(push, known)
 
 
-def told(before: Any, after: Any, rows: Floats) -> tuple[Floats, Floats]:
+def adjoint_information(before: Any, after: Any, rows: Floats) -> tuple[Floats, Floats]:
     """(push, known) that make `after` from `before`, as of `Later`, at each of B samples.
 
     Args:

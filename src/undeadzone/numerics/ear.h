@@ -1,4 +1,4 @@
-/* ear.h: `uz.hear` in C: a reading of a sensor with a dead zone into anybody's Kalman filter.
+/* ear.h: `uz.deadzone_update` in C: a reading of a sensor with a dead zone into anybody's Kalman filter.
 
    x has n states, two of which may be the widths d_r and d_l; P is their covariance, row by row.
    Define EAR_REAL as double before this file for double precision. No memory is allocated. */

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.support.arrays import Array, Flags, Floats
+from undeadzone.util.arrays import Array, Flags, Floats
 
 SILENT = 4.0  # noise, in its rms, that is surely not beyond it
 DOUBT = 1.6448536269514722  # an edge inside of which z is with 95 % anyway is not heard
@@ -23,7 +23,7 @@ NARROW = 1e-6  # least chance of silence, over that of being inside of the neare
 CLIP = 30.0  # standard deviations beyond an edge from which all is alike
 
 
-class Ear(NamedTuple):
+class DeadzoneMemory(NamedTuple):
     """What is kept from one reading to the next.
 
     Attributes:
@@ -37,7 +37,7 @@ class Ear(NamedTuple):
     left: int = 0
 
 
-class Heard(NamedTuple):
+class DeadzoneUpdate(NamedTuple):
     """What is known after a reading.
 
     Attributes:
@@ -51,7 +51,7 @@ class Heard(NamedTuple):
 
     mean: Floats
     cov: Floats
-    ear: Ear
+    ear: DeadzoneMemory
     side: int
     innovation: float = 0.0
     innovation_std: float = 0.0
@@ -78,7 +78,7 @@ class Edge(NamedTuple):
     known: float
 
 
-def hear(
+def deadzone_update(
     mean: Array,
     cov: Array,
     C: Array,
@@ -87,11 +87,11 @@ def hear(
     right: Array,
     left: Array,
     noise: float,
-    ear: Ear,
+    ear: DeadzoneMemory,
     rest: int,
     noise_before: float = 0.0,
     slope: float = 1.0,
-) -> Heard:
+) -> DeadzoneUpdate:
     """The mean and covariance after a reading y = slope Dz(C x + noise ahead) + noise behind.
 
     Args:
@@ -129,7 +129,12 @@ def hear(
     waits = np.array([ear.right, ear.left])
     later = np.maximum(waits - 1, 0)
     if not np.isfinite(y):
-        return Heard(belief.mean.reshape(shape), belief.cov, Ear(0.0, ear.last, *later.tolist()), 0)
+        return DeadzoneUpdate(
+            belief.mean.reshape(shape),
+            belief.cov,
+            DeadzoneMemory(0.0, ear.last, *later.tolist()),
+            0,
+        )
     gate = SILENT * noise
     side = _sure(y, ear.last, ear.previous, gate) - _sure(-y, -ear.last, -ear.previous, gate)
     e = std = 0.0
@@ -140,8 +145,13 @@ def hear(
     if abs(y) <= gate:
         belief, heard = _within(belief, z, edges, gate / slope, rms**2, waits == 0)
         later = np.where(heard, rest, later)
-    return Heard(
-        belief.mean.reshape(shape), belief.cov, Ear(y, ear.last, *later.tolist()), side, e, std
+    return DeadzoneUpdate(
+        belief.mean.reshape(shape),
+        belief.cov,
+        DeadzoneMemory(y, ear.last, *later.tolist()),
+        side,
+        e,
+        std,
     )
 
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from undeadzone.support.arrays import Floats, Integers
+from undeadzone.util.arrays import Floats, Integers
 
 SAMPLES = 600  # random points from which a Pareto front begins, besides those that the caller gives
 NEIGHBOURS = 12  # weights that share their solutions

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 ACCEPTED = 0.1  # residual of the solver's answer; whoever needs a proof checks the answer itself
 

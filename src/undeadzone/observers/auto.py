@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from undeadzone.ends.sensor import Zone
 from undeadzone.interfaces import Observer
+from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.observers.censored import Censored
 from undeadzone.observers.certified import Certified
+from undeadzone.observers.filtering.prior import Assumptions, width_ranges
 from undeadzone.observers.high_gain import HighGain
-from undeadzone.observers.parts.prior import Claims, width_ranges
 from undeadzone.plants.system import System, fastest_pole
 
 # Of `high_gain`, in times and rates of the plant's fastest pole, as the arena's tuning found them.
@@ -17,8 +17,8 @@ EPSILON = 0.25
 GAMMA = 4.5
 
 
-class Auto(Claims, frozen=True, kw_only=True, tag_field="method", tag="auto"):
-    """The observer that suits what is claimed; its options are those of `Claims`.
+class Auto(Assumptions, frozen=True, kw_only=True, tag_field="method", tag="auto"):
+    """The observer that suits what is claimed; its options are those of `Assumptions`.
 
     Sampled: `censored`. Continuous: `certified` where disturbance, bias and tolerance are claimed
     to be 0 and the model is linear and stable, so that there is a proof; else `high_gain`.

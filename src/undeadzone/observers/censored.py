@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
-from undeadzone.observers.parts.augmented_state import default_disturbance, even_units
-from undeadzone.observers.parts.measured_kalman import measured_filter
-from undeadzone.observers.parts.prior import Claims, build_prior, claimed_traits, glitch_share
-from undeadzone.observers.parts.unknown_inputs import (
+from undeadzone.nonlinearities.sensor import Zone
+from undeadzone.observers.filtering.augmented_state import default_disturbance, even_units
+from undeadzone.observers.filtering.measured_kalman import measured_filter
+from undeadzone.observers.filtering.prior import (
+    Assumptions,
+    build_prior,
+    claimed_traits,
+    glitch_share,
+)
+from undeadzone.observers.filtering.unknown_inputs import (
     OFFSET,
     coloured,
     correlation_time,
@@ -18,16 +23,16 @@ from undeadzone.observers.parts.unknown_inputs import (
     unknowns,
 )
 from undeadzone.plants.system import System, in_units
-from undeadzone.support.arrays import scalar
+from undeadzone.util.arrays import scalar
 
 WEAR = 0.0025  # drift, in extents of the range per 1 / sqrt(|pole|), unless it is claimed
 
 
-class Censored(Claims, frozen=True, kw_only=True, tag_field="method", tag="censored"):
+class Censored(Assumptions, frozen=True, kw_only=True, tag_field="method", tag="censored"):
     """`Kalman` that also uses that a silent sensor bounds z, and knows what else may be wrong.
 
-    Sampled time. Its further options are those of `Claims`. Defaults doubt: the disturbance moves z
-    by half of the largest width, rms, in a quarter period and the delay of the further poles, the
+    Sampled time. Its further options are those of `Assumptions`. Defaults doubt: the
+    disturbance moves z by half of the largest width, rms, in a quarter period and the delay of the further poles, the
     bias is a quarter of it, widths walk by a 400th of their ranges' extent in 1 / |pole|; 0 is a
     claim.
 

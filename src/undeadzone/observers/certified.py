@@ -5,15 +5,15 @@ The mathematics is in docs/observer.md.
 
 from __future__ import annotations
 
-from undeadzone.catalogue import Options
-from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
-from undeadzone.observers.parts.gain import default_adaptation, gains
-from undeadzone.observers.parts.measured_side import measured_side
-from undeadzone.observers.parts.width_laws import Adaptation, Gradient, bounded_widths
+from undeadzone.nonlinearities.sensor import Zone
+from undeadzone.observers.adaptive.adaptation_laws import Adaptation, Gradient, bounded_widths
+from undeadzone.observers.adaptive.branch_observer import measured_side
+from undeadzone.observers.adaptive.gain import default_adaptation, gains
 from undeadzone.plants.system import System
-from undeadzone.support.arrays import Array, Floats, nonnegative, vector
+from undeadzone.registry import Options
+from undeadzone.util.arrays import Array, Floats, nonnegative, vector
 
 
 class Certified(Options, frozen=True, kw_only=True, tag="certified"):

@@ -15,19 +15,18 @@ from typing import Any, Literal, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.catalogue import Options
-from undeadzone.ends.limits import paired
-from undeadzone.ends.sensor import Zone, present
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate, Observer, Reading, Traits, estimate
+from undeadzone.nonlinearities.limits import paired
+from undeadzone.nonlinearities.sensor import Zone, present
 from undeadzone.numerics.gaussian import Gaussian
-from undeadzone.observers.parts.contact_drive import (
+from undeadzone.observers.contact_filter.drive import (
     FADING,
     LASTING,
     alone,
+    combine_joints,
     drive_of,
     either,
-    made_up,
     part_of,
     places,
     posture,
@@ -35,24 +34,25 @@ from undeadzone.observers.parts.contact_drive import (
     together,
     touching,
 )
-from undeadzone.observers.parts.contact_modes import (
+from undeadzone.observers.contact_filter.modes import (
     Drive,
     Layout,
     Modes,
     Numbers,
-    Told,
+    Posterior,
     corrected,
-    packed,
+    pack_modes,
     predicted,
     renewed,
     start,
 )
-from undeadzone.observers.parts.judged_filter import BEYOND, Sums, summed
-from undeadzone.observers.parts.model_bank import weighed
-from undeadzone.observers.parts.scores import verdict
+from undeadzone.observers.filtering.consistency import BEYOND, Sums, accumulate
+from undeadzone.observers.filtering.innovation_tests import verdict
+from undeadzone.observers.filtering.multiple_models import update_weights
 from undeadzone.plants.robots.geared import Geared
 from undeadzone.plants.system import System
-from undeadzone.support.arrays import Array, Floats, array, nonnegative, positive, scalar
+from undeadzone.registry import Options
+from undeadzone.util.arrays import Array, Floats, array, nonnegative, positive, scalar
 
 FRICTION = ("friction", "f")  # Coulomb's, of motors and of links, as the plant names it
 DRIFT = (3e-5, 4.5e-4)  # of half gaps, coupled and joint by joint [rad / sqrt(s)]
@@ -322,13 +322,13 @@ def _step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> tuple[
     whole = together(layout, ones)
     started = ca.repmat(ca.vertcat(*(modes[0].begun for modes in s.modes)), y.shape[0] // count)
     seen = ca.logic_and(present(y), started > 0.5)
-    sums = summed(s.sums, ca.if_else(seen, whole.e / whole.std, 0.0), seen, q.fade, q.keep)
+    sums = accumulate(s.sums, ca.if_else(seen, whole.e / whole.std, 0.0), seen, q.fade, q.keep)
     ratios = {"gust": ca.mmax(sums.ratio) / CHANCE}
     ratios["range"] = BEYOND * (_bound(layout, q.modes, whole.whole) > 0)
     shown = _shown(setup, q, ones, whole, reading)._replace(**verdict(ratios))
     if setup.ones:
         arm = posture(setup.gears, q.modes.model, whole.whole.mean, u)
-        heard = [made_up(told, whole.news, arm) for told in zip(*each, strict=True)]
+        heard = [combine_joints(told, whole.news, arm) for told in zip(*each, strict=True)]
         each = [list(told) for told in zip(*heard, strict=True)]
         ones = list(map(either, each, shares))
         parts = surroundings(setup.ones, drives, parts, ones, arm)
@@ -337,13 +337,13 @@ def _step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> tuple[
         later = []
         for one, before in zip(each[joint], modes, strict=True):
             moved = predicted(drive, part, one, u[joint::count])
-            later.append(packed(drive, moved, before, readings[joint]))
+            later.append(pack_modes(drive, moved, before, readings[joint]))
         after.append(tuple(later))
     return State(tuple(after), odds, sums), shown
 
 
 def _weighed(
-    odds: Sequence[Any], each: Sequence[Sequence[Told]]
+    odds: Sequence[Any], each: Sequence[Sequence[Posterior]]
 ) -> tuple[tuple[Any, ...], list[tuple[Any, Any]]]:
     """(log odds after a sample; shares before and after it) of the filters of each joint.
 
@@ -354,8 +354,8 @@ def _weighed(
     after, shares = [], []
     for before, told in zip(odds, each, strict=True):
         logs = TRUSTED * ca.vertcat(*(one.log for one in told))
-        now, share = weighed(before, logs, FAINTEST)
-        shares.append((weighed(before, 0.0, FAINTEST)[1], share))
+        now, share = update_weights(before, logs, FAINTEST)
+        shares.append((update_weights(before, 0.0, FAINTEST)[1], share))
         after.append(now)
     return tuple(after), shares
 
@@ -369,7 +369,9 @@ def _bound(layout: Layout, q: Numbers, belief: Gaussian) -> Any:
     return bound
 
 
-def _shown(setup: Setup, q: Params, each: Sequence[Told], told: Told, reading: Reading) -> Estimate:
+def _shown(
+    setup: Setup, q: Params, each: Sequence[Posterior], told: Posterior, reading: Reading
+) -> Estimate:
     """What the readings so far tell, of each filter and of all joints."""
     layout, mean = Layout(setup.gears.size), told.whole.mean
     N, of = layout.size, layout.of

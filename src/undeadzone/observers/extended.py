@@ -14,21 +14,20 @@ from typing import Any, Literal, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.catalogue import Options
-from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
-from undeadzone.observers.parts.augmented_state import default_disturbance, even_units
-from undeadzone.observers.parts.gaussian_filter import Augmentation, Params
-from undeadzone.observers.parts.measured_kalman import measured_filter
-from undeadzone.observers.parts.prior import (
+from undeadzone.nonlinearities.sensor import Zone
+from undeadzone.observers.filtering.augmented_state import default_disturbance, even_units
+from undeadzone.observers.filtering.gaussian_filter import Augmentation, Params
+from undeadzone.observers.filtering.measured_kalman import measured_filter
+from undeadzone.observers.filtering.prior import (
     GLITCHES,
     Prior,
     build_prior,
     claimed_traits,
     glitch_share,
 )
-from undeadzone.observers.parts.unknown_inputs import (
+from undeadzone.observers.filtering.unknown_inputs import (
     OFFSET,
     Colour,
     coloured,
@@ -38,7 +37,8 @@ from undeadzone.observers.parts.unknown_inputs import (
     unknowns,
 )
 from undeadzone.plants.system import System, in_units
-from undeadzone.support.arrays import Array, Floats
+from undeadzone.registry import Options
+from undeadzone.util.arrays import Array, Floats
 
 LEVELS = 3  # of a disturbance that is not claimed
 

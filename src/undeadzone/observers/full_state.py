@@ -6,12 +6,12 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from undeadzone.catalogue import Options
-from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate, Observer, Reading, Traits, estimate
+from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.plants.system import System
-from undeadzone.support.arrays import Floats
+from undeadzone.registry import Options
+from undeadzone.util.arrays import Floats
 
 
 class FullState(Options, frozen=True, kw_only=True, tag="full_state"):

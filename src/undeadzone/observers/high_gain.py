@@ -6,14 +6,14 @@ import math
 
 import numpy as np
 
-from undeadzone.catalogue import Options
-from undeadzone.ends.sensor import Zone
 from undeadzone.errors import StepError
 from undeadzone.interfaces import Observer
-from undeadzone.linear.structure import output_chains
-from undeadzone.observers.parts.output_error import adapted, output_error
+from undeadzone.linalg.structure import output_chains
+from undeadzone.nonlinearities.sensor import Zone
+from undeadzone.observers.adaptive.output_error import adapted, output_error
 from undeadzone.plants.system import System, fastest_pole
-from undeadzone.support.arrays import Array, Floats, scalar
+from undeadzone.registry import Options
+from undeadzone.util.arrays import Array, Floats, scalar
 
 
 class HighGain(Options, frozen=True, kw_only=True, tag="high_gain"):

@@ -5,17 +5,17 @@ The mathematics is in docs/filters.md.
 
 from __future__ import annotations
 
-from undeadzone.catalogue import Options
-from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
-from undeadzone.observers.parts.augmented_state import agitation, even_units
-from undeadzone.observers.parts.gaussian_filter import white
-from undeadzone.observers.parts.measured_kalman import measured_filter
-from undeadzone.observers.parts.prior import GLITCHES, build_prior, claimed_traits, glitch_share
-from undeadzone.observers.parts.unknown_inputs import per_input
+from undeadzone.nonlinearities.sensor import Zone
+from undeadzone.observers.filtering.augmented_state import agitation, even_units
+from undeadzone.observers.filtering.gaussian_filter import white
+from undeadzone.observers.filtering.measured_kalman import measured_filter
+from undeadzone.observers.filtering.prior import GLITCHES, build_prior, claimed_traits, glitch_share
+from undeadzone.observers.filtering.unknown_inputs import per_input
 from undeadzone.plants.system import System, in_units
-from undeadzone.support.arrays import Array
+from undeadzone.registry import Options
+from undeadzone.util.arrays import Array
 
 SWING = 0.2  # rms, in largest widths, by which the default disturbance moves z (docs/filters.md)
 

@@ -7,14 +7,14 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.catalogue import Options
-from undeadzone.ends.sensor import Zone, present
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate, Observer, Reading, Traits, estimate
-from undeadzone.linear.poles import observer_gain
-from undeadzone.observers.parts.gain import gains
+from undeadzone.linalg.poles import observer_gain
+from undeadzone.nonlinearities.sensor import Zone, present
+from undeadzone.observers.adaptive.gain import gains
 from undeadzone.plants.system import System
-from undeadzone.support.arrays import Array, Floats
+from undeadzone.registry import Options
+from undeadzone.util.arrays import Array, Floats
 
 
 class Luenberger(Options, frozen=True, kw_only=True, tag="luenberger"):

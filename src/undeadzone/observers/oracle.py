@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from undeadzone.catalogue import Options
-from undeadzone.ends.sensor import Zone
 from undeadzone.interfaces import Observer
-from undeadzone.observers.parts.gain import gains
-from undeadzone.observers.parts.measured_side import measured_side
+from undeadzone.nonlinearities.sensor import Zone
+from undeadzone.observers.adaptive.branch_observer import measured_side
+from undeadzone.observers.adaptive.gain import gains
 from undeadzone.plants.system import System
-from undeadzone.support.arrays import Array
+from undeadzone.registry import Options
+from undeadzone.util.arrays import Array
 
 
 class Oracle(Options, frozen=True, kw_only=True, tag="oracle"):

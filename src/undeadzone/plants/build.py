@@ -19,10 +19,10 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.linear.matrices import Matrices, companion
+from undeadzone.linalg.matrices import Matrices, companion
 from undeadzone.plants.options import Plant, SecondOrder, TransferFunction
 from undeadzone.plants.system import System, linearised
-from undeadzone.support.arrays import LARGEST, Array, Floats, matrix, scalar, series, vector
+from undeadzone.util.arrays import LARGEST, Array, Floats, matrix, scalar, series, vector
 
 # Each form by its leading key, and the keys that belong to it.
 _FORMS = {

@@ -10,8 +10,8 @@ from typing import Any, Literal
 import msgspec
 
 from undeadzone.plants.robots.geared import Gears
-from undeadzone.support.arrays import Array
-from undeadzone.support.toml import Kind
+from undeadzone.util.arrays import Array
+from undeadzone.util.toml import Kind
 
 
 class Rigid(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -9,7 +9,7 @@ import numpy as np
 
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.plants.system import System
-from undeadzone.support.arrays import Array, Floats, array, shape_text
+from undeadzone.util.arrays import Array, Floats, array, shape_text
 
 
 class Region(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

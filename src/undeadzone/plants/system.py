@@ -9,14 +9,14 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.ends.actuator import Belief
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.linear.hold import zoh
-from undeadzone.linear.matrices import Matrices, balancing, feedback_loops, similar
+from undeadzone.linalg.hold import zoh
+from undeadzone.linalg.matrices import Matrices, balancing, feedback_loops, similar
+from undeadzone.nonlinearities.actuator import Belief
 from undeadzone.numerics.runge_kutta import rk4_change
 from undeadzone.plants.robots.arm import Arm
 from undeadzone.plants.robots.geared import Geared
-from undeadzone.support.arrays import LARGEST, Floats
+from undeadzone.util.arrays import LARGEST, Floats
 
 
 class Flat(NamedTuple):
@@ -251,7 +251,7 @@ def _counted_matrices(linear: Matrices, units: Floats) -> Matrices:
     return Matrices(similar(A, units), B / units[:, None], C * units)
 
 
-def held(model: System) -> Floats:
+def held_inputs(model: System) -> Floats:
     """What a sampled model adds to x+ per unit of w in x' = f(x, u) + w (n x n) [s].
 
     w is held over a step: the integral of e^(A t).

@@ -18,9 +18,9 @@ from undeadzone.report import ink
 from undeadzone.report.html import Html, html
 from undeadzone.report.style import plain
 from undeadzone.results.run import FRAMES, Run
-from undeadzone.support.arrays import Floats
-from undeadzone.support.files import replacing
-from undeadzone.support.progress import silent
+from undeadzone.util.arrays import Floats
+from undeadzone.util.files import replacing
+from undeadzone.util.progress import silent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

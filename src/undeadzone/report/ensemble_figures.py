@@ -16,7 +16,7 @@ from undeadzone.report import ink
 from undeadzone.report.style import DASHED, axis_label, finish, floor_of, plain, sheet
 from undeadzone.results.run import LAST
 from undeadzone.statistics.intervals import LEVEL, shares_between
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

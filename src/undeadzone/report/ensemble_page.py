@@ -17,7 +17,7 @@ from undeadzone.report import html
 from undeadzone.report.ensemble_figures import distributions, influence, over_time, tornado, words
 from undeadzone.results.run import LAST
 from undeadzone.results.sheet import number
-from undeadzone.support.text import label, with_unit
+from undeadzone.util.text import label, with_unit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

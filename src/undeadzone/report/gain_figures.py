@@ -13,13 +13,13 @@ from undeadzone.analysis.certificate.weights import margin
 from undeadzone.analysis.convergence.falsify import Mode, generator
 from undeadzone.analysis.convergence.floquet import rates
 from undeadzone.analysis.error_dynamics import Dynamics, growth, pattern
-from undeadzone.ends.sensor import DIRECTIONS
-from undeadzone.linear.matrices import delta
+from undeadzone.linalg.matrices import delta
+from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.report import ink
 from undeadzone.report.style import axis_label, finish, sheet
-from undeadzone.support.arrays import Floats
-from undeadzone.support.text import HALF_95
 from undeadzone.synthesis.assessment import Assessment, Gains
+from undeadzone.util.arrays import Floats
+from undeadzone.util.text import HALF_95
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

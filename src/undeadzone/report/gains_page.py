@@ -14,14 +14,14 @@ import numpy as np
 
 from undeadzone.analysis.certificate.design_file import Design, Knowledge
 from undeadzone.analysis.certificate.passivity import Certificate
-from undeadzone.analysis.identifiability.second_truth import in_words as in_words_of_truths
-from undeadzone.ends.sensor import DIRECTIONS
+from undeadzone.analysis.identifiability.indistinguishable import in_words as in_words_of_truths
+from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.report import html
 from undeadzone.report.gain_figures import ellipses, front, root_locus
 from undeadzone.report.proof_figures import courses, positive_realness
-from undeadzone.support.arrays import listed
-from undeadzone.support.text import HALF_95, counted, label
 from undeadzone.synthesis.assessment import Assessment, Attacks, Gains
+from undeadzone.util.arrays import listed
+from undeadzone.util.text import HALF_95, counted, label
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

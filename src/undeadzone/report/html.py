@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from undeadzone import __version__
 from undeadzone.report.style import write
-from undeadzone.results.listening import in_words, on_trust
+from undeadzone.results.feedback import describe_feedback, is_open_loop
 from undeadzone.results.sheet import Row
-from undeadzone.support.files import write_text
-from undeadzone.support.text import printable
+from undeadzone.util.files import write_text
+from undeadzone.util.text import printable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -177,7 +177,7 @@ def trust(listens: Sequence[float | None]) -> Html | None:
     """How strongly readings move each z^, marked where the model is taken on trust."""
     if not listens:
         return None
-    return tag("span", in_words(listens), "mid" if on_trust(listens) else "")
+    return tag("span", describe_feedback(listens), "mid" if is_open_loop(listens) else "")
 
 
 def _row(cells: Sequence[Any], numeric: Sequence[bool]) -> Html:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from undeadzone.observers.parts.judged_filter import FAR
-from undeadzone.observers.parts.prior import CHANCE
+from undeadzone.observers.filtering.consistency import FAR
+from undeadzone.observers.filtering.prior import CHANCE
 from undeadzone.report import html, ink
 from undeadzone.report.run_page import further_tables
 from undeadzone.report.style import (
@@ -23,7 +23,7 @@ from undeadzone.report.style import (
     width_lines,
 )
 from undeadzone.results.estimation import Estimation, actuators, gaps, widths
-from undeadzone.support.arrays import runs
+from undeadzone.util.arrays import runs
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeAlias
 
 from undeadzone.errors import InputError
 from undeadzone.report.style import write
-from undeadzone.support.files import path_of
+from undeadzone.util.files import path_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -14,8 +14,8 @@ from undeadzone.analysis.convergence.trajectories import Trajectory
 from undeadzone.analysis.error_dynamics import Dynamics, Storage, dynamics
 from undeadzone.report import ink
 from undeadzone.report.style import FLOOR, finish, sheet
-from undeadzone.support.arrays import Floats
 from undeadzone.synthesis.assessment import Attacks, Gains
+from undeadzone.util.arrays import Floats
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -20,7 +20,7 @@ from undeadzone.report.style import (
     width_lines,
 )
 from undeadzone.results.run import Run
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -67,7 +67,7 @@ def overview(run: Run) -> Figure:
         what = f"Widths of the actuator{of}"
         _edges(panels[f"actuator {j}"], run, j, "b", info.actuator, what)
     if run.V is not None:
-        plot_magnitude(panels["V"], run.t[run.shown], run.V[run.shown], ink.TRUTH, "V")
+        plot_magnitude(panels["V"], run.t[run.plot_window], run.V[run.plot_window], ink.TRUTH, "V")
         finish(panels["V"], "Lyapunov function", axis_label("V", run.unit("V")), legend=0)
     return figure
 
@@ -98,7 +98,7 @@ def halves(left: str, right: str, count: int, columns: int) -> list[list[str]]:
 
 def output(axes: Axes, run: Run, i: int = 0, of: str = "") -> None:
     """Output i over its dead zone: reference, reading, truth and estimate; of: its name."""
-    shown = run.shown
+    shown = run.plot_window
     t = run.t[shown]
     right, left = run.info.widths[2 * i : 2 * i + 2]
     if run.info.sensor in ("play", "gears"):
@@ -120,7 +120,7 @@ def output(axes: Axes, run: Run, i: int = 0, of: str = "") -> None:
 
 def _errors(axes: Axes, run: Run, i: int, of: str) -> None:
     """The sizes of the errors of tracking, where output i is tracked, and of estimation."""
-    shown = run.shown
+    shown = run.plot_window
     t = run.t[shown]
     if i in run.info.tracked:
         tracking = (run.z[:, i] - run.r[:, run.info.tracked.index(i)])[shown]
@@ -132,7 +132,7 @@ def _errors(axes: Axes, run: Run, i: int, of: str) -> None:
 def _command(axes: Axes, run: Run, j: int, of: str) -> None:
     """Input j over the dead zone of its actuator."""
     shade_zone(axes, *run.info.actuator[2 * j : 2 * j + 2])
-    axes.plot(run.t[run.shown], run.u[run.shown, j], color=ink.TRUTH)
+    axes.plot(run.t[run.plot_window], run.u[run.plot_window, j], color=ink.TRUTH)
     finish(axes, f"Command{of} over the actuator's zone", axis_label("u", run.unit("u")), legend=0)
 
 
@@ -161,8 +161,8 @@ def _edges(axes: Axes, run: Run, i: int, letter: str, true: Sequence[float], wha
     for value, colour in zip(true[columns], (ink.PRINTED, ink.OTHER), strict=True):
         axes.axhline(value, color=colour, linewidth=3.0, alpha=0.3)
     found, std = getattr(run, name), getattr(run, f"{letter}_std")
-    band = None if std is None else std[run.shown, columns]
-    width_lines(axes, run.t[run.shown], found[run.shown, columns], band)
+    band = None if std is None else std[run.plot_window, columns]
+    width_lines(axes, run.t[run.plot_window], found[run.plot_window, columns], band)
     finish(axes, f"{what}, truth pale", axis_label(letter, run.unit(name)))
 
 
@@ -187,17 +187,19 @@ def _distances(axes: Axes, run: Run, rival: Run | None) -> None:
         assert one.tip is not None
         assert one.tip_r is not None
         distance = np.linalg.norm(one.tip - one.tip_r, axis=1)
-        plot_magnitude(axes, one.t[one.shown], distance[one.shown], colour, plain(one.name))
+        plot_magnitude(
+            axes, one.t[one.plot_window], distance[one.plot_window], colour, plain(one.name)
+        )
     finish(axes, "Distance of the tip from where it should be", axis_label("distance", "m"))
 
 
 def _torques(axes: Axes, run: Run) -> None:
     """The torque of each motor."""
-    t = run.t[run.shown]
+    t = run.t[run.plot_window]
     motors = run.info.joints[: run.u.shape[1]]  # names of the joints that have one
     for i, name in enumerate(motors):
         colour = COLOURS[i % len(COLOURS)]
-        axes.plot(t, run.u[run.shown, i], color=colour, linewidth=0.9, label=plain(name))
+        axes.plot(t, run.u[run.plot_window, i], color=colour, linewidth=0.9, label=plain(name))
     finish(axes, "Torques", axis_label("u", run.unit("u")), legend=3)
 
 
@@ -225,8 +227,8 @@ def _phase_plane(axes: Axes, run: Run, i: int, name: str) -> None:
     """Velocity over position of joint i, truth and estimate."""
     states, joints = run.x.shape[1], len(run.info.joints)
     position, velocity = states // 2 - joints + i, states - joints + i  # behind those of motors
-    q, q_rate = run.x[run.shown, position], run.x[run.shown, velocity]
-    found = run.x_hat[run.shown, position], run.x_hat[run.shown, velocity]
+    q, q_rate = run.x[run.plot_window, position], run.x[run.plot_window, velocity]
+    found = run.x_hat[run.plot_window, position], run.x_hat[run.plot_window, velocity]
     _zone(axes, run, i)
     axes.plot(q, q_rate, color=ink.TRUTH, linewidth=1.3, linestyle="-", label="truth")
     axes.plot(*found, color=ink.ESTIMATE, linewidth=0.9, linestyle=DASHED, label="estimate")
@@ -252,7 +254,7 @@ def _plane(axes: Axes, run: Run, rival: Run | None, plane: tuple[int, int], wher
     for one, colour in reversed(_both(run, rival)):
         assert one.tip is not None
         first = one.t.size // 2 if one.diverged_at is None else 0
-        points = one.tip[first : one.shown.stop, plane]
+        points = one.tip[first : one.plot_window.stop, plane]
         axes.plot(*points.T, color=colour, linewidth=1.1, label=plain(one.name))
     to_the_right, upwards = (axis_label("xyz"[coordinate], "m") for coordinate in plane)
     title = f"The tip{where}, last half of the run"
@@ -270,7 +272,7 @@ def _zone(axes: Axes, run: Run, i: int) -> None:
     """The dead zone of a joint whose position is read: where it lies in q."""
     if i >= run.z.shape[1] or run.info.sensor == "gears":
         return
-    silent_at = offset(run.x[run.shown, i], run.z[run.shown, i])
+    silent_at = offset(run.x[run.plot_window, i], run.z[run.plot_window, i])
     if silent_at is None:
         return
     right, left = run.info.widths[2 * i : 2 * i + 2]

@@ -7,14 +7,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.interfaces import claims_in_words
+from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.report import html
 from undeadzone.report.run_figures import overview, phase, tip
 from undeadzone.results.run import Run, actuators, errors, gaps, parameters, widths
 from undeadzone.results.sheet import Row, on_page
 from undeadzone.results.signals import claims_at_end
-from undeadzone.support.text import with_unit
+from undeadzone.util.text import with_unit
 
 _VARIABLE: Final = "The observer has no constant gains; its options stand in the scenario."
 CAPTIONS: Final = {

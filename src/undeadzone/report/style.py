@@ -14,10 +14,10 @@ import numpy as np
 
 from undeadzone.errors import FileError
 from undeadzone.report import ink
-from undeadzone.support.arrays import Floats
-from undeadzone.support.files import replacing
-from undeadzone.support.text import HALF_95, printable
-from undeadzone.support.text import label as label
+from undeadzone.util.arrays import Floats
+from undeadzone.util.files import replacing
+from undeadzone.util.text import HALF_95, printable
+from undeadzone.util.text import label as label
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -12,12 +12,12 @@ from undeadzone.report import html, ink
 from undeadzone.report.ensemble_figures import words
 from undeadzone.report.style import DASHED, finish, plain, sheet
 from undeadzone.statistics.intervals import Interval
-from undeadzone.support import toml
-from undeadzone.support.arrays import Floats
-from undeadzone.support.text import bracketed, counted
 from undeadzone.tuning.parameters import Parameter
 from undeadzone.tuning.result import HeldOut, Tuned
 from undeadzone.tuning.tune import Sweep, sweep
+from undeadzone.util import toml
+from undeadzone.util.arrays import Floats
+from undeadzone.util.text import bracketed, counted
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

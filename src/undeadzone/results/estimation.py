@@ -14,10 +14,10 @@ from undeadzone.results import files, sheet
 from undeadzone.results.info import LogInfo
 from undeadzone.results.sheet import Row
 from undeadzone.results.signals import LOG, Signals, attribute, attributes, final, output_names
-from undeadzone.support import shown
-from undeadzone.support.arrays import Floats, finite
-from undeadzone.support.shown import Block, Rows
-from undeadzone.support.text import label
+from undeadzone.util import shown
+from undeadzone.util.arrays import Floats, finite
+from undeadzone.util.shown import Block, Rows
+from undeadzone.util.text import label
 
 
 @dataclasses.dataclass(frozen=True, eq=False, init=False)

@@ -16,10 +16,10 @@ import numpy as np
 
 from undeadzone.errors import FileError, InputError
 from undeadzone.results.signals import Layout, Signals, from_columns, unit_of
-from undeadzone.support import files
-from undeadzone.support.arrays import Floats
-from undeadzone.support.files import LARGEST_RUN, Name, path_of, reason, replacing
-from undeadzone.support.text import json_line, printable
+from undeadzone.util import files
+from undeadzone.util.arrays import Floats
+from undeadzone.util.files import LARGEST_RUN, Name, path_of, reason, replacing
+from undeadzone.util.text import json_line, printable
 
 CHECKSUM: Final = '"sha256":"'  # the last key of the info in a `.csv`
 DIGITS: Final = 20  # bytes of a number in a `.csv`, about

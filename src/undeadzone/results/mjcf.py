@@ -13,7 +13,7 @@ from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 from undeadzone.results.run import Run, widths
 from undeadzone.scenario.problem import systems
 from undeadzone.scenario.reader import parse
-from undeadzone.support.files import write_text
+from undeadzone.util.files import write_text
 
 FILE = "gears.xml"
 FIRM = "0.99 0.99 0.0001"  # solimplimit of the ends of a gap

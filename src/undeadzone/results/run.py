@@ -10,11 +10,11 @@ from typing import Any, ClassVar, Final
 import numpy as np
 
 from undeadzone.analysis.identifiability.linear import yes_no
-from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.interfaces import claims_in_words
+from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.results import files, sheet
+from undeadzone.results.feedback import describe_feedback as listening_in_words
 from undeadzone.results.info import Info
-from undeadzone.results.listening import in_words as listening_in_words
 from undeadzone.results.scales import LIMIT, Scales, shares
 from undeadzone.results.sheet import Row, in_json
 from undeadzone.results.signals import (
@@ -27,9 +27,9 @@ from undeadzone.results.signals import (
     final,
     output_names,
 )
-from undeadzone.support.arrays import Floats, finite, one_or_list
-from undeadzone.support.shown import Block, Rows, in_notebook, in_text, plot
-from undeadzone.support.text import label
+from undeadzone.util.arrays import Floats, finite, one_or_list
+from undeadzone.util.shown import Block, Rows, in_notebook, in_text, plot
+from undeadzone.util.text import label
 
 LAST: Final = 2.0  # [s] over which errors are measured
 FRAMES: Final = 25  # per second, of an arm's poses
@@ -141,7 +141,7 @@ class Run:
         return share is not None and not share <= INEXACT
 
     @property
-    def shown(self) -> slice:
+    def plot_window(self) -> slice:
         """The samples that a figure shows: those up to where the run diverged, two at least."""
         diverged = self.diverged_at
         if diverged is None:

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from undeadzone.linear.matrices import delta, sizes
-from undeadzone.support.arrays import Floats
+from undeadzone.linalg.matrices import delta, sizes
+from undeadzone.util.arrays import Floats
 
 if TYPE_CHECKING:
     from undeadzone.scenario.problem import Problem

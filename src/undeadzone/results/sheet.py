@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from undeadzone.support.arrays import finite
-from undeadzone.support.text import label, with_interval, with_unit
+from undeadzone.util.arrays import finite
+from undeadzone.util.text import label, with_interval, with_unit
 
 
 class Row(NamedTuple):

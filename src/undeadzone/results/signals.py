@@ -9,7 +9,7 @@ import numpy as np
 
 from undeadzone.interfaces import COLUMNS, QUANTITIES, Estimate, false_claims
 from undeadzone.scenario.schema import Units
-from undeadzone.support.arrays import Floats, one_or_list
+from undeadzone.util.arrays import Floats, one_or_list
 
 
 class Signal(NamedTuple):

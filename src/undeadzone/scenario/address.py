@@ -17,12 +17,12 @@ from typing import Any, Final, NamedTuple, TypeVar
 import msgspec
 import numpy as np
 
-from undeadzone.catalogue import decode
 from undeadzone.errors import InputError
+from undeadzone.registry import decode
 from undeadzone.scenario import ensemble_table, tune_table
 from undeadzone.scenario.messages import CHOOSERS, explain
-from undeadzone.support.arrays import Array, Floats
-from undeadzone.support.toml import tables
+from undeadzone.util.arrays import Array, Floats
+from undeadzone.util.toml import tables
 
 TUNABLE: Final = ("observer", "controller")  # the tables whose numbers have addresses
 TABLES: Final = (ensemble_table.TABLE, tune_table.TABLE)  # those whose keys may be addresses

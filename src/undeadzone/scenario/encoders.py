@@ -12,8 +12,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from undeadzone.ends.sensor import Sensor, Zone, resolve
 from undeadzone.errors import InputError
+from undeadzone.nonlinearities.sensor import Sensor, Zone, resolve
 from undeadzone.plants.system import System
 
 ZONE = ("right", "left", "noise_before", "drift", "play", "load_friction", "load_inertia")

@@ -12,7 +12,7 @@ import numpy as np
 
 from undeadzone.errors import InputError
 from undeadzone.scenario.address_table import Table
-from undeadzone.support.arrays import LARGEST, Floats, scalar
+from undeadzone.util.arrays import LARGEST, Floats, scalar
 
 POSITIVE: Final = float(np.finfo(float).tiny)
 KINDS: Final = ("uniform", "normal", "log_normal")

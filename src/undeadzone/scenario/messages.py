@@ -12,8 +12,8 @@ from typing import Any
 
 import msgspec
 
-from undeadzone.catalogue import CATALOGUES
 from undeadzone.errors import InputError
+from undeadzone.registry import CATALOGUES
 
 _CURES = {  # what may stand for a part, where its type does not say it
     "plant": "uz.Plant(A=..., B=..., C=...), or uz.from_control(system)",

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError
-from undeadzone.linear.matrices import Matrices
+from undeadzone.linalg.matrices import Matrices
+from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.signals.exosystem import Exosystem
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 SMOOTH = 1.3  # ratio of decelerations over one and two steps beyond which r has corners
 

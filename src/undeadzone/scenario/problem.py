@@ -11,25 +11,31 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from undeadzone.catalogue import ObserverOptions
 from undeadzone.compensators import SmoothZoneInverse
 from undeadzone.controllers.parts.behind_play import led_across
 from undeadzone.controllers.parts.estimated import with_estimates
 from undeadzone.controllers.parts.predicted import predicting
-from undeadzone.ends.actuator import ActuatorModel, Belief, Drive, believed, resolve_actuator
-from undeadzone.ends.play import gaps_of
-from undeadzone.ends.sensor import Sensor, Zone
 from undeadzone.errors import InputError
 from undeadzone.feedforward.joint_path import after_swing, joint_path, require_range, require_torque
 from undeadzone.feedforward.targets import flat_targets
 from undeadzone.interfaces import Compensator, Controller, Observer
-from undeadzone.linear.structure import require_structure
-from undeadzone.observers.parts.actuated import built
-from undeadzone.observers.parts.motion import require_hearer
+from undeadzone.linalg.structure import require_structure
+from undeadzone.nonlinearities.actuator import (
+    ActuatorModel,
+    Belief,
+    Drive,
+    believed,
+    resolve_actuator,
+)
+from undeadzone.nonlinearities.play import gaps_of
+from undeadzone.nonlinearities.sensor import Sensor, Zone
+from undeadzone.observers.filtering.actuator import built
+from undeadzone.observers.filtering.motion_detection import require_branch_observer
 from undeadzone.plants import build as plants
 from undeadzone.plants.options import Plant
 from undeadzone.plants.region import box
 from undeadzone.plants.system import System, pace
+from undeadzone.registry import ObserverOptions
 from undeadzone.scenario.encoders import require_gears, sensed
 from undeadzone.scenario.messages import require_words
 from undeadzone.scenario.overrun import require_contact
@@ -43,7 +49,7 @@ from undeadzone.scenario.time_step import (
 )
 from undeadzone.signals import exosystem as signals
 from undeadzone.signals.exosystem import Exosystem
-from undeadzone.support.arrays import Array, Floats, nonnegative, scalar
+from undeadzone.util.arrays import Array, Floats, nonnegative, scalar
 
 CHECKED = 0.01  # [s] between the instants at which a path is checked
 
@@ -117,7 +123,7 @@ def resolve_scenario(scenario: Scenario) -> Problem:
     if scenario.model is not None and scenario.model.play is not None:
         _require_play(scenario.model.play, sensor)
     told = sensed(known_sensor(scenario), flow, step, rate)
-    require_hearer(scenario.observer, sensor)
+    require_branch_observer(scenario.observer, sensor)
     observer = watching(scenario.observer, model, told, belief, step)
     _require_room(sensor, observer)
     require_gears("controller", scenario.controller, model)
@@ -177,7 +183,7 @@ def watching(
     Raises:
         InputError: or a subclass, that names the key.
     """
-    require_hearer(options, told)
+    require_branch_observer(options, told)
     require_gears("observer", options, model)
     observer = built(options, model, told, belief)
     require_bounded_error(model, observer, step)

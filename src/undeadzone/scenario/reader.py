@@ -17,13 +17,13 @@ from typing import Any, Final
 
 import msgspec
 
-from undeadzone.catalogue import decode
 from undeadzone.errors import FileError, InputError
+from undeadzone.registry import decode
 from undeadzone.scenario.address import alike, require_finite, with_entries
 from undeadzone.scenario.messages import explain
 from undeadzone.scenario.schema import Scenario
-from undeadzone.support.arrays import matlab
-from undeadzone.support.files import LARGEST_TABLE, path_of, read_bytes, read_text, reason
+from undeadzone.util.arrays import matlab
+from undeadzone.util.files import LARGEST_TABLE, path_of, read_bytes, read_text, reason
 
 # What people write, by what such a line holds, and what to write instead.
 HABITS = (

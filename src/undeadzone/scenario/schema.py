@@ -14,27 +14,27 @@ from typing import Any, Final, Literal
 import msgspec
 import numpy as np
 
-from undeadzone.catalogue import (
+from undeadzone.errors import InputError
+from undeadzone.nonlinearities.actuator import Actuator, ActuatorModel
+from undeadzone.nonlinearities.sensor import Sensor
+from undeadzone.observers.filtering.prior import Assumptions
+from undeadzone.plants.options import ElasticJoint, Plant
+from undeadzone.plants.region import Region
+from undeadzone.registry import (
     CONTROLLERS,
     OBSERVERS,
     CompensatorOptions,
     ControllerOptions,
     ObserverOptions,
 )
-from undeadzone.ends.actuator import Actuator, ActuatorModel
-from undeadzone.ends.sensor import Sensor
-from undeadzone.errors import InputError
-from undeadzone.observers.parts.prior import Claims
-from undeadzone.plants.options import ElasticJoint, Plant
-from undeadzone.plants.region import Region
 from undeadzone.scenario.address import with_tables, with_value
 from undeadzone.scenario.ensemble_table import Vary
 from undeadzone.scenario.messages import require_kind
 from undeadzone.scenario.tune_table import Tune
 from undeadzone.signals.exosystem import Disturbance, Signal
-from undeadzone.support import shown, toml
-from undeadzone.support.arrays import Array, array
-from undeadzone.support.files import write_text
+from undeadzone.util import shown, toml
+from undeadzone.util.arrays import Array, array
+from undeadzone.util.files import write_text
 
 VAGUE: Final = 3.0  # in largest widths: where the widths lie if nothing is declared
 SMALL: Final = 0.01  # half of a gap of gears, at least, where its range is not declared [rad]
@@ -42,13 +42,13 @@ BANDWIDTH: Final = 10.0  # of a rigid arm [rad/s]
 UNNAMED: Final[Any] = None  # stands for an observer or a controller until the usual one does
 
 
-def vague_claims(sensor: Sensor) -> Claims:
+def vague_claims(sensor: Sensor) -> Assumptions:
     """That the widths lie between 0 and `VAGUE` times the largest; nothing else is claimed."""
     largest = float(max(np.max(sensor.right), np.max(sensor.left)))
-    return Claims(right=[0.0, VAGUE * (largest or 1.0)])
+    return Assumptions(right=[0.0, VAGUE * (largest or 1.0)])
 
 
-def usual_observer(plant: Plant, sensor: Sensor, declared: Claims | None) -> ObserverOptions:
+def usual_observer(plant: Plant, sensor: Sensor, declared: Assumptions | None) -> ObserverOptions:
     """`auto`, with what is declared; `contact` for an arm with gears.
 
     Args:
@@ -58,9 +58,11 @@ def usual_observer(plant: Plant, sensor: Sensor, declared: Claims | None) -> Obs
     """
     gears = getattr(plant.arm, "gears", None)
     if gears is not None:
-        return OBSERVERS.made("contact", half=[0.0, VAGUE * max(float(np.max(gears.half)), SMALL)])
+        return OBSERVERS.create(
+            "contact", half=[0.0, VAGUE * max(float(np.max(gears.half)), SMALL)]
+        )
     claims = vague_claims(sensor) if declared is None else declared
-    return OBSERVERS.made("auto", **claims.claims())
+    return OBSERVERS.create("auto", **claims.claims())
 
 
 def usual_controller(plant: Plant, sampled: bool) -> ControllerOptions:
@@ -71,10 +73,10 @@ def usual_controller(plant: Plant, sampled: bool) -> ControllerOptions:
         sampled: whether time is sampled.
     """
     if plant.arm is None:
-        return CONTROLLERS.made("state_feedback")
+        return CONTROLLERS.create("state_feedback")
     if not isinstance(plant.arm, ElasticJoint):
-        return CONTROLLERS.made("computed_torque", bandwidth=BANDWIDTH)
-    return CONTROLLERS.made("lqr" if sampled else "state_feedback")
+        return CONTROLLERS.create("computed_torque", bandwidth=BANDWIDTH)
+    return CONTROLLERS.create("lqr" if sampled else "state_feedback")
 
 
 class Model(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -186,7 +188,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     units: Units = Units()
     ensemble: Vary | None = None
     tune: Tune | None = None
-    declared: Claims | None = None
+    declared: Assumptions | None = None
     compare: ObserverOptions | None = None
     region: Region | None = None
     title: str = "Untitled"

@@ -8,11 +8,11 @@ import numpy as np
 
 from undeadzone.errors import InputError, ShapeError, StepError, StructureError
 from undeadzone.interfaces import Controller, Observer
-from undeadzone.linear.poles import slowest
+from undeadzone.linalg.poles import slowest
 from undeadzone.plants.system import System, sampled
 from undeadzone.scenario.schema import Scenario, Simulation
 from undeadzone.signals.exosystem import Exosystem
-from undeadzone.support.arrays import scalar, seed_of
+from undeadzone.util.arrays import scalar, seed_of
 
 STABLE: Final = 2.5  # largest |pole| times a Runge-Kutta step: beyond about 2.78 it is unstable
 MEMORY: Final = 4e9  # [bytes] of signals that one run may hold

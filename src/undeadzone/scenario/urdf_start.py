@@ -14,8 +14,8 @@ from undeadzone.errors import InputError
 from undeadzone.observers.contact import MOST_COUPLED
 from undeadzone.plants.robots.survey import Survey
 from undeadzone.plants.robots.urdf_elements import Joint
-from undeadzone.support.arrays import Floats
-from undeadzone.support.text import filled, json_line
+from undeadzone.util.arrays import Floats
+from undeadzone.util.text import filled, json_line
 
 SWING = {"revolute": 0.3, "continuous": 0.3, "prismatic": 0.05}  # [rad or m] to each side
 SHARE = 0.8  # of the way to a limit, and of the greatest speed

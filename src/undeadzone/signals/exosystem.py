@@ -19,9 +19,9 @@ import numpy as np
 
 from undeadzone.errors import FileError, InputError
 from undeadzone.signals.paths import Circle, FigureEight, Path, Quintic, curve
-from undeadzone.support.arrays import Array, Floats, scalar, vector
-from undeadzone.support.files import LARGEST_TABLE, read_text, reason
-from undeadzone.support.toml import Kind
+from undeadzone.util.arrays import Array, Floats, scalar, vector
+from undeadzone.util.files import LARGEST_TABLE, read_text, reason
+from undeadzone.util.toml import Kind
 
 Derivatives = Callable[[Floats], Floats]
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.compile.philox import LOW, box_muller, philox
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 # The streams: noise after and ahead of the dead zone, disturbance, drift of the widths, lost
 # readings.

@@ -13,8 +13,8 @@ import msgspec
 import numpy as np
 
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.support.arrays import Array, Floats, array, matrix, scalar, series, vector
-from undeadzone.support.toml import Kind
+from undeadzone.util.arrays import Array, Floats, array, matrix, scalar, series, vector
+from undeadzone.util.toml import Kind
 
 Space = Literal["joint", "task"]
 ORDER = 4  # derivatives of a turning path

@@ -9,13 +9,18 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.ends.actuator import through_line, through_zone, within_limits, within_rate
-from undeadzone.ends.limits import at_limit
-from undeadzone.ends.play import contact, held
-from undeadzone.ends.sensor import branch, edges, quantised, side, zone
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Compensator, Controller, Estimate, Observer, Reading
+from undeadzone.nonlinearities.actuator import (
+    through_line,
+    through_zone,
+    within_limits,
+    within_rate,
+)
+from undeadzone.nonlinearities.limits import at_limit
+from undeadzone.nonlinearities.play import apply_backlash, contact
+from undeadzone.nonlinearities.sensor import branch, edges, quantised, side, zone
 from undeadzone.numerics import dense_output
 from undeadzone.numerics.dense_output import Levels
 from undeadzone.numerics.runge_kutta import rk4
@@ -23,7 +28,7 @@ from undeadzone.plants.system import System
 from undeadzone.scenario.problem import Problem
 from undeadzone.simulation import loop
 from undeadzone.simulation.loop import Driven, Exogenous, Outputs, Params, State
-from undeadzone.support import tree
+from undeadzone.util import tree
 
 
 class Mode(NamedTuple):
@@ -68,7 +73,7 @@ class Wiring(NamedTuple):
         """What the dead zone takes: z with the noise ahead of it, or the level of a play (p)."""
         z, sensor = self.plant.read(self.p.plant, s.plant), self.p.sensor
         if sensor.gap_right.numel():
-            return held(ca, z, s.sensor, sensor.gap_right, sensor.gap_left)
+            return apply_backlash(ca, z, s.sensor, sensor.gap_right, sensor.gap_left)
         return z + w.before
 
     def levels(self, w: Exogenous) -> Levels:
@@ -119,7 +124,7 @@ class Wiring(NamedTuple):
         z = self.plant.output(self.p.plant, s.plant)
         level = s.sensor
         if self.kind == "play":
-            level = held(ca, z, s.sensor, *self.widths(w))
+            level = apply_backlash(ca, z, s.sensor, *self.widths(w))
             mode = Mode(mode.zone, contact(level, s.sensor))
         elif self.p.sensor.gap_right.numel():
             level = self.ahead_of_zone(s, w)

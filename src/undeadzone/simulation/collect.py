@@ -9,14 +9,14 @@ import casadi as ca
 import numpy as np
 
 import undeadzone
+from undeadzone.analysis.branch_schedule import Schedule, recorded
 from undeadzone.analysis.certificate.passivity import Certificate, certify
 from undeadzone.analysis.identifiability.disturbance import unknown_constants
 from undeadzone.analysis.identifiability.linear import Verdict
-from undeadzone.analysis.side_schedule import Schedule, recorded
-from undeadzone.ends.play import levels
-from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import flat_targets
+from undeadzone.nonlinearities.play import levels
+from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.plants.robots.arm import evaluate_rows
 from undeadzone.plants.system import System
 from undeadzone.results.info import Info, IntegrationError
@@ -25,8 +25,7 @@ from undeadzone.results.scales import plant_scales
 from undeadzone.results.signals import RUN, Signals, of_estimate
 from undeadzone.scenario.problem import Problem, constant_gains
 from undeadzone.scenario.schema import Scenario
-from undeadzone.simulation.loop import Outputs
-from undeadzone.simulation.verdicts import (
+from undeadzone.simulation.identifiability import (
     actuator_unknown,
     as_far_as_known,
     by_claims,
@@ -37,8 +36,9 @@ from undeadzone.simulation.verdicts import (
     with_false_claims,
     withdrawn,
 )
-from undeadzone.support import toml
-from undeadzone.support.arrays import Floats
+from undeadzone.simulation.loop import Outputs
+from undeadzone.util import toml
+from undeadzone.util.arrays import Floats
 
 
 def verdicts_of_run(problem: Problem, signal: Outputs) -> list[Verdict]:

@@ -15,9 +15,9 @@ import numpy as np
 
 from undeadzone.compile import interpret
 from undeadzone.interfaces import CLAIMS, Estimate, claims_in_words, false_claims
-from undeadzone.observers.parts.judged_filter import FAR, Sums, summed
-from undeadzone.observers.parts.prior import CHANCE, HISTORY, SPAN
-from undeadzone.support.arrays import Floats
+from undeadzone.observers.filtering.consistency import FAR, Sums, accumulate
+from undeadzone.observers.filtering.prior import CHANCE, HISTORY, SPAN
+from undeadzone.util.arrays import Floats
 
 MOST_REFUSED: Final = 0.05  # share of the readings, or silences, that may contradict the claims
 MOST_SQUARE: Final = 1.5  # mean square of the normalised innovations that were not refused
@@ -196,7 +196,7 @@ class Own:
 def _graph() -> ca.Function:
     """The recursion of the sums as a graph: next, ratio = step(sums, [nu; counted], rates)."""
     sums, row, rates = ca.SX.sym("s", 3), ca.SX.sym("w", 2), ca.SX.sym("p", 2)
-    after = summed(Sums(*ca.vertsplit(sums)), row[0], row[1], rates[0], rates[1])
+    after = accumulate(Sums(*ca.vertsplit(sums)), row[0], row[1], rates[0], rates[1])
     return ca.Function("sums", [sums, row, rates], [ca.vertcat(*after), after.ratio])
 
 

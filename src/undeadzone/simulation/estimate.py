@@ -19,16 +19,16 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.compile import interpret
-from undeadzone.ends.sensor import Zone
 from undeadzone.errors import FileError, InputError
 from undeadzone.interfaces import Estimate, Observer
 from undeadzone.logs.names import Layout, parse_columns
 from undeadzone.logs.samples import Faults, LogReader, Placed, placed, samples_of_text
 from undeadzone.logs.whole import BINARY, samples_of, samples_of_arrays
+from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.numerics.adjoint import Later, back
 from undeadzone.numerics.gaussian import Gaussian
-from undeadzone.observers.parts.model_bank import LEAST
-from undeadzone.observers.parts.smoothing import Moments
+from undeadzone.observers.filtering.multiple_models import LEAST
+from undeadzone.observers.filtering.smoothing import Moments
 from undeadzone.plants.system import System
 from undeadzone.results.estimation import Estimation
 from undeadzone.results.signals import LOG, SMOOTHED, Signals, of_estimate
@@ -36,10 +36,10 @@ from undeadzone.scenario.reader import read_for_logs
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.follower import Follower, require_units
 from undeadzone.simulation.online import ObserverGraph, observer_graph
-from undeadzone.support import tree
-from undeadzone.support.arrays import Array, Floats
-from undeadzone.support.files import LARGEST_RUN
-from undeadzone.support.progress import in_notebook
+from undeadzone.util import tree
+from undeadzone.util.arrays import Array, Floats
+from undeadzone.util.files import LARGEST_RUN
+from undeadzone.util.progress import in_notebook
 
 LARGEST_LOG: Final = 20_000_000  # samples; beyond this the memory of most machines
 

@@ -12,7 +12,7 @@ from undeadzone.scenario.problem import Problem
 from undeadzone.signals import exosystem as signals
 from undeadzone.signals import noise
 from undeadzone.simulation.loop import HELD, RUNGE_KUTTA, instants
-from undeadzone.support.arrays import Floats, Integers, vector
+from undeadzone.util.arrays import Floats, Integers, vector
 
 NUDGE: Final = 1e-9  # of a step: a reference's corners on the grid belong to the step that follows
 INSTANTS: Final = (0.0, 0.5, 1.0)  # of a continuous step, as fractions of it

@@ -21,7 +21,7 @@ from undeadzone.scenario.schema import Scenario, Units
 from undeadzone.simulation.consistency import Consistency, Own, verdict_of
 from undeadzone.simulation.online import Online, built_for
 from undeadzone.simulation.sample_by_sample import numeric_along
-from undeadzone.support.arrays import Floats, scalar
+from undeadzone.util.arrays import Floats, scalar
 
 LIMIT = 1e12  # beyond this an estimate has diverged
 

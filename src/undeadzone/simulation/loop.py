@@ -9,10 +9,10 @@ from typing import Any, Final, NamedTuple
 
 import casadi as ca
 
-from undeadzone.ends.actuator import Drive
-from undeadzone.ends.limits import Limits
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Estimate
+from undeadzone.nonlinearities.actuator import Drive
+from undeadzone.nonlinearities.limits import Limits
 
 RUNGE_KUTTA: Final = 4  # the order that needs no Taylor series
 HELD: Final = 5  # exogenous inputs of an output that keep their value within a step: the last ones

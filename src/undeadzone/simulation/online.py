@@ -9,24 +9,24 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 import casadi as ca
 import numpy as np
 
-from undeadzone.catalogue import ObserverOptions
 from undeadzone.compile.interpret import Stepper
-from undeadzone.ends.actuator import ActuatorModel, believed
-from undeadzone.ends.sensor import Sensor, Zone, present
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Estimate, Observer, Reading, graph_of, known_side, received
+from undeadzone.nonlinearities.actuator import ActuatorModel, believed
+from undeadzone.nonlinearities.sensor import Sensor, Zone, present
 from undeadzone.plants import build as plants
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, pace, sampled
+from undeadzone.registry import ObserverOptions
 from undeadzone.scenario.encoders import sensed
 from undeadzone.scenario.messages import require_kind, require_words
 from undeadzone.scenario.overrun import overrun_along
 from undeadzone.scenario.problem import require_visible, watching
-from undeadzone.support import tree
-from undeadzone.support.arrays import Array, Floats, scalar, unmasked
+from undeadzone.util import tree
+from undeadzone.util.arrays import Array, Floats, scalar, unmasked
 
 if TYPE_CHECKING:
-    from undeadzone.compile.live import CompiledStepper
+    from undeadzone.compile.scalar_step import CompiledStepper
 
 
 class Out(NamedTuple):
@@ -291,7 +291,7 @@ def _engine(graph: ObserverGraph, compiled: bool) -> tuple[Stepper | CompiledSte
     """What runs samples, and how it is called."""
     engine, parts = "virtual machine", (graph.step, graph.start, graph.numbers)
     if compiled:
-        from undeadzone.compile.live import CompiledStepper
+        from undeadzone.compile.scalar_step import CompiledStepper
 
         try:
             return CompiledStepper(*parts), "compiled"

@@ -12,8 +12,8 @@ from undeadzone.interfaces import Reading, graph_of
 from undeadzone.scenario.problem import Problem
 from undeadzone.simulation.close import no_target, numbers
 from undeadzone.simulation.loop import Loop
-from undeadzone.support import tree
-from undeadzone.support.arrays import Floats, Integers
+from undeadzone.util import tree
+from undeadzone.util.arrays import Floats, Integers
 
 
 def packed(problem: Problem, loop: Loop) -> tuple[Floats, Floats]:

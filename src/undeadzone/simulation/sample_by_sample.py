@@ -11,16 +11,16 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from undeadzone.compile.interpret import CHUNK, Stepper
-from undeadzone.ends.limits import beyond
-from undeadzone.ends.sensor import Zone, side
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate, InPython, Reading
+from undeadzone.nonlinearities.limits import beyond
+from undeadzone.nonlinearities.sensor import Zone, side
 from undeadzone.scenario.problem import Problem
 from undeadzone.simulation.close import close
 from undeadzone.simulation.loop import Outputs
-from undeadzone.support import tree
-from undeadzone.support.arrays import Floats, vector
+from undeadzone.util import tree
+from undeadzone.util.arrays import Floats, vector
 
 ControlLaw: TypeAlias = Callable[[float, Estimate, Floats], Any]
 

@@ -14,7 +14,7 @@ import numpy as np
 
 import undeadzone
 from undeadzone.errors import FileError
-from undeadzone.support.files import LARGEST_TABLE, NO_ARRAYS, arrays_of, reason, replacing
+from undeadzone.util.files import LARGEST_TABLE, NO_ARRAYS, arrays_of, reason, replacing
 
 DIGEST: Final = "digest"
 

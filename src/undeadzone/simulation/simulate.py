@@ -25,10 +25,10 @@ from undeadzone.simulation import sample_by_sample as live
 from undeadzone.simulation.close import close
 from undeadzone.simulation.collect import collect
 from undeadzone.simulation.loop import Loop, Outputs
-from undeadzone.support import tree
-from undeadzone.support.arrays import Floats
-from undeadzone.support.progress import in_notebook
-from undeadzone.support.toml import tables
+from undeadzone.util import tree
+from undeadzone.util.arrays import Floats
+from undeadzone.util.progress import in_notebook
+from undeadzone.util.toml import tables
 
 Engine = Literal["auto", "interpret", "lanes"]
 Progress = Callable[[int], None]  # called with the number of steps just done
@@ -65,7 +65,7 @@ def simulate(
     Raises:
         InputError: or a subclass, for what is wrong with the scenario.
     """
-    return simulated(scenario, check_step, progress, engine, controller).run
+    return simulate_scenario(scenario, check_step, progress, engine, controller).run
 
 
 class Simulated(NamedTuple):
@@ -82,7 +82,7 @@ class Simulated(NamedTuple):
     start: Start | None
 
 
-def simulated(
+def simulate_scenario(
     scenario: Scenario,
     check_step: bool = True,
     progress: Progress | None = None,
@@ -249,7 +249,9 @@ def engine_for(loop: Loop, engine: Engine, steps: int) -> LoopEngine:
 
         parts = (loop.step, ()) if loop.parts is None else loop.parts
         wait = engine == "lanes" or steps > interpret.WORTH
-        compiled = lanes.build(*parts, width=1, hurry=False) if wait else lanes.kept(*parts)
+        compiled = (
+            lanes.build(*parts, width=1, hurry=False) if wait else lanes.cached_kernel(*parts)
+        )
         if compiled is not None:
             return partial(lanes.run_alone, compiled)
     return partial(interpret.run, loop.step)

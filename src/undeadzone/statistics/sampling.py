@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 # Added to the seed, which is below 2^63: these numbers are none of those of the noise.
 STREAM: Final = 1 << 64

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from undeadzone.statistics.intervals import GROUPS, LEVEL, Interval, jackknife, student
-from undeadzone.support.arrays import Floats, Integers
+from undeadzone.util.arrays import Floats, Integers
 
 LEAST: Final = 2 * GROUPS  # runs, below which nothing is said
 PERMUTATIONS: Final = 200

@@ -10,6 +10,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from undeadzone.analysis.branch_schedule import Schedule, arriving, planned, recorded
 from undeadzone.analysis.certificate.design_file import Knowledge
 from undeadzone.analysis.certificate.nearest import nearest
 from undeadzone.analysis.certificate.passivity import Certificate, certify
@@ -25,14 +26,13 @@ from undeadzone.analysis.convergence.trajectories import (
 from undeadzone.analysis.error_dynamics import Dynamics, Storage
 from undeadzone.analysis.identifiability.linear import Cure, cures, invisible, reaching
 from undeadzone.analysis.identifiability.play_and_zone import states_told
-from undeadzone.analysis.side_schedule import Schedule, arriving, planned, recorded
 from undeadzone.controllers.state_feedback import StateFeedback
-from undeadzone.ends.sensor import DIRECTIONS
 from undeadzone.errors import StructureError
+from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.results.run import Run
 from undeadzone.scenario.problem import Problem, constant_gains
-from undeadzone.simulation.listening import listening
-from undeadzone.simulation.verdicts import (
+from undeadzone.simulation.feedback import feedback_shares
+from undeadzone.simulation.identifiability import (
     actuator_unknown,
     constant_inputs,
     gaps_known,
@@ -40,8 +40,8 @@ from undeadzone.simulation.verdicts import (
     readings_of,
     with_false_claims,
 )
-from undeadzone.support.arrays import Floats
-from undeadzone.support.progress import silent
+from undeadzone.util.arrays import Floats
+from undeadzone.util.progress import silent
 
 CONSTANTS: Final = 6  # time constants that a trajectory lasts
 TRIES: Final = 600  # of the search for a growing cycle
@@ -127,7 +127,7 @@ def assess(problem: Problem, listen: bool = False) -> Assessment:
         gains = None
     else:
         gains = _gains(problem, schedule, *constant)
-    listens = tuple(listening(problem, run)) if listen else ()
+    listens = tuple(feedback_shares(problem, run)) if listen else ()
     return Assessment(problem, run, schedule, known, gains, listens)
 
 

@@ -13,22 +13,22 @@ from undeadzone.analysis.certificate.design_file import Knowledge, in_words_of_m
 from undeadzone.analysis.certificate.passivity import Certificate
 from undeadzone.analysis.certificate.polytopic import certify_on
 from undeadzone.analysis.certificate.robust import l2_gain
+from undeadzone.analysis.identifiability.indistinguishable import in_words as in_words_of_truths
 from undeadzone.analysis.identifiability.linear import yes_no
-from undeadzone.analysis.identifiability.second_truth import in_words as in_words_of_truths
-from undeadzone.ends.sensor import DIRECTIONS
-from undeadzone.linear.matrices import delta
+from undeadzone.linalg.matrices import delta
+from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.plants.region import Box, box
-from undeadzone.results.listening import in_words as share_in_words
+from undeadzone.results.feedback import describe_feedback as share_in_words
 from undeadzone.results.run import Run
 from undeadzone.results.signals import output_names
 from undeadzone.scenario.overrun import overrun_numbers
 from undeadzone.scenario.problem import Problem, constant_gains, resolve_scenario
 from undeadzone.scenario.schema import Scenario
-from undeadzone.support import shown
-from undeadzone.support.arrays import Floats, finite, one_or_list
-from undeadzone.support.shown import Block, Rows
-from undeadzone.support.text import HALF_95, label, with_unit
 from undeadzone.synthesis.assessment import Assessment, Gains, assess, determined
+from undeadzone.util import shown
+from undeadzone.util.arrays import Floats, finite, one_or_list
+from undeadzone.util.shown import Block, Rows
+from undeadzone.util.text import HALF_95, label, with_unit
 
 
 class Bounds(NamedTuple):
@@ -180,10 +180,10 @@ def check(scenario: Scenario) -> Check:
     Raises:
         InputError: or a subclass, as `simulate` does.
     """
-    return checked(assess(resolve_scenario(scenario), listen=True))
+    return check_assessment(assess(resolve_scenario(scenario), listen=True))
 
 
-def checked(assessment: Assessment) -> Check:
+def check_assessment(assessment: Assessment) -> Check:
     """What `check` says of an assessment."""
     problem, known = assessment.problem, assessment.known
     proved, reasons = _proof(assessment)

@@ -17,11 +17,11 @@ from undeadzone.observers import Certified
 from undeadzone.plants.system import System
 from undeadzone.scenario.problem import Problem, constant_gains, resolve_scenario, systems
 from undeadzone.scenario.schema import Scenario
-from undeadzone.support.arrays import Floats, scalar, seed_of
-from undeadzone.support.progress import in_notebook
 from undeadzone.synthesis import gain_search
 from undeadzone.synthesis.assessment import determined, knowledge
 from undeadzone.synthesis.task import Candidate, candidate_of, make_task
+from undeadzone.util.arrays import Floats, scalar, seed_of
+from undeadzone.util.progress import in_notebook
 
 AIMS = Literal["knee", "rate"]
 Aim = AIMS | gain_search.Weights

@@ -14,7 +14,6 @@ import numpy as np
 
 from undeadzone.analysis.certificate.passivity import Certificate, certify
 from undeadzone.numerics.optimise import evolve, pareto, scalar, undominated
-from undeadzone.support.arrays import Floats
 from undeadzone.synthesis.task import (
     Candidate,
     Scores,
@@ -28,6 +27,7 @@ from undeadzone.synthesis.task import (
     touched,
     watched,
 )
+from undeadzone.util.arrays import Floats
 
 STARTS: Final = 10  # short searches for the fastest; the best of them is continued
 SHORT: Final = 60  # rounds of each short search

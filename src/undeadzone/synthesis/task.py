@@ -6,16 +6,16 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from undeadzone.analysis.branch_schedule import Schedule, merged, planned
 from undeadzone.analysis.convergence import floquet
 from undeadzone.analysis.convergence.floquet import TINY
 from undeadzone.analysis.identifiability.linear import cures, invisible
-from undeadzone.analysis.side_schedule import Schedule, merged, planned
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import moves, steady_state
-from undeadzone.linear.hold import sampled_noise, zoh
-from undeadzone.linear.matrices import Matrices, delta, sizes
+from undeadzone.linalg.hold import sampled_noise, zoh
+from undeadzone.linalg.matrices import Matrices, delta, sizes
 from undeadzone.scenario.problem import Problem
-from undeadzone.support.arrays import Floats, scalar
+from undeadzone.util.arrays import Floats, scalar
 
 PER_POLE: Final = 49  # frequencies at which a candidate's margin is looked at, around each pole
 # Of the schedule: the exosystem's state at a corner is that of the piece that follows.

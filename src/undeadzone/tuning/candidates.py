@@ -33,7 +33,7 @@ from undeadzone.simulation.packed import graph, moved, packed
 from undeadzone.simulation.sample_by_sample import run_sample_by_sample
 from undeadzone.simulation.simulate import closed
 from undeadzone.statistics.intervals import QUANTILES
-from undeadzone.support.arrays import Floats, Integers
+from undeadzone.util.arrays import Floats, Integers
 
 Problems = tuple[Problem, ...]
 

@@ -23,8 +23,8 @@ from undeadzone.scenario.address import (
 from undeadzone.scenario.problem import Problem, constant_gains, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.tune_table import TABLE, Range, Tune
-from undeadzone.support.arrays import LARGEST, Floats
 from undeadzone.tuning.candidates import certified_margin
+from undeadzone.util.arrays import LARGEST, Floats
 
 GAINS: Final = "observer.L"  # the one array that an observer has by default
 

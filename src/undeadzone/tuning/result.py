@@ -18,12 +18,12 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.tune_table import Tune
 from undeadzone.statistics import intervals as statistics
 from undeadzone.statistics.intervals import LEVEL, QUANTILES, Interval
-from undeadzone.support import shown, toml
-from undeadzone.support.arrays import Floats, finite
-from undeadzone.support.files import path_of, write_text
-from undeadzone.support.own_files import marked
 from undeadzone.tuning.candidates import Objective, statistic
 from undeadzone.tuning.parameters import Parameter
+from undeadzone.util import shown, toml
+from undeadzone.util.arrays import Floats, finite
+from undeadzone.util.files import path_of, write_text
+from undeadzone.util.own_files import marked
 
 RESAMPLES: Final = 2000  # of the held-out runs, for the interval of the change
 EDGE: Final = 0.01  # share of a range within which a number lies at its end

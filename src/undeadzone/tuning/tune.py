@@ -22,13 +22,13 @@ from undeadzone.scenario.address import numbers
 from undeadzone.scenario.reader import digests
 from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.tune_table import Tune
-from undeadzone.support import toml
-from undeadzone.support.answers import Answers
-from undeadzone.support.arrays import Floats, scalar, seed_of, series
-from undeadzone.support.progress import in_notebook
 from undeadzone.tuning.candidates import Frame, Objective, Problems
 from undeadzone.tuning.parameters import Parameter, checked_parameters, named, values_at, with_gains
 from undeadzone.tuning.result import SimulatedCandidate, Tuned, best_of, validate
+from undeadzone.util import toml
+from undeadzone.util.answers import Answers
+from undeadzone.util.arrays import Floats, scalar, seed_of, series
+from undeadzone.util.progress import in_notebook
 
 PLACES: Final = (0.0, 0.3, 0.7, 1.0)  # shares of a range that are no accident
 # To either side, as a share of a range: wide enough that a reading which changes its side makes no
@@ -111,7 +111,7 @@ def _answers(on: Objective, keep: Path | None, resume: bool, seed: int) -> Itera
         "seed": seed,
     }
     kept = Answers(keep, problem, "candidates", resume)
-    with kept.kept():
+    with kept.hold_file():
         yield kept
 
 

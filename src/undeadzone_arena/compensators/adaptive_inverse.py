@@ -9,13 +9,13 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.compensators.parts.coasting import Coasts, coasted, coasting, inverted
-from undeadzone.ends.actuator import Actuator as Plain
-from undeadzone.ends.actuator import Belief, Drive, resolve_actuator
-from undeadzone.ends.sensor import present
 from undeadzone.errors import InputError, StructureError
 from undeadzone.interfaces import Compensator, Estimate, Reading
+from undeadzone.nonlinearities.actuator import Actuator as Plain
+from undeadzone.nonlinearities.actuator import Belief, Drive, resolve_actuator
+from undeadzone.nonlinearities.sensor import present
 from undeadzone.plants.system import System
-from undeadzone.support.arrays import Array, Floats, nonnegative, positive, scalar
+from undeadzone.util.arrays import Array, Floats, nonnegative, positive, scalar
 
 GAIN = 30.0  # of the normalised gradient [1/s] where none is given
 

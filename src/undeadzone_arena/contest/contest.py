@@ -17,12 +17,12 @@ from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.loop import Outputs
 from undeadzone.statistics.intervals import LEVEL
-from undeadzone.support import shown
-from undeadzone.support.answers import Answers
-from undeadzone.support.arrays import finite
-from undeadzone.support.files import write_text
-from undeadzone.support.progress import in_notebook
-from undeadzone.support.shown import Block
+from undeadzone.util import shown
+from undeadzone.util.answers import Answers
+from undeadzone.util.arrays import finite
+from undeadzone.util.files import write_text
+from undeadzone.util.progress import in_notebook
+from undeadzone.util.shown import Block
 from undeadzone_arena.contest.entry import entered, numbers
 from undeadzone_arena.contest.leaderboard import (
     CAP,
@@ -274,7 +274,7 @@ def run_contest(
             results = compete()
         else:
             kept = Answers(keep, problem_of(scenarios, seeds, numbers), "results", resume)
-            with kept.kept():
+            with kept.hold_file():
                 results = compete(kept=kept)
     references = {name for name, method in catalogue().items() if method.reference}
     rows = leaderboard(results, references)

@@ -10,10 +10,10 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from undeadzone.ends.actuator import SIDES, Belief
 from undeadzone.errors import InputError
+from undeadzone.nonlinearities.actuator import SIDES, Belief
 from undeadzone.observers import FullState
-from undeadzone.observers.parts.actuated import ESTIMATORS
+from undeadzone.observers.filtering.actuator import ESTIMATORS
 from undeadzone.scenario.problem import known_actuator
 from undeadzone.scenario.schema import Model, Scenario
 from undeadzone_arena.contest.methods import NOTHING, Knobs, Method, Numbers, Options, middle

@@ -9,7 +9,7 @@ import numpy as np
 
 from undeadzone.report import ink
 from undeadzone.report.style import finish, plain, shade_zone, sheet
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 from undeadzone_arena.contest.leaderboard import CAP, Row
 from undeadzone_arena.contest.traces import Trace
 

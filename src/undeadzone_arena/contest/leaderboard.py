@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 
 from undeadzone.statistics.intervals import LEVEL, Interval
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 from undeadzone_arena.contest.metric import Result, Worth
 
 ZERO: Final = "informed"  # the line of regret 0

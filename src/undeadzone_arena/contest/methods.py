@@ -12,7 +12,6 @@ import msgspec
 import numpy as np
 
 from undeadzone.analysis.certificate.passivity import certify, passive_gain
-from undeadzone.catalogue import OBSERVERS
 from undeadzone.compensators import NoInverse
 from undeadzone.errors import InputError
 from undeadzone.observers import (
@@ -25,6 +24,7 @@ from undeadzone.observers import (
     Luenberger,
     Oracle,
 )
+from undeadzone.registry import OBSERVERS
 from undeadzone.scenario.schema import Scenario
 from undeadzone_arena.compensators.adaptive_inverse import AdaptiveZoneInverse
 from undeadzone_arena.contest.prior_knowledge import UNITS, PriorKnowledge

@@ -7,13 +7,17 @@ from typing import Final
 import msgspec
 import numpy as np
 
+from undeadzone.analysis.branch_schedule import recorded
 from undeadzone.analysis.identifiability.linear import verdicts
-from undeadzone.analysis.side_schedule import recorded
 from undeadzone.results.scales import LIMIT, plant_scales, shares
 from undeadzone.scenario.problem import Problem
+from undeadzone.simulation.identifiability import (
+    actuator_unknown,
+    constant_inputs,
+    told_at_both_ends,
+)
 from undeadzone.simulation.loop import Outputs
-from undeadzone.simulation.verdicts import actuator_unknown, constant_inputs, told_at_both_ends
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 TAIL: Final = 0.2  # share of the run, its last, over which errors are taken
 SETTLED: Final = 0.1  # |z - r| within this share of the largest |r| has settled

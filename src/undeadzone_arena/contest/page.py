@@ -19,7 +19,7 @@ from undeadzone.report.html import (
     table,
     write_page,
 )
-from undeadzone.support.text import counted
+from undeadzone.util.text import counted
 from undeadzone_arena.contest.contest import Contest
 from undeadzone_arena.contest.figures import costs, heat, leaderboard, places, traces
 from undeadzone_arena.contest.leaderboard import CAP, NAIVE, ZERO, Row, regrets

@@ -12,17 +12,17 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from undeadzone.ends.actuator import Belief
 from undeadzone.errors import InputError
-from undeadzone.linear.hold import sampled_noise
-from undeadzone.linear.matrices import Matrices
-from undeadzone.linear.riccati import fast_gain
-from undeadzone.observers.parts.prior import Claims
-from undeadzone.observers.parts.prior import width_ranges as ranges
+from undeadzone.linalg.hold import sampled_noise
+from undeadzone.linalg.matrices import Matrices
+from undeadzone.linalg.riccati import fast_gain
+from undeadzone.nonlinearities.actuator import Belief
+from undeadzone.observers.filtering.prior import Assumptions
+from undeadzone.observers.filtering.prior import width_ranges as ranges
 from undeadzone.plants.system import System, fastest_pole, time_scale
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 # In largest widths of the scenario's own sensor: where its widths lie if nothing is declared.
 VAGUE: Final = 3.0
@@ -47,7 +47,7 @@ class PriorKnowledge(NamedTuple):
     """
 
     kind: str
-    declared: Claims
+    declared: Assumptions
     model: System
     widths: Floats
     reach: Floats
@@ -171,7 +171,7 @@ def situation(scenario: Scenario) -> Setting:
     return Setting(scenario, prior)
 
 
-def declaration(scenario: Scenario) -> Claims:
+def declaration(scenario: Scenario) -> Assumptions:
     """What the scenario declares.
 
     Where it declares nothing, what its observer claims; else that widths lie between 0 and VAGUE
@@ -180,16 +180,16 @@ def declaration(scenario: Scenario) -> Claims:
     if scenario.declared is not None:
         return scenario.declared
     observer, sensor = scenario.observer, scenario.sensor
-    every = {name: getattr(observer, name, None) for name in Claims.__struct_fields__}
+    every = {name: getattr(observer, name, None) for name in Assumptions.__struct_fields__}
     claims = {name: value for name, value in every.items() if value is not None}
     if "right" in claims:
-        return Claims(**claims)
+        return Assumptions(**claims)
     most = getattr(observer, "width_max", None)
     if most is None:
         limit = VAGUE * max(np.max(sensor.right), np.max(sensor.left))
     else:
         limit = np.max(most)
-    return Claims(right=np.array([0.0, float(limit)]))
+    return Assumptions(right=np.array([0.0, float(limit)]))
 
 
 def _reach(problem: Problem, width: float) -> Floats:

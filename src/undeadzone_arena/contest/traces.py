@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from undeadzone.errors import UndeadzoneError
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 from undeadzone_arena.contest.contest import Contest
 from undeadzone_arena.contest.leaderboard import CAP, NAIVE, regrets
 

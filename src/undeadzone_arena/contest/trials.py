@@ -19,9 +19,9 @@ from undeadzone.simulation import exogenous as inputs
 from undeadzone.simulation import sample_by_sample as live
 from undeadzone.simulation.loop import Loop, Outputs
 from undeadzone.simulation.simulate import closed, named
-from undeadzone.support import toml, tree
-from undeadzone.support.answers import Answers
-from undeadzone.support.arrays import Floats
+from undeadzone.util import toml, tree
+from undeadzone.util.answers import Answers
+from undeadzone.util.arrays import Floats
 from undeadzone_arena.contest.entry import entered
 from undeadzone_arena.contest.entry import numbers as built_in
 from undeadzone_arena.contest.leaderboard import FRAME

@@ -12,8 +12,8 @@ import numpy as np
 
 from undeadzone.numerics.optimise import evolve
 from undeadzone.scenario.schema import Scenario
-from undeadzone.support.answers import Answers
-from undeadzone.support.arrays import Floats
+from undeadzone.util.answers import Answers
+from undeadzone.util.arrays import Floats
 from undeadzone_arena.contest.leaderboard import CAP, FRAME, regrets
 from undeadzone_arena.contest.methods import Method, catalogue, middle
 from undeadzone_arena.contest.metric import Result
@@ -74,7 +74,7 @@ def tune(
     else:
         problem = problem_of(grounds, seeds, {}) | {"budget": budget, "search": search}
         kept = Answers(keep, problem, "methods", resume)
-        with kept.kept():
+        with kept.hold_file():
             plain = kept.of(adjustable, compute)
     methods = msgspec.convert(dict(zip(adjustable, plain, strict=True)), dict[str, Found])
     return Tuned(

@@ -7,9 +7,9 @@ from pathlib import Path
 import msgspec
 
 from undeadzone.errors import FileError
-from undeadzone.support import toml
-from undeadzone.support.files import read_bytes, reason, write_text
-from undeadzone.support.own_files import is_own, marked
+from undeadzone.util import toml
+from undeadzone.util.files import read_bytes, reason, write_text
+from undeadzone.util.own_files import is_own, marked
 
 HEAD = (
     "# Written by undeadzone arena --tune. Knobs are counted in the units that "

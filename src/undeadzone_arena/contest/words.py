@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 from undeadzone.results.sheet import number
-from undeadzone.support.shown import Block
-from undeadzone.support.text import counted
+from undeadzone.util.shown import Block
+from undeadzone.util.text import counted
 from undeadzone_arena.contest.leaderboard import Row, contestants
 
 FEW: Final = 3  # methods whose refusal is told in full

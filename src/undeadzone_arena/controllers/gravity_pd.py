@@ -7,12 +7,12 @@ from typing import Any, Literal, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.catalogue import Options
 from undeadzone.errors import InputError, StepError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
 from undeadzone.plants.system import System
-from undeadzone.support.arrays import Array, Floats, positive
+from undeadzone.registry import Options
+from undeadzone.util.arrays import Array, Floats, positive
 
 
 class GravityPD(Options, frozen=True, kw_only=True, tag="gravity_pd"):

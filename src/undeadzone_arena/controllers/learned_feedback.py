@@ -12,17 +12,17 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.catalogue import Options
 from undeadzone.errors import InputError, StructureError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
-from undeadzone.linear.hold import zoh
-from undeadzone.linear.matrices import Matrices, companion
-from undeadzone.linear.poles import observer_gain
+from undeadzone.linalg.hold import zoh
+from undeadzone.linalg.matrices import Matrices, companion
+from undeadzone.linalg.poles import observer_gain
 from undeadzone.plants.system import System, fastest_pole
-from undeadzone.support.arrays import Array, Floats, listed, positive
+from undeadzone.registry import Options
+from undeadzone.util.arrays import Array, Floats, listed, positive
 from undeadzone_arena.approximators import Basis
-from undeadzone_arena.speeds import in_poles
+from undeadzone_arena.gain_defaults import in_poles
 
 
 class FeedbackOptions(Options, frozen=True, kw_only=True):

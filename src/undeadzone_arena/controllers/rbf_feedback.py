@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from undeadzone.interfaces import Controller
 from undeadzone.plants.system import System
-from undeadzone.support.arrays import scalar
+from undeadzone.util.arrays import scalar
 from undeadzone_arena.approximators import gaussians
 from undeadzone_arena.controllers.learned_feedback import FeedbackOptions, approximating
 

@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.catalogue import Options
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
 from undeadzone.plants.system import System, fastest_pole
-from undeadzone.support.arrays import Array, Floats, positive, scalar
+from undeadzone.registry import Options
+from undeadzone.util.arrays import Array, Floats, positive, scalar
 from undeadzone_arena.controllers.sliding_mode import surface
 
 STEADY = 0.5  # k in layers per step, up to which s does not chatter

@@ -10,14 +10,14 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.catalogue import Options
 from undeadzone.errors import InputError, StepError, StructureError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
-from undeadzone.linear.matrices import Matrices, sizes
-from undeadzone.linear.poles import state_gain
+from undeadzone.linalg.matrices import Matrices, sizes
+from undeadzone.linalg.poles import state_gain
 from undeadzone.plants.system import System, fastest_pole
-from undeadzone.support.arrays import Array, Floats, nonnegative, scalar, vector
+from undeadzone.registry import Options
+from undeadzone.util.arrays import Array, Floats, nonnegative, scalar, vector
 
 
 class SlidingMode(Options, frozen=True, kw_only=True, tag="sliding_mode"):

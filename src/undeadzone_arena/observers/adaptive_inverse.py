@@ -10,16 +10,16 @@ from typing import Any, Literal
 import casadi as ca
 import numpy as np
 
-from undeadzone.catalogue import Options
-from undeadzone.ends.sensor import Zone
 from undeadzone.interfaces import Observer
-from undeadzone.observers.parts.motion import heard_by_motion
-from undeadzone.observers.parts.width_laws import bounded_widths
+from undeadzone.nonlinearities.sensor import Zone
+from undeadzone.observers.adaptive.adaptation_laws import bounded_widths
+from undeadzone.observers.filtering.motion_detection import with_motion_detection
 from undeadzone.plants.system import System
-from undeadzone.support.arrays import Array
+from undeadzone.registry import Options
+from undeadzone.util.arrays import Array
+from undeadzone_arena.gain_defaults import in_poles, injection, width_hiding_speed
 from undeadzone_arena.observers.parts.adaptive_laws import gradient, least_squares
 from undeadzone_arena.observers.parts.learned_residual import Compensator, learning
-from undeadzone_arena.speeds import hiding, in_poles, injection
 
 
 class AdaptiveInverse(Options, frozen=True, kw_only=True, tag="adaptive_inverse"):
@@ -56,7 +56,7 @@ class AdaptiveInverse(Options, frozen=True, kw_only=True, tag="adaptive_inverse"
         """The observer for a model, continuous or sampled."""
         p = model.p
         widths, limit = bounded_widths(self.widths0, self.width_max, p)
-        L = injection(model, self.L, self.poles, self.speed, hiding(model, 30.0))
+        L = injection(model, self.L, self.poles, self.speed, width_hiding_speed(model, 30.0))
         gain = in_poles(model, "observer.gain", self.gain, 300.0)
         if self.law == "gradient":
             law = gradient(model, gain, 0.0, 2)
@@ -66,7 +66,7 @@ class AdaptiveInverse(Options, frozen=True, kw_only=True, tag="adaptive_inverse"
         observer = learning(
             model, sensor, L, compensator, law, filtered=True, W0=widths.ravel(), limit=limit
         )
-        return heard_by_motion(observer, model, sensor)
+        return with_motion_detection(observer, model, sensor)
 
 
 def indicators(params: Any, y: Any, side: Any, z: Any) -> Any:

@@ -10,12 +10,12 @@ from typing import Any, Literal
 
 import casadi as ca
 
-from undeadzone.ends.sensor import Zone, branch, zone
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer, no_further
+from undeadzone.nonlinearities.sensor import Zone, branch, zone
 from undeadzone.numerics.gaussian import Gaussian, Weighed, linearise, predict, update_unless_glitch
-from undeadzone.observers.parts.augmented_state import even_units
-from undeadzone.observers.parts.gaussian_filter import Params
+from undeadzone.observers.filtering.augmented_state import even_units
+from undeadzone.observers.filtering.gaussian_filter import Params
 from undeadzone.plants.system import System, in_units
 from undeadzone_arena.observers.parts.joint_claims import Defaults, JointClaims, joint_prior
 from undeadzone_arena.observers.parts.joint_filter import Sample, Sight, joint_filter

@@ -7,18 +7,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from undeadzone.catalogue import Options
-from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
-from undeadzone.linear.matrices import Matrices, sizes
-from undeadzone.observers.parts.prior import FLOOR, width_ranges
+from undeadzone.linalg.matrices import Matrices, sizes
+from undeadzone.nonlinearities.sensor import Zone
+from undeadzone.observers.filtering.prior import FLOOR, width_ranges
 from undeadzone.plants.system import System, fastest_pole
-from undeadzone.support.arrays import Array, Floats, nonnegative, scalar
+from undeadzone.registry import Options
+from undeadzone.util.arrays import Array, Floats, nonnegative, scalar
+from undeadzone_arena.gain_defaults import injection
 from undeadzone_arena.observers.parts.boxes import FAR, Bounds, Boxes
 from undeadzone_arena.observers.parts.interval_step import Params, interval
 from undeadzone_arena.observers.parts.modal_form import modes
-from undeadzone_arena.speeds import injection
 
 NOISE = 6.0  # bound that is assumed of a Gaussian noise, in rms
 

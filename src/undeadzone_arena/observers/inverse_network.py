@@ -6,10 +6,10 @@ from typing import Any
 
 import casadi as ca
 
-from undeadzone.ends.sensor import Zone
 from undeadzone.interfaces import Observer
+from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.plants.system import System
-from undeadzone.support.arrays import Array, positive
+from undeadzone.util.arrays import Array, positive
 from undeadzone_arena.approximators import jumps
 from undeadzone_arena.observers.parts.learned_residual import (
     Compensator,

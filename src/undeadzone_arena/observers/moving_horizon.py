@@ -11,15 +11,15 @@ from typing import Any, Literal, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate, InPython, Observer, Reading, Traits, in_python
+from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.numerics.gaussian import CLIP
-from undeadzone.observers.parts.augmented_state import quarter_period
-from undeadzone.observers.parts.prior import Doubt, doubt_numbers, glitch_share, sample_time
-from undeadzone.observers.parts.recovery import LIMIT, TOO_MANY
+from undeadzone.observers.filtering.augmented_state import quarter_period
+from undeadzone.observers.filtering.prior import Doubt, doubt_numbers, glitch_share, sample_time
+from undeadzone.observers.filtering.recovery import LIMIT, TOO_MANY
 from undeadzone.plants.system import System
-from undeadzone.support.arrays import Array, Floats, nonnegative, scalar
+from undeadzone.util.arrays import Array, Floats, nonnegative, scalar
 from undeadzone_arena.observers.parts import window as horizon
 from undeadzone_arena.observers.parts.joint_claims import (
     Defaults,

@@ -9,13 +9,13 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate, InPython, Observer, Reading, Traits, in_python
-from undeadzone.observers.parts.prior import Prior, glitch_reach, glitch_share
-from undeadzone.observers.parts.recovery import LIMIT
+from undeadzone.nonlinearities.sensor import Zone
+from undeadzone.observers.filtering.prior import Prior, glitch_reach, glitch_share
+from undeadzone.observers.filtering.recovery import LIMIT
 from undeadzone.plants.system import System
-from undeadzone.support.arrays import Floats, Integers
+from undeadzone.util.arrays import Floats, Integers
 from undeadzone_arena.observers.parts.joint_claims import (
     Defaults,
     JointClaims,

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from undeadzone.ends.sensor import Zone
 from undeadzone.interfaces import Observer
+from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.plants.system import System
-from undeadzone.support.arrays import Array, scalar
+from undeadzone.util.arrays import Array, scalar
 from undeadzone_arena.approximators import gaussians
 from undeadzone_arena.observers.parts.learned_residual import LearnedOptions, residual
 

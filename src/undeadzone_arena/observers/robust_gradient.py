@@ -10,14 +10,14 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.catalogue import Options
-from undeadzone.ends.sensor import Zone, indicators
 from undeadzone.errors import InputError, StructureError
 from undeadzone.interfaces import Observer, Reading
-from undeadzone.observers.parts.output_error import State, adapted, output_error
+from undeadzone.nonlinearities.sensor import Zone, indicators
+from undeadzone.observers.adaptive.output_error import State, adapted, output_error
 from undeadzone.plants.system import System, fastest_pole
-from undeadzone.support.arrays import Array, Floats, scalar
-from undeadzone_arena.speeds import hiding, injection
+from undeadzone.registry import Options
+from undeadzone.util.arrays import Array, Floats, scalar
+from undeadzone_arena.gain_defaults import injection, width_hiding_speed
 
 
 class RobustGradient(Options, frozen=True, kw_only=True, tag="robust_gradient"):
@@ -59,7 +59,7 @@ class RobustGradient(Options, frozen=True, kw_only=True, tag="robust_gradient"):
             )
         gamma = 3 * fastest_pole(model) if self.gamma is None else self.gamma
         widths = adapted(gamma, self.widths0, self.width_max, model, sensor)
-        L = injection(model, self.L, self.poles, self.speed, hiding(model, 8.0))
+        L = injection(model, self.L, self.poles, self.speed, width_hiding_speed(model, 8.0))
         rho = scalar("observer.rho", self.rho, least=0.0)
         width = scalar("observer.width", self.width, above=0.0)
         sharpness = scalar("observer.sharpness", self.sharpness, above=0.0)

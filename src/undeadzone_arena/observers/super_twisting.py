@@ -11,15 +11,15 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.catalogue import Options
-from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError, StructureError
 from undeadzone.interfaces import Observer
-from undeadzone.linear.structure import output_chains
-from undeadzone.observers.parts.output_error import adapted, output_error
+from undeadzone.linalg.structure import output_chains
+from undeadzone.nonlinearities.sensor import Zone
+from undeadzone.observers.adaptive.output_error import adapted, output_error
 from undeadzone.plants.system import System, fastest_pole
-from undeadzone.support.arrays import Array, Floats, vector
-from undeadzone_arena.speeds import injection
+from undeadzone.registry import Options
+from undeadzone.util.arrays import Array, Floats, vector
+from undeadzone_arena.gain_defaults import injection
 
 # Gains of the recursive differentiator, from the last derivative up.
 LEVANT = (1.1, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0, 12.0)

@@ -9,9 +9,9 @@ from functools import partial
 
 import casadi as ca
 
-from undeadzone.ends.sensor import LEFT, RIGHT, Zone
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer, no_further
+from undeadzone.nonlinearities.sensor import LEFT, RIGHT, Zone
 from undeadzone.numerics.gaussian import (
     Gaussian,
     Weighed,
@@ -21,8 +21,8 @@ from undeadzone.numerics.gaussian import (
     predict,
     settle,
 )
-from undeadzone.observers.parts.augmented_state import even_units
-from undeadzone.observers.parts.gaussian_filter import Params
+from undeadzone.observers.filtering.augmented_state import even_units
+from undeadzone.observers.filtering.gaussian_filter import Params
 from undeadzone.plants.system import System, in_units
 from undeadzone_arena.observers.parts.joint_claims import Defaults, JointClaims, joint_prior
 from undeadzone_arena.observers.parts.joint_filter import Sample, joint_filter

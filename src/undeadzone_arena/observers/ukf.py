@@ -9,13 +9,13 @@ from typing import Any
 
 import casadi as ca
 
-from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
+from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.numerics.gaussian import Gaussian, Weighed, settle
-from undeadzone.observers.parts.gaussian_filter import Params
+from undeadzone.observers.filtering.gaussian_filter import Params
 from undeadzone.plants.system import System
-from undeadzone.support.arrays import scalar
+from undeadzone.util.arrays import scalar
 from undeadzone_arena import unscented
 from undeadzone_arena.observers.parts.joint_claims import Defaults, JointClaims, joint_prior
 from undeadzone_arena.observers.parts.joint_filter import Sample, joint_filter

@@ -7,16 +7,16 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.catalogue import Options
-from undeadzone.ends.sensor import Zone
 from undeadzone.errors import InputError, StepError, StructureError
 from undeadzone.interfaces import Observer
-from undeadzone.linear.matrices import Matrices, sizes
-from undeadzone.linear.riccati import lyapunov, weight
-from undeadzone.observers.parts.output_error import adapted, output_error
+from undeadzone.linalg.matrices import Matrices, sizes
+from undeadzone.linalg.riccati import lyapunov, weight
+from undeadzone.nonlinearities.sensor import Zone
+from undeadzone.observers.adaptive.output_error import adapted, output_error
 from undeadzone.plants.system import System, fastest_pole
-from undeadzone.support.arrays import Array, Floats, listed, nonnegative, vector
-from undeadzone_arena.speeds import injection
+from undeadzone.registry import Options
+from undeadzone.util.arrays import Array, Floats, listed, nonnegative, vector
+from undeadzone_arena.gain_defaults import injection
 
 
 class WalcottZak(Options, frozen=True, kw_only=True, tag="walcott_zak"):

@@ -17,10 +17,10 @@ from undeadzone.errors import InputError
 from undeadzone.interfaces import COLUMNS, QUANTITIES, Estimate
 from undeadzone.results.signals import of_kind
 from undeadzone.scenario.schema import Units
-from undeadzone.support.text import one_line
+from undeadzone.util.text import one_line
 from undeadzone_export import compiler
 from undeadzone_export.code import Code
-from undeadzone_export.parts import Field, Step, numbers_of, total
+from undeadzone_export.exported_step import Field, Step, numbers_of, total
 from undeadzone_export.template import filled, text_of
 
 _NO_XML: Final = str.maketrans("\ufffe\uffff", "??")  # characters that no XML may hold

@@ -26,14 +26,14 @@ from undeadzone.simulation import exogenous
 from undeadzone.simulation.exogenous import targets
 from undeadzone.simulation.loop import RUNGE_KUTTA, Loop
 from undeadzone.simulation.simulate import closed
-from undeadzone.support import tree
-from undeadzone.support.arrays import Floats
-from undeadzone.support.files import write_text
-from undeadzone.support.own_files import REMARK, require_own, signed
-from undeadzone.support.text import printable
+from undeadzone.util import tree
+from undeadzone.util.arrays import Floats
+from undeadzone.util.files import write_text
+from undeadzone.util.own_files import REMARK, require_own, signed
+from undeadzone.util.text import printable
 from undeadzone_export.code import operations
+from undeadzone_export.exported_step import entries
 from undeadzone_export.page import sliders
-from undeadzone_export.parts import entries
 from undeadzone_export.template import filled, text_of
 
 SAMPLES = 512  # of a period, for a Fourier series

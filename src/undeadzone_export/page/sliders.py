@@ -20,8 +20,8 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.signals.exosystem import Sine, Sines, Step
 from undeadzone.simulation.loop import Loop
 from undeadzone.simulation.packed import graph, moved, packed
-from undeadzone.support import tree
-from undeadzone.support.arrays import Floats
+from undeadzone.util import tree
+from undeadzone.util.arrays import Floats
 
 ROUND = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0)
 TICKS = 60  # steps of a slider, about

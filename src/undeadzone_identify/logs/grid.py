@@ -8,7 +8,7 @@ import numpy as np
 
 from undeadzone.errors import FileError, InputError
 from undeadzone.logs.samples import Regular, filled
-from undeadzone.support.arrays import Flags, Floats, Integers
+from undeadzone.util.arrays import Flags, Floats, Integers
 from undeadzone_identify.logs.log import Log, where
 from undeadzone_identify.models.estimates import KeptClimbs
 

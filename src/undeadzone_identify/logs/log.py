@@ -24,8 +24,8 @@ from undeadzone.logs.samples import (
     samples_of_text,
 )
 from undeadzone.logs.whole import BINARY, samples_of
-from undeadzone.support.arrays import LARGEST, Floats
-from undeadzone.support.files import LARGEST_TABLE
+from undeadzone.util.arrays import LARGEST, Floats
+from undeadzone.util.files import LARGEST_TABLE
 
 T = TypeVar("T", int, float)
 

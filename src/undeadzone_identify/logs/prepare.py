@@ -17,10 +17,10 @@ import numpy as np
 
 from undeadzone.errors import InputError
 from undeadzone.logs.range_ends import RangeEnds, range_ends
-from undeadzone.support.arrays import Flags, Floats, Integers, runs
+from undeadzone.util.arrays import Flags, Floats, Integers, runs
 from undeadzone_identify.logs.grid import SPIKE, Grid, spikes
 from undeadzone_identify.logs.log import Options
-from undeadzone_identify.models.likelihood import taken_off
+from undeadzone_identify.models.likelihood import zone_offset
 from undeadzone_identify.models.plant import Data
 from undeadzone_identify.models.zone import Limits
 
@@ -358,7 +358,7 @@ def as_dead_zone(data: Data, options: Options) -> tuple[Data, Limits, tuple[Jump
             " give --threshold, |y| up to which a reading counts as silent"
         )
     right, left = (_edge(data, sign, name, options) for name, sign in SIDES.items())
-    shift = taken_off(data.side, right.value, left.value)
+    shift = zone_offset(data.side, right.value, left.value)
     limits = Limits((right.value, right.value), (left.value, left.value))
     return data._replace(y=(data.y - shift) * (data.side != 0)), limits, (right, left)
 

@@ -15,8 +15,8 @@ from typing import TypeVar
 import numpy as np
 from scipy.special import ndtr
 
-from undeadzone.ends.play import contact, levels
-from undeadzone.support.arrays import Floats, Integers
+from undeadzone.nonlinearities.play import contact, levels
+from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.models.estimates import latest, weighing
 from undeadzone_identify.models.least_squares import Density, Fitted, LeastSquares
 from undeadzone_identify.models.likelihood import dead_zone

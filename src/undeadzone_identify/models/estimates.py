@@ -19,8 +19,8 @@ from scipy.stats import t as student
 
 from undeadzone.compile import lanes
 from undeadzone.errors import InputError
-from undeadzone.support.answers import Answers
-from undeadzone.support.arrays import Floats, Integers
+from undeadzone.util.answers import Answers
+from undeadzone.util.arrays import Floats, Integers
 
 GAUSSIAN = 2 / 3  # of the fourth power of a Gaussian: what 3 s^4 holds beyond s^4
 LEAST_KEPT = 0.05  # share of a variance below which nothing is left of it

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.compile import lanes
-from undeadzone.support.arrays import Floats, Integers
+from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.models import estimates
 from undeadzone_identify.models.likelihood import LOG_ROOT
 from undeadzone_identify.models.plant import Data, Layout, input_gain, roots

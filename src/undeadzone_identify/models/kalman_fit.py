@@ -8,7 +8,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 from undeadzone_identify.models.estimates import best_top, climb
 from undeadzone_identify.models.kalman import (
     AT_INPUT,

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import solve_toeplitz
 from scipy.stats import f as fisher
 
-from undeadzone.support.arrays import Floats, Integers
+from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.models import estimates
 from undeadzone_identify.models.plant import Simulator, correlations
 from undeadzone_identify.models.zone import FAR

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import log_ndtr, ndtr
 
-from undeadzone.support.arrays import Flags, Floats, Integers
+from undeadzone.util.arrays import Flags, Floats, Integers
 
 Z, Z_BEFORE, RIGHT, LEFT, LOG_S, ATANH_RHO = range(6)  # columns of `Terms.slopes`
 LOG_ROOT = 0.5 * math.log(2 * math.pi)
@@ -67,14 +67,14 @@ def dead_zone(z: Floats, right: float, left: float) -> Floats:
     return np.maximum(z - right, 0.0) + np.minimum(z + left, 0.0)
 
 
-def taken_off(side: Integers, right: float, left: float) -> Floats:
+def zone_offset(side: Integers, right: float, left: float) -> Floats:
     """What a zone takes off z where it speaks (N): d_r on the right, -d_l on the left."""
     return np.asarray(right * (side > 0) - left * (side < 0))
 
 
 def residual(readings: Readings, z: Floats, right: float, left: float) -> Floats:
     """e where a reading speaks: y + d_r - z or y - d_l - z (N); y - z where it is silent."""
-    return readings.y + taken_off(readings.side, right, left) - z
+    return readings.y + zone_offset(readings.side, right, left) - z
 
 
 def singles(readings: Readings, z: Floats, noise: Noise) -> Terms:

@@ -25,8 +25,8 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.ends.play import ticked
-from undeadzone.support.arrays import Flags, Floats, Integers, since_start
+from undeadzone.nonlinearities.play import detect_tick
+from undeadzone.util.arrays import Flags, Floats, Integers, since_start
 from undeadzone_identify.models.kalman import WHITE, matrices
 from undeadzone_identify.models.plant import Simulator, input_gain
 
@@ -292,7 +292,7 @@ def _reading(y: float, side: int, moved: float, how: Sensing, noise: float) -> t
     """A reading and its variance; of a tick, where between two boundaries z was when it came."""
     if not how.quantum:
         return float(y), noise**2
-    when, variance = ticked(np, y, side, moved, how.quantum)
+    when, variance = detect_tick(np, y, side, moved, how.quantum)
     return float(when), float(variance) + noise**2
 
 

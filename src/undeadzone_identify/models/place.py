@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.compile import lanes
-from undeadzone.support.arrays import Floats, Integers
+from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.models.elements import MapModel, linear, shifted
 from undeadzone_identify.models.estimates import (
     around,

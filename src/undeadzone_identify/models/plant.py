@@ -14,7 +14,7 @@ import numpy as np
 from scipy.linalg.lapack import dgeev
 from scipy.signal import lfilter
 
-from undeadzone.support.arrays import Flags, Floats, Integers, later
+from undeadzone.util.arrays import Flags, Floats, Integers, later
 from undeadzone_identify.models.estimates import KeptClimbs, latest
 from undeadzone_identify.models.likelihood import Readings, dead_zone
 
@@ -100,7 +100,7 @@ def part_of(data: Data, longest: int = STRETCH) -> Data:
         if count > MANY:
             break
         kept.append(one)
-    return taken(data, sorted(kept, key=lambda one: one.start))
+    return select_samples(data, sorted(kept, key=lambda one: one.start))
 
 
 def _cut(record: slice, longest: int) -> list[slice]:
@@ -117,7 +117,7 @@ def _passages(data: Data, part: slice) -> tuple[int, int]:
     return min(right, left), right + left
 
 
-def taken(data: Data, parts: Sequence[slice]) -> Data:
+def select_samples(data: Data, parts: Sequence[slice]) -> Data:
     """Some samples of a log, each part a record of its own.
 
     Args:
@@ -143,7 +143,7 @@ def longest_of(data: Data) -> Data:
     """
     longest = max(data.records(), key=lambda part: part.stop - part.start)
     if longest.stop - longest.start < data.y.size:
-        data = taken(data, [longest])
+        data = select_samples(data, [longest])
     return part_of(data, MANY)
 
 

@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.ends.sensor import DIRECTIONS
-from undeadzone.support.arrays import Floats
+from undeadzone.nonlinearities.sensor import DIRECTIONS
+from undeadzone.util.arrays import Floats
 from undeadzone_identify.models import motion
 from undeadzone_identify.models.elements import PlayFit, PlayModel
 from undeadzone_identify.models.estimates import Interval, climb, quantile

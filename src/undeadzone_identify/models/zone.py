@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from undeadzone.support.arrays import Flags, Floats, Integers
+from undeadzone.util.arrays import Flags, Floats, Integers
 from undeadzone_identify.models import estimates, likelihood
 from undeadzone_identify.models.plant import Data, Simulator
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtr
 
-from undeadzone.support.arrays import Flags, Floats, Integers, since_start
+from undeadzone.util.arrays import Flags, Floats, Integers, since_start
 from undeadzone_identify.models.estimates import Top, best_top, climb
 from undeadzone_identify.models.likelihood import dead_zone
 from undeadzone_identify.models.plant import (

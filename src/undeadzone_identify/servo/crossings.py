@@ -15,9 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.support.arrays import Floats, Integers
-from undeadzone_identify.servo.heard import NORMAL, REACH, Heard, noise_of, triggered
+from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.servo.likelihood import At, Likelihood, Servo
+from undeadzone_identify.servo.observations import NORMAL, REACH, Observations, noise_of, triggered
 
 FEW = 12  # crossings from which a trend is looked for
 CLEAR = 4.0  # standard deviations of a trend that is named
@@ -105,7 +105,7 @@ def _standard(column: Floats) -> Floats:
     return np.asarray((column - column.mean()) / (column.std() + 1e-300))
 
 
-def crossings_of(log: Heard, one: Servo, free: bool = False) -> Crossings:
+def crossings_of(log: Observations, one: Servo, free: bool = False) -> Crossings:
     """The crossings of a log, in its units.
 
     Args:

@@ -26,12 +26,11 @@ from scipy.special import expit
 from scipy.stats import chi2
 
 from undeadzone.compile import lanes
-from undeadzone.support.arrays import Flags, Floats, Integers, later
+from undeadzone.util.arrays import Flags, Floats, Integers, later
 from undeadzone_identify.models.estimates import Interval, quantile, sandwich
 from undeadzone_identify.models.plant import correlations
 from undeadzone_identify.servo import predictor
 from undeadzone_identify.servo.crossings import Crossings, crossings_of
-from undeadzone_identify.servo.heard import Heard, noise_of, sides, triggered
 from undeadzone_identify.servo.likelihood import (
     DEAR,
     RUBS,
@@ -43,6 +42,7 @@ from undeadzone_identify.servo.likelihood import (
     lanes_of,
     newton,
 )
+from undeadzone_identify.servo.observations import Observations, noise_of, sides, triggered
 from undeadzone_identify.servo.predictor import LATEST, MEAN, NUMBERS
 from undeadzone_identify.servo.search import searched
 
@@ -69,7 +69,7 @@ def _kernel() -> lanes.Kernel:
     return lanes.build(step, exogenous=[own], width=16, fused=True)
 
 
-def simulated(log: Heard, one: Servo, runs: int = RUNS) -> list[Heard]:
+def simulated(log: Observations, one: Servo, runs: int = RUNS) -> list[Observations]:
     """Logs of a servo with the log's input.
 
     Args:
@@ -93,7 +93,9 @@ def simulated(log: Heard, one: Servo, runs: int = RUNS) -> list[Heard]:
     return [_recorded(log, theta, level, draw) for level in levels[:, :, 0]]
 
 
-def _recorded(log: Heard, theta: Floats, level: Floats, draw: np.random.Generator) -> Heard:
+def _recorded(
+    log: Observations, theta: Floats, level: Floats, draw: np.random.Generator
+) -> Observations:
     """Levels as the log's encoder reads them, or with its noise."""
     if not log.ticks:
         return log._replace(y=level + math.exp(theta[At.NOISE]) * draw.standard_normal(level.size))
@@ -102,7 +104,7 @@ def _recorded(log: Heard, theta: Floats, level: Floats, draw: np.random.Generato
     return log._replace(y=y, side=side, boundary=y - side * log.quantum / 2)
 
 
-def refitted(logs: Sequence[Heard], one: Servo) -> Floats:
+def refitted(logs: Sequence[Observations], one: Servo) -> Floats:
     """The gaps that climbs from a servo find in logs (runs)."""
     tops = (Likelihood(log).climbed([one], STEPS)[0] for log in logs)
     return np.array([top.theta[At.GAP] for top in tops])
@@ -154,7 +156,7 @@ class ServoGap(NamedTuple):
         reasons: why no gap is given; empty where one is.
     """
 
-    log: Heard
+    log: Observations
     servo: Servo
     gap: Interval
     crossings: Crossings
@@ -232,7 +234,7 @@ class ServoGap(NamedTuple):
         return self.crossings.trends() if self.log.ticks else []
 
 
-def servo_gap(log: Heard | None) -> ServoGap | None:
+def servo_gap(log: Observations | None) -> ServoGap | None:
     """The gap of a servo's log; None where nothing moves, or no servo fits.
 
     Args:
@@ -296,12 +298,12 @@ def _rest(one: Servo) -> float:
     return float(theta[At.GAIN] * theta[At.OFFSET]) / stiffness
 
 
-def _without(log: Heard, one: Servo) -> float:
+def _without(log: Observations, one: Servo) -> float:
     """The log likelihood of a servo without a gap."""
     return Likelihood(log).climbed([one.changed(At.GAP, 0.0)], STEPS, (At.GAP,))[0].value
 
 
-def slopes_of(log: Heard, one: Servo) -> Slopes:
+def slopes_of(log: Observations, one: Servo) -> Slopes:
     """Errors of a servo that count, and their derivatives by its free numbers."""
     free = one.structure.free(log.ticks, False)
     return Likelihood(log).slopes(one.theta[None], [free], one.structure.lag)[0]
@@ -310,7 +312,7 @@ def slopes_of(log: Heard, one: Servo) -> Slopes:
 class _Spread:
     """How surely a gap is known by the log itself."""
 
-    def __init__(self, log: Heard, one: Servo, slopes: Slopes) -> None:
+    def __init__(self, log: Observations, one: Servo, slopes: Slopes) -> None:
         place = list(one.structure.free(log.ticks, False)).index(At.GAP)
         spread = sandwich(*newton(slopes))
         self.covariance = spread.V
@@ -327,7 +329,7 @@ class _Spread:
 
 
 def _corrected(
-    log: Heard, one: Servo, spread: _Spread, gaps: Floats, others: list[float]
+    log: Observations, one: Servo, spread: _Spread, gaps: Floats, others: list[float]
 ) -> Interval:
     """The gap less the bias that simulated logs show, with its interval, scaled."""
     gap = float(one.theta[At.GAP])
@@ -349,7 +351,7 @@ def _slow(one: Servo) -> float:
     return math.exp(one.structure.of(one.theta)[At.SLOW])
 
 
-def _unbiased(crossings: Crossings, logs: list[Heard], one: Servo) -> Crossings:
+def _unbiased(crossings: Crossings, logs: list[Observations], one: Servo) -> Crossings:
     """Crossings less what those of simulated logs are beside the truth."""
     medians = [crossings_of(log, one).median for log in logs[:LOOKED]]
     shift = float(np.nanmedian(medians)) - float(one.theta[At.GAP]) * logs[0].y_scale
@@ -391,7 +393,7 @@ def _doubts(found: ServoGap, spread: _Spread, gaps: Floats) -> list[str]:
     return reasons
 
 
-def odd_errors(log: Heard, slopes: Slopes) -> list[str]:
+def odd_errors(log: Observations, slopes: Slopes) -> list[str]:
     """Why errors are not those of a servo.
 
     Args:

@@ -17,10 +17,10 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.compile import lanes
-from undeadzone.support.arrays import Flags, Floats, Integers
+from undeadzone.util.arrays import Flags, Floats, Integers
 from undeadzone_identify.models.estimates import around, run_along
 from undeadzone_identify.servo import predictor
-from undeadzone_identify.servo.heard import Heard
+from undeadzone_identify.servo.observations import Observations
 from undeadzone_identify.servo.predictor import DEGREES, LATEST, NUMBERS, PLANT, SURE
 
 # ln p, g, ln p_e, ln k, f, o, c, ln of the rms of white torque, of noise, of slow torque, delay,
@@ -217,7 +217,7 @@ class Likelihood:
         among: the samples whose errors may count (N); None: all.
     """
 
-    def __init__(self, log: Heard, free: bool = False, among: Flags | None = None) -> None:
+    def __init__(self, log: Observations, free: bool = False, among: Flags | None = None) -> None:
         self.log, self.free = log, free
         counted = log.counted(free) if among is None else log.counted(free) & among
         self.used = np.flatnonzero(counted)
@@ -363,7 +363,7 @@ def reach_of(theta: Floats) -> Floats:
     return reach
 
 
-def bounded(theta: Floats, log: Heard) -> Floats:
+def bounded(theta: Floats, log: Observations) -> Floats:
     """Numbers within bounds (L x P); what is not there stays so."""
     own = theta.T.copy()
     for place, low, high in (

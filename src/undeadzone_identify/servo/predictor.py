@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 from undeadzone.compile import lanes
-from undeadzone.ends.play import held
+from undeadzone.nonlinearities.play import apply_backlash
 from undeadzone.numerics.gaussian import chance
 
 LATEST = 8  # samples by which the input may be late at most
@@ -132,7 +132,7 @@ def contact_of(lane: Lane, z: Any, v: Any, level: Any) -> Any:
 
 def pulled(lane: Lane, level: Any, z: Any) -> Any:
     """The level of the load that the motor takes along."""
-    return held(ca, z, level, lane.gap / 2, lane.gap / 2)
+    return apply_backlash(ca, z, level, lane.gap / 2, lane.gap / 2)
 
 
 def _spread(lane: Lane, P: Any, motion: _Motion) -> Any:

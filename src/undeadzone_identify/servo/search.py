@@ -16,9 +16,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.signal import lfilter
 
-from undeadzone.support.arrays import Floats, later
+from undeadzone.util.arrays import Floats, later
 from undeadzone_identify.servo.crossings import crossings_of
-from undeadzone_identify.servo.heard import REACH, Heard, noise_of, triggered
 from undeadzone_identify.servo.likelihood import (
     PARTS,
     At,
@@ -27,6 +26,7 @@ from undeadzone_identify.servo.likelihood import (
     Structure,
     discretised,
 )
+from undeadzone_identify.servo.observations import REACH, Observations, noise_of, triggered
 
 MOST = 3000  # samples of a search
 TURNS = 4  # reversals of a search, at least
@@ -44,7 +44,7 @@ ALTERNATIVES = 6  # structures that are climbed with all samples
 REACHED = 30.0  # of BIC, within which a structure may be the true one
 
 
-def searched(log: Heard) -> list[Servo]:
+def searched(log: Observations) -> list[Servo]:
     """The likeliest structures within `REACHED` of BIC, best first; of all samples.
 
     Args:
@@ -68,7 +68,7 @@ def searched(log: Heard) -> list[Servo]:
 # --- Without a gap
 
 
-def without_gap(log: Heard) -> list[Servo]:
+def without_gap(log: Observations) -> list[Servo]:
     """The best servos of a few structures that know of no gap, best first."""
     likelihood = Likelihood(log, free=True)
     if likelihood.used.size < 3 * len(At):
@@ -90,7 +90,7 @@ def _best(tops: Sequence[Servo], family: Structure, count: int) -> list[Servo]:
     return sorted(own, key=lambda one: -one.value)[:count]
 
 
-def starts(log: Heard) -> list[Servo]:
+def starts(log: Observations) -> list[Servo]:
     """Where climbs without a gap begin: the gain by the motion over windows."""
     span = log.u.size * log.step
     rates = np.geomspace(max(0.5, 4 / span), min(0.5 / log.step, 150.0), POLES)
@@ -105,7 +105,12 @@ def starts(log: Heard) -> list[Servo]:
 
 
 def _begun(
-    log: Heard, structure: Structure, rate: float, spring: float, friction: float, late: float
+    log: Observations,
+    structure: Structure,
+    rate: float,
+    spring: float,
+    friction: float,
+    late: float,
 ) -> Servo:
     """A start with the gain that suits it."""
     theta = np.zeros(len(At))
@@ -122,7 +127,7 @@ def _begun(
     return Servo(structure, theta, -math.inf)
 
 
-def _linear(log: Heard, theta: Floats, lag: bool) -> Floats:
+def _linear(log: Observations, theta: Floats, lag: bool) -> Floats:
     """z of a servo without friction (N)."""
     A, B, _ = discretised(theta[None], log.step, lag)
     F, b = A[0, :2, :2], B[0, :2, 0]
@@ -135,7 +140,7 @@ def _linear(log: Heard, theta: Floats, lag: bool) -> Floats:
 # --- The gap
 
 
-def _gapped(log: Heard, ticked: Heard, one: Servo) -> Servo:
+def _gapped(log: Observations, ticked: Observations, one: Servo) -> Servo:
     """A servo with the median of the gaps of its reversals."""
     gap = crossings_of(ticked, one, free=True).median / ticked.y_scale
     if log.ticks:
@@ -144,7 +149,7 @@ def _gapped(log: Heard, ticked: Heard, one: Servo) -> Servo:
     return one.changed(At.GAP, max(gap - 2 * REACH * rms, rms)).changed(At.NOISE, math.log(rms))
 
 
-def with_gap(log: Heard, begun: Sequence[Servo]) -> list[Servo]:
+def with_gap(log: Observations, begun: Sequence[Servo]) -> list[Servo]:
     """The likeliest structures with a gap, within `REACHED` of BIC, best first.
 
     Args:

@@ -18,11 +18,11 @@ import numpy as np
 from undeadzone.analysis.certificate.passivity import certify, recheck, stated_margin
 from undeadzone.analysis.error_dynamics import dynamics
 from undeadzone.errors import FileError, InputError, ProofError, ShapeError
-from undeadzone.linear.matrices import Matrices
-from undeadzone.support import shown, toml
-from undeadzone.support.arrays import Floats, matrix, vector
-from undeadzone.support.files import read_text, reason, write_text
-from undeadzone.support.own_files import marked
+from undeadzone.linalg.matrices import Matrices
+from undeadzone.util import shown, toml
+from undeadzone.util.arrays import Floats, matrix, vector
+from undeadzone.util.files import read_text, reason, write_text
+from undeadzone.util.own_files import marked
 
 Matrix = list[list[float]]
 

@@ -32,7 +32,7 @@ from undeadzone.analysis.error_dynamics import (
     identity_storage,
 )
 from undeadzone.errors import InputError
-from undeadzone.support.arrays import Floats, matrix, vector
+from undeadzone.util.arrays import Floats, matrix, vector
 
 FLOOR = 1e-6  # smallest multiplier that is minimised to, in its own unit
 CEILING = 1e6  # the largest

@@ -14,10 +14,10 @@ from undeadzone.analysis.certificate.weights import response, worst
 from undeadzone.analysis.dissipation import LEAST
 from undeadzone.analysis.error_dynamics import Dynamics, balance, dynamics
 from undeadzone.errors import StructureError
-from undeadzone.linear.matrices import Matrices
-from undeadzone.linear.riccati import storage_of
+from undeadzone.linalg.matrices import Matrices
+from undeadzone.linalg.riccati import storage_of
 from undeadzone.numerics.semidefinite import minimise, symmetric
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 CUTS = 200  # rounds of cutting planes, at most
 SHARES = (1.0, 0.99, 0.9, 0.5, 0.1, 0.0)  # of the nearest L, until one is proved

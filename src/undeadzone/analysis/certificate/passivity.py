@@ -25,10 +25,10 @@ from undeadzone.analysis.error_dynamics import (
     identity_storage,
 )
 from undeadzone.errors import StructureError
-from undeadzone.linear.matrices import Matrices, delta, similar
-from undeadzone.linear.riccati import storage_of
+from undeadzone.linalg.matrices import Matrices, delta, similar
+from undeadzone.linalg.riccati import storage_of
 from undeadzone.plants.system import state_units
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 
 class Certificate(NamedTuple):

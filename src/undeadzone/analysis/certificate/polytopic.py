@@ -25,8 +25,8 @@ from undeadzone.errors import InputError, StructureError
 from undeadzone.numerics.semidefinite import minimise, symmetric
 from undeadzone.plants.region import Box
 from undeadzone.plants.system import System
-from undeadzone.support import tree
-from undeadzone.support.arrays import Floats, Integers
+from undeadzone.util import tree
+from undeadzone.util.arrays import Floats, Integers
 
 PARTS = 200_000  # of the box that are looked at before a proof is given up
 ROUNDS = 12  # searches for V, each with Jacobians that the last V missed

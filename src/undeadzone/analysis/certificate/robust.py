@@ -23,8 +23,8 @@ from undeadzone.analysis.certificate.driven import (
     prove,
 )
 from undeadzone.analysis.dissipation import NOTHING, Check, Inequality, check
-from undeadzone.linear.matrices import Matrices, delta
-from undeadzone.support.arrays import Floats, matrix
+from undeadzone.linalg.matrices import Matrices, delta
+from undeadzone.util.arrays import Floats, matrix
 
 
 class Gain(NamedTuple):

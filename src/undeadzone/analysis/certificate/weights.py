@@ -15,7 +15,7 @@ import numpy as np
 from undeadzone.analysis.dissipation import LEAST, Inequality, optimise
 from undeadzone.analysis.error_dynamics import Dynamics
 from undeadzone.numerics.semidefinite import minimise
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 SEARCHES: Final = 20  # steps of Dinkelbach's iteration, at most
 CUTS: Final = 200  # rounds of cutting planes, at most

@@ -17,7 +17,7 @@ import numpy as np
 from undeadzone.analysis.convergence.floquet import exponential, power
 from undeadzone.analysis.error_dynamics import Dynamics, Storage, growth, pattern
 from undeadzone.errors import InputError
-from undeadzone.support.arrays import Floats, Integers
+from undeadzone.util.arrays import Floats, Integers
 
 ROUNDING = 1e-9  # of V: what V may rise by in one switch before it counts
 GROUPS = 200  # of trajectories, which share their modes; one in 20 takes the worst mode on offer

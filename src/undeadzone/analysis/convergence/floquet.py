@@ -12,11 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from undeadzone.analysis.branch_schedule import Schedule, merged
 from undeadzone.analysis.error_dynamics import dynamics, pattern
-from undeadzone.analysis.identifiability.linear import Invisible, invisible
-from undeadzone.analysis.side_schedule import Schedule, merged
-from undeadzone.linear.matrices import Matrices
-from undeadzone.support.arrays import Floats
+from undeadzone.analysis.identifiability.linear import Unobservable, invisible
+from undeadzone.linalg.matrices import Matrices
+from undeadzone.util.arrays import Floats
 
 NEUTRAL = 1e-9  # a multiplier whose logarithm is smaller neither grows nor decays
 EXPONENTIAL_TERMS = 10  # of the exponential series, exact to rounding for arguments of norm 1/8
@@ -108,7 +108,7 @@ def _without_bound(unknowns: int, schedule: Schedule) -> Rates:
 
 
 def _modes(
-    M: Floats, size: Floats, hidden: Invisible, part: np.ndarray
+    M: Floats, size: Floats, hidden: Unobservable, part: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
     """The multipliers of the monodromy matrix M e^size.
 

@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from undeadzone.analysis.branch_schedule import Schedule, merged
 from undeadzone.analysis.convergence.falsify import Cycle, Mode, passages
 from undeadzone.analysis.convergence.floquet import error_matrices, power, product, transitions
 from undeadzone.analysis.error_dynamics import Dynamics, Storage, pattern
-from undeadzone.analysis.side_schedule import Schedule, merged
-from undeadzone.support.arrays import Floats, Integers
+from undeadzone.util.arrays import Floats, Integers
 
 SWITCHES = 120  # of a trajectory
 PIECES = 10  # between two switches, unless that is less than a sample

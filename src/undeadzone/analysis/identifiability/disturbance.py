@@ -23,7 +23,7 @@ from undeadzone.signals.exosystem import (
     Trapezoid,
     exosystem,
 )
-from undeadzone.support.arrays import Array, Floats
+from undeadzone.util.arrays import Array, Floats
 
 CONSTANT = 0.01  # of samples' size, above which their mean counts as a constant
 POINTS: Final = 4096  # of a run, at which a signal is looked at

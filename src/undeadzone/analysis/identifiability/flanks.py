@@ -14,7 +14,7 @@ import numpy as np
 
 from undeadzone.analysis.identifiability.linear import Verdict
 from undeadzone.plants.robots.arm import Arm, torque
-from undeadzone.support.arrays import Flags, Floats, runs
+from undeadzone.util.arrays import Flags, Floats, runs
 
 SHARE = 0.02  # of the largest torque at a joint: a smaller one presses on no flank
 HEARD = 0.2  # of a motor's friction: what its encoder tells of a smaller load is lost in that

@@ -9,13 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from undeadzone.analysis.branch_schedule import Schedule, merged
 from undeadzone.analysis.error_dynamics import pattern
 from undeadzone.analysis.identifiability.disturbance import Colour
-from undeadzone.analysis.identifiability.linear import Invisible, invisible
-from undeadzone.analysis.side_schedule import Schedule, merged
-from undeadzone.linear.hold import sampled_noise
-from undeadzone.linear.matrices import Matrices
-from undeadzone.support.arrays import Floats
+from undeadzone.analysis.identifiability.linear import Unobservable, invisible
+from undeadzone.linalg.hold import sampled_noise
+from undeadzone.linalg.matrices import Matrices
+from undeadzone.util.arrays import Floats
 
 NO_WIDTH = 1e-8  # edge below which there is none: information of it would not be solved for
 EXACT = 1e-6  # of an edge: the least rms that a reading is taken to have
@@ -49,7 +49,7 @@ class Deviations(NamedTuple):
     widths: list[dict[str, float]]
     states: Floats
     covariance: Floats
-    hidden: Invisible
+    hidden: Unobservable
 
 
 class Readings(NamedTuple):

@@ -13,11 +13,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from undeadzone.analysis.branch_schedule import Schedule
 from undeadzone.analysis.error_dynamics import pattern
-from undeadzone.analysis.side_schedule import Schedule
-from undeadzone.ends.sensor import DIRECTIONS
-from undeadzone.linear.matrices import Matrices, delta, sizes
-from undeadzone.support.arrays import Floats
+from undeadzone.linalg.matrices import Matrices, delta, sizes
+from undeadzone.nonlinearities.sensor import DIRECTIONS
+from undeadzone.util.arrays import Floats
 
 RARE = 0.1  # share of exact readings beyond the edges, below which a verdict says so
 MARGIN = 0.05  # by which a cure passes an edge, relative to the edge
@@ -142,7 +142,7 @@ TOLERANCE = 1e-11
 PRESENT = 1e-7  # see `Invisible`
 
 
-class Invisible(NamedTuple):
+class Unobservable(NamedTuple):
     """Changes of the unknowns that no reading shows.
 
     Attributes:
@@ -195,11 +195,11 @@ class Invisible(NamedTuple):
             std[name] = float(np.sqrt(g @ pair @ g)) if self.width(i, name) else np.inf
         return std
 
-    def within(self, part: np.ndarray) -> Invisible:
+    def within(self, part: np.ndarray) -> Unobservable:
         """Those that leave every unknown outside `part` (bool) as it is."""
         return self._replace(basis=self.basis @ kernel(self.basis[~part], self.present))
 
-    def told(self, rows: Floats) -> Invisible:
+    def told(self, rows: Floats) -> Unobservable:
         """Those that stay once more is known of [x(0); d] than readings tell (k x n + 2p)."""
         part = self.scale[: rows.shape[1], None] * self.basis[: rows.shape[1]]
         size = np.linalg.norm(rows * self.scale[: rows.shape[1]], axis=1, keepdims=True)
@@ -254,7 +254,7 @@ def invisible(
     bias: Floats | None = None,
     jump: bool = False,
     drives: Sequence[Floats] | None = None,
-) -> Invisible:
+) -> Unobservable:
     """The changes of [x(0); d; beta] that no reading shows.
 
     They solve A x + B_b beta in U, C_i x = d_ri and C_i x = -d_li on the visited sides, where U is
@@ -289,7 +289,7 @@ def invisible(
         S = 0 * pattern(tuple(sides)) if jump else pattern(tuple(sides))
         rows.append(np.hstack([C * np.abs(sides)[:, None], -S, np.zeros((p, B.shape[2]))]))
     basis = kernel(np.vstack(rows), tolerance)
-    return Invisible(basis, np.concatenate([state, np.repeat(output, 2), rate / drive]), n)
+    return Unobservable(basis, np.concatenate([state, np.repeat(output, 2), rate / drive]), n)
 
 
 def verdicts(

@@ -14,7 +14,7 @@ import numpy as np
 from undeadzone.analysis.convergence.floquet import exponential
 from undeadzone.compile import interpret
 from undeadzone.plants.system import System
-from undeadzone.support.arrays import Floats, Integers
+from undeadzone.util.arrays import Floats, Integers
 
 TOLERANCE = 1e-9, 1e-4  # share of information that counts as none, with exact steps and others
 WORK = 5e7  # products and sums spent on exact derivatives; more, and samples are thinned

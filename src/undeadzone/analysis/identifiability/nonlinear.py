@@ -15,7 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from undeadzone.analysis.branch_schedule import reading, reading_levels, recorded
 from undeadzone.analysis.identifiability import linear
+from undeadzone.analysis.identifiability.indistinguishable import second_truth
 from undeadzone.analysis.identifiability.information import EXACT, scale_of
 from undeadzone.analysis.identifiability.linear import (
     largest_deviations,
@@ -24,11 +26,9 @@ from undeadzone.analysis.identifiability.linear import (
     vague,
 )
 from undeadzone.analysis.identifiability.linearised_run import LinearisedRun, linearised, symmetric
-from undeadzone.analysis.identifiability.second_truth import second_truth
-from undeadzone.analysis.side_schedule import reading, reading_levels, recorded
-from undeadzone.ends.sensor import DIRECTIONS, Zone
+from undeadzone.nonlinearities.sensor import DIRECTIONS, Zone
 from undeadzone.plants.system import System
-from undeadzone.support.arrays import Floats, Integers
+from undeadzone.util.arrays import Floats, Integers
 
 
 def beforehand(
@@ -171,7 +171,7 @@ def _confounded(
     return [start + _state_shift(model, known, i, lost[0], what, rest)]
 
 
-def _caused_by(part: np.ndarray, hidden: linear.Invisible, i: int, edges: list[str]) -> bool:
+def _caused_by(part: np.ndarray, hidden: linear.Unobservable, i: int, edges: list[str]) -> bool:
     """Whether edges of output i would be known if these unknowns were (part: bool, one each)."""
     return bool(part.any()) and all(hidden.within(~part).width(i, name) for name in edges)
 
@@ -233,7 +233,7 @@ class Observability(NamedTuple):
     """
 
     root: Floats
-    hidden: linear.Invisible
+    hidden: linear.Unobservable
     follow: Floats
     singular: Floats
     tolerance: float
@@ -295,7 +295,7 @@ def observability(
     known = singular > run.tolerance
     spread = scale[n:, None] * W[known].T / singular[known]
     follow = -scale[:n, None] * (V[felt].T / s[felt]) @ explained / scale[n:]
-    hidden = linear.Invisible(W[~known].T, scale[n:], 0, max(linear.PRESENT, 10 * run.tolerance))
+    hidden = linear.Unobservable(W[~known].T, scale[n:], 0, max(linear.PRESENT, 10 * run.tolerance))
     return Observability(R, hidden, follow, singular, run.tolerance, spread @ spread.T)
 
 

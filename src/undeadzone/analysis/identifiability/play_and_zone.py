@@ -10,15 +10,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from undeadzone.analysis.branch_schedule import Schedule
 from undeadzone.analysis.identifiability.information import EXACT, Readings, deviations, padded
 from undeadzone.analysis.identifiability.linear import Verdict, invisible, unreached
-from undeadzone.analysis.side_schedule import Schedule
-from undeadzone.ends.sensor import DIRECTIONS
-from undeadzone.linear.matrices import Matrices
-from undeadzone.support.arrays import Floats
+from undeadzone.linalg.matrices import Matrices
+from undeadzone.nonlinearities.sensor import DIRECTIONS
+from undeadzone.util.arrays import Floats
 
 
-class Told(NamedTuple):
+class WidthInformation(NamedTuple):
     """What readings tell of one output.
 
     Attributes:
@@ -104,7 +104,9 @@ def _twofold(linear: Matrices, readings: Readings) -> Readings:
     )
 
 
-def told_of_both(linear: Matrices, schedule: Schedule, readings: Readings) -> list[Told]:
+def told_of_both(
+    linear: Matrices, schedule: Schedule, readings: Readings
+) -> list[WidthInformation]:
     """What the readings along a schedule tell of gaps and widths of each output.
 
     Args:
@@ -135,7 +137,7 @@ def told_of_both(linear: Matrices, schedule: Schedule, readings: Readings) -> li
             *_mixed(zone, gap, both, readings.gaps_known),
         )
         told_of_zone = Verdict(**zone, reasons=reasons, std=expected.widths[2 * i])
-        each.append(Told(told_of_zone, Verdict(**gap, reasons=()), both, gap_std))
+        each.append(WidthInformation(told_of_zone, Verdict(**gap, reasons=()), both, gap_std))
     return each
 
 

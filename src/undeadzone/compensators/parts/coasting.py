@@ -12,12 +12,12 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.catalogue import Options
-from undeadzone.ends.actuator import Belief, Drive
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Compensator, Estimate, Reading
+from undeadzone.nonlinearities.actuator import Belief, Drive
 from undeadzone.plants.system import System
-from undeadzone.support.arrays import Floats, scalar
+from undeadzone.registry import Options
+from undeadzone.util.arrays import Floats, scalar
 
 VISIBLE = 0.25  # share of the largest reading of late from which an output is well visible
 FORGET = 0.2  # share of the largest reading that is forgotten from one coast to the next

@@ -14,14 +14,14 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.ends.sensor import Zone, offset, side
 from undeadzone.errors import InputError
 from undeadzone.feedforward.flank_path import crossing, led, turned
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
+from undeadzone.nonlinearities.sensor import Zone, offset, side
 from undeadzone.plants.system import System
-from undeadzone.support import tree
-from undeadzone.support.arrays import scalar
+from undeadzone.util import tree
+from undeadzone.util.arrays import scalar
 
 KEY = "behind_play"
 ROUNDING = 1e-9  # share of r by which it may change without a turn

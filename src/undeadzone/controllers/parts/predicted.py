@@ -19,13 +19,13 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.ends.actuator import Belief, through_line, through_zone
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
-from undeadzone.plants.system import System, held
-from undeadzone.support import tree
-from undeadzone.support.arrays import LARGEST, Floats
+from undeadzone.nonlinearities.actuator import Belief, through_line, through_zone
+from undeadzone.plants.system import System, held_inputs
+from undeadzone.util import tree
+from undeadzone.util.arrays import LARGEST, Floats
 
 
 class Ahead(NamedTuple):
@@ -79,7 +79,7 @@ def predicting(controller: Controller, model: System, belief: Belief | None) -> 
     def init(q: Any) -> State:
         return State(controller.init(tree.parted(q, kind)), np.zeros(model.delay * model.m))
 
-    numbers = Ahead(model.params, held(model), low, high)
+    numbers = Ahead(model.params, held_inputs(model), low, high)
     params = tree.joined(controller.params, "ahead", numbers)
     step = partial(step_ahead, controller, model)
     return controller._replace(params=params, init=init, step=step)

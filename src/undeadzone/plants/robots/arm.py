@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.support.arrays import Floats, scalar
+from undeadzone.util.arrays import Floats, scalar
 
 Numbers = Mapping[str, Any]  # an arm's parameters, by name
 SIGNLESS = r"payload|([mlIJkbf]|half|inertia|friction|viscous|contact)\d*"  # those without a sign

@@ -14,13 +14,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from undeadzone.ends.limits import paired
 from undeadzone.errors import InputError
+from undeadzone.nonlinearities.limits import paired
 from undeadzone.plants.options import URDF, ArmOptions, ElasticJoint, OneLink, Plant, Rigid
 from undeadzone.plants.robots.arm import Arm, Chain, Numbers, acceleration, arm, numbers, torque
 from undeadzone.plants.robots.geared import Geared, geared_motion
 from undeadzone.plants.system import Flat, System, linearised
-from undeadzone.support.arrays import Array, Floats, array, positive, scalar, vector
+from undeadzone.util.arrays import Array, Floats, array, positive, scalar, vector
 
 POSTURES = 8  # random ones, in which the mass matrix is checked
 POSITIVE = "mlIJk"  # first letters of masses, lengths, inertias and a spring's stiffness

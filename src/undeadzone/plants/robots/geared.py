@@ -22,7 +22,7 @@ import msgspec
 import numpy as np
 
 from undeadzone.plants.robots.arm import Arm, Chain, acceleration, arm, numbers
-from undeadzone.support.arrays import Array, Floats, nonnegative, positive, scalar, vector
+from undeadzone.util.arrays import Array, Floats, nonnegative, positive, scalar, vector
 
 
 class Gears(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -14,7 +14,7 @@ from undeadzone.errors import InputError
 from undeadzone.plants.robots import urdf
 from undeadzone.plants.robots.arm import Arm, arm, evaluate_rows
 from undeadzone.plants.robots.urdf_elements import MOVABLE, Joint, Robot, read
-from undeadzone.support.arrays import Array, Floats, vector
+from undeadzone.util.arrays import Array, Floats, vector
 
 POSTURES = 4096  # random ones, from the best of which the reach is climbed
 CLIMBS = 8

@@ -16,7 +16,7 @@ import numpy as np
 from undeadzone.errors import FileError, InputError
 from undeadzone.plants.robots.arm import Chain, Numbers
 from undeadzone.plants.robots.urdf_elements import MOVABLE, Body, Joint, Robot, read, suggest
-from undeadzone.support.arrays import Array, Floats, vector
+from undeadzone.util.arrays import Array, Floats, vector
 
 # Entries this close to 0 (cos(pi/2) of a file's digits), or to 1 and -1, become it: each would cost
 # products in every step.

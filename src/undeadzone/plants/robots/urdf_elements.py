@@ -15,8 +15,8 @@ from xml.etree.ElementTree import Element, ParseError, fromstring
 import numpy as np
 
 from undeadzone.errors import FileError
-from undeadzone.support.arrays import Floats, numeric
-from undeadzone.support.files import read_bytes, reason
+from undeadzone.util.arrays import Floats, numeric
+from undeadzone.util.files import read_bytes, reason
 
 MOVABLE = "revolute", "continuous", "prismatic"
 TRIANGLE = 1e-9  # of an inertia's largest principal moment: rounding of the file's digits

@@ -12,7 +12,7 @@ import numpy as np
 from undeadzone.errors import StepError
 from undeadzone.interfaces import NONE
 from undeadzone.plants.system import System
-from undeadzone.support.arrays import Floats, scalar
+from undeadzone.util.arrays import Floats, scalar
 
 
 class Law(NamedTuple):

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from undeadzone.support import tree
+from undeadzone.util import tree
 
 FAR = 1e300  # a bound that bounds nothing
 

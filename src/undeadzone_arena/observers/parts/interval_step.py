@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.ends.sensor import Zone, present
 from undeadzone.interfaces import Estimate, Observer, Reading, Traits, estimate
+from undeadzone.nonlinearities.sensor import Zone, present
 from undeadzone.plants.system import System
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 from undeadzone_arena.observers.parts.boxes import FAR, Bounds, Boxes, cut, each, meet
 from undeadzone_arena.observers.parts.modal_form import turned
 

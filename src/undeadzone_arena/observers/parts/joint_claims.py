@@ -9,13 +9,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from undeadzone.catalogue import Options
-from undeadzone.ends import sensor as sensors
-from undeadzone.ends.sensor import Zone, inverse
 from undeadzone.interfaces import Estimate, Reading
+from undeadzone.nonlinearities import sensor as sensors
+from undeadzone.nonlinearities.sensor import Zone, inverse
 from undeadzone.numerics.gaussian import CLIP, TAIL
-from undeadzone.observers.parts.augmented_state import agitation, quarter_period
-from undeadzone.observers.parts.prior import (
+from undeadzone.observers.filtering.augmented_state import agitation, quarter_period
+from undeadzone.observers.filtering.prior import (
     GLITCHES,
     Doubt,
     Prior,
@@ -24,7 +23,8 @@ from undeadzone.observers.parts.prior import (
     width_ranges,
 )
 from undeadzone.plants.system import System
-from undeadzone.support.arrays import Array, Floats, nonnegative, scalar
+from undeadzone.registry import Options
+from undeadzone.util.arrays import Array, Floats, nonnegative, scalar
 
 CROWD = 100  # readings in a quarter period beyond which each is given more noise
 

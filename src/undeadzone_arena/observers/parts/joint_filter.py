@@ -8,11 +8,12 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from undeadzone.ends.sensor import Zone, present
 from undeadzone.interfaces import Observer, Reading, no_further
+from undeadzone.nonlinearities.sensor import Zone, present
 from undeadzone.numerics.gaussian import Gaussian, Weighed, symmetric, together
-from undeadzone.observers.parts.augmented_state import counted_prior, even_units, shown_states
-from undeadzone.observers.parts.gaussian_filter import (
+from undeadzone.observers.filtering.augmented_state import counted_prior, even_units, shown_states
+from undeadzone.observers.filtering.consistency import Member, Step, with_consistency_tests
+from undeadzone.observers.filtering.gaussian_filter import (
     Params,
     clipped,
     filter_numbers,
@@ -21,9 +22,13 @@ from undeadzone.observers.parts.gaussian_filter import (
     to_estimate,
     white,
 )
-from undeadzone.observers.parts.judged_filter import Member, Step, judged
-from undeadzone.observers.parts.prior import doubt_numbers, glitch_share
-from undeadzone.observers.parts.recovery import Patience, patient, reopened, sound
+from undeadzone.observers.filtering.prior import doubt_numbers, glitch_share
+from undeadzone.observers.filtering.recovery import (
+    RejectionRate,
+    inflate_covariance,
+    reset_if_invalid,
+    start_rejection_rate,
+)
 from undeadzone.plants.system import System, in_units
 from undeadzone_arena.observers.parts.joint_claims import JointPrior, read
 
@@ -68,7 +73,7 @@ class State(NamedTuple):
 
     mean: Any
     cov: Any
-    patience: Patience
+    patience: RejectionRate
 
 
 def joint_filter(
@@ -117,10 +122,12 @@ def joint_filter(
         shown, fits = clipped(model.n, q, belief, share > 0)
         estimated = to_estimate(model, sensor, q, shown, reading, known.e, known.std)
         after = predict(belief, *motion(model, q, augmentation, belief, lambda X: u))
-        mean, cov, restarted = sound(q, entries, after)
+        mean, cov, restarted = reset_if_invalid(q, entries, after)
         patience = s.patience
         if share > 0:
-            cov, patience = reopened(q, model, 0, entries, cov, patience, seen, known.trust)
+            cov, patience = inflate_covariance(
+                q, model, 0, entries, cov, patience, seen, known.trust
+            )
         state = State(mean, cov, patience)
         return Step(
             state=state,
@@ -132,8 +139,10 @@ def joint_filter(
             opened=patience.opened == 1,
         )
 
-    member = Member(params, lambda q: State(q.mean, q.cov, patient(model.p)), step)
-    return shown_states(judged(member, model, widens=share > 0, recovers=False), units)
+    member = Member(params, lambda q: State(q.mean, q.cov, start_rejection_rate(model.p)), step)
+    return shown_states(
+        with_consistency_tests(member, model, widens=share > 0, recovers=False), units
+    )
 
 
 def reading_of(model: System, kind: str, q: Params, i: int, X: Any) -> Any:

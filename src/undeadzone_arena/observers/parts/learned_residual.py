@@ -13,17 +13,17 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.catalogue import Options
-from undeadzone.ends.limits import Limits
-from undeadzone.ends.sensor import Zone, present
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate, Observer, Reading, Traits, exact
+from undeadzone.nonlinearities.limits import Limits
+from undeadzone.nonlinearities.sensor import Zone, present
 from undeadzone.numerics.gaussian import linearise
 from undeadzone.plants.system import System
-from undeadzone.support.arrays import Array, Floats, positive
+from undeadzone.registry import Options
+from undeadzone.util.arrays import Array, Floats, positive
 from undeadzone_arena.approximators import Basis
+from undeadzone_arena.gain_defaults import in_poles, injection, width_hiding_speed
 from undeadzone_arena.observers.parts.adaptive_laws import Law, gradient
-from undeadzone_arena.speeds import hiding, in_poles, injection
 
 
 class Compensator(NamedTuple):
@@ -259,7 +259,7 @@ def by_gradient(
     Raises:
         InputError, ShapeError, StructureError: for options that cannot be.
     """
-    L = injection(model, options.L, options.poles, options.speed, hiding(model, poles))
+    L = injection(model, options.L, options.poles, options.speed, width_hiding_speed(model, poles))
     rate = in_poles(model, "observer.gain", options.gain, gain)
     law = gradient(model, rate, options.leak, compensator.size)
     return learning(model, sensor, L, compensator, law, filtered=options.filtered)

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 
 class Modes(NamedTuple):

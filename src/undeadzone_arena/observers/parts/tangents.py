@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.plants.system import System
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 
 class Tangents(NamedTuple):

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.support.arrays import Floats
+from undeadzone.util.arrays import Floats
 
 # Of OSQP, whose own tolerance is 1e-3.
 TIGHT = {"verbose": False, "eps_abs": 1e-6, "eps_rel": 1e-6, "max_iter": 20000}

@@ -1,0 +1,105 @@
+"""What readings tell of dead zones at both ends: the sensor's widths and the actuator's.
+
+With b = [b_r; b_l] of every input among the unknowns, a change (v, c, b) stays invisible where
+A v - B chi_j b lies in U for each mode j that the actuator visits, chi = (m_r, 0) on the right,
+(0, -m_l) on the left, 0 where it is silent (docs/actuator.md has the proof).
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from undeadzone.analysis.branch_schedule import Schedule
+from undeadzone.analysis.identifiability.linear import Verdict, invisible
+from undeadzone.linalg.matrices import Matrices
+from undeadzone.nonlinearities.actuator import Drive, through_zone
+from undeadzone.nonlinearities.sensor import DIRECTIONS
+from undeadzone.util.arrays import Floats
+
+
+class BothEnds(NamedTuple):
+    """What readings tell of both ends.
+
+    Attributes:
+        outputs: of each output's sensor.
+        inputs: of each input's actuator.
+    """
+
+    outputs: list[Verdict]
+    inputs: list[Verdict]
+
+
+def modes_visited(u: Floats, visible: np.ndarray, drive: Drive, least: int) -> Floats:
+    """The modes of the actuators that last, while an output is visible (K x m).
+
+    Args:
+        u: commands (N x m) [u].
+        visible: whether an output is read on a side (N).
+        drive: the true actuator.
+        least: a mode counts if it lasts, in all, for more than this many samples.
+
+    Returns:
+        +1 right, -1 left, 0 silent of each input.
+    """
+    sides = np.sign(through_zone(np, u, drive))[visible]
+    modes, counts = np.unique(sides, axis=0, return_counts=True)
+    return np.asarray(modes[counts > least])
+
+
+def both_ends(
+    linear: Matrices,
+    schedule: Schedule,
+    modes: Floats,
+    drive: Drive,
+    bias: Floats | None = None,
+) -> BothEnds:
+    """What the readings tell of the widths of sensor and actuator.
+
+    Args:
+        linear: A, B, C of the plant, of one step if sampled.
+        schedule: of the sensor's sides.
+        modes: of the actuators that were visited (K x m).
+        drive: the actuator, for its slopes.
+        bias: directions (n x b) of unknown constant inputs.
+    """
+    n, m = linear.B.shape
+    visited = schedule.visited(n)
+    constant = np.zeros((n, 0)) if bias is None else bias
+    drives = [np.hstack([constant, _entering(linear.B, mode, drive)]) for mode in modes]
+    hidden = invisible(linear, visited, schedule.Ts, drives=drives or [constant])
+    first = n + 2 * len(visited) + constant.shape[1]
+    outputs = [Verdict(**hidden.widths(i), reasons=()) for i in range(len(visited))]
+    inputs = []
+    for i in range(m):
+        seen: dict[str, Any] = {}
+        for name, pair in DIRECTIONS.items():
+            direction = np.zeros(hidden.scale.size)
+            if drives:
+                direction[[first + i, first + m + i]] = pair
+            seen[name] = bool(drives) and hidden.sees(direction)
+        inputs.append(Verdict(**seen, reasons=()))
+    reason = _reason(outputs, inputs, modes)
+    return BothEnds(*([one._replace(reasons=reason) for one in part] for part in (outputs, inputs)))
+
+
+def _entering(B: Floats, mode: Floats, drive: Drive) -> Floats:
+    """-B chi of a mode (m): what the widths, right ones then left ones, take off x' (n x 2m)."""
+    right = -drive.slope_right * (mode > 0)
+    left = drive.slope_left * (mode < 0)
+    return np.hstack([B * right, B * left])
+
+
+def _reason(outputs: list[Verdict], inputs: list[Verdict], modes: Floats) -> tuple[str, ...]:
+    """Why a width stays unknown, and what tells it."""
+    centres = [one.centre for one in (*outputs, *inputs)]
+    if all(centres):
+        return ()
+    silent = [bool((modes[:, i] == 0).any()) for i in range(modes.shape[1])] if len(modes) else []
+    if not all(silent) or not silent:
+        return (
+            "the inverse never lets the actuator fall silent while the output is read, so a shift "
+            "of its zone cannot be told from one of the sensor's; coast: compensator.coast = 0.4",
+        )
+    return ("a shift of the zones cannot be told from a shift of the state",)

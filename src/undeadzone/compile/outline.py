@@ -1,0 +1,173 @@
+"""A long step as functions of some thousand instructions each.
+
+LLVM takes the longer for an instruction the longer its function is. What a function is given, and
+what it leaves for a later one or for the end of the step, stands in a frame: vectors of doubles.
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+from collections import defaultdict
+from collections.abc import Callable, Container, Iterator
+from typing import Final
+
+from undeadzone.compile.graph import STILL, Node
+from undeadzone.compile.machine import Form
+from undeadzone.compile.print_llvm import Names, Text, in_lanes, plain, store_value
+from undeadzone.compile.schedule import Branch
+
+_POINTERS: Final = ("frame", "sp", "sq")
+
+Order = list[Node | Branch]
+
+
+class Pieces:
+    """The functions of a step of one group of lanes.
+
+    Args:
+        order: of the instructions.
+        results: what is wanted of them.
+        form: of the kernel.
+    """
+
+    def __init__(self, order: Order, results: list[Node], form: Form) -> None:
+        self._orders, self._lanes = list(_cut(order, form.piece)), form.lanes
+        self._made: dict[Node, int] = {}
+        for at, piece in enumerate(self._orders):
+            self._made.update(dict.fromkeys(_instructions(piece), at))
+        self._last = self._last_uses(results)
+        self._places: dict[Node, int] = {}
+        self.numbers = self._placed() * form.lanes  # that the frame holds
+
+    def _last_uses(self, results: list[Node]) -> dict[Node, int]:
+        """The last function that is given a value; the end of the step counts as one more."""
+        last: dict[Node, int] = {}
+        for at, piece in enumerate(self._orders):
+            for node in _operands(piece):
+                if node.level >= STILL and self._made.get(node) != at:
+                    last[node] = at
+        return last | {node: len(self._orders) for node in results if node in self._made}
+
+    def _placed(self) -> int:
+        """Find a place in the frame for each value that needs one; how many places there are."""
+        begin: dict[int, list[Node]] = defaultdict(list)
+        end: dict[int, list[Node]] = defaultdict(list)
+        for node, last in self._last.items():
+            begin[self._made.get(node, -1)].append(node)
+            end[last].append(node)
+        free: list[int] = []
+        fresh = itertools.count()
+        for at in range(-1, len(self._orders)):
+            for node in begin[at]:
+                self._places[node] = heapq.heappop(free) if free else next(fresh)
+            for node in end[at]:
+                heapq.heappush(free, self._places[node])
+        return next(fresh)
+
+    def called(self, text: Text, source: Names) -> Names:
+        """Print the calls; what names the results.
+
+        Args:
+            text: where they are printed; %frame, %sp and %sq are there.
+            source: names what functions are given.
+        """
+        for node in self._last:
+            if node not in self._made:
+                self._leave(text, node, source(node))
+        for at in range(len(self._orders)):
+            text.line(f"call void @piece{at}({_pointers('ptr')})")
+        return self._source(text, self._made, source)
+
+    def functions(self, declared: dict[str, str], tables: Callable[[Text], Names]) -> list[str]:
+        """Their texts.
+
+        Args:
+            declared: what the module declares, by name.
+            tables: gives what names values of lower levels in a function, from %sp and %sq.
+        """
+        numbered = enumerate(self._orders)
+        texts = [Text(self._lanes, declared) for _ in self._orders]
+        return [self._function(at, piece, texts[at], tables) for at, piece in numbered]
+
+    def _function(self, at: int, piece: Order, text: Text, tables: Callable[[Text], Names]) -> str:
+        """The text of a function: values of the frame are loaded anew at every use."""
+        text.block = "entry"
+        have: dict[Node, str] = {}
+        frame = self._source(text, self._places, tables(text))
+
+        def source(node: Node) -> str:
+            return have[node] if node in have else frame(node)
+
+        for one in piece:
+            (names,) = in_lanes(text, [one], [source], False)
+            for node in one.leaving if isinstance(one, Branch) else (one,):
+                have[node] = names(node)
+                if node in self._places:
+                    self._leave(text, node, have[node])
+        head = f"define internal void @piece{at}({_pointers('ptr noalias')}) noinline #0 {{"
+        return "\n".join([head, "entry:", *text.lines, "  ret void", "}"])
+
+    def _leave(self, text: Text, node: Node, name: str) -> None:
+        """Print what keeps a value in the frame."""
+        address = text.at("%frame", self._places[node] * self._lanes)
+        text.store(store_value(text, node, name, vector=True), address, vector=True)
+
+    def _source(self, text: Text, within: Container[Node], otherwise: Names) -> Names:
+        """What names values: of the frame, or others."""
+
+        def source(node: Node) -> str:
+            if node not in within:
+                return otherwise(node)
+            address = text.at("%frame", self._places[node] * self._lanes)
+            return plain(text, node, text.load(address, vector=True), vector=True)
+
+        return source
+
+
+def _pointers(kind: str) -> str:
+    """What every function is given."""
+    return ", ".join([f"{kind} %{name}" for name in _POINTERS])
+
+
+def _instructions(order: Order) -> Iterator[Node]:
+    """The instructions, those of branches too."""
+    for one in order:
+        yield from one.nodes if isinstance(one, Branch) else (one,)
+
+
+def _operands(order: Order) -> Iterator[Node]:
+    """What instructions and branches use."""
+    for one in order:
+        if isinstance(one, Branch):
+            yield one.truth
+    for node in _instructions(order):
+        yield from node.args
+
+
+def _cut(order: Order, piece: int) -> Iterator[Order]:
+    """The instructions in parts of about so many."""
+    part: Order = []
+    length = 0
+    for one in itertools.chain.from_iterable(_short(one, piece) for one in order):
+        part.append(one)
+        length += len(one.nodes) if isinstance(one, Branch) else 1
+        if length >= piece:
+            yield part
+            part, length = [], 0
+    if part:
+        yield part
+
+
+def _short(one: Node | Branch, piece: int) -> Iterator[Node | Branch]:
+    """A branch as branches that are no longer than a function."""
+    if not isinstance(one, Branch) or len(one.nodes) <= piece:
+        yield one
+        return
+    wanted = set(one.leaving)
+    parts = []
+    for end in range(len(one.nodes), 0, -piece):
+        nodes = one.nodes[max(0, end - piece) : end]
+        parts.append(one._replace(nodes=nodes, leaving=[n for n in nodes if n in wanted]))
+        wanted.update(*(node.args for node in nodes))
+    yield from reversed(parts)

@@ -1,0 +1,110 @@
+"""Linear systems as matrices: x' = A x + B u, z = C x; and the scale of each state.
+
+The scale tells what is small from what is in a small unit.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from undeadzone.util.arrays import LARGEST, Floats
+
+
+class Matrices(NamedTuple):
+    """A linear system x' = A x + B u (or x+ = ... when sampled), z = C x.
+
+    Attributes:
+        A: (n x n).
+        B: (n x m).
+        C: (p x n).
+    """
+
+    A: Floats
+    B: Floats
+    C: Floats
+
+    @property
+    def dual(self) -> Matrices:
+        """(A', C', B'), whose state feedbacks are the observers' gains, transposed."""
+        return Matrices(self.A.T, self.C.T, self.B.T)
+
+
+def delta(linear: Matrices, Ts: float | None) -> Matrices:
+    """The matrices in delta form, (Ad - I) / Ts and Bd / Ts, which tend to A and B as Ts -> 0.
+
+    Args:
+        linear: a linear system; of one step if sampled.
+        Ts: sample time [s]; None in continuous time, where nothing changes.
+    """
+    if Ts is None:
+        return linear
+    A, B, C = linear
+    return Matrices((A - np.eye(A.shape[0])) / Ts, B / Ts, C)
+
+
+def companion(a: Any, b: Any = (1.0,)) -> Matrices:
+    """Companion form (15): A with last row -a, B = e_n, C = [b_0, b_1, ...].
+
+    Args:
+        a: coefficients of the denominator without the leading 1 (n), lowest first.
+        b: coefficients of the numerator (at most n), lowest first.
+    """
+    a, b = np.atleast_1d(a), np.atleast_1d(b)
+    n = a.size
+    A = np.eye(n, k=1)
+    A[-1] = -a
+    return Matrices(A, np.eye(n)[:, -1:], np.pad(b, (0, n - b.size))[None, :])
+
+
+def sizes(A: Floats, B: Floats, omega: float = 0.0) -> Floats:
+    """How large each state of x' = A x + B u is under a unit input near a frequency.
+
+    In these units plants differ by neither their unit of time nor those of their states. States
+    that B does not reach get the least size of the others.
+
+    Args:
+        A: (n x n).
+        B: (n x m).
+        omega: the frequency [rad/s]; 0: near the poles of A.
+
+    Returns:
+        The sizes (n).
+    """
+    rate = omega or float(np.abs(np.linalg.eigvals(A)).max()) or float(np.abs(A).max()) or 1.0
+    resolvent = (1 + 1j) * rate * np.eye(A.shape[0]) - A
+    size = np.linalg.norm(np.linalg.solve(resolvent, B.astype(complex)), axis=1)
+    if not (np.isfinite(size).all() and size.any()):
+        return np.ones_like(size)
+    reached = np.maximum(size, size.max() / LARGEST**2)
+    return np.where(size > 0, reached, reached[size > 0].min())
+
+
+def balancing(A: Floats) -> Floats:
+    """Units of the states of x' = A x, powers of two, in which rows and columns of A are alike.
+
+    LAPACK's gebal (Parlett and Reinsch 1969); 1 where A is not finite.
+    """
+    from scipy.linalg import matrix_balance
+
+    if not np.isfinite(A).all():
+        return np.ones(A.shape[0])
+    _, (units, _) = matrix_balance(A, permute=False, separate=True)
+    return np.asarray(units)
+
+
+def similar(A: Floats, units: Floats) -> Floats:
+    """The matrix of x' = A x for states that are measured in these units (n)."""
+    return A / units[:, None] * units
+
+
+def feedback_loops(A: Floats) -> Floats:
+    """A without the entries that are in no loop of states; it has the poles of A.
+
+    The other entries, such as x_1' = x_2 of an integrator, have units of their own.
+    """
+    n = A.shape[0]
+    linked = (A != 0) | np.eye(n, dtype=bool)
+    reach = np.linalg.matrix_power(linked.astype(float), n) > 0
+    return np.where(reach & reach.T, A, 0.0)

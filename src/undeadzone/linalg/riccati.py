@@ -1,0 +1,300 @@
+"""The Riccati equation (34), as printed and for control, and the Lyapunov equations beside it.
+
+They give the least gain that makes A - L C as fast as asked; by duality, A - B K.
+"""
+
+from __future__ import annotations
+
+import warnings
+from typing import NamedTuple
+
+import numpy as np
+
+from undeadzone.errors import InputError, StructureError
+from undeadzone.linalg.matrices import Matrices, delta, sizes
+from undeadzone.linalg.poles import slowest
+from undeadzone.util.arrays import Array, Floats, array, listed, matrix
+
+NEWTON = 10  # iterations of Newton's method, at most
+
+
+class Riccati(NamedTuple):
+    """A solution of a Riccati equation.
+
+    Attributes:
+        P: the solution (n x n).
+        K: the gain (m x n).
+        residual: of the equation, relative to its terms.
+        left: the same as it is (n x n).
+    """
+
+    P: Floats
+    K: Floats
+    residual: float
+    left: Floats
+
+
+class _Equation(NamedTuple):
+    """A Riccati equation: its matrices, and the step [s] if it is sampled."""
+
+    A: Floats
+    B: Floats
+    Q: Floats
+    R: Floats
+    Ts: float | None
+
+
+def weight(key: str, Q: Array, n: int, why: str = "states x states") -> Floats:
+    """Q as a symmetric positive definite n x n matrix.
+
+    Args:
+        key: named in errors.
+        Q: the matrix; a number q means q I, n numbers its diagonal.
+        n: its size.
+        why: what the rows and columns are, for the error.
+
+    Raises:
+        InputError: not numbers, not symmetric, or not positive definite.
+        ShapeError: another shape.
+    """
+    entries = array(key, Q)
+    if entries.ndim == 0 or entries.shape == (n,):
+        entries = np.diag(np.broadcast_to(entries, n))
+    weights = matrix(key, entries, n, n, why)
+    if not np.allclose(weights, weights.T):
+        raise InputError(f"{key}: must be symmetric")
+    least = np.linalg.eigvalsh(weights)[0]
+    if least <= 0:
+        raise InputError(f"{key}: must be positive definite, its least eigenvalue is {least:.4g}")
+    return weights
+
+
+def riccati(linear: Matrices, Q: Floats, R: Floats, Ts: float | None = None) -> Riccati:
+    """The stabilising P of A'P + PA - P B R^-1 B'P + Q = 0 and K = R^-1 B'P.
+
+    Sampled, P = A'PA - A'PB (R + B'PB)^-1 B'PA + Q and K = (R + B'PB)^-1 B'PA. scipy's answer is
+    improved by Newton's method (Kleinman 1968; Hewer 1971) for as long as the residual falls.
+
+    Args:
+        linear: the model, continuous or sampled; any number of inputs.
+        Q: weight of the states (n x n).
+        R: weight of the inputs (m x m).
+        Ts: step of a sampled model [s]; None: continuous.
+
+    Raises:
+        StructureError: there is no stabilising solution.
+    """
+    A, B = np.asarray(linear.A, float), np.asarray(linear.B, float)
+    Q, R = np.asarray(Q, float), np.atleast_2d(np.asarray(R, float))
+    equation = _Equation(A, B, Q, R, Ts)
+    best = _candidate(equation, _solution(equation))
+    for _ in range(NEWTON):
+        closed = A - B @ best.K
+        if best.residual == 0 or not slowest(np.linalg.eigvals(closed), Ts) < 0:
+            break
+        P = best.P + storage_of(closed, best.left, Ts)
+        candidate = _candidate(equation, (P + P.T) / 2)
+        if not candidate.residual < best.residual / 2:
+            break
+        best = candidate
+    return best
+
+
+def _solution(equation: _Equation) -> Floats:
+    """scipy's solution of a Riccati equation. Raises StructureError if there is none."""
+    from scipy.linalg import solve_continuous_are, solve_discrete_are
+
+    A, B, Q, R, Ts = equation
+    name = "Riccati equation" if Ts is None else "discrete Riccati equation"
+    solve = solve_continuous_are if Ts is None else solve_discrete_are
+    try:
+        return np.asarray(solve(A, B, Q, R))
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise StructureError(f"the {name} has no stabilising solution here: {error}") from None
+
+
+def _candidate(equation: _Equation, P: Floats) -> Riccati:
+    """A matrix put into the equation."""
+    A, B, Q, R, Ts = equation
+    terms: tuple[Floats, ...]
+    if Ts is None:
+        K = np.linalg.solve(R, B.T @ P)
+        terms = (A.T @ P, P @ A, -K.T @ R @ K, Q)
+    else:
+        K = np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)
+        terms = (A.T @ P @ A, -P, -(A.T @ P @ B) @ K, Q)
+    left = sum(terms[1:], terms[0])
+    scale = max(sum(np.linalg.norm(term) for term in terms), 1e-300)
+    return Riccati(P, K, float(np.linalg.norm(left) / scale), left)
+
+
+def riccati_along(A: Floats, B: Floats, Q: Floats, R: Floats, P: Floats) -> Floats:
+    """Gains of the sampled Riccati equation, backwards along a trajectory.
+
+    Args:
+        A, B: the model at each sample (N x n x n, N x n x m).
+        Q: weight of the states (n x n).
+        R: weight of the inputs (m x m).
+        P: the solution after the last sample (n x n).
+
+    Returns:
+        K (N x m x n).
+    """
+    K = np.empty(B.swapaxes(1, 2).shape)
+    for k in reversed(range(len(A))):
+        gain = P @ B[k]
+        K[k] = np.linalg.solve(R + B[k].T @ gain, gain.T @ A[k])
+        P = Q + A[k].T @ P @ (A[k] - B[k] @ K[k])
+        P = (P + P.T) / 2
+    return K
+
+
+def paper_riccati(A: Floats, B: Floats, alpha: float, Q: Floats) -> Riccati:
+    """P of A'P + PA - 2 alpha P B B' P = -Q, (34), and K = alpha B'P.
+
+    Args:
+        A: whatever stands for A, (A - L C as printed) (n x n).
+        B: (n x m).
+        alpha: weight of the quadratic term.
+        Q: (n x n).
+
+    Raises:
+        StructureError: no solution is found.
+    """
+    linear = Matrices(A, B, np.zeros((0, len(A))))
+    try:
+        solution = riccati(linear, Q, np.eye(B.shape[1]) / (2 * alpha))
+    except StructureError as error:
+        raise StructureError(str(error).replace("equation", "equation (34)", 1)) from None
+    return solution._replace(K=alpha * B.T @ solution.P)
+
+
+def feedback(linear: Matrices, alpha: float, Q: Floats, Ts: float | None) -> Floats:
+    """K of (34) with A, or its sampled counterpart, which tends to it as Ts -> 0.
+
+    K = alpha B'P is half the optimal gain for R = 1 / (2 alpha); sampled: half of
+    (R + B'PB)^-1 B'PA of the discrete equation with Q Ts, R Ts.
+
+    Args:
+        linear: the model, continuous or sampled.
+        alpha: weight of the quadratic term.
+        Q: (n x n).
+        Ts: step of a sampled model [s]; None: continuous.
+
+    Returns:
+        K (m x n).
+
+    Raises:
+        StructureError: there is no solution, or its sampled gain does not stabilise.
+    """
+    A, B, _ = linear
+    if Ts is None:
+        return paper_riccati(A, B, alpha, Q).K
+    K = riccati(linear, Q * Ts, np.eye(B.shape[1]) * Ts / (2 * alpha), Ts).K / 2
+    radius = float(np.abs(np.linalg.eigvals(A - B @ K)).max())
+    if radius >= 1:
+        raise StructureError(
+            f"controller.alpha: (34) sampled at {Ts:g} s does not stabilise (spectral radius "
+            f"{radius:.4g}); use a smaller step or poles"
+        )
+    return np.asarray(K)
+
+
+def lyapunov(linear: Matrices, K: Floats, Q: Floats, Ts: float | None) -> Floats:
+    """P of (A - BK)'P + P(A - BK) = -Q, or of its sampled form.
+
+    Args:
+        linear: the model, continuous or sampled.
+        K: the gain (m x n).
+        Q: (n x n).
+        Ts: step of a sampled model [s]; None: continuous.
+
+    Returns:
+        P (n x n).
+
+    Raises:
+        StructureError: A - BK is not stable.
+    """
+    closed = linear.A - linear.B @ K
+    poles = np.linalg.eigvals(closed)
+    if not slowest(poles, Ts) < 0:
+        raise StructureError(f"controller: A - BK is not stable, its poles are {listed(poles)}")
+    return storage_of(closed, Q, Ts)
+
+
+def storage_of(A: Floats, Q: Floats, Ts: float | None) -> Floats:
+    """P of A'P + PA = -Q, or of A'PA - P = -Q.
+
+    Args:
+        A: of a stable system, of one step if sampled (n x n).
+        Q: how fast x'Px falls (n x n), per step if sampled.
+        Ts: sample time [s]; None in continuous time.
+    """
+    from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
+
+    if Ts is None:
+        return np.asarray(solve_continuous_lyapunov(A.T, -Q))
+    return np.asarray(solve_discrete_lyapunov(A.T, Q))
+
+
+def fast_gain(linear: Matrices, speed: float, Ts: float | None) -> Floats:
+    """L (n x p) that puts A - L C left of -speed / 2 (sampled: within e^(-speed Ts / 2)).
+
+    Args:
+        linear: the model, of the sampled one Ad, Bd, C.
+        speed: speed [1/s].
+        Ts: sample time [s]; None in continuous time.
+
+    Raises:
+        StructureError: where the outputs hardly show some state.
+    """
+    A, _, C = linear
+    flow = delta(linear, Ts).A
+    # the unit of each state, so that the equations below are near 1
+    unit = 1 / (speed * sizes(flow.T, C.T, speed))
+    A, C = A * unit / unit[:, None], C * unit
+    L = _shifted_riccati_gain(A, C, speed, Ts)
+    if not slowest(np.linalg.eigvals(A - L @ C), Ts) < -speed / 4:
+        raise StructureError(
+            f"observer.speed: {speed:.4g} 1/s cannot be reached, the outputs hardly show some "
+            "state; give a lower speed, or poles"
+        )
+    return unit[:, None] * L
+
+
+def fast_feedback(linear: Matrices, speed: float, Ts: float | None) -> Floats:
+    """K (m x n) that puts A - B K left of -speed / 2 (sampled: within e^(-speed Ts / 2)).
+
+    Args:
+        linear: the model, of the sampled one Ad, Bd, C.
+        speed: speed [1/s].
+        Ts: sample time [s]; None in continuous time.
+
+    Raises:
+        StructureError: where the inputs hardly move some state.
+    """
+    try:
+        return fast_gain(linear.dual, speed, Ts).T
+    except StructureError:
+        raise StructureError(
+            f"controller.speed: {speed:.4g} 1/s cannot be reached, the inputs hardly move some "
+            "state; give a lower speed, poles or K"
+        ) from None
+
+
+def _shifted_riccati_gain(A: Floats, C: Floats, speed: float, Ts: float | None) -> Floats:
+    """The Riccati gain of A shifted right by speed / 2 (n x p); 0 where there is no solution."""
+    n, p = A.shape[0], C.shape[0]
+    noise = 1e-8 * np.eye(n)
+    with warnings.catch_warnings():
+        # of scipy, on ill-conditioned equations: `fast_gain` judges the poles
+        warnings.simplefilter("ignore")
+        try:
+            if Ts is None:
+                shifted = Matrices((A / speed + np.eye(n) / 2).T, C.T, C)
+                return speed * riccati(shifted, noise, np.eye(p)).K.T
+            shrink, span = np.exp(-speed / 2 * Ts), speed * Ts
+            shifted = Matrices((A / shrink).T, C.T, C)
+            return shrink * riccati(shifted, noise * span, np.eye(p) / span, Ts).K.T
+        except np.linalg.LinAlgError:
+            return np.zeros((n, p))

@@ -1,0 +1,124 @@
+"""What a plant's structure allows: modes that no output sees or no input moves."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from undeadzone.errors import StructureError
+from undeadzone.linalg.matrices import Matrices, sizes
+from undeadzone.util.arrays import LARGEST, Floats, listed
+
+TOLERANCE = 1e-9
+
+
+class Chains(NamedTuple):
+    """Outputs and derivatives of them that tell the whole state.
+
+    Attributes:
+        O: regular (n x n), of the rows C_i A^k, k < r_i.
+        rows: for each output i the rows of O that are z_i, z_i', ...
+    """
+
+    O: Floats
+    rows: list[list[int]]
+
+
+def unobservable_modes(A: Floats, C: Floats) -> list[complex]:
+    """Eigenvalues of A that C does not see.
+
+    Hautus's test on singular values, in units that make the states alike.
+
+    Args:
+        A: (n x n).
+        C: (p x n).
+    """
+    C = _unit_rows(C)
+    unit = 1 / sizes(A.T, C.T)
+    A = A * unit / unit[:, None]
+    scale = max(float(np.linalg.norm(A, 2)), 1e-300)
+    C = _unit_rows(C * unit) * scale
+    modes = []
+    for s in np.linalg.eigvals(A):
+        hautus = np.vstack([A - s * np.eye(A.shape[0]), C])
+        if np.linalg.svd(hautus, compute_uv=False)[-1] < TOLERANCE * scale:
+            modes.append(complex(s))
+    return modes
+
+
+def uncontrollable_modes(A: Floats, B: Floats) -> list[complex]:
+    """Eigenvalues of A that B does not move: `unobservable_modes` of the dual pair."""
+    return unobservable_modes(A.T, B.T)
+
+
+def require_structure(linear: Matrices, key: str) -> None:
+    """Refuse a plant with a mode that no output sees or no input moves.
+
+    Args:
+        linear: the plant.
+        key: named in errors.
+
+    Raises:
+        StructureError: (A, C) is unobservable or (A, B) uncontrollable; it names the mode.
+    """
+    modes = unobservable_modes(linear.A, linear.C)
+    if modes:
+        raise StructureError(
+            f"{key}: the pair (A, C) is unobservable: {_modes_text(modes)}; measure another output"
+        )
+    modes = uncontrollable_modes(linear.A, linear.B)
+    if modes:
+        raise StructureError(
+            f"{key}: the pair (A, B) is uncontrollable: {_modes_text(modes)}; "
+            "add an input or remove the state"
+        )
+
+
+def output_chains(A: Floats, C: Floats) -> Chains:
+    """The outputs and as many of their derivatives under x' = A x as tell the whole state.
+
+    The lowest derivatives come first.
+
+    Args:
+        A: (n x n).
+        C: (p x n).
+
+    Raises:
+        StructureError: they do not tell the whole state.
+    """
+    n, p = A.shape[0], C.shape[0]
+    unit = 1 / sizes(A.T, C.T)
+    scaled = A * unit / unit[:, None]
+    rate = max(float(np.linalg.norm(scaled, 2)), 1e-300)
+    kept: list[Floats] = []
+    basis = np.zeros((0, n))
+    rows: list[list[int]] = [[] for _ in range(p)]
+    # Each output's latest derivative, in the plant's units and in even ones.
+    latest = list(zip(C, _unit_rows(C * unit), strict=True))
+    for k in range(n):
+        for i, (plain, even) in enumerate(latest):
+            fresh = even - basis.T @ (basis @ even)
+            is_new = np.linalg.norm(fresh) > TOLERANCE * max(1.0, float(np.linalg.norm(even)))
+            if is_new and len(rows[i]) == k and len(kept) < n:
+                rows[i].append(len(kept))
+                kept.append(plain)
+                basis = np.vstack([basis, fresh / np.linalg.norm(fresh)])
+        latest = [(plain @ A, even @ scaled / rate) for plain, even in latest]
+    if len(kept) < n or not all(rows):
+        raise StructureError(
+            f"plant: the outputs and their derivatives tell {len(kept)} of {n} states, "
+            f"or one of {p} outputs tells nothing new"
+        )
+    return Chains(np.array(kept), rows)
+
+
+def _unit_rows(C: Floats) -> Floats:
+    """C with rows of length 1, or 0 where they are next to nothing."""
+    lengths = np.linalg.norm(C, axis=1, keepdims=True)
+    return C / np.where(lengths > 1 / LARGEST, lengths, np.inf)
+
+
+def _modes_text(modes: list[complex]) -> str:
+    """One mode or several, as text."""
+    return f"mode{'s' * (len(modes) > 1)} {listed(modes)}"

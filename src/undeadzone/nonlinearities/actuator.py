@@ -1,0 +1,213 @@
+"""The actuator ahead of the plant: limit, rate limit, dead zone (docs/actuator.md).
+
+u is what the controller commands, and what enters the plant is
+
+    m_r (u - b_r) for u > b_r,   m_l (u + b_l) for u < -b_l,   0 between,
+
+after a limit on u and on its rate. Functions take NumPy arrays or CasADi expressions alike.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import casadi as ca
+import msgspec
+import numpy as np
+
+from undeadzone.errors import InputError
+from undeadzone.nonlinearities.limits import pairs
+from undeadzone.util.arrays import LARGEST, Array, Floats, array, nonnegative
+
+Pairs = list[float | list[float]]
+
+
+class Actuator(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What stands between the command u and the plant's m inputs; one number, or one per input.
+
+    Attributes:
+        right, left: widths b_r, b_l of the dead zone (m) [u].
+        slope: [m_r, m_l], input of the plant per command beyond the zone, one pair, or one per
+            input (m x 2); default 1.
+        limit: [lo, hi], between which the command stays [u], one pair, or one per input; default
+            none.
+        rate: [falling, rising], largest rates of the command [u/s], one pair, or one per input;
+            sampled time only; default none.
+    """
+
+    right: Array = 0.0
+    left: Array = 0.0
+    slope: Pairs | None = None
+    limit: Pairs | None = None
+    rate: Pairs | None = None
+
+
+class ActuatorModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The actuator as observer and compensator know it; absent keys are the actuator's own.
+
+    Attributes:
+        right, left: widths b_r, b_l (m) [u]; where the observer shall estimate them, a range
+            [lo, hi], or a list of one range per input.
+        slope: as in [actuator].
+        limit: as in [actuator].
+        rate: as in [actuator].
+    """
+
+    right: Array | None = None
+    left: Array | None = None
+    slope: Pairs | None = None
+    limit: Pairs | None = None
+    rate: Pairs | None = None
+
+
+class Drive(NamedTuple):
+    """A checked actuator.
+
+    Attributes:
+        right, left: widths b_r, b_l (m) [u].
+        slope_right, slope_left: m_r, m_l (m).
+        low, high: limits of the command (m) [u]; `LARGEST` is none.
+        fall, rise: largest rates of the command (m) [u/s]; `LARGEST` is none.
+    """
+
+    right: Any
+    left: Any
+    slope_right: Any
+    slope_left: Any
+    low: Any
+    high: Any
+    fall: Any
+    rise: Any
+
+    @property
+    def rated(self) -> bool:
+        """Whether the rate of the command has a limit."""
+        return bool((np.minimum(self.fall, self.rise) < LARGEST).any())
+
+
+class Belief(NamedTuple):
+    """What is known of an actuator.
+
+    Attributes:
+        drive: its numbers; of widths that are not known the middle of their range.
+        ranges: [lo, hi] of all b_r, then of all b_l (2m x 2) [u]; None: the widths are known.
+    """
+
+    drive: Drive
+    ranges: Floats | None
+
+
+def through_line(line: Any, u: Any) -> tuple[Any, Any]:
+    """(the line of delays after a command u (m), the command that leaves it), in CasADi.
+
+    Args:
+        line: commands under way, the oldest first (delay m); empty: a command leaves at once.
+        u: the command (m).
+    """
+    commands = ca.vertcat(line, u)
+    return commands[u.shape[0] :], commands[: u.shape[0]]
+
+
+def within_limits(ops: Any, u: Any, drive: Drive) -> Any:
+    """The command kept within its limits (m)."""
+    return ops.fmax(ops.fmin(u, drive.high), drive.low)
+
+
+def within_rate(ops: Any, u: Any, last: Any, drive: Drive, step: Any) -> Any:
+    """The command kept within its rate (m).
+
+    Args:
+        ops: the module of fmax and fmin, NumPy or CasADi.
+        u: command (m) [u].
+        last: the one before (m) [u].
+        drive: the actuator.
+        step: time between both [s].
+    """
+    return ops.fmax(ops.fmin(u, last + step * drive.rise), last - step * drive.fall)
+
+
+def through_zone(ops: Any, u: Any, drive: Drive) -> Any:
+    """What enters the plant of a command that passed the limits (m)."""
+    over = drive.slope_right * ops.fmax(u - drive.right, 0.0)
+    return over + drive.slope_left * ops.fmin(u + drive.left, 0.0)
+
+
+def resolve_actuator(actuator: Actuator | ActuatorModel, m: int, key: str = "actuator") -> Drive:
+    """The checked actuator of a plant with m inputs.
+
+    Args:
+        actuator: in a user's words.
+        m: number of inputs.
+        key: of its table, for messages.
+
+    Raises:
+        InputError: or a subclass, that names the key.
+    """
+    why = f"one per input, the plant has {m}"
+    right = nonnegative(f"{key}.right", _known(actuator.right), m, why)
+    left = nonnegative(f"{key}.left", _known(actuator.left), m, why)
+    slopes = pairs(f"{key}.slope", actuator.slope, m, [1.0, 1.0], "[m_r, m_l]", "input")
+    if not (slopes > 0).all():
+        raise InputError(f"{key}.slope: must be positive, found {slopes.min():g}")
+    ends = pairs(f"{key}.limit", actuator.limit, m, [-LARGEST, LARGEST], "[lo, hi]", "input")
+    low, high = ends.T
+    if not ((low < 0) & (high > 0)).all():
+        raise InputError(f"{key}.limit: expected lo < 0 < hi, found {actuator.limit}")
+    any_rate = [LARGEST, LARGEST]
+    rates = pairs(f"{key}.rate", actuator.rate, m, any_rate, "[falling, rising]", "input")
+    if not (rates > 0).all():
+        raise InputError(
+            f"{key}.rate: expected two positive rates [falling, rising], found {actuator.rate}"
+        )
+    limits, rates = np.clip(ends, -LARGEST, LARGEST), np.minimum(rates, LARGEST)
+    return Drive(right, left, *slopes.T, *limits.T, *rates.T)
+
+
+def believed(told: ActuatorModel | None, m: int) -> Belief | None:
+    """What is known of the actuator; None where there is none.
+
+    Args:
+        told: as a user tells it; an absent width is 0.
+        m: number of inputs.
+
+    Raises:
+        InputError: or a subclass, that names the key.
+    """
+    if told is None:
+        return None
+    key = "model.actuator"
+    ranges = {}
+    for side in SIDES:
+        interval = _range(f"{key}.{side}", _known(getattr(told, side)), m)
+        if interval is not None:
+            ranges[side] = interval
+    if not ranges:
+        return Belief(resolve_actuator(told, m, key), None)
+    for side, other in (SIDES, SIDES[::-1]):
+        if side not in ranges:
+            raise InputError(
+                f"{key}.{side}: must be a range too where {other} is one; write "
+                f"{side} = [lo, hi], narrow if it is known"
+            )
+    middles = {side: interval.mean(axis=1).tolist() for side, interval in ranges.items()}
+    drive = resolve_actuator(msgspec.structs.replace(told, **middles), m, key)
+    return Belief(drive, np.concatenate([*ranges.values()]))
+
+
+SIDES = ("right", "left")
+
+
+def _known(width: Any) -> Any:
+    """A width; 0 where none is given."""
+    return 0.0 if width is None else width
+
+
+def _range(key: str, value: Any, m: int) -> Floats | None:
+    """Ranges of one side (m x 2); None where the widths are numbers. Raises InputError."""
+    given = array(key, value)
+    if given.shape not in ((2,), (m, 2)) or (given.ndim == 1 and m == 2):
+        return None
+    ranges = np.broadcast_to(given, (m, 2))
+    if (ranges[:, 0] < 0).any() or (ranges[:, 0] >= ranges[:, 1]).any():
+        raise InputError(f"{key}: a range [lo, hi] must have 0 <= lo < hi, found {value}")
+    return ranges

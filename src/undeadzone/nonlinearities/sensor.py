@@ -1,0 +1,442 @@
+"""The output deadzone, equations (1)-(13) as corrected in docs/model.md.
+
+The widths d_r, d_l are positive, and the reading is y = m (z - Sat z). Every function takes NumPy
+arrays or CasADi expressions alike. z is the true output, y the reading, right = d_r and left = d_l
+the widths (unit of z), m the slope (unit of y per unit of z).
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import msgspec
+import numpy as np
+
+from undeadzone.errors import InputError
+from undeadzone.nonlinearities import play
+from undeadzone.nonlinearities.limits import (
+    Limits,
+    at_limit,
+    checked_range,
+    limits_of,
+    require_readings,
+)
+from undeadzone.nonlinearities.play import KEY, Ahead, gaps_of
+from undeadzone.util.arrays import Array, Floats, nonnegative, scalar, vector
+
+RIGHT, LEFT = 1.0, -1.0  # sides; 0 is silent, twice a side is at the limit of its readings
+# Weights of d_r and d_l, or of c_r and c_l, in what is told of a pair of widths.
+DIRECTIONS = {"right": (1.0, 0.0), "left": (0.0, 1.0), "width": (1.0, 1.0), "centre": (1.0, -1.0)}
+FALSE_ALARMS = 0.01  # rate at which noise may exceed a default threshold, in poles of the plant
+
+
+def _ops(*values: Any) -> Any:
+    """CasADi when any value is a CasADi expression, else NumPy.
+
+    fmax, fmin and tanh have the same names in both.
+    """
+    if any(type(value).__module__.startswith("casadi") for value in values):
+        import casadi
+
+        return casadi
+    return np
+
+
+def saturation(z: Any, right: Any, left: Any) -> Any:
+    """Sat z of (4): z limited to [-d_l, d_r]."""
+    ops = _ops(z, right, left)
+    return ops.fmax(ops.fmin(z, right), -left)
+
+
+def deadzone(z: Any, right: Any, left: Any, slope: Any = 1.0) -> Any:
+    """The reading y = m (z - Sat z) of (1), (3), (14); exactly 0 inside the zone."""
+    return slope * (z - saturation(z, right, left))
+
+
+def zone(z: Any, right: Any, left: Any) -> Any:
+    """Where the true output is: +1 beyond d_r, -1 below -d_l, 0 inside."""
+    return 1.0 * (z > right) - 1.0 * (z < -left)
+
+
+def jump(z: Any, right: Any, left: Any, slope: Any = 1.0) -> Any:
+    """The reading of a jump sensor: m z outside the zone, 0 inside (velocity sensors)."""
+    return slope * z * (1.0 * (z > right) + 1.0 * (z < -left))
+
+
+def present(y: Any) -> Any:
+    """1 where a reading is a finite number, 0 where it is missing (NaN, infinite).
+
+    CasADi takes y == y for true, so the reading is compared with large numbers.
+    """
+    return 1.0 * (y < 1e300) * (y > -1e300)
+
+
+def side(y: Any, threshold: Any = 0.0, limits: Limits | None = None) -> Any:
+    """The measured side: +1 where y > threshold, -1 where y < -threshold, else 0.
+
+    0 is silent, also for NaN. +2 and -2 are at the limits of the range, if there are any: there z
+    is at least, or at most, what the reading says.
+    """
+    measured = 1.0 * (y > threshold) - 1.0 * (y < -threshold)
+    return measured if limits is None else measured + at_limit(y, limits)
+
+
+def indicators(y: Any, sharpness: Any) -> tuple[Any, Any]:
+    """The paper's smooth (chi_r, chi_l) of (8)-(10), sgn replaced by tanh(k_s y).
+
+    Both are 1/2 at y = 0. sharpness is k_s [1/y].
+    """
+    sign = _ops(y, sharpness).tanh(sharpness * y)
+    return (1.0 + sign) / 2.0, (1.0 - sign) / 2.0
+
+
+def quantised(y: Any, quantum: Any) -> Any:
+    """The reading rounded to a multiple of its quantum (an encoder's), itself where that is 0."""
+    ops = _ops(y, quantum)
+    step = quantum + (quantum == 0)
+    rounded = step * ops.floor(y / step + 0.5)
+    return y * (quantum == 0) + rounded * (quantum != 0)
+
+
+def offset(side: Any, right: Any, left: Any) -> Any:
+    """chi_bar d of (12) with chi_bar = [chi_r, -chi_l].
+
+    That is what the deadzone takes off z on that side (+1, -1; 0 where silent).
+    """
+    return right * (side > 0) - left * (side < 0)
+
+
+def branch(z: Any, zone: Any, right: Any, left: Any, slope: Any, kind: str) -> Any:
+    """The reading on a given branch, continued beyond its edge.
+
+    It is m (z - chi_bar d), m z for a jump sensor, 0 inside.
+
+    Args:
+        z: true output.
+        zone: the branch, +1, -1, or 0 inside.
+        right, left: widths d_r, d_l [z].
+        slope: m [y/z].
+        kind: "deadzone" or "jump".
+    """
+    taken = 0.0 if kind == "jump" else offset(zone, right, left)
+    return slope * (z - taken) * (zone != 0)
+
+
+def inverse(
+    y: Any, side: Any, right: Any, left: Any, slope: Any = 1.0, kind: str = "deadzone"
+) -> Any:
+    """The deadzone inverse (26): y / m + chi_bar d on the measured side.
+
+    It is y / m where the sensor is silent, of the jump kind or an encoder beside gears.
+
+    Args:
+        y: reading.
+        side: the measured side, +1, -1, or 0 where silent.
+        right, left: widths d_r, d_l [z].
+        slope: m [y/z].
+        kind: as of a `Zone`.
+    """
+    taken = 0.0 if kind in ("jump", "gears") else offset(side, right, left)
+    return y / slope + taken
+
+
+def edges(
+    right: Any, left: Any, slope: Any, kind: str, threshold: Any, noise: Any = 0.0
+) -> tuple[Any, Any]:
+    """(z_r, z_l): the measured side is right above z_r and left below -z_l.
+
+    Noise beyond the threshold moves an edge across the zone: then the zone itself reads as that
+        side.
+
+    Args:
+        right, left: widths d_r, d_l [z].
+        slope: m [y/z].
+        kind: "deadzone" or "jump".
+        threshold: |y| that counts as silent [y].
+        noise: a number added to y [y].
+    """
+    right_margin = (threshold - noise) / slope
+    left_margin = (threshold + noise) / slope
+    return _edge(right, left, right_margin, kind), _edge(left, right, left_margin, kind)
+
+
+def _edge(own: Any, other: Any, margin: Any, kind: str) -> Any:
+    """|z| from which a side is read.
+
+    Args:
+        own, other: widths of this side and of the other [z].
+        margin: the threshold less noise towards this side, over the slope [z]; negative where noise
+            alone exceeds the threshold.
+        kind: "deadzone" or "jump".
+    """
+    if kind == "jump":
+        ops = _ops(own, other, margin)
+        outer, inner = ops.fmax(own, margin), ops.fmin(-other, margin)
+    else:
+        outer, inner = own + margin, margin - other
+    return outer * (margin >= 0) + inner * (margin < 0)
+
+
+def bound(right: Any, left: Any) -> Any:
+    """The least d_M of (2) as corrected, d_r + d_l <= d_M; it bounds |Sat z| too, as (13) asks."""
+    return right + left
+
+
+def noise_threshold(noise: Floats, step: float, rate: float) -> Floats:
+    """|y| below which a reading counts as silent (p) [y].
+
+    White noise of that rms then gives `rate` false alarms per second.
+
+    Args:
+        noise: rms of the reading's noise (p) [y].
+        step: time between readings [s].
+        rate: false alarms [1/s].
+    """
+    if not noise.any():
+        return np.zeros_like(noise)
+    from statistics import NormalDist
+
+    chance = min(0.5, max(rate * step / 2.0, np.finfo(float).tiny))
+    return np.asarray(noise * -NormalDist().inv_cdf(chance), float)
+
+
+class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """An output deadzone of p outputs; each array is one number or one per output.
+
+    Attributes:
+        right, left: widths d_r, d_l of the dead zone, or gaps c_r, c_l of a play (p) [z].
+        kind: "deadzone": the reading is m (z - Sat z); "jump": it is m z outside the zone, as of
+            velocity sensors; "play" (backlash; sampled time): it holds while z crosses the gap.
+        slope: m, the reading per true output (p) [y/z].
+        noise: rms of the noise added after the deadzone (p) [y].
+        noise_before: rms of the noise added to z ahead of the deadzone (p) [z]; not of a play.
+        threshold: |y| that counts as silent (p) [y]; default: from noise, false_alarm_rate and
+            quantum. Of a play: the change of y over `window` that counts as motion.
+        false_alarm_rate: rate at which noise alone may exceed the default threshold [1/s]; default
+            a hundredth of the plant's mean pole, of a play a millionth.
+        quantum: the reading is rounded to its multiples, as an encoder's (p) [y]; sampled time
+            only.
+        drift: log d_r and log d_l walk at random, each for itself, by drift sqrt(t) rms
+            (p) [1/sqrt(s)].
+        dropout: probability that a reading is missing (p), below 1.
+        range: [lo, hi], lo < 0 < hi: where readings end, after noise and rounding; one pair, or one
+            per output (p x 2) [y]; -inf and inf are no limits; default: none. A reading at its
+            limit says only that z is at least, or at most, what it reads; of a play it is missing.
+        start: reading of a play before the first sample (p) [y]; the first one is the nearest
+            possible to it. Of a play ahead of a dead zone what would be read without the zone.
+        window: time over which a play's motion is judged where readings are noisy [s]; default a
+            25th of the plant's period.
+        play: [c_r, c_l], gaps of a play ahead of a dead zone, or one such pair per output (p x 2);
+            sampled time; default: there is none [z].
+        load_friction: input that Coulomb friction behind a play takes while it moves, of a plant of
+            one input and one output; a pair is a range, which observers estimate [u].
+        load_inertia: input that what is behind a play takes per acceleration; it tells whether the
+            load rests in its gap (p) [u s^2/z].
+    """
+
+    right: Array
+    left: Array
+    kind: Literal["deadzone", "jump", "play"] = "deadzone"
+    slope: Array = 1.0
+    noise: Array = 0.0
+    noise_before: Array = 0.0
+    threshold: Array | None = None
+    false_alarm_rate: float | None = None
+    quantum: Array = 0.0
+    drift: Array = 0.0
+    dropout: Array = 0.0
+    range: list[float | list[float]] | None = None
+    start: Array = 0.0
+    window: float | None = None
+    play: Array | None = None
+    load_friction: Array = 0.0
+    load_inertia: Array = 0.0
+
+
+class Zone(msgspec.Struct, frozen=True):
+    """A `Sensor` checked and spread over p outputs, with its silence threshold decided.
+
+    Attributes:
+        kind: "deadzone", "jump" or "play"; "gears" of encoders beside gears.
+        right, left: widths d_r, d_l, of a play or gears their gaps, at t = 0 (p) [z].
+        slope: m (p) [y/z].
+        noise: rms of the noise after the deadzone (p) [y].
+        noise_before: rms of the noise ahead of the deadzone (p) [z].
+        threshold: |y| that counts as silent (p) [y]; of a play the change over `window` readings
+            that counts as motion.
+        drift: rms of the random walks of log d_r and log d_l (p) [1/sqrt(s)].
+        dropout: probability that a reading is missing (p).
+        quantum: the reading is rounded to its multiples (p) [y]; 0: it is not.
+        low, high: least and largest reading (p) [y]; -inf, inf: no limit.
+        start: level of a play before the first sample (p) [z].
+        window: readings over which a play's motion is judged.
+        friction: of what is behind a play (p) [u].
+        inertia: of the same (p) [u s^2/z].
+        friction_std: standard deviation of the friction, to an observer that is not told (p) [u].
+        play: ahead of the dead zone; None: there is none.
+    """
+
+    kind: str
+    right: Floats
+    left: Floats
+    slope: Floats
+    noise: Floats
+    noise_before: Floats
+    threshold: Floats
+    drift: Floats
+    dropout: Floats
+    quantum: Floats
+    low: Floats
+    high: Floats
+    start: Floats
+    window: int
+    friction: Floats
+    inertia: Floats
+    friction_std: Floats
+    play: Ahead | None = None
+
+    @property
+    def moves(self) -> bool:
+        """Whether it is a play, or has one: what it reads depends on how z moved."""
+        return self.kind == "play" or self.play is not None
+
+    @property
+    def limits(self) -> Limits | None:
+        """The limits of the readings; None where no output has any."""
+        return limits_of(self.low, self.high)
+
+    @property
+    def rms(self) -> Floats:
+        """What a reading on an active side is off by, rms (p) [z].
+
+        The sum of noise ahead of and after the zone, and rounding.
+        """
+        noise = np.hypot(self.noise / self.slope, self.noise_before)
+        rounding = self.quantum / self.slope / np.sqrt(12)
+        return np.hypot(noise, rounding)
+
+
+def _width(key: str, value: Array, p: int) -> Floats:
+    """The widths of one side (p). Raises InputError, ShapeError."""
+    widths = vector(key, value, p, f"one per output, the plant has {p}")
+    if (widths < 0).any():
+        raise InputError(
+            f"{key}: must not be negative, found {widths.min():g}; it is a width, from 0 to the "
+            "edge on that side"
+        )
+    return widths
+
+
+def resolve(sensor: Sensor, p: int, step: float, pace: float = 1.0) -> Zone:
+    """The checked sensor of a plant.
+
+    Args:
+        sensor: the sensor in a user's words.
+        p: number of the plant's outputs.
+        step: time between readings [s], for the default threshold.
+        pace: how fast the plant moves [1/s], for the default rate of false alarms.
+
+    Raises:
+        InputError: or a subclass, that names the key.
+    """
+    why = f"one per output, the plant has {p}"
+    right = _width("sensor.right", sensor.right, p)
+    left = _width("sensor.left", sensor.left, p)
+    slope = vector("sensor.slope", sensor.slope, p, why)
+    if (slope <= 0).any():
+        raise InputError(f"sensor.slope: must be positive (A3), found {slope.min():g}")
+    noise = nonnegative("sensor.noise", sensor.noise, p, why)
+    before = nonnegative("sensor.noise_before", sensor.noise_before, p, why)
+    drift = nonnegative("sensor.drift", sensor.drift, p, why)
+    dropout = nonnegative("sensor.dropout", sensor.dropout, p, why)
+    quantum = nonnegative("sensor.quantum", sensor.quantum, p, why)
+    if (dropout >= 1).any():
+        raise InputError(f"sensor.dropout: must be a probability below 1, found {dropout.max():g}")
+    start = vector("sensor.start", sensor.start, p, why) / slope
+    window = _window(sensor, step, pace)
+    rate = (play.FALSE_ALARMS if sensor.kind == "play" else FALSE_ALARMS) * pace
+    if sensor.false_alarm_rate is not None:
+        rate = scalar("sensor.false_alarm_rate", sensor.false_alarm_rate, above=0.0)
+    if sensor.threshold is not None:
+        threshold = nonnegative("sensor.threshold", sensor.threshold, p, why)
+    elif sensor.kind == "play":
+        threshold = _motion(noise, quantum, window, step, rate)
+    else:
+        threshold = np.asarray(noise_threshold(noise, step, rate) + quantum / 2, float)
+    low, high = checked_range("sensor.range", sensor.range, p)
+    require_readings(low, high, threshold)
+    numbers = (slope, noise, before, threshold, drift, dropout, quantum, low, high)
+    load = _load(sensor, p)
+    ahead = _ahead(sensor, p, _motion(noise, quantum, window, step, play.FALSE_ALARMS * pace))
+    return Zone(sensor.kind, right, left, *numbers, start, window, *load, ahead)
+
+
+def _motion(noise: Floats, quantum: Floats, window: int, step: float, rate: float) -> Floats:
+    """Change of a reading over the window that noise alone exceeds at a rate [1/s] (p) [y]."""
+    # the least-squares slope over the window, times the window, has this rms
+    spread = np.sqrt(12 / window)
+    rms = np.hypot(noise, quantum / np.sqrt(12))
+    return np.asarray(spread * noise_threshold(rms, step, rate))
+
+
+def _ahead(sensor: Sensor, p: int, threshold: Floats) -> Ahead | None:
+    """The play ahead of the dead zone; None where there is none. Raises InputError."""
+    if sensor.play is None:
+        return None
+    if sensor.kind != "deadzone":
+        raise InputError(
+            f'{KEY}: stands ahead of kind = "deadzone", found "{sensor.kind}"; a play alone has '
+            "its gaps in sensor.right and sensor.left"
+        )
+    (right, left), ranges = gaps_of(sensor.play, p)
+    if ranges is None and not right.any() and not left.any():
+        return None
+    return Ahead(right, left, ranges, threshold)
+
+
+def _load(sensor: Sensor, p: int) -> tuple[Floats, Floats, Floats]:
+    """(friction, inertia, std of the friction) behind a play (p each). Raises InputError."""
+    why = f"one per output, the plant has {p}"
+    friction, std = sensor.load_friction, np.zeros(p)
+    if np.size(friction) == 2:
+        ends = nonnegative("sensor.load_friction", friction, 2, "[least, largest]")
+        if p != 1 or ends[0] > ends[1]:
+            raise InputError(
+                "sensor.load_friction: expected a number or [least, largest] of a single output, "
+                f"found {ends.tolist()} for {p}"
+            )
+        friction, std = ends.mean(), np.diff(ends) / np.sqrt(12)
+    known = nonnegative("sensor.load_friction", friction, p, why)
+    inertia = nonnegative("sensor.load_inertia", sensor.load_inertia, p, why)
+    for name, given in (("load_friction", known), ("load_inertia", inertia)):
+        if sensor.kind != "play" and given.any():
+            raise InputError(f"sensor.{name}: only a play has a load behind it; leave it out")
+    if ((inertia > 0) & (known == 0)).any():
+        raise InputError(
+            "sensor.load_friction: a load with inertia and without friction coasts through its "
+            "gap; give both, or neither"
+        )
+    return known, inertia, std
+
+
+def _window(sensor: Sensor, step: float, pace: float) -> int:
+    """Readings over which a play's motion is judged. Raises InputError."""
+    if sensor.kind != "play" and sensor.play is None:
+        for name, given in (("start", np.any(sensor.start)), ("window", sensor.window)):
+            if given:
+                raise InputError(f"sensor.{name}: only a play has one; leave it out")
+        return 1
+    if np.any(sensor.noise_before):
+        raise InputError(
+            "sensor.noise_before: noise ahead of a play drives it like a ratchet, which no method "
+            "here knows; give sensor.noise"
+        )
+    if sensor.window is None:
+        return play.readings_of_motion(step, pace)
+    count = round(scalar("sensor.window", sensor.window, above=0.0) / step)
+    if count < play.FEWEST:
+        raise InputError(
+            f"sensor.window: must last at least {play.FEWEST} samples of {step:g} s, found "
+            f"{sensor.window:g} s"
+        )
+    return count

@@ -1,0 +1,259 @@
+"""Adaptation laws say what the drive of an edge does to its width (docs/adaptation.md).
+
+The drive is -e on the right and +e on the left. Each law says what becomes of the certificate:
+V = x~'P x~ + |d~|^2 / gamma never rises while M < 0 (docs/certificate.md). Initial widths and their
+bound are as every adaptive observer takes them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.errors import InputError
+from undeadzone.interfaces import NONE
+from undeadzone.registry import Options
+from undeadzone.util.arrays import Array, Floats, array, matrix, scalar, vector
+
+
+def pairs(key: str, value: Array, p: int) -> Floats:
+    """(p x 2) of [right, left] from one number, one pair, or one pair per output.
+
+    Raises ShapeError that names the key.
+    """
+    numbers = array(key, value)
+    if numbers.ndim < 2 and numbers.size in (1, 2):
+        return np.broadcast_to(numbers, (p, 2)).astype(float)
+    return matrix(key, numbers, p, 2, "one [right, left] per output")
+
+
+def bounded_widths(widths0: Array, width_max: Array | None, p: int) -> tuple[Floats, Floats]:
+    """Initial widths and their upper bound.
+
+    Args:
+        widths0: d^(0), one number, [right, left], or one such pair per output [z].
+        width_max: d_M, one or one per output [z]; None: there is none.
+        p: number of outputs.
+
+    Returns:
+        (d^(0) (p x 2), d_M (p), inf where there is none).
+
+    Raises:
+        InputError, ShapeError: unless 0 <= d^(0) <= d_M and d_M > 0.
+    """
+    if width_max is None:
+        limit = np.full(p, np.inf)
+    else:
+        limit = vector("observer.width_max", width_max, p, "one per output")
+    if (limit <= 0).any():
+        raise InputError(f"observer.width_max: must be positive, found {limit.min():g}")
+    widths = pairs("observer.widths0", widths0, p)
+    if (widths < 0).any() or (widths > limit[:, None]).any():
+        raise InputError(
+            f"observer.widths0: must lie in [0, width_max], found {widths.tolist()} "
+            f"with width_max {limit.tolist()}"
+        )
+    return widths, limit
+
+
+class Edge(NamedTuple):
+    """One side of every output.
+
+    Attributes:
+        drive: what its width is driven by (p).
+        adapted: 1 where the width is adapted (p).
+        width: d^ (p).
+        width0: d^(0) (p).
+        gain: its gain where the law moves it (`Law.gains`).
+        gamma: adaptation gain (p).
+    """
+
+    drive: Any
+    adapted: Any
+    width: Any
+    width0: Any
+    gain: Any
+    gamma: Any
+
+
+def gradient_move(numbers: Any, edge: Edge) -> tuple[Any, Any]:
+    """gamma times the drive."""
+    return edge.gamma * edge.drive, NONE
+
+
+class Law(NamedTuple):
+    """A law as pure functions; gains and rates are per step in sampled time.
+
+    Attributes:
+        numbers: run-time numbers; None for the one law whose gains are constant.
+        soften: soften(numbers, y) is the factor in (0, 1] on the innovation; default 1.
+        gains: whether each edge has a gain that moves, from gamma on.
+        move: move(numbers, edge) is (what is added to d^, the gain's derivative or next value).
+        reset: reset(numbers, gain, gamma) is the gain in place of one that has become too small;
+            default: it stays.
+    """
+
+    numbers: Any = None
+    soften: Callable[[Any, Any], Any] = lambda numbers, y: 1.0
+    gains: bool = False
+    move: Callable[[Any, Edge], tuple[Any, Any]] = gradient_move
+    reset: Callable[[Any, Any, Any], Any] = lambda numbers, gain, gamma: gain
+
+
+GRADIENT = Law()
+
+
+class Gradient(Options, frozen=True, kw_only=True, tag="gradient"):
+    """d^' = gamma drive, (25) as repaired. Certified where M < 0."""
+
+    def law(self, Ts: float | None) -> Law:
+        """The law.
+
+        Args:
+            Ts: sample time [s]; None in continuous time.
+        """
+        return GRADIENT
+
+
+class Normalised(Options, frozen=True, kw_only=True, tag="normalised"):
+    """The innovation is divided by 1 + weight y^2 in x^' and d^' alike: large signals count less.
+
+    Certified where the gradient law is, by the same V: a factor in (0, 1] on e is a sector that
+    M < 0 covers.
+
+    Attributes:
+        weight: weight of y^2, y in units of z [1/z^2].
+    """
+
+    weight: float = 1.0
+
+    def law(self, Ts: float | None) -> Law:
+        """The law.
+
+        Args:
+            Ts: sample time [s]; None in continuous time.
+
+        Raises:
+            InputError: for a weight below 0.
+        """
+        weight = scalar("observer.adaptation.weight", self.weight, least=0.0)
+        return Law(np.float64(weight), lambda weight, y: 1 / (1 + weight * y**2))
+
+
+class LeastSquares(Options, frozen=True, kw_only=True, tag="least_squares"):
+    """Recursive least squares: d^' = g drive, g(0) = gamma, g <= gamma.
+
+    g' = forgetting g - g^2 where the edge is active. Loses the certificate for constant gains, but
+    V = x~'P x~ + sum d~^2 / g never rises, whatever is forgotten or reset, if |G(jw)| < 1,
+    G = C (sI - A)^-1 L; sampled, if |C (zI - Ad)^-1 Ld|^2 < 1 - gamma Ts. Not checked here.
+
+    Attributes:
+        forgetting: rate at which old readings fade [1/s]; default 0, they do not.
+        reset: share of gamma below which g is set back to gamma, below 1; default 0, never.
+    """
+
+    forgetting: float = 0.0
+    reset: float = 0.0
+
+    def law(self, Ts: float | None) -> Law:
+        """The law.
+
+        Args:
+            Ts: sample time [s]; None in continuous time.
+
+        Raises:
+            InputError: for a rate below 0, or a share outside [0, 1).
+        """
+        forgetting = scalar("observer.adaptation.forgetting", self.forgetting, least=0.0)
+        share = scalar("observer.adaptation.reset", self.reset, least=0.0)
+        if share >= 1:
+            raise InputError(f"observer.adaptation.reset: must be below 1, found {share:g}")
+        fade = forgetting if Ts is None else np.exp(-forgetting * Ts)
+        move = least_squares_flow if Ts is None else least_squares_step
+        return Law(np.array([fade, share]), gains=True, move=move, reset=reset_small_gain)
+
+
+def least_squares_flow(numbers: Any, edge: Edge) -> tuple[Any, Any]:
+    """(d^', g') in continuous time; numbers: the rate of forgetting and the share of `reset`."""
+    growth = numbers[0] * edge.gain - edge.adapted * edge.gain**2
+    below = edge.gain < edge.gamma
+    return edge.gain * edge.drive, ca.if_else(below, growth, ca.fmin(growth, 0.0))
+
+
+def least_squares_step(numbers: Any, edge: Edge) -> tuple[Any, Any]:
+    """(what a step adds to d^, the next g); numbers: what a step keeps of readings, share."""
+    after = ca.fmin(edge.gain / (numbers[0] + edge.adapted * edge.gain), edge.gamma)
+    return after * edge.drive, after
+
+
+def reset_small_gain(numbers: Any, gain: Any, gamma: Any) -> Any:
+    """gamma in place of a gain below its share of gamma."""
+    return ca.if_else(gain < numbers[1] * gamma, gamma, gain)
+
+
+class Sigma(Options, frozen=True, kw_only=True, tag="sigma"):
+    """d^' = gamma (drive - leak (d^ - d^(0))), Ioannou and Kokotovic (1983).
+
+    The widths are bounded without projection, at a price: exactness is lost,
+    V' <= ... - leak |d~|^2 + leak |d - d^(0)|^2. With an edge active for the share a of the time
+    and x^ = x, d~ comes to rest near leak / (a + leak) of d - d^(0).
+
+    Attributes:
+        leak: leak of the widths, relative to the drive.
+    """
+
+    leak: float
+
+    def law(self, Ts: float | None) -> Law:
+        """The law.
+
+        Args:
+            Ts: sample time [s]; None in continuous time.
+
+        Raises:
+            InputError: for a leak below 0.
+        """
+        leak = scalar("observer.adaptation.leak", self.leak, least=0.0)
+        return Law(np.float64(leak), move=sigma_move)
+
+
+def sigma_move(leak: Any, edge: Edge) -> tuple[Any, Any]:
+    """gamma times the drive less a constant leak."""
+    return edge.gamma * (edge.drive - leak * (edge.width - edge.width0)), NONE
+
+
+class EModification(Options, frozen=True, kw_only=True, tag="e_modification"):
+    """d^' = gamma (drive - leak |drive| (d^ - d^(0))), Narendra and Annaswamy (1987).
+
+    There is no leak where there is no error. With |d - d^(0)| <= D it keeps V where
+    M + leak D diag(C'C, 3 I) < 0: then d^ is exact in the end. Not checked here.
+
+    Attributes:
+        leak: leak of the widths per unit of the drive [1/z].
+    """
+
+    leak: float
+
+    def law(self, Ts: float | None) -> Law:
+        """The law.
+
+        Args:
+            Ts: sample time [s]; None in continuous time.
+
+        Raises:
+            InputError: for a leak below 0.
+        """
+        leak = scalar("observer.adaptation.leak", self.leak, least=0.0)
+        return Law(np.float64(leak), move=e_modification_move)
+
+
+def e_modification_move(leak: Any, edge: Edge) -> tuple[Any, Any]:
+    """gamma times the drive less a leak that grows with the error."""
+    leakage = leak * ca.fabs(edge.drive) * (edge.width - edge.width0)
+    return edge.gamma * (edge.drive - leakage), NONE
+
+
+Adaptation = Gradient | Normalised | LeastSquares | Sigma | EModification

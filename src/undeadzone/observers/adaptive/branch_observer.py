@@ -1,0 +1,240 @@
+"""The observer on the measured side: its innovation is formed on the side that the sensor shows.
+
+`certified` adapts the widths; with gamma = 0 and the true widths it is `oracle`.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.interfaces import Estimate, Observer, Reading, Traits, estimate
+from undeadzone.nonlinearities.sensor import Zone, offset, present
+from undeadzone.observers.adaptive.adaptation_laws import GRADIENT, Edge, Law
+from undeadzone.observers.filtering.motion_detection import with_motion_detection
+from undeadzone.observers.filtering.prior import silence_gate
+from undeadzone.plants.system import System
+from undeadzone.util.arrays import Floats
+
+
+class Params(NamedTuple):
+    """Numbers of the observer; L and gamma are per step when the model is sampled.
+
+    Attributes:
+        model: numbers of the model.
+        L: gain of the innovation (n x p).
+        gamma: adaptation gain (p).
+        x0: x^ at first (n).
+        right0, left0: widths at first (p) [z].
+        limit: upper bound d_M of the widths (p) [z].
+        slope: slope m of the sensor (p).
+        threshold: |y| that counts as silent (p) [y]; of a play, how far a held reading may be off.
+        law: numbers of the adaptation law.
+    """
+
+    model: Any
+    L: Floats
+    gamma: Floats
+    x0: Floats
+    right0: Floats
+    left0: Floats
+    limit: Floats
+    slope: Floats
+    threshold: Floats
+    law: Any
+
+
+class State(NamedTuple):
+    """x^, the widths d_r^, d_l^, and their gains where the adaptation law moves them."""
+
+    x: Any
+    right: Any
+    left: Any
+    right_gain: Any
+    left_gain: Any
+
+
+class Setup(NamedTuple):
+    """What the parts of one observer share.
+
+    Attributes:
+        model: the model.
+        kind: kind of the sensor.
+        ends: whether the readings have a range, whose limits bound z.
+        silence: whether it uses that a silent sensor bounds z.
+        law: the adaptation law.
+    """
+
+    model: System
+    kind: str
+    ends: bool
+    silence: bool
+    law: Law
+
+
+class Driven(NamedTuple):
+    """What a reading says of the widths of one side: their drive, whether they are adapted (p)."""
+
+    drive: Any
+    adapted: Any
+
+
+class Correction(NamedTuple):
+    """What a reading says.
+
+    Attributes:
+        e: innovation (p).
+        right, left: of the widths.
+    """
+
+    e: Any
+    right: Driven
+    left: Driven
+
+
+def measured_side(
+    model: System,
+    sensor: Zone,
+    L: Floats,
+    gamma: Floats,
+    start: Floats,
+    widths: Floats,
+    limit: Floats,
+    silence: bool,
+    law: Law = GRADIENT,
+) -> Observer:
+    """The observer itself; with gamma = 0 and true widths it is the known-width oracle.
+
+    Args:
+        model: the model, continuous or sampled.
+        sensor: the dead zone.
+        L: gain of the innovation (n x p) [1/s].
+        gamma: adaptation gain (p) [1/s].
+        start: x^(0) (n).
+        widths: d^(0), [right, left] per output (p x 2) [z].
+        limit: upper bound d_M of the widths (p) [z].
+        silence: whether it uses that a silent sensor bounds z.
+        law: the adaptation law.
+    """
+    setup = Setup(model, sensor.kind, sensor.limits is not None, silence, law)
+    is_play = sensor.kind == "play"
+    params = Params(
+        model=model.params,
+        L=L * model.per_step,
+        gamma=gamma * model.per_step,
+        x0=start,
+        right0=widths[:, 0],
+        left0=widths[:, 1],
+        limit=limit,
+        slope=sensor.slope,
+        threshold=silence_gate(sensor, sensor.rms) if is_play else sensor.threshold,
+        law=law.numbers,
+    )
+
+    def init(p: Params) -> State:
+        gain = p.gamma if law.gains else np.zeros(0)
+        return State(p.x0, p.right0, p.left0, gain, gain)
+
+    traits = Traits(
+        L=params.L,
+        gamma=params.gamma,
+        constant=law.numbers is None,
+        width_max=limit,
+        adapts=bool(gamma.any()),
+        told=np.array_equal(widths, np.stack([sensor.right, sensor.left], axis=1)),
+    )
+    step, project = partial(measured_side_step, setup), partial(into_bounds, law)
+    return with_motion_detection(Observer(params, init, step, project, traits), model, sensor)
+
+
+def into_bounds(law: Law, p: Params, s: State) -> State:
+    """The state with its widths within [0, d_M], and gains that became too small set back."""
+    right = ca.fmax(ca.fmin(s.right, p.limit), 0.0)
+    left = ca.fmax(ca.fmin(s.left, p.limit), 0.0)
+    right_gain = law.reset(p.law, s.right_gain, p.gamma)
+    left_gain = law.reset(p.law, s.left_gain, p.gamma)
+    return State(s.x, right, left, right_gain, left_gain)
+
+
+def measured_side_step(
+    setup: Setup, p: Params, s: State, u: Any, reading: Reading
+) -> tuple[State, Estimate]:
+    """The state's derivative, or its next value when sampled, and the estimate."""
+    model, law = setup.model, setup.law
+    z = model.output(p.model, s.x)
+    y = reading.y / p.slope
+    active = reading.side != 0
+    over, under = silent_violation(setup, p, s, z, reading)
+    correct = correct_jump if setup.kind == "jump" else correct_deadzone
+    correction = correct(s, z, y, reading.side, over, under)
+    if setup.ends:
+        correction = bounded(correction, reading.side, setup.kind == "jump")
+    soft = law.soften(p.law, ca.if_else(active, y, 0.0))
+
+    def moved(told: Driven, width: Any, width0: Any, gain: Any) -> tuple[Any, Any]:
+        edge = Edge(soft * told.drive, told.adapted, width, width0, gain, p.gamma)
+        change, gain = law.move(p.law, edge)
+        return model.keep * width + change, gain
+
+    right, right_gain = moved(correction.right, s.right, p.right0, s.right_gain)
+    left, left_gain = moved(correction.left, s.left, p.left0, s.left_gain)
+    x = model.pushed(p.model, s.x, u, p.L @ (soft * correction.e))
+    after = State(x, right, left, right_gain, left_gain)
+    if model.Ts is not None:
+        after = into_bounds(law, p, after)
+    return after, estimate(s.x, z, s.right, s.left, reading, p.slope, setup.kind, correction.e)
+
+
+def silent_violation(
+    setup: Setup, p: Params, s: State, z: Any, reading: Reading
+) -> tuple[Any, Any]:
+    """How far z^ is over the right edge (>= 0) and under the left one (<= 0) of a silent sensor.
+
+    A silent sensor says -d_l <= z <= d_r (wider by the threshold), a play that holds says it of
+    z - y / m; beyond an edge, that edge or z^ is wrong.
+    """
+    z = z - reading.level / p.slope
+    slack = p.threshold / p.slope
+    is_silent = ca.logic_and(reading.side == 0, present(reading.y))
+    silent = ca.if_else(is_silent, float(setup.silence), 0.0)
+    over = silent * ca.fmax(z - s.right - slack, 0.0)
+    under = silent * ca.fmin(z + s.left + slack, 0.0)
+    return over, under
+
+
+def correct_jump(s: State, z: Any, y: Any, side: Any, over: Any, under: Any) -> Correction:
+    """What a jump sensor's reading y / m = z says: outside, it is beyond the edge it is on."""
+    e = ca.if_else(side != 0, y - z, 0.0)
+    right = ca.if_else(side > 0, ca.fmin(y - s.right, 0.0), over)
+    left = ca.if_else(side < 0, ca.fmin(-y - s.left, 0.0), -under)
+    return Correction(e, Driven(right, right != 0), Driven(left, left != 0))
+
+
+def correct_deadzone(s: State, z: Any, y: Any, side: Any, over: Any, under: Any) -> Correction:
+    """What a dead zone's reading says: on the measured side y / m = z - chi_bar d."""
+    e = ca.if_else(side != 0, y - (z - offset(side, s.right, s.left)), -over - under)
+    adapt_right = ca.logic_or(side > 0, over > 0)
+    adapt_left = ca.logic_or(side < 0, under < 0)
+    right, left = ca.if_else(adapt_right, -e, 0.0), ca.if_else(adapt_left, e, 0.0)
+    return Correction(e, Driven(right, adapt_right), Driven(left, adapt_left))
+
+
+def bounded(correction: Correction, side: Any, jump: bool) -> Correction:
+    """What a reading says if those at a limit of the range only bound z.
+
+    At the upper limit z is at least what the reading says, so that an innovation below 0 says
+    nothing; at the lower limit it is the other way round. There a jump sensor does not show that z
+    is beyond any edge but 0.
+    """
+    above = ca.logic_and(side > 1, correction.e < 0)
+    below = ca.logic_and(side < -1, correction.e > 0)
+    heard = ca.logic_not(ca.logic_or(above, below))
+    adapts = ca.logic_and(heard, ca.fabs(side) < 2) if jump else heard
+    right, left = (
+        Driven(ca.if_else(adapts, told.drive, 0.0), ca.logic_and(adapts, told.adapted))
+        for told in (correction.right, correction.left)
+    )
+    return Correction(ca.if_else(heard, correction.e, 0.0), right, left)

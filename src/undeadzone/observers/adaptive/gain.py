@@ -1,0 +1,80 @@
+"""The gain L of an observer: as it is given, by poles, or by a speed; else the default gains.
+
+Those are certified for every stable model, and loud enough to be heard; docs/observer.md says where
+the two numbers come from.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from undeadzone.analysis.certificate.passivity import certify, passive_gain
+from undeadzone.errors import ShapeError
+from undeadzone.linalg.matrices import Matrices, delta, sizes
+from undeadzone.plants.system import System, mean_pole
+from undeadzone.util.arrays import Array, Floats, array, matrix
+
+STRENGTH: Final = 1.0  # C (-A)^-1 L: how far a lasting error moves z^, in that error
+ADAPTATION: Final = 3.0  # gamma, in mean poles of the plant
+LARGEST: Final = 0.5  # of gamma, per sample
+WEAKER: Final = 0.5  # factor on L until it is certified in sampled time
+TRIES: Final = 20  # such factors
+
+
+def gains(L: Array | None, model: System, key: str = "observer.L") -> Floats:
+    """L as n x p.
+
+    Args:
+        L: gains, a plain list for one output; None: `default_gain` of the model.
+        model: the model, for its shape.
+        key: what an error calls L.
+
+    Raises:
+        ShapeError: for another shape.
+    """
+    n, p = model.n, model.p
+    if L is None:
+        return default_gain(model)
+    gain = array(key, L)
+    if gain.ndim == 1 and p == 1:
+        gain = gain[:, None]
+    if gain.ndim != 2:
+        raise ShapeError(
+            f"{key}: expected {n} x {p} (states x outputs), "
+            f"found {gain.size} number{'s' * (gain.size != 1)}"
+        )
+    return matrix(key, gain, n, p, "states x outputs")
+
+
+def default_gain(model: System) -> Floats:
+    """L (n x p) [1/s] along P^-1 C', so strong that a lasting error moves z^ `STRENGTH` times.
+
+    In continuous time every multiple is certified; sampled, the gain is weakened until it is.
+
+    Args:
+        model: a stable model, continuous or sampled.
+
+    Raises:
+        StructureError: if the model is not stable.
+    """
+    linear, Ts = model.linear, model.Ts
+    A = delta(linear, Ts).A
+    unit = 1 / sizes(A.T, linear.C.T)
+    balanced = Matrices(linear.A * unit / unit[:, None], linear.B / unit[:, None], linear.C * unit)
+    L = unit[:, None] * passive_gain(balanced, Ts)
+    at_rest = np.diag(linear.C @ np.linalg.solve(-A, L))
+    L = L * STRENGTH / np.exp(np.log(at_rest).mean())
+    gamma = np.full(model.p, default_adaptation(model))
+    for _ in range(TRIES):
+        if certify(linear, L, gamma, Ts).certified:
+            break
+        L = WEAKER * L
+    return np.asarray(L)
+
+
+def default_adaptation(model: System) -> float:
+    """gamma [1/s] for the plant's own speed."""
+    wanted = ADAPTATION * mean_pole(model)
+    return wanted if model.Ts is None else min(wanted, LARGEST / model.Ts)

@@ -1,0 +1,167 @@
+"""Observers that correct by the output error y / m - Dz(C x^; d^).
+
+The reading is held against the dead zone of the estimate itself. Sliding-mode, super-twisting and
+high-gain observers differ only in what they make of that error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.errors import InputError
+from undeadzone.interfaces import (
+    Estimate,
+    Observer,
+    Reading,
+    Traits,
+    estimate,
+    no_further,
+)
+from undeadzone.nonlinearities.sensor import Zone, deadzone, jump, present
+from undeadzone.observers.adaptive.adaptation_laws import bounded_widths
+from undeadzone.plants.system import System
+from undeadzone.util.arrays import Array, Floats, nonnegative
+
+
+class Widths(NamedTuple):
+    """How widths adapt.
+
+    Attributes:
+        gamma: adaptation gain (p) [1/s].
+        start: d^(0), [right, left] per output (p x 2) [z].
+        limit: upper bound d_M (p) [z].
+    """
+
+    gamma: Floats
+    start: Floats
+    limit: Floats
+
+
+class Params(NamedTuple):
+    """Numbers of the observer; L, gamma and the injection's are per step when sampled.
+
+    Attributes:
+        model: numbers of the model.
+        L: gain of the error (n x p).
+        gamma: adaptation gain (p).
+        law: numbers of the injection.
+        right0, left0: widths at first (p) [z].
+        limit: upper bound of the widths (p) [z].
+        slope: slope m of the sensor (p).
+    """
+
+    model: Any
+    L: Floats
+    gamma: Floats
+    law: Any
+    right0: Floats
+    left0: Floats
+    limit: Floats
+    slope: Floats
+
+
+class State(NamedTuple):
+    """x^ and the widths d_r^, d_l^."""
+
+    x: Any
+    right: Any
+    left: Any
+
+
+def adapted(
+    gamma: Array, widths0: Array, width_max: Array | None, model: System, sensor: Zone
+) -> Widths:
+    """Checked widths and their gain. Raises InputError, ShapeError."""
+    gain = nonnegative("observer.gamma", gamma, model.p, "one per output")
+    if sensor.kind == "jump" and gain.any():
+        raise InputError(
+            "observer.gamma: readings of a jump sensor only bound its widths, this method cannot "
+            "adapt them; leave gamma out"
+        )
+    return Widths(gain, *bounded_widths(widths0, width_max, model.p))
+
+
+def measured(law: Any, s: State, z: Any, reading: Reading) -> tuple[Any, Any]:
+    """Whether the reading is on the right, on the left (p each)."""
+    return reading.side > 0, reading.side < 0
+
+
+def nothing(law: Any, e: Any) -> Any:
+    """No injection beside L e."""
+    return 0.0
+
+
+def output_error(
+    model: System,
+    sensor: Zone,
+    L: Floats,
+    widths: Widths,
+    law: Any = (),
+    inject: Callable[[Any, Any], Any] = nothing,
+    where: Callable[[Any, State, Any, Reading], tuple[Any, Any]] = measured,
+) -> Observer:
+    """x^' = A x^ + B u + L e + inject(law, e), d_r^' = -gamma e on the right, d_l^' = gamma e left.
+
+    The widths stay within [0, d_M]. e = y / m - Dz(C x^; d^) (p), 0 where the reading is missing;
+    with d^ = 0 it is y / m - C x^.
+
+    Args:
+        model: the model, continuous or sampled.
+        sensor: the dead zone.
+        L: gain (n x p), per step when the model is sampled.
+        widths: how the widths adapt.
+        law: numbers of the injection.
+        inject: inject(law, e) is added to x^', per step when the model is sampled.
+        where: where(law, state, C x^, reading) is how much each side is adapted (p each, 0 to 1).
+    """
+    params = Params(
+        model=model.params,
+        L=L,
+        gamma=widths.gamma * model.per_step,
+        law=law,
+        right0=widths.start[:, 0],
+        left0=widths.start[:, 1],
+        limit=widths.limit,
+        slope=sensor.slope,
+    )
+
+    def init(p: Params) -> State:
+        return State(np.zeros(model.n), p.right0, p.left0)
+
+    def step(p: Params, s: State, u: Any, reading: Reading) -> tuple[State, Estimate]:
+        z = model.output(p.model, s.x)
+        e = error(sensor, p, s, z, reading)
+        right, left = where(p.law, s, z, reading)
+        after = State(
+            model.pushed(p.model, s.x, u, p.L @ e + inject(p.law, e)),
+            model.keep * s.right - p.gamma * e * right,
+            model.keep * s.left + p.gamma * e * left,
+        )
+        if model.Ts is not None:
+            after = project(p, after)
+        return after, estimate(s.x, z, s.right, s.left, reading, p.slope, sensor.kind, e)
+
+    adapts = bool(widths.gamma.any())
+    traits = Traits(L=L, gamma=params.gamma, width_max=widths.limit, adapts=adapts)
+    return Observer(params, init, step, project, traits)
+
+
+def error(sensor: Zone, p: Params, s: State, z: Any, reading: Reading) -> Any:
+    """e = y / m - Dz(z; d^) (p), 0 where the reading is missing, or a limit that Dz is beyond."""
+    zone = jump if sensor.kind == "jump" else deadzone
+    expected = zone(z, s.right, s.left)
+    y = reading.y / p.slope
+    if sensor.limits is not None:
+        expected = no_further(expected, y, reading.side)
+    return ca.if_else(present(reading.y), y - expected, 0.0)
+
+
+def project(p: Params, s: State) -> State:
+    """The state with its widths within [0, d_M]."""
+    right = ca.fmax(ca.fmin(s.right, p.limit), 0.0)
+    left = ca.fmax(ca.fmin(s.left, p.limit), 0.0)
+    return State(s.x, right, left)

@@ -1,0 +1,450 @@
+"""What the filter of contacts asks of an arm: of all its joints at once, or joint by joint.
+
+At once N joints have 3^N modes; joint by joint they have 3 N. Each joint then has the filter of an
+arm of one link, to which the rest of the arm is numbers of the sample: its link moves by
+
+    m (q'' - a0) = tau - tau0 - (friction - friction0) - slope (q - q0) - weight (payload - p0)
+
+with m = 1 / (M^-1)_ii, which is what a link feels of its own torque while the other gears transmit
+theirs. a0 = M^-1 (tau0 - h - friction0) is its acceleration with all joints in the mean, and tau0
+the mean of the torques over the sample. By as much as the torques of the others are uncertain, a
+link is pushed at random; what their motors tell of these torques later is made up for.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import casadi as ca
+
+from undeadzone.numerics.gaussian import Gaussian, linearise, mixed
+from undeadzone.numerics.runge_kutta import rk4_change
+from undeadzone.observers.contact_filter.modes import (
+    CONSTANTS,
+    NONE,
+    QUANTITIES,
+    Contacts,
+    Drive,
+    Layout,
+    Numbers,
+    Posterior,
+    innovation,
+    normalised,
+)
+from undeadzone.observers.filtering.multiple_models import weighted_mean
+from undeadzone.plants.robots.arm import Chain
+from undeadzone.plants.robots.geared import Geared, Gears, geared_motion
+
+FADING = 0.2  # correlation time of the unknown torque of motors [s]
+LASTING = 0.01  # time for which the unknown torque of links lasts [s]
+SLOW = 0.05  # time for which the place of another link is off [s]
+PASSED = 0.6  # of what readings correct in the speed of a motor, the share that its gears caused
+FAINT = 1e-4  # share below which a filter is not heard
+KNOWN = 1e-9  # variance of a payload that is known [kg^2]
+REST = ("mass", "load", "slope", "place", "weight", "carried")  # what a joint knows of its arm
+SPEED = QUANTITIES.index("link_speed")
+
+
+def drive_of(gears: Geared, Ts: float, substeps: int, apart: bool = False) -> Drive:
+    """What the filter asks of an arm with gears.
+
+    Args:
+        gears: the arm.
+        Ts: sample time [s].
+        substeps: Runge-Kutta steps in a sample.
+        apart: whether it is one joint of several.
+    """
+    N, layout = gears.size, Layout(gears.size)
+
+    def rate(params: Any, x: Any, u: Any, contact: Contacts) -> tuple[Any, Any]:
+        push = x[layout.of("push")]
+        dx, tau = gears.motion(believed(gears, params, x), x[: 4 * N], u + push, ca.DM(contact))
+        constant = ca.SX.zeros(5 * N)
+        return ca.vertcat(dx, constant, -push / FADING, 0.0), tau
+
+    def mobility(params: Any, x: Any) -> Any:
+        column = believed(gears, params, x)
+        M = ca.densify(gears.arm.mass(gears.links(column), x[layout.of("link")]))
+        return ca.vertcat(-ca.diag(1 / gears.number(column, "inertia")), ca.inv(M))
+
+    motors, links = tuple(range(N)), tuple(range(N, 2 * N))
+    readings = {"motor": motors, "link": links, "both": (*links, *motors)}[gears.measured]
+    return Drive(layout, rate, mobility, readings, Ts, substeps, apart)
+
+
+def believed(gears: Geared, params: Any, x: Any) -> Any:
+    """The parameters of an arm with gears, with what a filter makes of them.
+
+    Args:
+        gears: the arm.
+        params: as the model says.
+        x: unknowns of the filter.
+    """
+    N, layout = gears.size, Layout(gears.size)
+    column = ca.SX(params)
+    for name in CONSTANTS:
+        first = gears.names.index(f"{name}1")
+        column[first : first + N] = x[layout.of(name)]
+    first = gears.names.index("contact1")
+    column[first : first + N] *= ca.exp(x[layout.of("firmness")])
+    column[gears.names.index("payload")] = x[layout.of("payload")]
+    return column
+
+
+def alone(gears: Geared, joint: int) -> Geared:
+    """One joint of an arm with gears, as an arm of one link that knows the rest by numbers."""
+
+    def bias(p: Any, q: Any, _: Any) -> Any:
+        carried = p["weight"] * (p["payload"] - p["carried"])
+        return p["load"] + p["slope"] * (q - p["place"]) + carried
+
+    link = Chain(
+        joints=gears.arm.chain.joints[joint : joint + 1],
+        parameters=dict.fromkeys((*REST, "payload"), 1.0),
+        mass=lambda p, _: p["mass"],
+        bias=bias,
+        points=lambda _, __: ca.SX.zeros(1, 3),
+        turn=lambda _, __: ca.SX.eye(3),
+        gravity=lambda _: ca.SX.zeros(3),
+        plane=(0, 1),
+        **Chain.free(1),
+    )
+    one = geared_motion(link, Gears(half=0.0, inertia=1.0, measured=gears.measured), gears.rest)
+    here = slice(joint, joint + 1)
+    return one._replace(stiffness=gears.stiffness[here], damping=gears.damping[here])
+
+
+def places(layout: Layout, joint: int) -> list[int]:
+    """Where the quantities of one joint stand among those of all, in the order of `Layout(1)`."""
+    return [*(layout.of(name).start + joint for name in QUANTITIES), layout.entries - 1]
+
+
+def part_of(q: Numbers, layout: Layout, joint: int, count: int) -> Numbers:
+    """The numbers of one of so many filters: all, or those of a joint."""
+    if count == 1:
+        return q
+    here = places(layout, joint)
+    return q._replace(
+        Q=q.Q[here],
+        R=q.R[joint::count],
+        low=q.low[here],
+        high=q.high[here],
+        torque=q.torque[joint],
+        rest=q.rest[joint],
+        least=q.least[joint],
+    )
+
+
+def touching(drive: Drive, told: Posterior) -> Any:
+    """The chance of the right flank less that of the left one, of each joint of a filter."""
+    filters = len(told.chances) // len(drive.layout.modes)
+    sides = filters * [list(mode) for mode in drive.layout.modes]
+    return ca.DM(sides).T @ ca.vertcat(*told.chances)
+
+
+def together(layout: Layout, told: Sequence[Posterior]) -> Posterior:
+    """What is known of all joints, as if what each does not know had no relation.
+
+    Each joint has a payload of its own. One is shown: each counts by its variance, and their errors
+    are taken to be one and the same.
+    """
+    if len(told) == 1:
+        return told[0]
+    mean, cov = ca.SX(layout.entries, 1), ca.SX(layout.entries, layout.entries)
+    news = ca.SX(layout.entries, 1)
+    for joint, one in enumerate(told):
+        here = places(layout, joint)
+        mean[here], cov[here, here], news[here] = one.whole.mean, one.whole.cov, one.news
+    payloads = [one.whole.mean[-1] for one in told]
+    variances = [ca.fmax(one.whole.cov[-1, -1], KNOWN) for one in told]
+    total = sum(1 / variance for variance in variances)
+    mean[-1] = sum(p / variance for p, variance in zip(payloads, variances, strict=True)) / total
+    cov[-1, :], cov[:, -1] = 0, 0
+    cov[-1, -1] = (sum(1 / ca.sqrt(variance) for variance in variances) / total) ** 2
+    e = ca.vec(ca.horzcat(*(one.e for one in told)).T)
+    std = ca.vec(ca.horzcat(*(one.std for one in told)).T)
+    return Posterior((), (), Gaussian(mean, cov), news, e, std)
+
+
+def either(told: Sequence[Posterior], shares: tuple[Any, Any]) -> Posterior:
+    """What filters of one joint say together, of which each is as likely as its share.
+
+    Args:
+        told: of each filter (K).
+        shares: before and after the readings (K each).
+    """
+    if len(told) == 1:
+        return told[0]
+    before, after = map(ca.vertsplit, shares)
+    heard = normalised([ca.if_else(share > FAINT, share, 0.0) for share in after])
+    chances: list[Any] = []
+    beliefs: list[Gaussian] = []
+    for share, one in zip(heard, told, strict=True):
+        chances += [share * chance for chance in one.chances]
+        beliefs += one.beliefs
+    whole = mixed(heard, [one.whole for one in told])
+    news = weighted_mean(heard, [one.news for one in told])
+    return Posterior(tuple(chances), tuple(beliefs), whole, news, *innovation(before, told))
+
+
+class Posture(NamedTuple):
+    """An arm where all its joints are in the mean.
+
+    Attributes:
+        gears: the arm.
+        params: its parameters.
+        q, v: angles and speeds of the links (N).
+        closing: speeds of motors against links (N).
+        push: torque of the motors less their friction (N) [N m].
+        rubbed: friction of the links (N).
+        needed: torque that the links need to keep their speed (N).
+        mass, inverse: M and M^-1 (N x N).
+    """
+
+    gears: Geared
+    params: Any
+    q: Any
+    v: Any
+    closing: Any
+    push: Any
+    rubbed: Any
+    needed: Any
+    mass: Any
+    inverse: Any
+
+
+def posture(gears: Geared, model: Any, mean: Any, u: Any) -> Posture:
+    """Where an arm is in the mean.
+
+    Args:
+        gears: the arm.
+        model: its parameters, as the model says.
+        mean: of all unknowns.
+        u: torque of the motors (N).
+    """
+    layout, params, body = Layout(gears.size), believed(gears, model, mean), gears.arm
+    links = gears.links(params)
+    q, turning, v = (mean[layout.of(name)] for name in ("link", "motor_speed", "link_speed"))
+    rubbed, mass = body.friction(links, v), ca.densify(body.mass(links, q))
+    return Posture(
+        gears,
+        params,
+        q,
+        v,
+        turning - v,
+        u + mean[layout.of("push")] - gears.friction(params, turning),
+        rubbed,
+        body.bias(links, q, v) + rubbed,
+        mass,
+        _solved(mass, ca.DM.eye(gears.size)),
+    )
+
+
+def combine_joints(told: Sequence[Posterior], news: Any, arm: Posture) -> list[Posterior]:
+    """The joints, after their readings, once each has heard what those of others tell of torques.
+
+    Where readings correct the speed of a motor, its gears have given its link another impulse than
+    was taken for the mean, opposite to that of the motor. Links elsewhere that are free went with
+    it unseen; those in contact are held by their own readings.
+
+    Args:
+        told: of each joint, after its own readings.
+        news: by how much the readings moved the means of all unknowns.
+        arm: all joints in the mean.
+    """
+    layout, inertia = Layout(arm.gears.size), arm.gears.number(arm.params, "inertia")
+    impulses = -PASSED * inertia * news[layout.of("motor_speed")]
+    gained = arm.inverse @ impulses - ca.diag(arm.inverse) * impulses
+    free = Layout(1).modes.index((0,))
+    each = []
+    for joint, one in enumerate(told):
+        beliefs = list(one.beliefs)
+        mean = ca.SX(beliefs[free].mean)
+        mean[SPEED] += gained[joint]
+        beliefs[free] = Gaussian(mean, beliefs[free].cov)
+        each.append(one._replace(beliefs=tuple(beliefs)))
+    return each
+
+
+class Pressed(NamedTuple):
+    """What is known of the torques through the gears.
+
+    Attributes:
+        chance: that a joint is in contact (N).
+        mean: of the torque (N) [N m].
+        variance: of the torque (N).
+    """
+
+    chance: Any
+    mean: Any
+    variance: Any
+
+
+def contact_forces(
+    drives: Sequence[Drive], parts: Sequence[Numbers], told: Sequence[Posterior]
+) -> Pressed:
+    """The torques at the beginning of a sample; what stops a strike is as uncertain as that one.
+
+    Nothing is said of how uncertain a torque is within a contact: what is stiff corrects it at
+    once, while the variances of two joints that take it for lasting would drive each other up.
+
+    Args:
+        drives: of each joint.
+        parts: numbers of each joint.
+        told: of each joint, after its readings.
+    """
+    each = []
+    for drive, q, one in zip(drives, parts, told, strict=True):
+        chance, mean, square = ca.SX(0.0), ca.SX(0.0), ca.SX(0.0)
+        modes = zip(itertools.cycle(drive.layout.modes), one.chances, one.beliefs, strict=False)
+        for contact, share, belief in modes:
+            together = ca.SX(belief.mean)
+            together[drive.layout.of("motor_speed")] = together[drive.layout.of("link_speed")]
+            tau = drive.rate(q.model, belief.mean, 0.0, contact)[1]
+            sudden = tau - drive.rate(q.model, together, 0.0, contact)[1]
+            chance += share * abs(contact[0])
+            mean += share * tau
+            square += share * (tau**2 + (q.impact * sudden) ** 2)
+        each.append((chance, mean, ca.fmax(square - mean**2, 0.0)))
+    return Pressed(*(ca.vertcat(*column) for column in zip(*each, strict=True)))
+
+
+def surroundings(
+    ones: Sequence[Geared],
+    drives: Sequence[Drive],
+    parts: Sequence[Numbers],
+    told: Sequence[Posterior],
+    arm: Posture,
+) -> list[Numbers]:
+    """The numbers of each joint's filter, with what it knows of the rest of its arm.
+
+    Args:
+        ones: each joint `alone`.
+        drives: of each joint.
+        parts: numbers of each joint.
+        told: of each joint, after its readings.
+        arm: all joints in the mean.
+    """
+    gears, N, body = arm.gears, arm.gears.size, arm.gears.arm
+    links, names = gears.links(arm.params), body.names
+    carried = links[names.index("payload")]
+    known = []
+    for joint, (one, part) in enumerate(zip(ones, parts, strict=True)):
+        known.append(part._replace(model=_column(gears, one, part.model, joint)))
+    now = contact_forces(drives, known, told)
+    moved, tau = _moved(arm, now.chance), _lasting(arm, now, drives[0])
+    a = arm.inverse @ (tau - arm.needed)
+
+    def needed(at: Any) -> Any:
+        column = ca.SX(links)
+        column[names.index("payload")] = at[N]
+        return body.mass(column, at[:N]) @ a + body.bias(column, at[:N], arm.v)
+
+    own = ca.diag(moved)
+    each = ca.repmat(own, 1, N + 1)
+    slopes = moved @ linearise(needed, ca.vertcat(arm.q, carried))[1] / each
+    shaken = _shaken(arm.inverse, moved, slopes[:, :N], now.variance, known, told, drives[0].Ts)
+    after = []
+    for joint, (one, part) in enumerate(zip(ones, known, strict=True)):
+        load = tau[joint] - arm.rubbed[joint] - a[joint] / own[joint]
+        slope, weight = slopes[joint, joint], slopes[joint, N]
+        rest = (1 / own[joint], load, slope, arm.q[joint], weight, carried)
+        for name, value in zip(REST, rest, strict=True):
+            part.model[one.names.index(name)] = value
+        Q = ca.SX(part.Q)
+        Q[SPEED] += shaken[joint]
+        after.append(part._replace(Q=Q))
+    return after
+
+
+def _column(gears: Geared, one: Geared, params: Any, joint: int) -> Any:
+    """The parameters of one joint alone, without what it knows of the rest."""
+    column = ca.SX(one.values)
+    for place, name in enumerate(one.names):
+        if name.endswith("1"):
+            column[place] = params[gears.names.index(f"{name[:-1]}{joint + 1}")]
+    return column
+
+
+def _solved(M: Any, right: Any) -> Any:
+    """M^-1 times a matrix."""
+    return ca.ldl_solve(right, *ca.ldl(M))
+
+
+def _moved(arm: Posture, touching: Any) -> Any:
+    """The acceleration of each link by torques (N x N); others turn their motors where they touch.
+
+    So a link answers to its own contact, which lasts longer than a stiff contact takes.
+    """
+    N, inertia, rows = arm.gears.size, arm.gears.number(arm.params, "inertia"), []
+    for joint in range(N):
+        turned = touching * inertia
+        turned[joint] = 0.0
+        rows.append(_solved(arm.mass + ca.diag(turned), ca.DM.eye(N)[:, joint]).T)
+    return ca.vertcat(*rows)
+
+
+def _lasting(arm: Posture, now: Pressed, drive: Drive) -> Any:
+    """The mean torques through the gears over a sample (N), of joints that stay as they are.
+
+    A joint that touches feels its own torque, and those of others by the chance that they touch.
+    """
+    gears, N = arm.gears, arm.gears.size
+    frequency, inertia = (gears.number(arm.params, name) for name in ("contact", "inertia"))
+    K, damping = gears.stiffness * frequency**2, gears.damping * frequency
+    own = ca.diag(arm.inverse)
+    others = arm.inverse - ca.diag(own)
+    first = now.mean / ca.fmax(now.chance, NONE)
+
+    def rate(x: Any, _: float) -> Any:
+        wound, faster = x[:N], x[N : 2 * N]
+        tau = first + K * wound + damping * faster
+        link = own * tau + others @ (now.chance * tau) - arm.inverse @ arm.needed
+        return ca.vertcat(arm.closing + faster, (arm.push - tau) / inertia - link, tau)
+
+    total = ca.SX.zeros(3 * N)
+    for _ in range(drive.substeps):
+        total += rk4_change(rate, total, drive.Ts / drive.substeps)
+    return now.chance * total[2 * N :] / drive.Ts
+
+
+def _shaken(
+    inverse: Any,
+    moved: Any,
+    slopes: Any,
+    variance: Any,
+    parts: Sequence[Numbers],
+    told: Sequence[Posterior],
+    Ts: float,
+) -> Any:
+    """The variance that the speed of each link gains in a sample by what is unknown of others (N).
+
+    What their torques are off by counts for the sample alone, as it is `made_up`.
+
+    Args:
+        inverse: M^-1.
+        moved: the acceleration of each link by torques (N x N).
+        slopes: torque at each link by the angle of another (N x N).
+        variance: of the torques through the gears (N).
+        parts: numbers of each joint.
+        told: of each joint.
+        Ts: sample time [s].
+    """
+    N, own = len(parts), ca.diag(moved)
+    apart = 1 - ca.DM.eye(N)
+    pushed = (apart * inverse**2) @ variance
+    loads = ca.vertcat(*(part.Q[SPEED] for part in parts))
+    loaded = (apart * (moved / ca.repmat(own.T, N, 1)) ** 2) @ loads
+    spans = ca.vertcat(*(_span(one.whole) for one in told))
+    tilted = own**2 * ((apart * slopes**2) @ spans)
+    return loaded + Ts * (Ts * pushed + SLOW * tilted)
+
+
+def _span(belief: Gaussian) -> Any:
+    """The variance of a link, which is not beyond its flanks for long (1)."""
+    layout = Layout(1)
+    motor, link, half = (layout.of(name).start for name in ("motor", "link", "half"))
+    bound = belief.mean[half] ** 2 + belief.cov[half, half] + belief.cov[motor, motor]
+    return ca.fmin(belief.cov[link, link], bound)

@@ -1,0 +1,543 @@
+"""A filter of contacts: motors and links with gaps between them, each joint in one of three modes.
+
+A joint touches its right flank (1), runs free in the gap (0) or touches its left flank (-1). Each
+combination is an extended Kalman filter of x = [theta; q; theta'; q'; a; c; friction; f; k; w;
+payload] with the contacts held, f the friction of links, k the log of a contact's frequency over
+the model's, and a chance. A link leaves a flank where the torque through it changes its sign; it
+reaches one by first passage (`numerics.first_passage`), which is where the gap is measured. What
+comes together in a mode is merged by its moments (interacting multiple models, Blom and Bar-Shalom
+1988, with changes that hang on the state). docs/methods/contact.md derives the weights.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.nonlinearities.sensor import present
+from undeadzone.numerics.first_passage import arriving, at_edge, beyond
+from undeadzone.numerics.gaussian import (
+    Bound,
+    Gaussian,
+    advance,
+    below,
+    cut,
+    from_upper,
+    mixed,
+    symmetric,
+    together,
+    triangle,
+    update_unless_glitch,
+)
+from undeadzone.numerics.runge_kutta import rk4_change
+from undeadzone.observers.filtering.multiple_models import weighted_mean
+from undeadzone.util import tree
+from undeadzone.util.arrays import Floats
+
+Contacts = tuple[int, ...]  # of each joint: 1, 0 or -1
+MOTION = ("motor", "link", "motor_speed", "link_speed")
+CONSTANTS = ("half", "centre", "friction", "f")  # named as the plant's parameters
+QUANTITIES = (*MOTION, *CONSTANTS, "firmness", "push")  # of each joint
+SMALL = 1e-6  # least chance that a link is in its gap
+NONE = 1e-12  # chance below which nothing comes to a mode
+LEAST = 1e-7  # chance of a mode below which it is dropped
+WIDE = 4.0  # half gaps of deviation beyond which a free link may be anywhere in the gap
+FAR = 3.0  # deviations beyond which a belief off an edge says little of it
+LOST = -1e6  # log of a density that is as good as none
+AWAY = 1000.0  # by which the log of a density is less where a filter ran away
+MOST = 60.0  # largest difference of logs of chances
+LATE = 0.95  # chance under the uncut belief of being beyond a flank, from which it is cut
+SURE = 3.0  # deviations from a flank beyond which it cuts nothing
+OPEN = 0.07  # deviation to which half gaps drift, over their claimed range
+RESTING = 0.1  # speed below which a motor may be at rest, or a link on its flank [rad/s]
+
+
+class Layout(NamedTuple):
+    """Where each quantity stands in x, of N joints.
+
+    Attributes:
+        size: number of joints N.
+    """
+
+    size: int
+
+    def of(self, name: str) -> slice:
+        """The entries of one quantity."""
+        if name == "payload":
+            return slice(self.entries - 1, self.entries)
+        first = QUANTITIES.index(name) * self.size
+        return slice(first, first + self.size)
+
+    @property
+    def entries(self) -> int:
+        """How many numbers x has."""
+        return len(QUANTITIES) * self.size + 1
+
+    @property
+    def modes(self) -> list[Contacts]:
+        """Every combination of contacts."""
+        return list(itertools.product((1, 0, -1), repeat=self.size))
+
+    def edge(self, joint: int, side: int) -> ca.DM:
+        """The row of side (theta - q + c) - a of a joint (1 x entries)."""
+        row = np.zeros((1, self.entries))
+        for name, sign in (("motor", side), ("link", -side), ("centre", side), ("half", -1)):
+            row[0, self.of(name).start + joint] = sign
+        return ca.sparsify(ca.DM(row))
+
+    def edges(self, joint: int) -> list[ca.DM]:
+        """The rows of its right and its left flank."""
+        return [self.edge(joint, side) for side in (1, -1)]
+
+
+class Drive(NamedTuple):
+    """What the filter asks of the plant; its first argument is `Numbers.model`.
+
+    Attributes:
+        layout: where the quantities stand.
+        rate: (numbers, x, u, contact) -> (x' (entries), torques through the gears (N)), contacts
+            locked.
+        mobility: (numbers, x) -> change of [theta'; q'] (2N x N) by a unit impulse between motor
+            and link of each joint, which takes from the motor.
+        readings: entry of x that each reading gives (p).
+        Ts: sample time [s].
+        substeps: Runge-Kutta steps in a sample.
+        apart: whether it is one joint of several, to which what the others do to its link is noise.
+    """
+
+    layout: Layout
+    rate: Callable[[Any, Any, Any, Contacts], tuple[Any, Any]]
+    mobility: Callable[[Any, Any], Any]
+    readings: tuple[int, ...]
+    Ts: float
+    substeps: int
+    apart: bool
+
+
+class Numbers(NamedTuple):
+    """The numbers of the filter.
+
+    Attributes:
+        model: those of the plant.
+        Q: variance that x gains in a step (entries).
+        R: variance of a reading (p).
+        low, high: between which x is known to lie (entries).
+        slack: variance of where a flank is: its compliance is not known (1) [rad^2].
+        torque: deviation of the torque through the gears (N) [N m].
+        leaving: chance per sample that a link leaves a flank which pulls.
+        impact: share by which an impulse is off.
+        rest: variance that the speed of a motor at rest gains in a step, over f^2 (N).
+        least: friction that static friction has at least (N) [N m].
+    """
+
+    model: Any
+    Q: Floats
+    R: Floats
+    low: Floats
+    high: Floats
+    slack: Any
+    torque: Floats
+    leaving: Any
+    impact: Any
+    rest: Floats
+    least: Floats
+
+
+class Modes(NamedTuple):
+    """The state: a chance and a belief for each mode.
+
+    Attributes:
+        chances: of the modes (K); their sum is 1.
+        means: of x in each mode (K of (entries)).
+        covs: upper triangles of the covariances.
+        begun: 1 once a whole sample was read (1).
+    """
+
+    chances: Any
+    means: tuple[Any, ...]
+    covs: tuple[Any, ...]
+    begun: Any
+
+
+class Posterior(NamedTuple):
+    """What the readings of a sample make of the modes.
+
+    Attributes:
+        chances: of the modes (K).
+        beliefs: about x in each mode.
+        whole: the belief about x whatever the mode.
+        news: by how much the readings moved its mean (entries).
+        e, std: innovations and their deviations, whatever the mode (p).
+        log: log of how well the modes foretold the readings.
+    """
+
+    chances: tuple[Any, ...]
+    beliefs: tuple[Gaussian, ...]
+    whole: Gaussian
+    news: Any
+    e: Any
+    std: Any
+    log: Any = 0.0
+
+
+def start(layout: Layout, mean: Floats, std: Floats, slack: float) -> Modes:
+    """The modes before the first reading, as NumPy arrays: each link on the flank of its mode.
+
+    Args:
+        layout: where the quantities stand.
+        mean, std: of x about the first reading, contacts unknown (entries).
+        slack: variance of where a flank is [rad^2].
+    """
+    entries = ca.Sparsity.upper(layout.entries)
+    means, covs = [], []
+    for mode in layout.modes:
+        belief = Gaussian(ca.SX(mean), ca.SX(ca.diag(std**2)))
+        for joint, side in enumerate(mode):
+            if side:
+                h = layout.edge(joint, side)
+                belief = at_edge(belief, h, h @ belief.mean, slack)
+        means.append(np.asarray(ca.evalf(belief.mean)).ravel())
+        covs.append(np.asarray(ca.evalf(triangle(belief.cov, entries))).ravel())
+    return Modes(np.full(len(means), 1 / len(means)), tuple(means), tuple(covs), np.zeros(1))
+
+
+def _beliefs(drive: Drive, s: Modes, y: Any) -> list[Gaussian]:
+    """The belief in each mode: the first whole sample sets the angles.
+
+    Args:
+        drive: the plant.
+        s: the state.
+        y: readings (p).
+    """
+    layout, N, whole = drive.layout, drive.layout.size, ca.mmin(present(y))
+    entries = ca.Sparsity.upper(layout.entries)
+    angle = ca.if_else(ca.logic_and(s.begun < 0.5, whole), y[:N], 0.0)
+    shift = ca.vertcat(angle, angle, ca.SX.zeros(layout.entries - 2 * N))
+    beliefs = []
+    for mean, cov in zip(s.means, s.covs, strict=True):
+        beliefs.append(Gaussian(mean + shift, symmetric(cov, entries)))
+    return beliefs
+
+
+def corrected(drive: Drive, q: Numbers, s: Modes, y: Any) -> Posterior:
+    """The modes after the readings of a sample; one that is no number is missing."""
+    beliefs, each = _beliefs(drive, s, y), []
+    for contact, belief in zip(drive.layout.modes, beliefs, strict=True):
+        each.append(_read(drive, q, contact, belief, y))
+    before = ca.vertsplit(s.chances)
+    alive = [ca.if_else(w > 0, one.log, -1e300) for w, one in zip(before, each, strict=True)]
+    best = ca.mmax(ca.vertcat(*alive))
+    logs = [ca.fmax(one.log - best, -MOST) for one in each]
+    likely = [w * ca.exp(log) for w, log in zip(before, logs, strict=True)]
+    weights, log = normalised(likely), best + ca.log(ca.fmax(sum(likely), 1e-300))
+    log = ca.if_else(log > LOST, log, LOST)  # also of a filter that overflows
+    shares = normalised([ca.if_else(weight < LEAST, 0.0, weight) for weight in weights])
+    whole = mixed(shares, [one.belief for one in each])
+    kept = []
+    for share, one in zip(shares, each, strict=True):
+        kept.append(one_or_other(share > 0, one.belief, whole))
+    news = whole.mean - weighted_mean(before, [belief.mean for belief in beliefs])
+    return Posterior(tuple(shares), tuple(kept), whole, news, *innovation(before, each), log)
+
+
+def innovation(shares: Sequence[Any], each: Sequence[Posterior | Read]) -> tuple[Any, Any]:
+    """The innovation of a mixture and its deviation, where each part has a share (K)."""
+    e = weighted_mean(shares, [one.e for one in each])
+    variances = [one.std**2 + (one.e - e) ** 2 for one in each]
+    return e, ca.sqrt(weighted_mean(shares, variances))
+
+
+class Read(NamedTuple):
+    """One mode after the readings of a sample.
+
+    Attributes:
+        belief: about x.
+        log: log of how well it foretold them.
+        e, std: innovations and their deviations (p).
+    """
+
+    belief: Gaussian
+    log: Any
+    e: Any
+    std: Any
+
+
+def _read(drive: Drive, q: Numbers, contact: Contacts, foretold: Gaussian, y: Any) -> Read:
+    """One mode after the readings, with its numbers within their bounds."""
+    belief, log, readings = foretold, ca.SX(0.0), []
+    for row, entry in enumerate(drive.readings):
+        seen = present(y[row])
+        h = ca.DM(1, drive.layout.entries)
+        h[0, entry] = 1
+        e = ca.if_else(seen, y[row] - belief.mean[entry], 0.0)
+        told = update_unless_glitch(belief, h, e, q.R[row], seen, None, 0.0)
+        belief = told.belief
+        log += ca.if_else(seen, -((e / told.std) ** 2) / 2 - ca.log(told.std), 0.0)
+        readings.append(told)
+    for one, sign in ((belief, 1), (foretold, -1)):
+        log += sign * _within(drive.layout, contact, one, q.slack)
+    bounded = Gaussian(ca.fmax(ca.fmin(belief.mean, q.high), q.low), belief.cov)
+    columns = together(readings)
+    return Read(bounded, log, columns.e, columns.std)
+
+
+def _within(layout: Layout, contact: Contacts, belief: Gaussian, slack: Any) -> Any:
+    """The log of the chance that the links in their gaps are between their flanks.
+
+    By as much as readings raise it, they speak for a mode whose belief is uncut.
+    """
+    log = ca.SX(0.0)
+    for joint, side in enumerate(contact):
+        if side == 0:
+            out = sum(_beyond(layout, joint, belief, slack))
+            log += ca.log(ca.fmax(1 - out, SMALL))
+    return log
+
+
+def _beyond(layout: Layout, joint: int, belief: Gaussian, slack: Any) -> list[Any]:
+    """The chances that a link is beyond its right and its left flank, under the uncut belief."""
+    return [beyond(belief, h, h @ belief.mean, slack) for h in layout.edges(joint)]
+
+
+def one_or_other(use: Any, one: Gaussian, other: Gaussian) -> Gaussian:
+    """One belief, or another one."""
+    return Gaussian(
+        ca.if_else(use, one.mean, other.mean), from_upper(ca.if_else(use, one.cov, other.cov))
+    )
+
+
+def normalised(weights: list[Any]) -> list[Any]:
+    """The weights over their sum."""
+    total = ca.fmax(sum(weights), 1e-300)
+    return [weight / total for weight in weights]
+
+
+def renewed(told: Sequence[Posterior]) -> list[Posterior]:
+    """Filters of one joint, of which one that ran away goes on as the one does that foretold best.
+
+    Args:
+        told: of each filter (K).
+    """
+    best = told[0]
+    for one in told[1:]:
+        best = _either(one.log > best.log, one, best)
+    return [_either(one.log < best.log - AWAY, best, one) for one in told]
+
+
+def _either(use: Any, one: Posterior, other: Posterior) -> Posterior:
+    """What one filter says, or another one."""
+    pairs = zip(tree.leaves(one), tree.leaves(other), strict=True)
+    chosen: Posterior = tree.rebuild(one, (ca.if_else(use, a, b) for (_, a), (_, b) in pairs))
+    return chosen
+
+
+class Mode(NamedTuple):
+    """A mode on its way to the next sample.
+
+    Attributes:
+        chance: of the mode.
+        belief: about x.
+    """
+
+    chance: Any
+    belief: Gaussian
+
+
+def predicted(drive: Drive, q: Numbers, told: Posterior, u: Any) -> list[Mode]:
+    """The modes a sample later: links leave flanks, all move, links reach flanks.
+
+    Args:
+        drive: the plant.
+        q: the numbers.
+        told: the modes after the readings.
+        u: torque of the motors (N).
+    """
+    modes = drive.layout.modes
+    now = [Mode(*each) for each in zip(told.chances, told.beliefs, strict=True)]
+    signs = [_leaving(drive, q, mode, one, u) for mode, one in zip(modes, now, strict=True)]
+    for joint in range(drive.layout.size):
+        now, signs = _released(drive, q, joint, now, signs)
+    after = [_moved(drive, q, mode, one, u) for mode, one in zip(modes, now, strict=True)]
+    each = zip(modes, now, after, strict=True)
+    arrivals = [_arrivals(drive.layout, q.slack, *ways) for ways in each]
+    for joint in range(drive.layout.size):
+        after, arrivals = _caught(drive, q, joint, after, arrivals)
+    return after
+
+
+def _change(drive: Drive, q: Numbers, contact: Contacts, u: Any) -> Callable[[Any], Any]:
+    """By how much x changes in a sample, contacts held."""
+    h = drive.Ts / drive.substeps
+
+    def change(x: Any) -> Any:
+        total = ca.SX.zeros(drive.layout.entries)
+        for _ in range(drive.substeps):
+            total += rk4_change(lambda z, _: drive.rate(q.model, z, u, contact)[0], x + total, h)
+        return total
+
+    return change
+
+
+def _leaving(drive: Drive, q: Numbers, contact: Contacts, one: Mode, u: Any) -> Any:
+    """The share of a mode of which each joint leaves its flank in the sample (N).
+
+    It does where the torque through the gears, in the middle of the sample, pulls. What leaves is
+    free for the whole sample: to wait for its end would make each crossing late.
+    """
+    x = one.belief.mean
+    end = x + _change(drive, q, contact, u)(x)
+    now, then = (drive.rate(q.model, each, u, contact)[1] for each in (x, end))
+    return q.leaving * below(-ca.DM(contact) * (now + then) / 2 / q.torque)
+
+
+def _sides(layout: Layout, joint: int) -> list[dict[int, int]]:
+    """Places of right flank, gap and left flank of a joint among the modes, others held."""
+    modes = layout.modes
+    free = [mode for mode in modes if mode[joint] == 0]
+    return [
+        {side: modes.index((*one[:joint], side, *one[joint + 1 :])) for side in (1, 0, -1)}
+        for one in free
+    ]
+
+
+def _released(
+    drive: Drive, q: Numbers, joint: int, modes: list[Mode], leaving: list[Any]
+) -> tuple[list[Mode], list[Any]]:
+    """The modes, and the shares that leave, after one joint has left its flanks."""
+    after, shares = list(modes), list(leaving)
+    for places in _sides(drive.layout, joint):
+        gap, parts, left = places[0], [], []
+        for side in (1, -1):
+            here = modes[places[side]]
+            share = leaving[places[side]][joint]
+            after[places[side]] = here._replace(chance=here.chance * (1 - share))
+            parts.append(here._replace(chance=here.chance * share))
+            left.append(leaving[places[side]])
+        parts = [*_resident(drive, q, joint, modes[gap], sum(one.chance for one in parts)), *parts]
+        left = [leaving[gap], leaving[gap], *left]
+        after[gap], weights = _merged(parts)
+        shares[gap] = weighted_mean(weights, left)
+    return after, shares
+
+
+def _resident(drive: Drive, q: Numbers, joint: int, gap: Mode, come: Any) -> list[Mode]:
+    """What is in a gap to which others come with a chance, in two parts: uncut, and cut to the gap.
+
+    Uncut it tells the first passage. Yet whatever has not arrived is in the gap: what comes would
+    be merged with one that has long been elsewhere, and go with it. So it is cut in the share in
+    which others come, and wholly, once, where hardly anything of the uncut belief is in the gap.
+    """
+    belief = gap.belief
+    bounds = [Bound(h, h @ belief.mean, 1.0) for h in drive.layout.edges(joint)]
+    inside = cut(belief, bounds, q.slack, SURE).belief
+    late = sum(_beyond(drive.layout, joint, belief, q.slack)) > LATE
+    share = ca.if_else(late, 1.0, come / ca.fmax(gap.chance + come, NONE))
+    return [gap._replace(chance=gap.chance * (1 - share)), Mode(gap.chance * share, inside)]
+
+
+def _moved(drive: Drive, q: Numbers, contact: Contacts, one: Mode, u: Any) -> Mode:
+    """One mode a sample later, contacts held."""
+    layout, (mean, cov), Q = drive.layout, one.belief, ca.SX(q.Q)
+    motors, halves = layout.of("motor_speed"), layout.of("half")
+    friction = ca.fmax(mean[layout.of("friction")], q.least)
+    Q[motors] += q.rest * friction**2 * _still(mean[motors])  # which takes whatever there is
+    most = ca.fmax((OPEN * (q.high - q.low)[halves]) ** 2, NONE)
+    Q[halves] *= ca.fmax(1 - ca.diag(cov[halves, halves]) / most, 0.0)
+    return Mode(one.chance, advance(one.belief, _change(drive, q, contact, u), ca.diag(Q)))
+
+
+def _arrivals(layout: Layout, slack: Any, contact: Contacts, start: Mode, end: Mode) -> Any:
+    """The shares of a mode that reach the right and the left flank of each joint (N x 2).
+
+    Where the uncut belief is much wider than the gap it says nothing more of what is in it.
+    """
+    shares = ca.SX.zeros(layout.size, 2)
+    for joint in range(layout.size):
+        if contact[joint] == 0:
+            before, now = (_beyond(layout, joint, one.belief, slack) for one in (start, end))
+            across = layout.edge(joint, 1)
+            most = WIDE * end.belief.mean[layout.of("half")][joint]
+            lost = across @ end.belief.cov @ across.T > most**2 + slack
+            shares[joint, :] = ca.horzcat(*arriving(before, now, lost))
+    return shares
+
+
+def _caught(
+    drive: Drive, q: Numbers, joint: int, modes: list[Mode], arrivals: list[Any]
+) -> tuple[list[Mode], list[Any]]:
+    """The modes, and the shares that arrive, after one joint has reached its flanks."""
+    after, shares = list(modes), list(arrivals)
+    for places in _sides(drive.layout, joint):
+        gap, share = modes[places[0]], arrivals[places[0]][joint, :]
+        after[places[0]] = gap._replace(chance=gap.chance * (1 - ca.sum2(share)))
+        for side, arrived in zip((1, -1), ca.horzsplit(share), strict=True):
+            place = places[side]
+            new = Mode(gap.chance * arrived, condition_on_impact(drive, q, joint, side, gap.belief))
+            after[place], (kept, come) = _merged([modes[place], new])
+            shares[place] = kept * arrivals[place] + come * arrivals[places[0]]
+    return after, shares
+
+
+def _merged(parts: list[Mode]) -> tuple[Mode, list[Any]]:
+    """What comes together in a mode, by its moments, and the share of each part.
+
+    Where nothing comes, the first part stays.
+    """
+    total = sum(part.chance for part in parts)
+    empty = total < NONE
+    shares = [ca.if_else(empty, 0.0, part.chance / ca.fmax(total, NONE)) for part in parts]
+    shares[0] = ca.if_else(empty, 1.0, shares[0])
+    return Mode(total, mixed(shares, [part.belief for part in parts])), shares
+
+
+def condition_on_impact(
+    drive: Drive, q: Numbers, joint: int, side: int, belief: Gaussian
+) -> Gaussian:
+    """The belief of a link that has just struck a flank.
+
+    In the mean it did so half a sample ago. Since then motor and link have moved on together, by as
+    much as the impulse between them says; its size is not known, as restitution is not. Joint by
+    joint, where both move alike, the gap is left as it is: a link that rests on a flank leaves it
+    and comes back for reasons that are not modelled, and soon seemed to cross a gap of nothing.
+    """
+    layout, x = drive.layout, belief.mean
+    motor, link = layout.of("motor_speed").start + joint, layout.of("link_speed").start + joint
+    late = ca.DM(1, layout.entries)
+    late[0, motor], late[0, link] = -side * drive.Ts / 2, side * drive.Ts / 2
+    row = layout.edge(joint, side) + late
+    excess = row @ x
+    wild = ca.fmax(ca.fabs(excess) - FAR * ca.sqrt(ca.fmax(row @ belief.cov @ row.T, 0.0)), 0.0)
+    moved = ca.SX.ones(layout.entries) if drive.apart else None
+    if moved is not None:
+        moved[layout.of("half").start + joint] = 1 - _still(x[motor] - x[link])
+    at = at_edge(belief, row, excess, q.slack + (late @ x) ** 2 / 3 + wild**2, moved)
+    direction = drive.mobility(q.model, at.mean)[:, joint]
+    N = layout.size
+    give = direction / (direction[N + joint] - direction[joint])  # a unit of theta' - q' less
+    b = ca.vertcat(ca.SX.zeros(2 * N), give, ca.SX.zeros(layout.entries - 4 * N))
+    closing = at.cov[motor, motor] + at.cov[link, link] - 2 * at.cov[motor, link]
+    impulse = q.impact**2 * ((at.mean[motor] - at.mean[link]) ** 2 + closing)
+    back = ca.vertcat(give * (-late @ at.mean) * side, ca.SX.zeros(layout.entries - 2 * N))
+    return Gaussian(at.mean + back, from_upper(at.cov + (impulse * b) @ b.T))
+
+
+def _still(speed: Any) -> Any:
+    """How surely what has a speed is at rest, from 0 to 1."""
+    return ca.exp(-((speed / RESTING) ** 2))
+
+
+def pack_modes(drive: Drive, moved: list[Mode], s: Modes, y: Any) -> Modes:
+    """The state at the next sample; before a first whole sample it stays as it is."""
+    entries, begun = ca.Sparsity.upper(drive.layout.entries), ca.fmax(s.begun, ca.mmin(present(y)))
+
+    def kept(new: Any, old: Any) -> Any:
+        return ca.if_else(begun > 0.5, new, old)
+
+    chances = ca.vertcat(*normalised([one.chance for one in moved]))
+    means = map(kept, [one.belief.mean for one in moved], s.means)
+    covs = map(kept, [triangle(one.belief.cov, entries) for one in moved], s.covs)
+    return Modes(kept(chances, s.chances), tuple(means), tuple(covs), begun)

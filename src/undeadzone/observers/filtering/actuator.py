@@ -1,0 +1,165 @@
+"""An observer of a plant behind an actuator, known or with widths to estimate, or a delay."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.errors import InputError
+from undeadzone.interfaces import Estimate, Observer, Reading
+from undeadzone.nonlinearities.actuator import (
+    Belief,
+    through_line,
+    through_zone,
+    within_limits,
+    within_rate,
+)
+from undeadzone.nonlinearities.sensor import Zone
+from undeadzone.plants.system import System
+from undeadzone.util import tree
+
+ESTIMATORS = ("auto", "censored", "kalman")  # of an actuator's widths, of a load's friction
+
+
+class State(NamedTuple):
+    """The observer's state, and the last command within its rate (m), if that has a limit."""
+
+    observer: Any
+    command: Any
+
+
+def built(options: Any, model: System, sensor: Zone, belief: Belief | None) -> Observer:
+    """The observer with these options for a model behind an actuator.
+
+    Args:
+        options: of the observer.
+        model: the model of the plant, without its actuator.
+        sensor: the dead zone.
+        belief: what is known of the actuator; None: there is none.
+
+    Raises:
+        InputError: or a subclass, those of the observer; for a method that cannot estimate what is
+            not known.
+    """
+    _require_friction(str(options.__struct_config__.tag), model, sensor)
+    observer = _behind_actuator(options, model, sensor, belief)
+    return through_delay(observer, model) if model.delay else observer
+
+
+def _behind_actuator(options: Any, model: System, sensor: Zone, belief: Belief | None) -> Observer:
+    """The observer for a model whose input acts at once; arguments as of `built`."""
+    if belief is None:
+        return options.build(model, sensor)
+    method = str(options.__struct_config__.tag)
+    if belief.ranges is not None and (method not in ESTIMATORS or model.Ts is None):
+        raise InputError(
+            f"model.actuator.right: {method!r} cannot estimate the widths of an actuator; give "
+            f"numbers, or use one of {', '.join(ESTIMATORS)} in sampled time"
+        )
+    observer = options.build(model._replace(actuator=belief), sensor)
+    if observer.python is not None:
+        raise InputError(
+            f"actuator: {method!r} computes in Python and knows no actuator; use another observer"
+        )
+    return through_actuator(observer, model, belief)
+
+
+def _require_friction(method: str, model: System, sensor: Zone) -> None:
+    """Raise InputError where the friction of a load cannot be taken into account."""
+    if sensor.friction.any() and (model.m, model.p) != (1, 1):
+        raise InputError(
+            "sensor.load_friction: needs a plant of one input and one output, found "
+            f"{model.m} and {model.p}; leave it out"
+        )
+    if sensor.friction_std.any() and method not in ESTIMATORS:
+        raise InputError(
+            f"model.load_friction: {method!r} cannot estimate it; give a number, or use one of "
+            f"{', '.join(ESTIMATORS)}"
+        )
+
+
+def through_actuator(observer: Observer, model: System, belief: Belief) -> Observer:
+    """The observer that is told what passes the actuator in place of the command.
+
+    Args:
+        observer: that takes what enters the plant for its input, or estimates widths itself.
+        model: the model.
+        belief: what is known of the actuator.
+    """
+    kind = type(observer.params)
+    rated = belief.drive.rated and model.Ts is not None
+    last = np.zeros(model.m if rated else 0)
+
+    def init(q: Any) -> State:
+        return State(observer.init(tree.parted(q, kind)), last)
+
+    def project(q: Any, s: State) -> State:
+        return s._replace(observer=observer.project(tree.parted(q, kind), s.observer))
+
+    step = partial(step_through, observer, model, belief.ranges is None)
+    params = tree.joined(observer.params, "actuator", belief.drive)
+    return Observer(params, init, step, project, observer.traits)
+
+
+class Late(NamedTuple):
+    """The observer's state, and what has not acted yet, the oldest first (delay m)."""
+
+    observer: Any
+    line: Any
+
+
+def through_delay(observer: Observer, model: System) -> Observer:
+    """The observer that is told what acts now in place of the command. Raises InputError.
+
+    Its filter keeps its order: what is under way is known.
+
+    Args:
+        observer: that takes what acts for its input.
+        model: the model.
+    """
+    if observer.python is not None:
+        raise InputError(
+            "plant.delay: an observer that computes in Python knows no delay; use another observer"
+        )
+    smoothing = observer.smoothing
+
+    def init(q: Any) -> Late:
+        return Late(observer.init(q), np.zeros(model.delay * model.m))
+
+    def project(q: Any, s: Late) -> Late:
+        return s._replace(observer=observer.project(q, s.observer))
+
+    def step(q: Any, s: Late, u: Any, reading: Reading) -> tuple[Late, Estimate]:
+        line, acting = through_line(s.line, u)
+        after, estimate = observer.step(q, s.observer, acting, reading)
+        return Late(after, line), estimate
+
+    if smoothing is not None:
+        smoothing = smoothing._replace(
+            moments=lambda q, s, u, reading: observer.smoothing.moments(
+                q, s.observer, through_line(s.line, u)[1], reading
+            ),
+            odds=lambda s: observer.smoothing.odds(s.observer),
+            record=lambda s: observer.smoothing.record(s.observer),
+        )
+    return observer._replace(init=init, step=step, project=project, smoothing=smoothing)
+
+
+def step_through(
+    observer: Observer, model: System, known: bool, q: Any, s: State, u: Any, reading: Reading
+) -> tuple[State, Estimate]:
+    """One sample; q: numbers of the observer, then the actuator's `Drive`."""
+    drive, inner = q.actuator, tree.parted(q, type(observer.params))
+    passed = within_limits(ca, u, drive)
+    command = s.command
+    if command.shape[0]:
+        passed = within_rate(ca, passed, command, drive, model.Ts)
+        command = passed
+    entering = through_zone(ca, passed, drive) if known else passed
+    after, estimate = observer.step(inner, s.observer, entering, reading)
+    if known:
+        estimate = estimate._replace(actuator_right=drive.right, actuator_left=drive.left)
+    return State(after, command), estimate

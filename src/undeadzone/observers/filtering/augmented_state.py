@@ -1,0 +1,95 @@
+"""The state [x; d_r; d_l] of filters: its default disturbance, and the units of its numbers.
+
+Filters count the states in units that make them alike, and show them in the plant's: in those of
+time, states and their variances may be too far apart for numbers of single precision. The units are
+powers of two, so that nothing is rounded.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from undeadzone.interfaces import Estimate, Observer, Reading
+from undeadzone.linalg.hold import sampled_noise
+from undeadzone.observers.filtering.prior import Prior, sample_time
+from undeadzone.plants.system import System, arrival, state_units, time_scale
+from undeadzone.util.arrays import Floats
+
+SWING = 0.5  # rms, in largest widths, by which a disturbance moves z in a quarter period by default
+
+
+def agitation(model: System, rms: float, span: float | None = None) -> Floats:
+    """The rms (m) of a disturbance, new at every sample, that alone moves some z by a given rms.
+
+    Args:
+        model: the sampled model.
+        rms: that of z in the end [z].
+        span: time that it has [s]; default a quarter period of the plant.
+    """
+    A, B, C = model.continuous
+    reached = []
+    for b in B.T:
+        _, covariance = sampled_noise(A, np.outer(b, b), span or quarter_period(model))
+        reached.append(np.diag(C @ covariance @ C.T).max())
+    variance = np.where(np.array(reached) > 0, reached, np.inf)
+    return rms / np.sqrt(sample_time(model) * variance)
+
+
+def default_disturbance(model: System, largest: float, correlation: float) -> Floats:
+    """The rms (m) [u] of a coloured disturbance where none is claimed.
+
+    At low frequencies it is as strong as a white one that moves z by `SWING` largest widths until
+    its `arrival`.
+
+    Args:
+        model: the sampled model.
+        largest: largest claimed width [z].
+        correlation: correlation time of the disturbance [s].
+    """
+    white = agitation(model, SWING * largest, arrival(model.continuous, model.Ts))
+    return white * np.sqrt(sample_time(model) / 2 / correlation)
+
+
+def quarter_period(model: System) -> float:
+    """`time_scale` [s] of a sampled model."""
+    return time_scale(model.continuous, model.Ts)
+
+
+def even_units(model: System) -> Floats:
+    """The powers of two next to `state_units` (n) of a sampled model."""
+    return np.asarray(2.0 ** np.round(np.log2(state_units(model.continuous, model.Ts))))
+
+
+def counted_prior(prior: Prior, units: Floats) -> Prior:
+    """The prior of states that are counted in these units (n)."""
+    n = units.size
+    scale = np.concatenate([units, np.ones(prior.mean.size - n)])
+    return prior._replace(mean=prior.mean / scale, std=prior.std / scale)
+
+
+def shown_states(observer: Observer, units: Floats) -> Observer:
+    """A filter of states counted in these units (n), that shows them in the plant's.
+
+    Of a linear plant the units are numbers of its model (`in_units`), so that one graph serves
+    plants whose units differ.
+    """
+    numbered = hasattr(observer.params.model, "units")
+    if not numbered and (units == 1).all():
+        return observer
+
+    def in_plant_units(q: Any, counted: Estimate) -> Estimate:
+        each = q.model.units if numbered else units
+        shown = counted._replace(x=each * counted.x, x_std=each * counted.x_std)
+        return shown._replace(w=each * counted.w) if shown.w.shape[0] else shown
+
+    def step(q: Any, s: Any, u: Any, reading: Reading) -> tuple[Any, Estimate]:
+        after, counted = observer.step(q, s, u, reading)
+        return after, in_plant_units(q, counted)
+
+    smoothing = observer.smoothing
+    if smoothing is not None:
+        inner = smoothing.shown
+        smoothing = smoothing._replace(shown=lambda q, *known: in_plant_units(q, inner(q, *known)))
+    return observer._replace(step=step, smoothing=smoothing)

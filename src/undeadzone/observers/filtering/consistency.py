@@ -1,0 +1,315 @@
+"""A filter that says whether the readings fit its claims, and shows wider intervals if not.
+
+Sums of normalised innovations are too large where something lasts that nobody claimed. Beside its
+estimate such a filter says how well it foretold, as banks and watches take it. The mathematics is
+in docs/filters.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.interfaces import Estimate, Observer, Reading, Traits
+from undeadzone.observers.filtering import innovation_tests
+from undeadzone.observers.filtering.gaussian_filter import Params
+from undeadzone.plants.system import System
+
+FAR = 4.5  # standard deviations beyond which an innovation says nothing of a constant
+NO_TRAITS = Traits()
+REFUTED = 3.0  # of what is taken for chance: beyond it, a claim that knows no constant is false
+BEYOND = 1.01  # by how much a width outside its range refutes that: other claims go before it
+DOUBTFUL = 0.7  # of what is taken for chance, from which deviations are shown larger
+LOST = 0.5  # share of refused readings beyond which nothing is known any more
+
+
+class Sums(NamedTuple):
+    """What is kept of innovations.
+
+    Attributes:
+        total: fading sum of the normalised innovations.
+        count: what its variance is if the claims are true.
+        ratio: slow mean of total^2 / count, 1 if the claims are true.
+    """
+
+    total: Any
+    count: Any
+    ratio: Any
+
+
+def accumulate(before: Sums, nu: Any, counted: Any, fade: Any, keep: Any) -> Sums:
+    """The sums after one more sample.
+
+    Args:
+        before: the sums before it.
+        nu: normalised innovations, 0 where none counts.
+        counted: whether one counts.
+        fade: share of the sum that is left after a step.
+        keep: share of the mean of its squares that is left after a step.
+    """
+    total = fade * before.total + nu
+    count = fade**2 * before.count + counted
+    square = total**2 / ca.fmax(count, 1.0)
+    ratio = ca.if_else(count > 1, keep * before.ratio + (1 - keep) * square, before.ratio)
+    return Sums(total, count, ratio)
+
+
+class Step(NamedTuple):
+    """What a filter makes of one sample.
+
+    Attributes:
+        state: its state at the next sample.
+        estimate: what it shows.
+        log: log of the density with which it foretold the reading, up to a constant (1).
+        trust: probability that the reading was not wrong (p).
+        fits: 1 where the widths lie in their claimed ranges, or may do so, else 0 (1).
+        restarted: whether it lost its state and begins anew (1).
+        opened: whether it opened its belief, for most readings were refused (1).
+    """
+
+    state: Any
+    estimate: Estimate
+    log: Any
+    trust: Any
+    fits: Any
+    restarted: Any
+    opened: Any
+
+
+class Member(NamedTuple):
+    """A filter as pure functions on CasADi expressions, before its readings are judged.
+
+    Attributes:
+        params: its numbers, `Params`.
+        init: init(params) is the state at t = 0.
+        step: step(params, state, u, reading) is a `Step`.
+        smoothing: what a smoother of a whole log asks, `Smoothing`; None: nothing smooths it.
+    """
+
+    params: Any
+    init: Callable[[Any], Any]
+    step: Callable[[Any, Any, Any, Reading], Step]
+    smoothing: Any = None
+
+
+def log_density(e: Any, std: Any) -> Any:
+    """The log of the density of the readings that were used, up to a constant.
+
+    Args:
+        e: innovations (p); one of 0 was not used.
+        std: their standard deviations (p).
+    """
+    return ca.sum1(ca.if_else(e != 0, -((e / std) ** 2) / 2 - ca.log(std), 0.0))
+
+
+class Record(NamedTuple):
+    """What is kept of the innovations of each output.
+
+    Attributes:
+        total: fading sum of the normalised innovations (p).
+        count: what its variance is if the claims are true (p).
+        ratio: slow mean of total^2 / count, 1 if the claims are true (p).
+        offset: fading mean of the innovations, of refused readings too (p) [z].
+        share: fading share of refused readings among those that were used (p).
+        refused: number of refused readings (p).
+        restarts: how often the filter lost its state (1).
+        constant: largest |offset| since the claims were refuted, 0 before (p) [z]; empty for a
+            filter that knows of constants, and so recovers.
+        opened: 1 once the belief was opened (1); empty as `constant` is.
+        scores: of what innovations depend on; () for a filter that knows of no constants, in whose
+            innovations they stand.
+    """
+
+    total: Any
+    count: Any
+    ratio: Any
+    offset: Any
+    share: Any
+    refused: Any
+    restarts: Any
+    constant: Any
+    opened: Any
+    scores: Any
+
+
+class State(NamedTuple):
+    """The state of the filter, and the record of its innovations."""
+
+    filter: Any
+    record: Record
+
+
+class Setup(NamedTuple):
+    """What the parts of a judged filter share.
+
+    Attributes:
+        member: the filter.
+        model: the sampled model.
+        widens: whether it shows wider intervals where the readings do not fit.
+    """
+
+    member: Member
+    model: System
+    widens: bool
+
+
+def with_consistency_tests(
+    member: Member, model: System, widens: bool, traits: Traits = NO_TRAITS, recovers: bool = True
+) -> Observer:
+    """The filter as an observer.
+
+    Args:
+        member: the filter.
+        model: the sampled model.
+        widens: whether it shows wider intervals where the readings do not fit its claims.
+        traits: of the observer.
+        recovers: whether its state holds what a lasting misfit may be, so that it can end.
+    """
+    setup, p = Setup(member, model, widens), model.p
+
+    def init(q: Params) -> State:
+        none, once = np.zeros(p), np.zeros(1)
+        kept = (np.zeros(0), np.zeros(0)) if recovers else (none, once)
+        told = innovation_tests.start_scores(p) if recovers else ()
+        record = Record(none, none, np.ones(p), none, none, none, once, *kept, told)
+        return State(member.init(q), record)
+
+    smoothing = None
+    if member.smoothing is not None:
+        smoothing = member.smoothing._replace(
+            moments=lambda q, s, u, reading: member.smoothing.moments(q, s.filter, u, reading),
+            odds=lambda s: member.smoothing.odds(s.filter),
+            record=lambda s: s.record,
+            shown=partial(_shown_smoothed, setup),
+        )
+    step = partial(judged_step, setup)
+    return Observer(member.params, init, step, traits=traits, smoothing=smoothing)
+
+
+def _shown_smoothed(setup: Setup, q: Params, beliefs: Any, share: Any, record: Record) -> Estimate:
+    """The estimate that shows smoothed beliefs, as wide as the record demands."""
+    estimated = setup.member.smoothing.shown(q, beliefs, share, ())
+    return widen_intervals(setup.model, q, record, estimated) if setup.widens else estimated
+
+
+def judged_step(
+    setup: Setup, q: Params, s: State, u: Any, reading: Reading
+) -> tuple[State, Estimate]:
+    """One sample of the filter, and what it shows after its readings were judged.
+
+    A restart shows at the next sample: it may come from the input, on which no estimate depends.
+    """
+    step = setup.member.step(q, s.filter, u, reading)
+    record = update_record(q, s.record, step, u, reading)
+    ratios = consistency_statistics(q, record) | {"range": BEYOND * (step.fits <= 0.5)}
+    estimated = step.estimate._replace(
+        **innovation_tests.verdict(ratios), refused=record.refused, restarts=record.restarts
+    )
+    if setup.widens:
+        estimated = widen_intervals(setup.model, q, record, estimated)
+    return State(step.state, restart_record(record, step.restarted)), estimated
+
+
+def restart_record(record: Record, restarted: Any) -> Record:
+    """The record after the sample: a filter that begins anew has refuted nothing."""
+    return record._replace(
+        restarts=record.restarts + restarted,
+        constant=ca.if_else(restarted, 0.0, record.constant),
+        opened=ca.if_else(restarted, 0.0, record.opened),
+    )
+
+
+def update_record(q: Params, record: Record, step: Step, u: Any, reading: Reading) -> Record:
+    """The record after one more sample: of innovations that are used and not far off."""
+    e, std = step.estimate.innovation, step.estimate.innovation_std
+    used = e != 0
+    nu = ca.if_else(used, e / std, 0.0)
+    counted = ca.logic_and(used, ca.fabs(nu) <= FAR)
+    fade = q.doubt.fade
+    before = Sums(record.total, record.count, record.ratio)
+    sums = accumulate(before, ca.if_else(counted, nu, 0.0), counted, fade, q.doubt.keep)
+    refused = step.trust < 0.5
+    asked = ca.logic_or(used, refused)
+    share = fade * record.share + (1 - fade) * refused
+    offset = ca.if_else(used, fade * record.offset + (1 - fade) * e, record.offset)
+    constant, opened, told = record.constant, record.opened, record.scores
+    if told:
+        told = innovation_tests.update_scores(q, told, e, nu, counted, refused, reading, u)
+    else:
+        opened = ca.fmax(opened, step.opened)
+        refuted = sums.ratio > ca.if_else(opened, 1.0, REFUTED) * q.doubt.most
+        constant = ca.if_else(refuted, ca.fmax(constant, ca.fabs(offset)), constant)
+    return Record(
+        total=sums.total,
+        count=sums.count,
+        ratio=sums.ratio,
+        offset=offset,
+        share=ca.if_else(asked, share, record.share),
+        refused=record.refused + refused,
+        restarts=record.restarts,
+        constant=constant,
+        opened=opened,
+        scores=told,
+    )
+
+
+def consistency_statistics(q: Params, record: Record) -> dict[str, Any]:
+    """By how much each claim but that of ranges is refuted: above 1 it is."""
+    lasting = ca.mmax(record.ratio) / q.doubt.most
+    if record.constant.numel():
+        lasting = ca.if_else(ca.sum1(record.constant) > 0, ca.fmax(lasting, REFUTED), lasting)
+    found = {"gust": lasting, "glitches": ca.mmax(record.share) / LOST}
+    return found | (
+        innovation_tests.rejected_assumptions(q.doubt, record.scores) if record.scores else {}
+    )
+
+
+def fitting(q: Params, record: Record) -> Any:
+    """Whether the innovations fit the claims, and most readings were not refused."""
+    return innovation_tests.verdict(consistency_statistics(q, record))["consistent"]
+
+
+def widen_intervals(model: System, q: Params, record: Record, estimated: Estimate) -> Estimate:
+    """The estimate with standard deviations that the innovations bear out.
+
+    Where they do not fit, deviations are multiplied by the root of the largest mean square of sums,
+    and gain the mean innovation, for a filter that doubts nothing has none to multiply. Where most
+    readings were refused, or some in a row again and again, they are those of the prior at least,
+    about what is shown. A filter that knows of no constants takes one for a centre: once its claims
+    are refuted, both last.
+    """
+    worst = ca.mmax(record.ratio)
+    worst = ca.if_else(worst > DOUBTFUL * q.doubt.most, worst, 1.0)
+    fits = fitting(q, record)
+    off = ca.if_else(fits, 0.0, ca.fabs(record.offset))
+    lost = ca.mmax(record.share) > LOST
+    if record.scores:
+        worst = ca.fmax(worst, innovation_tests.stretch(q.doubt, record.scores))
+        off = ca.fmax(off, innovation_tests.resting(q.doubt, record.scores))
+        lost = ca.logic_or(lost, innovation_tests.losing(record.scores) > 1)
+    else:
+        off = ca.fmax(off, record.constant)
+        lost = ca.logic_or(lost, record.opened * ca.sum1(record.constant) > 0)
+
+    factor = ca.sqrt(worst)
+
+    def shown(std: Any, off: Any, least: Any) -> Any:
+        wider = ca.if_else(fits, factor * std, ca.sqrt((factor * std) ** 2 + off**2))
+        return ca.if_else(lost, ca.fmax(wider, least), wider)
+
+    n, p = model.n, model.p
+    about = ca.vertcat(estimated.x, estimated.right, estimated.left) - q.mean[: n + 2 * p]
+    prior = ca.sqrt(ca.SX(q.doubt.std) ** 2 + about**2)
+    x_std, right, left = ca.vertsplit(prior, [0, n, n + p, n + 2 * p])
+    scale = q.doubt.std[:n] / ca.fmax(ca.mmax(q.doubt.std[:n]), 1e-300)
+    return estimated._replace(
+        x_std=shown(estimated.x_std, ca.mmax(off) * scale, x_std),
+        right_std=shown(estimated.right_std, off, right),
+        left_std=shown(estimated.left_std, off, left),
+        width_std=shown(estimated.width_std, off, ca.sqrt(right**2 + left**2)),
+        theta_std=factor * estimated.theta_std,
+    )

@@ -1,0 +1,284 @@
+"""Further unknowns of a filter that hardly change: gaps ahead, widths of an actuator, friction.
+
+The play ahead of a dead zone in a filter: what its gaps take off z (docs/play.md).
+
+A reading on side s of the zone that moves to the side m is y / m = z - chi_s d - chi_m c. The gaps
+c_r, c_l are known, or stand among the unknowns and walk as the widths do.
+
+The widths of an actuator's dead zone as unknowns of a filter (docs/actuator.md).
+
+u is known and the widths are not: what enters the plant, w, is a kinked function of them. With a
+Gaussian belief about the width b of the side of u, a = |u|, s its deviation, al = (a - b^) / s,
+
+    E w = (a - b^) Phi(al) + s phi(al),   dE w / db^ = -Phi(al)   (Stein),
+
+and what is left, E w^2 - (E w)^2 - Phi(al)^2 s^2, is noise at the input. Where the side is sure
+this is the exact Kalman filter.
+
+Coulomb friction behind a play as an unknown of a filter: x' = A x + B (u - f s) (docs/play.md).
+
+s is the side in which y moves, which the motion of the readings shows, so f enters like a width of
+that side: the equations stay linear.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.interfaces import Estimate, Reading
+from undeadzone.nonlinearities.actuator import Belief
+from undeadzone.nonlinearities.sensor import Zone, offset
+from undeadzone.numerics.gaussian import Gaussian, below, density
+from undeadzone.observers.filtering.gaussian_filter import Augmentation, deviations_of_sides
+from undeadzone.observers.filtering.prior import Prior
+from undeadzone.plants.system import System
+from undeadzone.util.arrays import Floats
+
+SAME = 20.0  # steps for which an error of the side keeps its sign, and counts that much more
+
+
+def with_constants(
+    inner: Augmentation, variance: Floats, wear: Callable[[Any], Any] | None = None
+) -> Augmentation:
+    """The motion with further unknowns of mean 0, the last ones, that change by noise alone.
+
+    Its u is what enters the plant.
+
+    Args:
+        inner: the motion without them.
+        variance: of each of them at first.
+        wear: wear(numbers of the filter) is the covariance that a step adds; None: none.
+    """
+    from scipy.linalg import block_diag
+
+    count, known = variance.size, len(inner.cov)
+
+    def change(q: Any, x: Any, extra: Any, u: Any) -> tuple[Any, Any]:
+        moved, changed = inner.change(q, x, extra[:known, :], u)
+        return moved, ca.vertcat(changed, ca.SX(count, 1))
+
+    def noise(q: Any, x: Any, u: Any) -> tuple[Any, Any]:
+        of_x, of_extra = inner.noise(q, x, u)
+        return of_x, ca.diagcat(of_extra, ca.SX(count, count) if wear is None else wear(q))
+
+    bend = inner.bilinear
+    if bend is not None:
+        inner = inner._replace(bilinear=lambda q, x, extra, u: bend(q, x, extra[:known, :], u))
+    cov = block_diag(inner.cov, np.diag(variance))
+    return inner._replace(cov=cov, change=change, noise=noise, constants=inner.constants + count)
+
+
+class Gaps(NamedTuple):
+    """Numbers of a filter about the gaps.
+
+    Attributes:
+        middle: the gaps, or the middles of their ranges: all c_r, then all c_l (2p) [z].
+        ranges: these (2p x 2) [z]; empty where the gaps are known.
+        std: standard deviations of the gaps at first (2p) [z]; empty where they are known.
+        drift: variance that they gain each step, as the widths do (2p) [z^2]; empty likewise.
+    """
+
+    middle: Floats
+    ranges: Floats
+    std: Floats
+    drift: Floats
+
+
+def numbers_of(sensor: Zone, prior: Prior) -> Gaps | None:
+    """The numbers of a filter about the play ahead of the zone; None: there is none.
+
+    Args:
+        sensor: as the filter takes it.
+        prior: of the zone's widths, whose drift is the gaps' too.
+    """
+    if sensor.play is None:
+        return None
+    middle = np.concatenate([sensor.play.right, sensor.play.left])
+    ranges = sensor.play.ranges
+    if ranges is None:
+        return Gaps(middle, np.empty((0, 2)), np.empty(0), np.empty(0))
+    span = np.diff(ranges, axis=1).ravel()
+    drift = prior.worn * span**2 if prior.worn else prior.drift
+    return Gaps(middle, ranges, span / np.sqrt(12), drift)
+
+
+def with_gaps(inner: Augmentation, gaps: Gaps | None) -> Augmentation:
+    """The motion with the gaps' errors as its last unknowns, if they are not known."""
+    if gaps is None or not gaps.std.size:
+        return inner
+    return with_constants(inner, gaps.std**2, lambda q: ca.diag(q.gaps.drift))
+
+
+def place(q: Any, size: int) -> slice:
+    """Where the gaps' errors stand among the unknowns: ahead of an actuator's widths.
+
+    Args:
+        q: the filter's numbers.
+        size: how many unknowns there are, with the state.
+    """
+    end = size if q.zones is None else size - q.zones.middle.shape[0]
+    return slice(end - q.gaps.std.shape[0], end)
+
+
+def gaps_at(q: Any, X: Any) -> Any:
+    """The gaps, all c_r, then all c_l (2p) [z], at [x; d; extra]."""
+    if not q.gaps.std.shape[0]:
+        return q.gaps.middle
+    return q.gaps.middle + X[place(q, X.shape[0])]
+
+
+def informed(q: Any, model: System, cov: Any) -> Any:
+    """How far readings have told of each width: its correlation with what they said (N).
+
+    The root of the share that they took from its prior variance; 1 for all that is not a width.
+
+    Args:
+        q: the filter's numbers.
+        model: the model.
+        cov: covariance of [x; d; extra] (N x N).
+    """
+    n, known = model.n, model.n + 2 * model.p
+    first = q.doubt.std[n:known] ** 2
+    told = ca.sqrt(ca.fmax(1 - ca.diag(cov)[n:known] / first, 0.0))
+    shares = ca.vertcat(ca.SX.ones(n), told, ca.SX.ones(cov.shape[0] - known))
+    if q.gaps is not None and q.gaps.std.shape[0]:
+        gaps = place(q, cov.shape[0])
+        shares[gaps] = ca.sqrt(ca.fmax(1 - ca.diag(cov)[gaps] / q.gaps.std**2, 0.0))
+    return shares
+
+
+def taken_by_play(q: Any, i: int, contact: Any, X: Any) -> Any:
+    """What the play ahead of the zone of output i takes off z in a contact; 0 without one."""
+    if q.gaps is None:
+        return 0.0
+    gaps = gaps_at(q, X)
+    return offset(contact, gaps[i], gaps[gaps.shape[0] // 2 + i])
+
+
+def with_play(q: Any, estimated: Estimate, shown: Gaussian, reading: Reading) -> Estimate:
+    """The estimate with the gaps of the play ahead of the zone, if there is one.
+
+    Its inverse adds the gap of a reading that moves.
+    """
+    if q.gaps is None:
+        return estimated
+    gaps, p = gaps_at(q, shown.mean), estimated.z.shape[0]
+    if q.gaps.std.shape[0]:
+        gaps = ca.fmax(ca.fmin(gaps, q.gaps.ranges[:, 1]), q.gaps.ranges[:, 0])
+        part = place(q, shown.mean.shape[0])
+        right, left, both = deviations_of_sides(shown.cov[part, part])
+        estimated = estimated._replace(gap_right_std=right, gap_left_std=left, gap_std=both)
+    contact = ca.if_else(reading.side != 0, reading.motion, 0.0)
+    inverse = estimated.z_inverse + offset(contact, gaps[:p], gaps[p:])
+    return estimated._replace(z_inverse=inverse, gap_right=gaps[:p], gap_left=gaps[p:])
+
+
+class Zones(NamedTuple):
+    """Numbers of a filter about the dead zones of the actuators.
+
+    Attributes:
+        middle: of the claimed ranges of b_r, then of b_l (2m) [u].
+        ranges: these (2m x 2) [u].
+        slope_right, slope_left: m_r, m_l (m).
+    """
+
+    middle: Floats
+    ranges: Floats
+    slope_right: Floats
+    slope_left: Floats
+
+
+def zones_of(belief: Belief | None) -> Zones | None:
+    """The numbers of a filter that estimates widths; None: it estimates none."""
+    if belief is None or belief.ranges is None:
+        return None
+    drive = belief.drive
+    return Zones(belief.ranges.mean(axis=1), belief.ranges, drive.slope_right, drive.slope_left)
+
+
+def with_widths(inner: Augmentation, zones: Zones | None) -> Augmentation:
+    """The motion with the widths' errors as its last unknowns: right ones, then left ones.
+
+    Its u is what enters the plant; `entering` gives it.
+    """
+    if zones is None:
+        return inner
+    spread = np.diff(zones.ranges, axis=1).ravel() / np.sqrt(12)
+    return with_constants(inner, spread**2)._replace(zones=spread.size)
+
+
+def entering(zones: Zones | None, belief: Gaussian, u: Any) -> tuple[Callable[[Any], Any], Any]:
+    """What enters the plant under a command u (m).
+
+    Returns:
+        (a function of [x; d; extra], linear in the widths' errors; the variance that it leaves
+        (m)).
+    """
+    if zones is None:
+        return lambda X: u, None
+    m = u.shape[0]
+    first = belief.mean.shape[0] - 2 * m
+    errors, variances = belief.mean[first:], ca.diag(belief.cov)[first:]
+    right = u > 0
+    place = [ca.if_else(right, zones.middle[:m] + errors[:m], zones.middle[m:] + errors[m:])]
+    place.append(ca.if_else(right, variances[:m], variances[m:]))
+    slope = ca.if_else(right, zones.slope_right, zones.slope_left)
+    sign = 1.0 * right - 1.0 * (u < 0)
+    std = ca.sqrt(ca.fmax(place[1], 0.0)) + 1e-12 * (1 + ca.fabs(place[0]))
+    over = ca.fabs(u) - place[0]
+    alpha = over / std
+    share, slim = below(alpha), density(alpha)
+    mean = over * share + std * slim
+    square = (over**2 + std**2) * share + over * std * slim
+    left = sign**2 * slope**2 * ca.fmax(square - mean**2 - (share * std) ** 2, 0.0)
+
+    def drive(X: Any) -> Any:
+        moved = X[first:] - errors
+        own = ca.if_else(right, moved[:m], moved[m:])
+        return sign * slope * (mean - share * own)
+
+    return drive, left
+
+
+def with_actuator(zones: Zones | None, estimated: Estimate, shown: Gaussian) -> Estimate:
+    """The estimate with the widths of the actuators, if they are estimated."""
+    if zones is None:
+        return estimated
+    count = zones.middle.shape[0]
+    widths = zones.middle + shown.mean[-count:]
+    inside = ca.fmax(ca.fmin(widths, zones.ranges[:, 1]), zones.ranges[:, 0])
+    std = ca.sqrt(ca.fmax(ca.diag(shown.cov)[-count:], 0.0))
+    half = count // 2
+    return estimated._replace(
+        actuator_right=inside[:half],
+        actuator_left=inside[half:],
+        actuator_right_std=std[:half],
+        actuator_left_std=std[half:],
+    )
+
+
+def with_friction(inner: Augmentation, sensor: Zone) -> Augmentation:
+    """The motion with the error of the friction as its last unknown, if it is not known."""
+    if not sensor.friction_std.any():
+        return inner
+    return with_constants(inner, sensor.friction_std**2)
+
+
+def against_friction(
+    sensor: Zone, after: int, drive: Callable[[Any], Any], side: Any
+) -> Callable[[Any], Any]:
+    """What enters the plant, as a function of [x; d; extra], less the unknown part of the friction.
+
+    Args:
+        sensor: the play.
+        after: how many unknowns stand after the friction's error.
+        drive: what enters the plant without friction.
+        side: in which y moves (1).
+    """
+    if not sensor.friction_std.any():
+        return drive
+    return lambda X: drive(X) - X[X.shape[0] - 1 - after] * side

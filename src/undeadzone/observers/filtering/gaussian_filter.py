@@ -1,0 +1,468 @@
+"""Gaussian filters of [x; d_r; d_l; extra] share their numbers, their motion and their estimate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, Literal, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.interfaces import Estimate, Reading, estimate
+from undeadzone.nonlinearities.sensor import Zone
+from undeadzone.numerics.gaussian import Gaussian, Products, cut_to, from_upper, linearise
+from undeadzone.observers.filtering.prior import Prior
+from undeadzone.plants.system import System, held_inputs
+from undeadzone.util.arrays import Floats
+
+
+class Augmentation(NamedTuple):
+    """The model's motion with E further unknowns beside [x; d].
+
+    The first argument q of every function is the filter's `Params`.
+
+    Attributes:
+        params: numbers of its own, `Params.augmentation`.
+        cov: covariance of the unknowns at first (E x E); their mean is 0.
+        change: change(q, x, extra, u) is (x+ - x, extra+ - extra).
+        noise: noise(q, x, u) is the covariances (n x n, E x E) that a step adds to x and extra.
+        alternative: alternative(q, belief) is (the belief if some claim is stronger than the filter
+            takes it, its odds); None: no claim is.
+        bilinear: bilinear(q, x, extra, u) is what bends x+, as `predict` takes it; None: x+ itself.
+        slope: slope(q) is the Jacobian of the change of [x; d; extra] that a prediction to first
+            order takes; None: the exact one.
+        disturbance: disturbance(q, extra) is what it adds to x' (n) [1/s]; None: that of the change
+            of x+.
+        entries: entries of the upper triangle of the covariance of [x; d; extra] that are not 0
+            throughout; None: all.
+        parameters: places of the model's parameters that the last unknowns change, and that an
+            estimate shows.
+        constants: how many of the last unknowns are errors of the model, which never change.
+        zones: how many of the last unknowns are widths of actuators (`further_constants`).
+    """
+
+    params: Any
+    cov: Floats
+    change: Callable[[Any, Any, Any, Any], tuple[Any, Any]]
+    noise: Callable[[Any, Any, Any], tuple[Any, Any]]
+    alternative: Callable[[Any, Gaussian], tuple[Gaussian, Any]] | None = None
+    bilinear: Callable[[Any, Any, Any, Any], Products] | None = None
+    slope: Callable[[Any], Any] | None = None
+    disturbance: Callable[[Any, Any], Any] | None = None
+    entries: ca.Sparsity | None = None
+    parameters: tuple[int, ...] = ()
+    constants: int = 0
+    zones: int = 0
+
+
+class Params(NamedTuple):
+    """Numbers of a filter.
+
+    Attributes:
+        model, augmentation: numbers of the model and of the augmentation.
+        R: variance of a reading on an active side (p) [z^2].
+        gate: |y| that is surely not silent (p) [y].
+        slope: slope m of the sensor (p).
+        drift: variance that the widths gain each step (2p) [z^2].
+        mean: mean of [x; d; extra] at first.
+        cov: covariance of [x; d; extra] at first, its `triangle`.
+        ranges: claimed ranges of all d_r, then of all d_l (2p x 2) [z].
+        rate: from a change of x+ to the disturbance w, held over the step, that makes it (n x n)
+            [1/s].
+        lasting: steps for which a linearisation error keeps its sign, and for which a limit is not
+            heard again.
+        doubt: of readings and claims, as `Doubt`; None: the filter knows no doubt.
+        ends: of the range of the readings, as `Ends`; None: they have none.
+        zones: of the actuators' dead zones, as `Zones`; None: none is estimated.
+        rest: steps for which a silent edge is not heard again.
+        gaps: of a play ahead of the dead zone, as `Gaps`; None: there is none.
+    """
+
+    model: Any
+    augmentation: Any
+    R: Floats
+    gate: Floats
+    slope: Floats
+    drift: Floats
+    mean: Floats
+    cov: Floats
+    ranges: Floats
+    rate: Floats
+    lasting: Any = np.float64(1.0)
+    doubt: Any = None
+    ends: Any = None
+    zones: Any = None
+    rest: Any = np.float64(1.0)
+    gaps: Any = None
+
+
+def filter_numbers(model: System, sensor: Zone, prior: Prior, augmentation: Augmentation) -> Params:
+    """The numbers of a filter that starts from the prior."""
+    known = model.n + 2 * model.p
+    count = len(augmentation.cov)
+    cov = np.zeros((known + count,) * 2)
+    cov[:known, :known] = np.diag(prior.std**2)
+    widths, cov[model.n : known, model.n : known] = prior.widths()
+    cov[known:, known:] = augmentation.cov
+    rows, columns = kept_entries(model, augmentation).get_triplet()
+    return Params(
+        model=model.params,
+        augmentation=augmentation.params,
+        R=prior.R,
+        gate=prior.gate,
+        slope=sensor.slope,
+        drift=prior.drift,
+        mean=np.concatenate([prior.mean[: model.n], widths, np.zeros(count)]),
+        cov=cov[rows, columns],
+        ranges=prior.ranges,
+        rate=np.linalg.inv(held_inputs(model)),
+    )
+
+
+def kept_entries(model: System, augmentation: Augmentation) -> ca.Sparsity:
+    """The entries of the covariance's upper triangle that a filter keeps."""
+    if augmentation.entries is not None:
+        return augmentation.entries
+    return ca.Sparsity.upper(model.n + 2 * model.p + len(augmentation.cov))
+
+
+def motion(
+    model: System,
+    q: Params,
+    augmentation: Augmentation,
+    belief: Gaussian,
+    drive: Callable[[Any], Any],
+    doubt: Any = None,
+) -> tuple[Callable[[Any], Any], Any]:
+    """(the change of [x; d; extra] over a step, the covariance that it adds).
+
+    Args:
+        model: the model.
+        q: the filter's numbers.
+        augmentation: the further unknowns.
+        belief: mean and covariance of [x; d; extra].
+        drive: what enters the plant (m), as a function of [x; d; extra].
+        doubt: variance of what enters (m); None: it is known.
+    """
+    n = model.n
+    known = n + 2 * model.p
+    u = drive(belief.mean)
+    noise_x, noise_extra = augmentation.noise(q, belief.mean[:n], u)
+    if doubt is not None:
+        here = partial(_moved, augmentation, q, belief.mean[:n], belief.mean[known:])
+        _, B = linearise(here, u)
+        noise_x += B @ ca.diag(doubt) @ B.T
+
+    def change(X: Any) -> Any:
+        x, extra = augmentation.change(q, X[:n], X[known:], drive(X))
+        return ca.vertcat(x, ca.SX(known - n, 1), extra)
+
+    return change, ca.diagcat(noise_x, ca.diag(q.drift), noise_extra)
+
+
+def _moved(augmentation: Augmentation, q: Params, x: Any, extra: Any, u: Any) -> Any:
+    """The change of x over a step under an input."""
+    return augmentation.change(q, x, extra, u)[0]
+
+
+def to_estimate(
+    model: System, sensor: Zone, q: Params, belief: Gaussian, reading: Reading, e: Any, e_std: Any
+) -> Estimate:
+    """The belief about [x; d; extra] as an `Estimate`.
+
+    Args:
+        model: the model.
+        sensor: the dead zone, for its kind.
+        q: the filter's numbers.
+        belief: mean and covariance of [x; d; extra].
+        reading: what was read.
+        e: innovations (p).
+        e_std: standard deviations of the innovations (p).
+    """
+    mean, cov = belief
+    n, p = model.n, model.p
+    known = n + 2 * p
+    x, right, left = mean[:n], mean[n : n + p], mean[n + p : known]
+    right_std, left_std, width_std = deviations_of_sides(cov[n:known, n:known])
+    z = model.output(q.model, x)
+    means = estimate(x, z, right, left, reading, q.slope, sensor.kind, e)
+    return means._replace(
+        x_std=ca.sqrt(ca.fmax(ca.diag(cov)[:n], 0.0)),
+        right_std=right_std,
+        left_std=left_std,
+        width_std=width_std,
+        innovation_std=e_std,
+    )
+
+
+def deviations_of_sides(cov: Any) -> tuple[Any, Any, Any]:
+    """Standard deviations of right ends, of left ones, and of the sums of both (p each).
+
+    Args:
+        cov: covariance of all right ends, then of all left ones (2p x 2p).
+    """
+    p = cov.shape[0] // 2
+    variances, between = ca.diag(cov), ca.diag(cov[:p, p:])
+    std = ca.sqrt(ca.fmax(variances, 0.0))
+    of_sum = variances[:p] + variances[p:] + 2 * between
+    return std[:p], std[p:], ca.sqrt(ca.fmax(of_sum, 0.0))
+
+
+def white(model: System, variance: Floats) -> Augmentation:
+    """An input disturbance that is new at every sample, and nothing else unknown beside [x; d].
+
+    Args:
+        model: the sampled model.
+        variance: that of the disturbance (m) [u^2].
+    """
+
+    assert model.change is not None
+    of_x = model.change
+
+    def change(q: Params, x: Any, extra: Any, u: Any) -> tuple[Any, Any]:
+        return of_x(q.model, x, u), extra
+
+    def noise(q: Params, x: Any, u: Any) -> tuple[Any, Any]:
+        _, B = linearise(lambda v: of_x(q.model, x, v), u)
+        return B @ ca.diag(q.augmentation) @ B.T, ca.SX(0, 0)
+
+    return Augmentation(variance, np.zeros((0, 0)), change, noise)
+
+
+# --- What is shown of a belief
+
+
+ROUNDING = 1e-12  # of a variance
+FAR = 2.3  # standard deviations beyond its range from which a width refutes its claims
+BEYOND = 1.6  # the same of what readings alone say, whose range is no prior of theirs
+LEAST = 1e-30  # chance of a range that a belief leaves out; a float holds it
+INSIDE = 6.0  # standard deviations beyond which an end of a range says nothing, to 1e-8 of one
+
+
+class Setup(NamedTuple):
+    """What the parts of one filter share.
+
+    Attributes:
+        model: the sampled model.
+        sensor: the dead zone.
+        augmentation: the unknowns beside [x; d].
+        entries: entries of the covariance's upper triangle that are kept.
+        bounds: whether it uses what bounds: a silent sensor, and the claimed ranges.
+        order: order of the prediction.
+        blind: whether it takes every reading for z itself.
+        doubts: whether a reading may be wrong.
+        careful: whether silence moves widths only as far as readings have told of them.
+        centred: whether a centre is claimed, which binds the edges together.
+    """
+
+    model: System
+    sensor: Zone
+    augmentation: Augmentation
+    entries: ca.Sparsity
+    bounds: bool
+    order: Literal[1, 2]
+    blind: bool
+    doubts: bool
+    careful: bool
+    centred: bool
+
+    @property
+    def apart(self) -> bool:
+        """Whether a reading on one edge moves other widths only as far as theirs told of them."""
+        return self.careful and self.doubts and self.bounds and self.plain and not self.centred
+
+    @property
+    def paced(self) -> bool:
+        """Whether readings that leave silence are asked how far z can move."""
+        return self.doubts and self.plain
+
+    @property
+    def plain(self) -> bool:
+        """Whether the sensor is a dead zone alone, neither of the jump kind nor with a play."""
+        return not self.jump and not self.sensor.moves
+
+    @property
+    def limited(self) -> bool:
+        """Whether readings at a limit of their range bound z; of a play they are missing."""
+        return self.sensor.limits is not None and not self.sensor.moves
+
+    @property
+    def jump(self) -> bool:
+        """Whether the sensor is of the jump kind."""
+        return self.sensor.kind == "jump"
+
+    @property
+    def play(self) -> bool:
+        """Whether the sensor is a play, which holds its reading in place of 0."""
+        return self.sensor.kind == "play"
+
+    @property
+    def both(self) -> bool:
+        """Whether a play stands ahead of the dead zone."""
+        return self.sensor.play is not None
+
+
+def clip_belief(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, Any]:
+    """The belief that an estimate shows, and whether its widths may lie in their ranges.
+
+    Its widths lie in their claimed ranges, and it is the mixture of both if some claim may be
+    stronger.
+    """
+    limited, chance = limit_widths(setup, q, belief)
+    alone = excess_alone(setup.model.n, q, belief) if setup.bounds else 0.0
+    if setup.augmentation.alternative is not None:
+        stronger, odds = setup.augmentation.alternative(q, belief)
+        stronger, likelier = limit_widths(setup, q, stronger)
+        share = likelier * odds / (likelier * odds + chance)
+        limited = ambiguous(stronger, limited, share)
+    if setup.blind:
+        return limited, 1.0
+    return clipped(setup.model.n, q, limited, setup.doubts, alone)
+
+
+def ambiguous(stronger: Gaussian, weaker: Gaussian, share: Any) -> Gaussian:
+    """The mixture of both beliefs, with deviations whose +-1.96 hold 95 % of it.
+
+    A mixture of a narrow and a wide belief has more in its tails than a Gaussian of its variance.
+    If the wide one, of chance b, is much wider, 95 % of the mixture lie within 1.96 deviations of
+    variance h^2 of the wide one's, Phi(1.96 h) = 1 - 0.025 / b. h^2 is at most b (2 - b), which is
+    taken; a Gaussian would have b.
+
+    Args:
+        stronger: the belief if the stronger claim is true.
+        weaker: the belief if it is not.
+        share: chance of the stronger one.
+    """
+    narrow, gap = share**2, stronger.mean - weaker.mean
+    cov = narrow * stronger.cov + (1 - narrow) * weaker.cov + share * (1 - share) * gap @ gap.T
+    return Gaussian(share * stronger.mean + (1 - share) * weaker.mean, from_upper(cov))
+
+
+def excess_alone(n: int, q: Params, belief: Gaussian) -> Any:
+    """Square of how far the readings alone put some width beyond its range; 0 if they may not.
+
+    A belief is the product of its prior, of the variance of a uniform distribution over the range,
+    and of what the readings say; a prior that is divided out pulls no mean into the range.
+    """
+    count = q.ranges.shape[0]
+    low, high = q.ranges[:, 0], q.ranges[:, 1]
+    mean, variance = belief.mean[n : n + count], ca.diag(belief.cov)[n : n + count]
+    told = (high - low) ** 2 / 12 - variance
+    more = 1 + variance / ca.fmax(told, variance)
+    excess = ca.fmax(more * ca.fabs(mean - (low + high) / 2) - (high - low) / 2, 0.0)
+    return ca.mmax(ca.if_else(excess**2 > BEYOND**2 * more * variance, excess**2, 0.0))
+
+
+def clipped(
+    n: int, q: Params, belief: Gaussian, doubts: bool, alone: Any = 0.0
+) -> tuple[Gaussian, Any]:
+    """The belief with every width's mean in its claimed range, and whether it may lie there.
+
+    A width `FAR` beyond its range refutes some claim: its variance gains the square of the excess.
+
+    Args:
+        n: number of states.
+        q: the filter's numbers.
+        belief: about [x; d; extra].
+        doubts: whether the variance gains anything.
+        alone: what variances of states and widths gain at least, as `excess_alone`.
+    """
+    count = q.ranges.shape[0]
+    widths = belief.mean[n : n + count]
+    inside = ca.fmax(ca.fmin(widths, q.ranges[:, 1]), q.ranges[:, 0])
+    excess = widths - inside
+    variances = ca.diag(belief.cov)[n : n + count]
+    gained = ca.fmax(ca.if_else(excess**2 > FAR**2 * variances, excess**2, 0.0), alone)
+    mean = ca.vertcat(belief.mean[:n], inside, belief.mean[n + count :])
+    cov = belief.cov
+    if doubts:
+        rest = cov.shape[0] - n - count
+        cov = cov + ca.diagcat(alone * ca.SX.eye(n), ca.diag(gained), ca.SX(rest, rest))
+    return Gaussian(mean, cov), ca.sum1(gained) == 0
+
+
+def limit_widths(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, Any]:
+    """`within_ranges` where the filter uses bounds, else the belief as it is, of chance 1."""
+    if not setup.bounds:
+        return belief, 1.0
+    return within_ranges(q, setup.model.n, belief)
+
+
+def within_ranges(q: Params, n: int, belief: Gaussian) -> tuple[Gaussian, Any]:
+    """The belief with the mean that it has if every width lies in its claimed range.
+
+    The covariance stays: that of a Gaussian cut where it was matched to a uniform distribution
+    would claim too much. But no width is less known than its range says, however long it drifted.
+    Right edges go first, and left ones do: the mean of both treats them alike. Nothing is cut where
+    every edge of a range is farther than `INSIDE` away.
+
+    Returns:
+        (belief, the chance that every width lies in its range, above 0).
+    """
+    mean, P = belief
+    p = q.ranges.shape[0] // 2
+    chance = 1.0
+    for i in range(p):
+        both = (n + i, n + p + i)
+        pair = Gaussian(mean[both, :], P[both, both])
+        ranges = q.ranges[(i, p + i), :]
+        one, first = _cut_to(pair, ranges, (0, 1))
+        other, second = _cut_to(pair, ranges, (1, 0))
+        far = _is_inside(pair, ranges)
+        mean = mean + P[:, both] @ (ca.logic_not(far) * (one + other) / 2)
+        chance *= ca.if_else(far, 1.0, ca.sqrt(ca.fmax(first * second, LEAST)))
+    return Gaussian(mean, _no_wider(q, n, P)), chance
+
+
+def _is_inside(pair: Gaussian, ranges: Any) -> Any:
+    """Whether every width lies farther than `INSIDE` from both ends of its range."""
+    scale, least = ca.sqrt(0.5 / ca.diag(pair.cov)), INSIDE / np.sqrt(2)
+    low, high = (ranges[:, 0] - pair.mean) * scale, (ranges[:, 1] - pair.mean) * scale
+    return ca.mmin(ca.logic_and(low < -least, high > least))
+
+
+def _cut_to(pair: Gaussian, ranges: Any, order: tuple[int, int]) -> tuple[Any, Any]:
+    """What a mean moves by along the columns of two widths that are cut to their ranges in order.
+
+    Returns:
+        (numbers by which the columns of the covariance move it (2), the chance).
+    """
+    (m, P), (i, j) = pair, order
+    shift, lost, chance = cut_to(m[i], P[i, i], ranges[i, 0], ranges[i, 1])
+    after, variance = m[j] + shift * P[i, j], P[j, j] - lost * P[i, j] ** 2
+    second, _, likewise = cut_to(after, variance, ranges[j, 0], ranges[j, 1])
+    moves = {i: shift - lost * P[i, j] * second, j: second}
+    return ca.vertcat(moves[0], moves[1]), chance * likewise
+
+
+def _no_wider(q: Params, n: int, cov: Any) -> Any:
+    """A covariance whose widths deviate by no more than a uniform distribution over their range."""
+    count = q.ranges.shape[0]
+    most = (1 + ROUNDING) * (q.ranges[:, 1] - q.ranges[:, 0]) ** 2 / 12
+    variances = ca.diag(cov)[n : n + count]
+    shrunk = ca.if_else(variances > most, ca.sqrt(most / variances), 1.0)
+    scale = ca.vertcat(ca.SX.ones(n), shrunk, ca.SX.ones(cov.shape[0] - n - count))
+    return cov * (scale @ scale.T)
+
+
+def with_unknowns(
+    setup: Setup, q: Params, estimated: Estimate, shown: Gaussian, u: Any
+) -> Estimate:
+    """The estimate with w and theta where there are such unknowns; u: the last input."""
+    augmentation, model, n = setup.augmentation, setup.model, setup.model.n
+    if len(augmentation.cov):
+        extra = shown.mean[n + 2 * model.p :]
+        if augmentation.disturbance is None:
+            x = shown.mean[:n]
+            assert model.change is not None
+            w = q.rate @ (augmentation.change(q, x, extra, u)[0] - model.change(q.model, x, u))
+        else:
+            w = augmentation.disturbance(q, extra)
+        estimated = estimated._replace(w=w)
+    count = len(augmentation.parameters)
+    if count:
+        theta = q.model[list(augmentation.parameters)] + shown.mean[-count:]
+        theta_std = ca.sqrt(ca.fmax(ca.diag(shown.cov)[-count:], 0.0))
+        estimated = estimated._replace(theta=theta, theta_std=theta_std)
+    return estimated

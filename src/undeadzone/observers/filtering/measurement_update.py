@@ -1,0 +1,425 @@
+"""What a reading, or a silence, says to the filter on the measured side.
+
+A reading at a limit of its range only bounds what the sensor reads; near it, noise selects what is
+read. The mathematics is in docs/filters.md.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.interfaces import Reading
+from undeadzone.nonlinearities.play import readings_of_motion
+from undeadzone.nonlinearities.sensor import LEFT, RIGHT, Zone, offset, present
+from undeadzone.numerics.gaussian import (
+    Bound,
+    Cut,
+    Gaussian,
+    Weighed,
+    cut,
+    linearise,
+    together,
+    update_unless_glitch,
+)
+from undeadzone.observers.filtering.constant_states import informed, taken_by_play
+from undeadzone.observers.filtering.gaussian_filter import Params, Setup
+from undeadzone.observers.filtering.prior import HELD, SILENT, Prior
+from undeadzone.plants.system import System, pace, time_scale
+from undeadzone.util.arrays import Floats
+
+# A silent sensor counts where the belief contradicts it by more than 5 %.
+DOUBT = 1.6448536269514722
+BEYOND = 0.5  # share of the wrong readings that lie beyond the range and read as its limit
+
+
+class Corrected(NamedTuple):
+    """What is known after a reading.
+
+    Attributes:
+        belief: mean and covariance of [x; d; extra].
+        wait: steps to wait until an edge is heard again, right edges, then left ones (2p).
+        trust: probability that the reading was not wrong (p).
+        likely: the density with which each output was foretold (p).
+        silence: whether a silence was believed, by right edges and by left ones (2 of p).
+    """
+
+    belief: Gaussian
+    wait: Any
+    trust: Any
+    likely: Any
+    silence: tuple[Any, ...] = ()
+
+
+def beyond_edge(setup: Setup, q: Params, i: int, side: Any, X: Any, contact: Any = 0.0) -> Any:
+    """How far z_i is beyond the edge of that side: the reading on it; with side 0, z_i itself.
+
+    contact: of a play ahead of the zone, whose gap is taken off too.
+    """
+    n, p = setup.model.n, setup.model.p
+    z = setup.model.output(q.model, X[:n])[i]
+    return z - offset(side, X[n + i], X[n + p + i]) - taken_by_play(q, i, contact, X)
+
+
+def correct(
+    setup: Setup,
+    q: Params,
+    belief: Gaussian,
+    y: Any,
+    side: Any,
+    R: Any,
+    surprise: Sequence[Any],
+    contact: Any = None,
+) -> Weighed:
+    """The belief after the readings on the sides that are sure, one output at a time.
+
+    Args:
+        setup: the filter.
+        q: its numbers.
+        belief: the belief before the reading.
+        y: reading, 0 where it is missing (p) [y].
+        side: the sides that are sure (p), 0 where none is.
+        R: variances of the readings (p) [z^2].
+        surprise: log of what the silence before speaks for each reading (p).
+        contact: of a play ahead of the zone, in which y moves (p); None: there is none.
+
+    Returns:
+        Innovations, their standard deviations and trust (p each), and the sum of the logs.
+    """
+    each = []
+    for i in range(setup.model.p):
+        active = side[i] != 0
+        branch = 0.0 if setup.jump else side[i]
+        moving = 0.0 if contact is None else contact[i]
+        sight = partial(beyond_edge, setup, q, i, branch, contact=moving)
+        expected, h = linearise(sight, belief.mean)
+        e = ca.if_else(active, y[i] / q.slope[i] - expected, 0.0)
+        odds, reach = q.doubt.glitch if setup.doubts else None, q.doubt.reach[i]
+        moved = moved_by(setup, q, belief, i, side[i]) if setup.apart else None
+        one = update_unless_glitch(belief, h, e, R[i], active, odds, reach, moved, surprise[i])
+        belief = one.belief
+        each.append(one)
+    return together(each)
+
+
+def rest_of(model: System, sensor: Zone, lasting: float) -> float:
+    """Steps for which a silent edge is not heard again: a 25th of the plant's period at least.
+
+    However long a disturbance lasts, z has moved in a quarter period.
+
+    A jump sensor's readings bound its edges too, each from another place.
+
+    Args:
+        model: the model.
+        sensor: the sensor.
+        lasting: steps for which an error of the linearisation keeps its sign.
+    """
+    if sensor.kind == "jump" or model.flow is None or model.Ts is None:
+        return lasting
+    quarter = time_scale(model.flow, model.Ts) / model.Ts
+    return max(min(lasting, quarter), readings_of_motion(model.Ts, pace(model.flow, model.Ts)))
+
+
+def moved_by(setup: Setup, q: Params, belief: Gaussian, i: int, side: Any) -> Any:
+    """The share by which a reading of output i moves each variable (N).
+
+    What silence says of z and an edge binds them, though it moved the edge by a share only. A
+    reading on the other edge, which tells of z, moves this one by no more.
+    """
+    n, p = setup.model.n, setup.model.p
+    moved = ca.SX(informed(q, setup.model, belief.cov))
+    for place, edge in ((n + i, RIGHT), (n + p + i, LEFT)):
+        moved[place] = ca.if_else(side == edge, 1.0, moved[place])
+    return moved
+
+
+def use_bounds(
+    setup: Setup,
+    q: Params,
+    known: Corrected,
+    silent: Any,
+    side: Any,
+    level: Any = None,
+    held: Any = None,
+) -> Corrected:
+    """What is known given that z is inside the edges of a silent sensor.
+
+    The z of a jump sensor is beyond the edge that it is on, besides. Silence is heard once in a
+    while: its samples say the same of the same edge, and mean and covariance do not show that a
+    tail was cut already.
+
+    Args:
+        setup: the filter.
+        q: its numbers.
+        known: what is known after the readings on active sides.
+        silent: whether each output is silent (p).
+        side: the sides that are sure (p).
+        level: from which z is inside the edges (p) [y], y of a play; None: 0.
+        held: side of the zone on which a play ahead of it holds the reading (p), 0 where the zone
+            is silent; None: there is no such play.
+    """
+    p = setup.model.p
+    waits, believed = [None] * (2 * p), [None] * (2 * p)
+    belief, likely = known.belief, ca.SX(known.likely)
+    trust = ca.SX(known.trust)
+    for i, edges in _edges(setup):
+        bounds = []
+        for k, edge in edges.items():
+            outside = (side[i] == edge) if setup.jump else 0.0
+            heard = ca.logic_and(ca.logic_or(silent[i], outside), known.wait[k] <= 0)
+            above = 0.0 if level is None else edge * level[i]
+            slack, branch = q.gate[i] + above, edge
+            if held is not None:
+                branch = ca.if_else(held[i] != 0, held[i], edge)
+                slack += ca.if_else(held[i] != 0, HELD / SILENT - 1, 0.0) * q.gate[i]
+            slack = ca.if_else(silent[i], slack / q.slope[i], 0.0)
+            bounds.append(bound_at(setup, q, belief, i, edge, branch, outside, slack, heard))
+        one = edge_constraint(setup, q, belief, i, bounds)
+        belief = one.belief
+        likely[i] *= one.likely
+        for k, used in zip(edges, one.used, strict=True):
+            trust[i] = ca.fmin(trust[i], ca.if_else(used, one.trust, 1.0))
+            believed[k] = ca.logic_and(silent[i], one.trust > 0.5)
+            again = ca.logic_and(used, one.trust > 0.5)
+            waits[k] = ca.if_else(again, q.rest, known.wait[k] - 1)
+    silences = tuple(ca.vertsplit(ca.vertcat(*believed), p))
+    return Corrected(belief, ca.vertcat(*waits), trust, likely, silences)
+
+
+def _edges(setup: Setup) -> list[tuple[int, dict[int, float]]]:
+    """Edges that are heard together: the output, and the side of each by its place among all.
+
+    Those of a jump sensor are heard one by one: of a z beyond one of them nothing is asked of the
+    other.
+    """
+    p = setup.model.p
+    if setup.jump:
+        rights: list[tuple[int, dict[int, float]]] = [(i, {i: RIGHT}) for i in range(p)]
+        return rights + [(i, {p + i: LEFT}) for i in range(p)]
+    return [(i, {i: RIGHT, p + i: LEFT}) for i in range(p)]
+
+
+def find_censored(setup: Setup, q: Params, reading: Reading, y: Any) -> Any:
+    """Which readings bound z by the edges of a silent sensor (p); of a play, all that are there.
+
+    Args:
+        setup: the filter.
+        q: its numbers.
+        reading: what was read.
+        y: reading, 0 where it is missing (p) [y].
+    """
+    silent = present(reading.y)
+    if not setup.play:
+        silent = ca.logic_and(silent, ca.fabs(y) <= q.gate)
+    if setup.limited:
+        silent = ca.logic_and(silent, ca.fabs(reading.side) < 2)
+    return silent
+
+
+def censoring_probabilities(
+    setup: Setup, q: Params, belief: Gaussian, silent: Any
+) -> tuple[Any, ...]:
+    """Whether the belief bears a silence out, by right edges and by left ones (2 of p).
+
+    Empty where nobody asks.
+
+    Args:
+        setup: the filter.
+        q: its numbers.
+        belief: about [x; d; extra], which no silence moves here.
+        silent: whether each output is silent (p).
+    """
+    if not setup.paced:
+        return ()
+    each = []
+    for i in range(setup.model.p):
+        bounds = []
+        for edge in (RIGHT, LEFT):
+            slack = q.gate[i] / q.slope[i]
+            bounds.append(bound_at(setup, q, belief, i, edge, edge, 0.0, slack, 0.0))
+        trust = edge_constraint(setup, q, belief, i, bounds).trust
+        each.append(ca.logic_and(silent[i], trust > 0.5))
+    return (ca.vertcat(*each),) * 2
+
+
+def bound_at(
+    setup: Setup,
+    q: Params,
+    belief: Gaussian,
+    i: int,
+    edge: float,
+    branch: Any,
+    outside: Any,
+    slack: Any,
+    heard: Any,
+) -> Bound:
+    """The bound that one edge is.
+
+    Args:
+        setup: the filter.
+        q: its numbers.
+        belief: the belief so far.
+        i: number of the output.
+        edge: right or left.
+        branch: side of the zone whose edge it is, that of a play ahead of it aside.
+        outside: whether z is beyond the edge instead, by a jump sensor's reading.
+        slack: how far z may be beyond the edge [z].
+        heard: whether the edge is heard.
+    """
+    sight = partial(beyond_edge, setup, q, i, branch, contact=edge)
+    excess, h = linearise(sight, belief.mean)
+    sign = edge * (1 - 2 * outside)
+    return Bound(sign * h, sign * excess - slack, heard)
+
+
+def edge_constraint(
+    setup: Setup, q: Params, belief: Gaussian, i: int, bounds: Sequence[Bound]
+) -> Cut:
+    """What edges of output i say; bounds: what each one is."""
+    if not setup.doubts:
+        return cut(belief, bounds, q.R[i], DOUBT)
+    moved = informed(q, setup.model, belief.cov) if setup.careful else None
+    return cut(belief, bounds, q.R[i], DOUBT, q.doubt.fake, moved)
+
+
+def sure_side(y: Any, last: Any, previous: Any, gate: Any) -> Any:
+    """The side on which a reading may be taken for z - d_r or z + d_l with noise of mean 0 (p).
+
+    A reading far beyond the gate, or one that the two before it announced: both beyond the gate,
+    their straight line too, and y not across 0. To ask only whether y itself is beyond a threshold
+    would select noise of one sign.
+    """
+    return 1.0 * _sure(y, last, previous, gate) - 1.0 * _sure(-y, -last, -previous, gate)
+
+
+def _sure(y: Any, last: Any, previous: Any, gate: Any) -> Any:
+    """Whether a reading is surely on the right."""
+    both_beyond = ca.logic_and(last > gate, previous > gate)
+    line_beyond = ca.logic_and(2 * last - previous > gate, y > 0)
+    return ca.logic_or(y > 2 * gate, ca.logic_and(both_beyond, line_beyond))
+
+
+class Ends(NamedTuple):
+    """Numbers of a filter about the range of the readings.
+
+    Attributes:
+        low, high: limits of the readings (p) [y].
+        gate: distance from a limit at which a reading surely is no limit (p) [y].
+    """
+
+    low: Floats
+    high: Floats
+    gate: Floats
+
+
+def ends(sensor: Zone, prior: Prior) -> Ends | None:
+    """The numbers about the range; None where no output has one."""
+    if sensor.limits is None:
+        return None
+    return Ends(*sensor.limits, 4 * np.sqrt(prior.R) * sensor.slope)
+
+
+def surely_exact(setup: Setup, q: Params, y: Any, last: Any, previous: Any, side: Any) -> Any:
+    """Whether a reading is surely exact, and not one that noise brought there (p).
+
+    It lies far from silence and from the limit of its side, or the two before it announced it: both
+    lie between silence and limit, and their straight line too. A reading at a limit announces
+    nothing, nor does a silent one: where they would go on is not known.
+
+    Args:
+        setup: the filter.
+        q: its numbers.
+        y: reading (p) [y].
+        last, previous: the two before it, 0 where one was missing or refused (p) [y].
+        side: measured sides (p), +2 or -2 at a limit.
+    """
+    gate = 0.0 if setup.jump else q.gate
+    right = _surely_between(y, last, previous, gate, q.ends.high, q.ends.gate)
+    left = _surely_between(-y, -last, -previous, gate, -q.ends.low, q.ends.gate)
+    return ca.logic_and(ca.fabs(side) < 2, ca.logic_or(right, left))
+
+
+def _surely_between(y: Any, last: Any, previous: Any, gate: Any, high: Any, margin: Any) -> Any:
+    """Whether a reading is surely on the right and below its limit.
+
+    Args:
+        y: reading (p) [y].
+        last, previous: the two before it (p) [y].
+        gate: that is surely not silent (p) [y].
+        high: the limit (p) [y].
+        margin: from the limit, at which a reading surely is no limit (p) [y].
+    """
+
+    def between(y: Any, times: float) -> Any:
+        return ca.logic_and(y > times * gate, high - y > times * margin)
+
+    both = ca.logic_and(between(last, 1.0), between(previous, 1.0))
+    announced = ca.logic_and(both, between(2 * last - previous, 1.0))
+    announced = ca.logic_and(announced, between(y, 0.0))
+    return ca.logic_or(between(y, 2.0), announced)
+
+
+def use_limits(
+    setup: Setup, q: Params, known: Corrected, wait: Any, y: Any, side: Any
+) -> Corrected:
+    """What is known given that z is at least, or at most, what a reading at a limit says.
+
+    Args:
+        setup: the filter.
+        q: its numbers.
+        known: what is known after the other readings and silences.
+        wait: steps to wait until a limit is heard again, upper limits, then lower ones (2p).
+        y: reading, 0 where it is missing (p) [y].
+        side: measured sides (p), +2 or -2 at a limit.
+
+    Returns:
+        What is known, with the waits of the edges and then of the limits (4p).
+    """
+    p = setup.model.p
+    belief, likely, trust = known.belief, ca.SX(known.likely), ca.SX(known.trust)
+    wait = ca.SX(wait) - 1
+    for i in range(p):
+        end = ca.sign(side[i])
+        waiting = ca.if_else(end == RIGHT, wait[i], wait[p + i])
+        heard = ca.logic_and(ca.fabs(side[i]) == 2, waiting < 0)
+        one = limit_update(setup, q, belief, i, end, y[i], heard)
+        (used,) = one.used
+        belief = one.belief
+        likely[i] *= one.likely
+        trust[i] = ca.fmin(trust[i], ca.if_else(used, one.trust, 1.0))
+        again = ca.logic_and(used, one.trust > 0.5)
+        for k, limit in ((i, RIGHT), (p + i, LEFT)):
+            wait[k] = ca.if_else(ca.logic_and(again, end == limit), q.lasting, wait[k])
+    wait = ca.vertcat(known.wait, wait)
+    return known._replace(belief=belief, wait=wait, trust=trust, likely=likely)
+
+
+def limit_update(
+    setup: Setup, q: Params, belief: Gaussian, i: int, end: Any, y: Any, heard: Any
+) -> Cut:
+    """What a limit says.
+
+    Args:
+        setup: the filter.
+        q: its numbers.
+        belief: the belief so far.
+        i: number of the output.
+        end: the upper limit (right) or the lower one (left).
+        y: reading [y].
+        heard: whether the limit is heard.
+    """
+    branch = 0.0 if setup.jump else end
+    expected, h = linearise(partial(beyond_edge, setup, q, i, branch), belief.mean)
+    bound = Bound(-end * h, end * (y / q.slope[i] - expected), heard)
+    fake = q.doubt.glitch + math.log(BEYOND) if setup.doubts else None
+    return cut(belief, [bound], q.R[i], DOUBT, fake)
+
+
+def downweight_outliers(trust: Any, reading: Reading) -> Any:
+    """The trust in readings (p), 0 for those that cannot be: beyond their range."""
+    return ca.if_else(reading.y > 1e300, 0.0, trust)

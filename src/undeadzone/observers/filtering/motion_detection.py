@@ -1,0 +1,239 @@
+"""Which side of a play a reading is on, made out from its motion (docs/play.md).
+
+Three rules, by what the sensor promises:
+
+* exact readings: the sign of their change;
+* an encoder, which has a quantum and no noise: a tick tells the side without error, and is taken
+  for where z was when it came;
+* noisy readings: the slope of those before, by a fading line, beyond what noise makes of it, if the
+  observer's own z^ moves the same way.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.errors import InputError
+from undeadzone.interfaces import Estimate, Observer, Reading, exact
+from undeadzone.nonlinearities.play import detect_tick
+from undeadzone.nonlinearities.sensor import Zone, present, side
+from undeadzone.plants.system import System
+from undeadzone.util import tree
+from undeadzone.util.arrays import Floats
+
+FEWEST = 1e-6  # of known^3 - known, which is 0 for one reading: its line has no slope
+ROUNDING = 1e-12  # share of a reading by which it may change without motion
+# Methods that form their innovation on a side and take silence for a bound, or do not ask.
+BRANCH_OBSERVERS = (
+    "adaptive_inverse",
+    "auto",
+    "censored",
+    "certified",
+    "full_state",
+    "kalman",
+    "luenberger",
+    "oracle",
+)
+# Of a play ahead of a dead zone; the latter two take no widths into account.
+HEARERS_OF_BOTH = ("auto", "censored", "kalman", "full_state", "luenberger")
+
+
+class Motion(NamedTuple):
+    """Numbers of the rules, the last field of those of the observer.
+
+    Attributes:
+        slope: m (p) [y/z].
+        quantum: of the readings (p) [y].
+        threshold: change over the window that counts as motion (p) [y].
+        window: number of readings that the fading line stands for (1).
+        gains: of the fading line, on level and slope (2).
+        friction: of what is behind the play (p) [u]; empty where there is none.
+    """
+
+    slope: Floats
+    quantum: Floats
+    threshold: Floats
+    window: Any
+    gains: Floats
+    friction: Floats
+
+
+class State(NamedTuple):
+    """The observer's state, and what is known of the motion.
+
+    Attributes:
+        observer: the observer's.
+        level, slope: of the fading line through the readings, and by how much it rises in a step
+            (p) [y]; of exact readings the last one, and 0.
+        known: how many readings the level rests on, at most `window` (p).
+        ahead: by how much z^ moves until the next reading (p) [z].
+        refused: readings that the observer had refused so far (p).
+    """
+
+    observer: Any
+    level: Any
+    slope: Any
+    known: Any
+    ahead: Any
+    refused: Any
+
+
+def with_motion_detection(observer: Observer, model: System, sensor: Zone) -> Observer:
+    """The observer behind what makes out the side of a play; itself for another sensor.
+
+    Args:
+        observer: that takes side, level and rms of a reading as given.
+        model: the sampled model.
+        sensor: the sensor.
+
+    Raises:
+        InputError: in continuous time.
+    """
+    if not sensor.moves:
+        return observer
+    if model.Ts is None:
+        raise InputError(
+            "sensor.kind: the side of a play is made out from one reading to the next; set "
+            'simulation.time = "sampled"'
+        )
+    fade = fading(sensor.window)
+    numbers = Motion(
+        slope=sensor.slope,
+        quantum=sensor.quantum,
+        threshold=sensor.threshold if sensor.play is None else sensor.play.threshold,
+        window=np.float64(sensor.window),
+        gains=np.array([1 - fade**2, (1 - fade) ** 2]),
+        friction=sensor.friction if sensor.friction.any() else np.empty(0),
+    )
+    none, kind = np.zeros(model.p), type(observer.params)
+
+    def init(q: Any) -> State:
+        return State(observer.init(tree.parted(q, kind)), none, none, none, none, none)
+
+    def project(q: Any, s: State) -> State:
+        return s._replace(observer=observer.project(tree.parted(q, kind), s.observer))
+
+    step = partial(step_by_motion, observer, model, sensor)
+    params = tree.joined(observer.params, "motion", numbers)
+    return Observer(params, init, step, project, observer.traits)
+
+
+def fading(window: int) -> float:
+    """The share that a fading line keeps of a residual.
+
+    Its slope has the variance of that of a straight line through `window` readings: 2 ((1 - b) /
+    (1 + b))^3 = 12 / window^3 for large windows.
+    """
+    ratio = 6 ** (1 / 3) / window
+    return (1 - ratio) / (1 + ratio)
+
+
+def step_by_motion(
+    observer: Observer, model: System, sensor: Zone, q: Any, s: State, u: Any, reading: Reading
+) -> tuple[State, Estimate]:
+    """One sample of the observer with the side of its readings; q: its numbers, then `Motion`."""
+    inner, motion = tree.parted(q, type(observer.params)), q.motion
+    reading = exact(reading, sensor.limits)
+    y = reading.y
+    seen = present(y)
+    moving, heard, rms = sided(sensor, motion, s, y)
+    moving = ca.if_else(seen, moving, 0.0)
+    if sensor.play is None:
+        taken = Reading(heard, moving, reading.x, heard, rms)
+    else:
+        taken = Reading(heard, reading.side, reading.x, rms=rms, motion=moving)
+    if motion.friction.numel():
+        u = u - motion.friction * taken.side
+    moved, estimate = observer.step(inner, s.observer, u, taken)
+    ahead = model.output(inner.model, model.move(inner.model, estimate.x, u)) - estimate.z
+    refused, regular = s.refused, seen
+    if estimate.refused.shape[0]:
+        refused = estimate.refused
+        regular = ca.logic_and(seen, refused == s.refused)
+    line = followed(sensor, motion, s, y, regular)
+    after = State(moved, *line, ahead, refused)
+    if sensor.play is not None:
+        return after, estimate
+    return after, estimate._replace(contact=taken.side)
+
+
+def sided(sensor: Zone, q: Motion, s: State, y: Any) -> tuple[Any, Any, Any]:
+    """(sides (p), the readings at the side (p) [y], what they are off by, rms (p) [y])."""
+    parts = []
+    for i in range(sensor.slope.size):
+        rule = by_line
+        if not sensor.noise[i]:
+            rule = by_tick if sensor.quantum[i] else by_change
+        parts.append(rule(q, s, y, i))
+    moving, heard, rms = (ca.vertcat(*column) for column in zip(*parts, strict=True))
+    return ca.if_else(s.known, moving, 0.0), heard, rms
+
+
+def by_change(q: Motion, s: State, y: Any, i: int) -> tuple[Any, Any, Any]:
+    """Output i by the sign of its change."""
+    change = y[i] - s.level[i]
+    least = ROUNDING * (ca.fabs(y[i]) + ca.fabs(s.level[i]))
+    return side(change, least), y[i], 0.0
+
+
+def by_tick(q: Motion, s: State, y: Any, i: int) -> tuple[Any, Any, Any]:
+    """Output i by its ticks, at most as far beyond a boundary as z^ moves in a step."""
+    quantum = q.quantum[i]
+    tick = side(y[i] - s.level[i], quantum / 2)
+    at_boundary, variance = detect_tick(ca, y[i], tick, s.ahead[i] * q.slope[i], quantum)
+    return tick, at_boundary, ca.if_else(tick != 0, ca.sqrt(variance), quantum / np.sqrt(12))
+
+
+def by_line(q: Motion, s: State, y: Any, i: int) -> tuple[Any, Any, Any]:
+    """Output i by the slope of the readings before, if z^ moves the same way.
+
+    The variance of a slope through few readings is larger, by window^3 / (known^3 - known).
+    """
+    few = ca.fmax(s.known[i] ** 3 - s.known[i], FEWEST)
+    uncertain = ca.fmax(q.window**3 / few, 1.0)
+    moving = side(s.slope[i] * q.window, q.threshold[i] * ca.sqrt(uncertain))
+    return ca.if_else(moving * s.ahead[i] > 0, moving, 0.0), y[i], 0.0
+
+
+def followed(sensor: Zone, q: Motion, s: State, y: Any, regular: Any) -> tuple[Any, Any, Any]:
+    """(level, slope, known) of the readings so far (p each); a new beginning where none was known.
+
+    The line through the first readings is the straight one, until the fading one forgets faster. It
+    goes on where a noisy reading is missing or was refused, and rests on one less; what is missing
+    of others tells nothing of the motion after it.
+    """
+    expected = s.level + s.slope
+    residual = y - expected
+    noisy = sensor.noise > 0
+    one, two = s.known + 1, s.known + 2
+    at_level = ca.fmax(q.gains[0], 2 * (2 * s.known + 1) / (one * two))
+    at_slope = ca.fmax(q.gains[1], 6 / (one * two))
+    level = ca.if_else(noisy, expected + at_level * residual, y)
+    slope = ca.if_else(noisy, s.slope + at_slope * residual, 0.0)
+    level = ca.if_else(s.known, level, y)
+    slope = ca.if_else(s.known, slope, 0.0)
+    lasting = noisy * ca.fmax(s.known - 1, 0.0)
+    return (
+        ca.if_else(regular, level, noisy * expected),
+        ca.if_else(regular, slope, noisy * s.slope),
+        ca.if_else(regular, ca.fmin(s.known + 1, q.window), lasting),
+    )
+
+
+def require_branch_observer(options: Any, sensor: Zone) -> None:
+    """Raise InputError where the method with these options does not know the sensor's play."""
+    method = str(options.__struct_config__.tag)
+    if sensor.play is not None and method not in HEARERS_OF_BOTH:
+        raise InputError(
+            f"observer.method: {method!r} knows no play ahead of a dead zone; use one of "
+            f"{', '.join(HEARERS_OF_BOTH)}, or leave out sensor.play"
+        )
+    if sensor.kind == "play" and method not in BRANCH_OBSERVERS:
+        raise InputError(
+            f"observer.method: {method!r} takes the reading for a function of z, which a play is "
+            f"not; use one of {', '.join(BRANCH_OBSERVERS)}"
+        )

@@ -1,0 +1,370 @@
+"""The prior of a filter: what it assumes of state, widths and sensor before the first reading."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+
+from undeadzone.errors import InputError, ShapeError
+from undeadzone.interfaces import Traits
+from undeadzone.linalg.hold import zoh
+from undeadzone.nonlinearities.limits import paired
+from undeadzone.nonlinearities.play import largest_gap
+from undeadzone.nonlinearities.sensor import Zone
+from undeadzone.plants.system import System, state_units, time_scale
+from undeadzone.util.arrays import Array, Floats, array, nonnegative, scalar, vector
+
+FLOOR = 1e-3  # least noise that is assumed, in claimed ranges of the widths
+SILENT = 4.0  # noise, in its rms, that is surely not beyond it
+HELD = 6.0  # the same of what a play holds, which is met by many readings, hold after hold
+REACH = 5.0  # standard deviation of x(0) as it shows in z, in largest widths, unless it is claimed
+
+
+class Prior(NamedTuple):
+    """Mean and spread of [x; d_r; d_l] (n + 2p) before the first reading, and the sensor's noise.
+
+    Attributes:
+        mean: mean of [x; d_r; d_l] (n + 2p).
+        std: standard deviations of them (n + 2p).
+        R: variance of a reading on an active side (p) [z^2].
+        gate: |y| that is surely not silent (p) [y].
+        drift: variance that the widths gain each step (2p) [z^2].
+        worn: the same in squares of a range's extent; 0 where a drift is claimed.
+        ranges: claimed ranges of all d_r, then of all d_l (2p x 2) [z].
+        centre: mean and standard deviation of each d_r - d_l (p x 2) [z]; None: nothing but what
+            the ranges say.
+        largest: width that the ranges allow, or gap of a play ahead of the zone [z].
+    """
+
+    mean: Floats
+    std: Floats
+    R: Floats
+    gate: Floats
+    drift: Floats
+    worn: float
+    ranges: Floats
+    centre: Floats | None = None
+    largest: float = 0.0
+
+    def widths(self) -> tuple[Floats, Floats]:
+        """Mean (2p) and covariance (2p x 2p) of [d_r; d_l], with what is claimed of the centre."""
+        n = self.mean.size - len(self.ranges)
+        mean, cov = self.mean[n:], np.diag(self.std[n:] ** 2)
+        if self.centre is None:
+            return mean, cov
+        p = len(self.centre)
+        for i, (claimed, std) in enumerate(self.centre):
+            h = np.eye(2 * p)[i] - np.eye(2 * p)[p + i]
+            gain = cov @ h / (h @ cov @ h + std**2)
+            mean = mean + gain * (claimed - h @ mean)
+            cov = cov - np.outer(gain, h @ cov)
+        return mean, (cov + cov.T) / 2
+
+
+def build_prior(
+    claims: Any,
+    model: System,
+    sensor: Zone,
+    *,
+    floor: float = FLOOR,
+    reach: float = REACH,
+    wear: float = 0.0,
+    start: Array = 0.0,
+    centre: Array | None = None,
+    silence: bool = False,
+) -> Prior:
+    """The prior from claimed ranges [lo, hi] of the widths.
+
+    A width has the mean of its range, and the standard deviation of a uniform distribution over it.
+
+    Args:
+        claims: options with right, left (None: those of right), noise (None: the sensor's, but at
+            least `floor`), x_std (None: what shows as `reach` times the largest width,
+            `state_units`) and drift (None: `wear` times the extent of each range in 1 / |pole|,
+            which is 2 / pi quarter periods: who claims a narrow range claims that the width stays
+            in it), as of `Assumptions`.
+        model: the sampled model.
+        sensor: the dead zone.
+        floor: least noise, as a share of the claimed range.
+        reach: standard deviation of x(0), in largest widths, where none is claimed.
+        wear: drift, in extents of the range per 1 / sqrt(|pole|), where none is claimed.
+        start: mean of x(0), one number or one per state.
+        centre: claimed range of d_r - d_l, or its value; None: nothing is claimed.
+        silence: whether silent samples are heard. Then noise ahead of the zone, which never makes a
+            silent sensor read, is not gated: it chose the readings, but the silences too.
+
+    Raises:
+        InputError, ShapeError: for a claim that cannot be, or a model in continuous time.
+    """
+    Ts = sample_time(model)
+    p = model.p
+    ranges = width_ranges(claims.right, claims.left, p)
+    span = ranges[:, 1] - ranges[:, 0]
+    largest = max(ranges[:, 1].max(), largest_gap(sensor.play))
+    if claims.noise is None:
+        rms = sensor.rms
+        shown = np.hypot(sensor.noise, sensor.quantum / np.sqrt(12)) / sensor.slope
+        least = floor * span.reshape(2, p).max(axis=0)
+    else:
+        rms = shown = _claimed_noise(claims.noise, p)
+        least = np.zeros(p)
+    if claims.x_std is None:
+        spread = reach * largest * state_units(model.continuous, Ts)
+    else:
+        spread = nonnegative("observer.x_std", claims.x_std, model.n, "one per state")
+    drift, worn = claims.drift, 0.0
+    if drift is None:
+        worn = wear**2 * np.pi / 2 * Ts / time_scale(model.continuous, Ts)
+    growth = scalar("observer.drift", 0.0 if drift is None else drift, least=0.0) ** 2 * Ts
+    x0 = vector("observer.start", start, model.n, "one per state")
+    return Prior(
+        mean=np.concatenate([x0, ranges.mean(axis=1)]),
+        std=np.concatenate([spread, span / np.sqrt(12)]),
+        R=np.maximum(rms, least) ** 2,
+        gate=silence_gate(sensor, shown if silence else rms),
+        drift=growth + worn * span**2,
+        worn=worn,
+        ranges=ranges,
+        centre=None if centre is None else _centres(centre, ranges, p),
+        largest=largest,
+    )
+
+
+def silence_gate(sensor: Zone, rms: Floats) -> Floats:
+    """|y| that is surely not silent (p) [y]; of a play, how far a held reading may be off.
+
+    Args:
+        sensor: the dead zone.
+        rms: of a reading (p) [z].
+    """
+    noise = rms * sensor.slope
+    return HELD * noise if sensor.kind == "play" else np.maximum(sensor.threshold, SILENT * noise)
+
+
+def claimed_traits(prior: Prior, x_std: Array | None) -> Traits:
+    """What verdicts may use of a filter's prior: a start and centres, where they are claimed.
+
+    Args:
+        prior: of the filter.
+        x_std: as claimed; None: a default, which is no claim.
+    """
+    n = prior.mean.size - len(prior.ranges)
+    return Traits(
+        start_std=None if x_std is None else prior.std[:n],
+        centre_std=None if prior.centre is None else prior.centre[:, 1],
+    )
+
+
+def _centres(claimed: Array, ranges: Floats, p: int) -> Floats:
+    """Mean and standard deviation of each claimed d_r - d_l (p x 2). Raises InputError, ShapeError.
+
+    A range stands for the uniform distribution over it.
+    """
+    value = array("observer.centre", claimed)
+    if value.ndim == 0:
+        value = np.full(2, float(value))
+    if value.shape not in ((2,), (p, 2)):
+        raise ShapeError(
+            "observer.centre: expected the range [lo, hi] of d_r - d_l, its value, or one range "
+            f"per output ({p} x 2), found {' x '.join(map(str, value.shape))}"
+        )
+    low, high = np.broadcast_to(value, (p, 2)).T
+    least, most = ranges[:p, 0] - ranges[p:, 1], ranges[:p, 1] - ranges[p:, 0]
+    if (low > high).any() or (high < least).any() or (low > most).any():
+        raise InputError(
+            "observer.centre: a range [lo, hi] of d_r - d_l must have lo <= hi and meet what the "
+            f"ranges of d_r and d_l allow, {least.tolist()} to {most.tolist()}; found "
+            f"{value.tolist()}"
+        )
+    return np.stack([(low + high) / 2, (high - low) / np.sqrt(12)], axis=1)
+
+
+def _claimed_noise(noise: Array, p: int) -> Floats:
+    """The claimed rms of a reading (p) [z]. Raises InputError where it is 0."""
+    rms = nonnegative("observer.noise", noise, p, "one per output")
+    if not rms.all():
+        raise InputError(
+            "observer.noise: must be positive, found 0; leave it out for a sensor without noise"
+        )
+    return rms
+
+
+def sample_time(model: System) -> float:
+    """The model's sample time [s]. Raises InputError in continuous time."""
+    if model.Ts is None:
+        raise InputError(
+            'observer: this filter works on samples; set simulation.time = "sampled" '
+            "(simulation.step is the sample time)"
+        )
+    return model.Ts
+
+
+def width_ranges(right: Array, left: Array | None, p: int) -> Floats:
+    """The claimed ranges of all d_r, then of all d_l (2p x 2) [z].
+
+    Args:
+        right, left: [lo, hi], or one per output (p x 2); left None: those of right.
+        p: number of outputs.
+
+    Raises:
+        InputError, ShapeError: unless 0 <= lo < hi.
+    """
+    of_left = right if left is None else left
+    return np.concatenate(
+        [_ranges("observer.right", right, p), _ranges("observer.left", of_left, p)]
+    )
+
+
+def _ranges(key: str, value: Array, p: int) -> Floats:
+    """The ranges of one side (p x 2). Raises InputError, ShapeError."""
+    given = paired(key, array(key, value), p, "the declared range [lo, hi]", "per output")
+    ranges = np.broadcast_to(given, (p, 2))
+    if (ranges[:, 0] < 0).any() or (ranges[:, 0] >= ranges[:, 1]).any():
+        raise InputError(f"{key}: a range [lo, hi] must have 0 <= lo < hi, found {ranges.tolist()}")
+    return ranges
+
+
+# --- What a user claims
+
+
+GLITCHES = 0.05  # share of the readings that are wrong, unless it is claimed
+GLITCH_REACH = 10.0  # largest claimed widths over which a glitch is spread
+FAKE = 0.02  # share of the glitches that are a silence
+SPAN = 2.0  # quarter periods of the plant over which innovations are summed
+PATIENCE = 0.54  # quarter periods over which the share of refused readings is averaged
+FEWEST = 6.0  # readings over which it is averaged at least
+# Mean square of the sums of innovations that is taken for chance: where the disturbance is claimed,
+# and where it is a default, whose colour is not that of the true one.
+CHANCE, CHANCE_OF_DEFAULTS = 2.3, 5.0
+SCORE, SCORE_OF_DEFAULTS = 3.3**2, 3.8**2  # the same of the squares of scores
+STAYS = 3.0  # rms of its noise within which a reading stays
+MEANS = (1 / 32, 1 / 16, 2.0)  # quarter periods over which inputs are averaged
+HISTORY = 8.0  # quarter periods over which the squares of the sums are averaged
+
+
+class Doubt(NamedTuple):
+    """Numbers of the doubt about readings and claims.
+
+    Attributes:
+        glitch: log of the odds that a reading on an active side is wrong.
+        fake: log of the probability that a silence is fake.
+        reach: range over which a wrong reading is evenly spread (p) [z].
+        noisy: 1 where two readings that are alike to the last digit show a stuck sensor (p).
+        fade: share of the sum of innovations that is left after a step.
+        keep: share of the mean of its squares that is left after a step.
+        std: standard deviations of [x; d_r; d_l] before the first reading (n + 2p).
+        forget: share of the mean share of refused readings that is left after a reading.
+        most: mean square of the sums of innovations that is taken for chance.
+        limit: square of a score that is taken for chance.
+        stays: change of a reading that is none, and |y| from which it counts (p) [y]; 0: never.
+        push: what an input shows in z after a quarter period (p x m).
+        means: shares of means of inputs that are left after a step (3), as `MEANS`.
+    """
+
+    glitch: Floats
+    fake: Floats
+    reach: Floats
+    noisy: Floats
+    fade: Floats
+    keep: Floats
+    std: Floats
+    forget: Floats
+    most: Floats
+    limit: Floats
+    stays: Floats
+    push: Floats
+    means: Floats
+
+
+def doubt_numbers(
+    model: System, sensor: Zone, prior: Prior, glitches: float, claimed: bool
+) -> Doubt:
+    """The numbers of the doubt.
+
+    Args:
+        model: the sampled model.
+        sensor: the dead zone.
+        prior: what the filter assumes before the first reading.
+        glitches: probability that a reading is wrong; 0: none is.
+        claimed: whether the disturbance is claimed, and no default.
+    """
+    assert model.Ts is not None
+    quarter = time_scale(model.continuous, model.Ts)
+    share = max(glitches, np.finfo(float).tiny)
+    noisy = (sensor.noise > 0) | (sensor.noise_before > 0)
+    return Doubt(
+        glitch=np.log(share / (1 - share)),
+        fake=np.log(FAKE * share),
+        reach=glitch_reach(prior),
+        noisy=1.0 * (noisy & (sensor.quantum == 0)),
+        fade=np.exp(-model.Ts / (SPAN * quarter)),
+        keep=np.exp(-model.Ts / (HISTORY * quarter)),
+        std=prior.std,
+        forget=np.exp(-1 / max(PATIENCE * quarter / model.Ts, FEWEST)),
+        most=np.asarray(CHANCE if claimed else CHANCE_OF_DEFAULTS),
+        limit=np.asarray(SCORE if claimed else SCORE_OF_DEFAULTS),
+        stays=STAYS * np.sqrt(prior.R) * sensor.slope * (noisy & (not sensor.moves)),
+        push=model.continuous.C @ zoh(model.continuous, quarter).B,
+        means=np.exp(-model.Ts / (np.array(MEANS) * quarter)),
+    )
+
+
+def glitch_reach(prior: Prior) -> Floats:
+    """The range over which a wrong reading is evenly spread (p) [z]."""
+    return np.asarray(GLITCH_REACH * prior.ranges[:, 1].reshape(2, -1).max(axis=0))
+
+
+def glitch_share(claimed: float) -> float:
+    """The claimed probability of a wrong reading. Raises InputError."""
+    share = scalar("observer.glitches", claimed, least=0.0)
+    if share > 0.5:
+        raise InputError(f"observer.glitches: must be at most 0.5, found {share:g}")
+    return share
+
+
+class Assumptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What is claimed of a plant and its sensor; what is not claimed is doubted, and 0 is a claim.
+
+    Attributes:
+        right, left: ranges [lo, hi] of d_r and d_l, one or one per output [z]; left defaults to
+            that of right.
+        centre: claimed range [lo, hi] of d_r - d_l, a number where it is known (0: a symmetric
+            zone), or one range per output [z]; default: what the ranges of d_r and d_l say.
+        noise: rms of a reading on an active side, one or one per output [z]; default the sensor's.
+        x_std: standard deviation of x(0) about 0, one or one per state; default what shows
+            in z as five times the largest width.
+        drift: random walk of the widths [z / sqrt(s)]; default a 400th of the range's extent
+            in 1 / |pole| of the plant.
+        disturbance: rms that a coloured input disturbance may have, one or one per input [u];
+            default what moves z by half of the largest width, rms, in a quarter period of the
+            plant and 1 / |pole| for each further pole.
+        correlation_time: correlation time of the disturbance, first-order noise [s]; default a 16th
+            of the plant's period, 12.5 samples if it only integrates.
+        bias: rms of an unknown constant at the input, one or one per input [u]; default a quarter
+            of the disturbance's.
+        calibrated: probability that there is no bias.
+        tolerance: relative rms error of the model: of every entry of A and B but in rows that only
+            say x_i' = x_j, or of some, as { "A[1,0]" = 0.1 }; of every parameter of a nonlinear
+            plant.
+        glitches: probability that a reading is wrong, whatever the sensor promises; 0 takes all
+            readings for right, as textbooks do, and shows no wider intervals where they do not fit.
+    """
+
+    right: Array
+    left: Array | None = None
+    centre: Array | None = None
+    noise: Array | None = None
+    x_std: Array | None = None
+    drift: float | None = None
+    disturbance: Array | None = None
+    correlation_time: float | None = None
+    bias: Array | None = None
+    calibrated: float = 0.7
+    tolerance: float | dict[str, float] = 0.05
+    glitches: float = GLITCHES
+
+    def claims(self) -> dict[str, Any]:
+        """The claims by name."""
+        return {name: getattr(self, name) for name in Assumptions.__struct_fields__}

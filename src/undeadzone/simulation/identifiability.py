@@ -1,0 +1,322 @@
+"""What readings along a schedule of sides tell of a linear plant's widths, and how well.
+
+A simulation knows besides which claimed ranges are false, and what would help an arm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from undeadzone.analysis.branch_schedule import Schedule, reading_levels
+from undeadzone.analysis.identifiability.disturbance import unknown_bias, unknown_inputs
+from undeadzone.analysis.identifiability.indistinguishable import second_truth
+from undeadzone.analysis.identifiability.information import EXACT, Deviations, Readings, deviations
+from undeadzone.analysis.identifiability.linear import (
+    MARGIN,
+    Verdict,
+    largest_deviations,
+    vague,
+    verdicts,
+)
+from undeadzone.analysis.identifiability.nonlinear import beforehand
+from undeadzone.analysis.identifiability.play_and_zone import told_of_both
+from undeadzone.analysis.identifiability.sensor_and_actuator import both_ends, modes_visited
+from undeadzone.interfaces import Traits
+from undeadzone.nonlinearities.play import gaps_of
+from undeadzone.nonlinearities.sensor import DIRECTIONS
+from undeadzone.observers.filtering.prior import width_ranges
+from undeadzone.scenario.problem import Problem
+from undeadzone.simulation.loop import Outputs
+from undeadzone.util.arrays import Floats, later
+
+NEGLIGIBLE = 1e-6  # share of the motion's range: a smaller deviation is known, also of width 0
+ROUNDING: Final = 1e-9  # share of a gap by which one that is told may miss it
+NONE: Final[dict[str, Any]] = dict.fromkeys(DIRECTIONS, False)  # no width is known
+
+
+def linear_verdicts(problem: Problem, schedule: Schedule, arrive: Floats) -> list[Verdict]:
+    """What the readings of a linear plant tell, by the rule that nonlinear plants have too.
+
+    A width is known where the readings determine it and its expected deviation does not exceed it.
+
+    Args:
+        problem: the scenario's parts.
+        schedule: of the sides.
+        arrive: share of each output's readings that arrive (p).
+    """
+    linear, sensor = problem.model.linear, problem.sensor
+    bias = constant_inputs(problem, linear.B)
+    if sensor.kind == "jump":
+        return verdicts(linear, schedule, bias, jump=True)
+    if sensor.play is not None:
+        return _of_both(problem, schedule, arrive)
+    readings = readings_of(problem, schedule, arrive)
+    alone = _with_deviations(problem, schedule, readings._replace(told=None))
+    if readings.told is None:
+        return alone
+    claimed = _with_deviations(problem, schedule, readings)
+    return [by_claims(problem.observer.traits, *pair) for pair in zip(alone, claimed, strict=True)]
+
+
+def _with_deviations(problem: Problem, schedule: Schedule, readings: Readings) -> list[Verdict]:
+    """Verdicts with the deviations of the widths, from the readings and what is told."""
+    linear, bias, told = problem.model.linear, readings.bias, readings.told
+    expected = deviations(linear, schedule, readings)
+    judged = []
+    for i, verdict in enumerate(verdicts(linear, schedule, bias, told=told)):
+        known = as_far_as_known(problem, schedule, verdict, i, expected.widths[i])
+        judged.append(known._replace(second=_second(problem, expected, readings, i)))
+    return judged
+
+
+def _second(
+    problem: Problem, expected: Deviations, readings: Readings, i: int
+) -> dict[str, Any] | None:
+    """Another truth of output i with the same readings."""
+    linear, size = problem.model.linear, expected.hidden.scale.size
+    n = linear.A.shape[0]
+    widths = np.array([problem.sensor.right[i], problem.sensor.left[i]])
+    enters = np.zeros((n, size))  # of each unknown into x'
+    if readings.colour is not None:
+        enters[:, n : expected.hidden.n] = readings.colour.B
+    if readings.bias is not None:
+        enters[:, size - readings.bias.shape[1] :] = readings.bias
+    constants = np.linalg.lstsq(linear.B, enters, rcond=None)[0]
+    found = expected.hidden, expected.covariance, i, widths
+    return second_truth(*found, np.eye(n, size), constants)
+
+
+def _of_both(problem: Problem, schedule: Schedule, arrive: Floats) -> list[Verdict]:
+    """What the readings behind a play and a dead zone tell; arguments as of `linear_verdicts`."""
+    judged, play = [], problem.sensor.play
+    assert play is not None
+    readings = readings_of(problem, schedule, arrive)
+    for i, told in enumerate(told_of_both(problem.model.linear, schedule, readings)):
+        assert told.zone.std is not None
+        zone = as_far_as_known(problem, schedule, told.zone, i, told.zone.std)
+        gap = float(play.right[i] + play.left[i])
+        if gap < told.gap_std < np.inf:
+            zone = zone.because(
+                f"the gap {gap:.3g} is not known: noise leaves it a deviation of {told.gap_std:.3g}"
+            )
+        judged.append(zone)
+    return judged
+
+
+def readings_of(problem: Problem, schedule: Schedule, arrive: Floats) -> Readings:
+    """What tells of the widths; arguments as of `linear_verdicts`."""
+    simulation, disturbance = problem.scenario.simulation, problem.scenario.disturbance
+    traits, model = problem.observer.traits, problem.model
+    least = EXACT * float(schedule.levels.max(initial=0.0)) or EXACT
+    told = beforehand(model.n, model.p, traits.start_std, traits.centre_std, least)
+    return Readings(
+        noise=problem.sensor.rms,
+        step=simulation.step,
+        duration=simulation.duration,
+        arrive=arrive,
+        bias=constant_inputs(problem, model.linear.B),
+        colour=unknown_inputs(disturbance, model.linear.B, simulation.duration),
+        told=told if len(told) else None,
+        gaps_known=gaps_known(problem),
+    )
+
+
+def gaps_known(problem: Problem) -> bool:
+    """Whether the observer is told the gaps of the play ahead of a dead zone."""
+    model = problem.scenario.model
+    return model is None or model.play is None or gaps_of(model.play, problem.model.p)[1] is None
+
+
+def withdrawn(problem: Problem, why: str) -> list[Verdict]:
+    """Verdicts that claim nothing, with the reason."""
+    return [Verdict(**NONE, reasons=(why,))] * problem.model.p
+
+
+def as_far_as_known(
+    problem: Problem, schedule: Schedule, verdict: Verdict, i: int, std: dict[str, float]
+) -> Verdict:
+    """The verdict on output i with the deviations of its widths; what they exceed is not known.
+
+    Args:
+        problem: the scenario's parts.
+        schedule: of the sides.
+        verdict: what the readings determine.
+        i: the output.
+        std: deviations by name.
+    """
+    sensor = problem.sensor
+    swing = float(schedule.high[i] - schedule.low[i])
+    right, left = sensor.right[i], sensor.left[i]
+    negligible = NEGLIGIBLE * swing
+    largest = largest_deviations(right, left, swing)
+    most = {name: max(value, negligible) for name, value in largest.items()}
+    known: dict[str, Any] = {
+        name: getattr(verdict, name) and std[name] <= most[name] for name in DIRECTIONS
+    }
+    reasons = (*verdict.reasons, *vague(std, most, right, left))
+    return Verdict(**known, reasons=reasons, std=std)
+
+
+def actuator_unknown(problem: Problem) -> bool:
+    """Whether the actuator's widths are to be estimated, of a linear plant."""
+    belief = problem.belief
+    return belief is not None and belief.ranges is not None and not problem.plant.nonlinear
+
+
+def told_at_both_ends(problem: Problem, signal: Outputs, schedule: Schedule) -> list[Verdict]:
+    """Which of the sensor's widths a run's readings determine where the actuator's are not known.
+
+    Args:
+        problem: what was simulated.
+        signal: the outputs of the loop (a row per sample).
+        schedule: of the sensor's sides along it.
+    """
+    linear, belief = problem.model.linear, problem.belief
+    assert belief is not None
+    drive = belief.drive if problem.actuator is None else problem.actuator
+    visible = (np.abs(signal.side) == 1).any(axis=1) & np.isfinite(signal.y).all(axis=1)
+    modes = modes_visited(late_inputs(problem, signal), visible, drive, linear.A.shape[0])
+    return both_ends(linear, schedule, modes, drive, constant_inputs(problem, linear.B)).outputs
+
+
+def late_inputs(problem: Problem, signal: Outputs) -> Floats:
+    """The inputs of a run at the samples at which they act on the plant (N x m)."""
+    return later(signal.u, problem.plant.delay, np.zeros(1, int))
+
+
+def by_claims(traits: Traits, alone: Verdict, claimed: Verdict) -> Verdict:
+    """The verdict with what an observer claims beforehand, which says what nothing else tells.
+
+    Args:
+        traits: of the observer.
+        alone: the verdict by readings alone.
+        claimed: the verdict with the claims.
+    """
+    gained = [name for name in DIRECTIONS if getattr(claimed, name) and not getattr(alone, name)]
+    if not gained:
+        return alone
+    sources = {"start": traits.start_std, "centre": traits.centre_std}
+    names = [name for name, std in sources.items() if std is not None]
+    return claimed.because(f"{', '.join(gained)} from the declared {' and '.join(names)} alone")
+
+
+def constant_inputs(problem: Problem, B: Floats) -> Floats | None:
+    """The columns of B on which the scenario's disturbance leaves an unknown constant.
+
+    Args:
+        problem: the scenario's parts.
+        B: inputs (n x m).
+    """
+    scenario = problem.scenario
+    return unknown_bias(scenario.disturbance, B, scenario.simulation.duration)
+
+
+def with_false_claims(problem: Problem, verdicts: Sequence[Verdict]) -> list[Verdict]:
+    """The verdicts; a width outside of its claimed range is not known, as no reading corrects it.
+
+    Args:
+        problem: the scenario's parts.
+        verdicts: on the widths of each output (p).
+    """
+    options: Any = problem.scenario.observer
+    claims = {"right", "left"} <= set(getattr(options, "__struct_fields__", ()))
+    if not claims or not problem.observer.traits.adapts:
+        return list(verdicts)
+    p = len(verdicts)
+    ranges = width_ranges(options.right, options.left, p)
+    judged = []
+    for i, verdict in enumerate(verdicts):
+        for side, (low, high) in (("right", ranges[i]), ("left", ranges[p + i])):
+            width = getattr(problem.sensor, side)[i]
+            if not low <= width <= high:
+                reason = (
+                    f"a false claim: the {side} width is {width:.4g}, observer.{side} says "
+                    f"{low:.4g} to {high:.4g}"
+                )
+                found = {side: False, "width": False, "centre": False}
+                verdict = verdict.because(reason, **found)
+        judged.append(_with_false_actuator(problem, _with_false_gaps(problem, verdict, i)))
+    return judged
+
+
+def _with_false_gaps(problem: Problem, verdict: Verdict, i: int) -> Verdict:
+    """The verdict on output i; no width is known beside a gap that is told wrongly."""
+    play, model = problem.sensor.play, problem.scenario.model
+    if play is None or model is None or model.play is None:
+        return verdict
+    true = np.stack([play.right, play.left])
+    if _claimed(true, *gaps_of(model.play, problem.model.p, "model.play"))[:, i].all():
+        return verdict
+    reason = f"a false claim: model.play excludes the gaps of the sensor, {true[:, i].tolist()}"
+    return verdict.because(reason, **NONE)
+
+
+def _with_false_actuator(problem: Problem, verdict: Verdict) -> Verdict:
+    """The verdict on an output; none of its widths is known behind an actuator told wrongly."""
+    actuator, belief = problem.actuator, problem.belief
+    if actuator is None or belief is None:
+        return verdict
+    true = np.stack([actuator.right, actuator.left])
+    told = np.stack([belief.drive.right, belief.drive.left])
+    if _claimed(true, told, belief.ranges).all():
+        return verdict
+    reason = f"a false claim: model.actuator excludes the actuator's widths, {true.tolist()}"
+    return verdict.because(reason, **NONE)
+
+
+def _claimed(true: Floats, told: Floats, ranges: Floats | None) -> np.ndarray:
+    """Whether true [right, left] (2 x each) are as told, or in the ranges that are told."""
+    low, high = (told, told) if ranges is None else ranges.T.reshape(2, *true.shape)
+    slack = ROUNDING * true
+    return np.asarray((low - slack <= true) & (true <= high + slack))
+
+
+def with_cures(problem: Problem, verdicts: Sequence[Verdict], z: Floats) -> list[Verdict]:
+    """The verdicts on an arm, each with a cure where the motion passes one edge or none.
+
+    Args:
+        problem: the scenario's parts.
+        verdicts: on the widths of each output (p).
+        z: the outputs along the run (N x p).
+    """
+    options = problem.scenario.plant.arm
+    if options is None or getattr(options, "measured", "") == "velocity":
+        return list(verdicts)
+    offset = np.broadcast_to(np.asarray(options.reference, float), z.shape[1])
+    levels = reading_levels(problem.sensor)
+    cured = []
+    for i, verdict in enumerate(verdicts):
+        where = "plant.arm.reference" + (f"[{i}]" if z.shape[1] > 1 else "")
+        cure = _cure(where, z[:, i], float(offset[i]), *map(float, levels[i]))
+        cured.append(verdict.because(*cure))
+    return cured
+
+
+def _cure(where: str, z: Floats, offset: float, right: float, left: float) -> list[str]:
+    """What to do with the position at which a sensor reads 0; nothing where both edges are passed.
+
+    Args:
+        where: its key.
+        z: the output along the run (N).
+        offset: the position.
+        right, left: from where on the sensor reads something, its threshold included.
+    """
+    if not np.isfinite(z).all():
+        return []
+    least, most = float(z.min()), float(z.max())
+    if least < -left and most > right:
+        return []
+    lowest = least + offset + left * (1 + MARGIN)
+    highest = most + offset - right * (1 + MARGIN)
+    if lowest < highest:
+        return [
+            f"{where} = {(lowest + highest) / 2:.4g} would do, as any from {lowest:.4g} to "
+            f"{highest:.4g}: there the sensor reads 0, and this motion passes both edges"
+        ]
+    return [
+        f"this motion, {most - least:.3g} wide, is too narrow for both edges of a zone of "
+        f"{right + left:.3g}, whatever {where} is: move further"
+    ]

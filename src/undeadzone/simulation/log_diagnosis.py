@@ -1,0 +1,70 @@
+"""What would make a log fit that does not: columns exchanged, another sign, unit, or a delay.
+
+Each is tried on the first samples of the log, with the scenario's own observer. That which the
+observer calls consistent and predicts best is told; nothing where none is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from undeadzone.logs.samples import Placed, Regular
+from undeadzone.results.estimation import Estimation
+from undeadzone.scenario.schema import Scenario
+from undeadzone.simulation.follower import Follower
+from undeadzone.util.arrays import Floats, later
+
+SAMPLES: Final = 3000  # at the beginning of a log, which are tried
+DELAYS: Final = (1, 2, 3, 5, 10, 20)  # samples
+BETTER: Final = 0.8  # of the share of y that is not predicted: a cure leaves no more
+
+
+def what_would_fit(scenario: Scenario, found: Estimation) -> str | None:
+    """What to change so that the observer agrees with a log; None: nothing that is tried.
+
+    Args:
+        scenario: whose observer followed it.
+        found: what it made of it.
+    """
+    t, y, u = found.t[:SAMPLES], found.y[:SAMPLES], found.u[:SAMPLES]
+    best, words = BETTER * _missed(found.innovation[:SAMPLES], y), None
+    follower = Follower(scenario)
+    for name, readings, inputs in _misreadings(y, u, follower.model.delay):
+        follower.begin()
+        samples = Regular(t, readings, inputs)
+        tried, *_ = follower.follow(samples)
+        missed = _missed(tried.innovation, readings)
+        if missed < best and follower.info("log", None, Placed(samples)).consistent:
+            best, words = missed, name
+    return words
+
+
+def _misreadings(y: Floats, u: Floats, known: int) -> Iterator[tuple[str, Floats, Floats]]:
+    """What may be wrong with a log, in words, and its readings and inputs without that.
+
+    Args:
+        y: readings (N x p).
+        u: inputs (N x m).
+        known: samples by which the scenario has the inputs act late.
+    """
+    if y.shape == u.shape:
+        yield "readings and inputs are exchanged: --columns names them", u, y
+    yield "the inputs, or the readings, have the other sign", y, -u
+    for factor in (1e-3, 1e3):
+        yield f"the readings are in another unit: times {factor:g} they fit", y * factor, u
+        yield f"the inputs are in another unit: times {factor:g} they fit", y, u * factor
+    for delay in DELAYS[: int(np.searchsorted(DELAYS, len(u) / 4))]:
+        late, early = (later(u, samples, np.zeros(1, int)) for samples in (delay, -delay))
+        yield f"the inputs act {delay} samples later: plant.delay = {known + delay}", y, late
+        earlier = f"plant.delay = {known - delay}" if known >= delay else "the log has them late"
+        yield f"the inputs act {delay} samples earlier: {earlier}", y, early
+
+
+def _missed(innovation: Floats, y: Floats) -> float:
+    """Share of the readings that their predictions miss (rms over rms)."""
+    with np.errstate(all="ignore"):
+        share = np.nanmean(innovation**2) / np.nanmean(y**2)
+    return float(np.sqrt(share)) if np.isfinite(share) else np.inf

@@ -1,0 +1,101 @@
+"""What a command may replace: texts and folders that undeadzone wrote and nobody edited since.
+
+A text of its own holds a remark with a digest of all the rest. A folder of its own has a
+manifest that holds a digest of every file. All else is the user's: it stays, unless --force is set.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
+
+from undeadzone.errors import FileError
+from undeadzone.util.files import LARGEST_RUN, read_bytes, write_text
+
+CURE: Final = "choose another name or --out, or replace it with --force"
+REMARK: Final = "undeadzone wrote this file, and replaces it until someone edits it: "
+_SIGNED: Final = re.compile(re.escape(REMARK) + "([0-9a-f]{64})")
+
+
+def marked(text: str) -> str:
+    """A text under a remark that says whose it is, in TOML.
+
+    Args:
+        text: of the file.
+    """
+    return signed(f"# {REMARK}\n{text}")
+
+
+def signed(text: str) -> str:
+    """A text that holds REMARK, with its digest behind that.
+
+    Args:
+        text: of the file.
+    """
+    before, after = text.split(REMARK, 1)
+    return f"{before}{REMARK}{digest(text.encode())}{after}"
+
+
+def require_own(path: Path, force: bool = False) -> None:
+    """Raise FileError for a file that is not as undeadzone wrote it (`signed`).
+
+    Called before a long computation, whose result would be lost otherwise.
+
+    Args:
+        path: of the file, which need not exist.
+        force: whether it may be replaced all the same.
+    """
+    if not force and (path.exists() or path.is_symlink()) and not is_own(path):
+        raise FileError(
+            f"{path}: exists already, and may hold work of your own: not replaced; {CURE}"
+        )
+
+
+def write_own(text: str, path: Path, force: bool = False) -> Path:
+    """Write a text that undeadzone may replace later. Raises FileError, also as `require_own`.
+
+    Args:
+        text: of the file, TOML.
+        path: of the file.
+        force: whether a file of someone else is replaced.
+    """
+    require_own(path, force)
+    return write_text(marked(text), path)
+
+
+def edited(folder: Path, digests: Mapping[str, str]) -> list[str]:
+    """The files in a folder that are not as undeadzone wrote them; those that are gone are none.
+
+    Args:
+        folder: of the files.
+        digests: of each as it was written, by its path there.
+    """
+    return [path for path in digests if not _is_as_written(folder / path, digests[path])]
+
+
+def digest(content: bytes) -> str:
+    """The digest of what a file holds."""
+    return hashlib.sha256(content).hexdigest()
+
+
+def is_own(path: Path) -> bool:
+    """Whether a text is as undeadzone wrote it; line ends do not count."""
+    try:
+        text = read_bytes(path).decode().replace("\r\n", "\n")
+    except (OSError, ValueError):
+        return False
+    found = _SIGNED.search(text)
+    return found is not None and signed(text.replace(found[1], "", 1)) == text
+
+
+def _is_as_written(path: Path, written: str) -> bool:
+    """Whether a file has a digest, or is gone."""
+    try:
+        return digest(read_bytes(path, LARGEST_RUN)) == written
+    except FileNotFoundError:
+        return True
+    except OSError:
+        return False

@@ -1,0 +1,173 @@
+"""Results as people look at them: aligned text in a terminal, tables and a figure in a notebook.
+
+A result is a list of blocks: text, pairs of name and value, or rows of cells whose first row is
+the head.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import os
+import textwrap
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import undeadzone as uz
+from undeadzone.errors import InputError
+from undeadzone.util.text import printable
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Pairs: TypeAlias = Mapping[str, Any]
+Rows: TypeAlias = Sequence[Sequence[str]]
+Block: TypeAlias = str | Pairs | Rows
+
+NARROWEST = 24  # characters of a value, however narrow the terminal
+DOTS = 110  # per inch, of figures in a notebook
+
+
+def text(blocks: Sequence[Block], width: int | None = None) -> str:
+    """Blocks as text, an empty line between them.
+
+    Args:
+        blocks: what is shown.
+        width: characters that a line may have: longer ones are folded, and tables that are wider
+            have a line for each cell; None: any.
+    """
+    return "\n\n".join("\n".join(_lines(block, width)) for block in blocks)
+
+
+def html(blocks: Sequence[Block]) -> str:
+    """Blocks as HTML for a notebook; everything in them is escaped."""
+    return "\n".join(map(_html, blocks))
+
+
+def source(words: str) -> str:
+    """A text with its lines as they are, such as a scenario, as HTML for a notebook."""
+    lines = [_escaped(line) for line in words.split("\n")]
+    return f'<pre style="line-height:1.35">{chr(10).join(lines)}</pre>'
+
+
+def plot(result: Any, path: str | os.PathLike[str] | None = None, ax: Axes | None = None) -> Figure:
+    """The figure that `uz.plot` draws of a result; a method of every result.
+
+    Args:
+        result: what `uz.plot` takes.
+        path: the file to write, a PNG, PDF or SVG by its suffix; None writes none.
+        ax: axes that take the panel that says most; None: a new figure with all panels.
+    """
+    return uz.plot(result, path, ax)
+
+
+def in_text(result: Any) -> str:
+    """The tables that a result's command prints; `__repr__` of results with `blocks`."""
+    return text(result.blocks())
+
+
+def in_notebook(result: Any) -> str:
+    """The same and the figure that `uz.plot` draws; `_repr_html_` of results with `blocks`."""
+    shown = html(result.blocks())
+    try:
+        figure = uz.plot(result)
+    except InputError:  # nothing in it can be drawn
+        return shown
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=DOTS)
+    image = base64.b64encode(buffer.getvalue()).decode("ascii")
+    return f'{shown}\n<img alt="figure" src="data:image/png;base64,{image}" width="100%">'
+
+
+def _lines(block: Block, width: int | None) -> list[str]:
+    """One block as lines."""
+    if isinstance(block, str):
+        first, *others = _folded(printable(block), width)
+        return [first, *(f"  {line}" for line in others)]  # no line begins with words of others
+    return _aligned(block, width) if isinstance(block, Mapping) else _columns(block, width)
+
+
+def _aligned(pairs: Pairs, width: int | None) -> list[str]:
+    """Lines `name  value`; a list takes a line for each of its entries."""
+    longest = max(len(printable(name)) for name in pairs)
+    lines = []
+    for name, value in pairs.items():
+        head = printable(name)
+        for entry in _entries(value):
+            words = printable(_cell(entry))
+            room = None if width is None else max(width - longest - 2, NARROWEST)
+            for part in _folded(words, room):
+                lines.append(f"{head:<{longest}}  {part}".rstrip())
+                head = ""
+    return lines
+
+
+def _columns(rows: Rows, width: int | None) -> list[str]:
+    """Lines of aligned columns; where they do not fit, a line for each cell."""
+    shown = [[printable(cell) for cell in row] for row in rows]
+    widths = [max(map(len, column)) for column in zip(*shown, strict=True)]
+    if width is not None and sum(widths) + 2 * len(widths) - 2 > width:
+        return _records(shown, width)
+    lines = []
+    for row in shown:
+        cells = [f"{cell:<{size}}" for cell, size in zip(row, widths, strict=True)]
+        lines.append("  ".join(cells).rstrip())
+    return lines
+
+
+def _records(rows: Sequence[Sequence[str]], width: int) -> list[str]:
+    """The rows of a table one below the other, a line `head  cell` for each cell that is filled."""
+    heads, *others = rows
+    lines: list[str] = []
+    for row in others:
+        cells = {head: cell for head, cell in zip(heads, row, strict=True) if cell}
+        lines += [*([""] if lines else []), *_aligned(cells, width)]
+    return lines
+
+
+def _folded(words: str, width: int | None) -> list[str]:
+    """A line as lines of so many characters; words that are longer stay whole."""
+    if width is None or len(words) <= width:
+        return [words]
+    return textwrap.wrap(words, width, break_long_words=False, break_on_hyphens=False)
+
+
+def _html(block: Block) -> str:
+    """One block as HTML."""
+    if isinstance(block, str):
+        return f"<p>{_escaped(block)}</p>"
+    if isinstance(block, Mapping):
+        rows = [_pair(name, value) for name, value in block.items()]
+        return f"<table>{''.join(rows)}</table>"
+    head = "".join(f"<th>{_escaped(cell)}</th>" for cell in block[0])
+    body = "".join(f"<tr>{''.join(map(_td, row))}</tr>" for row in block[1:])
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def _pair(name: str, value: Any) -> str:
+    """A row of a table of pairs."""
+    cell = "<br>".join(_escaped(_cell(entry)) for entry in _entries(value))
+    style = ' style="text-align:left"'
+    return f"<tr><th{style}>{_escaped(name)}</th><td{style}>{cell}</td></tr>"
+
+
+def _td(cell: str) -> str:
+    """A cell of a table of rows."""
+    return f"<td>{_escaped(cell)}</td>"
+
+
+def _entries(value: Any) -> list[Any]:
+    """The lines of a value."""
+    return value if isinstance(value, list) else [value]
+
+
+def _cell(value: Any) -> str:
+    """A value as text."""
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _escaped(words: str) -> str:
+    """Text of others in HTML."""
+    return escape(printable(words))

@@ -1,0 +1,411 @@
+"""The step that is exported, as one function: the observer alone, or with its controller."""
+
+from __future__ import annotations
+
+import difflib
+import keyword
+import re
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from itertools import accumulate, chain, product
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.errors import InputError
+from undeadzone.feedforward.targets import Target
+from undeadzone.interfaces import QUANTITIES, Estimate, Observer, graph_of, known_side, received
+from undeadzone.nonlinearities.limits import Limits
+from undeadzone.nonlinearities.sensor import present
+from undeadzone.scenario.problem import Problem
+from undeadzone.scenario.schema import Units
+from undeadzone.simulation.close import Wiring, no_target
+from undeadzone.simulation.loop import Driven
+from undeadzone.util import tree
+from undeadzone.util.arrays import Floats
+
+_RESERVED = """
+auto break case char const continue default do double else enum extern float for goto if inline
+int long register restrict return short signed sizeof static struct switch typedef union
+unsigned void volatile while bool true false class new delete this and or not
+"""
+_HEADERS = """
+arduino assert complex ctype errno fenv float inttypes iso646 limits locale main malloc math memory
+pthread setjmp signal stdalign stdarg stdatomic stdbool stddef stdint stdio stdlib stdnoreturn
+string strings tgmath threads time uchar unistd wchar wctype avr numpy
+"""
+_KEYWORDS = frozenset(_RESERVED.split())
+# Words of C and Python, and files that one with such a name would hide.
+_TAKEN = frozenset({*_KEYWORDS, *_HEADERS.split(), *keyword.kwlist, *sys.stdlib_module_names})
+
+
+class Field(NamedTuple):
+    """An array in a struct.
+
+    Attributes:
+        name: its name in C.
+        size: how many numbers it holds.
+        meaning: what they are, with their unit.
+    """
+
+    name: str
+    size: int
+    meaning: str
+
+
+def identifier(text: str) -> str:
+    """A name for files and symbols of any language, made of any text.
+
+    It has letters, digits and single underscores in lower case; an n comes before what is a word of
+    C or Python, a header of C or a module of Python, as math is.
+    """
+    name = re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_").lower()
+    if not name:
+        return "observer"
+    return f"n{name}" if name[0].isdigit() or name in _TAKEN else name
+
+
+def state_fields(state: Any, units: Units, drop: str = "") -> list[Field]:
+    """The fields of a state, named after its tree.
+
+    Args:
+        state: tree of NumPy arrays.
+        units: names of the scenario's units.
+        drop: a prefix of the names in the tree to be left out.
+    """
+    sizes = {name: int(np.size(leaf)) for name, leaf in tree.leaves(state) if np.size(leaf)}
+    shorts = [name.removeprefix(drop).strip(".") for name in sizes]
+    known, unknown = state_meanings(units), "memory of the method"
+    meanings = [known.get(short.rsplit(".", 1)[-1], unknown) for short in shorts]
+    names = distinct([_member(short or "memory") for short in shorts])
+    return list(map(Field, names, sizes.values(), meanings))
+
+
+def _member(name: str) -> str:
+    """The name of a field in C; capitals are kept, as W and w may differ."""
+    plain = re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_")
+    return f"n{plain}" if plain[0].isdigit() or plain in _KEYWORDS else plain
+
+
+def state_meanings(units: Units) -> dict[str, str]:
+    """What is known of a part of the state by the end of its name, with its unit."""
+    states = units.state if isinstance(units.state, str) else ", ".join(units.state)
+    return {
+        "held": f"the last finite input [{units.input}]",
+        "line": f"inputs that have not acted yet, the oldest first [{units.input}]",
+        "mean": "mean of the belief: state, then widths and what else is estimated",
+        "cov": "covariances of the belief, upper triangle column by column",
+        "x": f"estimated state [{states}]",
+        "right": f"estimated right width [{units.output}]",
+        "left": f"estimated left width [{units.output}]",
+        "W": "weights of the approximation",
+    }
+
+
+def estimate_meanings(units: Units) -> dict[str, str]:
+    """What each field of an estimate means, with its unit."""
+    states = units.state if isinstance(units.state, str) else ", ".join(units.state)
+    names = {"output": units.output, "input": units.input}
+    names |= {"state": states, "rate": f"({states})/s"}
+    meanings = {}
+    for name, quantity in QUANTITIES.items():
+        unit = names.get(quantity.unit)
+        meanings[name] = quantity.meaning if unit is None else f"{quantity.meaning} [{unit}]"
+    return meanings
+
+
+def _named_fields(parts: Any, meanings: dict[str, str]) -> list[Field]:
+    """The fields of a named tuple of arrays that are not empty."""
+    named = zip(parts._fields, map(np.size, parts), strict=True)
+    return [Field(name, int(size), meanings[name]) for name, size in named if size]
+
+
+def total(fields: list[Field]) -> int:
+    """How many numbers fields hold together."""
+    return sum(field.size for field in fields)
+
+
+def places_of(fields: list[Field]) -> dict[str, slice]:
+    """Where each field stands among the numbers of a struct."""
+    ends = accumulate(field.size for field in fields)
+    pairs = zip(fields, ends, strict=True)
+    return {field.name: slice(end - field.size, end) for field, end in pairs}
+
+
+def numbers_of(fields: list[Field]) -> Iterator[tuple[Field, int]]:
+    """(field, entry) of every number, in order."""
+    return chain.from_iterable(product([field], range(field.size)) for field in fields)
+
+
+def members(fields: list[Field]) -> list[tuple[str, int]]:
+    """(name of the field, entry) of every number, in order."""
+    return [(field.name, k) for field, k in numbers_of(fields)]
+
+
+def entries(**inputs: Iterable[Any]) -> dict[str, Any]:
+    """What stands for each entry of the inputs of a step, by its name in the graph: s0, s1, w0.
+
+    Args:
+        **inputs: what stands for the entries of s, of w, and so on.
+    """
+    named: dict[str, Any] = {}
+    for name, each in inputs.items():
+        named |= {f"{name}{k}": one for k, one in enumerate(each)}
+    return named
+
+
+def distinct(wanted: list[str], told_by: Callable[[str], str] = str) -> list[str]:
+    """Names of which no two are the same: later ones get a number.
+
+    Args:
+        wanted: the names.
+        told_by: what of a name tells it from others.
+    """
+    taken: set[str] = set()
+    names = []
+    for base in wanted:
+        name, count = base, 2
+        while told_by(name) in taken:
+            name, count = f"{base}_{count}", count + 1
+        taken.add(told_by(name))
+        names.append(name)
+    return names
+
+
+PARTS = ("observer", "observer+controller")
+
+
+class Step(NamedTuple):
+    """One sample of what is exported.
+
+    Attributes:
+        function: step(s, w, p) -> (next, out), the numbers that are not tunable folded in.
+        start: the state at t = 0.
+        state, inputs, outputs, params: the fields of the structs; params are the tunable numbers.
+        defaults: values of the tunable numbers.
+        readings: how many entries of w are readings; they come first.
+        acting: the entries of w that are inputs u of the plant; none with a controller.
+        Ts: sample time [s].
+    """
+
+    function: ca.Function
+    start: Floats
+    state: list[Field]
+    inputs: list[Field]
+    outputs: list[Field]
+    params: list[Field]
+    defaults: Floats
+    readings: int
+    acting: list[int]
+    Ts: float
+
+
+class _Numbers(NamedTuple):
+    """Every number of the step that could be tuned; the field names stand in `--tunable`."""
+
+    observer: Any
+    sensor: Any
+    controller: Any
+    compensator: Any
+
+
+class _Sensor(NamedTuple):
+    """Numbers of the sensor that the step uses: the silence threshold (p) and the range."""
+
+    threshold: Any
+    limits: Limits | None
+
+
+class _ObserverMemory(NamedTuple):
+    """The observer's state and the input that was last finite (m)."""
+
+    observer: Any
+    held: Any
+
+
+def build(problem: Problem, part: str = "observer", tunable: tuple[str, ...] = ()) -> Step:
+    """The step of a problem.
+
+    Args:
+        problem: the checked parts of a sampled scenario.
+        part: "observer", or "observer+controller".
+        tunable: numbers that stay parameters, such as "observer.gamma" or "sensor.threshold".
+
+    Returns:
+        The step.
+
+    Raises:
+        InputError: a continuous scenario, an observer without a graph, an unknown part or number.
+    """
+    if problem.model.Ts is None:
+        raise InputError(
+            'simulation.time: "continuous" cannot be exported, a controller chip takes samples; '
+            'set simulation.time = "sampled"'
+        )
+    if part not in PARTS:
+        raise InputError(f"part: expected one of {', '.join(PARTS)}, found {part!r}")
+    observer = graph_of(problem.observer)
+    closed = part != "observer"
+    numbers = _Numbers(
+        observer.params,
+        _Sensor(problem.sensor.threshold, problem.sensor.limits),
+        problem.controller.params if closed else None,
+        problem.compensator.params if closed and problem.compensator else None,
+    )
+    column, params, defaults = folded(numbers, tunable)
+    traced = _loop if closed else _observer
+    step = traced(problem, observer, tree.unpack(numbers, column))
+    following, out = tree.stack(step.following), tree.stack(step.out)
+    columns = [step.state, ca.vertcat(*step.inputs), params.symbols]
+    names = ["s", "w", "p"], ["next", "out"]
+    function = ca.Function("step", columns, [following, out], *names, {"cse": True})
+    require_used(ca.vertcat(following, out), params, tunable)
+    p, m = problem.model.p, problem.model.m
+    return Step(
+        function=function,
+        start=tree.pack(step.memory),
+        state=state_fields(step.memory, problem.scenario.units, "" if closed else "observer"),
+        inputs=[_y_field(p, problem.scenario.units), *step.input_fields],
+        outputs=step.output_fields,
+        params=params.fields,
+        defaults=defaults,
+        readings=p,
+        acting=[] if closed else list(range(p, p + m)),
+        Ts=problem.model.Ts,
+    )
+
+
+class _Traced(NamedTuple):
+    """A step as expressions, and the fields that stand for them.
+
+    Attributes:
+        memory: the state at t = 0, a tree.
+        state: the state as a column.
+        inputs: columns.
+        following, out: trees.
+        input_fields: those of all inputs but the readings.
+        output_fields: those of `out`.
+    """
+
+    memory: Any
+    state: ca.SX
+    inputs: list[ca.SX]
+    following: Any
+    out: Any
+    input_fields: list[Field]
+    output_fields: list[Field]
+
+
+def _observer(problem: Problem, observer: Observer, params: _Numbers) -> _Traced:
+    """The observer alone; an input that is not finite is the last one."""
+    model = problem.model
+    memory = _ObserverMemory(observer.init(observer.params), np.zeros(model.m))
+    column, s = tree.symbols(memory, "s")
+    y, u = ca.SX.sym("y", model.p), ca.SX.sym("u", model.m)
+    used = ca.if_else(present(u), u, s.held)
+    reading = received(y, *params.sensor)
+    after, estimate = observer.step(params.observer, s.observer, used, reading)
+    following, out = _ObserverMemory(after, used), (estimate, known_side(reading, estimate))
+    shown = _estimated(problem, estimate)
+    return _Traced(memory, column, [y, u], following, out, [_u_field(problem)], shown)
+
+
+def _loop(problem: Problem, observer: Observer, params: Any) -> _Traced:
+    """Observer, controller and compensator; u is limited as the plant's drives are."""
+    model, controller, compensator = problem.model, problem.controller, problem.compensator
+    memory = Driven(
+        observer.init(observer.params),
+        controller.init(controller.params),
+        None if compensator is None else compensator.init(compensator.params),
+    )
+    column, s = tree.symbols(memory, "s")
+    y = ca.SX.sym("y", model.p)
+    like = no_target(problem)
+    t_column, target = tree.symbols(like, "target")
+    reading = received(y, *params.sensor)
+    own = observer, controller, params, compensator
+    following, u, estimate = Wiring(problem.plant, problem.sensor.kind, *own).answer(
+        s, reading, target
+    )
+    out = u, estimate, known_side(reading, estimate)
+    shown = [_u_field(problem), *_estimated(problem, estimate)]
+    fields = _target_fields(like, problem.scenario.units)
+    return _Traced(memory, column, [y, t_column], following, out, fields, shown)
+
+
+def _u_field(problem: Problem) -> Field:
+    unit = problem.scenario.units.input
+    return Field("u", problem.model.m, f"input until the next sample [{unit}]")
+
+
+def _y_field(size: int, units: Units) -> Field:
+    meaning = f"readings of the sensor; one that is not finite is missing [{units.output}]"
+    return Field("y", size, meaning)
+
+
+def _target_fields(like: Target, units: Units) -> list[Field]:
+    """The fields of what the controller should follow."""
+    meanings = {
+        "r": f"reference of the tracked outputs [{units.output}]",
+        "x_ref": "state that belongs to it",
+        "u_ff": f"input that belongs to it [{units.input}]",
+        "plan": "numbers that the controller computed ahead",
+    }
+    return _named_fields(like, meanings)
+
+
+def _estimated(problem: Problem, estimate: Estimate) -> list[Field]:
+    """The fields of an estimate and of the measured side."""
+    sizes = Estimate(*(np.zeros(ca.SX(part).numel()) for part in estimate))
+    limits = "" if problem.sensor.limits is None else "; +2, -2 at a limit of the range"
+    side = Field("side", problem.model.p, f"measured side: +1, -1, 0{limits}")
+    return [*_named_fields(sizes, estimate_meanings(problem.scenario.units)), side]
+
+
+# --- The numbers of a step that stay parameters; all others are folded in
+
+
+class Params(NamedTuple):
+    """The tunable numbers as symbols and as fields."""
+
+    symbols: ca.SX
+    fields: list[Field]
+
+
+def folded(numbers: Any, tunable: tuple[str, ...]) -> tuple[ca.SX, Params, Floats]:
+    """(all numbers as one column of constants and symbols, the tunable ones, their values)."""
+    places = dict(tree.leaves(tree.slices(numbers)))
+    values = tree.pack(numbers)
+    column = ca.SX(ca.DM(values))
+    symbols = [ca.SX(0, 1)]
+    fields: list[Field] = []
+    defaults: list[Floats] = [np.empty(0)]
+    for name in tunable:
+        place = _place(name, places)
+        size = place.stop - place.start
+        symbol = ca.SX.sym(name.replace(".", "_"), size)
+        column[place] = symbol
+        if name == "sensor.threshold" and "observer.threshold" in places:
+            column[places["observer.threshold"]] = symbol  # the same number, held by the observer
+        symbols.append(symbol)
+        defaults.append(values[place])
+        meaning = f"{name}, as one sample uses it (gains per sample, not per second)"
+        fields.append(Field(name.replace(".", "_"), size, meaning))
+    return column, Params(ca.vertcat(*symbols), fields), np.concatenate(defaults)
+
+
+def _place(name: str, places: dict[str, slice]) -> slice:
+    """Where a tunable number stands. Raises InputError with the nearest names."""
+    known = sorted(key for key, place in places.items() if place.stop > place.start)
+    if name in known:
+        return places[name]
+    nearest = difflib.get_close_matches(name, known, 3, 0.4) or known
+    raise InputError(f"tunable: no number {name!r}; did you mean {', '.join(nearest)}?")
+
+
+def require_used(every: ca.SX, params: Params, tunable: tuple[str, ...]) -> None:
+    """Raise InputError for a tunable number on which nothing depends."""
+    for name, place in zip(tunable, places_of(params.fields).values(), strict=True):
+        if not ca.depends_on(every, params.symbols[place]):
+            raise InputError(f"tunable: {name} changes nothing in a step of this observer")

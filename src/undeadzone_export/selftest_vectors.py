@@ -1,0 +1,192 @@
+"""The self-test: inputs of the scenario's own run, the bits that must come, and C to compare."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+
+import undeadzone
+from undeadzone.compile import interpret
+from undeadzone.compile.numpy_reference import replica
+from undeadzone.errors import InputError
+from undeadzone.scenario.problem import Problem, resolve_scenario
+from undeadzone.scenario.schema import Scenario
+from undeadzone.simulation.simulate import named, prepare
+from undeadzone.util import tree
+from undeadzone.util.arrays import Floats
+from undeadzone_export.code import Code
+from undeadzone_export.exported_step import Step, entries, members
+from undeadzone_export.template import called, filled
+
+DIVERGED = 1e6  # size of a signal beyond which a run has nothing to say
+SAMPLES = 96  # of a run, in the self-test
+NAN = {"float32": 0x7FC00000, "float64": 0x7FF8000000000000}  # the bits of every NaN
+OFFSET, PRIME = 2166136261, 16777619  # of the checksum by Fowler, Noll and Vo, 32 bits
+
+
+class Vectors(NamedTuple):
+    """Reference vectors of the self-test, as bits.
+
+    Attributes:
+        inputs: words of each sample's inputs (samples x inputs).
+        outputs: words of each sample's outputs (samples x outputs).
+        states: checksum of the memory after each sample (samples).
+    """
+
+    inputs: Any
+    outputs: Any
+    states: list[int]
+
+
+def continue_scenario(scenario: Scenario, steps: int) -> Problem:
+    """The checked parts of a scenario whose run lasts for a number of steps at least.
+
+    Where it cannot be continued, as with a signal from a file that ends, it is the scenario itself.
+    """
+    simulation = scenario.simulation
+    duration = max(simulation.duration, steps * simulation.step)
+    longer = msgspec.structs.replace(simulation, duration=duration)
+    try:
+        return resolve_scenario(msgspec.structs.replace(scenario, simulation=longer))
+    except InputError:
+        return resolve_scenario(scenario)
+
+
+def record_inputs(problem: Problem, step: Step) -> Floats:
+    """The inputs of a step along a run, up to where it diverges.
+
+    Args:
+        problem: the checked parts of a sampled scenario.
+        step: the step; it decides whether u or the target of the controller is an input.
+
+    Returns:
+        A row of readings, then of the other inputs, for each sample.
+
+    Raises:
+        InputError: it diverges at once.
+    """
+    rows = _recorded(problem, step)
+    missing = np.isnan(rows[:, step.readings :]).any(axis=1)
+    diverged = np.asarray((np.abs(rows) > DIVERGED).any(axis=1) | missing)
+    if diverged[0]:
+        raise InputError(
+            f"simulation: the run leaves +-{DIVERGED:g} at its first sample, so there is nothing "
+            "to measure the code on; export a scenario whose run stays bounded"
+        )
+    return rows[: int(diverged.argmax())] if diverged.any() else rows
+
+
+def _recorded(problem: Problem, step: Step) -> Floats:
+    """The inputs of a step along a run."""
+    loop, state, exogenous = prepare(problem)
+    outputs, _ = interpret.run(loop.step, state, exogenous, tree.pack(loop.params))
+    signals = named(loop, outputs)
+    if step.acting:
+        return np.hstack([signals.y, signals.u])
+    places = tree.slices(loop.instant).target
+    return np.hstack([signals.y, *[exogenous[:, place] for place in places]])
+
+
+def chosen(rows: Floats, readings: int) -> Floats:
+    """Samples for the self-test: some of a run, missing values, and readings far outside.
+
+    Args:
+        rows: the inputs along a run.
+        readings: how many of the columns are readings; they come first.
+    """
+    picked = rows[np.linspace(0, len(rows) - 1, min(SAMPLES, len(rows))).astype(int)].copy()
+    for output in range(readings):
+        picked[(7 + 11 * output) % len(picked), output] = np.nan
+    seen = np.abs(np.nan_to_num(rows[:, :readings]))
+    size = np.maximum(seen.max(axis=0), 1.0)
+    extremes = np.repeat(picked[-1:], 4, axis=0)
+    extremes[:, :readings] = np.outer([3.0, -3.0, 0.0, 1e-3], size)
+    return np.vstack([picked, extremes, picked[:8]])
+
+
+def reference(code: Code, rows: Floats) -> Vectors:
+    """The bits of outputs and memory along inputs, computed without a compiler.
+
+    Args:
+        code: what is printed.
+        rows: inputs, a row for each sample.
+    """
+    kind, evaluate = code.kind, replica(code.results)
+    rows = rows.astype(kind)
+    state = code.step.start.astype(kind)
+    params = code.step.defaults.astype(kind)
+    outputs, states = [], []
+    with np.errstate(all="ignore"):
+        for row in rows:
+            following, out = evaluate(entries(s=state, w=row, p=params))
+            state = np.array(following, kind)
+            outputs.append(np.array(out, kind))
+            states.append(checksum(state, kind))
+    table = np.array(outputs).reshape(len(rows), len(members(code.step.outputs)))
+    return Vectors(words(rows, kind), words(table, kind), states)
+
+
+def words(values: Any, kind: str) -> Any:
+    """The bits of numbers; every NaN has the same."""
+    table = np.ascontiguousarray(values, kind)
+    bits = table.view(f"uint{8 * table.itemsize}").copy()
+    bits[np.isnan(table)] = NAN[kind]
+    return bits
+
+
+def checksum(values: Any, kind: str) -> int:
+    """The checksum of numbers by their bits, 32 of them at a time, lower ones first."""
+    total = OFFSET
+    for word in words(values, kind).tolist():
+        parts = (word,) if kind == "float32" else (word & 0xFFFFFFFF, word >> 32)
+        for part in parts:
+            total = ((total ^ part) * PRIME) & 0xFFFFFFFF
+    return total
+
+
+def selftest(code: Code, prefix: str, vectors: Vectors) -> str:
+    """The text of the self-test.
+
+    Args:
+        code: what is printed.
+        prefix: what every symbol begins with.
+        vectors: the reference vectors.
+    """
+    digits, ending = (8, "u") if code.single else (16, "ull")
+    words = called(prefix, bool(code.step.params)) | {
+        "version": undeadzone.__version__,
+        "samples": len(vectors.states),
+        "inputs": vectors.inputs.shape[1],
+        "outputs": vectors.outputs.shape[1],
+        "memory": code.step.start.size,
+        "real": code.real,
+        "word": f"uint{4 * digits}_t",
+        "is_double": not code.single,
+        "magnitude": "0x7fffffffu" if code.single else "0x7fffffffffffffffull",
+        "infinity": "0x7f800000u" if code.single else "0x7ff0000000000000ull",
+        "nan": f"0x{NAN[code.kind]:x}{ending}",
+        "offset": OFFSET,
+        "prime": PRIME,
+        "phased": code.phases is not None,
+        "input_words": _rows(vectors.inputs.tolist(), digits, ending),
+        "output_words": _rows(vectors.outputs.tolist(), digits, ending),
+        "state_words": _listed(vectors.states, 8, "u"),
+    }
+    return filled("templates/selftest.c", words)
+
+
+def _rows(rows: list[list[int]], digits: int, ending: str) -> str:
+    """Rows of words in braces."""
+    return ",\n".join("{\n" + _listed(row, digits, ending) + "\n}" for row in rows)
+
+
+def _listed(numbers: list[int], digits: int, ending: str) -> str:
+    """Words in lines of up to eight."""
+    texts = [f"0x{number:0{digits}x}{ending}" for number in numbers]
+    count = 64 // digits
+    lines = []
+    for start in range(0, len(texts), count):
+        lines.append("    " + ", ".join(texts[start : start + count]))
+    return ",\n".join(lines)

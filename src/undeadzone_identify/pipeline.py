@@ -1,0 +1,371 @@
+"""`identify`: from a log to plant, widths and verdict.
+
+Of each output plants of every order are fitted with a dead zone of the sensor, and static maps in
+its place. Then one nonlinearity after another is asked for, by the same steps: may it be there?
+Then it is fitted, judged and measured. What was found in the end is told.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+
+from undeadzone.errors import InputError
+from undeadzone.util.answers import Answers
+from undeadzone.util.progress import in_notebook
+from undeadzone_identify.logs.grid import Grid, shortened, to_grid
+from undeadzone_identify.logs.log import Log, Options, log_of_arrays, read_log
+from undeadzone_identify.logs.prepare import Prepared, prepare
+from undeadzone_identify.models.elements import best_densities, static_rivals
+from undeadzone_identify.models.estimates import KeptClimbs, digest
+from undeadzone_identify.models.kalman_fit import fit_kalman
+from undeadzone_identify.models.likelihood import zone_offset
+from undeadzone_identify.models.zone_fit import Fit, longest_record, polished, reduced
+from undeadzone_identify.results.assemble import to_answer
+from undeadzone_identify.results.result import Identified, IdentifiedOutputs
+from undeadzone_identify.selection import orders
+from undeadzone_identify.selection.alternatives import Found, at_input, with_gap, with_play
+from undeadzone_identify.selection.decision import MEMORY, Case, decide, unmodelled
+from undeadzone_identify.selection.delays import drop_unvisited_edges, fit_with_delay
+from undeadzone_identify.selection.location import find_places
+from undeadzone_identify.selection.servo import (
+    may_be_servo,
+    named_servo,
+    servo_of_ticks,
+    with_servo,
+    with_servo_options,
+)
+from undeadzone_identify.servo.gap import ServoGap
+
+
+def identify(
+    log: Any = None,
+    *,
+    t: Any = None,
+    u: Any = None,
+    y: Any = None,
+    r: Any = None,
+    order: str | int = "1-4",
+    right: str | float | None = None,
+    left: str | float | None = None,
+    offset: str | float = 0.0,
+    held_out: float = 0.3,
+    noise: str = "auto",
+    place: str = "auto",
+    kind: str = "auto",
+    delay: str | int = "auto",
+    zero: float = 0.0,
+    threshold: float | None = None,
+    resample: float | None = None,
+    integrators: int = 0,
+    columns: str | None = None,
+    strict: bool = False,
+    progress: Callable[[int], None] | None = None,
+    keep: Path | None = None,
+    resume: bool = False,
+) -> Identified | IdentifiedOutputs:
+    """Find plant and dead zone from a log, with intervals that hold (docs/identify.md).
+
+    Args:
+        log: path of a CSV, .npz or .mat file, a pandas DataFrame, or a list of these: several
+            records of one plant.
+        t: times (N) [s], or the step; with u and y, in place of `log`.
+        u: inputs (N) or (N x m).
+        y: readings (N) or (N x p); NaN where one is missing.
+        r: the reference of a closed loop (N), NaN where it is missing; None: not recorded.
+        order: orders of the plant to try, as 2 or "1-4".
+        right: d_r if known, "0.2,1.0" for bounds, inf for no such edge [y].
+        left: the same for d_l.
+        offset: rms of a constant offset of the output [y], or "free".
+        held_out: share of the log, in blocks over it, that checks the fit.
+        noise: "before" the zone, "after" it, or "auto".
+        place: "sensor" where the user knows that the zone is there, or "auto".
+        kind: "deadzone", "jump" (readings are not shifted), "play" or "auto".
+        delay: samples by which the recording makes the input late, or "auto" to find how late it
+            acts.
+        zero: what the sensor reads inside its zone [y].
+        threshold: |y| up to which a reading is silent [y]; default half the quantum.
+        resample: step [s] for logs of irregular step.
+        integrators: how many poles of the plant are integrators: 1 where a motor's position is
+            read.
+        columns: which column is which where names do not say it: `t=1,y=angle,u=voltage`.
+        strict: whether a line that cannot be read is an error; else its sample is missing.
+        progress: called with the number of steps just done; None: a bar in a notebook.
+        keep: file that keeps what was fitted, to be deleted once the answer is; None: none.
+        resume: take up what a stopped call left in `keep`.
+
+    Returns:
+        Verdict, widths with intervals, plant, states, scenario; of several outputs one such
+        answer each.
+
+    Raises:
+        FileError: a log that cannot be read, or `keep`.
+        InputError: a log from which nothing can be learnt, or an option that cannot be used.
+    """
+    options = Options(
+        order=str(order),
+        right=None if right is None else str(right),
+        left=None if left is None else str(left),
+        offset=str(offset),
+        held_out=float(held_out),
+        noise=noise,  # type: ignore[arg-type]
+        place=place,  # type: ignore[arg-type]
+        kind=kind,  # type: ignore[arg-type]
+        delay=str(delay),
+        zero=float(zero),
+        threshold=threshold,
+        resample=resample,
+        integrators=int(integrators),
+    ).checked()
+    logs = [
+        one._replace(y=one.y - options.zero) for one in _logs(log, (t, u, y, r), columns, strict)
+    ]
+    with in_notebook(progress, "identifying", None) as advance:
+        if keep is None:
+            return _identified(logs, options, advance)
+        return _kept(logs, options, advance, keep, resume)
+
+
+def _kept(
+    logs: list[Log],
+    options: Options,
+    advance: Callable[[int], None],
+    keep: Path,
+    resume: bool,
+) -> Identified | IdentifiedOutputs:
+    """The answer; what was fitted is kept in a file. Raises InputError."""
+    answers = Answers(keep, _problem(logs, options), "fits", resume)
+    climbs = KeptClimbs(answers)
+    with answers.hold_file():
+        try:
+            return _identified(logs, options, advance, climbs)
+        except InputError as error:  # nothing was stopped
+            refused = error
+        finally:
+            climbs.close()
+    answers.drop()
+    raise refused
+
+
+def _problem(logs: list[Log], options: Options) -> dict[str, Any]:
+    """Everything that a fit depends on."""
+    digests = [[digest(part) for part in (log.t, log.u, log.y)] for log in logs]
+    return {"logs": digests, "options": msgspec.to_builtins(options)}
+
+
+def _identified(
+    logs: list[Log],
+    options: Options,
+    advance: Callable[[int], None],
+    climbs: KeptClimbs | None = None,
+) -> Identified | IdentifiedOutputs:
+    """The answer of one output, or of each of several. Raises InputError."""
+    names = logs[0].outputs
+    for log in logs:
+        if len(log.outputs) != len(names):
+            raise InputError(f"{log.source}: has {len(log.outputs)} outputs, others {len(names)}")
+    apart = ([log.of_output(k) for log in logs] for k in range(len(names)))
+    grids = (to_grid(alone, options.resample)._replace(climbs=climbs) for alone in apart)
+    answers = [identify_output(grid, options, advance) for grid in grids]
+    return answers[0] if len(answers) == 1 else IdentifiedOutputs(names, tuple(answers))
+
+
+def _logs(log: Any, arrays: tuple[Any, ...], columns: str | None, strict: bool) -> list[Log]:
+    """The logs that a user gave as files, frames or arrays t, u, y, r. Raises InputError."""
+    given = [value is not None for value in arrays]
+    if log is None:
+        if not all(given[:3]):
+            raise InputError("identify: give a log, or t, u and y")
+        return [log_of_arrays(*arrays)]
+    if any(given):
+        raise InputError("identify: give a log, or t, u and y, not both")
+    sources = log if isinstance(log, list | tuple) else [log]
+    if not sources:
+        raise InputError("identify: the list of logs is empty")
+    return [read_log(source, columns, strict) for source in sources]
+
+
+# --- One output
+
+
+class Question(NamedTuple):
+    """A nonlinearity that a log may show, beside what was found so far.
+
+    Attributes:
+        name: what it is.
+        is_asked: whether it may be there.
+        found: what is found with it, fitted, judged and measured.
+    """
+
+    name: str
+    is_asked: Callable[[Case, Found], bool]
+    found: Callable[[Case, Found], Found]
+
+
+def identify_output(grid: Grid, options: Options, advance: Callable[[int], None]) -> Identified:
+    """Find plant and zone from records of one output on a regular grid.
+
+    Args:
+        grid: the records.
+        options: what the user said.
+        advance: called with the number of steps just done.
+
+    Returns:
+        The answer.
+
+    Raises:
+        InputError: nothing can be learnt.
+    """
+    servo = servo_of_ticks(grid, options)
+    if servo is not None and servo.is_given:
+        advance(1)
+        return _of_servo(grid, options, advance, servo)
+    case = _fitted(shortened(grid, options.integrators), options, advance)
+    case = case._replace(servo=servo)
+    found = Found(decide("unclear"), case.fitted.delay, (), {}).judged(case, case.rivals)
+    if found.verdict.word == "jump" and _shows_edges(case):
+        as_jump = msgspec.structs.replace(options, kind="jump")
+        return identify_output(case.grid, as_jump, advance)
+    for question in QUESTIONS:
+        if question.is_asked(case, found):
+            found = question.found(case, found)
+            advance(1)
+    return Identified(to_answer(case, found))
+
+
+def _of_servo(
+    grid: Grid, options: Options, advance: Callable[[int], None], servo: ServoGap
+) -> Identified:
+    """The answer of a servo behind a play, beside a fit of its order. Raises InputError."""
+    case = _fitted(grid, with_servo_options(options, servo), advance)
+    case = case._replace(options=options)
+    found = Found(decide("unclear"), case.fitted.delay, (), {}).judged(case, case.rivals)
+    return Identified(to_answer(case, named_servo(case, servo, found)))
+
+
+def _fitted(grid: Grid, options: Options, advance: Callable[[int], None]) -> Case:
+    """The log, fitted with a zone of the sensor and with static maps. Raises InputError."""
+    prepared, unreached = drop_unvisited_edges(prepare(grid, options))
+    fitted = fit_with_delay(prepared, advance)
+    chosen = _polished(orders.order_to_write(fitted.fits))
+    no_zone = orders.judge_no_zone(chosen.pairs)
+    if no_zone.fit is not chosen.pairs:
+        chosen = chosen._replace(singles=no_zone.fit, pairs=no_zone.fit)
+    residuals = orders.residual_map(chosen.singles)
+    fits = {one.n: one for one in fitted.fits} | {chosen.n: chosen}
+    rivals = {}  # behind plants of each order, on the readings as they are
+    for n, one in fits.items():
+        rivals[n] = static_rivals(_of_readings(fitted.prepared, reduced(one.singles)))
+    suited = min(rivals, key=lambda n: min(one.bic for one in rivals[n].values()))
+    advance(1)
+    return Case(
+        grid=grid,
+        options=options,
+        recorded=prepared.data,
+        unreached=unreached,
+        fitted=fitted,
+        chosen=chosen,
+        no_zone=no_zone,
+        residuals=residuals,
+        rivals=best_densities(itertools.chain(*(one.values() for one in rivals.values()))),
+        suited=fits[suited],
+        advance=advance,
+    )
+
+
+def _polished(chosen: orders.OrderFit) -> orders.OrderFit:
+    """The chosen order at the very top of both likelihoods."""
+    pairs = polished(chosen.pairs)
+    singles = pairs if chosen.pairs is chosen.singles else polished(chosen.singles)
+    return chosen._replace(singles=singles, pairs=pairs)
+
+
+def _of_readings(prepared: Prepared, fit: Fit) -> Fit:
+    """The fit with the readings of a jump sensor as they are, not less its edges."""
+    if prepared.jumps is None:
+        return fit
+    data = fit.objective.data
+    shift = zone_offset(data.side, *[edge.value for edge in prepared.jumps])
+    whole = data._replace(y=np.where(data.ok, data.y + shift, 0.0))
+    return fit._replace(objective=fit.objective.along(whole))
+
+
+def _shows_edges(case: Case) -> bool:
+    """Whether the edges of a jump sensor can be read off, and were not."""
+    asked = case.options.kind == "auto" and case.jumps is None
+    return asked and case.data.silent_zeros and not case.options.integrators
+
+
+# --- What is asked, one after the other
+
+
+def _without_jump(case: Case, found: Found) -> bool:
+    """Whether the log was not taken for that of a jump sensor."""
+    return case.jumps is None
+
+
+def _falls_silent(case: Case, found: Found) -> bool:
+    """Whether there is a zone of the sensor in which noise falls silent."""
+    has_zone = found.verdict.word == ("jump" if case.jumps else "dead_zone")
+    return has_zone and case.data.silent_zeros and case.chosen.pairs.objective.kind == "pairs"
+
+
+def _with_filter(case: Case, found: Found) -> Found:
+    """The third likelihood, and the disturbance that it makes out."""
+    return found._replace(kalman=fit_kalman(case.chosen.pairs))
+
+
+def _has_a_place(case: Case, found: Found) -> bool:
+    """Whether the place of the zone is asked."""
+    known = case.options.place == "sensor" or case.jumps
+    return not (known or case.unreached or case.options.integrators)
+
+
+def _with_place(case: Case, found: Found) -> Found:
+    """With models of friction, of a zone of the input, and of two zones."""
+    places = find_places(longest_record(case.suited.pairs), case.quantum)
+    models = {word: one.density for word, one in places.items()}
+    if "none" not in models:  # no plant alone settles within the record: nothing to compare with
+        return found
+    return found._replace(places=places).judged(case, models)
+
+
+def _is_a_play(case: Case, found: Found) -> bool:
+    """Whether a play, or a play and a dead zone, is named."""
+    return found.element is None and found.verdict.word in MEMORY and found.plays is not None
+
+
+def _may_lack_something(case: Case, found: Found) -> bool:
+    """Whether a linear plant and a zone may not be all."""
+    return found.verdict.word in ("dead_zone", "other", "unclear")
+
+
+def _with_remainder(case: Case, found: Found) -> Found:
+    """What a linear plant and a zone do not hold, by name."""
+    return found._replace(verdict=unmodelled(found.verdict, case.chosen.pairs))
+
+
+def _is_at_input(case: Case, found: Found) -> bool:
+    """Whether there is a zone of the actuator."""
+    return found.verdict.word in ("input_zone", "two_zones")
+
+
+def _with_actuator(case: Case, found: Found) -> Found:
+    """The widths of the actuator's zone, and of the sensor's if it has one, and the plant."""
+    return found._replace(element=at_input(case, found))
+
+
+QUESTIONS = (
+    Question("friction, or a zone of the input", _has_a_place, _with_place),
+    Question("a play, or a play and a dead zone", _without_jump, with_play),
+    Question("a servo behind a play", may_be_servo, with_servo),
+    Question("the widths of a play", _is_a_play, with_gap),
+    Question("noise that falls silent in the zone", _falls_silent, _with_filter),
+    Question("a spring that bends, or an offset", _may_lack_something, _with_remainder),
+    Question("a dead zone of the actuator", _is_at_input, _with_actuator),
+)

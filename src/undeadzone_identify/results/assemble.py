@@ -1,0 +1,473 @@
+"""The answer to a log as values in the units of the log, with what to be careful about."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from undeadzone.errors import InputError
+from undeadzone.nonlinearities.sensor import DIRECTIONS
+from undeadzone.util.arrays import Flags, Floats
+from undeadzone_identify.logs.grid import Grid
+from undeadzone_identify.models.estimates import Interval, quantile
+from undeadzone_identify.models.kalman import AT_INPUT, NAMES
+from undeadzone_identify.models.kalman_fit import KalmanFit, innovations
+from undeadzone_identify.models.least_squares import CHANCE
+from undeadzone_identify.models.plant import Layout, Simulator
+from undeadzone_identify.models.zone_fit import Fit
+from undeadzone_identify.selection.alternatives import Element, Found, held_out_of
+from undeadzone_identify.selection.decision import Case, Loop, decide, detect_feedback
+from undeadzone_identify.selection.orders import (
+    OrderFit,
+    answered,
+    credible,
+    is_white,
+    reacts_to_input,
+    trained_part,
+)
+from undeadzone_identify.selection.widths import (
+    FEW_VISITS,
+    Excitation,
+    Widths,
+    excitation,
+    find_widths,
+    lower_bound,
+    widened,
+)
+from undeadzone_identify.servo.gap import ServoGap
+
+SURE = 0.999  # level of the ranges that an observer is told
+LEAST = 1e-6  # of a width, by which its range is wide at least
+
+Shown = dict[str, Interval | None]  # right, left, width, centre
+
+
+class Disturbance(NamedTuple):
+    """What disturbs z.
+
+    Attributes:
+        rms: of all of it [y].
+        correlation_time: [s]; None where it is white.
+        white: rms of its white part [y]; None where that was not told apart.
+        model: which model of the disturbance fits best; None where none was fitted.
+        ahead: whether it acts ahead of the zone.
+    """
+
+    rms: float
+    correlation_time: float | None
+    white: float | None
+    model: str | None
+    ahead: bool
+
+
+class Answer(NamedTuple):
+    """What a log says.
+
+    Attributes:
+        verdict: dead_zone, none, operating_point, saturation, jump, play, both (play and dead
+            zone), friction, input_zone, two_zones (input and sensor), other, undecided, unclear or
+            unreached.
+        reasons: why, in words.
+        right, left, width, centre: (value, low, high) with 95 % intervals, of what the verdict
+            names [y], of an input zone [u]; None where the verdict allows no such number.
+        remarks: what was done to the log, and what to be careful about.
+        loop: whether one is closed.
+        case: the log, fitted with a zone of the sensor.
+        found: what was found of it.
+        chosen: the order that was chosen, with the checks of what was found.
+        excitation: samples and visits a side.
+        widths: of a zone of the sensor, with intervals, in the scale of the fit (rms of y is 1).
+    """
+
+    verdict: str
+    reasons: list[str]
+    right: Interval | None
+    left: Interval | None
+    width: Interval | None
+    centre: Interval | None
+    remarks: list[str]
+    loop: Loop
+    case: Case
+    found: Found
+    chosen: OrderFit
+    excitation: Excitation
+    widths: Widths
+
+    @property
+    def zone(self) -> bool:
+        """Whether the sensor has a dead zone."""
+        return self.verdict in ("dead_zone", "unreached")
+
+    @property
+    def fit(self) -> Fit:
+        """The fit that every sample enters: (L2), or that of noise behind the zone."""
+        return self.chosen.pairs
+
+    @property
+    def scale(self) -> float:
+        """rms of y, by which the fit is scaled [y]."""
+        return self.fit.objective.data.y_scale
+
+    @property
+    def element(self) -> Element | None:
+        """What stands in the place of a sensor's dead zone."""
+        return self.found.element
+
+    @property
+    def servo(self) -> ServoGap | None:
+        """The servo behind a play that it is; None where it is not one."""
+        fit = None if self.element is None else self.element.fit
+        return fit if isinstance(fit, ServoGap) else None
+
+    @property
+    def z(self) -> Floats:
+        """Output of the plant (N), scaled."""
+        return self.fit.z if self.element is None else self.element.z
+
+    @property
+    def plant(self) -> tuple[Simulator, Floats]:
+        """The plant along the log, and its numbers, scaled."""
+        if self.element is None:
+            return self.fit.objective.simulator, self.fit.theta
+        return self.element.simulator, self.element.theta
+
+    @property
+    def order(self) -> int:
+        """Poles of the plant."""
+        return self.plant[0].layout.n
+
+    @property
+    def poles(self) -> Any:
+        """Poles of the plant (n) [1/s], complex."""
+        simulator, theta = self.plant
+        with np.errstate(divide="ignore"):
+            return np.log(simulator.poles(theta).astype(complex)) / self.case.grid.step
+
+    @property
+    def gain(self) -> Floats:
+        """DC gain from each input (m) [y/u]; with integrators, of the rates."""
+        simulator, theta = self.plant
+        gain = simulator.gain(theta) * self.case.data.y_scale / self.case.data.u_scale
+        return np.asarray(gain / self.case.grid.step**simulator.layout.integrators)
+
+    @property
+    def plant_numbers(self) -> tuple[Layout, Floats, Floats, Floats]:
+        """Layout, a, b in units of y and u, and their covariance together."""
+        simulator, theta = self.plant
+        layout, data = simulator.layout, simulator.data
+        told = self.fit.objective.spread(theta) if self.element is None else self.element
+        count = layout.b.stop
+        scale = np.ones(count)
+        factors = np.repeat(data.y_scale / data.u_scale, layout.n)
+        scale[layout.b] = factors
+        V = told.V[:count, :count] * np.outer(scale, scale)
+        return layout, theta[layout.a], theta[layout.b] * factors, V
+
+    @property
+    def disturbance(self) -> Disturbance:
+        """What disturbs z."""
+        step, scale = self.case.grid.step, self.scale
+        element, fit = self.element, self.fit
+        if element is not None:
+            phi = 0.0 if element.ahead is None else element.ahead.phi
+            time = -step / math.log(phi) if phi > 0 else None
+            model = None if element.ahead is None else NAMES[AT_INPUT]
+            return Disturbance(element.unseen * scale, time, element.noise * scale, model, True)
+        time = -step / math.log(fit.rho) if 0.05 < fit.rho < 1 else None
+        if fit.objective.kind == "behind":  # the climb to s ends early at a zone without width
+            left = fit.objective.residuals(fit.theta)[fit.objective.readings.ok]
+            rms = math.sqrt(float(np.mean(left**2)))
+            return Disturbance(rms * scale, time, None, None, False)
+        if not self.found.kalman:
+            return Disturbance(fit.s * scale, time, None, None, True)
+        best = self.found.kalman[0]
+        return Disturbance(fit.s * scale, time, best.r * scale, NAMES[best.model], True)
+
+
+# --- From what was found
+
+
+def to_answer(case: Case, found: Found) -> Answer:
+    """The answer in the units of the log.
+
+    Args:
+        case: the log, fitted with a zone of the sensor.
+        found: the verdict, and what stands in the zone's place.
+    """
+    element = found.element
+    doubt = element and (_not_wide(element.widths) or _not_wide(element.input))
+    if doubt:
+        verdict = decide("undecided", *found.verdict.reasons, doubt)
+        found = found._replace(element=None, verdict=verdict)
+    if found.verdict.word == "unclear":  # whatever is likeliest explains the readings badly
+        found = found._replace(odds={})
+    chosen, data = case.chosen, case.data
+    best, orders = next(iter(found.kalman), None), credible(case.fitted.fits)
+    widths = find_widths(chosen, orders, case.fitted.alike, best, case.quantum, case.offset)
+    edges = widths.right.value, widths.left.value
+    answer = Answer(
+        verdict=found.verdict.word,
+        reasons=found.verdict.reasons,
+        **dict.fromkeys(DIRECTIONS),
+        remarks=[*case.fitted.prepared.remarks, *found.verdict.cautions],
+        loop=Loop(1.0, None),
+        case=case,
+        found=found,
+        chosen=_checked(case, found),
+        excitation=excitation(data.readings(), chosen.pairs.z, *edges, data.silent_zeros),
+        widths=widths,
+    )
+    answer = _in_loop(answer)
+    if found.element is not None:
+        remarks = [*found.element.remarks, *_late(answer)]
+        return _showing(answer, found.element.widths, remarks)
+    if answer.verdict == "dead_zone" or (answer.verdict == "jump" and case.jumps):
+        return _with_edges(answer)
+    return answer
+
+
+def _checked(case: Case, found: Found) -> OrderFit:
+    """The chosen order with the check on held-out data of what was found in the end."""
+    chosen, held_out = case.chosen, case.options.held_out
+    if found.element is not None:
+        chosen = chosen._replace(**held_out_of(found.element, held_out)._asdict())
+    if found.kalman:
+        chosen = chosen._replace(white=_white_after_filter(found.kalman[0], held_out))
+    return chosen
+
+
+def _with_edges(answer: Answer) -> Answer:
+    """The answer with the edges of a sensor's zone."""
+    heard = reacts_to_input(answer.fit)
+    shown = _shown_jump(answer.case) or _shown(answer, 2.0 if heard else 1.0)
+    remarks = [*_late(answer), *_edge_remarks(answer, shown, heard)]
+    remarks += _hardly_passed(answer, shown)
+    doubt = _not_wide(shown) or _unmoved(answer, shown)
+    if doubt:
+        return answer._replace(verdict="undecided", reasons=[doubt])
+    word = "unreached" if answer.case.unreached else answer.verdict
+    return _showing(answer, shown, remarks)._replace(verdict=word)
+
+
+def _not_wide(shown: dict[str, Any]) -> str:
+    """That a width may be 0; empty where it is not, or where there is none."""
+    width = shown.get("width")
+    if width is None or not width.low <= 0 < width.half:
+        return ""
+    return f"the width's interval holds 0: {width.value:.4g} [{width.low:.4g}, {width.high:.4g}]"
+
+
+def _unmoved(answer: Answer, shown: Shown) -> str:
+    """That a width was never found; empty where each was, or the user knows of it."""
+    for name in ("right", "left"):
+        low, high = answer.case.options.bounds(name)
+        edge = shown[name]
+        if edge is not None and low < high and edge.low == edge.high:
+            return f"the {name} edge moves no reading: the fit never found the zone"
+    return ""
+
+
+def _showing(answer: Answer, shown: Shown, remarks: list[str]) -> Answer:
+    """The answer with widths, and more to be careful about."""
+    right, left, width, centre = (shown[name] for name in DIRECTIONS)
+    remarks = [*answer.remarks, *remarks]
+    return answer._replace(right=right, left=left, width=width, centre=centre, remarks=remarks)
+
+
+def _white_after_filter(kalman: KalmanFit, held_out: float) -> bool:
+    """Whether the filter's one-step errors on the held-out part are white, where it speaks."""
+    data = kalman.objective.data
+    use = data.ok & (data.side != 0) & ~trained_part(data, held_out)
+    return is_white(innovations(kalman), use)
+
+
+def _late(answer: Answer) -> list[str]:
+    """That the input acts late, where it does."""
+    delay, grid = answer.found.delay, answer.case.grid
+    if not delay:
+        return []
+    time = "" if grid.counted else f" ({delay * grid.step:.4g} s)"
+    return [f"the input acts {delay} samples late{time}"]
+
+
+def _in_loop(answer: Answer) -> Answer:
+    """The answer with whether the input answers to the readings, and what that means."""
+    servo, loop = answer.servo, detect_feedback(answer.case)
+    holds = "Widths of a sensor's zone and of the input's hold in a loop; those of a play may be"
+    holds += " off by more than their intervals where a disturbance is strong"
+    if servo is not None:
+        loop = loop._replace(chance=servo.log.loop)
+        holds = "The gap holds in it: each error is that of one prediction"
+    is_closed = loop.is_closed or (servo is not None and servo.log.closed)
+    remark = f"the input answers to the readings: the log is of a closed loop. {holds}"
+    remarks = [remark] if is_closed else []
+    remarks += _of_reference(answer.case.grid, answer.case.data.ok, loop)
+    return answer._replace(loop=loop, remarks=[*answer.remarks, *remarks])
+
+
+def _of_reference(grid: Grid, ok: Flags, loop: Loop) -> list[str]:
+    """What is to be known of a reference that was recorded."""
+    if not grid.r.shape[1]:
+        return []
+    if loop.answered is None:
+        return ["the reference never moves: it is not used"]
+    if loop.answered == 0:
+        return ["the reference alone makes the input: no loop is closed"]
+    if answered(grid.r, grid.y, ok, grid.r[:, :0], grid.start)[1] > CHANCE:
+        return []
+    words = "the reference answers to the readings as well: an outer loop makes it, or columns are"
+    return [f"{words} exchanged (--columns); then nothing of this holds"]
+
+
+def _edge_remarks(answer: Answer, shown: Shown, heard: bool) -> list[str]:
+    """What to know of edges that are given."""
+    remarks = [] if answer.case.jumps else list(answer.widths.remarks)
+    if heard:
+        remarks.append(
+            "past inputs explain part of the one-step residual: a delay, or too few poles; the"
+            " plant model does not fit, and the intervals are doubled; try a higher --order, or"
+            " shift the input by the delay"
+        )
+    for name in answer.case.unreached:
+        remarks.append(
+            f"no reading lies beyond the {name} edge: record with a larger input, or say"
+            f" --{name} inf if there is none"
+        )
+    if _tied(answer):
+        remarks.append(
+            "z of an integrating plant has no zero of its own: it counts from the middle of the"
+            " zone, so both edges are half of the width; the place of the zone is not asked"
+        )
+    for name in ("right", "left"):
+        edge = shown[name]
+        if edge is not None and edge.value < 0:
+            remarks.append(
+                f"d_{name} is negative: the zone does not hold z = 0, as after an offset of the"
+                " input or of the output; the width is not touched by that"
+            )
+    return remarks
+
+
+def _tied(answer: Answer) -> bool:
+    """Whether both edges are one number, of a plant that integrates."""
+    return answer.fit.objective.limits.tied
+
+
+def _hardly_passed(answer: Answer, shown: Shown) -> list[str]:
+    """Widen the intervals of edges that are hardly passed, and say so."""
+    remarks: list[str] = []
+    if answer.case.jumps or _tied(answer):
+        return remarks
+    for name, visits in zip(("right", "left"), answer.excitation.visits, strict=True):
+        edge = shown[name]
+        if not 0 < visits < FEW_VISITS or edge is None or not edge.low < edge.high < math.inf:
+            continue
+        wider = widened(answer.fit, name, edge, answer.scale)
+        more = (edge.low - wider.low, wider.high - edge.high)
+        shown[name] = wider
+        for sum_of_both, further in (("width", more), ("centre", [max(more)] * 2)):
+            interval = shown[sum_of_both]
+            shown[sum_of_both] = None if interval is None else interval.reaching(*further)
+        remarks.append(
+            f"the {name} edge is passed {visits} times only: hardly known; its interval is that of"
+            " the profile likelihood where that is wider"
+        )
+    return remarks
+
+
+def _shown_jump(case: Case) -> Shown:
+    """The edges of a jump sensor in the units of the log; the others are on the safe side."""
+    if case.jumps is None:
+        return {}
+    scale, sides = case.data.y_scale, []
+    for edge in case.jumps:
+        wider = 0.5 * case.grid.quantum if edge.high > edge.low else 0.0
+        low, high = edge.low * scale - wider, edge.high * scale + wider
+        sides.append(Interval(edge.value * scale, low, high))
+    right, left = sides
+    width = Interval(right.value + left.value, right.low + left.low, right.high + left.high)
+    centre = Interval(right.value - left.value, right.low - left.high, right.high - left.low)
+    return {"right": right, "left": left, "width": width, "centre": centre}
+
+
+def _shown(answer: Answer, wider: float) -> Shown:
+    """The widths in the units of the log; an edge never reached has a lower bound alone."""
+    case, scale = answer.case, answer.scale
+    shown: Shown = {}
+    for name in DIRECTIONS:
+        shown[name] = getattr(answer.widths, name).scaled(scale).grown(wider)
+    for name in ("right", "left"):
+        low, high = case.options.bounds(name)
+        if low == high:
+            shown[name] = None if low == math.inf else Interval(low, low, high)
+        if low == math.inf:
+            shown["width"] = shown["centre"] = None
+    if _tied(answer):
+        shown["centre"] = None
+    for name in case.unreached:
+        bound = lower_bound(case.chosen.singles, name) * scale
+        shown[name] = Interval(bound, bound, math.inf)
+        shown["width"] = shown["centre"] = None
+    return shown
+
+
+# --- What an observer is told
+
+
+def told_range(answer: Answer, side: str) -> tuple[float, float]:
+    """The 99.9 % interval of a width, within the bounds that the user gave [y].
+
+    Each half of the shown interval grows as Student's quantile does for the degrees of freedom that
+    it has, which are few where the edge is passed a few times; an edge of a jump sensor has
+    quantiles of its own.
+
+    Args:
+        answer: with both widths.
+        side: right or left.
+
+    Returns:
+        The least and the largest width.
+
+    Raises:
+        InputError: the width has no upper bound.
+    """
+    edge = answer.right if side == "right" else answer.left
+    assert isinstance(edge, Interval)
+    low, high = answer.case.options.bounds(side)
+    told = _told(answer, side, edge)
+    low, high = max(told.low, low, 0.0), min(told.high, high)
+    if not math.isfinite(high):
+        raise InputError(
+            f"scenario: the log gives no upper bound of d_{side}; bound it by --{side} LOW,HIGH"
+        )
+    return _not_too_narrow(low, high)
+
+
+def told_element(element: Element, interval: Interval) -> tuple[float, float]:
+    """The 99.9 % interval of a width of an element that is no dead zone, not below 0 [y]."""
+    told = interval.grown(_growth(element.degrees))
+    return _not_too_narrow(max(told.low, 0.0), told.high)
+
+
+def _not_too_narrow(low: float, high: float) -> tuple[float, float]:
+    """A range that is wider than rounding."""
+    margin = LEAST * max(high, LEAST)
+    return (low, high) if high - low > margin else (max(low - margin, 0.0), high + margin)
+
+
+def _growth(degrees: float) -> float:
+    """By how much a 99.9 % interval is wider than one of 95 %."""
+    return quantile(degrees, SURE) / quantile(degrees)
+
+
+def _told(answer: Answer, side: str, edge: Interval) -> Interval:
+    """The 99.9 % interval of a width [y]."""
+    jumps, element = answer.case.jumps, answer.element
+    if jumps is not None:
+        jump = jumps[0] if side == "right" else jumps[1]
+        below = edge.value - edge.low + (jump.low - jump.lowest) * answer.scale
+        return edge.grown(1.0)._replace(low=edge.value - below)
+    degrees = answer.widths.degrees[side] if element is None else element.degrees
+    return edge.grown(_growth(degrees))

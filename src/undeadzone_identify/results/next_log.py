@@ -1,0 +1,317 @@
+"""What to record next: the input that narrows the widest interval most, or parts two names best.
+
+Candidates are steps of both signs, slow triangles and sweeps of sines. They stay within the
+amplitude of the log's own input, change no faster than it did, and move z no further. With the
+derivatives J of what is read by the numbers of the fit, a number w'theta that a log gives to within
+sd (w' (J'J)^-1 w)^1/2 is given by both logs to within
+
+    sd (w' (J'J + K'K)^-1 w)^1/2,   K the derivatives along the candidate.                     (N1)
+
+Of two models, the second is moved to where it differs least from the first along the candidate, at
+what it costs along the log; half the squares that are left, over the noise, are the nats by which
+the next log parts them. Noise is taken for white.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.signal import chirp, sawtooth
+
+from undeadzone.errors import InputError
+from undeadzone.nonlinearities.sensor import DIRECTIONS
+from undeadzone.util.arrays import Floats
+from undeadzone_identify.models.elements import MapModel, PlayModel, linear, shifted
+from undeadzone_identify.models.estimates import weighing
+from undeadzone_identify.models.least_squares import Fitted
+from undeadzone_identify.models.plant import Data
+from undeadzone_identify.models.zone_fit import Fit, fit_linear
+from undeadzone_identify.results.assemble import Answer
+from undeadzone_identify.selection.alternatives import Element
+from undeadzone_identify.selection.servo import element_of
+
+SECONDS = 30.0  # that the next log lasts
+FEWEST, MOST = 300, 20_000  # samples of it
+PERIODS = (1.0, 4.0, 16.0)  # of candidates, in the slowest time constant of the plant
+SIZES = (1.0, 0.5, 0.25)  # of the amplitude of the log's input
+FURTHER = 1.2  # than z moved in the log, that it may move
+GAINS = 0.9  # of an interval that is left, from which nothing is worth a record
+PARTS_THEM = 3.0  # nats from which two names are parted
+
+
+class Next(NamedTuple):
+    """The input of the next log.
+
+    Attributes:
+        t: times (N) [s].
+        u: inputs (N x m) [u].
+        name: what signal it is.
+        what: that it is for: the number whose interval narrows, or the names that it parts.
+        left: share of the interval that is left with both logs; None where names are parted.
+        nats: by which it parts two names; None where an interval narrows.
+        heads: of its columns, with units.
+    """
+
+    t: Floats
+    u: Floats
+    name: str
+    what: str
+    left: float | None
+    nats: float | None
+    heads: tuple[str, ...]
+
+    @property
+    def words(self) -> str:
+        """What it is, and what it is worth."""
+        if self.left is None:
+            gain = f"{self.what}: {self.nats:.3g} nats apart"
+        else:
+            gain = f"{self.what}: {100 * self.left:.0f} % of its interval are left with both logs"
+        return f"{self.name} from rest, {self.t[-1]:.4g} s; {gain}"
+
+    @property
+    def table(self) -> str:
+        """The input as CSV."""
+        rows = [",".join(self.heads)]
+        for t, u in zip(self.t.tolist(), self.u.tolist(), strict=True):
+            rows.append(",".join(f"{number:.9g}" for number in (t, *u)))
+        return "\n".join(rows) + "\n"
+
+
+class Account(NamedTuple):
+    """A model of the log with its numbers, scaled."""
+
+    model: Any
+    theta: Floats
+
+    def along(self, data: Data) -> Account:
+        """The same at rest, at the start of another record."""
+        model = self.model.along(data)
+        layout, own = model.simulator.layout, self.model.simulator.layout
+        return Account(model, layout.at_rest(own, self.theta))
+
+    def rows(self, begins_at_rest: bool) -> tuple[Floats, Floats]:
+        """What is read (N), and its derivatives by the numbers but those of the start (N x K)."""
+        model, x0 = self.model, self.model.simulator.layout.x0
+        ok = model.simulator.data.ok
+        y, slopes = (part[ok] for part in model.slopes(self.theta))
+        of_start = (model.free >= x0.start) & (model.free < x0.stop)
+        rows = slopes[:, ~of_start]
+        unknown = [np.ones((len(y), 1))] if model.has_level else [np.zeros((len(y), 0))]
+        if not begins_at_rest:
+            unknown.append(slopes[:, of_start])
+        basis = np.linalg.qr(np.hstack(unknown))[0]
+        return y - basis @ (basis.T @ y) if begins_at_rest else y, rows - basis @ (basis.T @ rows)
+
+    def weights(self, name: str) -> Floats:
+        """The row of right, left, width or centre over the numbers but those of the start."""
+        model, x0 = self.model, self.model.simulator.layout.x0
+        first, size = model.base, self.theta.size
+        if isinstance(model, MapModel) and model.shape is linear:
+            first = model.simulator.layout.input.start
+        tied = isinstance(model, PlayModel) and model.tied
+        row = weighing(model.free, size, first, DIRECTIONS[name], tied)
+        return row[(model.free < x0.start) | (model.free >= x0.stop)]
+
+
+def next_log(answer: Answer) -> Next:
+    """The best of the candidates.
+
+    Args:
+        answer: what the log says.
+
+    Raises:
+        InputError: there is no interval and there are no two names, or no candidate gains anything.
+    """
+    own = _measured(answer)
+    if own is not None:
+        name, account = own
+        scored = _narrowing(answer, name, account)
+        return _worth(min(scored, key=lambda one: one.left or 0.0, default=None), name)
+    first, second = _two(answer)
+    scored = _parting(answer, first, second)
+    names = f"{first} from {second}"
+    return _worth(max(scored, key=lambda one: one.nats or 0.0, default=None), names)
+
+
+def _worth(best: Next | None, what: str) -> Next:
+    """The best candidate. Raises InputError where it gains nothing."""
+    gains = best is not None and (best.left or 0.0) < GAINS
+    if best is None or not gains or (best.nats is not None and best.nats < PARTS_THEM):
+        raise InputError(
+            f"next: no input within the amplitude and the rate of this log's tells more of {what};"
+            " record with a larger or a faster one"
+        )
+    return best
+
+
+# --- Models
+
+
+def _measured(answer: Answer) -> tuple[str, Account] | None:
+    """The width that is known least, and the model that has it; None where there is none."""
+    servo, element = answer.case.servo, answer.element
+    if element is None and servo is not None and servo.turns_too_seldom:
+        element = element_of(answer.case, servo)
+    if element is not None:
+        widths = element.widths
+    elif answer.verdict == "dead_zone":
+        widths = {name: getattr(answer, name) for name in DIRECTIONS}
+    else:
+        return None
+    half = {}
+    for name in ("width", "right", "left"):
+        interval = widths[name]
+        if interval is not None and math.isfinite(interval.high) and interval.high > interval.low:
+            half[name] = (interval.high - interval.low) / max(abs(interval.value), 1e-300)
+    if not half:
+        return None
+    widest = max(half, key=lambda name: half[name])
+    return widest, _of_zone(answer.fit) if element is None else _of_element(element)
+
+
+def _of_zone(fit: Fit) -> Account:
+    """A dead zone of the sensor."""
+    model = MapModel(fit.objective.simulator, "dead_zone", shifted)
+    return Account(model, np.append(fit.theta[: model.base], [fit.right, fit.left]))
+
+
+def _of_element(element: Element) -> Account:
+    """A play, or a zone of the input."""
+    if isinstance(element.fit, Fitted):
+        return Account(element.fit.model, element.fit.theta)
+    model = PlayModel(element.simulator)
+    gap, scale = element.widths["width"], model.data.y_scale
+    assert gap is not None
+    half = gap.value / 2 / scale
+    return Account(model, np.append(element.theta[: model.base], [half, half, 0.0, 0.0]))
+
+
+def _two(answer: Answer) -> tuple[str, str]:
+    """The two likeliest names. Raises InputError where there are none to part."""
+    known = _accounts(answer)
+    likely = [word for word in answer.found.odds if word in known][:2]
+    if answer.verdict != "undecided" or len(likely) < 2:
+        raise InputError(
+            f"next: of the verdict {answer.verdict} there is no interval to narrow, and no two"
+            " names to part"
+        )
+    return likely[0], likely[1]
+
+
+def _accounts(answer: Answer) -> dict[str, Account]:
+    """Models of the log by their words."""
+    fit, found = answer.fit, answer.found
+    plain = fit_linear(fit.objective.simulator, fit.objective.readings.ok)
+    model = MapModel(fit.objective.simulator, "none", linear)
+    accounts = {"none": Account(model, plain.theta[: model.base]), "dead_zone": _of_zone(fit)}
+    fits = dict(found.places) | ({} if found.plays is None else dict(found.plays.fits))
+    return accounts | {word: Account(one.model, one.theta) for word, one in fits.items()}
+
+
+# --- Scores
+
+
+def _narrowing(answer: Answer, name: str, account: Account) -> Iterator[Next]:
+    """The candidates with the share of an interval that each leaves."""
+    row, (_, rows) = account.weights(name), account.rows(begins_at_rest=False)
+    told = rows.T @ rows
+    scale = 1 / np.sqrt(np.diag(told) + 1e-300)
+    told, row = told * np.outer(scale, scale) + 1e-12 * np.eye(scale.size), row * scale
+    before = float(row @ np.linalg.solve(told, row))
+    for kind, data in _candidates(answer, account):
+        new = account.along(data).rows(begins_at_rest=True)[1] * scale
+        after = float(row @ np.linalg.solve(told + new.T @ new, row))
+        yield _proposed(answer, kind, data, name, math.sqrt(after / before), None)
+
+
+def _parting(answer: Answer, first: str, second: str) -> Iterator[Next]:
+    """The candidates with the nats by which each parts two names."""
+    known = _accounts(answer)
+    one, other = known[first], known[second]
+    _, rows = other.rows(begins_at_rest=False)
+    told = rows.T @ rows + 1e-9 * np.eye(rows.shape[1])
+    noise = max(answer.chosen.error, answer.case.quantum / math.sqrt(12), 1e-6)
+    for kind, data in _candidates(answer, one):
+        here, _ = one.along(data).rows(begins_at_rest=True)
+        there, new = other.along(data).rows(begins_at_rest=True)
+        apart = here - there
+        gradient = new.T @ apart
+        left = float(apart @ apart - gradient @ np.linalg.solve(told + new.T @ new, gradient))
+        nats = max(left, 0.0) / (2 * noise**2)
+        yield _proposed(answer, kind, data, f"{first} from {second}", None, nats)
+
+
+def _proposed(
+    answer: Answer, kind: str, data: Data, what: str, left: float | None, nats: float | None
+) -> Next:
+    """A candidate in units of the log."""
+    grid = answer.case.grid
+    t = grid.step * np.arange(data.y.size)
+    heads = ("t [s]", *(f"{name} [{grid.input_unit}]" for name in grid.inputs))
+    return Next(t, data.u * data.u_scale, kind, what, left, nats, heads)
+
+
+# --- Candidates
+
+
+def _candidates(answer: Answer, account: Account) -> Iterator[tuple[str, Data]]:
+    """Inputs within what the log's did, along which z moves no further (name, record)."""
+    own, step = account.model.simulator.data, answer.case.grid.step
+    size = int(np.clip(round(SECONDS / step), FEWEST, MOST))
+    reach = FURTHER * float(np.ptp(answer.z))
+    blank = np.zeros(size)
+    integrates = account.model.simulator.layout.integrators > 0
+    for kind, pattern in _patterns(_slowest(answer), size):
+        for share in SIZES:
+            u = np.column_stack(
+                [_within(column, share * pattern, integrates) for column in own.u.T]
+            )
+            turned = [np.roll(column, k * size // 2) for k, column in enumerate(u.T)]
+            data = own._replace(
+                u=np.column_stack(turned),
+                y=blank,
+                ok=blank == 0,
+                start=np.zeros(1, int),
+                side=np.zeros(size, int),
+                climbs=None,
+            )
+            moved = account.along(data)
+            if np.ptp(moved.model.output(moved.theta)) <= reach:
+                yield kind, data
+
+
+def _slowest(answer: Answer) -> float:
+    """The slowest time constant of the plant, in samples."""
+    rates = np.abs(answer.poles) * answer.case.grid.step
+    moving = rates[np.isfinite(rates) & (rates > 1e-4)]
+    return float(1 / moving.min()) if moving.size else 50.0
+
+
+def _patterns(slowest: float, size: int) -> Iterator[tuple[str, Floats]]:
+    """Signals between -1 and 1 (name, N)."""
+    k, draw = np.arange(size), np.random.default_rng(0)
+    periods = {float(np.clip(share * slowest, 20, size / 6)) for share in PERIODS}
+    for period in sorted(periods):
+        halves = draw.uniform(0.3, 1.0, math.ceil(size / period))
+        levels = np.column_stack([halves, -halves]).ravel()  # as far back as forth
+        yield "steps", levels[(2 * k / period).astype(int)]
+        yield "a triangle", sawtooth(2 * np.pi * k / period + np.pi / 2, 0.5)
+        yield "a sweep of sines", chirp(k, 0.25 / period, size, 2 / period, phi=-90)
+
+
+def _within(own: Floats, pattern: Floats, integrates: bool) -> Floats:
+    """A pattern within the amplitude of an input, changing no faster than it did (N)."""
+    low, high = float(own.min()), float(own.max())
+    middle, reach = (low + high) / 2, (high - low) / 2
+    if integrates or low * high < 0:  # about 0, which keeps z from running away
+        middle, reach = 0.0, min(-low, high)
+    wanted, most = middle + max(reach, 0.0) * pattern, float(np.abs(np.diff(own)).max())
+    u, now = np.empty(wanted.size), middle
+    for place, value in enumerate(wanted.tolist()):
+        now += min(max(value - now, -most), most)
+        u[place] = now
+    return u

@@ -1,0 +1,268 @@
+"""What `identify` returns: the answer with what can be made of it, of one output or of several."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from undeadzone.errors import InputError
+from undeadzone.util import shown
+from undeadzone.util.arrays import Floats, finite
+from undeadzone.util.files import write_text
+from undeadzone.util.shown import Block
+from undeadzone_identify.models.estimates import Interval
+from undeadzone_identify.models.kalman_fit import smoothed_with_spread
+from undeadzone_identify.models.plant import Simulator
+from undeadzone_identify.results.assemble import Answer
+from undeadzone_identify.results.next_log import Next, next_log
+from undeadzone_identify.results.to_continuous import sampled_matrices
+from undeadzone_identify.results.to_scenario import scenario_text
+from undeadzone_identify.results.words import in_words, numbers
+
+WRITTEN = ("play", "both", "input_zone", "two_zones")  # besides the sensor's zone, in a scenario
+
+
+class States(NamedTuple):
+    """Hidden signals along the log.
+
+    Attributes:
+        t: times (N) [s].
+        z: output ahead of the zone (N) [y], the disturbance included where one was found.
+        z_std: its standard deviation (N) [y].
+        x: states of the plant in observer form, the first is z without noise (N x n) [y].
+    """
+
+    t: Floats
+    z: Floats
+    z_std: Floats
+    x: Floats
+
+
+def save_numbers(found: Identified | IdentifiedOutputs, path: str | os.PathLike[str]) -> Path:
+    """Write all numbers as JSON.
+
+    Args:
+        found: the answer.
+        path: the file.
+
+    Returns:
+        The path.
+
+    Raises:
+        FileError: it cannot be written.
+    """
+    text = json.dumps(found.numbers(), indent=2, allow_nan=False)
+    return write_text(text + "\n", path)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Identified:
+    """What a log says of plant and dead zone, and what can be made of it.
+
+    Attributes:
+        answer: every value; the properties below are its most used ones.
+    """
+
+    answer: Answer
+
+    @property
+    def verdict(self) -> str:
+        """One word: dead_zone, none, play, both, friction, input_zone, undecided, ..."""
+        return self.answer.verdict
+
+    @property
+    def zone(self) -> bool:
+        """Whether the sensor has a dead zone."""
+        return self.answer.zone
+
+    @property
+    def right(self) -> Interval | None:
+        """d_r, of a play c_r [y], of an input zone b_r [u]: (value, low, high)."""
+        return self.answer.right
+
+    @property
+    def left(self) -> Interval | None:
+        """d_l, of a play c_l [y], of an input zone b_l [u]: (value, low, high)."""
+        return self.answer.left
+
+    @property
+    def width(self) -> Interval | None:
+        """The sum of both as (value, low, high)."""
+        return self.answer.width
+
+    @property
+    def centre(self) -> Interval | None:
+        """Half of their difference as (value, low, high)."""
+        return self.answer.centre
+
+    @property
+    def order(self) -> int:
+        """Poles of the plant."""
+        return self.answer.order
+
+    @property
+    def plant(self) -> dict[str, Any]:
+        """Poles [1/s] and DC gains [y/u] of the plant."""
+        return {"poles": self.answer.poles, "gain": self.answer.gain}
+
+    @property
+    def alternatives(self) -> dict[str, Any]:
+        """Nats per sample by which other models are behind the best."""
+        return dict(self.numbers()["alternatives"])
+
+    def states(self) -> States:
+        """z and the plant's states along the log, with deviations.
+
+        Returns:
+            The smoothed states where a disturbance was found ahead of the zone, else those of the
+            simulation.
+        """
+        answer, scale = self.answer, self.answer.scale
+        t, kalman = answer.case.grid.t, answer.found.kalman
+        if answer.element is None and kalman and kalman[0].model != 0:
+            smoothed, std = smoothed_with_spread(kalman[0])
+            return States(t, smoothed.z * scale, std * scale, smoothed.x[:, : self.order] * scale)
+        simulator, theta = answer.plant
+        slope = simulator.gradient(theta, answer.z)
+        if answer.element is None:
+            objective, unseen = answer.fit.objective, 0.0
+            slope, V = slope[:, objective.free], objective.spread(theta).V
+        else:
+            slope, V = slope[:, : len(answer.element.V)], answer.element.V
+            unseen = answer.element.unseen
+        variance = np.maximum(np.einsum("tp,pq,tq->t", slope, V, slope), 0.0)
+        x = _simulated_states(simulator, theta)
+        return States(t, answer.z * scale, np.sqrt(variance + unseen**2) * scale, x * scale)
+
+    def scenario(self, title: str = "Identified log") -> str:
+        """A scenario as TOML text, which `run`, `check`, `design` and `watch` take as it is.
+
+        Args:
+            title: of the scenario, of which code that is exported has its name.
+
+        Returns:
+            The text, with a remark for every number that says where it came from.
+
+        Raises:
+            InputError: no dead zone was found, or no plant in continuous time fits.
+        """
+        if not (self.answer.zone or self.answer.case.jumps or self.verdict in WRITTEN):
+            raise InputError(f"scenario: the verdict is {self.verdict}: there is no zone to write")
+        return scenario_text([self.answer], title)
+
+    def next_log(self) -> Next:
+        """The input to record next: of 30 s, within the amplitude and the rate of this log's.
+
+        Returns:
+            Times, inputs, and what they are for: the width whose interval narrows most, and the
+            share that is left of it with both logs; or the two names that they part.
+
+        Raises:
+            InputError: nothing would be gained.
+        """
+        return next_log(self.answer)
+
+    def numbers(self) -> dict[str, Any]:
+        """All numbers of the answer, as `--json` prints them."""
+        return dict(finite(numbers(self.answer)))
+
+    def summary(self) -> dict[str, Any]:
+        """The answer in words, as the command prints it."""
+        return in_words(self.answer)
+
+    def blocks(self) -> list[Block]:
+        """The table that `undeadzone identify` prints."""
+        return [self.summary()]
+
+    __repr__ = shown.in_text
+    _repr_html_ = shown.in_notebook
+
+    drawn = ("undeadzone_identify.figures", "overview", "signals")
+    plot = shown.plot
+    """Draw it."""
+
+    save = save_numbers
+
+
+def _simulated_states(simulator: Simulator, theta: Floats) -> Floats:
+    """States of the simulation in observer form (N x n), scaled."""
+    layout, data = simulator.layout, simulator.data
+    F, B, _ = sampled_matrices(theta[layout.a], theta[layout.b], layout)
+    drive = data.u @ B.T
+    x0 = theta[layout.x0].reshape(layout.records, layout.n)
+    x = np.empty((data.y.size, layout.n))
+    for part, state in zip(data.records(), x0, strict=True):
+        now = state
+        for t in range(part.start, part.stop):
+            x[t] = now
+            now = F @ now + drive[t]
+    return x
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class IdentifiedOutputs:
+    """The answers of several outputs, each with a plant of its own from all inputs.
+
+    Attributes:
+        names: of the outputs.
+        outputs: their answers, in this order.
+    """
+
+    names: tuple[str, ...]
+    outputs: tuple[Identified, ...]
+
+    @property
+    def verdict(self) -> str:
+        """dead_zone where every output has one, else the first other verdict."""
+        words = [one.verdict for one in self.outputs]
+        return next((word for word in words if word != "dead_zone"), "dead_zone")
+
+    @property
+    def zone(self) -> bool:
+        """Whether every output has a dead zone."""
+        return all(one.zone for one in self.outputs)
+
+    def scenario(self, title: str = "Identified log") -> str:
+        """One scenario as TOML text: the outputs' plants side by side, with the same inputs.
+
+        Args:
+            title: of the scenario.
+
+        Returns:
+            The text.
+
+        Raises:
+            InputError: an output has no dead zone, or no plant in continuous time fits.
+        """
+        for name, one in zip(self.names, self.outputs, strict=True):
+            if one.verdict != "dead_zone":
+                raise InputError(f"scenario: the verdict on {name} is {one.verdict}")
+        return scenario_text([one.answer for one in self.outputs], title)
+
+    def numbers(self) -> dict[str, Any]:
+        """All numbers of the answers, as `--json` prints them."""
+        each = {}
+        for name, one in zip(self.names, self.outputs, strict=True):
+            each[name] = one.numbers()
+        return dict(finite({"zone": self.zone, "verdict": self.verdict, "outputs": each}))
+
+    def blocks(self) -> list[Block]:
+        """The tables that `undeadzone identify` prints, one for each output."""
+        blocks: list[Block] = []
+        for name, one in zip(self.names, self.outputs, strict=True):
+            blocks += [{"output": name, **one.summary()}]
+        return blocks
+
+    __repr__ = shown.in_text
+    _repr_html_ = shown.in_notebook
+
+    drawn = ("undeadzone_identify.figures", "of_outputs", "first")
+    plot = shown.plot
+    """Draw it."""
+
+    save = save_numbers

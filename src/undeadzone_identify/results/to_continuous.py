@@ -1,0 +1,132 @@
+"""The fitted plant in continuous time, in companion form, with the spread of its entries."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import logm
+
+from undeadzone.errors import InputError
+from undeadzone.linalg.matrices import Matrices, companion
+from undeadzone.util.arrays import Floats
+from undeadzone_identify.models.plant import Layout
+
+SMALL = 1e-3  # a static gain below this part of the largest makes no good scale
+
+
+def sampled_matrices(a: Floats, b: Floats, layout: Layout) -> Matrices:
+    """The sampled plant in observer form: x+ = F x + B u, z = first state.
+
+    Args:
+        a: denominator a_1, a_2, ... without its integrators.
+        b: numerators from delay 1, input by input (m n), in units of y and u.
+        layout: order, inputs and integrators.
+
+    Returns:
+        F (n x n), B (n x m), C (1 x n).
+    """
+    F = np.eye(layout.n, k=1)
+    F[:, 0] = -layout.denominator(a)[1:]
+    return Matrices(F, b.reshape(layout.m, layout.n).T.copy(), np.eye(1, layout.n))
+
+
+def continuous(a: Floats, b: Floats, layout: Layout, step: float) -> Matrices:
+    """The plant that becomes the sampled one under a zero-order hold, in companion form.
+
+    Args:
+        a, b, layout: as for `sampled_matrices`.
+        step: sample time [s].
+
+    Returns:
+        A with rows that name a state but for the last, B, C. One input: B in the last row alone.
+
+    Raises:
+        InputError: a pole that no plant in continuous time has: negative and real, or a delay.
+    """
+    sampled = sampled_matrices(a, b, layout)
+    n = layout.n
+    poles = np.linalg.eigvals(sampled.A)
+    real = np.abs(poles.imag) < 1e-9 * np.maximum(np.abs(poles), 1e-12)
+    if np.any(np.abs(poles) < 1e-6):
+        raise InputError(
+            "plant: a sampled pole lies at 0, a delay, which a plant in continuous time with these"
+            " states does not have; try another --order"
+        )
+    if np.any(real & (poles.real < 0)):
+        worst = float(poles[real & (poles.real < 0)][0].real)
+        raise InputError(
+            f"plant: a sampled pole lies at {worst:.3g}, and no plant in continuous time has a"
+            " negative real one; try another --order, or sample faster"
+        )
+    block = np.zeros((n + layout.m, n + layout.m))
+    block[:n, :n], block[:n, n:] = sampled.A, sampled.B
+    block[n:, n:] = np.eye(layout.m)
+    both = np.real(logm(block)) / step
+    A, B, C = both[:n, :n], both[:n, n:], sampled.C
+    polynomial = _polynomial(A, layout.integrators)
+    if layout.m == 1:
+        return _controller_companion(A, B, C, polynomial)
+    return _observer_companion(A, B, C, polynomial)
+
+
+def _polynomial(A: Floats, integrators: int) -> Floats:
+    """The characteristic polynomial, highest power first; its integrators exact."""
+    polynomial = np.real(np.poly(A))
+    if integrators:
+        polynomial[-integrators:] = 0.0
+    return polynomial
+
+
+def _controller_companion(A: Floats, B: Floats, C: Floats, polynomial: Floats) -> Matrices:
+    """A with -alpha in the last row, B = [0 ... 0 g], C = numerator over g."""
+    n = A.shape[0]
+    markov = [float((C @ np.linalg.matrix_power(A, k) @ B)[0, 0]) for k in range(n)]
+    numerator = np.convolve(polynomial, markov)[:n][::-1]  # lowest power first
+    rates = np.abs(np.roots(polynomial)).max()
+    reach = np.abs(numerator) * rates ** np.arange(n)
+    scale = numerator[0] if abs(numerator[0]) > SMALL * reach.max() else 1.0
+    form = companion(polynomial[:0:-1], numerator / scale)
+    return form._replace(B=np.where(form.B > 0, scale, 0.0))
+
+
+def _observer_companion(A: Floats, B: Floats, C: Floats, polynomial: Floats) -> Matrices:
+    """The states z, z', ... of the free motion: A companion, C = [1 0 ... 0]."""
+    n = A.shape[0]
+    T = np.vstack([C @ np.linalg.matrix_power(A, k) for k in range(n)])
+    return companion(polynomial[:0:-1])._replace(B=T @ B, C=np.eye(1, n))
+
+
+def entry_spread(
+    a: Floats, b: Floats, layout: Layout, step: float, V: Floats
+) -> tuple[Matrices, Floats, Floats]:
+    """The plant in continuous time and relative standard deviations of A and B.
+
+    Args:
+        a, b, layout, step: as for `continuous`.
+        V: covariance of a and b together.
+
+    Returns:
+        The matrices, deviations of A (n x n) and of B (n x m); 0 for entries that are 0.
+
+    Raises:
+        InputError: as `continuous`.
+    """
+    plant = continuous(a, b, layout, step)
+    values, vectors = np.linalg.eigh(0.5 * (V + V.T))
+    variance_A, variance_B = np.zeros_like(plant.A), np.zeros_like(plant.B)
+    for value, vector in zip(values, vectors.T, strict=True):
+        if value <= 0:
+            continue
+        move = 0.05 * np.sqrt(value) * vector
+        try:
+            moved = continuous(a + move[: a.size], b + move[a.size :], layout, step)
+        except InputError:
+            continue
+        variance_A += ((moved.A - plant.A) / 0.05) ** 2
+        variance_B += ((moved.B - plant.B) / 0.05) ** 2
+    return plant, _relative(variance_A, plant.A), _relative(variance_B, plant.B)
+
+
+def _relative(variance: Floats, entries: Floats) -> Floats:
+    """Deviations over entries; 0 where an entry is 0."""
+    size = np.abs(entries)
+    return np.where(size > 0, np.sqrt(variance) / np.maximum(size, 1e-300), 0.0)

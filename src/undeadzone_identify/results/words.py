@@ -1,0 +1,420 @@
+"""The answer as numbers for JSON and as words for the terminal.
+
+A servo behind gear play in numbers and words: what it is made of, and every crossing.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from undeadzone.nonlinearities.sensor import DIRECTIONS
+from undeadzone.results.mjcf import Joint
+from undeadzone.util.arrays import Floats
+from undeadzone.util.text import bracketed
+from undeadzone_identify.models.estimates import Interval
+from undeadzone_identify.results.assemble import Answer
+from undeadzone_identify.selection.decision import MODELS
+from undeadzone_identify.selection.location import levels_of
+from undeadzone_identify.selection.odds import behind
+from undeadzone_identify.servo.likelihood import At
+
+PRINTED = 4  # crossings on the terminal
+SIDES = {1: "right", -1: "left"}
+
+
+def servo_numbers(answer: Answer) -> dict[str, Any] | None:
+    """The servo in units of the log, and its crossings column by column; None without one.
+
+    Args:
+        answer: what a log says.
+    """
+    servo = answer.servo
+    if servo is None:
+        return None
+    log, one = servo.log, servo.servo
+    theta, parts = one.theta, one.structure.parts
+    rate = log.step / log.seconds
+    gain = float(theta[At.GAIN]) * log.y_scale / log.u_scale
+    return {
+        "parts": sorted(parts),
+        "inertia": not one.structure.lag,
+        "damping": math.exp(theta[At.DAMPING]) * rate,
+        "gain": gain * (rate if one.structure.lag else rate**2),
+        "friction": float(theta[At.FRICTION]) * log.u_scale if "friction" in parts else 0.0,
+        "load_friction": float(theta[At.LOAD]) * log.u_scale if "load" in parts else 0.0,
+        "spring": math.exp(theta[At.SPRING]) * rate**2 if "spring" in parts else 0.0,
+        "electrical_pole": math.exp(theta[At.POLE]) * rate if "pole" in parts else None,
+        "delay": float(theta[At.DELAY]) * log.seconds,
+        "torque": math.exp(theta[At.TORQUE]) * log.u_scale,
+        "slow_torque": math.exp(theta[At.SLOW]) * log.u_scale if "slow" in parts else 0.0,
+        "trends": servo.trends,
+        "crossings": {name: column.tolist() for name, column in crossing_columns(answer).items()},
+    }
+
+
+def joints(answer: Answer) -> list[Joint]:
+    """The gears of a servo, for MuJoCo; none of another answer, or of a servo without inertia.
+
+    Args:
+        answer: of a log whose input is a torque [N m] and whose output is an angle [rad].
+    """
+    servo, numbers = answer.servo, servo_numbers(answer)
+    if servo is None or numbers is None or not numbers["inertia"] or answer.verdict != "play":
+        return []
+    gap, inertia = servo.gap, 1 / abs(numbers["gain"])
+    words = f"gap {gap.value:.4g} rad [{gap.low:.4g}, {gap.high:.4g}], if y is in rad, u in N m"
+    half, motor = gap.value / 2, (numbers["friction"], numbers["damping"] * inertia)
+    return [Joint("q", words, half, half, inertia, *motor, link=(numbers["load_friction"], 0.0))]
+
+
+def crossing_columns(answer: Answer) -> dict[str, Floats]:
+    """The crossings of a servo's gap column by column; empty where there is no servo."""
+    servo = answer.servo
+    if servo is None:
+        return {}
+    crossings = servo.crossings
+    return {
+        "t": answer.case.grid.t[crossings.at],
+        "side": crossings.side.astype(float),
+        "speed": crossings.speed,
+        "duration": crossings.duration,
+        "y": crossings.y + float(answer.case.grid.y[answer.case.grid.ok][0]),
+        "gap": crossings.gap,
+    }
+
+
+def crossings_in_words(answer: Answer, unit: str) -> list[str]:
+    """The first crossings, and what all of them say."""
+    columns, servo = crossing_columns(answer), answer.servo
+    if servo is None or not columns["t"].size:
+        return []
+    lines = []
+    for k in range(min(PRINTED, columns["t"].size)):
+        side = SIDES[int(columns["side"][k])]
+        lines.append(
+            f"t {columns['t'][k]:.4g} s, to the {side} at {abs(columns['speed'][k]):.3g}{unit}/s:"
+            f" {columns['gap'][k]:.4g}{unit}"
+        )
+    low, high = np.quantile(columns["gap"], [0.1, 0.9])
+    lines.append(
+        f"all {columns['t'].size}: median {servo.crossings.median:.4g}{unit}, 80 % within"
+        f" {low:.4g} to {high:.4g}{unit}; every one is in the page and in the JSON"
+    )
+    return lines
+
+
+# --- Any answer
+
+HEADS = {
+    "dead_zone": "yes",
+    "unreached": "yes, but an edge is never reached",
+    "none": "NO",
+    "saturation": "NO: a saturation",
+    "jump": "NO: a zone with a jump, readings are not shifted",
+    "play": "NO: play",
+    "both": "NO, not alone: a play and a dead zone",
+    "friction": "NO: friction in the plant",
+    "input_zone": "NO: a zone of the input",
+    "two_zones": "yes, and not alone: the input has one too",
+    "operating_point": "nothing can be known of a zone",
+    "other": "NO: another nonlinearity",
+    "undecided": "undecided",
+    "unclear": "nothing can be said",
+}
+SHORT = {
+    "dead_zone": "sensor",
+    "input_zone": "input",
+    "both": "play and sensor",
+    "zone_and_friction": "sensor and friction",
+    "two_zones": "sensor and input",
+}
+LEAST_SHOWN = 0.005  # odds that are worth a word
+AT_ZERO = "  assumes z = 0 at u = 0"
+
+
+# --- Numbers
+
+
+def numbers(answer: Answer) -> dict[str, Any]:
+    """All numbers of an answer, as nested dictionaries.
+
+    Args:
+        answer: what a log says.
+
+    Returns:
+        zone, verdict, right, left, width, centre (each [value, low, high] or None), order,
+        alternatives, held_out, and more.
+    """
+    grid, chosen = answer.case.grid, answer.chosen
+    at_input = None if answer.element is None else answer.element.input
+    return {
+        "zone": answer.zone,
+        "verdict": answer.verdict,
+        "reasons": answer.reasons,
+        **{name: _listed(getattr(answer, name)) for name in DIRECTIONS},
+        "input_widths": None if not at_input else {k: _listed(one) for k, one in at_input.items()},
+        "order": answer.order,
+        "plant": {
+            "poles": [[float(pole.real), float(pole.imag)] for pole in answer.poles],
+            "gain": answer.gain.tolist(),
+        },
+        "disturbance": answer.disturbance._asdict(),
+        "zone_width": None if answer.element is None else _listed(answer.element.zone),
+        "offsets": _offsets(answer),
+        "odds": answer.found.odds,
+        "alternatives": behind(answer.found.models),
+        "levels": _levels(answer),
+        "servo": servo_numbers(answer),
+        "held_out": {
+            "error": chosen.error * answer.scale,
+            "fit": chosen.share,
+            "white": chosen.white,
+        },
+        "orders": [
+            {"order": one.n, "bic": one.pairs.bic, "held_out_error": one.error * answer.scale}
+            for one in answer.case.fitted.fits
+        ],
+        "closed_loop": answer.loop.chance,
+        "answered": answer.loop.answered,
+        "no_zone": answer.case.no_zone.chance,
+        "residual_map": {
+            "share": answer.case.residuals.share,
+            "p": answer.case.residuals.chance,
+            "moving_share": answer.case.residuals.moving_share,
+            "moving_p": answer.case.residuals.moving_chance,
+        },
+        "excitation": {
+            "samples": list(answer.excitation.samples),
+            "visits": list(answer.excitation.visits),
+            "silent": answer.excitation.silent,
+            "longest_silence": answer.excitation.longest * grid.step,
+        },
+        "stages": _stages(answer),
+        "record": {
+            "samples": int(grid.t.size),
+            "readings": int(grid.ok.sum()),
+            "records": int(grid.start.size),
+            "step": grid.step,
+            "quantum": grid.quantum,
+        },
+        "units": {"input": grid.input_unit, "output": grid.output_unit},
+        "remarks": answer.remarks,
+    }
+
+
+def _listed(interval: Interval | None) -> list[float] | None:
+    """[value, low, high]."""
+    return None if interval is None else [float(number) for number in interval]
+
+
+def _offsets(answer: Answer) -> dict[str, Any] | None:
+    """What the four offsets of the readings say."""
+    offsets = answer.found.offsets
+    if offsets is None:
+        return None
+    pairs = zip(offsets.widths * answer.scale, offsets.std * answer.scale, strict=True)
+    play, zone, rest = ([float(value), float(std)] for value, std in pairs)
+    return {"name": offsets.name, "play": play, "dead_zone": zone, "rest": rest}
+
+
+def _levels(answer: Answer) -> dict[str, list[float]]:
+    """Friction and the zone of the input, right and left [u]."""
+    u_scale = answer.fit.objective.data.u_scale[0]
+    levels = levels_of(answer.found.places)
+    return {word: [float(u_scale * one) for one in two] for word, two in levels.items()}
+
+
+def _stages(answer: Answer) -> dict[str, Any]:
+    """Widths and half intervals by stage of the fit."""
+    widths = answer.widths
+    stages = {}
+    for name, (right, left) in widths.stages.items():
+        halves = widths.halves[name]
+        stages[name] = {
+            "right": right * answer.scale,
+            "left": left * answer.scale,
+            "right_half": halves["right"] * answer.scale,
+            "left_half": halves["left"] * answer.scale,
+        }
+    return stages
+
+
+# --- Words
+
+
+def in_words(answer: Answer) -> dict[str, Any]:
+    """The answer as lines of the terminal: name and text, or a list of texts.
+
+    Args:
+        answer: what a log says.
+
+    Returns:
+        The lines in order.
+    """
+    lines: dict[str, Any] = {"record": _record(answer), "plant": _plant(answer)}
+    lines["dead zone"] = HEADS[answer.verdict] + _certainty(answer)
+    if answer.reasons:
+        lines["why"] = answer.reasons
+    if answer.found.odds:
+        lines["odds"] = odds_in_words(answer)
+    unit = _unit(answer.case.grid.output_unit)
+    lines |= _widths(answer)
+    crossings = crossings_in_words(answer, unit)
+    if crossings:
+        lines["crossings"] = crossings
+    lines["disturbance"] = _disturbance(answer, unit)
+    lines["held out"] = _held_out(answer, unit)
+    if answer.remarks:
+        lines["note"] = answer.remarks
+    return lines
+
+
+def _widths(answer: Answer) -> dict[str, str]:
+    """The widths of the sensor's zone, or of what stands in its place, and the four offsets."""
+    element, grid = answer.element, answer.case.grid
+    letter, unit = "d", _unit(grid.output_unit)
+    if element is not None and element.kind != "two_zones":
+        letter = "c"
+        if element.kind == "input_zone":
+            letter, unit = "b", _unit(grid.input_unit)
+    lines = {}
+    for place, name in enumerate(DIRECTIONS):
+        interval: Interval | None = getattr(answer, name)
+        if interval is None:
+            continue
+        title = _title(letter, name).removeprefix("d ")
+        lines[title] = _in_words(interval, unit)
+        if element is None and place < 2:
+            visits, samples = answer.excitation.visits[place], answer.excitation.samples[place]
+            lines[title] += f"  passed {visits} times, {samples} samples"
+        if name == "centre" and letter != "b" and np.isfinite(interval.high):
+            lines[title] += AT_ZERO
+    for name, interval in ({} if element is None else element.input).items():
+        lines[_title("b", name)] = _in_words(interval, _unit(grid.input_unit))
+    if element is not None and element.zone is not None:
+        lines["d width"] = _in_words(element.zone, unit)
+    if element is not None and answer.found.offsets is not None:
+        lines["four offsets"] = answer.found.offsets.name.replace("_", " ")
+    return lines
+
+
+def _title(letter: str, name: str) -> str:
+    """What a width is called: d_right, c width."""
+    return f"{letter}_{name}" if name in ("right", "left") else f"{letter} {name}"
+
+
+def _unit(unit: str) -> str:
+    """A unit behind a number."""
+    return "" if unit == "1" else f" {unit}"
+
+
+def _in_words(interval: Interval, unit: str) -> str:
+    """A value with its interval, digits as far as they mean something."""
+    value, low, high = interval
+    if not np.isfinite(high):
+        if not np.isfinite(low):
+            return "unknown: an offset would shift it"
+        return f"at least {low:.4g}{unit}: no reading lies beyond this edge"
+    if high == low:
+        return f"{value:.6g}{unit}  (given)"
+    digits = max(0, int(np.ceil(-np.log10(max(high - low, 1e-300)))) + 2)
+    return f"{bracketed(value, low, high, f'.{min(digits, 12)}f')}{unit}"
+
+
+def _record(answer: Answer) -> str:
+    """Samples, step, names and units, silence."""
+    grid = answer.case.grid
+    names = ", ".join(f"{name} [{grid.input_unit}]" for name in grid.inputs)
+    step = "times count samples" if grid.counted else f"{grid.step:.6g} s"
+    text = f"{grid.t.size} samples, {step}, {names}, {grid.output} [{grid.output_unit}]"
+    if grid.start.size > 1:
+        text += f", {grid.start.size} records"
+    silent = answer.excitation.silent
+    if answer.fit.objective.kind != "behind":
+        return text + f"; {100 * silent:.0f} % silent: the zone acts on the noise too"
+    if not answer.zone:
+        return text + "; no silence at 0"
+    return text + f"; no silence at 0: noise behind the zone; {100 * silent:.0f} % of z inside it"
+
+
+def _plant(answer: Answer) -> str:
+    """Order, poles, gains."""
+    grid = answer.case.grid
+    rate = "1/sample" if grid.counted else "1/s"
+    shown = []
+    for pole in answer.poles:
+        if abs(abs(pole.imag) * grid.step - np.pi) < 1e-9:  # negative in sampled time
+            shown.append(f"{pole.real:.4g} with a sign that alternates from sample to sample")
+        elif pole.imag > 1e-12 * abs(pole):
+            shown.append(f"{pole.real:.4g} +- {pole.imag:.4g}i")
+        elif abs(pole.imag) <= 1e-12 * abs(pole):
+            shown.append(f"{pole.real:.4g}")
+    unit = f"{grid.output_unit}/{grid.input_unit}"
+    unit = "" if unit == "1/1" else f" {unit}"
+    gains = ", ".join(f"{gain:.4g}" for gain in answer.gain)
+    kind = "DC gain"
+    integrators = answer.plant[0].layout.integrators
+    if integrators:
+        kind = "gain of the rate" if integrators == 1 else "gain of the acceleration"
+        unit += " 1/s" if integrators == 1 else " 1/s^2"
+    return f"order {answer.order} (BIC), poles {', '.join(shown)} {rate}, {kind} {gains}{unit}"
+
+
+def _certainty(answer: Answer) -> str:
+    """How sure the zone is."""
+    if not answer.zone:
+        return ""
+    if answer.fit.objective.kind != "behind":
+        return " (silence)"
+    return f" ({chance_in_words(answer.case.no_zone.chance)})"
+
+
+def chance_in_words(chance: float) -> str:
+    """A probability of chance alone; how small a very small one is says nothing."""
+    return "p < 0.001" if chance < 1e-3 else f"p = {chance:.2g}"
+
+
+def odds_in_words(answer: Answer) -> str:
+    """What may be there, by how likely it is: sensor 97 %, friction 3 %."""
+    shown = []
+    for word, share in answer.found.odds.items():
+        if share >= LEAST_SHOWN:
+            percent = "> 99" if share > 1 - LEAST_SHOWN else f"{100 * share:.0f}"
+            shown.append(f"{SHORT.get(word, word)} {percent} %")
+    return ", ".join(shown)
+
+
+def _disturbance(answer: Answer, unit: str) -> str:
+    """rms and correlation time."""
+    disturbance = answer.disturbance
+    where = "at z" if disturbance.ahead else "behind the zone"
+    if not disturbance.ahead and not answer.zone:
+        where = "in what the plant leaves of the readings"
+    text = f"rms {disturbance.rms:.3g}{unit} {where}"
+    if disturbance.correlation_time is not None:
+        unit_of_time = "samples" if answer.case.grid.counted else "s"
+        text += f", correlation time {disturbance.correlation_time:.2g} {unit_of_time}"
+    if disturbance.model is not None:
+        text += f", {disturbance.model}, white part {disturbance.white:.2g}{unit}"
+    return text
+
+
+def _held_out(answer: Answer, unit: str) -> str:
+    """How the fit does on data that had no part in it."""
+    chosen = answer.chosen
+    share = f"{100 * answer.case.options.held_out:.0f} % in blocks"
+    white = "white" if chosen.white else "not white"
+    return (
+        f"{share}: rms error {chosen.error * answer.scale:.3g}{unit},"
+        f" fit {100 * chosen.share:.1f} %, one-step residual {white}"
+    )
+
+
+def rivals_in_words(answer: Answer) -> list[tuple[str, str, float]]:
+    """Every model with its odds in words and how far it is behind, in nats per reading."""
+    odds = {word: f"{100 * share:.1f} %" for word, share in answer.found.odds.items()}
+    rivals = sorted(behind(answer.found.models).items(), key=lambda row: row[1])
+    return [(MODELS[word], odds.get(word, "-"), nats) for word, nats in rivals]

@@ -1,0 +1,423 @@
+"""A log fitted with a zone of the sensor, and the verdict: is it one, or what else, or nothing?"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.signal import lfilter
+
+from undeadzone.util.arrays import Floats
+from undeadzone_identify.logs.grid import Grid
+from undeadzone_identify.logs.log import Options
+from undeadzone_identify.logs.prepare import JumpEdge
+from undeadzone_identify.models import least_squares
+from undeadzone_identify.models.estimates import long_run_covariance, quantile
+from undeadzone_identify.models.least_squares import Density
+from undeadzone_identify.models.plant import Data
+from undeadzone_identify.models.zone_fit import Fit, fit_linear
+from undeadzone_identify.selection import orders
+from undeadzone_identify.selection.delays import FittedOrders
+from undeadzone_identify.selection.location import STEPS
+from undeadzone_identify.selection.odds import Family
+from undeadzone_identify.servo.gap import ServoGap
+
+LEAST = 0.5  # share of the held-out readings that a fit must explain
+LIKELY = 0.8  # odds from which a name is given
+DOUBT = 0.01  # p of a plant without a zone, below which it is not named
+UNLIKELY = 0.05  # odds below which a name is not worth a word
+FEW = 0.005  # of the readings, that may lie across 0 of an operating point
+SPRING = 0.03  # share of the one-step residual from which a spring is named
+WELL_INSIDE = 2.0  # rms of the noise between z^ and an edge
+SURE = 0.999  # level of the interval of an offset that must not hold 0
+MOSTLY = 0.5  # share of the readings within their range, below which no memory is named; and of
+# what a reference leaves of the input, that is readings', from which a loop is closed
+RELEVANT = 0.1  # of the residual's rms, below which an offset is no matter
+MEMORY = ("play", "both")  # words of what a play explains
+AS_LINEAR = ("none", "dead_zone", "jump")  # words under which steps may be taken for a zone
+FITTED = ("none", "dead_zone", "zone_and_friction")  # what the fit of a zone of the sensor holds
+Fits = Mapping[str, Any]  # by word, each with a plant of its own: least_squares.Fitted
+LARGER = {  # words of models that hold a word's model and more
+    "dead_zone": ("zone_and_friction", "two_zones", "both"),
+    "friction": ("zone_and_friction",),
+    "input_zone": ("two_zones",),
+    "play": ("both",),
+}
+ADVICE = (
+    "to tell a sensor's zone from friction, record with an input that reverses within the plant's"
+    " slowest time constant (steps or noise of 0.4 to 1.5 times its bandwidth, 50 reversals or"
+    " more, several amplitudes, the largest well outside the zone), 10 or more samples a time"
+    " constant"
+)
+UNEXPLAINED = (
+    ": are input and output the right columns? try more inputs, a higher --order, or a log with"
+    " less disturbance"
+)
+UNSETTLED = (
+    "the plant seems to integrate, or to ring longer than the record: its state at the start and"
+    " an offset or a sine cannot be told apart; say --integrators 1 if it is the position of a"
+    " motor, or the like; else record for longer"
+)
+MODELS = {
+    "dead_zone": "a dead zone of the sensor",
+    "none": "a plant without any zone",
+    "saturation": "a saturation",
+    "other": "another curve (|z|, cubic)",
+    "jump": "a zone with a jump (readings not shifted)",
+    "play": "play (gear backlash, hysteresis)",
+    "both": "a play with a dead zone after it",
+    "friction": "friction in the plant",
+    "input_zone": "a zone of the input",
+    "zone_and_friction": "friction beside a dead zone of the sensor",
+    "two_zones": "a zone of the input beside one of the sensor",
+}
+
+
+class Case(NamedTuple):
+    """A log fitted with a zone of the sensor; nothing is judged.
+
+    Attributes:
+        grid: the log on its grid.
+        options: what the user said.
+        recorded: the records with the input as it was recorded.
+        unreached: edges that no reading passes.
+        fitted: every order.
+        chosen: the order that was chosen.
+        no_zone: the test of a zone against none.
+        residuals: residual by z^.
+        rivals: static rivals, each behind the plant that suits it.
+        suited: the order behind which one of them explains the log best.
+        advance: called with the number of steps just done.
+        servo: what the predictor of a servo, asked first, withheld; None: it was not asked.
+    """
+
+    grid: Grid
+    options: Options
+    recorded: Data
+    unreached: tuple[str, ...]
+    fitted: FittedOrders
+    chosen: orders.OrderFit
+    no_zone: orders.NoZone
+    residuals: orders.ResidualMap
+    rivals: dict[str, Density]
+    suited: orders.OrderFit
+    advance: Callable[[int], None]
+    servo: ServoGap | None = None
+
+    @property
+    def data(self) -> Data:
+        """The records as they were fitted."""
+        return self.fitted.prepared.data
+
+    @property
+    def quantum(self) -> float:
+        """Of the readings, scaled."""
+        return self.fitted.prepared.quantum
+
+    @property
+    def jumps(self) -> tuple[JumpEdge, JumpEdge] | None:
+        """Edges of a jump sensor, scaled, where the log was taken for one's; None elsewhere."""
+        return self.fitted.prepared.jumps
+
+    @property
+    def offset(self) -> float | None:
+        """rms of an unknown offset of the output, scaled; None: free."""
+        rms = self.options.offset_rms()
+        return None if rms is None else rms / self.data.y_scale
+
+
+class Verdict(NamedTuple):
+    """The verdict and why; cautions: what to know of the widths that are given."""
+
+    word: str
+    reasons: list[str]
+    cautions: list[str]
+
+    def with_cautions(self, *cautions: str) -> Verdict:
+        """The same with more to know."""
+        return self._replace(cautions=[*self.cautions, *cautions])
+
+
+def decide(word: str, *reasons: str) -> Verdict:
+    """A verdict with its reasons."""
+    return Verdict(word, list(reasons), [])
+
+
+# --- Whether a loop is closed
+
+
+class Loop(NamedTuple):
+    """What a log says of a loop.
+
+    Attributes:
+        chance: p of what past residuals say of the input, if no loop is closed; 1 where the plant
+            does not fit, so that they tell nothing.
+        answered: share that readings have of what a recorded reference leaves of the input, 0
+            where it leaves nothing; None without a reference that moves.
+    """
+
+    chance: float
+    answered: float | None
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether the input answers to the readings."""
+        if self.answered is None:
+            return self.chance <= least_squares.CHANCE
+        heard = self.answered > 0 and self.chance <= least_squares.CHANCE
+        return heard or self.answered > MOSTLY
+
+
+def detect_feedback(case: Case) -> Loop:
+    """Whether a loop is closed, guessed by residuals, known by a reference that was recorded."""
+    grid, share = case.grid, None
+    chance = orders.loop_chance(case.chosen.pairs, case.recorded.u) if case.chosen.white else 1.0
+    known = grid.r[np.isfinite(grid.r)]
+    if known.size and np.ptp(known) > 0:
+        share = orders.answered(grid.u, grid.y, case.data.ok, grid.r, grid.start)[0]
+    return Loop(chance, share)
+
+
+# --- By the odds
+
+
+def classify(case: Case, odds: dict[str, float], models: Sequence[Family], fits: Fits) -> Verdict:
+    """The verdict by the odds of all models, or why there is none.
+
+    Args:
+        case: the log, fitted with a zone of the sensor.
+        odds: by word, largest first.
+        models: whose odds they are.
+        fits: those that have a plant of their own, by word.
+    """
+    word = _claimed(odds)
+    if case.jumps:
+        return _by_jump(case, odds, models)
+    as_linear = word in AS_LINEAR and sum(odds.get(one, 0.0) for one in AS_LINEAR) >= LIKELY
+    if as_linear and _within_steps(case):
+        unclear = _unclear(case, "none", best_of("none", models), fits)
+        return _by_ends(case, "none", odds) or unclear or _without_zone(case)
+    best = best_of(word, models)
+    other = _unclear(case, word, best, fits) or _by_ends(case, word, odds)
+    if other is not None:
+        return other
+    more = list(filter(lambda one: odds.get(one, 0.0) > UNLIKELY, LARGER.get(word, ())))
+    sure = sum(odds.get(one, 0.0) for one in (word, *more))
+    if sure < LIKELY and not (word == case.options.kind == "play"):
+        return _undecided(odds)
+    cautions = [f"{MODELS[one]} is not excluded ({100 * odds[one]:.0f} %)" for one in more]
+    if word == "dead_zone":
+        return _by_residual(case).with_cautions(*cautions)
+    if word == "none":
+        return _without_zone(case)
+    if word == "other" or best.strange:
+        fully = ", but not fully either" if best.strange else ""
+        return decide("other", f"{MODELS[word]} explains the log best{fully}")
+    advice = [ADVICE] if word == "friction" else []
+    return decide(word, f"{MODELS[word]} explains the log best", *advice).with_cautions(*cautions)
+
+
+def _by_ends(case: Case, word: str, odds: dict[str, float]) -> Verdict | None:
+    """A saturation where readings stick at ends of a range, or that a memory is a guess there."""
+    ends, clipped = case.fitted.prepared.ends, odds.get("none", 0.0) + odds.get("saturation", 0.0)
+    mostly = bool(ends) and case.data.ok.sum() < MOSTLY * case.grid.ok.sum()
+    stick = f"readings stick at the ends of the range {ends}"
+    if ends and word in ("none", "saturation", "other") and (mostly or clipped > UNLIKELY):
+        return decide("saturation", f"{stick}; the odds are those of what lies between")
+    if mostly and word in MEMORY:
+        return decide("undecided", f"most {stick}, and between them {MODELS[word]} is a guess")
+    return None
+
+
+def _claimed(odds: dict[str, float]) -> str:
+    """The likeliest word; where none is, one that claims less and that larger models hold.
+
+    Beside a zone of the input that leads, the sensor's alone has other widths; a small play in
+    front of it changes them little.
+    """
+    first = next(iter(odds))
+    if first == "two_zones" or (first != "zone_and_friction" and odds[first] >= LIKELY):
+        return first
+    for word, more in LARGER.items():
+        held = sum(odds.get(one, 0.0) for one in (word, *more))
+        if held >= LIKELY and (first == "zone_and_friction" or odds.get(word, 0.0) > UNLIKELY):
+            return word
+    return first
+
+
+def _by_jump(case: Case, odds: dict[str, float], models: Sequence[Family]) -> Verdict:
+    """The verdict on a record that was taken for that of a jump sensor."""
+    word = next(iter(odds))
+    if odds["jump"] < UNLIKELY:
+        return decide("other", f"{MODELS[word]} explains the log better than a jump sensor")
+    return _unclear(case, "dead_zone", best_of("jump", models), {}) or _by_residual(case)
+
+
+def best_of(word: str, models: Sequence[Family]) -> Density:
+    """The best model of a word, by BIC per reading."""
+    there = filter(None, (family.get(word) for family in models))
+    return min(there, key=lambda one: one.bic / one.value.size)
+
+
+def _undecided(odds: dict[str, float]) -> Verdict:
+    """That no name is likely enough, with what could be there."""
+    likely = list(filter(lambda word: odds[word] >= UNLIKELY, odds))
+    apart = f"this record cannot tell {' from '.join(MODELS[word] for word in likely)}"
+    return decide("undecided", apart, *([ADVICE] if "friction" in likely else []))
+
+
+def _within_steps(case: Case) -> bool:
+    """Whether the zone that was fitted is smaller than a few steps of the readings."""
+    return 0 < case.chosen.pairs.width < STEPS * case.quantum
+
+
+def _without_zone(case: Case) -> Verdict:
+    """The verdict on readings that a linear plant explains best."""
+    y = case.grid.y[case.grid.ok]
+    if np.quantile(y, FEW) > 0 or np.quantile(y, 1 - FEW) < 0:
+        about = f"{float(y.mean()):.4g}"
+        point = f"the log lies about an operating point of {about}: nothing can be known of a zone"
+        return decide("operating_point", f"{point}; --zero {about}, or take it off")
+    if _within_steps(case):
+        steps = "the readings are rounded to steps that are larger than any zone"
+        return decide("none", f"{steps} ({case.quantum:.3g})")
+    chance, behind = case.no_zone.chance, case.chosen.pairs.objective.kind == "behind"
+    if behind and chance < DOUBT:
+        tested = f"a zone explains more than chance does (p = {chance:.2g}), and no model of one is"
+        return decide("undecided", f"{tested} likely; record for longer")
+    return decide("none", f"readings need no zone (p = {chance:.2g})")
+
+
+def _unclear(case: Case, word: str, best: Density, fits: Fits) -> Verdict | None:
+    """That nothing can be said, and why; None where something can."""
+    chosen, data = case.chosen, case.data
+    within = 1 - best.rms / float(data.y[data.ok].std())
+    share = chosen.share if word in FITTED else within
+    reasons = []
+    if share < LEAST:
+        which = "held-out readings" if word in FITTED else "readings"
+        explained = f"the best plant explains {100 * max(share, 0.0):.0f} % of the {which}"
+        changes = f", and {100 * within:.0f} % of all: it changes, or another input acts"
+        reasons.append(explained + (changes if within > LEAST else UNEXPLAINED))
+    fit = chosen.pairs
+    if word == "none":
+        fit = fit_linear(fit.objective.simulator, fit.objective.readings.ok)
+    plant, theta = fit.objective.simulator, fit.theta
+    if word not in FITTED and word in fits:
+        plant, theta = fits[word].model.simulator, fits[word].theta
+    if (reasons or word in {*FITTED, *fits}) and plant.at_limit(theta):
+        reasons.append(UNSETTLED)
+    return decide("unclear", *reasons) if reasons else None
+
+
+def _by_residual(case: Case) -> Verdict:
+    """dead_zone, unless a curve over z^ explains what it leaves."""
+    residuals = case.residuals
+    curve = f"a curve over z^ explains {100 * residuals.share:.0f} % of what"
+    if least_squares.is_strange(residuals.share, residuals.chance):
+        return decide("other", f"{curve} a dead zone leaves: another nonlinearity")
+    verdict = decide("jump" if case.jumps else "dead_zone")
+    if residuals.strange:
+        verdict = verdict.with_cautions(f"{curve} the dead zone leaves: the fit is not perfect")
+    if residuals.remembers:
+        memory = "the residual depends on the direction of z^: a memory, perhaps play"
+        verdict = verdict.with_cautions(memory)
+    if not case.data.silent_zeros and not case.chosen.white:
+        verdict = verdict.with_cautions("the one-step residual is not white")
+    return verdict
+
+
+# --- By what a linear plant behind a zone does not hold: a spring that bends, an offset
+
+
+def unmodelled(verdict: Verdict, fit: Fit) -> Verdict:
+    """The verdict, with what the model lacks where that has a name.
+
+    Args:
+        verdict: dead_zone, other or unclear, so far.
+        fit: plant and zone.
+
+    Returns:
+        `other` where the readings inside the zone lie about another value than 0; a caution, or a
+        reason why nothing is clear, where the plant's stiffness depends on z.
+    """
+    offset = None if verdict.word == "unclear" else offset_inside(fit)
+    if offset is not None:
+        value = offset * fit.objective.data.y_scale
+        reason = (
+            f"the readings inside the zone lie about {value:.4g}, not 0: a constant offset behind"
+            f" the zone; take it away by --zero {value:.4g}"
+        )
+        return decide("other", reason)
+    if verdict.word == "other":
+        return verdict
+    share, chance, slope = cubic_share(fit)
+    if share < SPRING or chance > least_squares.CHANCE:
+        return verdict
+    how = "stiffer" if slope < 0 else "softer"
+    words = (
+        f"the cube of z^ as a force explains {100 * share:.0f} % of the one-step residual: the"
+        f" plant is nonlinear, {how} far from 0, and its resonance depends on the amplitude"
+    )
+    if verdict.word == "unclear":
+        return verdict._replace(reasons=[*verdict.reasons, words])
+    return verdict.with_cautions(f"{words}; the widths may be off by more than their intervals")
+
+
+def offset_inside(fit: Fit) -> float | None:
+    """The mean reading well inside the zone, scaled; None where it is 0 or cannot be told.
+
+    Args:
+        fit: plant and zone; with noise behind the zone, else silence is exactly 0.
+    """
+    if fit.objective.kind != "behind":
+        return None
+    z, margin = fit.z, WELL_INSIDE * fit.s
+    inside = fit.objective.readings.ok & (z < fit.right - margin) & (z > -fit.left + margin)
+    y = fit.objective.data.y[inside]
+    if y.size < 50:
+        return None
+    mean = float(y.mean())
+    covariance, degrees = long_run_covariance((y - mean)[:, None])
+    half = quantile(degrees, SURE) * math.sqrt(float(covariance[0, 0])) / y.size
+    return mean if abs(mean) > max(half, RELEVANT * fit.s) else None
+
+
+def cubic_share(fit: Fit) -> tuple[float, float, float]:
+    """How much of the one-step residual a cubic spring explains.
+
+    To first order a spring kappa z^3 beside the input changes z by -kappa G z^3, with G the plant
+    from its first input. What changes of the plant's own numbers could do is taken out first.
+
+    Args:
+        fit: plant and zone.
+
+    Returns:
+        The share, p, and the coefficient of G z^3: negative for a spring that gets stiffer.
+    """
+    objective = fit.objective
+    value, use = orders.innovations(fit, objective.data.ok)
+    slope = objective.simulator.gradient(fit.theta, fit.z)[:, objective.free]
+    side = objective.data.side
+    columns = np.column_stack([slope, 1.0 * (side > 0), -1.0 * (side < 0), _cube(fit)])
+    whitened = columns.copy()
+    whitened[1:] -= fit.rho * columns[:-1]
+    rows = whitened[use]
+    if len(rows) < 10 * columns.shape[1]:
+        return 0.0, 1.0, 0.0
+    cube = least_squares.left_by(rows[:, :-1], rows[:, -1])
+    coefficients, _, share, chance = least_squares.explained(cube[:, None], value[use])
+    return share, chance, float(coefficients[0])
+
+
+def _cube(fit: Fit) -> Floats:
+    """G z^3 along the records (N)."""
+    layout = fit.objective.layout
+    denominator = layout.denominator(fit.theta[layout.a])
+    numerator = np.append(0.0, fit.theta[layout.b][: layout.n])
+    out = np.empty(fit.z.size)
+    for part in fit.objective.data.records():
+        out[part] = lfilter(numerator, denominator, fit.z[part] ** 3)
+    return out

@@ -1,0 +1,72 @@
+"""Which of all models is there: odds that hold although every model is wrong in something.
+
+By the densities of a log, penalised by BIC, one of many models soon has all odds, and in a second
+log of the same machine another one. So the odds are the mean over logs that might have been
+recorded as well (bagged posteriors: Huggins and Miller 2023): the sum of the differences between
+two models' log densities scatters over such logs as its cosines do (I1), whatever the colour of
+what the models leave.
+
+Beforehand a plant without a zone is as likely as all that may be there together, so that the more
+is asked the less is found by chance (Scott and Berger 2010).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+
+import numpy as np
+from scipy.special import softmax
+
+from undeadzone.util.arrays import Floats
+from undeadzone_identify.models.estimates import cosines
+from undeadzone_identify.models.least_squares import Density
+
+DRAWS = 2000
+Family = Mapping[str, Density]  # models of the same readings, by word; one of them is "none"
+
+
+def odds_of(families: Sequence[Family], excluded: Collection[str] = ()) -> dict[str, float]:
+    """The odds of what may be there, by the verdict's words, largest first.
+
+    Args:
+        families: models of the same readings; the readings of another family may be others.
+        excluded: words that are out of the question.
+    """
+    least = min((family["none"] for family in families), key=lambda one: one.value.size)
+    scores: dict[str, Floats] = {}
+    for family in families:
+        for word, drawn in zip(family, _drawn(family, least).T, strict=True):
+            if word not in excluded:
+                scores[word] = np.maximum(scores.get(word, -math.inf), drawn)
+    words = list(scores)
+    choice = math.log(max(len(words) - 1, 1)) * (np.array(words) != "none")
+    shares = softmax(np.array(list(scores.values())) - choice[:, None], axis=0).mean(axis=1)
+    return {words[k]: float(shares[k]) for k in np.argsort(-shares)}
+
+
+def _drawn(family: Family, least: Density) -> Floats:
+    """Log odds against no zone in logs of as few readings as the least family has (DRAWS x K)."""
+    count = least.value.size
+    none = least if family["none"].value.size == count else family["none"]
+    gains = np.column_stack([one.value - none.value for one in family.values()])
+    numbers = np.array([one.numbers - none.numbers for one in family.values()])
+    slow = cosines(gains)
+    noise = np.random.default_rng(0).standard_normal((DRAWS, len(slow)))
+    scatter = noise @ slow * math.sqrt(len(gains) / len(slow))
+    each = count / len(gains)
+    return np.asarray(each * (gains.sum(axis=0) + scatter) - 0.5 * numbers * math.log(count))
+
+
+def behind(families: Sequence[Family]) -> dict[str, float]:
+    """Nats a reading by which each model is behind the best, by word.
+
+    Args:
+        families: as for `odds_of`.
+    """
+    gained: dict[str, float] = {}
+    for family in families:
+        for word, one in family.items():
+            gain = (family["none"].bic - one.bic) / (2 * one.value.size)
+            gained[word] = max(gain, gained.get(word, -math.inf))
+    return {word: max(gained.values()) - gain for word, gain in gained.items()}

@@ -1,0 +1,314 @@
+"""Widths with intervals, from the three stages of the fit, and how a log excites its edges."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import chi2
+from scipy.stats import f as fisher
+
+from undeadzone.nonlinearities.sensor import DIRECTIONS
+from undeadzone.util.arrays import Floats, runs
+from undeadzone_identify.models.estimates import Interval, climb
+from undeadzone_identify.models.kalman_fit import KalmanFit
+from undeadzone_identify.models.likelihood import Noise, Readings, singles
+from undeadzone_identify.models.zone import Limits, Objective
+from undeadzone_identify.models.zone_fit import Fit
+from undeadzone_identify.selection.orders import OrderFit
+
+FEW_VISITS = 3  # below these an edge is hardly reached
+POINTS = 8  # of a profile, on each side of the edge
+REACH = 4.0  # usual half intervals, within which its ends are sought
+
+
+class Widths(NamedTuple):
+    """What the three stages say of the widths, scaled.
+
+    Attributes:
+        right, left, width, centre: values with intervals.
+        stages: (right, left) by each stage that was run.
+        halves: half intervals by stage and name, before anything is added.
+        degrees: degrees of freedom of the widest of these, by name.
+        remarks: what was found out, for the user.
+    """
+
+    right: Interval
+    left: Interval
+    width: Interval
+    centre: Interval
+    stages: dict[str, tuple[float, float]]
+    halves: dict[str, dict[str, float]]
+    degrees: dict[str, float]
+    remarks: list[str]
+
+
+def find_widths(
+    chosen: OrderFit,
+    others: list[OrderFit],
+    alike: list[OrderFit],
+    kalman: KalmanFit | None,
+    quantum: float,
+    offset: float | None,
+) -> Widths:
+    """The widths and their intervals.
+
+    Args:
+        chosen: the order that was chosen.
+        others: the orders that are credible.
+        alike: fits with another delay that explain the log as well.
+        kalman: the third stage; None where it was not run.
+        quantum: of the readings, scaled.
+        offset: rms of an unknown offset, scaled; None: free.
+
+    Returns:
+        Values of the last stage, with the widest of the stages' intervals.
+    """
+    told = _stages(chosen, kalman)
+    stages = {name: one.edges for name, one in told.items()}
+    last = list(stages)[-1]
+    remarks: list[str] = []
+    by_half = {name: max(told.values(), key=lambda one: one.halves[name]) for name in DIRECTIONS}
+    widest = {name: one.halves[name] for name, one in by_half.items()}
+    degrees = {name: one.degrees[name] for name, one in by_half.items()}
+    if any(_gap(stages, DIRECTIONS[name], "L3") > widest[name] for name in ("right", "left")):
+        last = "L2"
+        remarks.append(
+            "the disturbance model does not fit; the widths are those of pairs, the intervals"
+            " widened by the difference"
+        )
+    intervals, apart = {}, False
+    for name, row in DIRECTIONS.items():
+        gap, half = _gap(stages, row, "L1"), widest[name]
+        apart |= name != "centre" and gap > half > 0
+        if half > 0:
+            half = max(half, gap, 0.0 if last == "L3" else _gap(stages, row, "L3"))
+            half = math.hypot(half, _hidden(name, others, chosen))
+            half = math.hypot(half, 0.5 * quantum)
+        half = with_offset(half, row, offset)
+        intervals[name] = Interval.around(float(np.dot(row, stages[last])), half)
+        for other in alike:
+            gap = _difference(row, other, chosen)
+            intervals[name] = intervals[name].reaching(max(-gap, 0.0), max(gap, 0.0))
+    if apart:
+        remarks.append(
+            "fits of single samples and of pairs disagree: the plant model does not fit; the"
+            " intervals are widened by the difference"
+        )
+    halves = {name: one.halves for name, one in told.items()}
+    return Widths(**intervals, stages=stages, halves=halves, degrees=degrees, remarks=remarks)
+
+
+def with_offset(half: float, row: tuple[float, float], offset: float | None) -> float:
+    """Half an interval of right, left, width or centre, with what an offset of the output adds.
+
+    Args:
+        half: without it.
+        row: weights of right and left.
+        offset: its rms; None: free.
+    """
+    shift = abs(row[0] - row[1])  # by which an offset of 1 moves it
+    if not shift:
+        return half
+    return math.inf if offset is None else math.hypot(half, shift * offset)
+
+
+def _gap(stages: dict[str, tuple[float, float]], row: tuple[float, float], stage: str) -> float:
+    """How far a stage is from that of pairs; 0 where one of them was not run."""
+    if stage not in stages or "L2" not in stages:
+        return 0.0
+    return abs(float(np.dot(row, stages[stage]) - np.dot(row, stages["L2"])))
+
+
+class _Stage(NamedTuple):
+    """What a stage says: (right, left), and half intervals with degrees of freedom by name."""
+
+    edges: tuple[float, float]
+    halves: dict[str, float]
+    degrees: dict[str, float]
+
+
+def _stages(chosen: OrderFit, kalman: KalmanFit | None) -> dict[str, _Stage]:
+    """The stages that were run, by name."""
+    stages = {"L1": _told(chosen.singles)}
+    drifts = chosen.pairs.objective.limits.tied and kalman is not None
+    if chosen.pairs is not chosen.singles and not drifts:  # what drifts has no correlation
+        stages["L2"] = _told(chosen.pairs)
+    if kalman is not None:
+        stages["L3"] = _told(kalman)
+    return stages
+
+
+def _told(fit: Fit | KalmanFit) -> _Stage:
+    """What a fit says of the widths."""
+    spread, halves, degrees = fit.objective.spread(fit.theta), {}, {}
+    for name, weights in DIRECTIONS.items():
+        row = fit.objective.direction(*weights)
+        halves[name], degrees[name] = spread.half_and_degrees(row)
+    return _Stage((fit.right, fit.left), halves, degrees)
+
+
+def _hidden(name: str, others: list[OrderFit], chosen: OrderFit) -> float:
+    """The spread of a width over credible orders, which no score can show."""
+    gaps = [_difference(DIRECTIONS[name], other, chosen) for other in others]
+    return float(np.sqrt(np.mean(np.square(gaps)))) if gaps else 0.0
+
+
+def _difference(row: tuple[float, float], other: OrderFit, chosen: OrderFit) -> float:
+    """By how much a width is larger in another fit."""
+    one, own = other.pairs, chosen.pairs
+    return float(np.dot(row, (one.right - own.right, one.left - own.left)))
+
+
+def lower_bound(fit: Fit, side: str) -> float:
+    """The least width that an edge which no reading passes may have, scaled.
+
+    Args:
+        fit: with that edge far away.
+        side: right or left.
+
+    Returns:
+        Where the log likelihood falls by 1.92, that is 95 %, below that of no edge at all.
+    """
+    z = fit.z
+    readings = fit.objective.readings
+    reach = float(z.max() if side == "right" else -z.min())
+    noise = fit.objective.noise(fit.theta)
+    drop = 0.5 * float(chi2.ppf(0.95, 1))
+    base = float(singles(readings, z, noise).value.sum())
+    low, high = reach - 6 * fit.s, reach + 6 * fit.s
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        right = middle if side == "right" else noise.right
+        left = middle if side == "left" else noise.left
+        inside = right + left > 1e-9
+        value = -math.inf
+        if inside:
+            value = float(singles(readings, z, Noise(right, left, noise.s, 0.0)).value.sum())
+        if value < base - drop:
+            low = middle
+        else:
+            high = middle
+    return high
+
+
+def profile(fit: Fit, side: str, values: Floats, steps: int = 10) -> Floats:
+    """The log likelihood with one width held at each of several values (K), others refitted.
+
+    Args:
+        fit: the fit whose likelihood is profiled.
+        side: right or left.
+        values: widths, scaled, from the fitted one outward or in order (K).
+        steps: of each climb.
+
+    Returns:
+        Log likelihoods less that of the fit.
+    """
+    objective = fit.objective
+    place = objective.layout.right + (side == "left")
+    centre = int(np.argmin(np.abs(values - fit.theta[place])))
+    out = np.full(values.size, -np.inf)
+    for direction in (range(centre, values.size), range(centre - 1, -1, -1)):
+        theta = fit.theta
+        for k in direction:
+            fixed = (float(values[k]), float(values[k]))
+            both = objective.limits.tied
+            limits = Limits(
+                fixed if both or side == "right" else objective.limits.right,
+                fixed if both or side == "left" else objective.limits.left,
+            )
+            held = Objective(objective.simulator, objective.kind, limits, objective.readings.ok)
+            top = climb(held, theta, steps)
+            out[k] = top.value - fit.value
+            theta = top.theta if math.isfinite(top.value) else theta
+    return out
+
+
+def widened(fit: Fit, side: str, edge: Interval, scale: float) -> Interval:
+    """The usual interval, and that of the profile where it reaches further.
+
+    2 (L - L(d)) V_naive / V <= F(1, K), with V the robust variance of the edge and V_naive that of
+    independent samples.
+
+    Args:
+        fit: (L2), scaled.
+        side: right or left.
+        edge: the usual interval [y].
+        scale: rms of y [y].
+
+    Returns:
+        The union of both [y]; an end that the likelihood never forbids is infinite, or 0.
+    """
+    objective = fit.objective
+    spread = objective.spread(fit.theta)
+    row = objective.direction(*DIRECTIONS[side])
+    robust, degrees = spread.accuracy(row)
+    naive = float(row @ spread.naive @ row)
+    drop = 0.5 * float(fisher.ppf(0.95, 1, degrees)) * robust / max(naive, 1e-300)
+    own = fit.right if side == "right" else fit.left
+    reach = REACH * max(edge.half / scale, 1e-6)
+    ends = []
+    away = np.linspace(0.0, 1.0, POINTS + 1)
+    for values in (np.sort(own - reach * away), own + reach * away):
+        fallen = -profile(fit, side, values)
+        order = np.argsort(np.abs(values - own))
+        ends.append(_crossing(values[order], fallen[order], drop))
+    low, high = ends
+    shift = edge.value - own * scale
+    low = 0.0 if math.isinf(low) else low * scale + shift
+    high = high if math.isinf(high) else high * scale + shift
+    return Interval(edge.value, min(edge.low, low), max(edge.high, high))
+
+
+def _crossing(values: Floats, fallen: Floats, drop: float) -> float:
+    """Where the likelihood has fallen by `drop`, going away from the edge; inf: nowhere."""
+    beyond = np.flatnonzero(fallen > drop)
+    if not beyond.size:
+        return math.inf
+    k = int(beyond[0])
+    if k == 0 or not math.isfinite(fallen[k]):
+        return float(values[k])
+    part = (drop - fallen[k - 1]) / (fallen[k] - fallen[k - 1])
+    return float(values[k - 1] + part * (values[k] - values[k - 1]))
+
+
+# --- Excitation
+
+
+class Excitation(NamedTuple):
+    """What a log says of each edge.
+
+    Attributes:
+        samples: readings beyond the right and the left edge.
+        visits: how many times each edge was passed.
+        silent: share of silent readings.
+        longest: samples of the longest silence.
+    """
+
+    samples: tuple[int, int]
+    visits: tuple[int, int]
+    silent: float
+    longest: int
+
+
+def excitation(readings: Readings, z: Floats, right: float, left: float, ahead: bool) -> Excitation:
+    """How a log excites the edges.
+
+    Args:
+        readings: the record.
+        z: output of the fitted plant (N).
+        right, left: fitted widths.
+        ahead: whether readings show their side: noise ahead of the zone.
+
+    Returns:
+        Counts of samples and visits, and the share of silence.
+    """
+    side = readings.side if ahead else 1 * (z > right) - 1 * (z < -left)
+    side = np.where(readings.ok, side, 0)
+    silent = readings.ok & (side == 0)
+    samples = (int((side > 0).sum()), int((side < 0).sum()))
+    visits = (runs(side > 0)[0].size, runs(side < 0)[0].size)
+    first, last = runs(silent)
+    longest = int((last - first + 1).max(initial=0))
+    return Excitation(samples, visits, float(silent.sum() / readings.ok.sum()), longest)

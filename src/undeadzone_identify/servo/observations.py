@@ -1,0 +1,259 @@
+"""A log as the predictor hears it: ticks with their boundaries, or readings with noise.
+
+Does the input answer to the readings? A loop shows in the change of u at a tick itself.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import f as fisher
+
+from undeadzone.util.arrays import Flags, Floats, Integers, later
+from undeadzone_identify.logs.grid import spacing_of
+from undeadzone_identify.models.least_squares import left_by
+from undeadzone_identify.models.motion import changes, white_noise
+from undeadzone_identify.servo.predictor import LATEST
+
+LAGS = 10  # samples of the past that are taken out
+OWN = 3  # changes of readings, of now and before, to which u may answer
+OUTLIER = 5.0  # scatters of what the past leaves: steps of a reference are none of the loop's
+NORMAL = 1.4826  # standard deviation of a Gaussian by its median deviation
+LEAST = 3e-3  # of du, that the past must leave
+SHARE = 0.01  # of what it leaves, that readings must explain
+CHANCE = 1e-6  # p from which a loop is closed
+STILL = 0.5  # share of changes that are 0, from which u is a list of steps
+
+
+def loop_chance(u: Floats, y: Floats) -> float:
+    """p of what changes of y that came just before explain of changes of u, if there is no loop.
+
+    1 where they explain hardly anything, or nothing can be told.
+
+    Args:
+        u: inputs (N).
+        y: readings (N).
+    """
+    du, dy = np.diff(u), np.diff(y)
+    rows = np.arange(LAGS, du.size)
+    if rows.size < 10 * LAGS or np.mean(du == 0) > STILL:
+        return 1.0
+    now = np.column_stack([dy[rows - lag] for lag in range(OWN)])
+    past = [du[rows - lag] for lag in range(1, LAGS + 1)]
+    past += [dy[rows - lag] for lag in range(OWN, LAGS)]
+    known = np.column_stack([np.ones(rows.size), *past])
+    target = du[rows]
+    kept = _usual(known, target)
+    known, now, target = known[kept], now[kept], target[kept]
+    before = left_by(known, target)
+    if np.std(before) < LEAST * np.std(target):
+        return 1.0
+    after = left_by(np.column_stack([known, now]), target)
+    share = 1 - float(after @ after) / float(before @ before)
+    degrees = target.size - known.shape[1] - OWN
+    ratio = share / max(1 - share, 1e-12) * degrees / OWN
+    return float(fisher.sf(ratio, OWN, degrees)) if share > SHARE else 1.0
+
+
+def _usual(columns: Floats, target: Floats) -> Flags:
+    """The rows without outliers (n)."""
+    kept = np.ones(target.size, bool)
+    for _ in range(3):
+        slopes = np.linalg.lstsq(columns[kept], target[kept], rcond=1e-10)[0]
+        left = np.abs(target - columns @ slopes)
+        kept = left <= OUTLIER * NORMAL * float(np.median(left))
+    return kept
+
+
+# --- What the predictor hears
+
+USUAL = (5e-4, 0.05)  # of a servo [s]; other samples take as long as those in between
+FEWEST = 20  # changes of readings that are worth a look
+TURNING = 0.2  # share of changes that turn back, from which they are noise
+MOVING = 0.005  # share of readings equal to the one before, below which exact ones are noise
+REACH = 3.0  # of a Schmitt trigger, in standard deviations of the noise
+
+
+class Observations(NamedTuple):
+    """A log, scaled, as signals of the predictor.
+
+    Attributes:
+        step: sample time in the predictor's unit, in which rates lie about 1 to 100.
+        seconds: sample time [s].
+        u: inputs (N), rms 1.
+        y: readings from the first one on (N), rms 1.
+        ok: whether there is a reading (N).
+        start: first sample of each record (R).
+        ticks: whether readings are ticks of an encoder, or exact.
+        quantum: of an encoder; 0 of others.
+        side: of each tick, 0 where none is (N).
+        boundary: that a tick passed (N).
+        u_scale, y_scale: what u and y were divided by.
+        loop: p of what the readings say of the input, if no loop is closed.
+    """
+
+    step: float
+    seconds: float
+    u: Floats
+    y: Floats
+    ok: Flags
+    start: Integers
+    ticks: bool
+    quantum: float
+    side: Integers
+    boundary: Floats
+    u_scale: float
+    y_scale: float
+    loop: float
+
+    @property
+    def closed(self) -> bool:
+        """Whether the input answers to the readings."""
+        return self.loop < CHANCE
+
+    @property
+    def turns(self) -> Flags:
+        """Ticks to the other side than the one before in their record (N)."""
+        at = np.flatnonzero(self.side)
+        turned = np.zeros(self.side.size, bool)
+        record = np.searchsorted(self.start, at, side="right")
+        same = record[1:] == record[:-1]
+        turned[at[1:]] = (self.side[at[1:]] != self.side[at[:-1]]) & same
+        return turned
+
+    @property
+    def first(self) -> Flags:
+        """The first tick of each record (N)."""
+        at = np.flatnonzero(self.side)
+        record = np.searchsorted(self.start, at, side="right")
+        begun = np.zeros(self.side.size, bool)
+        begun[at[np.append(True, np.diff(record) > 0)[: at.size]]] = True
+        return begun
+
+    def signals(self, counted: Flags) -> Floats:
+        """Inputs of the kernel (N x inputs), with the samples whose errors count (N)."""
+        starts = np.zeros(self.u.size)
+        starts[self.start] = 1.0
+        late = np.column_stack([later(self.u, j, self.start) for j in range(LATEST + 1)])
+        if not self.ticks:
+            return np.column_stack([late, self.y, self.ok, starts, counted])
+        ticks = [self.side, self.boundary, self.turns, self.first]
+        return np.column_stack([late, *ticks, starts, counted])
+
+    def counted(self, free: bool) -> Flags:
+        """The samples whose prediction errors count (N)."""
+        if not self.ticks:
+            counted = self.ok.copy()
+            counted[self.start] = False
+            return counted
+        counted = (self.side != 0) & ~self.first
+        return counted & ~self.turns if free else counted
+
+    def part(self, most: int, least: int = 0) -> Observations:
+        """The samples in a row with most reversals; all where there are not more.
+
+        Args:
+            most: samples.
+            least: reversals; where so many samples have fewer, twice as many are taken, and so on.
+        """
+        turned = np.cumsum(np.append(0, (self if self.ticks else triggered(self)).turns))
+        while most < self.u.size and np.max(turned[most:] - turned[:-most]) < least:
+            most *= 2
+        if self.u.size <= most:
+            return self
+        first = int(np.argmax(turned[most:] - turned[:-most]))
+        kept = slice(first, first + most)
+        inside = self.start[(self.start > first) & (self.start < first + most)] - first
+        return self._replace(
+            u=self.u[kept],
+            y=self.y[kept],
+            ok=self.ok[kept],
+            start=np.append(0, inside),
+            side=self.side[kept],
+            boundary=self.boundary[kept],
+        )
+
+
+def read_observations(
+    u: Floats, y: Floats, ok: Flags, start: Integers, step: float
+) -> Observations | None:
+    """A log as the predictor hears it; None where nothing moves.
+
+    Args:
+        u: input (N).
+        y: readings (N).
+        ok: whether there is a reading (N).
+        start: first sample of each record (R).
+        step: sample time [s].
+    """
+    u_scale, y_scale = float(np.std(u)), float(np.std(y[ok]))
+    if not (u_scale > 0 and y_scale > 0):
+        return None
+    level = float(y[ok][0])
+    held = filled(np.where(ok, (y - level) / y_scale, 0.0), ok)
+    side = sides(held, ok, start)
+    at = np.flatnonzero(side)
+    if at.size < FEWEST:
+        return None
+    spacing = spacing_of(np.unique(held[ok]))
+    none = np.zeros(y.size, int)
+    log = Observations(
+        step=step if USUAL[0] <= step <= USUAL[1] else math.sqrt(USUAL[0] * USUAL[1]),
+        seconds=step,
+        u=u / u_scale,
+        y=held,
+        ok=ok,
+        start=start,
+        ticks=True,
+        quantum=spacing,
+        side=none,
+        boundary=held,
+        u_scale=u_scale,
+        y_scale=y_scale,
+        loop=loop_chance(u, held),
+    )
+    turning = float(np.mean(side[at[1:]] != side[at[:-1]]))
+    exact_enough = spacing > 0 or at.size < (1 - MOVING) * y.size
+    if turning < TURNING and exact_enough:
+        return log._replace(side=side, boundary=held - side * spacing / 2)
+    return log._replace(ticks=False, quantum=0.0)
+
+
+def filled(y: Floats, ok: Flags) -> Floats:
+    """Readings, the last one held where one is missing (N)."""
+    last = np.maximum.accumulate(np.where(ok, np.arange(y.size), -1))
+    return np.where(last >= 0, y[np.maximum(last, 0)], 0.0)
+
+
+def sides(y: Floats, ok: Flags, start: Integers) -> Integers:
+    """The side of each change from a reading just before (N)."""
+    change, known = changes(y, ok, start)
+    return np.where(known, np.sign(change), 0.0).astype(int)
+
+
+def noise_of(log: Observations) -> float:
+    """rms of the white noise of readings, scaled."""
+    return max(white_noise(log.y + 10.0, log.ok, log.start), 1e-5)
+
+
+def triggered(log: Observations) -> Observations:
+    """Noisy readings as ticks of a Schmitt trigger, whose gap is wider by 2 REACH of the noise."""
+    reach = REACH * noise_of(log)
+    level, held = float(log.y[0]), np.empty(log.y.size)
+    for k, reading in enumerate(log.y.tolist()):
+        level = min(max(level, reading - reach), reading + reach)
+        held[k] = level
+    spacing = 2 / REACH * reach
+    steps = np.round(held / spacing) * spacing
+    side = sides(steps, log.ok, log.start)
+    return log._replace(
+        ticks=True, quantum=spacing, side=side, boundary=steps - side * spacing / 2
+    )  # fmt: skip
+
+
+def reversals(log: Observations) -> int:
+    """How often the readings turn."""
+    ticked = log if log.ticks else triggered(log)
+    return int(math.fsum(ticked.turns))
