@@ -32,9 +32,9 @@ class Censored(Assumptions, frozen=True, kw_only=True, tag_field="method", tag="
     """`Kalman` that also uses that a silent sensor bounds z, and knows what else may be wrong.
 
     Sampled time. Its further options are those of `Assumptions`. Defaults doubt: the
-    disturbance moves z by half of the largest width, rms, in a quarter period and the delay of the further poles, the
-    bias is a quarter of it, widths walk by a 400th of their ranges' extent in 1 / |pole|; 0 is a
-    claim.
+    disturbance moves z by half of the largest width, rms, in a quarter period and the delay of
+    the further poles, the bias is a quarter of it, widths walk by a 400th of their ranges' extent
+    in 1 / |pole|; 0 is a claim.
 
     Attributes:
         washout_time: time constant of a washout that takes the constant part from the disturbance
