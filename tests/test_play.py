@@ -32,6 +32,7 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.signals.exosystem import Sine, exosystem
 from undeadzone.simulation.simulate import simulate
 from undeadzone.util.arrays import Floats
+from undeadzone_identify.logs.log import Options
 
 TS = 0.01
 SLOW = {"kind": "sine", "amplitude": 5.0, "frequency": 0.2}
@@ -130,6 +131,14 @@ def test_the_run_reads_what_the_element_says() -> None:
         before, level = level, apply_backlash(np, z, level, 1.0, 0.7)
         assert y == pytest.approx(2 * level, abs=1e-12)
         assert side == np.sign(level - before)
+
+
+def test_backlash_is_another_name_of_play() -> None:
+    named = Sensor(right=1.0, left=0.7, kind="backlash")
+    assert named == Sensor(right=1.0, left=0.7, kind="play")
+    read = slow({"kind": "backlash"}, KALMAN)
+    assert read.sensor.kind == "play"
+    assert Options(kind="backlash") == Options(kind="play")
 
 
 # What is refused

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     Answers = Identified | IdentifiedOutputs
 
 
-KINDS = click.Choice(["auto", "deadzone", "jump", "play"])
+KINDS = click.Choice(["auto", "deadzone", "jump", "play", "backlash"])
 NOISES = click.Choice(["auto", "before", "after"])
 PLACES = click.Choice(["auto", "sensor"])
 
@@ -106,7 +106,7 @@ def identify(
     with progress("identifying", None) as advance:
         names = [str(path) for path in logs]
         answer = identified(names, progress=advance, keep=keep, resume=resume, **options)
-        is_found = answer.verdict in ("dead_zone", options["kind"])
+        is_found = answer.verdict in ("dead_zone", options["kind"].replace("backlash", "play"))
         written: list[Path] = [] if folder is None else [answer.save(folder / "identify.json")]
         reason = None
         if is_found or answer.verdict in (*WRITTEN, "jump"):

@@ -206,7 +206,8 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     Attributes:
         right, left: widths d_r, d_l of the dead zone, or gaps c_r, c_l of a play (p) [z].
         kind: "deadzone": the reading is m (z - Sat z); "jump": it is m z outside the zone, as of
-            velocity sensors; "play" (backlash; sampled time): it holds while z crosses the gap.
+            velocity sensors; "play", or its other name "backlash" (sampled time): the reading
+            holds while z crosses the gap.
         slope: m, the reading per true output (p) [y/z].
         noise: rms of the noise added after the deadzone (p) [y].
         noise_before: rms of the noise added to z ahead of the deadzone (p) [z]; not of a play.
@@ -236,7 +237,7 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     right: Array
     left: Array
-    kind: Literal["deadzone", "jump", "play"] = "deadzone"
+    kind: Literal["deadzone", "jump", "play", "backlash"] = "deadzone"
     slope: Array = 1.0
     noise: Array = 0.0
     noise_before: Array = 0.0
@@ -251,6 +252,11 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     play: Array | None = None
     load_friction: Array = 0.0
     load_inertia: Array = 0.0
+
+    def __post_init__(self) -> None:
+        """Store the kind "backlash" under its one internal name, "play"."""
+        if self.kind == "backlash":
+            msgspec.structs.force_setattr(self, "kind", "play")
 
 
 class Zone(msgspec.Struct, frozen=True):

@@ -45,7 +45,8 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         held_out: share of the log, in blocks over it, that checks the fit; default 0.3.
         noise: before (ahead of the zone), after, or auto: from exact zeros in the log.
         place: where the zone is: sensor if the user knows, auto to find out.
-        kind: deadzone, jump (readings are not shifted), play, or auto: they are told apart.
+        kind: deadzone, jump (readings are not shifted), play or backlash, or auto: the log
+            decides.
         delay: samples by which the input acts late: auto, or a number that belongs to the
             recording.
         zero: what the sensor reads inside its zone [y]; it is taken off every reading.
@@ -61,12 +62,17 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     held_out: float = 0.3
     noise: Literal["before", "after", "auto"] = "auto"
     place: Literal["sensor", "auto"] = "auto"
-    kind: Literal["deadzone", "jump", "play", "auto"] = "auto"
+    kind: Literal["deadzone", "jump", "play", "backlash", "auto"] = "auto"
     delay: str = "auto"
     zero: float = 0.0
     threshold: float | None = None
     resample: float | None = None
     integrators: int = 0
+
+    def __post_init__(self) -> None:
+        """Store the kind "backlash" under its one internal name, "play"."""
+        if self.kind == "backlash":
+            msgspec.structs.force_setattr(self, "kind", "play")
 
     def orders(self) -> range:
         """The orders to try. Raises InputError."""
