@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import casadi as ca
 import numpy as np
-from tests.test_engines import distance, identical
+from tests.undeadzone.compile.test_engines import distance, identical
 
 from fuzz.case import Case
 from fuzz.valid import Table, scenario

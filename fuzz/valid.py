@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 from typing import Any, Final
 
-from tests.test_engines import CONTROLLERS, OBSERVERS, PENDULUM, TWO_OUTPUTS
+from tests.undeadzone.compile.test_engines import CONTROLLERS, OBSERVERS, PENDULUM, TWO_OUTPUTS
 
 Table = dict[str, Any]
 STEPS: Final = 120  # of a run

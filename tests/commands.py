@@ -1,6 +1,6 @@
 """The command line called in this process, or in a copy of it; a start costs half a second.
 
-`test_strange_folder.py` and `test_wheel.py` start commands as a shell does.
+`test_hostile_folder.py` and `test_wheel.py` start commands as a shell does.
 """
 
 from __future__ import annotations

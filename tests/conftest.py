@@ -45,20 +45,21 @@ UNUSED = 30 * 86400  # [s] after which it is dropped
 
 # Files that share what `once.py` makes: one process has them.
 TOGETHER = {
-    "test_design_cli": "design",
-    "test_design_synthesis": "design",
+    "test_design": "design",
+    "test_gain_search": "design",
     "test_report": "design",
     "test_json": "paper",
-    "test_paper": "paper",
+    "test_audit": "paper",
     "test_budget": "source",
     "test_layers": "source",
     "test_reading": "source",
 }
 
 # What takes longest, dealt first, so that all processes end at about the same time.
-LONGEST = ("design", "test_docs", "test_export", "test_log_to_scenario", "test_names", "test_which",
-           "paper", "test_forms", "test_export_st", "test_contact", "test_tune", "test_honesty",
-           "test_notebook", "test_identify", "test_servo")  # fmt: skip
+LONGEST = ("design", "test_docs", "test_exporting", "test_to_scenario", "test_odds",
+           "test_alternatives",
+           "paper", "test_kernel", "test_plc", "test_contact", "test_tune", "test_consistency",
+           "test_notebook", "test_pipeline", "test_servo")  # fmt: skip
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -92,7 +93,7 @@ def pytest_configure(config: pytest.Config) -> None:
 def code_of_no_effort(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """What an export compiles to look at its bits is not optimised: that takes ten times as long.
 
-    `test_export.py` and `test_export_emulator.py` show that effort changes no bit.
+    `test_exporting.py` and `test_emulator.py` show that effort changes no bit.
     """
     script = tmp_path_factory.mktemp("compiler") / "cc"
     script.write_text('#!/bin/sh\nexec gcc "$@" -O0\n')

@@ -1,0 +1,148 @@
+"""What the documentation shows is run: blocks of Python, consoles with their numbers, pages."""
+
+from __future__ import annotations
+
+import functools
+import re
+import shlex
+import tempfile
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+import once
+from commands import Done, undeadzone
+from tools import script_of_docs
+from undeadzone.registry import CONTROLLERS, OBSERVERS
+from undeadzone.scenario.reader import read
+from undeadzone_arena.contest.leaderboard import FRAME
+from undeadzone_arena.contest.methods import fitting
+
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+NUMBER = re.compile(r"-?\d+\.?\d*(?:e-?\d+)?")
+
+
+def blocks(kind: str) -> list[tuple[str, str]]:
+    """Name and text of every fenced block of a kind."""
+    named = []
+    for page in PAGES:
+        texts = re.findall(rf"```{kind}\n(.*?)```", page.read_text(), re.S)
+        named += [(f"{page.name}:{i}", text) for i, text in enumerate(texts)]
+    return named
+
+
+def methods() -> list[str]:
+    """The names of all observers and controllers."""
+    return [*OBSERVERS.tags(), *CONTROLLERS.tags()]
+
+
+@pytest.mark.parametrize(("name", "code"), blocks("python"))
+def test_python_blocks_run(
+    name: str, code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    once.in_haste(monkeypatch)  # in the one block that asks for a front
+    exec(compile(code, name, "exec"), {"__name__": "__main__"})
+
+
+@pytest.mark.parametrize(
+    ("code", "shown"),
+    re.findall(r"```python\n(.*?)```\n\n```text\n(.*?)```", (ROOT / "README.md").read_text(), re.S),
+)
+def test_what_the_front_page_prints_is_what_it_shows(
+    code: str, shown: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    exec(compile(code, "README.md", "exec"), {"__name__": "__main__"})
+    same(capsys.readouterr().out.rstrip("\n").split("\n"), shown.rstrip("\n").split("\n"))
+
+
+def test_pictures_are_of_what_there_is_today() -> None:
+    """Each carries its title, and stands on a page."""
+    folder, pages = ROOT / "docs/figures", "".join(page.read_text() for page in PAGES)
+    titles = {}
+    for path in sorted(folder.iterdir()):
+        if path.suffix in (".png", ".gif"):
+            with Image.open(path) as picture:
+                titles[path.name] = str(picture.info.get("Title", picture.info.get("comment", "")))
+    assert all(f"figures/{name})" in pages for name in titles)
+    gears, zones = (read(ROOT / f"examples/{name}.toml") for name in ("two_link_gears", "two_link"))
+    entered = {*FRAME, *fitting([read(ROOT / "examples/load_cell_limited.toml")])}
+    assert titles["two_link_gears.png"] == f"{gears.title}: the tip"
+    assert titles["two_link.gif"] == str(zones.title.encode())
+    assert titles["leaderboard.png"].startswith(f"{len(entered)} methods, 1 scenario")
+    made = {f"{name}.png" for name in script_of_docs("pictures").PICTURES}
+    assert titles.keys() == made | {"two_link.gif", "live.gif"}
+
+
+@pytest.mark.parametrize(("name", "text"), blocks("console"))
+def test_console_blocks_show_what_happens(name: str, text: str, tmp_path: Path) -> None:
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    for command, expected in re.findall(r"^\$ undeadzone (.*)\n((?:(?!\$ ).*\n)*)", text, re.M):
+        compared(command, expected.rstrip("\n").split("\n"), tmp_path)
+
+
+def compared(command: str, expected: list[str], folder: Path) -> None:
+    """Run a command in a folder and compare what it shows: words exactly, numbers to 2 %."""
+    alone = command.startswith("run examples/") and command.endswith("--no-figures")
+    done = ran_once(command) if alone else ran(command, folder)
+    same(done.stdout.rstrip("\n").split("\n"), expected, done.stderr)
+
+
+def same(shown: list[str], expected: list[str], why: str = "") -> None:
+    """Compare what is shown with what was expected: words exactly, numbers to 2 %."""
+    words = [NUMBER.sub("#", line) for line in shown]
+    assert words == [NUMBER.sub("#", line) for line in expected], why
+    for a, b in zip(numbers(shown), numbers(expected), strict=True):
+        # an integration error is known to its order of magnitude
+        tolerance = 0.02 if abs(b) > 1e-7 else 10.0
+        assert abs(a - b) <= tolerance * abs(b) + 1e-12
+
+
+@functools.cache
+def ran_once(command: str) -> Done:
+    """A command that writes nothing, which several pages may show."""
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "examples").symlink_to(ROOT / "examples")
+        return ran(command, Path(folder))
+
+
+def ran(command: str, folder: Path) -> Done:
+    """A command run in a folder."""
+    return undeadzone(*shlex.split(command), cwd=folder)
+
+
+def numbers(lines: list[str]) -> list[float]:
+    """All numbers in lines of text."""
+    return [float(number) for number in NUMBER.findall("\n".join(lines))]
+
+
+def test_scenario_page_is_up_to_date() -> None:
+    module = script_of_docs("reference")
+    assert module.PAGE.read_text(encoding="utf-8") == module.page(), "run: python docs/reference.py"
+
+
+def test_the_first_keys_are_25_that_a_scenario_has() -> None:
+    text = (ROOT / "docs" / "keys.md").read_text(encoding="utf-8")
+    keys = [
+        tuple(key) for key in re.findall(r"`([a-z]+)\.([A-Za-z]\w*)`", text.partition("Five")[0])
+    ]
+    assert len(set(keys)) == len(keys) == 25
+    every = (ROOT / "docs" / "scenario.md").read_text(encoding="utf-8")
+    tables = dict(re.findall(r"\n## \[(\w+)\]\n(.*?)(?=\n## |\Z)", every, re.DOTALL))
+    for table, key in keys:
+        heads = re.findall(rf"\| \**{key}\** \||\*\*{key}\*\* = ", tables[table])
+        assert heads, f"{table}.{key}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_point_to_files(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)#:]+)\)", page.read_text()):
+        assert (page.parent / target).exists(), target
+
+
+@pytest.mark.parametrize("method", methods())
+def test_every_method_has_its_page(method: str) -> None:
+    page = (ROOT / "docs" / "methods" / f"{method}.md").read_text(encoding="utf-8")
+    assert page.startswith(f"# {method}\n")

@@ -1,0 +1,228 @@
+"""How a command ends: its own code and one line for every end, closed streams and signals too."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import click
+import pytest
+
+from undeadzone.cli import ending, group
+from undeadzone.cli.ending import ended
+from undeadzone.errors import InputError, Terminated
+
+EXAMPLES = Path(__file__).parents[3] / "examples"
+COMMAND = [sys.executable, "-c", "from undeadzone.cli import main; main()"]
+
+
+@pytest.fixture
+def scenario(tmp_path: Path) -> Path:
+    """A scenario without title and units, of which a run takes little."""
+    text = (EXAMPLES / "asymmetric_noise.toml").read_text(encoding="utf-8")
+    lines = []
+    for line in text.splitlines():
+        if line == "[units]":
+            break
+        if line.startswith("title"):
+            continue
+        lines.append("duration = 1.0" if line.startswith("duration") else line)
+    path = tmp_path / "mine.toml"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    return path
+
+
+@pytest.fixture(autouse=True)
+def as_before() -> None:
+    """Leave the signals of this process as they were."""
+    before = signal.getsignal(signal.SIGTERM)
+    yield
+    signal.signal(signal.SIGTERM, before)
+
+
+def raising(error: BaseException) -> Callable[[], None]:
+    def command() -> None:
+        raise error
+
+    return command
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "words"),
+    [
+        (InputError("plant.A: wrong"), 2, "undeadzone: plant.A: wrong\n"),
+        (click.UsageError("no such option"), 2, "undeadzone: no such option\n"),
+        (KeyboardInterrupt("3 kept"), 130, "undeadzone: interrupted: 3 kept\n"),
+        (KeyboardInterrupt(), 130, "undeadzone: interrupted\n"),
+        (Terminated("3 kept"), 143, "undeadzone: terminated: 3 kept\n"),
+        (Terminated(), 143, "undeadzone: terminated\n"),
+        (InputError("a\nundeadzone: b\x1b[2J"), 2, "undeadzone: a\\nundeadzone: b\\x1b[2J\n"),
+    ],
+)
+def test_every_end_has_its_code_and_its_line(
+    capfd: pytest.CaptureFixture[str], error: BaseException, code: int, words: str
+) -> None:
+    assert ended(raising(error)) == code
+    assert capfd.readouterr().err == words
+
+
+@pytest.mark.parametrize(
+    "error",
+    [TypeError("a\nb"), ValueError(), RecursionError("deep"), AssertionError()],
+)
+def test_an_unexpected_exception_is_one_line_and_its_own_code(
+    capfd: pytest.CaptureFixture[str], error: Exception
+) -> None:
+    assert ended(raising(error)) == 70
+    said = capfd.readouterr().err
+    assert said.count("\n") == 1
+    assert "internal error at test_ending.py:" in said
+    assert type(error).__name__ in said
+    assert "UNDEADZONE_DEBUG=1" in said
+
+
+def test_an_error_of_the_system_is_not_blamed_on_stdout(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    assert ended(raising(OSError(5, "Input/output error"))) == 70
+    assert "Input/output error" in capfd.readouterr().err
+
+
+def test_the_traceback_is_shown_where_it_is_asked_for(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(ending.DEBUG, "1")
+    assert ended(raising(TypeError("odd"))) == 70
+    assert "Traceback (most recent call last)" in capfd.readouterr().err
+
+
+def test_a_reader_who_has_seen_enough_is_no_failure(capfd: pytest.CaptureFixture[str]) -> None:
+    read, write = os.pipe()
+    os.close(read)
+    with pytest.MonkeyPatch.context() as patch, os.fdopen(write, "w") as unread:
+        patch.setattr(sys, "stdout", unread)
+        assert ended(lambda: group.main(["run", "--help"], standalone_mode=False)) == 0
+    assert not capfd.readouterr().err
+
+
+def test_a_broken_pipe_of_another_is_an_error(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    work = click.Command("work", callback=raising(BrokenPipeError(32, "Broken pipe")))
+    monkeypatch.setitem(group.commands, "work", work)
+    assert ended(lambda: group.main(["work"], standalone_mode=False)) == 70
+    assert "BrokenPipeError" in capfd.readouterr().err
+
+
+def closing(*descriptors: int) -> Callable[[], None]:
+    """What closes streams in a new process."""
+
+    def close() -> None:
+        for descriptor in descriptors:
+            os.close(descriptor)
+
+    return close
+
+
+def run(
+    *arguments: object, closed: tuple[int, ...] = (), environment: dict[str, str] | None = None
+) -> subprocess.CompletedProcess[str]:
+    """A command with some of its streams closed."""
+    return subprocess.run(
+        [*COMMAND, *map(str, arguments)],
+        preexec_fn=closing(*closed),
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        env={**os.environ, **(environment or {})},
+    )
+
+
+def test_a_run_needs_no_stdin_and_no_stderr(scenario: Path) -> None:
+    out = scenario.parent / "out"
+    done = run("run", scenario, "--no-figures", "--out", out, closed=(0, 2))
+    assert done.returncode in (0, 1)
+    assert "rms z - r" in done.stdout
+    assert sorted(path.name for path in out.iterdir()) == ["run.csv", "run.npz"]
+
+
+def test_a_closed_stdout_is_refused_before_anything_is_computed(scenario: Path) -> None:
+    out = scenario.parent / "out"
+    done = run("run", scenario, "--no-figures", "--out", out, closed=(0, 1))
+    assert done.returncode == 2
+    assert done.stderr.startswith("undeadzone: stdout is closed")
+    assert done.stderr.count("\n") == 1
+    assert not out.exists()
+
+
+def test_a_closed_stdin_is_one_line(scenario: Path) -> None:
+    done = run("watch", scenario, closed=(0,))
+    assert done.returncode == 2
+    assert done.stderr == "undeadzone: stdin: it is closed; give lines of readings and inputs\n"
+
+
+def test_a_terminal_of_few_characters_is_no_error(scenario: Path) -> None:
+    text = scenario.read_text(encoding="utf-8")
+    scenario.write_text(f'title = "größer ±"\n{text}', encoding="utf-8")
+    done = run("run", scenario, "--no-figures", environment={"PYTHONIOENCODING": "ascii"})
+    assert done.returncode in (0, 1)
+    assert done.stderr == ""
+
+
+STOPPED = """
+import sys, time
+from undeadzone.cli.ending import ended
+from undeadzone.ensemble import run_blocks
+import functools, pathlib
+from tests.jobs import say, sines
+
+def command():
+    make, path = functools.partial(sines, 605, 0.05), pathlib.Path(sys.argv[1])
+    run_blocks.run(make, path, workers=int(sys.argv[2]) or None, progress=say)
+
+if __name__ == "__main__":
+    sys.exit(ended(command))
+"""
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_sigterm_says_what_is_kept(tmp_path: Path, workers: int) -> None:
+    path = tmp_path / "runs.partial"
+    with subprocess.Popen(
+        [sys.executable, "-c", STOPPED, str(path), str(workers)],
+        cwd=Path(__file__).parents[3],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    ) as running:
+        assert running.stdout is not None
+        running.stdout.readline()
+        os.killpg(running.pid, signal.SIGTERM)
+        _, said = running.communicate()
+    assert running.returncode == 143
+    assert said.startswith("undeadzone: terminated: ")
+    assert said.endswith(f"0 of 605 runs are kept in {path}; continue with --resume\n")
+    assert said.count("\n") == 1
+
+
+def test_sigterm_stays_ignored_where_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    assert ended(lambda: os.kill(os.getpid(), signal.SIGTERM)) == 0
+
+
+@pytest.mark.parametrize("text", [r"$\\frac$ and $", r"cost $5 a\\$b"])
+def test_dollars_in_a_title_lose_no_report(scenario: Path, text: str) -> None:
+    content = scenario.read_text(encoding="utf-8")
+    units = f'\n[units]\noutput = "{text}"\n'
+    scenario.write_text(f'title = "{text}"\n{content}{units}', encoding="utf-8")
+    out = scenario.parent / "out"
+    done = run("run", scenario, "--out", out)
+    assert done.returncode in (0, 1)
+    assert done.stderr == ""
+    assert {path.name for path in out.iterdir()} >= {"figure.svg", "report.html"}

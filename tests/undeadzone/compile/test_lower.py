@@ -1,0 +1,233 @@
+"""Graphs rewritten for C, their replica in NumPy, the compiled C, CasADi: the same bits."""
+
+from __future__ import annotations
+
+import itertools
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_engines import BINARY, ELEMENTARY, SPECIAL, UNARY
+
+from undeadzone.compile.graph import needed
+from undeadzone.compile.lower import portable
+from undeadzone.compile.numpy_reference import replica
+from undeadzone.compile.print_c import literal
+from undeadzone.compile.simplify import round_to_type
+from undeadzone.errors import InputError
+from undeadzone.plants.build import system
+from undeadzone.plants.options import Plant
+from undeadzone.plants.system import sampled
+from undeadzone.util.arrays import Floats
+from undeadzone_export.accuracy import Compiled
+from undeadzone_export.code import code, operations, split
+from undeadzone_export.exported_step import Field, Step
+
+
+@pytest.fixture(autouse=True)
+def quiet() -> Iterator[None]:
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        yield
+
+
+def stateless(inputs: list[ca.SX], outputs: list[ca.SX]) -> Step:
+    """A step without memory: outputs of inputs."""
+    w, out = ca.vertcat(*inputs), ca.vertcat(*outputs)
+    function = ca.Function(
+        "step",
+        [ca.SX(0, 1), w, ca.SX(0, 1)],
+        [ca.SX(0, 1), ca.densify(out)],
+        ["s", "w", "p"],
+        ["next", "out"],
+    )
+    none = np.empty(0)
+    fields = [Field("a", len(inputs), "inputs")], [Field("b", out.shape[0], "outputs")]
+    return Step(function, none, [], *fields, [], none, len(inputs), [], 1.0)
+
+
+def by_replica(step: Step, rows: Floats, single: bool) -> Floats:
+    """The outputs by NumPy, a row for each row of inputs."""
+    real = np.float32 if single else np.float64
+    evaluate = replica(code(step, single).results)
+    values = []
+    for row in rows.astype(real):
+        entries = {f"w{k}": value for k, value in enumerate(row)}
+        values.append(np.array(evaluate(entries)[1], real).astype(float))
+    return np.array(values)
+
+
+def by_machine(step: Step, rows: Floats) -> Floats:
+    """The outputs by CasADi."""
+    return np.array([step.function([], row, [])[1].full().ravel() for row in rows])
+
+
+def same(a: Floats, b: Floats) -> Any:
+    """Where numbers are equal; NaN equals NaN, -0 equals 0."""
+    return (a == b) | (np.isnan(a) & np.isnan(b))
+
+
+A, B = ca.SX.sym("a"), ca.SX.sym("b")
+EXACT = [f(A) for f in UNARY.values()] + [f(A, B) for f in BINARY.values()]
+CLOSE = [f(A, B) for f in ELEMENTARY.values()]
+NAMES = [*UNARY, *BINARY, *ELEMENTARY]
+
+
+def pairs() -> Floats:
+    special = np.array(np.meshgrid(SPECIAL, SPECIAL)).reshape(2, -1).T
+    random = np.random.default_rng(0).normal(size=(100, 2)) * [2.0, 1.0]
+    return np.vstack([special, random])
+
+
+def test_every_instruction_means_the_same_as_on_the_machine() -> None:
+    rows = pairs()
+    exact = same(
+        by_replica(stateless([A, B], EXACT), rows, False),
+        by_machine(stateless([A, B], EXACT), rows),
+    )
+    assert [name for k, name in enumerate(NAMES[: len(EXACT)]) if not exact[:, k].all()] == []
+
+
+def test_elementary_functions_are_near_those_of_the_machine() -> None:
+    step = stateless([A, B], CLOSE)
+    rows = np.random.default_rng(1).uniform(-3, 3, size=(500, 2))
+    values, expected = by_replica(step, rows, False), by_machine(step, rows)
+    size = np.maximum(np.abs(expected), 1e-3)
+    near = same(values, expected) | (np.abs(values - expected) < 1e-14 * size)
+    assert [name for k, name in enumerate(ELEMENTARY) if not near[:, k].all()] == []
+
+
+@pytest.mark.parametrize("single", [True, False], ids=["single", "double"])
+def test_compiled_C_gives_the_bits_of_the_replica(single: bool, tmp_path: Path) -> None:
+    step = stateless([A, B], EXACT + CLOSE)
+    rows = pairs()
+    if single:
+        rows = rows.astype(np.float32).astype(float)
+    printed = Compiled(code(step, single), tmp_path)
+    equal = same(printed(rows), by_replica(step, rows, single))
+    assert [name for k, name in enumerate(NAMES) if not equal[:, k].all()] == []
+
+
+SAFE = ("neg", "fabs", "sign", "not", "floor", "ceil", "add", "sub", "mul", "lt", "le", "eq", "ne",
+        "and", "or", "if_else_zero", "fmin", "fmax")  # fmt: skip
+
+
+@st.composite
+def finite_graphs(draw: st.DrawFn) -> Step:
+    """A random graph whose values all stay finite, with conditions that multiply and select."""
+    inputs = [ca.SX.sym(name) for name in "abc"]
+    constants = st.sampled_from([0.0, 1.0, -1.0, 0.5, 1.001, 0.999, 3.0, 1e300])
+    nodes = inputs + [ca.SX(draw(constants)) for _ in range(2)]
+    for _ in range(draw(st.integers(3, 40))):
+        name = draw(st.sampled_from(SAFE))
+        x, y = (nodes[draw(st.integers(0, len(nodes) - 1))] for _ in range(2))
+        node = UNARY[name](x) if name in UNARY else BINARY[name](x, y)
+        nodes.append(ca.fmax(ca.fmin(node, 8.0), -8.0) if name in ("add", "sub", "mul") else node)
+    return stateless(inputs, nodes[5:])
+
+
+VALUES = st.floats(-4, 4, width=32) | st.sampled_from([0.0, 1.0, -1.0])
+
+
+@settings(max_examples=60, deadline=None)
+@given(finite_graphs(), st.lists(st.tuples(VALUES, VALUES, VALUES), min_size=1, max_size=8))
+def test_rewriting_keeps_every_bit(step: Step, rows: list[tuple[float, ...]]) -> None:
+    table = np.array(rows)
+    assert same(by_replica(step, table, False), by_machine(step, table)).all()
+
+
+@settings(max_examples=40, deadline=None)
+@given(finite_graphs(), st.lists(st.tuples(VALUES, VALUES, VALUES), min_size=1, max_size=4))
+def test_a_missing_value_means_what_NaN_means(step: Step, rows: list[tuple[float, ...]]) -> None:
+    """The first input is NaN below 0: conditions take the place of NaN, the values stay."""
+    a, b, c = (ca.SX.sym(name) for name in "abc")
+    seen = ca.if_else(a > 0, a, np.nan)
+    outputs = step.function([], ca.vertcat(seen, b, c), [])[1]
+    missing = stateless([a, b, c], [outputs])
+    table = np.array(rows)
+    values, expected = by_replica(missing, table, False), by_machine(missing, table)
+    assert (same(values, expected) | np.isnan(expected)).all()
+
+
+def test_no_NaN_is_computed_with() -> None:
+    y, z = ca.SX.sym("y"), ca.SX.sym("z")
+    there = ca.logic_and(y < 1e300, y > -1e300)
+    seen = ca.if_else(there, y, np.nan)
+    inside = ca.if_else(ca.logic_and(seen < 1e300, seen > -1e300), seen - z, 0.0)
+    results = portable(stateless([y, z], [inside]).function, "float64")
+    assert "nan" not in [node.text for node in needed(itertools.chain(*results))]
+    assert operations(results)["select"] <= 2
+
+
+def test_a_split_step_computes_the_same() -> None:
+    a, u = ca.SX.sym("a"), ca.SX.sym("u")
+    state = ca.SX.sym("s", 2)
+    heavy = ca.sin(a * state[0]) + state[1]
+    function = ca.Function(
+        "step",
+        [state, ca.vertcat(a, u), ca.SX(0, 1)],
+        [ca.vertcat(heavy * u, heavy), ca.vertcat(heavy)],
+        ["s", "w", "p"],
+        ["next", "out"],
+    )
+    results = portable(function, "float64")
+    phases = split(results, {"w1"})
+    entries = {"s0": 0.3, "s1": 2.0, "w0": 1.7, "w1": -0.4}
+    entries = {key: np.float64(value) for key, value in entries.items()}
+    following, out = replica(results)(entries)
+    first, carry = replica(phases.estimate)(entries)
+    entries |= {f"c{k}": value for k, value in enumerate(carry)}
+    (later,) = replica(phases.advance)(entries)
+    assert phases.carried == 1
+    assert (first, later) == (out, following)
+
+
+def test_increments_hold_a_slow_drift_that_float_would_lose(tmp_path: Path) -> None:
+    """A plant that moves by 5e-7 of itself in a sample, as the product samples it."""
+    slow = sampled(system(Plant(A=[[-0.05]], B=[[10.0]], C=[[1.0]])), 1e-5)
+    x, u = ca.SX.sym("x"), ca.SX.sym("u")
+    moved = slow.move(slow.params, x, u)
+    function = ca.Function(
+        "step", [x, u, ca.SX(0, 1)], [moved, x], ["s", "w", "p"], ["next", "out"]
+    )
+    fields = [Field("x", 1, "")], [Field("u", 1, "")], [Field("x", 1, "")]
+    step = Step(function, np.array([1.0]), *fields, [], np.empty(0), 0, [0], 1e-5)
+    rows = np.sin(np.arange(100_000) * 1e-3)[:, None].astype(np.float32).astype(float)
+    exact = Compiled(code(step, False), tmp_path)(rows)
+    rounded = Compiled(code(step, True), tmp_path)(rows)
+    A, B = np.float32(slow.linear.A[0, 0]), np.float32(slow.linear.B[0, 0])
+    naive = np.float32(1.0)
+    for row in rows[:, 0]:
+        naive = A * naive + B * np.float32(row)
+    error = abs(float(rounded[-1, 0] - exact[-1, 0]))
+    assert error < 1e-5
+    assert error < 0.1 * abs(float(naive) - exact[-1, 0])
+
+
+@given(st.floats(allow_nan=False))
+def test_a_literal_means_its_number(value: float) -> None:
+    for kind, real in (("float32", np.float32), ("float64", np.float64)):
+        text = literal(value, kind)
+        limits = {
+            "FLT_MAX": np.finfo(np.float32).max,
+            "FLT_MIN": np.finfo(np.float32).tiny,
+            "DBL_MAX": np.finfo(float).max,
+        }
+        size = text.lstrip("-")
+        number = limits[size] if size in limits else real(size.removesuffix("f"))
+        sign = -1 if text.startswith("-") else 1
+        kept = round_to_type(value, kind)
+        assert real(number) * sign == kept
+        assert np.isfinite(kept)
+        assert (kept == 0) == (value == 0)
+
+
+def test_an_unknown_instruction_is_named() -> None:
+    with pytest.raises(InputError, match="OP_ERFINV"):
+        code(stateless([A], [ca.erfinv(A)]), True)

@@ -1,0 +1,442 @@
+"""First passages, and the filter of contacts of arms behind gears."""
+
+from __future__ import annotations
+
+import importlib
+import subprocess
+import tomllib
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import once
+import undeadzone as uz
+from undeadzone.cli import group
+from undeadzone.numerics.first_passage import arriving, at_edge, beyond
+from undeadzone.numerics.gaussian import Gaussian, cut_to, mixed
+from undeadzone.observers.contact_filter.drive import (
+    PASSED,
+    combine_joints,
+    drive_of,
+    either,
+    posture,
+)
+from undeadzone.observers.contact_filter.modes import (
+    LOST,
+    OPEN,
+    Layout,
+    Mode,
+    Posterior,
+    _moved,
+    condition_on_impact,
+    renewed,
+)
+from undeadzone.plants.robots.build import two_link
+from undeadzone.plants.robots.geared import Gears, geared_motion
+from undeadzone.results import mjcf
+from undeadzone.scenario.problem import resolve_scenario
+from undeadzone.scenario.reader import convert
+from undeadzone_export import exporting
+
+EXAMPLES = Path(__file__).parents[3] / "examples"
+SERVO = """
+sensor = { right = 0.0, left = 0.0, noise = 0.0005 }
+observer = { method = "contact", half = [0.0, 0.06], payload = [0.0, 0.5] }
+controller = { method = "computed_torque", bandwidth = 15.0, crossing = 40.0 }
+simulation = { time = "sampled", duration = 4.5, step = 0.001, substeps = 4 }
+
+[plant]
+x0 = [-1.5708, 0.0]
+parameters = { m = 0.35, l = 0.25, c = 0.125, I = 0.0018, payload = 0.2, f1 = 0.02, b1 = 0.01 }
+
+[plant.arm]
+kind = "one_link"
+torque_max = 3.0
+gears = { half = 0.03, inertia = 0.012, friction = 0.08, viscous = 0.05 }
+
+[model.parameters]
+payload = 0.0
+
+[reference]
+kind = "quintic"
+points = [[-1.57], [-1.07], [-2.07], [-1.07], [-2.07], [-1.07], [-1.57]]
+times = [0.0, 0.7, 1.7, 2.7, 3.7, 4.7, 5.4]
+"""
+
+HINGES = """
+<mujoco>
+  <compiler angle="radian" autolimits="false"/>
+  <option gravity="0 0 0" timestep="1e-4"/>
+  <include file="gears.xml"/>
+  <worldbody>
+    <body>
+      <inertial pos="0.125 0 0" mass="0.35" diaginertia="1e-4 0.0018 0.0018"/>
+      <joint name="q1" class="q1_motor" axis="0 0 1"/>
+      <joint name="q1_gap" class="q1_gap" axis="0 0 1"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def servo(**changes: Any) -> uz.Scenario:
+    """A hanging servo behind gears whose gap, payload and friction are not told."""
+    tables = tomllib.loads(SERVO)
+    for name, entries in changes.items():
+        tables[name] = tables[name] | entries
+    return convert(tables)
+
+
+@pytest.fixture(scope="module")
+def run() -> uz.Run:
+    return uz.simulate(servo())
+
+
+def test_mujoco_has_the_gap_that_a_run_found(run: uz.Run, tmp_path: Path) -> None:
+    """The link is pushed to both ends by less than what the motor's friction holds."""
+    mujoco: Any = pytest.importorskip("mujoco")
+    (tmp_path / "servo.toml").write_text(SERVO.replace("duration = 4.5", "duration = 0.2"))
+    words = ["run", str(tmp_path / "servo.toml"), "--out", str(tmp_path), "--json"]
+    group.main(words, standalone_mode=False)
+    assert "armature" in (tmp_path / "gears.xml").read_text()
+    [joint] = mjcf.of_run(run)
+    [path] = mjcf.write([joint], tmp_path)
+    model = mujoco.MjModel.from_xml_string(HINGES, {path.name: path.read_bytes()})
+    assert model.dof_armature[0] == pytest.approx(0.012)
+    assert model.dof_damping[0] == pytest.approx(0.05)
+    assert model.dof_frictionloss[0] == pytest.approx(run.parameters["friction1"]["estimate"])
+    ends, data = [], mujoco.MjData(model)
+    for push in (0.05, -0.05):
+        data.qfrc_applied[1] = push
+        mujoco.mj_step(model, data, 6_000)
+        ends.append(data.qpos[1])
+    assert abs(data.qpos[0]) < 5e-3
+    assert ends == pytest.approx([joint.ahead, -joint.behind], abs=2e-4)
+    assert joint.ahead == pytest.approx(0.03, abs=0.003)
+
+
+def test_what_found_no_gap_says_none_to_mujoco() -> None:
+    """An observer that is told the state believes the model, which may have no gap."""
+    tables = tomllib.loads(SERVO) | {"observer": {"method": "full_state"}}
+    tables["simulation"] |= {"duration": 0.05}
+    assert mjcf.of_run(uz.simulate(convert(tables))) == []
+
+
+# --- First passage
+
+
+def passages(samples: int, speed: float, spread: float) -> tuple[Any, Any, Any]:
+    """(shares that arrive in each sample by Monte Carlo, by `arriving`, by cuts; last spread)."""
+    rng = np.random.default_rng(1)
+    place = rng.normal(-1.0, spread, 200_000)
+    h, slack = ca.DM([[1.0]]), 1e-8
+    true, told, cut = [], [], []
+    whole, kept = Gaussian(ca.SX(-1.0), ca.SX(spread**2)), Gaussian(ca.SX(-1.0), ca.SX(spread**2))
+    waiting = place <= 0
+    for _ in range(samples):
+        before = beyond(whole, h, whole.mean, slack)
+        place, whole = place + speed, Gaussian(whole.mean + speed, whole.cov)
+        true.append(np.mean(place[waiting] > 0))
+        waiting &= place <= 0
+        told.append(float(ca.evalf(arriving([before], [beyond(whole, h, whole.mean, slack)])[0])))
+        kept = Gaussian(kept.mean + speed, kept.cov)
+        cut.append(float(ca.evalf(beyond(kept, h, kept.mean, slack))))
+        shift, lost, _ = cut_to(kept.mean, kept.cov, -1e3, 0.0)
+        kept = Gaussian(kept.mean + kept.cov * shift, kept.cov - lost * kept.cov**2)
+    return np.array(true), np.array(told), np.array(cut)
+
+
+def test_shares_of_first_passage_are_those_of_monte_carlo_and_cuts_are_not() -> None:
+    """A belief that is cut in every sample narrows without news: its shares run away."""
+    true, told, cut = passages(60, 0.03, 0.4)
+    near = 4 * np.sqrt(true / 200_000 / np.maximum(np.cumprod(1 - true), 1e-3)) + 1e-4
+    assert (np.abs(told - true) < near).all()
+    assert np.abs(cut[-10:] / true[-10:] - 1).min() > 0.1
+
+
+def test_both_edges_share_what_has_not_arrived() -> None:
+    shares = [float(ca.evalf(ca.SX(each))) for each in arriving([0.2, 0.4], [0.3, 0.4])]
+    assert shares == pytest.approx([0.25, 0.0])
+    shares = [float(ca.evalf(ca.SX(each))) for each in arriving([0.9, 0.1], [0.9, 0.1])]
+    assert sum(shares) == pytest.approx(1.0)  # nothing is left between them
+
+
+def test_at_an_edge_a_position_tells_where_it_is() -> None:
+    """Of x = [position; edge], both unknown, arrival makes them one."""
+    belief = Gaussian(ca.SX([1.0, 2.0]), ca.SX(ca.diag([4.0, 1.0])))
+    h = ca.DM([[1.0, -1.0]])
+    mean, cov = (np.asarray(ca.evalf(part)) for part in at_edge(belief, h, h @ belief.mean, 1e-12))
+    assert mean.ravel() == pytest.approx([1.8, 1.8])
+    assert cov == pytest.approx(np.full((2, 2), 0.8))
+
+
+def test_a_mixture_has_the_moments_of_its_parts() -> None:
+    parts = [Gaussian(ca.SX([0.0]), ca.SX([[1.0]])), Gaussian(ca.SX([2.0]), ca.SX([[3.0]]))]
+    mean, cov = (float(ca.evalf(part)) for part in mixed([0.25, 0.75], parts))
+    assert (mean, cov) == pytest.approx((1.5, 0.25 + 2.25 + 0.25 * 0.75 * 4))
+
+
+# --- The filter
+
+
+def test_gap_payload_and_friction_are_found_on_the_way(run: uz.Run) -> None:
+    """None of them is told; each lies in its 95 % interval twice over."""
+    half, std = float(run.d_hat[-1].ravel()[0]), float(run.d_std[-1].ravel()[0])
+    assert abs(half / 0.03 - 1) < 0.1
+    assert abs(half - 0.03) < 4 * std
+    theta, theta_std = run.theta_hat[-1], run.theta_std[-1]
+    assert (np.abs(theta - [0.2, 0.08, 0.02]) < 4 * theta_std).all()
+    link = np.abs(run.z - run.z_hat)[-2000:]
+    assert np.sqrt(np.mean(link**2)) < 0.003 < 0.03
+    assert run.consistent[-1].all()
+
+
+def test_a_contact_that_is_told_far_too_slow_is_found_firm() -> None:
+    """Wind-up that is not there would put the link elsewhere: 1.7 mrad where firmness is known."""
+    told = uz.simulate(servo(model={"parameters": {"payload": 0.0, "contact1": 60.0}}))
+    half, std = float(told.d_hat[-1].ravel()[0]), float(told.d_std[-1].ravel()[0])
+    assert abs(half / 0.03 - 1) < 0.05
+    assert abs(half - 0.03) < 2 * std
+    assert np.sqrt(np.mean((told.z - told.z_hat)[-2000:] ** 2)) < 0.0013
+
+
+def test_engines_agree() -> None:
+    short = servo(simulation={"duration": 0.3}, observer={"starts": 1})
+    one, other = (uz.simulate(short, engine=engine) for engine in ("interpret", "lanes"))
+    assert np.allclose(one.z_hat, other.z_hat, rtol=0, atol=1e-9)
+    assert np.allclose(one.d_hat, other.d_hat, rtol=0, atol=1e-9)
+
+
+def test_before_a_first_reading_nothing_is_foretold() -> None:
+    """A run whose first reading is missing begins with the next one."""
+    told = servo(simulation={"duration": 0.05}, sensor={"dropout": 0.5})
+    run = uz.simulate(told)
+    assert np.isfinite(run.z_hat).all()
+    assert np.abs(run.z_hat - run.z)[-1] < 0.06
+
+
+# --- Joint by joint
+
+
+def test_one_joint_alone_is_the_coupled_filter() -> None:
+    """Where its payload is told, which bends its dynamics; gravity is linear within a sample."""
+    short, told = {"duration": 0.2}, {"payload": [0.2, 0.2]}
+    coupled = uz.simulate(servo(simulation=short, observer=told))
+    alone = uz.simulate(servo(simulation=short, observer=told | {"joints": "separate"}))
+    assert np.allclose(alone.z_hat, coupled.z_hat, rtol=0, atol=1e-6)
+    assert np.allclose(alone.d_std, coupled.d_std, rtol=1e-4)
+
+
+def test_two_links_are_found_joint_by_joint() -> None:
+    """Gaps lie in their intervals, which are no wider than 5 mrad after 3 s of swings."""
+    example = tomllib.loads((EXAMPLES / "two_link_gears.toml").read_text())
+    del example["compare"]
+    example["observer"]["joints"] = "separate"
+    example["simulation"]["duration"] = 3.0
+    run = uz.simulate(convert(example))
+    half, std = run.d_hat[-1].reshape(2, 2)[:, 0], run.d_std[-1].reshape(2, 2)[:, 0]
+    assert (np.abs(half - [0.05, 0.06]) < 3 * std).all()
+    assert (std < 0.005).all()
+    assert np.abs(run.z - run.z_hat)[-300:].max() < 0.004
+    assert abs(run.theta_hat[-1, 0] - 0.5) < 4 * run.theta_std[-1, 0]
+    assert run.consistent[-1].all()
+
+
+def test_what_a_motor_tells_of_its_gears_moves_the_free_links_of_others() -> None:
+    """As the arm answers to an impulse at that joint; a link in contact is left to its readings."""
+    gears = geared_motion(two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
+    mean = ca.DM([0.3, 0.8, 0.3, 0.8, *[0.0] * 17])
+    belief = Gaussian(ca.SX(11, 1), ca.SX.eye(11))
+    told = Posterior((), (belief,) * 3, belief, belief.mean, 0.0, 1.0)
+    arm = posture(gears, gears.values, mean, ca.DM.zeros(2))
+    news, impulse = ca.SX(21, 1), 0.2
+    news[5] = -impulse / 0.03  # the second motor, slower than was foretold
+    first, second = combine_joints([told, told], news, arm)
+    right, free, left = (float(one.mean[3]) for one in first.beliefs)
+    answer = np.asarray(ca.evalf(drive_of(gears, 1e-3, 1).mobility(gears.values, mean)))
+    assert free == pytest.approx(PASSED * impulse * answer[2, 1])
+    assert right == left == 0.0
+    assert all(float(one.mean[3]) == 0.0 for one in second.beliefs)
+
+
+def test_three_filters_leave_a_false_gap_that_one_locks_on() -> None:
+    """A servo that MuJoCo moves, from the table of `python -m benchmarks gears`."""
+    pytest.importorskip("mujoco")
+    gears = importlib.import_module("benchmarks.gears")
+    row = next(row for row in gears.rows() if row.label == "servo, horizontal")
+    seed = 14079
+    arm = row.draw(np.random.default_rng(seed))
+    one = gears.outcome(gears.bench(gears.changed(row.scenario, observer={"starts": 1})), arm, seed)
+    three = gears.outcome(gears.bench(row.scenario), arm, seed)
+    assert not one.warned
+    assert abs(one.score[0]) > 50
+    assert abs(three.score[0]) < 3
+    assert three.half[0] == pytest.approx(1.0, abs=0.25)
+
+
+def test_filters_count_by_their_shares_and_one_that_overflows_is_renewed() -> None:
+    rng, entries = np.random.default_rng(0), Layout(1).entries
+    beliefs = [Gaussian(ca.SX(rng.normal(size=entries)), ca.SX.eye(entries)) for _ in range(2)]
+    told = []
+    for belief, e in zip(beliefs, (1.0, 3.0), strict=True):
+        told.append(Posterior((0.2, 0.3, 0.5), (belief,) * 3, belief, belief.mean, e, 2.0, 0.0))
+    both = either(told, (ca.SX([0.5, 0.5]), ca.SX([0.25, 0.75])))
+    first, second = (np.asarray(ca.evalf(belief.mean)).ravel() for belief in beliefs)
+    mean, off = 0.25 * first + 0.75 * second, first - second
+    assert np.asarray(ca.evalf(both.whole.mean)).ravel() == pytest.approx(mean)
+    cov = np.eye(entries) + 0.25 * 0.75 * np.outer(off, off)
+    assert np.asarray(ca.evalf(both.whole.cov)) == pytest.approx(cov)
+    assert [float(one) for one in both.chances] == pytest.approx(
+        [0.05, 0.075, 0.125, 0.15, 0.225, 0.375]
+    )
+    assert float(both.e) == pytest.approx(2.0)
+    assert float(both.std) == pytest.approx(np.sqrt(4 + 1))
+    runaway = Gaussian(ca.SX(np.full(entries, np.nan)), beliefs[0].cov)
+    lost = told[0]._replace(beliefs=(runaway,) * 3, whole=runaway, news=runaway.mean, log=LOST)
+    kept = renewed([told[1], lost])
+    for one in kept:
+        assert (np.asarray(ca.evalf(one.whole.mean)).ravel() == second).all()
+        assert (np.asarray(ca.evalf(one.beliefs[2].mean)).ravel() == second).all()
+
+
+def test_a_joint_has_up_to_three_filters() -> None:
+    assert len(resolve_scenario(servo()).observer.params.start[0]) == 3
+    one = resolve_scenario(servo(observer={"starts": 1})).observer
+    assert len(one.params.start[0]) == 1
+    with pytest.raises(uz.InputError, match=r"observer\.starts: expected 1 to 3, found 4"):
+        resolve_scenario(servo(observer={"starts": 4}))
+
+
+@pytest.mark.parametrize(("speed", "heard"), [(0.0, 0.0), (2.0, 1.0)])
+def test_joint_by_joint_a_gap_is_not_told_by_a_link_that_rests(speed: float, heard: float) -> None:
+    """A link that comes upon a flank, 10 mrad later than foretold; the motor has a speed."""
+    gears = geared_motion(two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
+    of, mean = Layout(2).of, ca.DM.zeros(Layout(2).entries)
+    place = of("half").start
+    mean[of("half")], mean[of("motor_speed").start], mean[of("link").start] = 0.05, speed, -0.06
+    belief = Gaussian(ca.SX(mean), 1e-4 * ca.SX.eye(Layout(2).entries))
+
+    def told(apart: bool) -> float:
+        q = SimpleNamespace(model=gears.values, slack=1e-8, impact=0.3)
+        drive = drive_of(gears, 1e-3, 1, apart)
+        return float(condition_on_impact(drive, q, 0, -1, belief).mean[place]) - 0.05
+
+    assert abs(told(False)) > 1e-3
+    assert told(True) == pytest.approx(heard * told(False), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("joints", "drift", "apart"), [("coupled", 3e-5, [False]), ("separate", 4.5e-4, [True, True])]
+)
+def test_half_gaps_drift_faster_joint_by_joint(joints: str, drift: float, apart: list) -> None:
+    example = tomllib.loads((EXAMPLES / "two_link_gears.toml").read_text())
+    example["observer"]["joints"] = joints
+    observer = resolve_scenario(convert(example)).observer
+    step, (setup,) = example["simulation"]["step"], observer.step.args
+    assert observer.params.modes.Q[Layout(2).of("half")] == pytest.approx(drift**2 * step)
+    assert [drive.apart for drive in setup.drives] == apart
+
+
+@pytest.mark.parametrize(("spread", "part"), [(0.0, 1.0), (0.5, 0.75), (1.0, 0.0), (2.0, 0.0)])
+def test_a_half_gap_drifts_up_to_a_share_of_its_claim(spread: float, part: float) -> None:
+    """From a deviation so many times the largest one; what is more uncertain is left so."""
+    gears = geared_motion(two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
+    drive = drive_of(gears, 1e-3, 1)
+    entries, half = drive.layout.entries, drive.layout.of("half").start
+    claim, Q = 0.06, np.full(entries, 1e-9)
+    variance = (spread * OPEN * claim) ** 2
+    cov = ca.SX.zeros(entries, entries)
+    cov[half, half] = variance
+    q = SimpleNamespace(
+        model=gears.values,
+        Q=Q,
+        rest=np.zeros(2),
+        least=np.zeros(2),
+        low=np.zeros(entries),
+        high=np.full(entries, claim),
+    )
+    belief = Gaussian(ca.SX(ca.DM.zeros(entries)), cov)
+    after = _moved(drive, q, (0, 0), Mode(ca.SX(1.0), belief), ca.DM.zeros(2)).belief.cov
+    assert float(after[half, half]) == pytest.approx(variance + part * 1e-9, rel=1e-9, abs=1e-16)
+
+
+def six_joints(**observer: Any) -> uz.Scenario:
+    """A UR5 that stays where it is, behind gears."""
+    start = [0.2, -1.2, 2.05, -1.4, -0.9, 0.1, *[0.0] * 6]
+    arm = {"kind": "urdf", "path": str(EXAMPLES / "ur5.urdf"), "tip": "tool0"}
+    gears = {"half": 0.02, "inertia": [1.5, 1.5, 0.6, 0.2, 0.2, 0.02], "friction": 0.1}
+    return convert(
+        {
+            "plant": {"arm": {**arm, "gears": gears}, "x0": start},
+            "sensor": {"right": 0.0, "left": 0.0, "noise": 5e-4},
+            "reference": {
+                "kind": "quintic",
+                "points": [start[:6], [x + 0.1 for x in start[:6]]],
+                "times": [0.0, 1.0],
+            },
+            "observer": {"method": "contact", "half": [0.0, 0.06], **observer},
+            "controller": {"method": "computed_torque", "bandwidth": 10.0},
+            "simulation": {"time": "sampled", "step": 1e-3, "duration": 0.1, "substeps": 2},
+        }
+    )
+
+
+def test_six_joints_are_filtered_joint_by_joint() -> None:
+    """Readings follow the motors; a link is known by its claim at first, and held there."""
+    pytest.importorskip("adam")
+    run = uz.simulate(six_joints(joints="separate", payload=[0.0, 1.0], starts=1))
+    assert (np.abs(run.z - run.z_hat)[-1] < 0.06).all()
+    assert (np.abs(run.d_hat[-1] - 0.02) < 4 * run.d_std[-1]).all()
+    assert abs(run.theta_hat[-1, 0]) < 4 * run.theta_std[-1, 0]
+
+
+def test_six_joints_at_once_are_refused_with_the_way_out() -> None:
+    pytest.importorskip("adam")
+    with pytest.raises(uz.InputError, match=r'observer\.joints: 6 joints have 729.*"separate"'):
+        uz.simulate(six_joints())
+
+
+@pytest.mark.parametrize(
+    ("changes", "key"),
+    [
+        ({"half": [0.06, 0.0]}, "observer.half"),
+        ({"half": [0.0, 0.06], "payload": [-1.0, 1.0]}, "observer.payload"),
+        ({"half": [0.0, 0.06], "compliance": 0.0}, "observer.compliance"),
+        ({"half": [0.0, 0.06], "contact": 0.5}, "observer.contact"),
+    ],
+)
+def test_claims_that_cannot_be_are_refused(changes: dict[str, Any], key: str) -> None:
+    with pytest.raises(uz.InputError, match=key):
+        uz.simulate(servo(observer=changes))
+
+
+def test_without_gears_it_is_refused() -> None:
+    tables = tomllib.loads(SERVO)
+    del tables["plant"]["arm"]["gears"], tables["model"]
+    tables["plant"]["x0"] = [-1.57, 0.0]
+    with pytest.raises(uz.InputError, match=r"plant\.arm\.gears"):
+        uz.simulate(convert(tables))
+
+
+def test_exported_C_has_every_bit_and_fits_a_microcontroller(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its self-test compares the bits with the reference's; step and flash are estimates."""
+    monkeypatch.setattr(exporting, "STEPS", 200)  # of the comparison with double
+    said: list[str] = []
+    three = servo(simulation={"duration": 0.01})
+    report = exporting.export(three, out=tmp_path / "three", told=said.append).report
+    assert said[0].endswith("a compiler takes minutes; observer.starts = 1 takes less")
+    assert "Cortex-M4F (STM32F4)" in report["leaner"]["starts = 1"]
+    one = servo(simulation={"duration": 0.2}, observer={"starts": 1})
+    done = uz.export(one, out=tmp_path / "fw")
+    board = next(one for one in done.report["boards"] if "M4F" in one["board"])
+    assert board["fits"]
+    sources = [path.name for path in (tmp_path / "fw").glob("*.c")]
+    options = ["-O0", "-std=c99", "-ffp-contract=off", "-fno-math-errno"]
+    selftest = once.program(["selftest", *options, *sources], tmp_path / "fw")
+    assert subprocess.run([selftest], capture_output=True).returncode == 0

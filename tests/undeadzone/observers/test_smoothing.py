@@ -1,0 +1,172 @@
+"""Looking back: the smoother is that of Rauch, Tung and Striebel, and its intervals hold."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from benchmarks.glitches import doubting, from_ranges
+from benchmarks.smoothing import part
+from click.testing import CliRunner
+from test_estimate import LOGS_ALONE, scenario
+
+import undeadzone as uz
+from undeadzone.cli import group
+from undeadzone.interfaces import graph_of
+from undeadzone.numerics.adjoint import Later, back
+from undeadzone.simulation.estimate import smooth
+from undeadzone.simulation.online import built_for
+from undeadzone.util.arrays import Floats
+
+CLAIMS = {"right": [0.0, 2.0], "disturbance": 0.0, "drift": 0.0, "glitches": 0.0}
+PENDULUM = uz.Plant(
+    states=["q", "v"],
+    inputs=["u"],
+    f=["v", "-9.81 * sin(q) - 0.4 * v + 8 * u"],
+    h=["q"],
+    x0=[0.3, 0.0],
+)
+
+
+def gaussian(rng: np.random.Generator, count: int, size: int) -> Floats:
+    """Random covariances (count x size x size)."""
+    roots = rng.normal(size=(count, size, size))
+    return roots @ np.swapaxes(roots, 1, 2) / size
+
+
+def moments(rng: np.random.Generator, count: int, size: int) -> Any:
+    """Moments of a filter whose beliefs are moved along rows, and at times in any way."""
+    slope = 0.3 * rng.normal(size=(count, size, size))
+    rows, edges = rng.normal(size=(count, 1, size)), rng.normal(size=(count, 2, size))
+    parts: dict[str, list[Any]] = {name: [] for name in ("before", "read", "heard")}
+    mean, P = rng.normal(size=size), gaussian(rng, 1, size)[0]
+    for k in range(count):
+        parts["before"].append((mean, P))
+        for name, along in (("read", rows[k]), ("heard", edges[k])):
+            K = P @ along.T
+            weight = 0.5 * np.linalg.inv(along @ K + np.eye(len(along)))
+            share = np.ones(size) if k % 3 else rng.uniform(size=size)
+            mean = mean + share * (K @ weight @ rng.normal(size=len(along)))
+            P = P - share[:, None] * (K @ weight @ K.T) * share
+            parts[name].append((mean, P))
+        F = np.eye(size) + slope[k]
+        mean, P = F @ mean, F @ P @ F.T + 0.1 * np.eye(size)
+    beliefs = {}
+    for name, known in parts.items():
+        means, covs = zip(*known, strict=True)
+        beliefs[name] = SimpleNamespace(mean=np.array(means), cov=np.array(covs))
+    restarted = np.zeros((count, 1))
+    restarted[count // 2] = 1.0
+    return SimpleNamespace(**beliefs, rows=rows, edges=edges, slope=slope, restarted=restarted)
+
+
+def rauch(known: Any) -> tuple[Floats, Floats]:
+    """The smoothed means and covariances by their own equations."""
+    mean, cov = known.heard.mean.copy(), known.heard.cov.copy()
+    for k in range(len(mean) - 2, -1, -1):
+        if known.restarted[k, 0]:
+            continue
+        F = np.eye(mean.shape[1]) + known.slope[k]
+        gain = cov[k] @ F.T @ np.linalg.inv(known.before.cov[k + 1])
+        mean[k] += gain @ (mean[k + 1] - known.before.mean[k + 1])
+        cov[k] += gain @ (cov[k + 1] - known.before.cov[k + 1]) @ gain.T
+    return mean, cov
+
+
+def test_adjoints_give_what_rauch_tung_and_striebel_give() -> None:
+    known = moments(np.random.default_rng(0), 40, 4)
+    mean, cov, _ = back(known, Later.nothing(4))
+    for found, expected in zip((mean, cov), rauch(known), strict=True):
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-8)
+
+
+def test_where_all_is_linear_and_sure_both_filters_smooth_alike() -> None:
+    run = uz.simulate(scenario())
+    found = []
+    bare = {"bias": 0.0, "tolerance": 0.0, "levels": 1, "silence": False}
+    for options in (uz.Kalman(**CLAIMS), uz.Censored(**CLAIMS, **bare), uz.Extended(**CLAIMS)):
+        if isinstance(options, uz.Extended):
+            options = msgspec.structs.replace(options, silence=False)
+        parts = (options, scenario().plant, scenario().sensor, 0.01, 10)
+        model, zone, observer = built_for(*parts)
+        found.append(smooth(model, graph_of(observer), zone, run.y, run.u))
+    for other in found[1:]:
+        for name, one in found[0].items():
+            np.testing.assert_allclose(other[name], one, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("method", ["censored", "auto", "extended"])
+def test_smoothing_ends_where_the_filter_does(method: str) -> None:
+    observer = {
+        "censored": uz.Censored(right=[0.0, 2.0]),
+        "auto": uz.Auto(right=[0.0, 2.0]),
+        "extended": uz.Extended(right=[0.0, 2.0], bias=0.0),
+    }[method]
+    run = uz.simulate(scenario())
+    y = run.y.copy()
+    y[300:310] = np.nan
+    y[500] = 40.0
+    found = uz.estimate(scenario(observer=observer), t=run.t, y=y, u=run.u)
+    assert found.x_smooth is not None
+    assert found.d_smooth is not None
+    assert found.x_smooth_std is not None
+    np.testing.assert_allclose(found.x_smooth[-1], found.x_hat[-1], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found.d_smooth[-1], found.d_hat[-1], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found.x_smooth_std[-1], found.x_std[-1], rtol=1e-6)
+    errors = [np.sqrt(np.mean((x - run.x) ** 2)) for x in (found.x_hat, found.x_smooth)]
+    assert errors[1] < 0.5 * errors[0]
+    assert (np.abs(found.x_smooth - run.x) < 4 * found.x_smooth_std).all()
+
+
+def test_a_nonlinear_plant_is_smoothed() -> None:
+    swing = scenario(
+        uz.Extended(right=[0.0, 0.5]),
+        plant=PENDULUM,
+        sensor=uz.Sensor(right=0.2, left=0.1, noise=0.005),
+        reference=uz.Sine(amplitude=0.8, frequency=0.4),
+        controller=uz.StateFeedback(poles=[-4.0, -5.0]),
+    )
+    run = uz.simulate(swing)
+    found = uz.estimate(swing, t=run.t, y=run.y, u=run.u)
+    assert found.z_smooth is not None
+    assert found.x_smooth_std is not None
+    errors = [np.sqrt(np.mean((z - run.z) ** 2)) for z in (found.z_hat, found.z_smooth)]
+    assert errors[1] < 0.8 * errors[0]
+    assert np.mean(np.abs(found.x_smooth - run.x) < 2 * found.x_smooth_std) > 0.9
+
+
+def test_readings_that_are_no_numbers_leave_numbers() -> None:
+    run = uz.simulate(scenario())
+    y = 1e200 * run.y
+    found = uz.estimate(scenario(observer=uz.Auto(right=[0.0, 2.0])), t=run.t, y=y, u=run.u)
+    for signal in (found.x_smooth, found.z_smooth, found.d_smooth, found.d_smooth_std):
+        assert np.isfinite(signal).all()
+
+
+def test_the_command_smooths_unless_told_not_to(tmp_path: Path) -> None:
+    path, log = tmp_path / "mine.toml", tmp_path / "log.csv"
+    path.write_text(LOGS_ALONE.replace('"kalman"', '"censored"'))
+    run = uz.simulate(scenario())
+    rows = zip(run.t[:50].tolist(), run.y[:50, 0].tolist(), run.u[:50, 0].tolist(), strict=True)
+    lines = [f"{t!r},{y!r},{u!r}" for t, y, u in rows]
+    log.write_text("\n".join(["t,y,u", *lines]))
+    for options, smoothed in (((), True), (("--causal",), False)):
+        arguments = ["estimate", str(path), str(log), "--json", "--no-figures", *options]
+        result = CliRunner().invoke(group, arguments)
+        assert json.loads(result.stdout)["smoothed"] is smoothed
+
+
+@pytest.mark.parametrize(
+    ("claims", "kind", "seed"), [(doubting, "both edges", 11), (from_ranges, "30 % missing", 13)]
+)
+def test_it_is_better_than_the_filter_and_as_honest(claims: Any, kind: str, seed: int) -> None:
+    rms, held = part(claims, kind, 2, seed)[::-1]
+    assert (rms[:, 1] <= 1.02 * rms[:, 0]).all()
+    z, widths = held[:, :, 0].mean(axis=0), held[:, :, 1:].mean(axis=(0, 2))
+    assert z[2] > 0.93
+    assert abs(widths[2] - widths[1]) < 0.05

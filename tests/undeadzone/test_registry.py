@@ -1,0 +1,217 @@
+"""A method from another package: registered by entry points, or by a line in the catalogue."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import undeadzone
+from undeadzone.registry import OBSERVERS
+
+ROOT = Path(__file__).parents[2]
+OWN = '''"""An observer whose widths stay where they are, and a command."""
+
+import click
+import numpy as np
+
+from undeadzone.registry import Options
+from undeadzone.interfaces import Observer
+from undeadzone.observers.adaptive.gain import gains
+from undeadzone.observers.adaptive.branch_observer import measured_side
+from undeadzone.observers.adaptive.adaptation_laws import bounded_widths
+from undeadzone.plants.system import System
+from undeadzone.nonlinearities.sensor import Zone
+from undeadzone.util.arrays import Array
+
+
+class Held(Options, frozen=True, kw_only=True, tag="held"):
+    """Widths held at their guess.
+
+    Attributes:
+        widths0: d_r and d_l.
+    """
+
+    widths0: Array = 0.0
+
+    def build(self, model: System, sensor: Zone) -> Observer:
+        """The observer."""
+        widths, limit = bounded_widths(self.widths0, None, model.p)
+        L, gamma, x0 = gains(None, model), np.zeros(model.p), np.zeros(model.n)
+        return measured_side(model, sensor, L, gamma, x0, widths, limit, False)
+
+
+@click.command()
+def greet() -> int:
+    """Say hello from another package."""
+    click.echo("hello")
+    return 0
+'''
+SCENARIO = """title = "mine"
+sensor = { right = 0.5, left = 0.3, noise = 0.01 }
+reference = { kind = "sine", amplitude = 2.0, frequency = 1.0 }
+observer = { method = "held", widths0 = 0.4 }
+controller = { method = "state_feedback", alpha = 5.0 }
+simulation = { duration = 3.0, step = 0.01, time = "sampled" }
+declared = { right = [0.0, 1.0] }
+
+[plant]
+A = [[-1.0]]
+B = [[1.0]]
+C = [[1.0]]
+
+[ensemble]
+runs = 20
+"sensor.right" = { uniform = [0.4, 0.6] }
+"""
+Run = Callable[..., str]
+
+
+@pytest.fixture
+def command(tmp_path: Path) -> Run:
+    """Runs `undeadzone` where a package `mine` is installed beside it."""
+    site = tmp_path / "site"
+    (site / "mine").mkdir(parents=True)
+    (site / "mine" / "__init__.py").write_text(OWN, encoding="utf-8")
+    about = site / "mine-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: mine\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text(
+        "[undeadzone.observers]\nheld = mine:Held\nlost = nowhere:Lost\n"
+        "[undeadzone.commands]\ngreet = mine:greet\n"
+    )
+    (tmp_path / "mine.toml").write_text(SCENARIO, encoding="utf-8")
+    before = os.environ.get("PYTHONPATH", "")
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, [str(site), before]))}
+
+    def run(*arguments: str, code: int = 0) -> str:
+        main = "from undeadzone.cli import main; main()"
+        done = subprocess.run(
+            [sys.executable, "-c", main, *arguments],
+            cwd=tmp_path,
+            env=environment,
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode == code, done.stderr
+        return done.stdout if code == 0 else done.stderr
+
+    return run
+
+
+def test_a_registered_observer_is_a_method_as_any_other(command: Run, tmp_path: Path) -> None:
+    found = json.loads(command("run", "mine.toml", "--json", "--no-figures"))
+    assert found["method"] == "held"
+    assert found["d_right"] == pytest.approx(0.4)
+    ensemble = json.loads(command("ensemble", "mine.toml", "--json", "--no-figures"))
+    assert ensemble["runs"] == 20
+    command("export", "mine.toml", "--to", "c", "--out", "fw")
+    subprocess.run(["make", "-s", "-C", str(tmp_path / "fw"), "CC=gcc"], check=True)
+    arena = ["arena", "mine.toml", "--methods", "held", "--seeds", "1", "--processes", "1"]
+    rows = json.loads(command(*arena, "--json"))["leaderboard"]
+    (row,) = [row for row in rows if row["method"] == "held"]
+    assert 0 < row["median_regret"] < 10
+    assert not row["reference"]
+
+
+def test_a_registered_command_is_one_of_undeadzone(command: Run) -> None:
+    assert command("greet") == "hello\n"
+    assert "Say hello from another package." in command("--help")
+
+
+def test_what_is_installed_meanwhile_is_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As in a notebook; what was found before is not read again."""
+    monkeypatch.syspath_prepend(tmp_path)
+    for name in ("one", "other"):
+        assert OBSERVERS.options(f"held_{name}") is None
+        made = tmp_path / f"{name}-new"
+        made.mkdir()
+        (made / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+        point = f"held_{name} = undeadzone.observers.oracle:Oracle\n"
+        (made / "entry_points.txt").write_text(f"[undeadzone.observers]\n{point}")
+        made.rename(tmp_path / f"{name}-1.0.dist-info")
+        assert f"held_{name}" in OBSERVERS.tags()
+    assert {"held_one", "held_other"} <= set(OBSERVERS.tags())
+
+
+def test_what_is_registered_and_cannot_be_imported_is_said(command: Run, tmp_path: Path) -> None:
+    text = SCENARIO.replace('"held", widths0 = 0.4', '"lost"')
+    (tmp_path / "lost.toml").write_text(text, encoding="utf-8")
+    said = command("run", "lost.toml", code=2)
+    assert "'lost' is registered at nowhere:Lost, which fails: No module named 'nowhere'" in said
+
+
+def test_a_registered_name_is_one_of_uz(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As `uz.identify` and `uz.export` are, whose packages are no part of the tool."""
+    monkeypatch.syspath_prepend(tmp_path)
+    assert not hasattr(undeadzone, "root")
+    made = tmp_path / "roots-new"
+    made.mkdir()
+    (made / "METADATA").write_text("Metadata-Version: 2.1\nName: roots\nVersion: 1.0\n")
+    points = "root = math:sqrt\nlost = nowhere:lost\n"
+    (made / "entry_points.txt").write_text(f"[undeadzone.names]\n{points}")
+    made.rename(tmp_path / "roots-1.0.dist-info")
+    assert undeadzone.root is math.sqrt
+    with pytest.raises(undeadzone.InputError, match="lost is registered at nowhere:lost, which"):
+        undeadzone.lost  # noqa: B018
+
+
+def test_an_unknown_method_is_refused_with_those_that_there_are(
+    command: Run, tmp_path: Path
+) -> None:
+    text = SCENARIO.replace('"held", widths0 = 0.4', '"heldd"')
+    (tmp_path / "near.toml").write_text(text, encoding="utf-8")
+    said = command("run", "near.toml", code=2)
+    assert "observer.method: unknown choice 'heldd'; did you mean 'held'?" in said
+
+
+def test_a_new_method_of_the_tool_is_one_file_and_one_line(tmp_path: Path) -> None:
+    """Seen by the commands, the common tests, the page of the scenario file, the leaderboard."""
+    for name in ("src", "docs", "tests"):
+        left_out = shutil.ignore_patterns("*.egg-info")  # what is compiled need not be again
+        shutil.copytree(ROOT / name, tmp_path / name, ignore=left_out)
+    shutil.copy(ROOT / "README.md", tmp_path)
+    tool = tmp_path / "src" / "undeadzone"
+    (tool / "observers" / "held.py").write_text(OWN, encoding="utf-8")
+    listed = (tool / "catalogue.py").read_text(encoding="utf-8")
+    first = '        "auto": "undeadzone.observers.auto:Auto",\n'
+    line = '        "held": "undeadzone.observers:held.Held",\n'
+    assert first in listed
+    (tool / "catalogue.py").write_text(listed.replace(first, first + line), encoding="utf-8")
+    (tmp_path / "mine.toml").write_text(SCENARIO, encoding="utf-8")
+    environment = os.environ | {"PYTHONPATH": str(tmp_path / "src")}
+
+    def python(*arguments: str) -> str:
+        command = [sys.executable, *arguments]
+        return subprocess.run(
+            command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
+        ).stdout
+
+    main = "from undeadzone.cli import main; main()"
+    run = python("-c", main, "run", "mine.toml", "--json", "--no-figures")
+    assert json.loads(run)["method"] == "held"
+    python("docs/reference.py")
+    assert "**method** = 'held'" in (tmp_path / "docs" / "scenario.md").read_text()
+    collected = python(
+        *("-m", "pytest", "-p", "no:cacheprovider", "--rootdir", str(tmp_path)),
+        *("--collect-only", "-q"),
+        *(
+            "tests/undeadzone/compile/test_engines.py",
+            "tests/docs/test_docs.py",
+            "tests/undeadzone_arena/test_contest.py",
+        ),
+    )
+    assert (
+        "test_every_observer_and_controller_runs_the_same[held-state_feedback-sampled]" in collected
+    )
+    assert "test_every_method_has_its_page[held]" in collected
+    assert "test_every_method_runs_or_says_why_not[held]" in collected
