@@ -22,7 +22,9 @@ ROOMS: Final = (
     "numerics",
     "linalg",
     "analysis",
-    "observers/parts",
+    "observers/filtering",
+    "observers/adaptive",
+    "observers/contact_filter",
     *LOOP,
 )
 CHEAP: Final = 3.0  # [s] of tests that are run first, and usually suffice

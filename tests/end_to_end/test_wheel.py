@@ -143,7 +143,8 @@ def test_the_version_is_the_same_everywhere(wheel: Path) -> None:
     (released,) = re.findall(r'^date-released: "(.*)"$', citation, re.M)
     assert re.findall(r"^version: (.*)$", citation, re.M) == [version]
     changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
-    assert changes.startswith(f"# Changelog\n\n## {version} ({released})\n")
+    assert changes.startswith("# Changelog\n\n## Unreleased\n")
+    assert f"\n## {version} ({released})\n" in changes
 
 
 def test_a_package_index_shows_no_link_that_leads_nowhere(wheel: Path) -> None:

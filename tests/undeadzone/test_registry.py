@@ -182,11 +182,11 @@ def test_a_new_method_of_the_tool_is_one_file_and_one_line(tmp_path: Path) -> No
     shutil.copy(ROOT / "README.md", tmp_path)
     tool = tmp_path / "src" / "undeadzone"
     (tool / "observers" / "held.py").write_text(OWN, encoding="utf-8")
-    listed = (tool / "catalogue.py").read_text(encoding="utf-8")
+    listed = (tool / "registry.py").read_text(encoding="utf-8")
     first = '        "auto": "undeadzone.observers.auto:Auto",\n'
-    line = '        "held": "undeadzone.observers:held.Held",\n'
+    line = '        "held": "undeadzone.observers.held:Held",\n'
     assert first in listed
-    (tool / "catalogue.py").write_text(listed.replace(first, first + line), encoding="utf-8")
+    (tool / "registry.py").write_text(listed.replace(first, first + line), encoding="utf-8")
     (tmp_path / "mine.toml").write_text(SCENARIO, encoding="utf-8")
     environment = os.environ | {"PYTHONPATH": str(tmp_path / "src")}
 

@@ -597,9 +597,12 @@ def test_a_damaged_file_costs_a_compilation_and_no_more(folder: Path) -> None:
         assert doubled() == (6.0, True)
 
 
+HERE = Path(__file__).parent
+
+
 def path_of_tests() -> dict[str, str]:
-    """The environment, with this folder and the one above among the paths of Python."""
-    folders = [str(Path(__file__).parents[2]), str(Path(__file__).parents[3])]
+    """Return the environment, with the folders of tests on the path of Python."""
+    folders = [str(folder) for folder in (HERE, HERE.parents[1], HERE.parents[2])]
     present = os.environ.get("PYTHONPATH")
     return os.environ | {"PYTHONPATH": os.pathsep.join([*folders, *([present] if present else [])])}
 
