@@ -39,7 +39,7 @@ class Reading(NamedTuple):
 
 
 def received(y: Any, threshold: Any, limits: Limits | None) -> Reading:
-    """A reading as it comes from outside (p): one that is no number is missing.
+    """Return a reading as it comes from outside (p): one that is no number is missing.
 
     Args:
         y: reading (p) [y], a CasADi expression.
@@ -55,7 +55,8 @@ def received(y: Any, threshold: Any, limits: Limits | None) -> Reading:
 
 
 def known_side(reading: Reading, estimate: Any) -> Any:
-    """The side that a sample tells (p): of a play what its observer made out, else of the reading.
+    """Return the side that a sample tells (p): of a play what its observer made out, else of the
+    reading.
 
     Args:
         reading: what was read.
@@ -65,7 +66,9 @@ def known_side(reading: Reading, estimate: Any) -> Any:
 
 
 def exact(reading: Reading, limits: Limits | None) -> Reading:
-    """The reading without those at a limit, which are missing to a method that takes no bounds."""
+    """Return the reading without those at a limit, which are missing to a method that takes no
+    bounds.
+    """
     if limits is None:
         return reading
     at_limit = ca.fabs(reading.side) > 1
@@ -262,7 +265,7 @@ CLAIMS: Final = {
 
 
 def false_claims(bits: float, suspect: float) -> list[str]:
-    """The names of claims that are refuted, the likeliest first.
+    """Return the names of claims that are refuted, the likeliest first.
 
     Args:
         bits: `Estimate.claims`.
@@ -420,7 +423,7 @@ class Compensator(NamedTuple):
 def estimate(
     x: Any, z: Any, right: Any, left: Any, reading: Reading, slope: Any, kind: str, innovation: Any
 ) -> Estimate:
-    """An `Estimate` with its dead-zone inverse; a missing sample is inverted to z^.
+    """Return an `Estimate` with its dead-zone inverse; a missing sample is inverted to z^.
 
     Args:
         x: state x^ (n).
@@ -436,7 +439,7 @@ def estimate(
 
 
 def in_python(how: InPython, p: int, traits: Traits) -> Observer:
-    """An observer that computes in Python, one sample at a time.
+    """Return an observer that computes in Python, one sample at a time.
 
     Args:
         how: what it computes.
@@ -453,7 +456,7 @@ def in_python(how: InPython, p: int, traits: Traits) -> Observer:
 
 
 def graph_of(observer: Observer) -> Observer:
-    """The observer if it is a graph. Raises InputError for one that computes in Python."""
+    """Return the observer if it is a graph. Raises InputError for one that computes in Python."""
     if observer.python is not None:
         raise InputError(
             "observer.method: this one computes in Python, sample by sample: it runs in single "

@@ -49,7 +49,7 @@ class ObserverOptions(Protocol):
     __struct_config__: ClassVar[Any]
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The observer for a model."""
+        """Return the observer for a model."""
 
 
 @runtime_checkable
@@ -59,7 +59,7 @@ class ControllerOptions(Protocol):
     __struct_config__: ClassVar[Any]
 
     def build(self, model: System) -> Controller:
-        """The controller for a model."""
+        """Return the controller for a model."""
 
 
 @runtime_checkable
@@ -69,7 +69,7 @@ class CompensatorOptions(Protocol):
     __struct_config__: ClassVar[Any]
 
     def build(self, model: System, belief: Belief | None) -> Compensator:
-        """The compensator for a model and what is known of its actuator."""
+        """Return the compensator for a model and what is known of its actuator."""
 
 
 class _Tagged(msgspec.Struct):
@@ -94,11 +94,11 @@ class Registry(NamedTuple):
     own: Mapping[str, str]
 
     def tags(self) -> list[str]:
-        """Every method's name, the tool's own first."""
+        """Return every method's name, the tool's own first."""
         return [*self.own, *_registered(self.group)]
 
     def options(self, tag: str) -> type[Options] | None:
-        """The options of a method; None where there is none of this name.
+        """Return the options of a method; None where there is none of this name.
 
         Raises:
             InputError: the package that registered it cannot be imported.
@@ -107,14 +107,14 @@ class Registry(NamedTuple):
         return None if place is None else _loaded(f"{self.group}: {tag!r}", place)
 
     def has(self, options: type) -> bool:
-        """Whether options of this class are of this kind."""
+        """Return whether options of this class are of this kind."""
         place = f"{options.__module__}:{options.__name__}"
         if options.__module__.startswith("undeadzone."):  # no package registers those
             return place in self.own.values()
         return place in _registered(self.group).values()
 
     def every(self) -> list[type[Options]]:
-        """The options of every method, but of those whose package cannot be imported."""
+        """Return the options of every method, but of those whose package cannot be imported."""
         found = []
         for tag in self.tags():
             with suppress(InputError):
@@ -122,7 +122,7 @@ class Registry(NamedTuple):
         return [options for options in found if options is not None]
 
     def create(self, tag: str, **options: Any) -> Any:
-        """Options of one of the tool's own methods.
+        """Return options of one of the tool's own methods.
 
         Args:
             tag: the method.
@@ -131,7 +131,7 @@ class Registry(NamedTuple):
         return _loaded(tag, self.own[tag])(**options)
 
     def decode_options(self, table: Any) -> Any:
-        """Options from a table of a scenario, by its key `method`; a struct stays as it is.
+        """Return options from a table of a scenario, by its key `method`; a struct stays as it is.
 
         Raises:
             ValueError: in msgspec's words, for a table that has no such method or no such keys.
@@ -203,7 +203,7 @@ def decode(kind: type, value: Any) -> Any:
 
 
 def attached(package: str, file: str, *catalogues: Registry) -> tuple[Any, Any, list[str]]:
-    """`__getattr__`, `__dir__` and `__all__` of a package whose names stand in its stub.
+    """Return `__getattr__`, `__dir__` and `__all__` of a package whose names stand in its stub.
 
     Args:
         package: its `__name__`.
@@ -235,7 +235,7 @@ def named(name: str) -> Any:
 
 
 def options_named(name: str, *catalogues: Registry) -> type[Options]:
-    """The options of which the class has a name.
+    """Return the options of which the class has a name.
 
     Args:
         name: of the class.

@@ -45,7 +45,7 @@ class Grid(NamedTuple):
 
 
 def gaussians(key: str, reach: Floats, count: int, overlap: float, normalised: bool) -> Basis:
-    """Products of Gaussians on a grid over the box |v_i| <= reach_i.
+    """Return products of Gaussians on a grid over the box |v_i| <= reach_i.
 
     Radial basis functions (Broomhead and Lowe 1988), which fade beyond the box. Normalised, they
     sum to 1: fuzzy rules with Gaussian membership, singleton fuzzifier, product inference and
@@ -80,7 +80,7 @@ def gaussians(key: str, reach: Floats, count: int, overlap: float, normalised: b
 
 
 def monomials(key: str, reach: Floats, degree: int) -> Basis:
-    """Every product of powers of v_i / reach_i up to a total degree (Taylor network).
+    """Return every product of powers of v_i / reach_i up to a total degree (Taylor network).
 
     v is brought into the box |v_i| <= reach_i first.
 
@@ -105,7 +105,7 @@ def monomials(key: str, reach: Floats, degree: int) -> Basis:
 
 
 def jumps(key: str, count: int) -> Basis:
-    """Selmic and Lewis's jump functions (1 - e^(-|y|))^k, k < count, of v = [y; side].
+    """Return selmic and Lewis's jump functions (1 - e^(-|y|))^k, k < count, of v = [y; side].
 
     They act on the right side and, negative, on the left.
 
@@ -128,12 +128,12 @@ def jumps(key: str, count: int) -> Basis:
 
 
 def _in_box(v: Any) -> Any:
-    """v brought into the box |v_i| <= 1."""
+    """Return v brought into the box |v_i| <= 1."""
     return ca.fmax(ca.fmin(v, 1.0), -1.0)
 
 
 def _monomial(v: list[Any], powers: tuple[int, ...]) -> Any:
-    """v_1^powers_1 v_2^powers_2 ..."""
+    """Return v_1^powers_1 v_2^powers_2 ..."""
     value = ca.SX(1.0)
     for x, power in zip(v, powers, strict=True):
         value = value * x**power
@@ -141,7 +141,7 @@ def _monomial(v: list[Any], powers: tuple[int, ...]) -> Any:
 
 
 def _checked(key: str, basis: Basis) -> Basis:
-    """The basis, if it is not too large to compute at every step."""
+    """Return the basis, if it is not too large to compute at every step."""
     if basis.size > LARGEST:
         raise InputError(
             f"{key}: the basis would have {basis.size} functions, at most {LARGEST} are computed; "

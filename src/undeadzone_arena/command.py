@@ -178,7 +178,7 @@ def _require_used(tuning: bool) -> None:
 
 
 def _keeps(folder: Path, writes: bool) -> bool:
-    """Whether what is done can be kept in a folder.
+    """Return whether what is done can be kept in a folder.
 
     Raises:
         FileError: it cannot, though something is to be written there anyway.
@@ -196,7 +196,10 @@ def _keeps(folder: Path, writes: bool) -> bool:
 
 
 def _names(methods: str) -> list[str]:
-    """The names in a list with commas between them. Raises BadParameter where there is none."""
+    """Return the names in a list with commas between them.
+
+    Raises BadParameter where there is none.
+    """
     names = [name.strip() for name in methods.split(",")]
     named = [name for name in names if name]
     if not named:
@@ -215,7 +218,7 @@ def _held(
     keep: Path | None,
     resume: bool,
 ) -> Contest:
-    """The contest, held; its size is told before."""
+    """Return the contest, held; its size is told before."""
     from undeadzone_arena.contest.contest import run_contest
     from undeadzone_arena.contest.effort import in_words
     from undeadzone_arena.contest.entry import numbers
@@ -270,7 +273,9 @@ def _tune(
 
 
 def _written(contest: Contest, folder: Path, own: bool) -> list[Path]:
-    """Results, figures and page; of scenarios of one's own also each with the best method in it."""
+    """Return results, figures and page; of scenarios of one's own also each with the best method in
+    it.
+    """
     from undeadzone.errors import InputError
     from undeadzone.util import toml
     from undeadzone.util.files import write_text

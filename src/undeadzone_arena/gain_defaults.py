@@ -15,7 +15,7 @@ from undeadzone.util.arrays import Array, Floats, scalar
 def injection(
     model: System, L: Array | None, poles: Array | None, speed: float | None, default: float
 ) -> Floats:
-    """L (n x p), per step when the model is sampled, from one of L, poles and speed.
+    """Return L (n x p), per step when the model is sampled, from one of L, poles and speed.
 
     With a speed, poles p of A slower than half of it move to -speed - p: the least gain for which
     all of A - L C are left of -speed / 2 (Anderson and Moore 1971).
@@ -43,7 +43,7 @@ def injection(
 
 
 def width_hiding_speed(model: System, factor: float) -> float:
-    """A speed, in fastest poles, that hides the widths from the innovation.
+    """Return a speed, in fastest poles, that hides the widths from the innovation.
 
     It hides as much of them as `factor` mean poles do for second order: the innovation sees them
     through det(sI - A) / det(sI - A + L C), for each output about factor^-2 at low frequency.
@@ -54,7 +54,7 @@ def width_hiding_speed(model: System, factor: float) -> float:
 
 
 def in_poles(model: System, key: str, rate: float | None, default: float) -> float:
-    """A rate as the user gives it, or a multiple of the plant's fastest pole.
+    """Return a rate as the user gives it, or a multiple of the plant's fastest pole.
 
     Args:
         model: the plant.

@@ -32,7 +32,7 @@ class Weights(NamedTuple):
 
 
 def weights(size: int, alpha: float, beta: float, kappa: float) -> Weights:
-    """The weights for `size` variables.
+    """Return the weights for `size` variables.
 
     The points lie alpha sqrt(size + kappa) standard deviations from the mean.
     """
@@ -42,7 +42,7 @@ def weights(size: int, alpha: float, beta: float, kappa: float) -> Weights:
 
 
 def factor(cov: Any) -> Any:
-    """Cholesky's L with L L' = cov.
+    """Return Cholesky's L with L L' = cov.
 
     The column of a direction without variance is 0, so that rounding cannot stop it.
     """
@@ -56,7 +56,7 @@ def factor(cov: Any) -> Any:
 
 
 def points(belief: Gaussian, w: Weights) -> list[Any]:
-    """The mean, then a point on either side of it along every column of the factor."""
+    """Return the mean, then a point on either side of it along every column of the factor."""
     steps = ca.horzsplit(math.sqrt(w.spread) * factor(belief.cov))
     ahead = [belief.mean + step for step in steps]
     behind = [belief.mean - step for step in steps]
@@ -64,12 +64,12 @@ def points(belief: Gaussian, w: Weights) -> list[Any]:
 
 
 def mean(values: list[Any], w: Weights) -> Any:
-    """The weighted mean of what the points became."""
+    """Return the weighted mean of what the points became."""
     return w.mean * values[0] + w.other * sum(values[1:], ca.SX(*values[0].shape))
 
 
 def covariance(first: list[Any], second: list[Any], w: Weights) -> Any:
-    """The weighted covariance of the deviations of the points from two means."""
+    """Return the weighted covariance of the deviations of the points from two means."""
     others = ca.SX(first[0].shape[0], second[0].shape[0])
     for a, b in zip(first[1:], second[1:], strict=True):
         others = others + a @ b.T
@@ -77,7 +77,7 @@ def covariance(first: list[Any], second: list[Any], w: Weights) -> Any:
 
 
 def predict(belief: Gaussian, change: Callable[[Any], Any], Q: Any, w: Weights) -> Gaussian:
-    """The belief after x+ = x + f(x) + v; exact where f is linear.
+    """Return the belief after x+ = x + f(x) + v; exact where f is linear.
 
     Args:
         belief: of x (N).
@@ -113,5 +113,5 @@ def gain(belief: Gaussian, h: Callable[[Any], Any], R: Any, w: Weights) -> tuple
 
 
 def _symmetric(cov: Any) -> Any:
-    """The symmetric matrix with this upper triangle, all of its entries stored."""
+    """Return the symmetric matrix with this upper triangle, all of its entries stored."""
     return ca.triu2symm(ca.triu(ca.densify(cov)))

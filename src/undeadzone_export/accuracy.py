@@ -84,7 +84,7 @@ class Compiled:
         self._functions.start(_address(self.state))
 
     def __call__(self, rows: Floats) -> Floats:
-        """The outputs along inputs (N x inputs), as float64 (N x outputs)."""
+        """Return the outputs along inputs (N x inputs), as float64 (N x outputs)."""
         given = np.ascontiguousarray(rows, self.real)
         out = np.empty((len(rows), self.outputs), self.real)
         count = ctypes.c_long(len(rows))
@@ -130,7 +130,7 @@ def measure(double: Code, printed: Code, text: Source, rows: Floats) -> Accuracy
 
 
 def _against_machine(code: Code, replica: Compiled, rows: Floats) -> float:
-    """The largest error of the compiled code against CasADi, relative to each field."""
+    """Return the largest error of the compiled code against CasADi, relative to each field."""
     step = code.step
     expected, _ = interpret.run(step.function, step.start, rows, step.defaults)
     values = replica(rows)
@@ -145,7 +145,7 @@ def _against_machine(code: Code, replica: Compiled, rows: Floats) -> float:
 def _beside(
     plain: Accuracy, double: Compiled, single: Compiled, code: Code, rows: Floats
 ) -> Accuracy:
-    """Float beside double, on inputs that float holds exactly."""
+    """Return float beside double, on inputs that float holds exactly."""
     rows = rows.astype(np.float32).astype(float)
     runs, pairs = [], []
     for start in range(0, len(rows), CHUNK):
@@ -178,7 +178,7 @@ def _beside(
 
 
 def _gap(exact: Floats, rounded: Floats) -> Floats:
-    """|float - double|; 0 where both are NaN, infinite where one is."""
+    """Return |float - double|; 0 where both are NaN, infinite where one is."""
     same = np.isnan(exact) & np.isnan(rounded)
     gap = np.where(same, 0.0, np.abs(exact - rounded))
     return np.where(np.isnan(gap), np.inf, gap)
@@ -190,7 +190,7 @@ def _size(values: Floats) -> Floats:
 
 
 def _refused_widths(places: dict[str, slice], gap: Floats, size: Floats) -> list[str]:
-    """The widths whose errors are too large, in words.
+    """Return the widths whose errors are too large, in words.
 
     Args:
         places: where each field stands among the outputs.
@@ -216,7 +216,7 @@ def _refused_widths(places: dict[str, slice], gap: Floats, size: Floats) -> list
 
 
 def smallest_eigenvalue(fields: list[Field], state: Any) -> float | None:
-    """The smallest eigenvalue of the correlation matrices in a memory; None: there are none.
+    """Return the smallest eigenvalue of the correlation matrices in a memory; None: there are none.
 
     Args:
         fields: the fields of the memory.
@@ -234,7 +234,9 @@ def smallest_eigenvalue(fields: list[Field], state: Any) -> float | None:
 
 
 def _symmetric(column: Floats, size: int) -> Floats:
-    """The symmetric matrix of an upper triangle, whole or of uncoupled groups of equal size."""
+    """Return the symmetric matrix of an upper triangle, whole or of uncoupled groups of equal
+    size.
+    """
     blocks = 2 * column.size // size - 1
     entries = ca.triu(ca.kron(ca.DM.ones(blocks, blocks), ca.DM.eye(size // blocks))).sparsity()
     rows, columns = entries.get_triplet()

@@ -95,7 +95,7 @@ def _on(board: Board, report: Mapping[str, Any]) -> Fit:
 
 
 def table(found: list[Fit]) -> list[tuple[str, ...]]:
-    """The boards as rows of text."""
+    """Return the boards as rows of text."""
     rows: list[tuple[str, ...]] = [("board, estimated", "flash", "memory", "step", "fits")]
     for fit in found:
         sizes = (f"{fit.flash / 1e3:.3g} kB", f"{fit.ram / 1e3:.2g} kB", _time(fit.time))
@@ -104,5 +104,5 @@ def table(found: list[Fit]) -> list[tuple[str, ...]]:
 
 
 def _time(seconds: float) -> str:
-    """A time in ms, or in microseconds."""
+    """Return a time in ms, or in microseconds."""
     return f"{1e3 * seconds:.3g} ms" if seconds >= 1e-3 else f"{1e6 * seconds:.3g} us"

@@ -51,12 +51,12 @@ class Code(NamedTuple):
 
     @property
     def kind(self) -> str:
-        """NumPy's name of the type of numbers."""
+        """Return NumPy's name of the type of numbers."""
         return "float32" if self.single else "float64"
 
     @property
     def real(self) -> str:
-        """The type of numbers in C."""
+        """Return the type of numbers in C."""
         return TYPES[self.kind]
 
     @property
@@ -66,7 +66,7 @@ class Code(NamedTuple):
 
     @property
     def structs(self) -> dict[str, list[Field]]:
-        """The fields of each struct, by the end of its name."""
+        """Return the fields of each struct, by the end of its name."""
         step, meaning = self.step, "from estimate to advance; not part of the memory"
         carry = [Field("carry", self.carried, meaning)] if self.carried else []
         fields = {"state": [*step.state, *carry], "in": step.inputs, "out": step.outputs}
@@ -85,7 +85,7 @@ class Code(NamedTuple):
 
 
 def code(step: Step, single: bool) -> Code:
-    """A step's nodes in a precision.
+    """Return a step's nodes in a precision.
 
     Args:
         step: the step.
@@ -100,7 +100,7 @@ def code(step: Step, single: bool) -> Code:
 
 
 def split(results: Results, acting: Iterable[str]) -> Phases:
-    """Results (next, out) in two: before the inputs are known, and after.
+    """Return results (next, out) in two: before the inputs are known, and after.
 
     Args:
         results: the nodes.
@@ -130,7 +130,7 @@ def split(results: Results, acting: Iterable[str]) -> Phases:
 
 
 def _is_computed(node: Node) -> bool:
-    """Whether a node must be carried: constants, states and parameters are there anyway."""
+    """Return whether a node must be carried: constants, states and parameters are there anyway."""
     if node.op == "const":
         return False
     return node.op != "input" or node.text.startswith("w")

@@ -134,7 +134,7 @@ def _in_words(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
 
 
 def _leaner(name: str, boards: list[str]) -> str:
-    """An observer that takes less, and where it fits."""
+    """Return an observer that takes less, and where it fits."""
     from undeadzone_export.exporting import setting
 
     return f"{setting(name)} fits {', '.join(boards) or 'none of these boards'}"
@@ -163,7 +163,7 @@ def _page_in_words(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
 
 
 def _table(accuracy: dict[str, Any]) -> list[list[str]]:
-    """The accuracy as rows of text."""
+    """Return the accuracy as rows of text."""
     rows = [["float against double", "largest error", "largest value"]]
     for name, numbers in accuracy["float_against_double"].items():
         rows.append([name, f"{numbers['error']:.2g}", f"{numbers['size']:.3g}"])

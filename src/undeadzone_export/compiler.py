@@ -16,7 +16,7 @@ NAMES = ("cc", "gcc", "clang")
 
 
 def compiler() -> str | None:
-    """The command of a C compiler: $CC, else cc, gcc or clang; None where there is none."""
+    """Return the command of a C compiler: $CC, else cc, gcc or clang; None where there is none."""
     for name in (os.environ.get("CC", ""), *NAMES):
         if name and shutil.which(name):
             return name
@@ -24,7 +24,7 @@ def compiler() -> str | None:
 
 
 def require_compiler() -> str:
-    """The command of a C compiler. Raises InputError where there is none."""
+    """Return the command of a C compiler. Raises InputError where there is none."""
     command = compiler()
     if command is None:
         raise InputError("no C compiler: expected cc, gcc or clang in PATH, or the variable CC")
@@ -32,7 +32,7 @@ def require_compiler() -> str:
 
 
 def written(files: dict[str, str], folder: Path) -> list[Path]:
-    """The paths of the C files among some that are written into a folder.
+    """Return the paths of the C files among some that are written into a folder.
 
     Args:
         files: texts by name.
@@ -69,7 +69,7 @@ def shared_library(sources: list[Path], out: Path, options: tuple[str, ...] = ("
 
 
 def _called(line: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
-    """A compiler, run in a folder. Raises InputError where it cannot be run at all."""
+    """Return a compiler, run in a folder. Raises InputError where it cannot be run at all."""
     try:
         return subprocess.run(line, capture_output=True, text=True, cwd=folder)
     except OSError as error:
@@ -77,7 +77,7 @@ def _called(line: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
 
 
 def stack_bytes(folder: Path, prefix: str) -> int | None:
-    """The stack of a step by the compiler's account [bytes]; None: it gave none.
+    """Return the stack of a step by the compiler's account [bytes]; None: it gave none.
 
     It is the largest frame of a step or its halves and those of all functions that they may call.
 
@@ -99,7 +99,8 @@ def stack_bytes(folder: Path, prefix: str) -> int | None:
 
 
 def self_tested(files: dict[str, str]) -> tuple[bool, str]:
-    """(whether it passed, what it printed) of the self-test of an export, built and run apart.
+    """Return (whether it passed, what it printed) of the self-test of an export, built and run
+    apart.
 
     Args:
         files: the C of the export and of its self-test, by name.

@@ -55,7 +55,7 @@ class Field(NamedTuple):
 
 
 def identifier(text: str) -> str:
-    """A name for files and symbols of any language, made of any text.
+    """Return a name for files and symbols of any language, made of any text.
 
     It has letters, digits and single underscores in lower case; an n comes before what is a word of
     C or Python, a header of C or a module of Python, as math is.
@@ -67,7 +67,7 @@ def identifier(text: str) -> str:
 
 
 def state_fields(state: Any, units: Units, drop: str = "") -> list[Field]:
-    """The fields of a state, named after its tree.
+    """Return the fields of a state, named after its tree.
 
     Args:
         state: tree of NumPy arrays.
@@ -83,7 +83,7 @@ def state_fields(state: Any, units: Units, drop: str = "") -> list[Field]:
 
 
 def _member(name: str) -> str:
-    """The name of a field in C; capitals are kept, as W and w may differ."""
+    """Return the name of a field in C; capitals are kept, as W and w may differ."""
     plain = re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_")
     return f"n{plain}" if plain[0].isdigit() or plain in _KEYWORDS else plain
 
@@ -116,7 +116,7 @@ def estimate_meanings(units: Units) -> dict[str, str]:
 
 
 def _named_fields(parts: Any, meanings: dict[str, str]) -> list[Field]:
-    """The fields of a named tuple of arrays that are not empty."""
+    """Return the fields of a named tuple of arrays that are not empty."""
     named = zip(parts._fields, map(np.size, parts), strict=True)
     return [Field(name, int(size), meanings[name]) for name, size in named if size]
 
@@ -134,12 +134,12 @@ def places_of(fields: list[Field]) -> dict[str, slice]:
 
 
 def numbers_of(fields: list[Field]) -> Iterator[tuple[Field, int]]:
-    """(field, entry) of every number, in order."""
+    """Return (field, entry) of every number, in order."""
     return chain.from_iterable(product([field], range(field.size)) for field in fields)
 
 
 def members(fields: list[Field]) -> list[tuple[str, int]]:
-    """(name of the field, entry) of every number, in order."""
+    """Return (name of the field, entry) of every number, in order."""
     return [(field.name, k) for field, k in numbers_of(fields)]
 
 
@@ -225,7 +225,7 @@ class _ObserverMemory(NamedTuple):
 
 
 def build(problem: Problem, part: str = "observer", tunable: tuple[str, ...] = ()) -> Step:
-    """The step of a problem.
+    """Return the step of a problem.
 
     Args:
         problem: the checked parts of a sampled scenario.
@@ -298,7 +298,7 @@ class _Traced(NamedTuple):
 
 
 def _observer(problem: Problem, observer: Observer, params: _Numbers) -> _Traced:
-    """The observer alone; an input that is not finite is the last one."""
+    """Return the observer alone; an input that is not finite is the last one."""
     model = problem.model
     memory = _ObserverMemory(observer.init(observer.params), np.zeros(model.m))
     column, s = tree.symbols(memory, "s")
@@ -312,7 +312,7 @@ def _observer(problem: Problem, observer: Observer, params: _Numbers) -> _Traced
 
 
 def _loop(problem: Problem, observer: Observer, params: Any) -> _Traced:
-    """Observer, controller and compensator; u is limited as the plant's drives are."""
+    """Return observer, controller and compensator; u is limited as the plant's drives are."""
     model, controller, compensator = problem.model, problem.controller, problem.compensator
     memory = Driven(
         observer.init(observer.params),
@@ -345,7 +345,7 @@ def _y_field(size: int, units: Units) -> Field:
 
 
 def _target_fields(like: Target, units: Units) -> list[Field]:
-    """The fields of what the controller should follow."""
+    """Return the fields of what the controller should follow."""
     meanings = {
         "r": f"reference of the tracked outputs [{units.output}]",
         "x_ref": "state that belongs to it",
@@ -356,7 +356,7 @@ def _target_fields(like: Target, units: Units) -> list[Field]:
 
 
 def _estimated(problem: Problem, estimate: Estimate) -> list[Field]:
-    """The fields of an estimate and of the measured side."""
+    """Return the fields of an estimate and of the measured side."""
     sizes = Estimate(*(np.zeros(ca.SX(part).numel()) for part in estimate))
     limits = "" if problem.sensor.limits is None else "; +2, -2 at a limit of the range"
     side = Field("side", problem.model.p, f"measured side: +1, -1, 0{limits}")
@@ -374,7 +374,9 @@ class Params(NamedTuple):
 
 
 def folded(numbers: Any, tunable: tuple[str, ...]) -> tuple[ca.SX, Params, Floats]:
-    """(all numbers as one column of constants and symbols, the tunable ones, their values)."""
+    """Return (all numbers as one column of constants and symbols, the tunable ones, their
+    values).
+    """
     places = dict(tree.leaves(tree.slices(numbers)))
     values = tree.pack(numbers)
     column = ca.SX(ca.DM(values))

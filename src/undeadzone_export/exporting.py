@@ -58,7 +58,7 @@ class Exported(NamedTuple):
 
     @property
     def passed(self) -> bool:
-        """Whether nothing was refused."""
+        """Return whether nothing was refused."""
         return not self.report["refusals"]
 
 
@@ -231,7 +231,9 @@ def _report(
 def _leaner(
     scenario: Scenario, part: str, is_single: bool
 ) -> tuple[dict[str, list[str]], dict[str, Scenario]]:
-    """(boards that observers of fewer operations fit, the scenario with each), by their tags."""
+    """Return (boards that observers of fewer operations fit, the scenario with each), by their
+    tags.
+    """
     found, scenarios = {}, {}
     for name, made in _choices(scenario.observer).items():
         with suppress(InputError, TypeError):  # the scenario cannot have it
@@ -259,14 +261,14 @@ def _along(scenario: Scenario) -> dict[str, float | None]:
 
 
 def _sizes(printed: Code) -> dict[str, int]:
-    """The bytes of the structs of C."""
+    """Return the bytes of the structs of C."""
     structs: dict[str, list[Field]] = {"params": []} | printed.structs
     each = 4 if printed.single else 8
     return {name: each * total(structs[name]) for name in ("state", "in", "out", "params")}
 
 
 def replaced_constants(double: Code) -> list[str]:
-    """The numbers of the code in double that float cannot hold, and what stands for them."""
+    """Return the numbers of the code in double that float cannot hold, and what stands for them."""
     limits, texts = np.finfo(np.float32), set()
     for node in needed(itertools.chain(*double.results)):
         size = abs(node.value or 0.0)
@@ -276,7 +278,7 @@ def replaced_constants(double: Code) -> list[str]:
 
 
 def _measured(double: Code, printed: Code, text: Source, rows: Floats) -> dict[str, Any]:
-    """The accuracy, and what it refuses."""
+    """Return the accuracy, and what it refuses."""
     if compiler.compiler() is None:
         message = "accuracy was not measured: no C compiler (cc, gcc or clang in PATH, or $CC)"
         refusals = [message] if printed.single else []

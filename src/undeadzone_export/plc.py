@@ -48,7 +48,7 @@ class Variable(NamedTuple):
 
     @property
     def is_array(self) -> bool:
-        """Whether it holds several values."""
+        """Return whether it holds several values."""
         return len(self.start) > 1
 
 
@@ -90,7 +90,7 @@ class Exported(NamedTuple):
 
 
 def export_plc(code: Code, labels: Labels, vectors: Vectors) -> Exported:
-    """An export as units.
+    """Return an export as units.
 
     Args:
         code: what is printed.
@@ -109,7 +109,7 @@ def export_plc(code: Code, labels: Labels, vectors: Vectors) -> Exported:
 
 
 def function_unit(name: str, style: Style) -> Unit:
-    """An elementary function.
+    """Return an elementary function.
 
     Args:
         name: one of `bitless.OWN`.
@@ -163,11 +163,11 @@ class _Block:
 
     @property
     def called(self) -> set[str]:
-        """The functions that it calls."""
+        """Return the functions that it calls."""
         return self._expressions.functions
 
     def units(self) -> list[Unit]:
-        """The parts, if there are any, and the block."""
+        """Return the parts, if there are any, and the block."""
         name = f"fb_{self.labels.prefix}"
         if len(self.locals) <= STATEMENTS:
             return [self._whole(name, self.locals, [], lines_of(self.locals))]
@@ -193,7 +193,7 @@ class _Block:
     def _of_part(
         self, part: list[Local], given: list[Node], shared: set[Node]
     ) -> dict[str, list[Variable]]:
-        """The variables of a part.
+        """Return the variables of a part.
 
         Args:
             part: what it computes.
@@ -210,7 +210,7 @@ class _Block:
         return variables
 
     def _whole(self, name: str, own: list[Local], parts: list[Unit], lines: list[str]) -> Unit:
-        """The block that is called."""
+        """Return the block that is called."""
         shown, step = set(self.outputs), self.code.step
         held = [_declared(local) for local in own if local.name not in shown]
         held += [Variable(f"part_{k + 1}", part.name) for k, part in enumerate(parts)]
@@ -231,7 +231,7 @@ class _Block:
         return Unit("FUNCTION_BLOCK", name, meaning, variables, text)
 
     def _inputs(self) -> list[Variable]:
-        """The inputs of the block."""
+        """Return the inputs of the block."""
         step = self.code.step
         missing = [
             Variable(text, "BOOL", f"TRUE: there is no reading {k}")
@@ -246,18 +246,18 @@ class _Block:
         ]
 
     def _fields(self, names: list[str], fields: list[Field]) -> list[Variable]:
-        """Variables of the numbers of fields."""
+        """Return variables of the numbers of fields."""
         each = zip(names, numbers_of(fields), strict=True)
         return [Variable(name, self.real, field.meaning) for name, (field, _) in each]
 
     def _started(self, names: list[str], fields: list[Field], values: Floats) -> list[Variable]:
-        """Variables of the numbers of fields, with their values at first."""
+        """Return variables of the numbers of fields, with their values at first."""
         starts = [(initial(value, self.code.kind),) for value in values.tolist()]
         known = zip(self._fields(names, fields), starts, strict=True)
         return [each._replace(start=start) for each, start in known]
 
     def _readings(self) -> list[str]:
-        """Statements that make one that is missing too large to be there."""
+        """Return statements that make one that is missing too large to be there."""
         lines = []
         for missing, read, y in zip(self.missing, self.read, self.inputs, strict=False):
             lines += [f"{INDENT}{read} := {y};"]
@@ -265,7 +265,7 @@ class _Block:
         return lines
 
     def _shown(self) -> list[str]:
-        """Assignments to outputs that no local of their name fills."""
+        """Return assignments to outputs that no local of their name fills."""
         lines = []
         for node, name in zip(self.code.results[1], self.outputs, strict=True):
             text = self._expressions.text(node).text
@@ -274,7 +274,7 @@ class _Block:
         return lines
 
     def _stored(self) -> tuple[dict[str, str], list[str]]:
-        """(copies of states that others take over, assignments to the memory)."""
+        """Return (copies of states that others take over, assignments to the memory)."""
         copied, stored = {}, []
         for node, state, name in zip(
             self.code.results[0], self.states, self.following, strict=True
@@ -288,12 +288,12 @@ class _Block:
 
 
 def _declared(local: Local) -> Variable:
-    """The variable of a local."""
+    """Return the variable of a local."""
     return Variable(local.name, TYPES[local.node.kind])
 
 
 def _call(part: Unit) -> list[str]:
-    """A call of a part, and what it gives."""
+    """Return a call of a part, and what it gives."""
     instance = part.name[part.name.rindex("part_") :]
     given = ", ".join(f"{each.name} := {each.name}" for each in part.variables[INPUTS])
     lines = wrapped(f"{instance}({given});")
@@ -302,13 +302,13 @@ def _call(part: Unit) -> list[str]:
 
 
 def _if(truth: str, statements: Iterable[str]) -> list[str]:
-    """Statements under a truth."""
+    """Return statements under a truth."""
     inner = [wrapped(statement, 2 * INDENT) for statement in statements]
     return [f"{INDENT}IF {truth} THEN", *itertools.chain(*inner), f"{INDENT}END_IF;"]
 
 
 def _test(code: Code, labels: Labels, vectors: Vectors, block: Unit) -> Unit:
-    """The self-test: one sample a cycle, each output compared with its reference."""
+    """Return the self-test: one sample a cycle, each output compared with its reference."""
     samples, kind = len(vectors.states), code.kind
     given, expected = vectors.inputs.view(kind), vectors.outputs.view(kind)
     names = [each.name for each in block.variables[INPUTS] if each.kind != "BOOL"]
@@ -342,6 +342,6 @@ def _test(code: Code, labels: Labels, vectors: Vectors, block: Unit) -> Unit:
 
 
 def _table(name: str, values: Any, kind: str) -> Variable:
-    """An array of numbers."""
+    """Return an array of numbers."""
     texts = tuple(initial(value, kind) for value in values.tolist())
     return Variable(name, f"ARRAY [0..{len(texts) - 1}] OF {TYPES[kind]}", "", texts)

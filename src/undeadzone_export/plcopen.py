@@ -22,7 +22,7 @@ _KINDS: Final = {"FUNCTION": "function", "FUNCTION_BLOCK": "functionBlock", "PRO
 
 
 def text_of(units: list[Unit], labels: Labels, code: Code) -> str:
-    """The text of a file.
+    """Return the text of a file.
 
     Args:
         units: what it holds.
@@ -41,7 +41,7 @@ def text_of(units: list[Unit], labels: Labels, code: Code) -> str:
 
 
 def _unit(unit: Unit) -> list[str]:
-    """The lines of a unit."""
+    """Return the lines of a unit."""
     returned = f" : {unit.returns}" if unit.returns else ""
     lines = [f"{unit.keyword} {unit.name}{returned}"]
     for section, variables in unit.variables.items():
@@ -53,7 +53,7 @@ def _unit(unit: Unit) -> list[str]:
 
 
 def _declared(variable: Variable) -> tuple[str, str]:
-    """Type and value at first of a variable, and its meaning as a comment."""
+    """Return type and value at first of a variable, and its meaning as a comment."""
     start = ", ".join(variable.start)
     given = f" := [{start}]" if variable.is_array else f" := {start}"
     remark = f" {_remark(_plain(variable.meaning))}" if variable.meaning else ""
@@ -61,20 +61,22 @@ def _declared(variable: Variable) -> tuple[str, str]:
 
 
 def _declaration(variables: list[Variable], declared: tuple[str, str]) -> list[str]:
-    """The lines of a declaration of variables that differ by their names."""
+    """Return the lines of a declaration of variables that differ by their names."""
     kind, remark = declared
     *lines, last = wrapped(f"{', '.join(each.name for each in variables)} : {kind}")
     return [*lines, last + remark]
 
 
 def _plain(text: str) -> str:
-    """A text that may stand in a comment, which nothing in it ends; ASCII, as editors are old."""
+    """Return a text that may stand in a comment, which nothing in it ends; ASCII, as editors are
+    old.
+    """
     line = one_line(text).encode("ascii", "replace").decode()
     return line.replace("*)", "* )").replace("(*", "( *")
 
 
 def _remark(text: str) -> str:
-    """A comment."""
+    """Return a comment."""
     return f"(* {text} *)"
 
 
@@ -82,7 +84,7 @@ def _remark(text: str) -> str:
 
 
 def xml_of(units: list[Unit], labels: Labels, code: Code) -> str:
-    """The text of a file that development systems import.
+    """Return the text of a file that development systems import.
 
     Args:
         units: what it holds.

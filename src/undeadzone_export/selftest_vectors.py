@@ -41,7 +41,7 @@ class Vectors(NamedTuple):
 
 
 def continue_scenario(scenario: Scenario, steps: int) -> Problem:
-    """The checked parts of a scenario whose run lasts for a number of steps at least.
+    """Return the checked parts of a scenario whose run lasts for a number of steps at least.
 
     Where it cannot be continued, as with a signal from a file that ends, it is the scenario itself.
     """
@@ -55,7 +55,7 @@ def continue_scenario(scenario: Scenario, steps: int) -> Problem:
 
 
 def record_inputs(problem: Problem, step: Step) -> Floats:
-    """The inputs of a step along a run, up to where it diverges.
+    """Return the inputs of a step along a run, up to where it diverges.
 
     Args:
         problem: the checked parts of a sampled scenario.
@@ -79,7 +79,7 @@ def record_inputs(problem: Problem, step: Step) -> Floats:
 
 
 def _recorded(problem: Problem, step: Step) -> Floats:
-    """The inputs of a step along a run."""
+    """Return the inputs of a step along a run."""
     loop, state, exogenous = prepare(problem)
     outputs, _ = interpret.run(loop.step, state, exogenous, tree.pack(loop.params))
     signals = named(loop, outputs)
@@ -107,7 +107,7 @@ def chosen(rows: Floats, readings: int) -> Floats:
 
 
 def reference(code: Code, rows: Floats) -> Vectors:
-    """The bits of outputs and memory along inputs, computed without a compiler.
+    """Return the bits of outputs and memory along inputs, computed without a compiler.
 
     Args:
         code: what is printed.
@@ -129,7 +129,7 @@ def reference(code: Code, rows: Floats) -> Vectors:
 
 
 def words(values: Any, kind: str) -> Any:
-    """The bits of numbers; every NaN has the same."""
+    """Return the bits of numbers; every NaN has the same."""
     table = np.ascontiguousarray(values, kind)
     bits = table.view(f"uint{8 * table.itemsize}").copy()
     bits[np.isnan(table)] = NAN[kind]
@@ -137,7 +137,7 @@ def words(values: Any, kind: str) -> Any:
 
 
 def checksum(values: Any, kind: str) -> int:
-    """The checksum of numbers by their bits, 32 of them at a time, lower ones first."""
+    """Return the checksum of numbers by their bits, 32 of them at a time, lower ones first."""
     total = OFFSET
     for word in words(values, kind).tolist():
         parts = (word,) if kind == "float32" else (word & 0xFFFFFFFF, word >> 32)
@@ -147,7 +147,7 @@ def checksum(values: Any, kind: str) -> int:
 
 
 def selftest(code: Code, prefix: str, vectors: Vectors) -> str:
-    """The text of the self-test.
+    """Return the text of the self-test.
 
     Args:
         code: what is printed.
@@ -178,12 +178,12 @@ def selftest(code: Code, prefix: str, vectors: Vectors) -> str:
 
 
 def _rows(rows: list[list[int]], digits: int, ending: str) -> str:
-    """Rows of words in braces."""
+    """Return rows of words in braces."""
     return ",\n".join("{\n" + _listed(row, digits, ending) + "\n}" for row in rows)
 
 
 def _listed(numbers: list[int], digits: int, ending: str) -> str:
-    """Words in lines of up to eight."""
+    """Return words in lines of up to eight."""
     texts = [f"0x{number:0{digits}x}{ending}" for number in numbers]
     count = 64 // digits
     lines = []

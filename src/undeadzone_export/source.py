@@ -49,13 +49,13 @@ class Source(NamedTuple):
     functions: list[str]
 
     def files(self) -> dict[str, str]:
-        """The files by name."""
+        """Return the files by name."""
         named = {f"{self.prefix}.h": self.header, f"{self.prefix}.c": self.code}
         return named | ({f"{self.prefix}_math.h": self.math} if self.math else {})
 
 
 def source(code: Code, labels: Labels) -> Source:
-    """The C of an export."""
+    """Return the C of an export."""
     style = Style(code.kind, labels.prefix)
     bodies = _bodies(code, style)
     used = set().union(*[part.functions for part in bodies.values()])
@@ -81,7 +81,7 @@ def source(code: Code, labels: Labels) -> Source:
 
 
 def _bodies(code: Code, style: Style) -> dict[str, Body]:
-    """The statements of each function of a step."""
+    """Return the statements of each function of a step."""
     step = code.step
     stored = [f"state->{name}[{k}]" for name, k in members(step.state)]
     following = [f"next_{name}_{k}" for name, k in members(step.state)]
@@ -104,7 +104,7 @@ def _bodies(code: Code, style: Style) -> dict[str, Body]:
 
 
 def _inputs(code: Code) -> dict[str, str]:
-    """The C expression of each entry of the inputs; states are read into locals."""
+    """Return the C expression of each entry of the inputs; states are read into locals."""
     step = code.step
     return entries(
         s=[f"{name}_was_{k}" for name, k in members(step.state)],
@@ -115,7 +115,7 @@ def _inputs(code: Code) -> dict[str, str]:
 
 
 def _elementary(names: list[str], used: set[str], style: Style) -> dict[str, Any]:
-    """The words of the header with the elementary functions.
+    """Return the words of the header with the elementary functions.
 
     Args:
         names: of the functions, each after those that it calls.
@@ -127,7 +127,7 @@ def _elementary(names: list[str], used: set[str], style: Style) -> dict[str, Any
 
 
 def _declared(code: Code, name: str, style: Style) -> dict[str, Any]:
-    """The words of the header: structs and prototypes, each with its meaning."""
+    """Return the words of the header: structs and prototypes, each with its meaning."""
     structs = []
     for struct, fields in code.structs.items():
         structs.append(_struct(f"{name}_{struct}", _STRUCTS[struct], fields, style))
@@ -142,7 +142,7 @@ def _declared(code: Code, name: str, style: Style) -> dict[str, Any]:
 
 
 def _claims(code: Code, upper: str) -> list[str]:
-    """Macros of the bits of `claims`, if that is shown."""
+    """Return macros of the bits of `claims`, if that is shown."""
     if not any(field.name == "claims" for field in code.step.outputs):
         return []
     lines = ["/* bits of out->claims[0], a whole number; suspect counts them from 1 */"]
@@ -160,13 +160,13 @@ _STRUCTS = {
 
 
 def _plain(text: str) -> str:
-    """A text that may stand in a comment, which nothing in it ends."""
+    """Return a text that may stand in a comment, which nothing in it ends."""
     line = one_line(text).replace("\\", "/")  # first: it makes new slashes
     return line.replace("*/", "* /").replace("/*", "/ *")
 
 
 def _struct(name: str, meaning: str, fields: list[Field], style: Style) -> str:
-    """The definition of a struct, with a blank line after it."""
+    """Return the definition of a struct, with a blank line after it."""
     lines = [f"/** {meaning} */", "typedef struct", "{"]
     for field in fields:
         lines.append(
@@ -176,7 +176,7 @@ def _struct(name: str, meaning: str, fields: list[Field], style: Style) -> str:
 
 
 def signatures(code: Code, prefix: str) -> dict[str, str]:
-    """The declarations of the functions of an export, without semicolons."""
+    """Return the declarations of the functions of an export, without semicolons."""
     params = f", const {prefix}_params *params" if code.step.params else ""
     state = f"{prefix}_state *state"
     sample = f"const {prefix}_in *in"
@@ -203,7 +203,7 @@ _MEANINGS = {
 
 
 def _defined(code: Code, name: str, style: Style, bodies: dict[str, Body]) -> dict[str, Any]:
-    """The words of the code: what it includes, and its functions."""
+    """Return the words of the code: what it includes, and its functions."""
     step, values = code.step, [*code.step.start.tolist(), *[0.0] * code.carried]
     start = _assignments("state", code.structs["state"], values, style)
     defaults = _assignments("params", step.params, step.defaults.tolist(), style)
@@ -223,7 +223,7 @@ def _defined(code: Code, name: str, style: Style, bodies: dict[str, Body]) -> di
 
 
 def _unread(part: Body, params: bool) -> list[str]:
-    """Statements for arguments that a body happens not to read."""
+    """Return statements for arguments that a body happens not to read."""
     text = "\n".join(part.lines)
     arguments = ["in->", "params->"] if params else ["in->"]
     missing = [word.removesuffix("->") for word in arguments if word not in text]
@@ -231,7 +231,7 @@ def _unread(part: Body, params: bool) -> list[str]:
 
 
 def _assignments(target: str, fields: list[Field], values: list[float], style: Style) -> list[str]:
-    """Statements that store numbers."""
+    """Return statements that store numbers."""
     lines = []
     for (name, k), value in zip(members(fields), values, strict=True):
         lines.append(f"{INDENT}{target}->{name}[{k}] = {literal(value, style.kind)};")
@@ -263,7 +263,7 @@ def meanings(results: Results, step: Step, out: int | None) -> dict[Node, str]:
 
 
 def _either(order: list[Node], truths: set[Node], name: str) -> dict[Node, str]:
-    """The name of the node that holds where one of two truths does."""
+    """Return the name of the node that holds where one of two truths does."""
     for node in order:
         if node.op == "or" and set(node.args) == truths:
             return {node: name}
@@ -271,7 +271,7 @@ def _either(order: list[Node], truths: set[Node], name: str) -> dict[Node, str]:
 
 
 def _present(order: list[Node], step: Step) -> dict[Node, str]:
-    """The truths that an input is a finite number: -1e300 < w and w < 1e300."""
+    """Return the truths that an input is a finite number: -1e300 < w and w < 1e300."""
     inputs = entries(w=[f"{name}_{k}" for name, k in members(step.inputs)])
     names: dict[Node, str] = {}
     for node in order:
@@ -285,7 +285,7 @@ def _present(order: list[Node], step: Step) -> dict[Node, str]:
 
 
 def _bounded_input(node: Node) -> str:
-    """The name of the input of w < huge or -huge < w; empty: a node is neither."""
+    """Return the name of the input of w < huge or -huge < w; empty: a node is neither."""
     if node.op != "lt":
         return ""
     low, high = node.args

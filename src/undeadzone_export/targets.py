@@ -27,7 +27,7 @@ MANIFEST = "manifest.json"
 
 
 def manifest(report: dict[str, Any]) -> str:
-    """The text of the manifest."""
+    """Return the text of the manifest."""
     return _text({"generator": GENERATOR} | report)
 
 
@@ -58,7 +58,9 @@ def require_replaceable(out: Path, force: bool = False) -> None:
 
 
 def _written(out: Path) -> dict[str, str]:
-    """The digests of an export's files by path; none where its manifest is not as written."""
+    """Return the digests of an export's files by path; none where its manifest is not as
+    written.
+    """
     try:
         text = read_text(out / MANIFEST)
         content = json.loads(text)
@@ -73,7 +75,9 @@ def _written(out: Path) -> dict[str, str]:
 
 
 def _signed(files: Files) -> Files:
-    """The files with the digest of each in the manifest, its own with nothing in that place."""
+    """Return the files with the digest of each in the manifest, its own with nothing in that
+    place.
+    """
     content = json.loads(files[MANIFEST])
     content["files"] = {path: digest(_bytes(text)) for path, text in sorted(files.items())}
     content["files"][MANIFEST] = ""
@@ -82,7 +86,7 @@ def _signed(files: Files) -> Files:
 
 
 def _text(content: dict[str, Any]) -> str:
-    """The text of a manifest."""
+    """Return the text of a manifest."""
     return json.dumps(content, indent=2) + "\n"
 
 
@@ -161,14 +165,14 @@ class Material(NamedTuple):
 
     @property
     def c_files(self) -> dict[str, str]:
-        """The C by the names of its files, with the self-test."""
+        """Return the C by the names of its files, with the self-test."""
         name = self.report["name"]
         test = selftest(self.printed, name, self.vectors)
         return self.text.files() | {f"{name}_test.c": test}
 
 
 def files(to: str, material: Material) -> Files:
-    """The files of an export by their paths in its folder.
+    """Return the files of an export by their paths in its folder.
 
     Args:
         to: the target.
@@ -203,7 +207,7 @@ def files(to: str, material: Material) -> Files:
 
 
 def _readme(report: dict[str, Any], build: str = "") -> str:
-    """The README; of what is built, how: by default by make, with the self-test."""
+    """Return the README; of what is built, how: by default by make, with the self-test."""
     by_make = f"Run `make && ./{report['name']}_test`: exit code 0 means that every bit agrees."
     words = {"build": build or by_make, "by_make": not build}
     return filled("templates/README.md", _words(report) | words)
@@ -219,7 +223,7 @@ def _words(report: dict[str, Any]) -> dict[str, Any]:
 
 
 def _build_files(report: dict[str, Any], math: bool) -> dict[str, str]:
-    """The texts of Makefile, CMakeLists.txt and README.md, by name."""
+    """Return the texts of Makefile, CMakeLists.txt and README.md, by name."""
     words = _words(report)
     words["math"] = f"{report['name']}_math.h " if math else ""
     return {
@@ -230,7 +234,7 @@ def _build_files(report: dict[str, Any], math: bool) -> dict[str, str]:
 
 
 def _arduino_files(report: dict[str, Any]) -> dict[str, str]:
-    """The texts around the C of an Arduino library, by name."""
+    """Return the texts around the C of an Arduino library, by name."""
     name = report["name"]
     words = _words(report) | {"title": one_line(str(report["title"]))}
     build = (
@@ -246,7 +250,7 @@ def _arduino_files(report: dict[str, Any]) -> dict[str, str]:
 
 
 def _st_files(material: Material) -> tuple[Files, dict[str, str]]:
-    """(the Structured Text, its README) by name; the report gets its sizes."""
+    """Return (the Structured Text, its README) by name; the report gets its sizes."""
     report, labels, printed = material.report, material.labels, material.printed
     made = plc.export_plc(printed, labels, material.vectors)
     name, text = labels.prefix, plcopen.text_of(made.units, labels, printed)
@@ -269,7 +273,7 @@ def _st_files(material: Material) -> tuple[Files, dict[str, str]]:
 
 
 def _installed(kind: str, words: dict[str, Any], report: dict[str, Any]) -> str:
-    """The README of what takes more than the C."""
+    """Return the README of what takes more than the C."""
     return _readme(report, filled(f"templates/{kind}.md", words).rstrip("\n"))
 
 
@@ -277,7 +281,7 @@ def _installed(kind: str, words: dict[str, Any], report: dict[str, Any]) -> str:
 
 
 def _module(printed: Code, report: dict[str, Any]) -> str:
-    """The text of the module.
+    """Return the text of the module.
 
     Args:
         printed: what is printed as C.
@@ -305,12 +309,12 @@ def _sizes(fields: list[Field]) -> list[tuple[str, int]]:
 
 
 def _listed(fields: list[Field]) -> str:
-    """Fields in words, a line each."""
+    """Return fields in words, a line each."""
     return "".join(
         f"\n    {field.name} ({field.size}): {_plain(field.meaning)}" for field in fields
     )
 
 
 def _plain(text: str) -> str:
-    """A text that ends no docstring."""
+    """Return a text that ends no docstring."""
     return one_line(text).replace("\\", "/").replace('"', "'")

@@ -9,7 +9,7 @@ from undeadzone.util import text
 
 
 def text_of(path: str) -> str:
-    """A file of this room.
+    """Return a file of this room.
 
     Args:
         path: as seen from here.
@@ -18,7 +18,7 @@ def text_of(path: str) -> str:
 
 
 def filled(path: str, words: dict[str, Any]) -> str:
-    """A file of this room with its words filled in, as `support.text.filled` does.
+    """Return a file of this room with its words filled in, as `support.text.filled` does.
 
     Args:
         path: as seen from here.
@@ -28,7 +28,7 @@ def filled(path: str, words: dict[str, Any]) -> str:
 
 
 def called(name: str, tunable: bool) -> dict[str, Any]:
-    """The words of texts that call an export.
+    """Return the words of texts that call an export.
 
     Args:
         name: what every symbol begins with.

@@ -111,5 +111,5 @@ def followed(scenario: Scenario, found: Estimation, code: Code) -> tuple[float, 
 
 
 def _rms(values: Floats) -> float:
-    """Root mean square of what is there."""
+    """Return root mean square of what is there."""
     return float(np.sqrt(np.nanmean(values**2)))

@@ -169,7 +169,7 @@ def _asked_next(answer: Answers) -> tuple[Next | None, dict[str, str]]:
 
 
 def _scenario(answer: Answers, path: Path, force: bool) -> tuple[list[Path], str | None]:
-    """The scenario that was written, or why there is none."""
+    """Return the scenario that was written, or why there is none."""
     from undeadzone.util.own_files import write_own
 
     try:
@@ -179,7 +179,7 @@ def _scenario(answer: Answers, path: Path, force: bool) -> tuple[list[Path], str
 
 
 def _pages(answer: Answers, folder: Path, source: str, best: Next | None) -> list[Path]:
-    """A page with figures for each output, written to a folder."""
+    """Return a page with figures for each output, written to a folder."""
     from undeadzone.results.mjcf import write
     from undeadzone_identify.page import write_identified
     from undeadzone_identify.results.result import Identified

@@ -39,7 +39,7 @@ MIDDLES = {"input_zone": "silent", "two_zones": "silent"}
 
 
 def figures(found_log: Identified, further: Next | None = None) -> dict[str, Figure]:
-    """The figures that apply.
+    """Return the figures that apply.
 
     Args:
         found_log: the answer.
@@ -54,7 +54,7 @@ def figures(found_log: Identified, further: Next | None = None) -> dict[str, Fig
 
 
 def _next(found_log: Identified, further: Next) -> Figure:
-    """The input to record next."""
+    """Return the input to record next."""
     figure, panels = sheet([["u"]], "What to record next", height=2.4)
     panels["u"].plot(further.t, further.u, linewidth=0.8, drawstyle="steps-post")
     unit = found_log.answer.case.grid.input_unit
@@ -63,7 +63,7 @@ def _next(found_log: Identified, further: Next) -> Figure:
 
 
 def _of_answer(found_log: Identified) -> dict[str, Figure]:
-    """The figures of the answer itself."""
+    """Return the figures of the answer itself."""
     element = found_log.answer.element
     if element is not None:
         shown = {
@@ -86,7 +86,7 @@ def _of_answer(found_log: Identified) -> dict[str, Figure]:
 
 
 def _shown(found_log: Identified, most: int = MOST) -> slice:
-    """The samples of a figure over time."""
+    """Return the samples of a figure over time."""
     size = found_log.answer.case.grid.t.size
     return slice(max(0, size - most), size)
 
@@ -96,12 +96,12 @@ def _unit(found_log: Identified) -> str:
 
 
 def _time(found_log: Identified) -> str:
-    """The label of the axis of time."""
+    """Return the label of the axis of time."""
     return "t [samples]" if found_log.answer.case.grid.counted else "t [s]"
 
 
 def overview(found_log: Identified) -> Figure:
-    """z^, y and zone over time, the held-out part shaded; sides below."""
+    """Return z^, y and zone over time, the held-out part shaded; sides below."""
     data, part = found_log.answer.fit.objective.data, _shown(found_log)
     figure, panels = sheet([["signals"], ["signals"], ["sides"]], "The log and its fit", height=1.9)
     signals(panels["signals"], found_log)
@@ -148,7 +148,7 @@ def _reading(axes: Axes, found_log: Identified, part: slice) -> None:
 
 
 def of_outputs(result: IdentifiedOutputs) -> Figure:
-    """The log and the fit of each output, one below the other."""
+    """Return the log and the fit of each output, one below the other."""
     figure, panels = sheet([[name] for name in result.names], "The log and its fits")
     for name, one in zip(result.names, result.outputs, strict=True):
         signals(panels[name], one, f" {plain(name)}")
@@ -185,7 +185,7 @@ def _zone_bands(axes: Axes, found_log: Identified) -> None:
 
 
 def _hidden(found_log: Identified) -> Figure:
-    """The hidden output with its band against the reading, of the last part of the log."""
+    """Return the hidden output with its band against the reading, of the last part of the log."""
     states = found_log.states()
     part = _shown(found_log, MOST_AT_END)
     figure, panels = sheet([["z"]], "The hidden output", height=3.2)
@@ -201,7 +201,7 @@ def _hidden(found_log: Identified) -> Figure:
 
 
 def _residual_map(found_log: Identified) -> Figure:
-    """The residual by z^."""
+    """Return the residual by z^."""
     answer = found_log.answer
     residuals, scale = answer.case.residuals, answer.scale
     fit = answer.chosen.singles
@@ -225,7 +225,7 @@ def _residual_map(found_log: Identified) -> Figure:
 
 
 def _sensor_map(found_log: Identified) -> tuple[Floats, Floats]:
-    """z in order, and the reading that the fitted sensor gives there."""
+    """Return z in order, and the reading that the fitted sensor gives there."""
     answer = found_log.answer
     fit, jumps = answer.chosen.singles, answer.case.jumps
     z = np.sort(fit.z) * answer.scale
@@ -236,7 +236,7 @@ def _sensor_map(found_log: Identified) -> tuple[Floats, Floats]:
 
 
 def _residual(found_log: Identified) -> Figure:
-    """Correlation of the one-step residual with itself and with the input."""
+    """Return correlation of the one-step residual with itself and with the input."""
     fit = found_log.answer.fit
     data = fit.objective.data
     kalman = found_log.answer.found.kalman
@@ -288,7 +288,7 @@ def _profiles(found_log: Identified) -> Figure:
 
 
 def _over_time(found_log: Identified, element: Element) -> Figure:
-    """z^, what is read of it, and the readings; contacts or sides below."""
+    """Return z^, what is read of it, and the readings; contacts or sides below."""
     grid, part = found_log.answer.case.grid, _shown(found_log, MOST_AT_END)
     figure, panels = sheet([["signals"], ["signals"], ["sides"]], "The log and its fit", height=1.9)
     axes, t = panels["signals"], grid.t[part]
@@ -305,7 +305,9 @@ def _over_time(found_log: Identified, element: Element) -> Figure:
 
 
 def _by_output(found_log: Identified, element: Element) -> Figure:
-    """Readings by z^ with the path of what is expected; by u where the input has the zone."""
+    """Return readings by z^ with the path of what is expected; by u where the input has the
+    zone.
+    """
     answer = found_log.answer
     grid, scale, unit = answer.case.grid, answer.scale, _unit(found_log)
     figure, panels = sheet([["map", "left"]], "What was found", height=3.4)
@@ -327,7 +329,9 @@ def _by_output(found_log: Identified, element: Element) -> Figure:
 
 
 def _crossings(found_log: Identified, columns: dict[str, Floats]) -> Figure:
-    """The gap at each crossing, by time, by y and by duration; the printed interval is shaded."""
+    """Return the gap at each crossing, by time, by y and by duration; the printed interval is
+    shaded.
+    """
     unit, width = _unit(found_log), found_log.width
     figure, panels = sheet([["t", "y", "duration"]], "The gap at each crossing", height=3.0)
     places = {"t": _time(found_log), "y": label("y", unit), "duration": "duration [s]"}

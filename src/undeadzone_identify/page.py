@@ -79,7 +79,7 @@ def identified_page(
     source: str,
     origin: html.Origin | None = None,
 ) -> str:
-    """The page of an answer.
+    """Return the page of an answer.
 
     Args:
         found_log: the answer.
@@ -126,7 +126,7 @@ def identified_page(
 
 
 def _crossings(found_log: Identified, shown: dict[str, html.Html]) -> list[html.Html]:
-    """Every crossing of a servo's gap; nothing without a servo."""
+    """Return every crossing of a servo's gap; nothing without a servo."""
     columns = crossing_columns(found_log.answer)
     if not columns:
         return []
@@ -141,7 +141,9 @@ def _crossings(found_log: Identified, shown: dict[str, html.Html]) -> list[html.
 
 
 def _fits(found_log: Identified, shown: dict[str, html.Html]) -> list[html.Html]:
-    """Stages and orders of the fit with a zone of the sensor; none beside another element."""
+    """Return stages and orders of the fit with a zone of the sensor; none beside another
+    element.
+    """
     if found_log.answer.element is not None:
         return []
     return [
@@ -151,7 +153,7 @@ def _fits(found_log: Identified, shown: dict[str, html.Html]) -> list[html.Html]
 
 
 def _rivals(found_log: Identified) -> list[html.Html]:
-    """Every model with its odds, and the residual map in numbers."""
+    """Return every model with its odds, and the residual map in numbers."""
     answer = found_log.answer
     residuals = answer.case.residuals
     words = (
@@ -169,7 +171,7 @@ def _rivals(found_log: Identified) -> list[html.Html]:
 
 
 def _stages(found_log: Identified) -> html.Html:
-    """Widths by stage of the fit."""
+    """Return widths by stage of the fit."""
     answer = found_log.answer
     if answer.case.jumps is not None:
         return html.paragraph(
@@ -214,7 +216,7 @@ def _orders(found_log: Identified) -> html.Html:
 
 
 def _standing(found_log: Identified, one: OrderFit) -> str:
-    """Whether an order was chosen, or could not be."""
+    """Return whether an order was chosen, or could not be."""
     if one.n == found_log.order:
         return "chosen"
     return "a pole does not settle within the log" if at_limit(one.pairs) else ""

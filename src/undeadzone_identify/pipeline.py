@@ -138,7 +138,7 @@ def _kept(
     keep: Path,
     resume: bool,
 ) -> Identified | IdentifiedOutputs:
-    """The answer; what was fitted is kept in a file. Raises InputError."""
+    """Return the answer; what was fitted is kept in a file. Raises InputError."""
     answers = Answers(keep, _problem(logs, options), "fits", resume)
     climbs = KeptClimbs(answers)
     with answers.hold_file():
@@ -153,7 +153,7 @@ def _kept(
 
 
 def _problem(logs: list[Log], options: Options) -> dict[str, Any]:
-    """Everything that a fit depends on."""
+    """Return everything that a fit depends on."""
     digests = [[digest(part) for part in (log.t, log.u, log.y)] for log in logs]
     return {"logs": digests, "options": msgspec.to_builtins(options)}
 
@@ -164,7 +164,7 @@ def _identified(
     advance: Callable[[int], None],
     climbs: KeptClimbs | None = None,
 ) -> Identified | IdentifiedOutputs:
-    """The answer of one output, or of each of several. Raises InputError."""
+    """Return the answer of one output, or of each of several. Raises InputError."""
     names = logs[0].outputs
     for log in logs:
         if len(log.outputs) != len(names):
@@ -176,7 +176,7 @@ def _identified(
 
 
 def _logs(log: Any, arrays: tuple[Any, ...], columns: str | None, strict: bool) -> list[Log]:
-    """The logs that a user gave as files, frames or arrays t, u, y, r. Raises InputError."""
+    """Return the logs that a user gave as files, frames or arrays t, u, y, r. Raises InputError."""
     given = [value is not None for value in arrays]
     if log is None:
         if not all(given[:3]):
@@ -241,7 +241,7 @@ def identify_output(grid: Grid, options: Options, advance: Callable[[int], None]
 def _of_servo(
     grid: Grid, options: Options, advance: Callable[[int], None], servo: ServoGap
 ) -> Identified:
-    """The answer of a servo behind a play, beside a fit of its order. Raises InputError."""
+    """Return the answer of a servo behind a play, beside a fit of its order. Raises InputError."""
     case = _fitted(grid, with_servo_options(options, servo), advance)
     case = case._replace(options=options)
     found = Found(decide("unclear"), case.fitted.delay, (), {}).judged(case, case.rivals)
@@ -249,7 +249,7 @@ def _of_servo(
 
 
 def _fitted(grid: Grid, options: Options, advance: Callable[[int], None]) -> Case:
-    """The log, fitted with a zone of the sensor and with static maps. Raises InputError."""
+    """Return the log, fitted with a zone of the sensor and with static maps. Raises InputError."""
     prepared, unreached = drop_unvisited_edges(prepare(grid, options))
     fitted = fit_with_delay(prepared, advance)
     chosen = _polished(orders.order_to_write(fitted.fits))
@@ -279,14 +279,14 @@ def _fitted(grid: Grid, options: Options, advance: Callable[[int], None]) -> Cas
 
 
 def _polished(chosen: orders.OrderFit) -> orders.OrderFit:
-    """The chosen order at the very top of both likelihoods."""
+    """Return the chosen order at the very top of both likelihoods."""
     pairs = polished(chosen.pairs)
     singles = pairs if chosen.pairs is chosen.singles else polished(chosen.singles)
     return chosen._replace(singles=singles, pairs=pairs)
 
 
 def _of_readings(prepared: Prepared, fit: Fit) -> Fit:
-    """The fit with the readings of a jump sensor as they are, not less its edges."""
+    """Return the fit with the readings of a jump sensor as they are, not less its edges."""
     if prepared.jumps is None:
         return fit
     data = fit.objective.data
@@ -296,7 +296,7 @@ def _of_readings(prepared: Prepared, fit: Fit) -> Fit:
 
 
 def _shows_edges(case: Case) -> bool:
-    """Whether the edges of a jump sensor can be read off, and were not."""
+    """Return whether the edges of a jump sensor can be read off, and were not."""
     asked = case.options.kind == "auto" and case.jumps is None
     return asked and case.data.silent_zeros and not case.options.integrators
 
@@ -305,23 +305,23 @@ def _shows_edges(case: Case) -> bool:
 
 
 def _without_jump(case: Case, found: Found) -> bool:
-    """Whether the log was not taken for that of a jump sensor."""
+    """Return whether the log was not taken for that of a jump sensor."""
     return case.jumps is None
 
 
 def _falls_silent(case: Case, found: Found) -> bool:
-    """Whether there is a zone of the sensor in which noise falls silent."""
+    """Return whether there is a zone of the sensor in which noise falls silent."""
     has_zone = found.verdict.word == ("jump" if case.jumps else "dead_zone")
     return has_zone and case.data.silent_zeros and case.chosen.pairs.objective.kind == "pairs"
 
 
 def _with_filter(case: Case, found: Found) -> Found:
-    """The third likelihood, and the disturbance that it makes out."""
+    """Return the third likelihood, and the disturbance that it makes out."""
     return found._replace(kalman=fit_kalman(case.chosen.pairs))
 
 
 def _has_a_place(case: Case, found: Found) -> bool:
-    """Whether the place of the zone is asked."""
+    """Return whether the place of the zone is asked."""
     known = case.options.place == "sensor" or case.jumps
     return not (known or case.unreached or case.options.integrators)
 
@@ -336,12 +336,12 @@ def _with_place(case: Case, found: Found) -> Found:
 
 
 def _is_a_play(case: Case, found: Found) -> bool:
-    """Whether a play, or a play and a dead zone, is named."""
+    """Return whether a play, or a play and a dead zone, is named."""
     return found.element is None and found.verdict.word in MEMORY and found.plays is not None
 
 
 def _may_lack_something(case: Case, found: Found) -> bool:
-    """Whether a linear plant and a zone may not be all."""
+    """Return whether a linear plant and a zone may not be all."""
     return found.verdict.word in ("dead_zone", "other", "unclear")
 
 
@@ -351,12 +351,14 @@ def _with_remainder(case: Case, found: Found) -> Found:
 
 
 def _is_at_input(case: Case, found: Found) -> bool:
-    """Whether there is a zone of the actuator."""
+    """Return whether there is a zone of the actuator."""
     return found.verdict.word in ("input_zone", "two_zones")
 
 
 def _with_actuator(case: Case, found: Found) -> Found:
-    """The widths of the actuator's zone, and of the sensor's if it has one, and the plant."""
+    """Return the widths of the actuator's zone, and of the sensor's if it has one, and the
+    plant.
+    """
     return found._replace(element=at_input(case, found))
 
 

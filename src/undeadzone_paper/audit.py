@@ -36,11 +36,11 @@ class Paper(NamedTuple):
 
     @property
     def counts(self) -> list[Count]:
-        """The variants counted by plant and start."""
+        """Return the variants counted by plant and start."""
         return count(self.variants)
 
     def summary(self) -> dict[str, Any]:
-        """All numbers, ready for JSON.
+        """Return all numbers, ready for JSON.
 
         `printed` is the literal example with r = 5 sin 2 pi t, `repaired` its repair.
         """
@@ -79,7 +79,7 @@ SHOWN: Final = ("rms_tracking", "rms_estimation", "d_right", "d_left", "integrat
 
 
 def _printed(run: Run) -> dict[str, Any]:
-    """The numbers of a run as printed."""
+    """Return the numbers of a run as printed."""
     steady = run.t >= run.t[-1] - LAST
     numbers = {
         "max_abs_z": float(np.abs(run.z[steady]).max()),
@@ -90,5 +90,5 @@ def _printed(run: Run) -> dict[str, Any]:
 
 
 def _repaired(run: Run) -> dict[str, Any]:
-    """The numbers of a repaired run."""
+    """Return the numbers of a repaired run."""
     return {**run.summary(), "rate": rate(run)}

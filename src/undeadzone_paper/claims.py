@@ -65,7 +65,7 @@ class Claim(NamedTuple):
 
     @property
     def worst(self) -> float | None:
-        """Its quantity as printed in the worst case; None where no equation has it."""
+        """Return its quantity as printed in the worst case; None where no equation has it."""
         return max(self.printed.values(), default=None)
 
     @property
@@ -79,7 +79,7 @@ class Claim(NamedTuple):
 
     @property
     def measured(self) -> str:
-        """The numbers in words."""
+        """Return the numbers in words."""
         cases = [f"{said(value)} {case}".strip() for case, value in self.printed.items()]
         first = ", ".join(cases) or "in no equation"
         limit = f"limit {self.text.limit:g}"
@@ -88,7 +88,9 @@ class Claim(NamedTuple):
         return f"{self.text.quantity}: as printed {first}; repaired {said(self.repaired)}; {limit}"
 
     def summary(self) -> dict[str, Any]:
-        """The claim ready for JSON; values that are not finite, or not there, become None."""
+        """Return the claim ready for JSON; values that are not finite, or not there, become
+        None.
+        """
         return {
             **self.text._asdict(),
             "printed": None if self.worst is None else finite(self.worst),
@@ -115,19 +117,19 @@ def counted(claims: Iterable[Claim]) -> str:
 
 
 def said(value: float) -> str:
-    """A value in words."""
+    """Return a value in words."""
     if not np.isfinite(value):
         return "diverges"
     return f"{value if abs(value) > TINY else 0.0:.3g}"
 
 
 def _within(value: float | None, limit: float) -> bool:
-    """Whether there is a value and it keeps to its limit."""
+    """Return whether there is a value and it keeps to its limit."""
     return value is not None and value <= limit
 
 
 def texts() -> list[Text]:
-    """Every claim as `claims.toml` has it; conditions of the runs are filled in."""
+    """Return every claim as `claims.toml` has it; conditions of the runs are filled in."""
     file = files("undeadzone_paper").joinpath("claims.toml").read_text(encoding="utf-8")
     found = []
     for key, entry in tomllib.loads(file).items():
@@ -138,7 +140,7 @@ def texts() -> list[Text]:
 
 
 def about(number: int, claims: Iterable[Text]) -> list[str]:
-    """The claims that judge an equation, by their ids.
+    """Return the claims that judge an equation, by their ids.
 
     Args:
         number: of the equation
@@ -148,7 +150,7 @@ def about(number: int, claims: Iterable[Text]) -> list[str]:
 
 
 def _equations(where: str) -> set[int]:
-    """The numbers of the equations that a place names."""
+    """Return the numbers of the equations that a place names."""
     named: set[int] = set()
     for first, last in re.findall(r"\((\d+)\)(?:-\((\d+)\))?", where):
         named.update(range(int(first), int(last or first) + 1))
@@ -156,12 +158,12 @@ def _equations(where: str) -> set[int]:
 
 
 def judge(evidence: Evidence) -> list[Claim]:
-    """Every claim with what was measured for it."""
+    """Return every claim with what was measured for it."""
     numbers = measure(evidence)
     return [_claim(text, numbers[text.id]) for text in texts()]
 
 
 def _claim(text: Text, measured: Measured) -> Claim:
-    """A claim with its numbers, and with those that its reason names."""
+    """Return a claim with its numbers, and with those that its reason names."""
     why = text.why.format(**CONDITIONS, **measured.named)
     return Claim(text._replace(why=why), measured.printed, measured.repaired)

@@ -68,7 +68,7 @@ def _print(claims: list[Claim], summary: dict[str, Any], written: list[Path]) ->
 
 
 def _table(claims: list[Claim]) -> Table:
-    """The table of claims."""
+    """Return the table of claims."""
     from rich import box
     from rich.table import Table
 
@@ -84,7 +84,7 @@ def _table(claims: list[Claim]) -> Table:
 
 
 def _shown(value: float | None) -> str:
-    """A number; empty where there is none."""
+    """Return a number; empty where there is none."""
     from undeadzone_paper.claims import said
 
     return "" if value is None else said(value)

@@ -295,7 +295,9 @@ _TABLE: Final[tuple[tuple[int, str, str | None, Status, str], ...]] = (
 
 
 def _equation(number: int, what: str, where: str | None, status: Status, reason: str) -> Equation:
-    """A row of the table with the whole name of its object, the tool's without its package."""
+    """Return a row of the table with the whole name of its object, the tool's without its
+    package.
+    """
     if where is not None and not where.startswith("undeadzone_"):
         where = f"undeadzone.{where}"
     return Equation(number, what, where, status, reason)

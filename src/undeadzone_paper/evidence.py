@@ -120,12 +120,12 @@ class Runner(NamedTuple):
     progress: Callable[[int], None] | None
 
     def run(self, scenario: Scenario, check_step: bool = False, **changes: Any) -> Run:
-        """A scenario with changes."""
+        """Return a scenario with changes."""
         changed = msgspec.structs.replace(scenario, **changes)
         return simulate(changed, check_step=check_step, progress=self.progress)
 
     def pair(self, *variations: dict[str, Any]) -> Pair:
-        """The example under the same conditions, as printed and repaired."""
+        """Return the example under the same conditions, as printed and repaired."""
         begun, nominal = printed(5.0, x1=STARTED), repaired(5.0)
         return Pair(
             tuple(self.run(begun, **variation) for variation in variations),
@@ -175,7 +175,7 @@ def gather(progress: Callable[[int], None] | None = None) -> Evidence:
 
 
 def _as_printed(runner: Runner) -> dict[str, tuple[Run, ...]]:
-    """The nominal runs as printed, by how they start."""
+    """Return the nominal runs as printed, by how they start."""
     resting = [runner.run(printed(amplitude), check_step=True) for amplitude in AMPLITUDES]
     outside = [runner.run(printed(amplitude, x1=STARTED)) for amplitude in AMPLITUDES]
     signed = [runner.run(printed(5.0, x1=STARTED, signed_left=True))]
@@ -184,7 +184,7 @@ def _as_printed(runner: Runner) -> dict[str, tuple[Run, ...]]:
 
 
 def _observer(scenario: Scenario, **changes: Any) -> Any:
-    """A scenario's observer with changes."""
+    """Return a scenario's observer with changes."""
     return msgspec.structs.replace(cast(Any, scenario.observer), **changes)
 
 
@@ -198,7 +198,7 @@ def _unaware(runner: Runner) -> dict[str, Run]:
 
 
 def _far(runner: Runner) -> Pair:
-    """Both from starts all around, near and far."""
+    """Return both from starts all around, near and far."""
     starts = []
     for radius, angle in product(RADII, DIRECTIONS):
         place = radius * np.exp(1j * np.pi * angle)
@@ -208,7 +208,7 @@ def _far(runner: Runner) -> Pair:
 
 
 def _held(runner: Runner) -> tuple[Run, Run]:
-    """Repaired with wrong widths that are not adapted, without a tanh term and with one."""
+    """Return repaired with wrong widths that are not adapted, without a tanh term and with one."""
     nominal = repaired(5.0)
     held = _observer(nominal, gamma=1e-9, widths0=[HELD, HELD])
     robust = StateFeedback(alpha=ALPHA, robust=Robust(gain=5.0, width=0.05))
@@ -219,12 +219,14 @@ def _held(runner: Runner) -> tuple[Run, Run]:
 
 
 def _filter(disturbance: float | None) -> Kalman:
-    """The Kalman filter with ranges for the widths, and what is claimed of the disturbance."""
+    """Return the Kalman filter with ranges for the widths, and what is claimed of the
+    disturbance.
+    """
     return Kalman(right=[0.1, 3.0], left=[0.1, 3.0], disturbance=disturbance)
 
 
 def _identified(run: Run) -> tuple[float, float]:
-    """(d_r, d_l) that `identify` finds in u and y of a run."""
+    """Return (d_r, d_l) that `identify` finds in u and y of a run."""
     found = identify(t=run.info.step, u=run.u, y=run.y, order=2, place="sensor")
     if isinstance(found, IdentifiedOutputs) or found.right is None or found.left is None:
         raise AssertionError("the log of one output has an answer")

@@ -48,12 +48,13 @@ READINGS: Final = {
 
 
 def reference(amplitude: float) -> Sine:
-    """amplitude * sin 2 pi t."""
+    """Return amplitude * sin 2 pi t."""
     return Sine(amplitude=amplitude, frequency=1.0)
 
 
 def printed(amplitude: float, x1: float = 0.0, signed_left: bool = False) -> Scenario:
-    """The example as printed: (16), (41) without B u, (25), (42), plant (39), d^(0) = d (A2).
+    """Return the example as printed: (16), (41) without B u, (25), (42), plant (39), d^(0) = d
+    (A2).
 
     Args:
         amplitude: of r = amplitude sin 2 pi t
@@ -73,7 +74,7 @@ def printed(amplitude: float, x1: float = 0.0, signed_left: bool = False) -> Sce
 
 
 def repaired(amplitude: float) -> Scenario:
-    """The example repaired, r = amplitude sin 2 pi t.
+    """Return the example repaired, r = amplitude sin 2 pi t.
 
     The observer knows u and the measured side, and feedforward makes z follow r.
     """

@@ -47,12 +47,12 @@ class Fact(NamedTuple):
 
     @property
     def error(self) -> float:
-        """Measured against closed form, relative where that is above 1."""
+        """Return measured against closed form, relative where that is above 1."""
         return abs(self.measured - self.closed_form) / max(1.0, abs(self.closed_form))
 
 
 def facts() -> list[Fact]:
-    """All of them.
+    """Return all of them.
 
     Poles and gains of (40), gains of (34) with A - L C, the certificate of (12, 15), the answer to
     r as a force.
@@ -69,7 +69,9 @@ def facts() -> list[Fact]:
 
 
 def _poles(name: str, linear: Matrices) -> list[Fact]:
-    """The rightmost and leftmost pole of A - L C with (40), and the gains that (-4, -10) need."""
+    """Return the rightmost and leftmost pole of A - L C with (40), and the gains that (-4, -10)
+    need.
+    """
     a0, a1 = -linear.A[1]  # of the plant's polynomial s^2 + a1 s + a0
     l1, l2 = L_PRINTED
     roots = _quadratic(a1 + l1, a0 + a1 * l1 + l2)
@@ -86,13 +88,14 @@ def _poles(name: str, linear: Matrices) -> list[Fact]:
 
 
 def _quadratic(b: float, c: float) -> tuple[float, float]:
-    """The real parts of the roots of s^2 + b s + c, the larger first."""
+    """Return the real parts of the roots of s^2 + b s + c, the larger first."""
     root = np.sqrt(complex(b * b / 4 - c)).real
     return -b / 2 + root, -b / 2 - root
 
 
 def _riccati(linear: Matrices) -> list[Fact]:
-    """K of (34) with A - L C at (-4, -10) and alpha = 10; the alpha from which it destabilises.
+    """Return K of (34) with A - L C at (-4, -10) and alpha = 10; the alpha from which it
+    destabilises.
 
     In closed form by spectral factorisation: for A - L C = [[-l1, 1], [-1 - l2, -2]], Q = I, the
     Riccati loop's polynomial s^2 + f s + g has g^2 = q^2 + 2 alpha (1 + l1^2),
@@ -115,7 +118,7 @@ def _riccati(linear: Matrices) -> list[Fact]:
 
 
 def _control_gain(alpha: float) -> tuple[float, float]:
-    """(k1, k2) of (34) with A - L C at (-4, -10), Q = I, in closed form."""
+    """Return (k1, k2) of (34) with A - L C at (-4, -10), Q = I, in closed form."""
     l1, p, q = L_POLES[0], -sum(POLES), POLES[0] * POLES[1]
     g = np.sqrt(q**2 + 2 * alpha * (1 + l1**2))
     f = np.sqrt(p**2 - 2 * q + 2 * alpha + 2 * g)
@@ -124,7 +127,8 @@ def _control_gain(alpha: float) -> tuple[float, float]:
 
 
 def _certificate(linear: Matrices) -> list[Fact]:
-    """min Re(1 + G(jw)) for L = (12, 15), and whether the certificate's search agrees on its sign.
+    """Return min Re(1 + G(jw)) for L = (12, 15), and whether the certificate's search agrees on its
+    sign.
 
     G = C (sI - A)^-1 L = (b s + a) / (s + 1)^2 with a = 2 l1 + l2, b = l1; v = w^2.
     """
@@ -147,7 +151,7 @@ def _certificate(linear: Matrices) -> list[Fact]:
 
 
 def forced(amplitude: float) -> tuple[Floats, dict[str, Floats]]:
-    """The answer from rest to r as a force: u = amplitude sin 2 pi t, k_p = k_d = 0.
+    """Return the answer from rest to r as a force: u = amplitude sin 2 pi t, k_p = k_d = 0.
 
     Returns:
         Instants t [s], and z at them by reading of the plant.
@@ -165,7 +169,7 @@ def forced(amplitude: float) -> tuple[Floats, dict[str, Floats]]:
 
 
 def _responses(amplitude: float) -> list[Fact]:
-    """Steady amplitude (and peak from rest where both poles are equal) with u = r."""
+    """Return steady amplitude (and peak from rest where both poles are equal) with u = r."""
     rows = []
     t, outputs = forced(amplitude)
     for name, z in outputs.items():
@@ -183,7 +187,7 @@ def _responses(amplitude: float) -> list[Fact]:
 
 
 def _from_rest(force: float, w: float, t: Floats) -> Floats:
-    """x of x'' + 2 w x' + w^2 x = force sin OMEGA t from rest, exactly."""
+    """Return x of x'' + 2 w x' + w^2 x = force sin OMEGA t from rest, exactly."""
     G = force / (w + 1j * OMEGA) ** 2
     # x = Im(G e^{j OMEGA t}) + (c + e t) e^{-w t} with x(0) = x'(0) = 0
     c = -G.imag

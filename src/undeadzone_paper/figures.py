@@ -68,7 +68,7 @@ _LINES: Final = {
 
 
 def figure(number: int, runs: Trio, reference: str) -> Figure:
-    """One of figures 3-8, V(t) below it.
+    """Return one of figures 3-8, V(t) below it.
 
     Args:
         number: of the figure
@@ -97,13 +97,13 @@ def figure(number: int, runs: Trio, reference: str) -> Figure:
 
 
 def mathtext(words: str) -> str:
-    """Words with x1 and y as symbols, and x^1 and y^ with their hats on."""
+    """Return words with x1 and y as symbols, and x^1 and y^ with their hats on."""
     plain = re.sub(r"\b([xy])(\d?)\b(?!\^)", r"$\1_{\2}$", words)
     return re.sub(r"([a-z])\^(\d?)", r"$\\hat{\1}_{\2}$", plain)
 
 
 def _V(run: Run) -> Floats:
-    """V of a run; nan where it has none."""
+    """Return V of a run; nan where it has none."""
     return np.full(run.t.size, np.nan) if run.V is None else run.V
 
 

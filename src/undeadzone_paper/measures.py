@@ -14,17 +14,17 @@ from undeadzone_paper.example import ALPHA, L_PRINTED, printed
 
 
 def predicted_reading(run: Run) -> Floats:
-    """y^ = C x^ - Sat(C x^) of (17), with the estimated widths (N)."""
+    """Return y^ = C x^ - Sat(C x^) of (17), with the estimated widths (N)."""
     return np.asarray(deadzone(run.z_hat[:, 0], run.d_hat[:, 0], run.d_hat[:, 1]))
 
 
 def width_errors(run: Run) -> Floats:
-    """d^ - d (N x 2)."""
+    """Return d^ - d (N x 2)."""
     return run.d_hat - np.array(run.info.widths)
 
 
 def with_printed_V(run: Run) -> Run:
-    """The run with V of (30) for sigma = 1.
+    """Return the run with V of (30) for sigma = 1.
 
     The scalar C P C' stands for the n x n matrix P beside the scalar y~.
     """
@@ -36,29 +36,29 @@ def with_printed_V(run: Run) -> Run:
 
 
 def rms(values: Floats) -> float:
-    """Root mean square; infinite where the values diverge."""
+    """Return root mean square; infinite where the values diverge."""
     with np.errstate(over="ignore", invalid="ignore"):
         size = float(np.sqrt(np.mean(np.square(values))))
     return size if size < LIMIT else np.inf
 
 
 def reading_error(run: Run) -> float:
-    """rms of y^ - y over the last 2 s."""
+    """Return rms of y^ - y over the last 2 s."""
     return rms((predicted_reading(run) - run.y[:, 0])[run.last])
 
 
 def state_error(run: Run, index: int) -> float:
-    """rms of x^ - x of one state over the last 2 s."""
+    """Return rms of x^ - x of one state over the last 2 s."""
     return rms((run.x_hat - run.x)[run.last, index])
 
 
 def width_error(run: Run) -> float:
-    """Largest |d^ - d| over the last 2 s."""
+    """Return largest |d^ - d| over the last 2 s."""
     return _largest(width_errors(run)[run.last])
 
 
 def growth_of_widths(run: Run) -> float:
-    """Largest |d^| in the second half of the run relative to that in the first.
+    """Return largest |d^| in the second half of the run relative to that in the first.
 
     Infinite if the run diverges.
     """
@@ -69,28 +69,30 @@ def growth_of_widths(run: Run) -> float:
 
 
 def difference(run: Run, other: Run) -> float:
-    """Largest difference of d^ between two runs."""
+    """Return largest difference of d^ between two runs."""
     return _largest(run.d_hat - other.d_hat)
 
 
 def tracking_error(run: Run) -> float:
-    """rms of z - r over the last 2 s."""
+    """Return rms of z - r over the last 2 s."""
     return rms((run.z - run.r)[run.last])
 
 
 def inverse_error(run: Run) -> float:
-    """rms of y + chi_bar d^ - z over the last 2 s of samples outside the zone; 0 without any."""
+    """Return rms of y + chi_bar d^ - z over the last 2 s of samples outside the zone; 0 without
+    any.
+    """
     outside = np.flatnonzero(run.side[:, 0])[-round(LAST / run.info.step) :]
     return rms((run.z_inverse - run.z)[outside]) if outside.size else 0.0
 
 
 def total_inverse_error(run: Run) -> float:
-    """rms of y + chi_bar d^ - z over the last 2 s, inside the zone and outside."""
+    """Return rms of y + chi_bar d^ - z over the last 2 s, inside the zone and outside."""
     return rms((run.z_inverse - run.z)[run.last])
 
 
 def indicator_error(run: Run, sharpness: float) -> float:
-    """Largest difference of the smooth indicators (8)-(10) of y from the true branch of z.
+    """Return largest difference of the smooth indicators (8)-(10) of y from the true branch of z.
 
     Args:
         run: of one output
@@ -102,12 +104,12 @@ def indicator_error(run: Run, sharpness: float) -> float:
 
 
 def side_error(run: Run) -> float:
-    """Largest difference of the measured side from the true branch of z."""
+    """Return largest difference of the measured side from the true branch of z."""
     return _largest(run.side - zone(run.z, *np.array(run.info.widths)))
 
 
 def steep_share(run: Run, slope: float = 0.1) -> float:
-    """Share of the last 5 s in which x^_1 - x_1 changes faster than `slope` [1/s].
+    """Return share of the last 5 s in which x^_1 - x_1 changes faster than `slope` [1/s].
 
     Infinite if the run diverges.
     """
@@ -118,7 +120,7 @@ def steep_share(run: Run, slope: float = 0.1) -> float:
 
 
 def rise(run: Run) -> float:
-    """Largest increase of V above an earlier value, relative to its largest.
+    """Return largest increase of V above an earlier value, relative to its largest.
 
     Infinite if the run diverges.
     """
@@ -128,7 +130,7 @@ def rise(run: Run) -> float:
 
 
 def rate(run: Run) -> float:
-    """Rate [1/s] at which |d^ - d| falls.
+    """Return rate [1/s] at which |d^ - d| falls.
 
     From its largest values in the last second and in one at half time.
     """
@@ -140,6 +142,6 @@ def rate(run: Run) -> float:
 
 
 def _largest(values: Floats) -> float:
-    """The largest size; infinite where the values diverge."""
+    """Return the largest size; infinite where the values diverge."""
     size = float(np.abs(values).max())
     return size if size < LIMIT else np.inf

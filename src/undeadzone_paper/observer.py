@@ -54,7 +54,7 @@ class Printed(Options, frozen=True, kw_only=True, tag="printed"):
     left_sign: float = -1.0
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The observer for a continuous-time linear model of one output."""
+        """Return the observer for a continuous-time linear model of one output."""
         if model.Ts is not None or model.nonlinear or model.p != 1:
             raise InputError(
                 "observer.method: 'printed' is defined for a linear plant of one output in "
@@ -78,7 +78,7 @@ class Printed(Options, frozen=True, kw_only=True, tag="printed"):
         return Observer(params, init, step, traits=Traits(L=params.L))
 
     def _params(self, model: System) -> Params:
-        """The observer's numbers. Raises InputError, ShapeError, StructureError."""
+        """Return the observer's numbers. Raises InputError, ShapeError, StructureError."""
         A, B, C = model.linear
         L = gains(self.L, model)
         alpha = scalar("observer.alpha", self.alpha, above=0.0)

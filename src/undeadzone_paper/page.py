@@ -115,7 +115,7 @@ _WORDS: Final = {
 
 
 def _outcome(paper: Paper) -> Html:
-    """The numbers of the example as printed beside those of its repairs."""
+    """Return the numbers of the example as printed beside those of its repairs."""
     summary = paper.summary()
     printed = summary["printed"]
     absent = [None] * len(_REPAIRED)
@@ -190,7 +190,7 @@ def _as_printed(paper: Paper) -> list[Html]:
 
 
 def _figures(images: list[Path]) -> list[Html]:
-    """Figures 3-8 of the first reference, and folded those of the second."""
+    """Return figures 3-8 of the first reference, and folded those of the second."""
     half = len(images) // 2
     captions = [
         f"Figure {number}: {words}, as printed (left) and repaired (right); V(t) below."
@@ -203,13 +203,13 @@ def _figures(images: list[Path]) -> list[Html]:
 
 
 def _facts(paper: Paper) -> Html:
-    """Numbers as measured beside their closed forms."""
+    """Return numbers as measured beside their closed forms."""
     head = ("where", "what", "measured", "closed form", "difference")
     return table(head, [(*fact, fact.error) for fact in paper.facts])
 
 
 def _equations(paper: Paper) -> Html:
-    """Every equation of the paper, where it went, and the claims that judge it."""
+    """Return every equation of the paper, where it went, and the claims that judge it."""
     rows = []
     for entry in paper.summary()["equations"]:
         *cells, claims = entry.values()

@@ -124,14 +124,16 @@ def run_variants(progress: Callable[[int], None] | None = None) -> list[Outcome]
 
 
 def gain(name: str, model: System) -> Floats:
-    """L by name: (40), its negative, or the one that places the poles of (40) for this plant."""
+    """Return L by name: (40), its negative, or the one that places the poles of (40) for this
+    plant.
+    """
     if name == "placed":
         return observer_gain(model.linear, POLES, None)
     return np.array(L_PRINTED) * {"printed": 1.0, "negated": -1.0}[name]
 
 
 def count(outcomes: Iterable[Outcome]) -> list[Count]:
-    """The outcomes counted per plant and start, in the order they came."""
+    """Return the outcomes counted per plant and start, in the order they came."""
     groups: dict[tuple[str, str], list[Outcome]] = {}
     for outcome in outcomes:
         key = outcome.variant.plant, outcome.variant.start
@@ -140,7 +142,7 @@ def count(outcomes: Iterable[Outcome]) -> list[Count]:
 
 
 def _count(plant: str, start: str, outcomes: list[Outcome]) -> Count:
-    """The outcomes of one plant and start counted."""
+    """Return the outcomes of one plant and start counted."""
     return Count(
         plant,
         start,
@@ -152,7 +154,7 @@ def _count(plant: str, start: str, outcomes: list[Outcome]) -> Count:
 
 
 def _with_gains(loop: Loop, problem: Problem, plant: str, name: str) -> Loop:
-    """The loop with a reading of the plant and the gains L of that name."""
+    """Return the loop with a reading of the plant and the gains L of that name."""
     model = system(READINGS[plant].plant)
     L = gain(name, model)
     observer = Printed(L=L, alpha=ALPHA).build(model, problem.sensor)
@@ -164,7 +166,7 @@ def _with_gains(loop: Loop, problem: Problem, plant: str, name: str) -> Loop:
 
 
 def _with_signs(loop: Loop, variant: Variant) -> tuple[Loop, Floats]:
-    """The loop with a variant's signs, and its packed initial state."""
+    """Return the loop with a variant's signs, and its packed initial state."""
     x1, width = STARTS[variant.start]
     observer, law = loop.params.observer, loop.params.controller
     observer = observer._replace(
@@ -183,7 +185,7 @@ def _with_signs(loop: Loop, variant: Variant) -> tuple[Loop, Floats]:
 
 
 def _judge(variant: Variant, signal: Outputs) -> Outcome:
-    """The outcome, from the signals up to where one of them leaves +-LIMIT."""
+    """Return the outcome, from the signals up to where one of them leaves +-LIMIT."""
     largest = np.abs(np.hstack([*signal[:-1], *signal.estimate])).max(axis=1)
     bad = np.flatnonzero(~(largest < LIMIT))
     end = int(bad[0]) if bad.size else largest.size

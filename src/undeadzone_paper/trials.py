@@ -66,27 +66,27 @@ def measure(evidence: Evidence) -> Numbers:
 
 
 def _worst(measure: Measure, runs: Iterable[Run]) -> float:
-    """The largest value of a quantity among runs."""
+    """Return the largest value of a quantity among runs."""
     return max(measure(run) for run in runs)
 
 
 def _cases(measure: Measure, evidence: Evidence) -> dict[str, float]:
-    """The largest value of a quantity for each way to start the example as printed."""
+    """Return the largest value of a quantity for each way to start the example as printed."""
     return {case: _worst(measure, runs) for case, runs in evidence.printed.items()}
 
 
 def _pair(measure: Measure, pair: Pair) -> Measured:
-    """A quantity on runs under the same conditions."""
+    """Return a quantity on runs under the same conditions."""
     return Measured(_one(_worst(measure, pair.printed)), _worst(measure, pair.repaired))
 
 
 def _one(value: float) -> dict[str, float]:
-    """A value of the example as printed that has one case only."""
+    """Return a value of the example as printed that has one case only."""
     return {"": value}
 
 
 def _sensor(e: Evidence) -> Numbers:
-    """Claims on the dead zone itself."""
+    """Return claims on the dead zone itself."""
     z = np.linspace(-5.0, 5.0, 1001)
     z = z[np.abs(z) > D]
     y, side = deadzone(z, D, D), zone(z, D, D)
@@ -113,7 +113,9 @@ def _sensor(e: Evidence) -> Numbers:
 
 
 def _slope(e: Evidence) -> Numbers:
-    """The claim on m: what a reading that is divided by it differs by, and what comes of it."""
+    """Return the claim on m: what a reading that is divided by it differs by, and what comes of
+    it.
+    """
     z = np.linspace(-5.0, 5.0, 1001)
     divided = deadzone(z, D, D, SLOPE) / SLOPE
     of_reading = _largest(divided - deadzone(z, D, D))
@@ -121,27 +123,27 @@ def _slope(e: Evidence) -> Numbers:
 
 
 def _apart_from_output(run: Run) -> float:
-    """The largest difference of y from the dead zone of the plant's output."""
+    """Return the largest difference of y from the dead zone of the plant's output."""
     return _largest(run.y - deadzone(run.z, D, D))
 
 
 def _apart_from_input(run: Run) -> float:
-    """The largest difference of y from the dead zone of the plant's input."""
+    """Return the largest difference of y from the dead zone of the plant's input."""
     return _largest(run.y - deadzone(run.u, D, D))
 
 
 def _largest(values: Floats) -> float:
-    """The largest size among values."""
+    """Return the largest size among values."""
     return float(np.abs(values).max())
 
 
 def _smooth_indicator_error(run: Run) -> float:
-    """The largest error of the smooth indicators as printed."""
+    """Return the largest error of the smooth indicators as printed."""
     return m.indicator_error(run, SHARPNESS)
 
 
 def _gains(linear: Matrices) -> Numbers:
-    """Claims on the gains (40) and (42)."""
+    """Return claims on the gains (40) and (42)."""
     placed = observer_gain(linear, POLES, None).ravel()
     poles = np.sort(np.linalg.eigvals(_closed(linear, L_PRINTED)).real)
     where = {"leftmost": float(poles[0]), "rightmost": float(poles[-1])}
@@ -160,30 +162,32 @@ def _gains(linear: Matrices) -> Numbers:
 
 
 def _closed(linear: Matrices, L: Iterable[float]) -> Floats:
-    """A - L C of a plant of order 2."""
+    """Return A - L C of a plant of order 2."""
     return linear.A - np.reshape(np.asarray(L), (2, 1)) @ linear.C
 
 
 def pole_error(linear: Matrices, L: Iterable[float]) -> float:
-    """The largest distance [1/s] of a pole of A - L C from where the paper wants it."""
+    """Return the largest distance [1/s] of a pole of A - L C from where the paper wants it."""
     poles = np.sort(np.linalg.eigvals(_closed(linear, L)))
     return float(np.abs(poles - np.sort(POLES)).max())
 
 
 def rightmost(linear: Matrices, drift: Floats, alpha: float) -> float:
-    """The rightmost pole [1/s] of A - B K, K by the Riccati equation (34) with `drift` for A."""
+    """Return the rightmost pole [1/s] of A - B K, K by the Riccati equation (34) with `drift` for
+    A.
+    """
     K = paper_riccati(drift, linear.B, alpha, np.eye(2)).K
     return float(np.linalg.eigvals(linear.A - linear.B @ K).real.max())
 
 
 def _rightmost_of_all(linear: Matrices, drift: Floats) -> float:
-    """The same in the worst of all alpha that are tried."""
+    """Return the same in the worst of all alpha that are tried."""
     alphas = np.geomspace(CONDITIONS["least_alpha"], CONDITIONS["most_alpha"], 51)
     return max(rightmost(linear, drift, float(alpha)) for alpha in alphas)
 
 
 def unstable_from(linear: Matrices, drift: Floats) -> float:
-    """The least alpha, between its bounds, from which A - B K with K of (34) is unstable."""
+    """Return the least alpha, between its bounds, from which A - B K with K of (34) is unstable."""
 
     def excess(exponent: float) -> float:
         return rightmost(linear, drift, 10.0**exponent)
@@ -193,7 +197,7 @@ def unstable_from(linear: Matrices, drift: Floats) -> float:
 
 
 def _observer(e: Evidence) -> Numbers:
-    """Claims on what the observer and its loop do."""
+    """Return claims on what the observer and its loop do."""
     blind = m.state_error(e.blind, 0)
 
     def relative_to_blind(run: Run) -> float:
@@ -223,7 +227,7 @@ def _observer(e: Evidence) -> Numbers:
 
 
 def _of_widths(e: Evidence) -> Numbers:
-    """Claims on widths that are known, and on widths that are not."""
+    """Return claims on widths that are known, and on widths that are not."""
     implied = {
         case: _worst(m.width_error, runs)
         for case, runs in e.printed.items()
@@ -241,17 +245,17 @@ def _of_widths(e: Evidence) -> Numbers:
 
 
 def _error_of_x1(run: Run) -> float:
-    """rms of x^1 - x1 over the last 2 s."""
+    """Return rms of x^1 - x1 over the last 2 s."""
     return m.state_error(run, 0)
 
 
 def _error_of_x2(run: Run) -> float:
-    """rms of x^2 - x2 over the last 2 s."""
+    """Return rms of x^2 - x2 over the last 2 s."""
     return m.state_error(run, 1)
 
 
 def _robust(e: Evidence) -> Numbers:
-    """Claims on bounded signals and on robustness."""
+    """Return claims on bounded signals and on robustness."""
     off_nominal = (*e.noisy.repaired, *e.mismatched.repaired, *e.disturbed.repaired)
     bounded = _worst(_diverges, (*e.repaired, e.sampled, *off_nominal))
     diverging = _cases(_diverges, e)
@@ -266,7 +270,7 @@ def _robust(e: Evidence) -> Numbers:
 
 
 def _diverges(run: Run) -> float:
-    """1 where a run diverges, else 0."""
+    """Return 1 where a run diverges, else 0."""
     return float(run.diverged_at is not None)
 
 
@@ -287,7 +291,7 @@ def _remedies(e: Evidence) -> Numbers:
 
 
 def _paper(e: Evidence) -> Numbers:
-    """Claims on cost and on what the paper says it compared."""
+    """Return claims on cost and on what the paper says it compared."""
     return {
         "practical": Measured(_one(operations(printed(5.0))), operations(repaired(5.0))),
         "too-slow": Measured(_one(m.rate(e.slow)), m.rate(e.repaired[0])),
@@ -315,7 +319,7 @@ SIMPLE: Final = 1000.0  # operations that a practical step may take
 
 
 def _others() -> Numbers:
-    """Claims on what others do: how much a step of theirs takes, and whether it chatters."""
+    """Return claims on what others do: how much a step of theirs takes, and whether it chatters."""
     example = repaired(5.0)
     steps = {}
     for name, table in OTHERS.items():
@@ -326,12 +330,12 @@ def _others() -> Numbers:
 
 
 def _smooth_sign(s: float) -> float:
-    """The sign by (8)."""
+    """Return the sign by (8)."""
     return float(np.tanh(SHARPNESS * s))
 
 
 def calm_share(switch: Callable[[float], float], gain: float = 5.0, step: float = 1e-3) -> float:
-    """Share of the steps in which u of a sliding mode does not jump by half of its gain.
+    """Return share of the steps in which u of a sliding mode does not jump by half of its gain.
 
     The plant (39) is held at 0 from x = (1, 0): s = 2 x1 + x2, u = x1 - gain switch(s), the state
     is measured, u is held for a step, and the last 2 s of 5 s count.
@@ -351,7 +355,7 @@ def calm_share(switch: Callable[[float], float], gain: float = 5.0, step: float 
 
 
 def operations(scenario: Scenario) -> float:
-    """Arithmetic operations of one step of a scenario's observer alone."""
+    """Return arithmetic operations of one step of a scenario's observer alone."""
     model = system(scenario.plant)
     sensor = resolve(scenario.sensor, model.p, scenario.simulation.step)
     observer = graph_of(scenario.observer.build(model, sensor))

@@ -60,7 +60,7 @@ class Schedule(NamedTuple):
         return float(self.spans.sum()) * (1.0 if self.Ts is None else self.Ts)
 
     def visited(self, samples: int = 0) -> np.ndarray:
-        """Whether the [right, left] side of each output is visited (p x 2).
+        """Return whether the [right, left] side of each output is visited (p x 2).
 
         Args:
             samples: a side counts if it lasts, in all, for more than this many (if sampled).
@@ -74,7 +74,7 @@ class Schedule(NamedTuple):
 def planned(
     model: System, reference: Exosystem, tracked: list[int], sensor: Zone, horizon: float
 ) -> Schedule:
-    """The schedule of a reference that is followed exactly, over its period if it has one.
+    """Return the schedule of a reference that is followed exactly, over its period if it has one.
 
     In continuous time the sides change at roots of the exact signal; sampled, the sides are those
     at the samples. Spans end at corners of the reference too.
@@ -112,7 +112,7 @@ def planned(
 def _planned_samples(
     rows: Floats, reference: Exosystem, sensor: Zone, Ts: float, horizon: float
 ) -> Schedule:
-    """`planned` at samples of Ts [s]; rows (p x k): z = rows w."""
+    """Return `planned` at samples of Ts [s]; rows (p x k): z = rows w."""
     samples, periodic = _samples(reference.period, Ts, horizon)
     z = reference.state(np.arange(samples) * Ts) @ rows.T
     corners = reference.corners
@@ -124,7 +124,7 @@ def _planned_samples(
 
 
 def _changes(reference: Exosystem, rows: Floats, every: list[Floats], ends: Floats) -> Floats:
-    """The times [s] at which a side changes or the reference has a corner, none twice.
+    """Return the times [s] at which a side changes or the reference has a corner, none twice.
 
     Args:
         reference: of the tracked outputs.
@@ -145,7 +145,7 @@ def _changes(reference: Exosystem, rows: Floats, every: list[Floats], ends: Floa
 def recorded(
     z: Floats, sensor: Zone, step: float, Ts: float | None, arrived: np.ndarray | None = None
 ) -> Schedule:
-    """The schedule of a record of outputs.
+    """Return the schedule of a record of outputs.
 
     In continuous time a side is taken to change half way between two samples. A reading that did
     not arrive tells no side: it counts as silence, as one at a limit of the range does.
@@ -165,7 +165,7 @@ def recorded(
 
 
 def arriving(schedule: Schedule, dropout: Floats, step: float, duration: float, n: int) -> Schedule:
-    """The schedule without the sides from which too few readings can be expected to arrive.
+    """Return the schedule without the sides from which too few readings can be expected to arrive.
 
     Args:
         schedule: of the sides.
@@ -187,14 +187,14 @@ def arriving(schedule: Schedule, dropout: Floats, step: float, duration: float, 
 
 
 def merged(schedule: Schedule) -> Schedule:
-    """The same schedule with neighbours of equal sides put together."""
+    """Return the same schedule with neighbours of equal sides put together."""
     first = np.concatenate([[True], (np.diff(schedule.sides, axis=0) != 0).any(axis=1)])
     spans = np.add.reduceat(schedule.spans, np.flatnonzero(first))
     return schedule._replace(sides=schedule.sides[first], spans=spans, contacts=None)
 
 
 def output_map(model: System, reference: Exosystem, tracked: list[int]) -> Floats:
-    """(p x k) such that z = output_map w while the reference is followed.
+    """Return (p x k) such that z = output_map w while the reference is followed.
 
     Raises:
         TrackingError: where the reference cannot be followed.
@@ -212,7 +212,7 @@ def output_map(model: System, reference: Exosystem, tracked: list[int]) -> Float
 
 
 def roots(reference: Exosystem, row: Floats, level: float, ends: Floats) -> Floats:
-    """Every time [s] between ends[0] and ends[-1] at which row w meets the level.
+    """Return every time [s] between ends[0] and ends[-1] at which row w meets the level.
 
     Intervals are halved until the exact signal and a bound on its second derivative show that one
     holds no root, or that the signal is monotone on it; then bisection. Only a visit beyond the
@@ -244,7 +244,9 @@ def roots(reference: Exosystem, row: Floats, level: float, ends: Floats) -> Floa
 
 
 def _pieces(S: Floats, ends: Floats) -> tuple[Floats, Floats]:
-    """(middles, half widths) [s] of the first intervals, short against the fastest mode of S."""
+    """Return (middles, half widths) [s] of the first intervals, short against the fastest mode of
+    S.
+    """
     fastest = float(np.abs(np.linalg.eigvals(S)).max(initial=0.0))
     pieces = np.maximum(1, np.ceil(np.diff(ends) * fastest)).astype(int)
     half = np.repeat(np.diff(ends) / pieces / 2, pieces)
@@ -255,7 +257,7 @@ def _pieces(S: Floats, ends: Floats) -> tuple[Floats, Floats]:
 
 
 def extremes(reference: Exosystem, rows: Floats, ends: Floats) -> tuple[Floats, Floats]:
-    """(least, greatest) value of every row w between ends[0] and ends[-1]."""
+    """Return (least, greatest) value of every row w between ends[0] and ends[-1]."""
     low, high = [], []
     for row in rows:
         t = np.concatenate([ends, roots(reference, row @ reference.S, 0.0, ends)])
@@ -268,7 +270,7 @@ def extremes(reference: Exosystem, rows: Floats, ends: Floats) -> tuple[Floats, 
 def _bisect(
     reference: Exosystem, row: Floats, level: float, middle: Floats, half: Floats
 ) -> Floats:
-    """The roots on intervals where the signal is monotone; none where it does not cross."""
+    """Return the roots on intervals where the signal is monotone; none where it does not cross."""
     a, b = middle - half, middle + half
 
     def above(t: Floats) -> Any:
@@ -285,14 +287,15 @@ def _bisect(
 
 
 def _reach(S: Floats, half: float) -> Floats:
-    """A bound, entry by entry, on e^{S t} for |t| <= half: e^{|S| half}."""
+    """Return a bound, entry by entry, on e^{S t} for |t| <= half: e^{|S| half}."""
     from scipy.linalg import expm
 
     return np.asarray(expm(S * half))
 
 
 def _samples(period: float | None, Ts: float, horizon: float) -> tuple[int, bool]:
-    """(how many samples make a period, True); (those of the horizon, False) if there is none.
+    """Return (how many samples make a period, True); (those of the horizon, False) if there is
+    none.
 
     Several periods count as one if it takes these.
     """
@@ -312,7 +315,7 @@ def _from_samples(
     periodic: bool,
     corners: Floats,
 ) -> Schedule:
-    """The schedule of what is read (N x p) at samples, `step` [s] apart.
+    """Return the schedule of what is read (N x p) at samples, `step` [s] apart.
 
     Sampled, a span starts at the first sample from each corner on, too.
     """
@@ -353,7 +356,8 @@ class Read(NamedTuple):
     contact: Floats | None = None
 
     def share(self, weight: Floats) -> Floats:
-        """The share of the readings beyond an edge that are exact (p); 1 if none is beyond one.
+        """Return the share of the readings beyond an edge that are exact (p); 1 if none is beyond
+        one.
 
         Args:
             weight: of each row (N), such as how long it lasts.
@@ -364,7 +368,8 @@ class Read(NamedTuple):
 
 
 def reading_levels(sensor: Zone) -> Floats:
-    """Levels (p x 2) of z: a noise-free sensor reads right above the first, left below -second.
+    """Return levels (p x 2) of z: a noise-free sensor reads right above the first, left below
+    -second.
 
     Of a play they are its gaps: no level of z tells its side. Of a play ahead of a dead zone they
     are those at which z moves outwards.
@@ -376,7 +381,7 @@ def reading_levels(sensor: Zone) -> Floats:
 
 
 def limit_levels(sensor: Zone) -> Floats | None:
-    """Levels (p x 2) of z: at a limit above the first and below -second; None: no range."""
+    """Return levels (p x 2) of z: at a limit above the first and below -second; None: no range."""
     if sensor.limits is None:
         return None
     low, high = sensor.limits
@@ -386,7 +391,7 @@ def limit_levels(sensor: Zone) -> Floats | None:
 
 
 def _gaps(sensor: Zone) -> Floats:
-    """[c_r, c_l] of the play ahead of each dead zone (p x 2) [z]; 0 without one."""
+    """Return [c_r, c_l] of the play ahead of each dead zone (p x 2) [z]; 0 without one."""
     if sensor.play is None:
         return np.zeros((sensor.right.size, 2))
     return np.stack((sensor.play.right, sensor.play.left), axis=1)

@@ -39,7 +39,8 @@ class Inequality(NamedTuple):
     decay: float = 0.0
 
     def matrices(self, P: Floats) -> list[Floats]:
-        """One matrix per vertex and supply, affine in P; the sampled square term is bordered by -P.
+        """Return one matrix per vertex and supply, affine in P; the sampled square term is bordered
+        by -P.
 
         Args:
             P: of V = x'Px (n x n).
@@ -48,7 +49,7 @@ class Inequality(NamedTuple):
         return [_matrix(P, A, self.B, supply, self.Ts, self.decay) for A, supply in pairs]
 
     def magnitudes(self, P: Floats) -> list[Floats]:
-        """The same sums with every term replaced by its magnitude."""
+        """Return the same sums with every term replaced by its magnitude."""
         P_size, B_size = np.abs(P), np.abs(self.B)
         magnitudes = []
         for A in self.A:
@@ -58,7 +59,7 @@ class Inequality(NamedTuple):
         return magnitudes
 
     def transformed(self, T: Floats, inverse: Floats) -> Inequality:
-        """The same inequality in coordinates x = T xi.
+        """Return the same inequality in coordinates x = T xi.
 
         Args:
             T: the change of coordinates (n x n).
@@ -72,7 +73,7 @@ class Inequality(NamedTuple):
 
 
 def _congruent(supply: Floats, T: Floats) -> Floats:
-    """A supply in (x, b) as one in (xi, b), x = T xi."""
+    """Return a supply in (x, b) as one in (xi, b), x = T xi."""
     n = T.shape[0]
     supply = supply.copy()
     supply[:n] = T.T @ supply[:n]
@@ -83,7 +84,9 @@ def _congruent(supply: Floats, T: Floats) -> Floats:
 def _matrix(
     P: Floats, A: Floats, B: Floats, supply: Floats, Ts: float | None, decay: float
 ) -> Floats:
-    """The matrix of V' + 2 decay V + supply at one vertex, with a third block row if sampled."""
+    """Return the matrix of V' + 2 decay V + supply at one vertex, with a third block row if
+    sampled.
+    """
     n = A.shape[0]
     PF = P @ np.hstack([A, B])  # F = [A, B]
     top = supply.copy()
@@ -97,7 +100,7 @@ def _matrix(
 
 
 def quadratic(sizes: list[int], terms: list[tuple[int, int, Floats]]) -> tuple[Floats, Floats]:
-    """A symmetric matrix from blocks, and the sum of the blocks' magnitudes.
+    """Return a symmetric matrix from blocks, and the sum of the blocks' magnitudes.
 
     Args:
         sizes: the lengths of the parts of its vector.
@@ -146,7 +149,7 @@ def optimise(
     deep: bool = False,
     passes: int = 2,
 ) -> Solution | None:
-    """P, q that minimise cost'q, or lie deepest inside, under `family(q)` and `extra`.
+    """Return P, q that minimise cost'q, or lie deepest inside, under `family(q)` and `extra`.
 
     Each pass works in coordinates where the last P was the identity and the last matrices had a
     unit diagonal; a stiff plant needs that. The first P is of Lyapunov's equation, or else the
@@ -185,7 +188,9 @@ def optimise(
 def _pass(
     family: Family, cost: Floats, extra: Extra, deep: bool, near: Solution
 ) -> Solution | None:
-    """One solution, in coordinates where P of `near` is I and its matrices have a unit diagonal."""
+    """Return one solution, in coordinates where P of `near` is I and its matrices have a unit
+    diagonal.
+    """
     P, q = near
     n = len(P)
     values, vectors = np.linalg.eigh(P)
@@ -229,25 +234,29 @@ def _unit_diagonals(inequality: Inequality, P: Floats) -> list[Floats]:
 
 
 def _affine(points: list[Inequality]) -> Family:
-    """q -> Inequality from its values at q = 0 and the unit vectors; only the supplies vary."""
+    """Return q -> Inequality from its values at q = 0 and the unit vectors; only the supplies
+    vary.
+    """
     base = np.stack(points[0].supply)
     slopes = np.stack([np.stack(point.supply) - base for point in points])[1:]
     return lambda q: points[0]._replace(supply=tuple(base + np.tensordot(q, slopes, 1)))
 
 
 def storage(inequality: Inequality) -> Floats | None:
-    """P (n x n), to be checked, deep inside the inequality or near to it; None if none is found."""
+    """Return P (n x n), to be checked, deep inside the inequality or near to it; None if none is
+    found.
+    """
     found = deepest(lambda q: inequality, np.zeros(0))
     return None if found is None else found.P
 
 
 def deepest(family: Family, start: Floats, extra: Extra = no_more) -> Solution | None:
-    """P, q deepest inside the inequality and `extra`, or as far as the check needs."""
+    """Return P, q deepest inside the inequality and `extra`, or as far as the check needs."""
     return optimise(family, np.zeros(start.size), start, extra, deep=True, passes=4)
 
 
 def _lyapunov(A: Floats, Ts: float | None) -> Floats:
-    """P of A'P + PA = -I; a sampled A is mapped by Tustin's rule, which keeps P."""
+    """Return P of A'P + PA = -I; a sampled A is mapped by Tustin's rule, which keeps P."""
     identity = np.eye(A.shape[0])
     if Ts is not None:
         A = np.linalg.solve(identity + Ts / 2 * A, A)
@@ -274,7 +283,8 @@ NOTHING = Check(False, np.inf, -np.inf, 0.0)  # what is no proof at all
 
 
 def check(inequality: Inequality, P: Floats) -> Check:
-    """Whether P proves the inequality: by eigenvalues and a bound on rounding, without a solver.
+    """Return whether P proves the inequality: by eigenvalues and a bound on rounding, without a
+    solver.
 
     P must be symmetric to the last bit. x'Px holds only the symmetric part, and PA + A'P' of
     another P can be negative although A is unstable.
@@ -296,7 +306,7 @@ def check(inequality: Inequality, P: Floats) -> Check:
 
 
 def _definite(M: Floats, size: Floats) -> tuple[float, float]:
-    """(least eigenvalue of M scaled to a unit diagonal, bound on its rounding).
+    """Return (least eigenvalue of M scaled to a unit diagonal, bound on its rounding).
 
     The first is -inf if a diagonal entry is not positive. size: the sums of magnitudes behind M.
     """

@@ -38,7 +38,7 @@ class Dynamics(NamedTuple):
 
     @property
     def steps(self) -> list[Floats]:
-        """Ts S Gamma S' (p x p) for the side patterns that no other one dominates.
+        """Return ts S Gamma S' (p x p) for the side patterns that no other one dominates.
 
         One zero matrix in continuous time.
         """
@@ -52,7 +52,7 @@ class Dynamics(NamedTuple):
 
     @property
     def groups(self) -> Floats:
-        """Z (p x groups): outputs that Gamma couples must share their weight, W = Z w."""
+        """Return Z (p x groups): outputs that Gamma couples must share their weight, W = Z w."""
         p = self.C.shape[0]
         coupling = np.abs(self.gamma).reshape(p, 2, p, 2).sum(axis=(1, 3))
         linked = (coupling > 0) | np.eye(p, dtype=bool)
@@ -60,7 +60,7 @@ class Dynamics(NamedTuple):
         return np.unique(reach, axis=0).T.astype(float)
 
     def inequality(self, W: Floats) -> Inequality:
-        """V' < 0 for V = x~'P x~ + d~'(W Gamma^-1) d~, in (x~, e): affine in W and in P.
+        """Return V' < 0 for V = x~'P x~ + d~'(W Gamma^-1) d~, in (x~, e): affine in W and in P.
 
         Args:
             W: weights of the outputs (p).
@@ -70,7 +70,7 @@ class Dynamics(NamedTuple):
     def extended(
         self, W: Floats, E: Floats, terms: list[tuple[int, int, Floats]], decay: float = 0.0
     ) -> Inequality:
-        """`inequality` of x~' = A x~ - L e + E w with more terms in (x~, e, w).
+        """Return `inequality` of x~' = A x~ - L e + E w with more terms in (x~, e, w).
 
         Args:
             W: weights of the outputs (p).
@@ -109,7 +109,7 @@ class Storage(NamedTuple):
 
     @property
     def R(self) -> Floats:
-        """The weight (2p x 2p) of the width errors; 0 where a width is not adapted."""
+        """Return the weight (2p x 2p) of the width errors; 0 where a width is not adapted."""
         rows = np.diag(self.gamma) > 0
         adapted = np.ix_(rows, rows)
         R = np.zeros_like(self.gamma)
@@ -118,7 +118,7 @@ class Storage(NamedTuple):
 
     @property
     def seen(self) -> tuple[np.ndarray, Floats]:
-        """(which of [x~; d~] V sees, M with V = e'M e on these)."""
+        """Return (which of [x~; d~] V sees, M with V = e'M e on these)."""
         R, n = self.R, len(self.P)
         widths = np.diag(R) > 0
         M = np.zeros((n + widths.sum(), n + widths.sum()))
@@ -126,7 +126,7 @@ class Storage(NamedTuple):
         return np.concatenate([np.ones(n, bool), widths]), M
 
     def value(self, x_error: Floats, d_error: Floats) -> Floats:
-        """V (N) along errors.
+        """Return V (N) along errors.
 
         Args:
             x_error: x - x^ (N x n).
@@ -137,13 +137,13 @@ class Storage(NamedTuple):
 
 
 def identity_storage(errors: Dynamics) -> Storage:
-    """V = |x~|^2 + d~'Gamma^-1 d~, where nothing better was found."""
+    """Return V = |x~|^2 + d~'Gamma^-1 d~, where nothing better was found."""
     n, p = errors.L.shape
     return Storage(np.eye(n), np.ones(p), errors.gamma)
 
 
 def dynamics(linear: Matrices, L: Floats, gamma: Floats, Ts: float | None) -> Dynamics:
-    """The error dynamics of a model with n states and p outputs.
+    """Return the error dynamics of a model with n states and p outputs.
 
     Args:
         linear: A, B, C of the model; of one step if sampled.
@@ -160,7 +160,7 @@ def dynamics(linear: Matrices, L: Floats, gamma: Floats, Ts: float | None) -> Dy
 
 
 def growth(A: Floats, Ts: float | None) -> float:
-    """The largest growth rate [1/s] of x' = A x, or of x+ = x + Ts A x as (|z| - 1) / Ts."""
+    """Return the largest growth rate [1/s] of x' = A x, or of x+ = x + Ts A x as (|z| - 1) / Ts."""
     poles = np.linalg.eigvals(A)
     if Ts is None:
         return float(poles.real.max())
@@ -168,7 +168,7 @@ def growth(A: Floats, Ts: float | None) -> float:
 
 
 def adaptation(gamma: Floats, p: int) -> Floats:
-    """Gamma (2p x 2p), [right, left] per output, from one of the ways to write it.
+    """Return gamma (2p x 2p), [right, left] per output, from one of the ways to write it.
 
     Args:
         gamma: one number, one per output (p), one per edge (p x 2), or Gamma itself [1/s].
@@ -195,7 +195,7 @@ def adaptation(gamma: Floats, p: int) -> Floats:
 
 
 def pattern(sides: tuple[int, ...]) -> Floats:
-    """S (p x 2p) of the sides read: C x~ - S d~ is the innovation on them.
+    """Return S (p x 2p) of the sides read: C x~ - S d~ is the innovation on them.
 
     Args:
         sides: +1 (right), 0 (silent) or -1 (left) of each output.
@@ -221,7 +221,7 @@ class Scaling(NamedTuple):
     time: float
 
     def dynamics(self, errors: Dynamics) -> Dynamics:
-        """The same error dynamics in scaled quantities."""
+        """Return the same error dynamics in scaled quantities."""
         x, y, t = self
         return Dynamics(
             tuple(t * A * x / x[:, None] for A in errors.A),
@@ -232,11 +232,11 @@ class Scaling(NamedTuple):
         )
 
     def storage(self, P: Floats) -> Floats:
-        """P in original quantities."""
+        """Return P in original quantities."""
         return np.asarray(self.time * P / np.outer(self.state, self.state))
 
     def weights(self, W: Floats) -> Floats:
-        """W in original quantities."""
+        """Return W in original quantities."""
         return W / self.output**2
 
 
@@ -252,7 +252,8 @@ def _speed(A: Floats, errors: Dynamics) -> float:
 
 
 def balance(errors: Dynamics) -> Scaling:
-    """The scaling that balances rows and columns of x~ and e, which drive each other by L and C.
+    """Return the scaling that balances rows and columns of x~ and e, which drive each other by L
+    and C.
 
     Outputs that share a weight keep a common unit.
     """

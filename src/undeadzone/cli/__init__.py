@@ -46,7 +46,7 @@ class Commands(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """The command, and its arguments. Raises UsageError."""
+        """Return the command, and its arguments. Raises UsageError."""
         name = args[0]
         if name == "help":
             args = [*(args[1:] or [""]), "--help"]
@@ -70,11 +70,11 @@ class Commands(click.Group):
             return failed(error)
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """The names of all commands, those of other packages last."""
+        """Return the names of all commands, those of other packages last."""
         return [*super().list_commands(ctx), *_registered()]
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
-        """A command by its name; None where there is none."""
+        """Return a command by its name; None where there is none."""
         own = super().get_command(ctx, name)
         if own is not None:
             return own
@@ -104,7 +104,7 @@ class Commands(click.Group):
 
 @functools.cache
 def _registered() -> dict[str, EntryPoint]:
-    """The commands that installed packages register under `undeadzone.commands`, by name.
+    """Return the commands that installed packages register under `undeadzone.commands`, by name.
 
     `--help` asks for each; what is installed is read once, as a process is one command.
     """

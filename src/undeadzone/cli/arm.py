@@ -62,7 +62,7 @@ def arm(
 
 
 def _numbers(text: str) -> list[float]:
-    """The numbers of an option. Raises InputError."""
+    """Return the numbers of an option. Raises InputError."""
     try:
         return [float(word) for word in text.split(",")]
     except ValueError:
@@ -72,7 +72,7 @@ def _numbers(text: str) -> list[float]:
 
 
 def _started(found: Survey, robot: Path, folder: Path, gears: bool, force: bool) -> Path:
-    """The scenario that was written. Raises FileError where there is one already."""
+    """Return the scenario that was written. Raises FileError where there is one already."""
     from undeadzone.scenario.urdf_start import starting_scenario
     from undeadzone.util.own_files import require_own
 
@@ -110,7 +110,7 @@ def _in_words(found: Survey, robot: Path) -> dict[str, Any]:
 
 
 def _rows(found: Survey) -> list[list[str]]:
-    """A row for each joint."""
+    """Return a row for each joint."""
     rows = []
     least = 1e-9 * max(abs(found.holding), default=0.0)  # what is left of 0 by rounding
     for joint, mass, torque in zip(found.joints, found.masses, found.holding, strict=True):
@@ -126,7 +126,7 @@ def _rows(found: Survey) -> list[list[str]]:
 
 
 def _limit(value: float, unit: str) -> str:
-    """A limit with its unit; a file need not have it."""
+    """Return a limit with its unit; a file need not have it."""
     return f"{value:.4g} {unit}" if abs(value) < float("inf") else "none"
 
 

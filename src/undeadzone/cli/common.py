@@ -42,7 +42,7 @@ class Name(click.Path):
     """A file or a folder by its name; an empty one would be the folder in which one is."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """The path. Raises BadParameter where the name is empty."""
+        """Return the path. Raises BadParameter where the name is empty."""
         if value == "":
             self.fail("the name is empty; the folder in which you are is '.'", param, ctx)
         return super().convert(value, param, ctx)
@@ -54,12 +54,16 @@ PATH = Name(path_type=Path)
 def option(
     name: str, metavar: str | None, words: str, *into: str, **more: Any
 ) -> Callable[..., Any]:
-    """An option that takes a value; into: its argument, if another; more: what click knows."""
+    """Return an option that takes a value; into: its argument, if another; more: what click
+    knows.
+    """
     return click.option(name, *into, metavar=metavar, help=words, **more)
 
 
 def flag(name: str, words: str, *into: str, **more: Any) -> Callable[..., Any]:
-    """An option that is given or not; into: its argument, if another; more: what click knows."""
+    """Return an option that is given or not; into: its argument, if another; more: what click
+    knows.
+    """
     return click.option(name, *into, is_flag=True, help=words, **more)
 
 
@@ -133,7 +137,7 @@ def guarded(command: Command) -> Command:
 
 
 def naming(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Put the file in front of what is wrong with a key of the scenario, or with the log.
+    """Return put the file in front of what is wrong with a key of the scenario, or with the log.
 
     The readers of files name them; of what is found later, such as a value that does not fit,
     the key is known alone.
@@ -150,7 +154,7 @@ def naming(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _with_file(message: str, options: Mapping[str, Any]) -> str:
-    """A message that begins with the scenario, or the logs, of which it is."""
+    """Return a message that begins with the scenario, or the logs, of which it is."""
     from undeadzone.scenario.schema import Scenario
 
     first, scenario = re.split(r"\W", message, maxsplit=1)[0], options.get("scenario")
@@ -162,7 +166,9 @@ def _with_file(message: str, options: Mapping[str, Any]) -> str:
 
 
 def _written_folder(options: Mapping[str, Any]) -> Path | None:
-    """The folder that a command may write: --out, or where the one file lies that it makes."""
+    """Return the folder that a command may write: --out, or where the one file lies that it
+    makes.
+    """
     out, state = options.get("out"), options.get("state")
     file = out if options.get("to") == "page" else state
     folder: Path | None = out if file is None else file.parent
@@ -186,12 +192,12 @@ def origin(path: Path | None, seed: int | None = None) -> Origin:
 
 
 def cmd(*words: object) -> str:
-    """A command as a shell takes it: a name with a blank stands in quotes."""
+    """Return a command as a shell takes it: a name with a blank stands in quotes."""
     return shlex.join(map(str, words))
 
 
 def writable(folder: Path) -> Path:
-    """The folder. Raises FileError where nothing can be written."""
+    """Return the folder. Raises FileError where nothing can be written."""
     require_folder(folder)
     return folder
 
@@ -208,7 +214,7 @@ def print_json(value: Mapping[str, Any], written: Sequence[Path] | None = None) 
 
 
 def with_schema(value: Mapping[str, Any]) -> dict[str, Any]:
-    """A result under the version of its schema."""
+    """Return a result under the version of its schema."""
     return {"schema": SCHEMA, **value}
 
 
@@ -218,7 +224,7 @@ def say(text: str = "", err: bool = False) -> None:
 
 
 def json_text(value: Any) -> str:
-    """A value as JSON; numbers that are not finite become null."""
+    """Return a value as JSON; numbers that are not finite become null."""
     from undeadzone.util.arrays import finite
 
     return json.dumps(finite(value), indent=2, allow_nan=False)
@@ -247,7 +253,9 @@ def print_blocks(
 
 
 def painted(text: str) -> str:
-    """A text whose verdicts are coloured; the lines that name a scenario stay as they are."""
+    """Return a text whose verdicts are coloured; the lines that name a scenario stay as they
+    are.
+    """
     lines = []
     for line in text.split("\n"):
         lines.append(line if line.startswith("scenario") else VERDICT.sub(_paint, line))
@@ -255,15 +263,15 @@ def painted(text: str) -> str:
 
 
 def _paint(found: re.Match[str]) -> str:
-    """A verdict in its colour."""
+    """Return a verdict in its colour."""
     return click.style(found[0], fg=COLOURS.get(found[0], "red"), bold=True)
 
 
 def _coloured() -> bool:
-    """Whether colours are wanted (no-color.org)."""
+    """Return whether colours are wanted (no-color.org)."""
     return not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
 
 
 def exit_code(info: LogInfo) -> int:
-    """1 where the record is not consistent, else 0."""
+    """Return 1 where the record is not consistent, else 0."""
     return 1 if info.consistent is False else 0

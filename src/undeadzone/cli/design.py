@@ -17,7 +17,7 @@ from undeadzone.util.shown import Block
 def powers(
     context: click.Context, parameter: click.Parameter, value: str | None
 ) -> tuple[float, ...] | None:
-    """The three numbers of D,M,N."""
+    """Return the three numbers of D,M,N."""
     if value is None:
         return None
     try:
@@ -140,7 +140,7 @@ def _impossible(scenario: uz.Scenario, path: Path, reason: str) -> dict[str, str
 
 
 def _numbers(design: uz.Design, judged: uz.Check) -> dict[str, Any]:
-    """A design for JSON, its gains first, and what `check` says of it."""
+    """Return a design for JSON, its gains first, and what `check` says of it."""
     import msgspec
 
     numbers, known = msgspec.to_builtins(design), judged.summary()
@@ -149,7 +149,7 @@ def _numbers(design: uz.Design, judged: uz.Check) -> dict[str, Any]:
 
 
 def _words(design: uz.Design, judged: uz.Check) -> list[Block]:
-    """A design in words, and what `check` says of it."""
+    """Return a design in words, and what `check` says of it."""
     import msgspec
 
     from undeadzone.analysis.certificate.design_file import in_words as design_in_words

@@ -136,7 +136,7 @@ def _stopped(how: str, kept: str, code: int) -> int:
 
 
 def _unexpected(error: Exception) -> int:
-    """A mistake of the program's own."""
+    """Return a mistake of the program's own."""
     if os.environ.get(DEBUG):
         traceback.print_exc()
     frames = traceback.extract_tb(error.__traceback__)
@@ -151,7 +151,9 @@ def _unexpected(error: Exception) -> int:
 
 
 def _memory_ran_out(error: Exception) -> bool:
-    """Whether the system gave no memory: for numbers, for a process, for the code of a library."""
+    """Return whether the system gave no memory: for numbers, for a process, for the code of a
+    library.
+    """
     if isinstance(error, MemoryError):
         return True
     if isinstance(error, OSError) and error.errno == errno.ENOMEM:
@@ -160,7 +162,9 @@ def _memory_ran_out(error: Exception) -> bool:
 
 
 def _stdout_fails(error: OSError) -> bool:
-    """Whether an error is of stdout: raised where things are printed, or at every flush again."""
+    """Return whether an error is of stdout: raised where things are printed, or at every flush
+    again.
+    """
     frames = traceback.extract_tb(error.__traceback__)
     if frames and Path(frames[-1].filename).parent.name in PRINTERS:
         return True
@@ -180,7 +184,7 @@ def _stdout_failed(error: OSError) -> int:
 
 
 def _where(error: click.ClickException) -> str:
-    """The command that an error is of."""
+    """Return the command that an error is of."""
     if isinstance(error, click.UsageError) and error.ctx:
         return error.ctx.command_path
     return "undeadzone"

@@ -73,7 +73,7 @@ def ensemble(
 
 
 def _sized(scenario: uz.Scenario, runs: int | None) -> uz.Scenario:
-    """The scenario with that many runs. Raises InputError."""
+    """Return the scenario with that many runs. Raises InputError."""
     import msgspec
 
     if runs is None or scenario.ensemble is None:

@@ -105,7 +105,7 @@ def _texts(file: Path | None, example: str | None, full: bool, folder: Path) -> 
 
 
 def _short(template: str) -> str:
-    """A template without its remarks and alternatives, but for what it says at its top."""
+    """Return a template without its remarks and alternatives, but for what it says at its top."""
     head, _, _ = template.partition("\n\n")[0].partition("title")
     lines = [line for line in template.split("\n") if not line.startswith("#")]
     text = re.sub(r"\n{3,}", "\n\n", "\n".join(lines))
@@ -126,7 +126,7 @@ def titles() -> dict[str, str]:
 
 
 def files_of(name: str) -> list[Path]:
-    """The file of an example, and then those that it names.
+    """Return the file of an example, and then those that it names.
 
     Args:
         name: of the example; `.toml` may be left out.
@@ -155,12 +155,12 @@ def _folder() -> Path:
 
 
 def _tables(path: Path) -> dict[str, Any]:
-    """The tables of a scenario."""
+    """Return the tables of a scenario."""
     return tomllib.loads(read_text(path))
 
 
 def _words(tables: dict[str, Any]) -> Iterator[str]:
-    """All texts in tables, which may be names of files."""
+    """Yield all texts in tables, which may be names of files."""
     for value in tables.values():
         if isinstance(value, dict):
             yield from _words(value)

@@ -51,7 +51,7 @@ class Output(NamedTuple):
     figures: bool
 
     def folder(self, default: str, tables: bool = False) -> Path | None:
-        """The folder for the files written; None: nothing is written.
+        """Return the folder for the files written; None: nothing is written.
 
         Called before the computation, so that a folder in which nothing can be written is noticed
         then; here libraries are imported as a process of our own may import them.
@@ -109,7 +109,7 @@ def on_scenario(command: Callable[..., int]) -> Callable[..., int]:
 
 
 def wanted_table(as_csv: bool, size: float, name: str) -> tuple[bool, dict[str, str]]:
-    """Whether a table of signals is written, and else the line that says so.
+    """Return whether a table of signals is written, and else the line that says so.
 
     Args:
         as_csv: whether --csv is given.
@@ -180,12 +180,16 @@ def prepare_figures() -> None:
 
 
 def to_type(*words: str) -> dict[str, str]:
-    """The line that says what to type next, for `print_blocks`; each command with its purpose."""
+    """Return the line that says what to type next, for `print_blocks`; each command with its
+    purpose.
+    """
     return {"next": "; ".join(words)} if words else {}
 
 
 def export_of(path: Path, scenario: uz.Scenario) -> list[str]:
-    """The command that exports a scenario, and what it asks for first; none of a told observer."""
+    """Return the command that exports a scenario, and what it asks for first; none of a told
+    observer.
+    """
     if scenario.observer.__struct_config__.tag == "full_state":
         return []
     first = ' takes it with simulation.time = "sampled"' * (scenario.simulation.time != "sampled")
@@ -193,5 +197,7 @@ def export_of(path: Path, scenario: uz.Scenario) -> list[str]:
 
 
 def named_files(written: Sequence[Path]) -> dict[str, Any]:
-    """The line that names the files written, for `print_blocks`; nothing where there are none."""
+    """Return the line that names the files written, for `print_blocks`; nothing where there are
+    none.
+    """
     return {"written": ", ".join(map(str, written))} if written else {}

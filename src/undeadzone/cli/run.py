@@ -105,7 +105,7 @@ def run(
 
 
 def _is_good(run: uz.Run) -> bool:
-    """Whether a run is what was hoped for: exit code 0."""
+    """Return whether a run is what was hoped for: exit code 0."""
     known = run.fully_identifiable or not run.adapts
     return run.diverged_at is None and not run.inexact and known
 
@@ -126,7 +126,7 @@ def _next(path: Path, scenario: uz.Scenario, run: uz.Run) -> dict[str, str]:
 
 
 def _read(path: Path, animated: bool, confine: Path | None) -> uz.Scenario:
-    """The scenario that is to run. Raises InputError.
+    """Return the scenario that is to run. Raises InputError.
 
     Args:
         path: of the scenario.
@@ -145,7 +145,7 @@ def _read(path: Path, animated: bool, confine: Path | None) -> uz.Scenario:
 
 
 def _simulated(scenario: uz.Scenario) -> tuple[uz.Run, uz.Run | None]:
-    """The run of a scenario, and that of the observer that it is to be compared with."""
+    """Return the run of a scenario, and that of the observer that it is to be compared with."""
     from undeadzone.simulation.feedback import measure_feedback
     from undeadzone.simulation.simulate import beside
 
@@ -167,7 +167,7 @@ def _steps(scenario: uz.Scenario) -> int:
 
 
 def _replayed(path: Path, number: int, confine: Path | None) -> tuple[uz.Run, float]:
-    """A run of an ensemble, and how far it lies from what it was there.
+    """Return a run of an ensemble, and how far it lies from what it was there.
 
     Args:
         path: of the ensemble.
@@ -186,7 +186,7 @@ def _replayed(path: Path, number: int, confine: Path | None) -> tuple[uz.Run, fl
 
 
 def _film(result: uz.Run, rival: uz.Run | None, path: Path) -> Path:
-    """The film of an arm's run, once it is written."""
+    """Return the film of an arm's run, once it is written."""
     from undeadzone.report.animation import frames, movie
 
     with progress("drawing", frames(result), "frames") as advance:

@@ -88,7 +88,7 @@ def tune(
 
 
 def _wanted(scenario: uz.Scenario, over: tuple[str, ...], changes: dict[str, Any]) -> uz.Tune:
-    """The [tune] of a scenario with what the options say. Raises InputError."""
+    """Return the [tune] of a scenario with what the options say. Raises InputError."""
     import msgspec
 
     table = scenario.tune or uz.Tune()
@@ -98,7 +98,7 @@ def _wanted(scenario: uz.Scenario, over: tuple[str, ...], changes: dict[str, Any
 
 
 def _bounds(text: str) -> tuple[str, Any]:
-    """An address and its bounds, from ADDRESS=LOW:HIGH[:log]. Raises InputError."""
+    """Return an address and its bounds, from ADDRESS=LOW:HIGH[:log]. Raises InputError."""
     address, _, bounds = text.partition("=")
     low, _, rest = bounds.partition(":")
     high, _, scale = rest.partition(":")

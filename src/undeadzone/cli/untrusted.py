@@ -70,7 +70,7 @@ def hold_apart(folder: Path, out: Path | None) -> list[str]:
 
 
 def _is_apart(place: Path, folder: Path) -> bool:
-    """Whether modules come from `folder`, or from where `python -m` was started."""
+    """Return whether modules come from `folder`, or from where `python -m` was started."""
     own, real = Path(__file__).parents[2], Path(os.path.realpath(place))
     return real.is_relative_to(folder) or (real == Path.cwd() and real != own)
 

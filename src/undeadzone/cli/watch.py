@@ -43,7 +43,7 @@ TIME = click.FloatRange(min=0, min_open=True, max=threading.TIMEOUT_MAX)  # [s]
 
 
 def _told(ctx: click.Context, param: click.Parameter, seconds: float | None) -> float | None:
-    """A time that can be waited for. Raises BadParameter."""
+    """Return a time that can be waited for. Raises BadParameter."""
     if seconds is not None and math.isnan(seconds):
         raise click.BadParameter("nan is no time [s]", ctx, param)
     return seconds
@@ -147,7 +147,7 @@ class Kept:
 
 @contextmanager
 def _beating(seconds: float | None, follower: Follower, log: LiveLog) -> Iterator[None]:
-    """Say on stderr every so many seconds how far the watch is, while this lasts."""
+    """Provide say on stderr every so many seconds how far the watch is, while this lasts."""
     ended = threading.Event()
 
     def beat() -> None:
@@ -210,14 +210,14 @@ def _write(text: bytes) -> None:
 
 
 def _parts(estimate: uz.Estimate, sides: Floats) -> dict[str, Floats]:
-    """The parts of estimates, and the measured sides, by the names of their columns."""
+    """Return the parts of estimates, and the measured sides, by the names of their columns."""
     from undeadzone.interfaces import COLUMNS
 
     return dict(zip(COLUMNS, estimate, strict=True)) | {"side": sides}
 
 
 def _header(estimate: uz.Estimate, sides: Floats) -> bytes:
-    """The names of the columns of a CSV file: t, x_hat[0], ..."""
+    """Return the names of the columns of a CSV file: t, x_hat[0], ..."""
     names = ["t"]
     for name, part in _parts(estimate, sides).items():
         names += [f"{name}[{i}]" for i in range(part.shape[1])]
@@ -225,7 +225,7 @@ def _header(estimate: uz.Estimate, sides: Floats) -> bytes:
 
 
 def _csv(t: Floats, estimate: uz.Estimate, sides: Floats) -> bytes:
-    """Lines of a CSV file, with all digits."""
+    """Return lines of a CSV file, with all digits."""
     import msgspec
     import numpy as np
 
@@ -237,7 +237,7 @@ def _csv(t: Floats, estimate: uz.Estimate, sides: Floats) -> bytes:
 
 
 def _json(t: Floats, estimate: uz.Estimate, sides: Floats) -> bytes:
-    """Lines of JSON; what the observer does not estimate is left out."""
+    """Return lines of JSON; what the observer does not estimate is left out."""
     import msgspec
 
     parts = {name: part for name, part in _parts(estimate, sides).items() if part.shape[1]}

@@ -16,7 +16,7 @@ class NoInverse(Coasts, frozen=True, kw_only=True, tag="none"):
     """u = v: the dead zone of the actuator is left to the feedback."""
 
     def build(self, model: System, belief: Belief | None) -> Compensator:
-        """The compensator for a model."""
+        """Return the compensator for a model."""
         numbers, first = coasting(self, model)
 
         def step(q: Any, s: Any, v: Any, estimate: Estimate, reading: Reading) -> tuple[Any, Any]:

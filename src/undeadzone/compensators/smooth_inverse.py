@@ -26,7 +26,7 @@ class SmoothZoneInverse(
     soft: Array | None = None
 
     def build(self, model: System, belief: Belief | None) -> Compensator:
-        """The compensator for a model."""
+        """Return the compensator for a model."""
         drive = known_drive(belief)
         usual = SOFT * np.maximum((drive.right + drive.left) / 2, 1e-12)
         given = usual if self.soft is None else self.soft

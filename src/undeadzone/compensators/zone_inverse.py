@@ -16,7 +16,7 @@ class ZoneInverse(Coasts, frozen=True, kw_only=True, tag="inverse"):
     """
 
     def build(self, model: System, belief: Belief | None) -> Compensator:
-        """The compensator for a model."""
+        """Return the compensator for a model."""
         if model.Ts is None:
             raise InputError(
                 "compensator.method: the jump of 'inverse' slides in continuous time; use "

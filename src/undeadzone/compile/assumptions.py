@@ -27,7 +27,7 @@ class Edge(NamedTuple):
     factor: float
 
     def value(self, params: Floats, own: tuple[int, ...], rows: Floats) -> Floats:
-        """Its number in each lane, or the one of all lanes."""
+        """Return its number in each lane, or the one of all lanes."""
         if self.param is None:
             return np.array([self.factor])
         if self.param in own:
@@ -43,7 +43,7 @@ class Promise(NamedTuple):
 
     @property
     def is_evident(self) -> bool:
-        """Whether it is kept by numbers, or by -a and a of a threshold a."""
+        """Return whether it is kept by numbers, or by -a and a of a threshold a."""
         low, high = self
         if low.param is None and high.param is None:
             return low.factor <= high.factor
@@ -51,12 +51,12 @@ class Promise(NamedTuple):
 
     @property
     def is_open(self) -> bool:
-        """Whether params decide it."""
+        """Return whether params decide it."""
         return self.low.param is not None or self.high.param is not None
 
 
 def read(numbers: list[list[tuple[int | None, float]]]) -> tuple[Promise, ...]:
-    """Promises that were kept as lists."""
+    """Return promises that were kept as lists."""
     return tuple(Promise(Edge(*low), Edge(*high)) for low, high in numbers)
 
 
@@ -73,7 +73,9 @@ def edge(node: Node) -> Edge | None:
 
 
 def apart(more: Node, less: Node) -> Promise | None:
-    """The promise under which high < y and y < low exclude each other; None if they are others."""
+    """Return the promise under which high < y and y < low exclude each other; None if they are
+    others.
+    """
     if more.op != "lt" or less.op != "lt" or more.args[1] is not less.args[0]:
         return None
     high, low = edge(more.args[0]), edge(less.args[1])

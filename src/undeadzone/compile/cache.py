@@ -71,7 +71,7 @@ class Block:
 
     @property
     def function(self) -> Any:
-        """The C function as it is now, which takes numbers and addresses."""
+        """Return the C function as it is now, which takes numbers and addresses."""
         return self._codes[-1].function
 
     def __call__(self, *arguments: Any) -> None:
@@ -160,12 +160,14 @@ class Trial:
             self.codes = codes
 
     def _weighed(self, block: Block) -> float:
-        """The least time of a code, where another one has to be faster than the assumed one."""
+        """Return the least time of a code, where another one has to be faster than the assumed
+        one.
+        """
         return min(self.rates[block]) * (FASTER if block is self._own else 1.0)
 
 
 def load(text: str, kinds: tuple[str, ...]) -> Block:
-    """The function `block` that LLVM's text defines, compiled now or taken from disk.
+    """Return the function `block` that LLVM's text defines, compiled now or taken from disk.
 
     Args:
         text: of a module.
@@ -177,7 +179,7 @@ def load(text: str, kinds: tuple[str, ...]) -> Block:
 
 @functools.lru_cache(maxsize=64)
 def made(recipe: Recipe, kinds: tuple[str, ...], hurry: bool = False) -> Block:
-    """The function `block` of a recipe, compiled now or taken from disk.
+    """Return the function `block` of a recipe, compiled now or taken from disk.
 
     Where the folder cannot be used or trusted, or what it holds is damaged, the function is
     compiled.
@@ -202,7 +204,7 @@ def made(recipe: Recipe, kinds: tuple[str, ...], hurry: bool = False) -> Block:
 
 
 def cached_block(recipe: Recipe, kinds: tuple[str, ...]) -> Block | None:
-    """The function `block` of a recipe, if it is on disk."""
+    """Return the function `block` of a recipe, if it is on disk."""
     found = _read(recipe.key, kinds)
     code = None if found is None else linked(found[1], kinds)
     return None if found is None or code is None else Block(code, kinds, found[0])
@@ -220,7 +222,7 @@ def keep_answer(question: str, text: str) -> None:
 
 
 def _best(recipe: Recipe, kinds: tuple[str, ...], text: str, note: str) -> Linked:
-    """A text compiled with all effort, linked and kept."""
+    """Return a text compiled with all effort, linked and kept."""
     code = compiled(text, LESS if text.count("\n") > IN_PIECES else MOST)
     _keep(recipe.key, kinds, note, code)
     return _sure(linked(code, kinds))
@@ -242,19 +244,19 @@ def _keep(key: str, kinds: tuple[str, ...], note: str, code: Compiled) -> None:
 
 
 def _sure(code: Linked | None) -> Linked:
-    """Code that was compiled just now, and so calls what is there."""
+    """Return code that was compiled just now, and so calls what is there."""
     assert code is not None
     return code
 
 
 def _name(key: str, kinds: tuple[str, ...]) -> str:
-    """The name of a key's file."""
+    """Return the name of a key's file."""
     machine = hashlib.sha256(_machine().encode()).hexdigest()[:16]
     return f"{_title(key, kinds)}-{machine}{cache_folder.SUFFIX}"
 
 
 def _title(key: str, kinds: tuple[str, ...]) -> str:
-    """The first part of that name, the same on all machines."""
+    """Return the first part of that name, the same on all machines."""
     depends_on = "\n".join((_engine(), *kinds, key))
     return hashlib.sha256(depends_on.encode()).hexdigest()[:32]
 
@@ -295,7 +297,7 @@ def _parsed(content: bytes | None) -> tuple[str, Compiled] | None:
 
 
 def _content(note: str, code: Compiled) -> bytes:
-    """A file's: a digest of what follows, note and names of C functions, machine code.
+    """Return a file's: a digest of what follows, note and names of C functions, machine code.
 
     The digest tells damage, nothing else: whoever could write the file could compute it.
     """
@@ -304,10 +306,10 @@ def _content(note: str, code: Compiled) -> bytes:
 
 
 def _digest(content: bytes) -> bytes:
-    """A digest as text."""
+    """Return a digest as text."""
     return hashlib.sha256(content).hexdigest().encode()
 
 
 def _entries(kind: str) -> np.dtype[Any] | None:
-    """The type of an array's entries, or None for a number."""
+    """Return the type of an array's entries, or None for a number."""
     return np.dtype(kind[:-1]) if kind.endswith("*") else None

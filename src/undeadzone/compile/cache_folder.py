@@ -89,7 +89,7 @@ def trim(directory: Path | int, newest: str) -> None:
 
 
 def _entries(directory: Path | int) -> list[Entry]:
-    """The kernels of a folder, and what writers that died left of them."""
+    """Return the kernels of a folder, and what writers that died left of them."""
     entries = []
     with os.scandir(directory) as files:
         for file in files:
@@ -107,7 +107,7 @@ if sys.platform == "win32":
 
     @contextmanager
     def _opened(folder: Path) -> Iterator[Path]:
-        """The folder."""
+        """Provide the folder."""
         yield folder
 
     def _make(folder: Path) -> None:
@@ -142,7 +142,7 @@ else:
 
     @contextmanager
     def _opened(folder: Path) -> Iterator[int]:
-        """A descriptor of the folder. Raises OSError where others could write it."""
+        """Provide a descriptor of the folder. Raises OSError where others could write it."""
         directory = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
         try:
             _require_own(os.fstat(directory))

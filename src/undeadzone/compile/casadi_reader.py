@@ -56,7 +56,7 @@ class Program(NamedTuple):
 
 
 def program(function: ca.Function) -> Program:
-    """The instructions of a function with dense outputs.
+    """Return the instructions of a function with dense outputs.
 
     Every line is assigned once, unlike the places of CasADi's work vector.
     """
@@ -86,7 +86,7 @@ def evaluated(
     constant: Callable[[float], Any],
     apply: Callable[..., Any],
 ) -> list[list[Any]]:
-    """The outputs of a function in any kind of values.
+    """Return the outputs of a function in any kind of values.
 
     Args:
         of: the function.
@@ -112,14 +112,14 @@ class Rules(Protocol):
     real: str
 
     def made(self, word: str, *args: Node) -> Node:
-        """The number that an instruction gives, where truths are 1 or 0."""
+        """Return the number that an instruction gives, where truths are 1 or 0."""
 
     def constant(self, value: float) -> Node:
-        """A number that is written down."""
+        """Return a number that is written down."""
 
 
 def listed(function: ca.Function, rules: Rules) -> Results:
-    """The results of a function as nodes, whether lanes share its inputs or not.
+    """Return the results of a function as nodes, whether lanes share its inputs or not.
 
     Args:
         function: with dense outputs; its inputs named p are steady.

@@ -68,32 +68,34 @@ class Numbers(msgspec.Struct, frozen=True):
 
     @property
     def bits(self) -> int:
-        """Bits of a word."""
+        """Return bits of a word."""
         return int(self.word[4:])
 
     @property
     def sign(self) -> int:
-        """The bit of a sign."""
+        """Return the bit of a sign."""
         return 1 << (self.bits - 1)
 
     @property
     def one(self) -> int:
-        """The bits of 1."""
+        """Return the bits of 1."""
         return self.bias << self.mantissa
 
     @property
     def largest(self) -> float:
-        """The largest finite number."""
+        """Return the largest finite number."""
         return (2.0 - 0.5**self.mantissa) * 2.0**self.bias
 
     @property
     def whole(self) -> float:
-        """2^mantissa, from where on numbers have no fraction."""
+        """Return 2^mantissa, from where on numbers have no fraction."""
         return 2.0**self.mantissa
 
     @property
     def shift(self) -> float:
-        """A number to which another one is added becomes whole, in the last bits of the sum."""
+        """Return a number to which another one is added becomes whole, in the last bits of the
+        sum.
+        """
         return 1.5 * self.whole
 
 

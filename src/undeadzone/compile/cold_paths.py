@@ -37,11 +37,11 @@ class RareParts:
 
     @property
     def arrays(self) -> list[tuple[str, int]]:
-        """The arrays that each group needs, and their vectors."""
+        """Return the arrays that each group needs, and their vectors."""
         return [("before", len(self._read)), ("next", self._written), ("flag", 1)]
 
     def _steady(self, part: int) -> list[Node]:
-        """The steady values that a part uses."""
+        """Return the steady values that a part uses."""
         order, results = self._orders[part], self._results[part]
         shared = [node for node in needed(used(order, results, SHARED)) if node.level == SHARED]
         return [*used(order, results, STEADY), *used(shared, [], STEADY)]
@@ -97,15 +97,15 @@ class RareParts:
         return changed
 
     def _at(self, text: Text, base: str, i: int) -> str:
-        """The address of a vector of an array."""
+        """Return the address of a vector of an array."""
         return text.at(base, i * self._form.lanes)
 
     def functions(self, declared: dict[str, str]) -> list[str]:
-        """The functions' text, given what the module declares."""
+        """Return the functions' text, given what the module declares."""
         return [self._function(part, declared) for part in range(len(self._results))]
 
     def _function(self, part: int, declared: dict[str, str]) -> str:
-        """A part: the states where the flag is set, and a new flag; then the next part."""
+        """Return a part: the states where the flag is set, and a new flag; then the next part."""
         text, results = Text(self._form.lanes, declared), self._results[part]
         vector, order = text.type("double"), self._orders[part]
         have: dict[Node, str] = {}
@@ -155,7 +155,7 @@ class RareParts:
 
 
 def _order(results: list[Node], form: Form) -> list[Node]:
-    """The instructions of a part; one group goes alone, so that it has all registers."""
+    """Return the instructions of a part; one group goes alone, so that it has all registers."""
     small = len(of_graph(results)) <= LARGE
     order = ordered(results, form.registers * form.streams if small else 0)
     return [*still(order, results), *order]

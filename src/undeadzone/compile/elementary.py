@@ -41,25 +41,25 @@ class Maths:
         self.select, self.sqrt = self._numpy.where, self._numpy.sqrt
 
     def call(self, name: str, *args: Any) -> Any:
-        """A function by its name."""
+        """Return a function by its name."""
         if self._inline and name in FUNCTIONS:
             return FUNCTIONS[name](self, *args)
         return self._numpy.call(name, *args)
 
     def fma(self, a: Any, b: Any, c: Any) -> Any:
-        """a b + c, rounded once if the arithmetic can do it."""
+        """Return a b + c, rounded once if the arithmetic can do it."""
         return self.call("fma", a, b, c) if self.c.fused else a * b + c
 
     def bits(self, x: Any) -> Any:
-        """The bits of a number, as an unsigned integer."""
+        """Return the bits of a number, as an unsigned integer."""
         return x.cast("view", self.c.word)
 
     def number(self, x: Any) -> Any:
-        """The number that has these bits."""
+        """Return the number that has these bits."""
         return x.cast("view", self.c.kind)
 
     def polynomial(self, x: Any, coefficients: tuple[float, ...]) -> Any:
-        """coefficients[0] + coefficients[1] x + ...
+        """Return coefficients[0] + coefficients[1] x + ...
 
         Even and odd powers apart, so that half as many roundings wait for each other.
         """
@@ -75,7 +75,8 @@ class Maths:
 
 
 def turned(m: Maths, x: Any) -> Any:
-    """Sine and cosine of r, |x| = n pi/2 + r, |r| <= pi/4, and bits that end with n, or n itself.
+    """Return sine and cosine of r, |x| = n pi/2 + r, |r| <= pi/4, and bits that end with n, or n
+    itself.
 
     Beyond the largest argument those of 0. r is found as a sum of two numbers, the first of which
     may be as small as 2^-60.
@@ -102,7 +103,7 @@ def turned(m: Maths, x: Any) -> Any:
 
 
 def power(m: Maths, shifted: Any, less: Any = None) -> Any:
-    """2^n of n + shift, in the normal range; 2^(n - k) with k + shift, which is `less`."""
+    """Return 2^n of n + shift, in the normal range; 2^(n - k) with k + shift, which is `less`."""
     if m.bitless:
         return m.call("power", shifted - (m.c.shift if less is None else less))
     bits = m.bits(shifted) if less is None else m.bits(shifted) - m.bits(less)
@@ -110,7 +111,7 @@ def power(m: Maths, shifted: Any, less: Any = None) -> Any:
 
 
 def raised(m: Maths, x: Any) -> Any:
-    """n, n + shift and e^r - 1 of x = n log 2 + r, |r| <= log(2) / 2."""
+    """Return n, n + shift and e^r - 1 of x = n log 2 + r, |r| <= log(2) / 2."""
     c = m.c
     shifted = m.fma(x, 1 / math.log(2), c.shift)
     n = shifted - c.shift
@@ -119,13 +120,13 @@ def raised(m: Maths, x: Any) -> Any:
 
 
 def limited(m: Maths, x: Any) -> Any:
-    """An argument of exp, not beyond what makes it infinite or 0."""
+    """Return an argument of exp, not beyond what makes it infinite or 0."""
     x = m.select(x > m.c.most, m.c.most, x)
     return m.select(x < m.c.least, m.c.least, x)
 
 
 def lost(m: Maths, g: Any) -> Any:
-    """1 - e^-g of a g that is not negative nor so large that e^-g is not normal."""
+    """Return 1 - e^-g of a g that is not negative nor so large that e^-g is not normal."""
     _, shifted, part = raised(m, -g)
     scale = power(m, shifted)
     return m.fma(-scale, part, 1.0 - scale)
@@ -135,34 +136,36 @@ def lost(m: Maths, g: Any) -> Any:
 
 
 def sign(m: Maths, x: Any) -> Any:
-    """Sign: -1, 0 or 1."""
+    """Return sign: -1, 0 or 1."""
     return m.select(x < 0.0, -1.0, m.select(x > 0.0, 1.0, x))
 
 
 def smaller(m: Maths, x: Any, y: Any) -> Any:
-    """The smaller of two numbers."""
+    """Return the smaller of two numbers."""
     return m.select((x < y) | (y != y), x, y)
 
 
 def larger(m: Maths, x: Any, y: Any) -> Any:
-    """The larger of two numbers."""
+    """Return the larger of two numbers."""
     return m.select((y < x) | (y != y), x, y)
 
 
 def floor(m: Maths, x: Any) -> Any:
-    """The largest whole number that is not larger."""
+    """Return the largest whole number that is not larger."""
     a = abs(x)
     near = m.call("copysign", (a + m.c.whole) - m.c.whole, x)
     return m.select(a < m.c.whole, near - m.select(x < near, 1.0, 0.0 * a), x)
 
 
 def ceil(m: Maths, x: Any) -> Any:
-    """The smallest whole number that is not smaller."""
+    """Return the smallest whole number that is not smaller."""
     return -m.call("floor", -x)
 
 
 def exp(m: Maths, x: Any) -> Any:
-    """Exponential; 2^n in two factors, so that the largest numbers and subnormal ones come out."""
+    """Return exponential; 2^n in two factors, so that the largest numbers and subnormal ones come
+    out.
+    """
     n, shifted, part = raised(m, limited(m, x))
     half = m.fma(n, 0.5, m.c.shift)
     scale = power(m, half)
@@ -170,7 +173,7 @@ def exp(m: Maths, x: Any) -> Any:
 
 
 def expm1(m: Maths, x: Any) -> Any:
-    """e^x - 1, from half of it."""
+    """Return e^x - 1, from half of it."""
     most = (m.c.bias + 1.25) * math.log(2)  # infinite, by the largest n that has a power
     n, _, part = raised(m, m.select(x < -50.0, -50.0, m.select(x > most, most, x)))
     half = power(m, n + (m.c.shift - 1.0))
@@ -178,7 +181,7 @@ def expm1(m: Maths, x: Any) -> Any:
 
 
 def parted(m: Maths, x: Any) -> Any:
-    """n and f of x = 2^n (1 + f), sqrt(1/2) <= 1 + f < sqrt(2)."""
+    """Return n and f of x = 2^n (1 + f), sqrt(1/2) <= 1 + f < sqrt(2)."""
     if m.bitless:
         return m.call("exponent", x), m.call("fraction", x) - 1.0
     c = m.c
@@ -191,7 +194,7 @@ def parted(m: Maths, x: Any) -> Any:
 
 
 def log(m: Maths, x: Any) -> Any:
-    """Natural logarithm n log 2 + log(1 + f); -infinity of 0, NaN of negative numbers."""
+    """Return natural logarithm n log 2 + log(1 + f); -infinity of 0, NaN of negative numbers."""
     c = m.c
     n, f = parted(m, x)
     s = f / (2.0 + f)
@@ -205,7 +208,7 @@ def log(m: Maths, x: Any) -> Any:
 
 
 def log1p(m: Maths, x: Any) -> Any:
-    """log(1 + x)."""
+    """Return log(1 + x)."""
     u = 1.0 + x
     gap = u - 1.0
     zero = gap == 0.0
@@ -213,7 +216,7 @@ def log1p(m: Maths, x: Any) -> Any:
 
 
 def erf(m: Maths, x: Any) -> Any:
-    """Error function, as 1 - e^-g(|x|)."""
+    """Return error function, as 1 - e^-g(|x|)."""
     c, a = m.c, abs(x)
     a = m.select(a > c.certain, c.certain, a)
     value = lost(m, m.fma(a, c.head, a * m.polynomial(a, c.erf)))
@@ -221,21 +224,21 @@ def erf(m: Maths, x: Any) -> Any:
 
 
 def sin(m: Maths, x: Any) -> Any:
-    """Sine; 0 of |x| above 8000 (float) or 1e5 (double)."""
+    """Return sine; 0 of |x| above 8000 (float) or 1e5 (double)."""
     sine, cosine, n = turned(m, x)
     value = m.select((n & 1) != 0, cosine, sine)
     return m.number(m.bits(value) ^ ((n & 2) << (m.c.bits - 2)) ^ (m.bits(x) & m.c.sign))
 
 
 def cos(m: Maths, x: Any) -> Any:
-    """Cosine; 1 of |x| above 8000 (float) or 1e5 (double)."""
+    """Return cosine; 1 of |x| above 8000 (float) or 1e5 (double)."""
     sine, cosine, n = turned(m, x)
     value = m.select((n & 1) != 0, sine, cosine)
     return m.number(m.bits(value) ^ (((n + 1) & 2) << (m.c.bits - 2)))
 
 
 def tan(m: Maths, x: Any) -> Any:
-    """Tangent; 0 of |x| above 8000 (float) or 1e5 (double)."""
+    """Return tangent; 0 of |x| above 8000 (float) or 1e5 (double)."""
     sine, cosine, n = turned(m, x)
     odd = (n & 1) != 0
     value = m.select(odd, cosine, sine) / m.select(odd, sine, cosine)
@@ -243,7 +246,7 @@ def tan(m: Maths, x: Any) -> Any:
 
 
 def atan(m: Maths, x: Any) -> Any:
-    """Arc tangent."""
+    """Return arc tangent."""
     c, a = m.c, abs(x)
     far, middle = a > math.tan(3 * math.pi / 8), a > math.tan(math.pi / 8)
     above, below = m.select(far, -1.0, a - 1.0), m.select(far, a, a + 1.0)
@@ -255,7 +258,7 @@ def atan(m: Maths, x: Any) -> Any:
 
 
 def atan2(m: Maths, y: Any, x: Any) -> Any:
-    """Angle of (y, x)."""
+    """Return angle of (y, x)."""
     right, zero = m.c.pi2[0], x == 0.0
     quotient = m.call("atan", y / m.select(zero, 1.0, x))
     turned = m.select(y < 0.0, quotient - 2 * right, quotient + 2 * right)
@@ -264,17 +267,17 @@ def atan2(m: Maths, y: Any, x: Any) -> Any:
 
 
 def asin(m: Maths, x: Any) -> Any:
-    """Arc sine."""
+    """Return arc sine."""
     return m.call("atan2", x, m.sqrt((1.0 - x) * (1.0 + x)))
 
 
 def acos(m: Maths, x: Any) -> Any:
-    """Arc cosine."""
+    """Return arc cosine."""
     return m.call("atan2", m.sqrt((1.0 - x) * (1.0 + x)), x)
 
 
 def sinh(m: Maths, x: Any) -> Any:
-    """Hyperbolic sine."""
+    """Return hyperbolic sine."""
     a = abs(x)
     t, half = m.call("expm1", a), m.call("exp", a * 0.5)
     near = 0.5 * (t + t / (t + 1.0))
@@ -282,21 +285,21 @@ def sinh(m: Maths, x: Any) -> Any:
 
 
 def cosh(m: Maths, x: Any) -> Any:
-    """Hyperbolic cosine."""
+    """Return hyperbolic cosine."""
     a = abs(x)
     e, half = m.call("exp", a), m.call("exp", a * 0.5)
     return m.select(a < 20.0, 0.5 * (e + 1.0 / e), (0.5 * half) * half)
 
 
 def tanh(m: Maths, x: Any) -> Any:
-    """Hyperbolic tangent, as q / (2 - q), q = 1 - e^-2|x|."""
+    """Return hyperbolic tangent, as q / (2 - q), q = 1 - e^-2|x|."""
     a = abs(x)
     q = lost(m, 2.0 * m.select(a > 20.0, 20.0, a))
     return m.call("copysign", q / (2.0 - q), x)
 
 
 def asinh(m: Maths, x: Any) -> Any:
-    """Inverse of sinh."""
+    """Return inverse of sinh."""
     a = abs(x)
     far = a > 1e8
     b = m.select(far, 1.0, a)
@@ -305,7 +308,7 @@ def asinh(m: Maths, x: Any) -> Any:
 
 
 def acosh(m: Maths, x: Any) -> Any:
-    """Inverse of cosh."""
+    """Return inverse of cosh."""
     far = x > 1e8
     t = m.select(far, 1.0, x - 1.0)
     near = m.call("log1p", t + m.sqrt(2.0 * t + t * t))
@@ -313,13 +316,13 @@ def acosh(m: Maths, x: Any) -> Any:
 
 
 def atanh(m: Maths, x: Any) -> Any:
-    """Inverse of tanh."""
+    """Return inverse of tanh."""
     a = abs(x)
     return m.call("copysign", 0.5 * m.call("log1p", 2.0 * a / (1.0 - a)), x)
 
 
 def raised_to(m: Maths, x: Any, y: Any) -> Any:
-    """x^y as e^(y log x): its relative error grows with |y log x|."""
+    """Return x^y as e^(y log x): its relative error grows with |y log x|."""
     half = y * 0.5
     size = m.call("exp", y * m.call("log", abs(x)))
     signed = m.select(m.call("floor", half) == half, size, -size)
@@ -329,7 +332,7 @@ def raised_to(m: Maths, x: Any, y: Any) -> Any:
 
 
 def hypot(m: Maths, x: Any, y: Any) -> Any:
-    """sqrt(x^2 + y^2)."""
+    """Return sqrt(x^2 + y^2)."""
     a, b = abs(x), abs(y)
     more, less = m.select(b < a, a, b), m.select(b < a, b, a)
     ratio = less / m.select(more == 0.0, 1.0, more)
@@ -386,7 +389,7 @@ OF_WORDS: Final = Own(FUNCTIONS, bitless=False)
 
 @functools.cache
 def formula(name: str, kind: str, own: Own = OF_WORDS) -> Formula:
-    """A function in float32 or float64, without fused operations."""
+    """Return a function in float32 or float64, without fused operations."""
     function, nodes = own.functions[name], Nodes()
     inputs = list(inspect.signature(function).parameters)[1:]
     arguments = [Value(nodes, nodes.input(text, LANES, kind)) for text in inputs]
@@ -396,7 +399,7 @@ def formula(name: str, kind: str, own: Own = OF_WORDS) -> Formula:
 
 
 def called(results: Results) -> set[str]:
-    """The functions that results call, those of the C library among them."""
+    """Return the functions that results call, those of the C library among them."""
     return {node.text for node in uses(results) if node.op == "call"}
 
 
@@ -411,7 +414,7 @@ def inlined(nodes: Nodes, numbers: Numbers, names: Iterable[str]) -> dict[str, C
 
 
 def needed(names: set[str], kind: str = DOUBLE.kind, own: Own = OF_WORDS) -> list[str]:
-    """The functions and those that they call, each after those that it calls."""
+    """Return the functions and those that they call, each after those that it calls."""
     found = set(names)
     for name in reversed(own.functions):
         if name in found:

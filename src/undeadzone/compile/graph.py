@@ -43,12 +43,12 @@ class Node:
 
     @property
     def value(self) -> float | None:
-        """The number that a constant is; None for other nodes."""
+        """Return the number that a constant is; None for other nodes."""
         return float(self.text) if self.op == "const" else None
 
     @property
     def is_real(self) -> bool:
-        """Whether its value is a floating-point number."""
+        """Return whether its value is a floating-point number."""
         return self.kind.startswith("float")
 
 
@@ -63,7 +63,7 @@ class Nodes:
         self._known: dict[tuple[object, ...], Node] = {}
 
     def intern(self, op: str, *args: Node, text: str = "", kind: str = "", level: int = 0) -> Node:
-        """An instruction, the one that is there if it is.
+        """Return an instruction, the one that is there if it is.
 
         Args:
             op, args, text: as of `Node`.
@@ -84,7 +84,7 @@ class Nodes:
         return node
 
     def constant(self, value: float, kind: str = "float64") -> Node:
-        """A number, a word or a truth (1 or 0)."""
+        """Return a number, a word or a truth (1 or 0)."""
         text = repr(float(value)) if kind.startswith("float") else str(int(value))
         return self.intern("const", text=text, kind=kind)
 
@@ -104,13 +104,13 @@ def needed(results: Iterable[Node], known: Collection[Node] = ()) -> list[Node]:
 
 
 def used(order: Iterable[Node], results: Iterable[Node], level: int) -> list[Node]:
-    """The values of a level that some instructions or results use directly."""
+    """Return the values of a level that some instructions or results use directly."""
     found = set(results).union(*[node.args for node in order])
     return sorted((node for node in found if node.level == level), key=_number)
 
 
 def still(order: Iterable[Node], results: Iterable[Node]) -> list[Node]:
-    """The instructions of lanes that some instructions or results need once a call."""
+    """Return the instructions of lanes that some instructions or results need once a call."""
     nodes = needed(used(order, results, STILL))
     return [node for node in nodes if node.level == STILL and node.op != "input"]
 
@@ -124,7 +124,7 @@ def uses(results: Results) -> Counter[Node]:
 
 
 def condition(number: Node) -> Node | None:
-    """The truth that a number 1 or 0 stands for; None for other numbers."""
+    """Return the truth that a number 1 or 0 stands for; None for other numbers."""
     if number.op != "select" or (number.args[1].text, number.args[2].text) != ("1.0", "0.0"):
         return None
     return number.args[0]

@@ -63,13 +63,13 @@ def run(
 
 
 def stateless(inputs: list[ca.SX], value: ca.SX) -> ca.Function:
-    """A step without a state, whose output is a value of a row and of params (inputs)."""
+    """Return a step without a state, whose output is a value of a row and of params (inputs)."""
     nothing = ca.SX(0, 1)
     return ca.Function("stateless", [nothing, *inputs], [nothing, value])
 
 
 def mapped(step: ca.Function, rows: Floats, params: Floats) -> Floats:
-    """The outputs of a step without a state at many rows (N x inputs), a row each."""
+    """Return the outputs of a step without a state at many rows (N x inputs), a row each."""
     return run(step, np.empty(0), rows, params)[0]
 
 
@@ -105,7 +105,7 @@ class Stepper:
         self.state[:] = self._next
 
     def run(self, w: Floats) -> Floats:
-        """The outputs along w (N x inputs), a row each; the state advances.
+        """Return the outputs along w (N x inputs), a row each; the state advances.
 
         Many rows are worth a compilation, after which every bit stays as it was.
         """

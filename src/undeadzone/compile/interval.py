@@ -39,7 +39,7 @@ class Interval(NamedTuple):
 
 
 def _outward(low: Floats, high: Floats) -> Interval:
-    """Wider by a rounding; what is not a number has no bound."""
+    """Return wider by a rounding; what is not a number has no bound."""
     return Interval(
         np.where(np.isnan(low), -np.inf, np.nextafter(low, -np.inf)),
         np.where(np.isnan(high), np.inf, np.nextafter(high, np.inf)),
@@ -47,17 +47,17 @@ def _outward(low: Floats, high: Floats) -> Interval:
 
 
 def _bounded_where(condition: np.ndarray, a: Interval) -> Interval:
-    """The interval where the condition holds, no bound elsewhere."""
+    """Return the interval where the condition holds, no bound elsewhere."""
     return Interval(np.where(condition, a.low, -np.inf), np.where(condition, a.high, np.inf))
 
 
 def _zero_where(condition: np.ndarray, a: Interval) -> Interval:
-    """0 where the condition holds, the interval elsewhere."""
+    """Return 0 where the condition holds, the interval elsewhere."""
     return Interval(np.where(condition, 0.0, a.low), np.where(condition, 0.0, a.high))
 
 
 def _sum_towards(a: Floats, b: Floats, infinity: float) -> Floats:
-    """a + b, rounded towards an infinity where it is not exact."""
+    """Return a + b, rounded towards an infinity where it is not exact."""
     total = a + b
     part = total - a
     exact = (a - (total - part)) + (b - part) == 0
@@ -69,27 +69,27 @@ def _sum_towards(a: Floats, b: Floats, infinity: float) -> Floats:
 
 
 def add(a: Interval, b: Interval) -> Interval:
-    """a + b."""
+    """Return a + b."""
     return Interval(_sum_towards(a.low, b.low, -np.inf), _sum_towards(a.high, b.high, np.inf))
 
 
 def subtract(a: Interval, b: Interval) -> Interval:
-    """a - b."""
+    """Return a - b."""
     return add(a, negative(b))
 
 
 def negative(a: Interval) -> Interval:
-    """-a."""
+    """Return -a."""
     return Interval(-a.high, -a.low)
 
 
 def twice(a: Interval) -> Interval:
-    """2 a, which is exact."""
+    """Return 2 a, which is exact."""
     return Interval(2 * a.low, 2 * a.high)
 
 
 def product(a: Interval, b: Interval) -> Interval:
-    """a b.
+    """Return a b.
 
     0 times infinity is no number, but then another end is 0, or both infinities are.
     """
@@ -99,36 +99,36 @@ def product(a: Interval, b: Interval) -> Interval:
 
 
 def _is_zero(a: Interval) -> np.ndarray:
-    """Whether a can only be 0."""
+    """Return whether a can only be 0."""
     return (a.low == 0) & (a.high == 0)
 
 
 def quotient(a: Interval, b: Interval) -> Interval:
-    """a / b."""
+    """Return a / b."""
     return product(a, inverse(b))
 
 
 def inverse(a: Interval) -> Interval:
-    """1 / a; no bound where a may be 0."""
+    """Return 1 / a; no bound where a may be 0."""
     away = (a.low > 0) | (a.high < 0)
     return _bounded_where(away, _outward(1 / a.high, 1 / a.low))
 
 
 def square(a: Interval) -> Interval:
-    """a^2, which is nowhere negative."""
+    """Return a^2, which is nowhere negative."""
     size = absolute(a)
     low = np.maximum(np.nextafter(size.low**2, -np.inf), 0.0)
     return Interval(low, np.nextafter(size.high**2, np.inf))
 
 
 def absolute(a: Interval) -> Interval:
-    """|a|."""
+    """Return |a|."""
     least = np.maximum(np.maximum(a.low, -a.high), 0.0)
     return Interval(least, np.maximum(-a.low, a.high))
 
 
 def power(a: Interval, b: Interval) -> Interval:
-    """a^b: whole numbers b by products, others as exp(b log a)."""
+    """Return a^b: whole numbers b by products, others as exp(b log a)."""
     exponent = float(np.ravel(b.low)[0])
     fixed = ((b.low == exponent) & (b.high == exponent)).all()
     if not fixed or exponent != round(exponent) or not 1 <= abs(exponent) <= POWERS:
@@ -138,7 +138,7 @@ def power(a: Interval, b: Interval) -> Interval:
 
 
 def _whole_power(a: Interval, exponent: int) -> Interval:
-    """a^n, n = 1, 2, ..., by squares of squares."""
+    """Return a^n, n = 1, 2, ..., by squares of squares."""
     if exponent == 1:
         return a
     even = square(_whole_power(a, exponent // 2))
@@ -154,7 +154,7 @@ def rising(
     least: float = -np.inf,
     greatest: float = np.inf,
 ) -> Interval:
-    """A function that rises on its domain [least, greatest]; no bound beyond."""
+    """Return a function that rises on its domain [least, greatest]; no bound beyond."""
     low, high = function(a.low), function(a.high)
     inside = (a.low >= least) & (a.high <= greatest)
     padded = _outward(low - PAD * np.abs(low), high + PAD * np.abs(high))
@@ -172,22 +172,22 @@ asin = partial(rising, np.arcsin, least=-1.0, greatest=1.0)
 
 
 def acos(a: Interval) -> Interval:
-    """arccos a, which falls, for |a| <= 1."""
+    """Return arccos a, which falls, for |a| <= 1."""
     return negative(rising(lambda x: -np.arccos(x), a, -1.0, 1.0))
 
 
 def cosh(a: Interval) -> Interval:
-    """cosh a = cosh |a|."""
+    """Return cosh a = cosh |a|."""
     return rising(np.cosh, absolute(a))
 
 
 def tan(a: Interval) -> Interval:
-    """tan a = sin a / cos a."""
+    """Return tan a = sin a / cos a."""
     return quotient(sin(a), cos(a))
 
 
 def _wave(function: Callable[[Floats], Floats], top: float, a: Interval) -> Interval:
-    """A wave of period 2 pi that is 1 at `top` and -1 half a period later."""
+    """Return a wave of period 2 pi that is 1 at `top` and -1 half a period later."""
     at_low, at_high = function(a.low), function(a.high)
     endless = ~(np.isfinite(a.low) & np.isfinite(a.high))
     least = np.maximum(np.minimum(at_low, at_high) - PAD, -1.0)
@@ -198,7 +198,7 @@ def _wave(function: Callable[[Floats], Floats], top: float, a: Interval) -> Inte
 
 
 def _reaches(a: Interval, angle: float) -> np.ndarray:
-    """Whether a may be an angle or differ from it by whole turns."""
+    """Return whether a may be an angle or differ from it by whole turns."""
     slack = SLACK * (1 + np.maximum(np.abs(a.low), np.abs(a.high)))
     first = np.ceil((a.low - slack - angle) / (2 * np.pi))
     last = np.floor((a.high + slack - angle) / (2 * np.pi))
@@ -215,39 +215,39 @@ cos = partial(_wave, np.cos, 0.0)
 
 
 def _decided(yes: np.ndarray, no: np.ndarray) -> Interval:
-    """1 where yes, 0 where no. Raises InputError where neither."""
+    """Return 1 where yes, 0 where no. Raises InputError where neither."""
     if not np.all(yes | no):
         raise InputError(SMOOTH)
     return Interval(np.where(yes, 1.0, 0.0), np.where(yes, 1.0, 0.0))
 
 
 def less(a: Interval, b: Interval) -> Interval:
-    """a < b."""
+    """Return a < b."""
     return _decided(a.high < b.low, a.low >= b.high)
 
 
 def at_most(a: Interval, b: Interval) -> Interval:
-    """a <= b."""
+    """Return a <= b."""
     return _decided(a.high <= b.low, a.low > b.high)
 
 
 def equal(a: Interval, b: Interval) -> Interval:
-    """a == b."""
+    """Return a == b."""
     return _decided(_coincide(a, b), _apart(a, b))
 
 
 def unequal(a: Interval, b: Interval) -> Interval:
-    """a != b."""
+    """Return a != b."""
     return _decided(_apart(a, b), _coincide(a, b))
 
 
 def _coincide(a: Interval, b: Interval) -> np.ndarray:
-    """Whether a and b can only be the same number."""
+    """Return whether a and b can only be the same number."""
     return (a.low == a.high) & (b.low == b.high) & (a.low == b.low)
 
 
 def _apart(a: Interval, b: Interval) -> np.ndarray:
-    """Whether a and b have no number in common."""
+    """Return whether a and b have no number in common."""
     return (a.high < b.low) | (a.low > b.high)
 
 
@@ -257,28 +257,28 @@ def negation(a: Interval) -> Interval:
 
 
 def both(a: Interval, b: Interval) -> Interval:
-    """Both conditions."""
+    """Return both conditions."""
     return Interval(a.low * b.low, a.high * b.high)
 
 
 def sign(a: Interval) -> Interval:
-    """The sign of a, where it is decided."""
+    """Return the sign of a, where it is decided."""
     positive = _decided(a.low > 0, a.high < 0).low
     return Interval(2 * positive - 1, 2 * positive - 1)
 
 
 def minimum(a: Interval, b: Interval) -> Interval:
-    """min(a, b)."""
+    """Return min(a, b)."""
     return Interval(np.minimum(a.low, b.low), np.minimum(a.high, b.high))
 
 
 def maximum(a: Interval, b: Interval) -> Interval:
-    """max(a, b)."""
+    """Return max(a, b)."""
     return Interval(np.maximum(a.low, b.low), np.maximum(a.high, b.high))
 
 
 def gated(condition: Interval, value: Interval) -> Interval:
-    """The value where the condition holds, else 0."""
+    """Return the value where the condition holds, else 0."""
     return _zero_where(condition.low == 0, value)
 
 
@@ -332,7 +332,7 @@ def _enclosed(lines: Program, names: Sequence[str], boxes: Sequence[Interval]) -
 
 
 def _stacked(entries: list[Interval], shape: tuple[int, ...]) -> Interval:
-    """Several intervals in one (entries x boxes)."""
+    """Return several intervals in one (entries x boxes)."""
     low = np.stack([np.broadcast_to(entry.low, shape) for entry in entries])
     high = np.stack([np.broadcast_to(entry.high, shape) for entry in entries])
     return Interval(low, high)

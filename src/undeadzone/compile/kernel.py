@@ -112,7 +112,7 @@ class Block:
         self.own: list[Names] = []  # of values that lanes compute once
 
     def printed(self, name: str) -> str:
-        """The text of the module, with a function of that name."""
+        """Return the text of the module, with a function of that name."""
         entry = self._text("e")
         self._steady_values(entry)
         group, body = self._group(), self._body()
@@ -143,13 +143,13 @@ class Block:
         return "\n".join(lines)
 
     def _place_of(self, numbers: int) -> str:
-        """Type and alignment of the array for tables of so many numbers."""
+        """Return type and alignment of the array for tables of so many numbers."""
         if self.form.lanes == 1:
             return f"[{numbers + 1} x double], align 8"
         return f"[{numbers + _APART} x double], align {_PAGE}"
 
     def _text(self, prefix: str) -> Text:
-        """A new part of the function."""
+        """Return a new part of the function."""
         return Text(self.form.lanes, self.declared, prefix)
 
     def _steady_values(self, text: Text) -> None:
@@ -184,7 +184,7 @@ class Block:
         return at
 
     def _chunk(self, steps: int) -> list[str]:
-        """The loop over chunks of steps and the table of what is shared."""
+        """Return the loop over chunks of steps and the table of what is shared."""
         text = self._text("c")
         text.label("chunk")
         text.line("%first = phi i64 [0, %entry], [%last, %chunked]")
@@ -209,7 +209,7 @@ class Block:
         self.shared.fill(text, text.at("%table", place), have)
 
     def _group(self) -> list[str]:
-        """The loop over groups up to that over time."""
+        """Return the loop over groups up to that over time."""
         text = self._text("g")
         vector, (states, _, _) = text.type("double"), self.shape.sizes
         text.label("group")
@@ -240,7 +240,7 @@ class Block:
         return source
 
     def _time(self) -> list[str]:
-        """The head of the loop over time."""
+        """Return the head of the loop over time."""
         text = self._text("h")
         text.label("time")
         text.line("%k = phi i64 [%first, %group], [%k_next, %after]")
@@ -269,7 +269,7 @@ class Block:
         return text.lines
 
     def _body(self) -> list[str]:
-        """A step, and the rare parts' calls."""
+        """Return a step, and the rare parts' calls."""
         text = self._text("b")
         text.block = "time"
         sources = [self._source(text, u) for u in self.groups]
@@ -297,7 +297,7 @@ class Block:
         return text.lines
 
     def _flags(self, text: Text, names: list[Names]) -> list[str]:
-        """The conditions of the rare parts, for each group."""
+        """Return the conditions of the rare parts, for each group."""
         assert self.flag is not None
         flags = [name(self.flag) for name in names]
         if self.flag.kind == "bool":
@@ -336,7 +336,7 @@ class Block:
         return tabled
 
     def _end(self) -> list[str]:
-        """The ends of all loops."""
+        """Return the ends of all loops."""
         text = self._text("z")
         text.line("%done = icmp eq i64 %k_next, %last")
         text.line("br i1 %done, label %grouped, label %time")
@@ -404,7 +404,7 @@ def graphs(
     w: Mapping[int, float],
     p: Mapping[int, float],
 ) -> Graphs:
-    """The functions that a kernel computes.
+    """Return the functions that a kernel computes.
 
     Args:
         step, rare: as for `lanes.build`.
@@ -428,7 +428,7 @@ def source(
     form: Form | None = None,
     name: str = "block",
 ) -> Source:
-    """The text of a kernel.
+    """Return the text of a kernel.
 
     Args:
         functions: what it computes.
@@ -462,11 +462,11 @@ def source(
 
 
 def _substituted(column: ca.SX, known: Mapping[int, float]) -> ca.SX:
-    """A column with the entries that are known in their places."""
+    """Return a column with the entries that are known in their places."""
     return ca.vertcat(*(known.get(i, column[i]) for i in range(column.numel())))
 
 
 def _graph(columns: list[ca.SX], results: list[ca.SX]) -> ca.Function:
-    """The function of s, w and p with these results."""
+    """Return the function of s, w and p with these results."""
     names = [f"result{i}" for i in range(len(results))]
     return ca.Function("graph", columns, results, ["s", "w", "p"], names)

@@ -125,7 +125,7 @@ def build(
 
 
 def cached_kernel(step: ca.Function, rare: Sequence[ca.Function] = ()) -> Kernel | None:
-    """The kernel of a single run that `build` would give, if it is on disk."""
+    """Return the kernel of a single run that `build` would give, if it is on disk."""
     plan = _plan(step, rare, 1, Arithmetic())
     block = cache.cached_block(plan.recipe(None), KINDS)
     return None if block is None else plan.kernel(block)
@@ -163,7 +163,9 @@ class _Plan(NamedTuple):
         return Kernel(block, self.shape, Form(*form), self.width, assumptions.read(granted))
 
     def size(self) -> str:
-        """The class of kernels for which one form is the fastest; "" where none is measured."""
+        """Return the class of kernels for which one form is the fastest; "" where none is
+        measured.
+        """
         counts = [part.n_instructions() for part in (self.functions.usual, *self.functions.rare)]
         octaves = round(2.0 * math.log2(1 + counts[0])) / 2.0
         is_measured = sum(counts) <= MEASURED
@@ -178,7 +180,9 @@ def _plan(
     own: tuple[tuple[int, ...], tuple[int, ...], Sequence[int] | None] = ((), (), None),
     known: tuple[Mapping[int, float], Mapping[int, float]] = ({}, {}),
 ) -> _Plan:
-    """A kernel's plan; own: exogenous, params, record, and known: exogenous, params of `build`."""
+    """Return a kernel's plan; own: exogenous, params, record, and known: exogenous, params of
+    `build`.
+    """
     sizes = (step.size1_in(0), step.size1_in(1), step.size1_in(2))
     outputs = step.size1_out(1)
     exogenous, params, record = own
@@ -192,7 +196,7 @@ def _plan(
 
 
 def _trial(plan: _Plan, block: cache.Block, question: str) -> cache.Trial:
-    """A kernel's block and its other forms, of which a long run finds the fastest."""
+    """Return a kernel's block and its other forms, of which a long run finds the fastest."""
     assumed = plan.kernel(block).form
     forms = here().others(assumed)
     group = math.lcm(*(form.lanes * form.streams for form in (assumed, *forms)))
@@ -263,13 +267,15 @@ def run_alone(
     params: Floats,
     progress: Callable[[int], None] | None = None,
 ) -> tuple[Floats, Floats]:
-    """A single run, as `interpret.run` gives it: the outputs (N x outputs) and the final state."""
+    """Return a single run, as `interpret.run` gives it: the outputs (N x outputs) and the final
+    state.
+    """
     outputs, finals = run(kernel, state, exogenous, params, threads=1, progress=progress)
     return outputs[0], finals[0]
 
 
 def _width(kernel: Kernel, lanes: int, threads: int) -> int:
-    """Lanes of a block: whole groups, and work for every thread."""
+    """Return lanes of a block: whole groups, and work for every thread."""
     group = kernel.form.lanes * kernel.form.streams
     each = min(kernel.width, -(-lanes // threads))
     return -(-each // group) * group
@@ -283,7 +289,7 @@ def _require_entries(name: str, entries: Sequence[int], size: int) -> None:
 
 
 def _chunk(shape: Shape, width: int, every: int) -> int:
-    """The steps of one call of a kernel: a multiple of `every`, and of 4 for the noise."""
+    """Return the steps of one call of a kernel: a multiple of `every`, and of 4 for the noise."""
     unit = math.lcm(4, every)
     numbers = width * max(UNRECORDED, len(shape.record), len(shape.exogenous))  # of a step
     return max(1, int(BUFFER // numbers) // unit) * unit
@@ -302,7 +308,7 @@ class _Arrays(NamedTuple):
 
 
 def _arrays(kernel: Kernel, width: int, steps: int) -> _Arrays:
-    """Arrays for blocks of so many lanes."""
+    """Return arrays for blocks of so many lanes."""
     shape = kernel.shape
     rows = shape.sizes[0] + len(shape.params)
     buffer = np.empty((steps, len(shape.record), width))
@@ -349,7 +355,7 @@ def _run_block(
 
 
 def _aligned(numbers: int) -> Floats:
-    """An array that begins with a line of the cache: no vector lies across two lines."""
+    """Return an array that begins with a line of the cache: no vector lies across two lines."""
     raw = np.empty(numbers + LINE)
     start = -(raw.ctypes.data // raw.itemsize) % LINE
     return raw[start : start + numbers]
@@ -386,7 +392,7 @@ def checked(
     lane_exogenous: Floats | Supply | None,
     lane_params: Floats | None,
 ) -> Inputs:
-    """The arguments of `run` in the shapes of a kernel. Raises ShapeError."""
+    """Return the arguments of `run` in the shapes of a kernel. Raises ShapeError."""
     own = None if callable(lane_exogenous) else lane_exogenous
     lanes = _lanes(
         ("states", states, 2, 0), ("lane_exogenous", own, 3, 2), ("lane_params", lane_params, 2, 0)
@@ -409,12 +415,12 @@ def checked(
 
 
 def _held(inputs: Floats) -> Supply:
-    """A supply from an array (N x own inputs x lanes)."""
+    """Return a supply from an array (N x own inputs x lanes)."""
     return lambda lanes: lambda first, count: inputs[first : first + count, :, lanes]
 
 
 def _lanes(*sources: tuple[str, Any, int, int]) -> int:
-    """The number of lanes that arrays agree on.
+    """Return the number of lanes that arrays agree on.
 
     Args:
         sources: name, value, dimensions when it has lanes, axis of lanes.
@@ -430,7 +436,7 @@ def _lanes(*sources: tuple[str, Any, int, int]) -> int:
 
 
 def _shaped(name: str, value: Floats, *shape: int) -> Floats:
-    """An array of a given shape. Raises ShapeError for another one."""
+    """Return an array of a given shape. Raises ShapeError for another one."""
     numbers = np.asarray(value, float)
     if numbers.shape != shape:
         present = shape_text(numbers.shape)

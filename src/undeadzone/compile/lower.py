@@ -46,7 +46,7 @@ def lowered(
     arithmetic: Arithmetic,
     granted: dict[Promise, None],
 ) -> Results:
-    """The results of a function as instructions.
+    """Return the results of a function as instructions.
 
     Args:
         function: with dense outputs; its inputs named p are finite numbers.
@@ -72,7 +72,7 @@ def lowered(
 
 
 def _own(nodes: Nodes, arithmetic: Arithmetic) -> dict[str, Callable[..., Node]]:
-    """The functions that take the C library's place."""
+    """Return the functions that take the C library's place."""
     if arithmetic.fused:
         return elementary.inlined(nodes, FUSED, (*elementary.LANES_OWN, "sign"))
     names = elementary.FUNCTIONS if arithmetic.portable else ("sign",)
@@ -80,7 +80,7 @@ def _own(nodes: Nodes, arithmetic: Arithmetic) -> dict[str, Callable[..., Node]]
 
 
 def portable(function: ca.Function, kind: str) -> Results:
-    """The results of a function for printers of code that runs without this package.
+    """Return the results of a function for printers of code that runs without this package.
 
     Args:
         function: with dense outputs.
@@ -120,12 +120,14 @@ class Term(NamedTuple):
 
 
 def _is_gate(node: Node) -> bool:
-    """Whether a node is a number where a truth holds, else 0, and not a truth as a number."""
+    """Return whether a node is a number where a truth holds, else 0, and not a truth as a
+    number.
+    """
     return node.op == "select" and node.args[2].value == 0.0 and condition(node) is None
 
 
 def _taken_in(order: list[Node], counts: Counter[Node]) -> set[Node]:
-    """The nodes that are a part of the one sum that uses them."""
+    """Return the nodes that are a part of the one sum that uses them."""
     taken: set[Node] = set()
     for node in reversed(order):
         is_part = node in taken and node.op == "mul"
@@ -151,7 +153,7 @@ def _terms(taken: set[Node], node: Node, minus: bool) -> Iterator[Term]:
 
 
 def _product(taken: set[Node], part: Node, minus: bool) -> Term:
-    """A product or what stands under a truth, as a term."""
+    """Return a product or what stands under a truth, as a term."""
     factor, gate = (part.args[0], part.args[1]) if part.op == "mul" else (None, part)
     if gate in taken and gate.op == "select":
         truth, value, _ = gate.args
@@ -180,7 +182,7 @@ class _Lowering(NamedTuple):
     values: dict[Node, Node]
 
     def lower(self, node: Node) -> Node:
-        """The instructions of a node."""
+        """Return the instructions of a node."""
         args = [self.values[arg] for arg in node.args if arg in self.values]
         if node.op == "input":
             return self.nodes.input(node.text, self.levels(node.text), node.kind)
@@ -193,7 +195,9 @@ class _Lowering(NamedTuple):
         return self.nodes.intern(node.op, *args, text=node.text, kind=node.kind)
 
     def _extreme(self, word: str, a: Node, b: Node) -> Node:
-        """The lesser or greater of two numbers, the first of equals; the other of NaN and one."""
+        """Return the lesser or greater of two numbers, the first of equals; the other of NaN and
+        one.
+        """
         made, op = self.nodes.intern, "least" if word == "fmin" else "most"
         if _is_number(a):
             return made(op, b, a)
@@ -205,7 +209,7 @@ class _Lowering(NamedTuple):
         return made("select", better, a, b)
 
     def _sum(self, node: Node) -> Node:
-        """A sum, term by term.
+        """Return a sum, term by term.
 
         A term is added as soon as it is known, and what it needs can be forgotten; a plain one
         comes first where it costs no waiting, for a product then needs no instruction of its own;
@@ -230,12 +234,12 @@ class _Lowering(NamedTuple):
         return total
 
     def _signed(self, term: Term) -> Node:
-        """The value of a term with its sign."""
+        """Return the value of a term with its sign."""
         value = self.values[term.value]
         return self.nodes.intern("neg", value) if term.minus else value
 
     def _plus(self, total: Node, term: Term) -> Node:
-        """A sum and one term more."""
+        """Return a sum and one term more."""
         if term.factor is not None:
             factors = self.values[term.factor], self._signed(term)
             return self.nodes.intern("call", *factors, total, text="fma")
@@ -243,7 +247,7 @@ class _Lowering(NamedTuple):
 
 
 def _is_number(node: Node) -> bool:
-    """Whether a node cannot be NaN."""
+    """Return whether a node cannot be NaN."""
     if node.op == "input":
         return node.text.startswith("p")
     return node.op == "const" and node.text != "nan"

@@ -65,7 +65,7 @@ class Form(NamedTuple):
         return ",".join(str(int(number)) for number in told)
 
     def is_cut(self, instructions: int) -> bool:
-        """Whether a step of so many instructions goes in functions."""
+        """Return whether a step of so many instructions goes in functions."""
         return self.streams == 1 and instructions > WHOLE * self.piece
 
 
@@ -88,7 +88,7 @@ class Machine(NamedTuple):
 
     @property
     def vector(self) -> tuple[int, int]:
-        """Lanes of a vector, and how many vectors registers hold."""
+        """Return lanes of a vector, and how many vectors registers hold."""
         features = self.features.split(",")
         if "+avx512f" in features:
             return 8, 32
@@ -97,7 +97,9 @@ class Machine(NamedTuple):
         return (2, 32) if self.triple.startswith(("aarch64", "arm64")) else (2, 16)
 
     def form(self, instructions: int, width: int) -> Form:
-        """The form of a kernel of so many instructions of a lane, for blocks of so many lanes."""
+        """Return the form of a kernel of so many instructions of a lane, for blocks of so many
+        lanes.
+        """
         lanes, registers = self.vector
         slots = lanes == 8
         if instructions <= PAIRED and width >= 2 * lanes and lanes * registers > 32:
@@ -107,14 +109,14 @@ class Machine(NamedTuple):
         return Form(lanes, 1, slots, 26)
 
     def others(self, form: Form) -> list[Form]:
-        """Forms that a long run tries beside the one that is assumed."""
+        """Return forms that a long run tries beside the one that is assumed."""
         slots = form.lanes == 8
         usual = (2, slots, 20), (2, False, 12), (2, False, 0), (1, slots, 26)
         forms = [Form(form.lanes, *each) for each in usual]
         return [other for other in forms if other != form]
 
     def target(self, effort: int = 3) -> Any:
-        """A compiler for it, of LLVM's effort 0 to 3."""
+        """Return a compiler for it, of LLVM's effort 0 to 3."""
         from llvmlite import binding
 
         _initialized()
@@ -131,7 +133,8 @@ class Machine(NamedTuple):
 
 
 def told_form() -> Form | None:
-    """The form that the environment fixes, such as 8,2,0,20: lanes, streams, slots and registers.
+    """Return the form that the environment fixes, such as 8,2,0,20: lanes, streams, slots and
+    registers.
 
     Raises:
         InputError: `FIXED` is set to something else.
@@ -172,7 +175,7 @@ def _initialized() -> None:
 
 
 def stack() -> int:
-    """The bytes of a thread's stack, or fewer."""
+    """Return the bytes of a thread's stack, or fewer."""
     if sys.platform == "win32":
         return SMALL_STACK
     import resource
@@ -209,7 +212,9 @@ class Linked(NamedTuple):
 
 
 def compiled(text: str, effort: int = MOST) -> Compiled:
-    """The machine code of a module, with LLVM's effort 0 (four times sooner, half as fast) to 3."""
+    """Return the machine code of a module, with LLVM's effort 0 (four times sooner, half as fast)
+    to 3.
+    """
     from llvmlite import binding
 
     target = here().target(effort)
@@ -219,7 +224,7 @@ def compiled(text: str, effort: int = MOST) -> Compiled:
 
 
 def linked(made: Compiled, kinds: tuple[str, ...]) -> Linked | None:
-    """The function `block` of machine code, ready to be called; `kinds` as of `cache.load`.
+    """Return the function `block` of machine code, ready to be called; `kinds` as of `cache.load`.
 
     None if something that it calls is missing from this process, at which LLVM would abort.
     """
@@ -243,12 +248,12 @@ def linked(made: Compiled, kinds: tuple[str, ...]) -> Linked | None:
 
 
 def _c_type(kind: str) -> Any:
-    """The type of an argument: a number, or where an array begins."""
+    """Return the type of an argument: a number, or where an array begins."""
     return ctypes.c_void_p if kind.endswith("*") else np.ctypeslib.as_ctypes_type(np.dtype(kind))
 
 
 def _called(declared: list[str]) -> list[str]:
-    """The C functions that may be called, from the names that LLVM declares.
+    """Return the C functions that may be called, from the names that LLVM declares.
 
     An intrinsic function such as llvm.floor.v2f64 may become a call of floor.
     """
@@ -263,5 +268,5 @@ def _called(declared: list[str]) -> list[str]:
 
 
 def _library() -> ctypes.CDLL:
-    """The C library of this process."""
+    """Return the C library of this process."""
     return ctypes.CDLL("ucrtbase" if sys.platform == "win32" else None)

@@ -95,12 +95,12 @@ _FILL: Final = {
 
 @functools.cache
 def _fill() -> tuple[str, tuple[str, ...]]:
-    """Text and arguments of what draws: of 32 bits a vector holds twice as many numbers."""
+    """Return text and arguments of what draws: of 32 bits a vector holds twice as many numbers."""
     return fill_text(2 * here().vector[0]), tuple(_FILL.values())
 
 
 def _module(text: Text) -> str:
-    """A module with the function `block` of this text."""
+    """Return a module with the function `block` of this text."""
     given = []
     for name, kind in _FILL.items():
         given.append(f"ptr noalias %{name}" if kind.endswith("*") else f"{TYPES[kind]} %{name}")
@@ -118,7 +118,7 @@ def _parts(text: Text, group: int) -> Iterator[str]:
 
 
 def fill_text(group: int) -> str:
-    """The text of what fills an array with normal numbers, a group of runs at a time."""
+    """Return the text of what fills an array with normal numbers, a group of runs at a time."""
     results = _numbers()
     text, order = Text(1, {}), of_graph(results)
     text.block = "entry"
@@ -147,7 +147,7 @@ def fill_text(group: int) -> str:
 
 
 def _numbers() -> list[Node]:
-    """The four numbers of a counter, as doubles."""
+    """Return the four numbers of a counter, as doubles."""
     nodes = Nodes()
     m = Numpy(nodes)
 

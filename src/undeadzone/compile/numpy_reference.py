@@ -18,7 +18,7 @@ Evaluate = Callable[[dict[str, Any]], list[list[Any]]]
 
 
 def replica(results: Results) -> Evaluate:
-    """Results as a function of inputs by their names, numbers or arrays of a type.
+    """Return results as a function of inputs by their names, numbers or arrays of a type.
 
     Args:
         results: the nodes; there is at least one.
@@ -29,7 +29,7 @@ def replica(results: Results) -> Evaluate:
 
 @functools.cache
 def elementary(kind: str) -> dict[str, Callable[..., Any]]:
-    """The elementary functions in float32 or float64, of numbers or arrays, by name."""
+    """Return the elementary functions in float32 or float64, of numbers or arrays, by name."""
     functions: dict[str, Callable[..., Any]] = dict(_LIBRARY)
     for name in FUNCTIONS:
         functions[name] = _elementary(name, kind, functions)
@@ -39,7 +39,7 @@ def elementary(kind: str) -> dict[str, Callable[..., Any]]:
 def _elementary(
     name: str, kind: str, functions: dict[str, Callable[..., Any]]
 ) -> Callable[..., Any]:
-    """One function; those that it calls are made before."""
+    """Return one function; those that it calls are made before."""
     shape = formula(name, kind)
     evaluate = _evaluator([[shape.result]], functions)
 
@@ -50,7 +50,7 @@ def _elementary(
 
 
 def _evaluator(results: Results, functions: dict[str, Callable[..., Any]]) -> Evaluate:
-    """Results as a function, where these functions are called.
+    """Return results as a function, where these functions are called.
 
     The graph is read once, since it is computed many times: operands are places in a list.
     """
@@ -84,14 +84,14 @@ def _evaluator(results: Results, functions: dict[str, Callable[..., Any]]) -> Ev
 
 
 def _select(truth: Any, yes: Any, no: Any) -> Any:
-    """One of two numbers, or of each two of arrays."""
+    """Return one of two numbers, or of each two of arrays."""
     if isinstance(truth, np.ndarray):
         return np.where(truth, yes, no)
     return yes if truth else no
 
 
 def _remainder(x: Any, y: Any) -> Any:
-    """x - n y with n the whole number nearest to x / y, as C has it."""
+    """Return x - n y with n the whole number nearest to x / y, as C has it."""
     if not np.isfinite(x) or y == 0 or np.isnan(y):
         return x.dtype.type(np.nan)
     return x.dtype.type(math.remainder(float(x), float(y)))

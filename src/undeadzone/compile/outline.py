@@ -41,7 +41,9 @@ class Pieces:
         self.numbers = self._placed() * form.lanes  # that the frame holds
 
     def _last_uses(self, results: list[Node]) -> dict[Node, int]:
-        """The last function that is given a value; the end of the step counts as one more."""
+        """Return the last function that is given a value; the end of the step counts as one
+        more.
+        """
         last: dict[Node, int] = {}
         for at, piece in enumerate(self._orders):
             for node in _operands(piece):
@@ -80,7 +82,7 @@ class Pieces:
         return self._source(text, self._made, source)
 
     def functions(self, declared: dict[str, str], tables: Callable[[Text], Names]) -> list[str]:
-        """Their texts.
+        """Return their texts.
 
         Args:
             declared: what the module declares, by name.
@@ -91,7 +93,7 @@ class Pieces:
         return [self._function(at, piece, texts[at], tables) for at, piece in numbered]
 
     def _function(self, at: int, piece: Order, text: Text, tables: Callable[[Text], Names]) -> str:
-        """The text of a function: values of the frame are loaded anew at every use."""
+        """Return the text of a function: values of the frame are loaded anew at every use."""
         text.block = "entry"
         have: dict[Node, str] = {}
         frame = self._source(text, self._places, tables(text))
@@ -131,7 +133,7 @@ def _pointers(kind: str) -> str:
 
 
 def _instructions(order: Order) -> Iterator[Node]:
-    """The instructions, those of branches too."""
+    """Yield the instructions, those of branches too."""
     for one in order:
         yield from one.nodes if isinstance(one, Branch) else (one,)
 
@@ -146,7 +148,7 @@ def _operands(order: Order) -> Iterator[Node]:
 
 
 def _cut(order: Order, piece: int) -> Iterator[Order]:
-    """The instructions in parts of about so many."""
+    """Yield the instructions in parts of about so many."""
     part: Order = []
     length = 0
     for one in itertools.chain.from_iterable(_short(one, piece) for one in order):
@@ -160,7 +162,7 @@ def _cut(order: Order, piece: int) -> Iterator[Order]:
 
 
 def _short(one: Node | Branch, piece: int) -> Iterator[Node | Branch]:
-    """A branch as branches that are no longer than a function."""
+    """Yield a branch as branches that are no longer than a function."""
     if not isinstance(one, Branch) or len(one.nodes) <= piece:
         yield one
         return

@@ -42,7 +42,7 @@ COS = np.array([1.0, -1.233696662, 0.2535949467, -0.02039858178], np.float32)
 
 
 def philox(a: Any, b: Any, c: Any, d: Any, key: Any, m: Any = np) -> Any:
-    """Four random words of 32 bits: Philox4x32-10 of Salmon et al. (2011).
+    """Return four random words of 32 bits: Philox4x32-10 of Salmon et al. (2011).
 
     Args:
         a, b, c, d: the counter, four words of 32 bits (uint64).
@@ -58,7 +58,8 @@ def philox(a: Any, b: Any, c: Any, d: Any, key: Any, m: Any = np) -> Any:
 
 
 def box_muller(a: Any, b: Any, m: Any = np) -> Any:
-    """Two independent standard normal numbers (float32): radius sqrt(-2 log u), angle from b.
+    """Return two independent standard normal numbers (float32): radius sqrt(-2 log u), angle from
+    b.
 
     u = (a + 1/2) / 2^32; from 3/4 on it is taken as 1 - v, v as precise as a small u, so that small
     radii (from 1.5e-5) are as fine as large ones (up to 6.76). The angle lies within pi/4 of an

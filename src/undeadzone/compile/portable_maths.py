@@ -13,24 +13,24 @@ from undeadzone.compile.elementary import FUNCTIONS, Maths, Own, turned
 
 
 def positive(m: Maths, x: Any) -> Any:
-    """The number without its sign."""
+    """Return the number without its sign."""
     return m.select(x > 0.0, x, 0.0 - x)
 
 
 def with_sign(m: Maths, x: Any, y: Any) -> Any:
-    """|x| with the sign of y; only where x is 0, too, does a 0 have one."""
+    """Return |x| with the sign of y; only where x is 0, too, does a 0 have one."""
     a = abs(x)
     zero = (a == 0.0) & (y == 0.0)
     return m.select(zero, y, m.select(y < 0.0, -a, a))
 
 
 def steps(m: Maths) -> tuple[float, ...]:
-    """Exponents whose sums are all those of numbers, largest first."""
+    """Return exponents whose sums are all those of numbers, largest first."""
     return (120.0,) * (m.c.bias // 120) + (64.0, 32.0, 16.0, 8.0, 4.0, 2.0, 1.0, 1.0)
 
 
 def two_to(m: Maths, x: Any) -> Any:
-    """2^x of a whole number x."""
+    """Return 2^x of a whole number x."""
     left: Any = abs(x)
     value: Any = 1.0
     for step in steps(m):
@@ -41,7 +41,7 @@ def two_to(m: Maths, x: Any) -> Any:
 
 
 def scaled(m: Maths, x: Any) -> Any:
-    """n and 2^-n x, which lies in [edge, 2 edge), edge^2 = 1/2."""
+    """Return n and 2^-n x, which lies in [edge, 2 edge), edge^2 = 1/2."""
     edge = math.sqrt(0.5)
     n: Any = 0.0
     for step in steps(m):
@@ -54,27 +54,27 @@ def scaled(m: Maths, x: Any) -> Any:
 
 
 def exponent(m: Maths, x: Any) -> Any:
-    """n of x = 2^n f, sqrt(1/2) <= f < sqrt(2)."""
+    """Return n of x = 2^n f, sqrt(1/2) <= f < sqrt(2)."""
     return scaled(m, x)[0]
 
 
 def fraction(m: Maths, x: Any) -> Any:
-    """f of x = 2^n f, sqrt(1/2) <= f < sqrt(2)."""
+    """Return f of x = 2^n f, sqrt(1/2) <= f < sqrt(2)."""
     return scaled(m, x)[1]
 
 
 def quarter(m: Maths, n: Any) -> Any:
-    """n modulo 4 of a whole number that is not negative."""
+    """Return n modulo 4 of a whole number that is not negative."""
     return n - 4.0 * (((0.25 * n - 0.375) + m.c.shift) - m.c.shift)
 
 
 def odd(m: Maths, value: Any, x: Any) -> Any:
-    """The value of an odd function at |x|, as it is at x."""
+    """Return the value of an odd function at |x|, as it is at x."""
     return m.select(x > 0.0, value, m.select(x < 0.0, -value, x))
 
 
 def sine(m: Maths, x: Any) -> Any:
-    """Sine; 0 of |x| above 8000 (float) or 1e5 (double)."""
+    """Return sine; 0 of |x| above 8000 (float) or 1e5 (double)."""
     along, across, n = turned(m, x)
     q = quarter(m, n)
     value = m.select((q == 1.0) | (q == 3.0), across, along)
@@ -82,7 +82,7 @@ def sine(m: Maths, x: Any) -> Any:
 
 
 def cosine(m: Maths, x: Any) -> Any:
-    """Cosine; 1 of |x| above 8000 (float) or 1e5 (double)."""
+    """Return cosine; 1 of |x| above 8000 (float) or 1e5 (double)."""
     along, across, n = turned(m, x)
     q = quarter(m, n)
     value = m.select((q == 1.0) | (q == 3.0), along, across)
@@ -90,7 +90,7 @@ def cosine(m: Maths, x: Any) -> Any:
 
 
 def tangent(m: Maths, x: Any) -> Any:
-    """Tangent; 0 of |x| above 8000 (float) or 1e5 (double)."""
+    """Return tangent; 0 of |x| above 8000 (float) or 1e5 (double)."""
     along, across, n = turned(m, x)
     q = quarter(m, n)
     crossed = (q == 1.0) | (q == 3.0)

@@ -91,12 +91,14 @@ class Text(NamedTuple):
 
 
 def literal(value: float, kind: str) -> str:
-    """A number; its text means these bits and no others, beyond the type its largest number."""
+    """Return a number; its text means these bits and no others, beyond the type its largest
+    number.
+    """
     return _number(round_to_type(value, kind), kind)
 
 
 def _number(value: float, kind: str) -> str:
-    """A number that its type holds."""
+    """Return a number that its type holds."""
     sign, size = "-" if math.copysign(1.0, value) < 0 else "", abs(value)
     single = kind == "float32"
     short, limits = ("FLT", np.finfo(kind)) if single else ("DBL", np.finfo(kind))
@@ -131,7 +133,7 @@ class Expressions:
         self._written: dict[Node, Text] = {}
 
     def text(self, node: Node) -> Text:
-        """A node; it is written once, since locals among its operands are named before."""
+        """Return a node; it is written once, since locals among its operands are named before."""
         if node in self.names:
             return Text(self.names[node])
         if node not in self._written:
@@ -139,7 +141,7 @@ class Expressions:
         return self._written[node]
 
     def _text(self, node: Node) -> Text:
-        """A node that is no local."""
+        """Return a node that is no local."""
         if node.op == "input":
             return Text(self.inputs[node.text])
         if node.op == "const":
@@ -147,7 +149,7 @@ class Expressions:
         return self._composed(node, [self.text(arg) for arg in node.args])
 
     def _composed(self, node: Node, args: list[Text]) -> Text:
-        """An instruction on its operands."""
+        """Return an instruction on its operands."""
         if node.op == "select":
             truth, yes, no = (arg.inside for arg in args)
             return Text(f"{truth} ? {yes} : {no}", "?")
@@ -163,7 +165,7 @@ class Expressions:
         return Text(f"{args[0].operand(sign)} {sign} {args[1].operand(sign, second=True)}", sign)
 
     def _function(self, node: Node) -> str:
-        """The name of a function; if it is the export's own, it is noted as used."""
+        """Return the name of a function; if it is the export's own, it is noted as used."""
         name, language = node.text or ("number" if node.is_real else "bits"), self.style.language
         if node.op == "call" and name not in language.own.functions:  # exact by IEEE 754
             return language.library(name, self.style.kind)
@@ -216,7 +218,7 @@ class Body(NamedTuple):
 
 
 def body(results: Results, style: Style, names: Names) -> Body:
-    """The statements that compute results and store them.
+    """Return the statements that compute results and store them.
 
     In long ones an input is read where it is first used, and a result stored once it is there and
     what it overwrites is used no more: so less is alive at a time.
@@ -251,7 +253,9 @@ def body(results: Results, style: Style, names: Names) -> Body:
 
 
 def _uses_of_inputs(found: list[Local], results: Results) -> dict[str, list[int]]:
-    """The numbers of the locals that use each input, by its name; their count: a result does."""
+    """Return the numbers of the locals that use each input, by its name; their count: a result
+    does.
+    """
     at, used = {local.node: k for k, local in enumerate(found)}, defaultdict[str, list[int]](list)
     for node in reversed(needed(itertools.chain(*results))):
         for arg in node.args:
@@ -279,7 +283,8 @@ class Local(NamedTuple):
 
 
 def locals_of(results: Results, expressions: Expressions, labels: dict[Node, str]) -> list[Local]:
-    """The locals, each after those that it needs; `expressions` knows their names from then on.
+    """Return the locals, each after those that it needs; `expressions` knows their names from then
+    on.
 
     Args:
         results: the nodes.
@@ -303,12 +308,12 @@ def locals_of(results: Results, expressions: Expressions, labels: dict[Node, str
 
 
 def lines_of(found: list[Local]) -> list[str]:
-    """The statements that fill locals."""
+    """Return the statements that fill locals."""
     return list(itertools.chain(*[local.lines for local in found]))
 
 
 def _declared(name: str, node: Node, expressions: Expressions) -> list[str]:
-    """A local of C."""
+    """Return a local of C."""
     return wrapped(f"const {TYPES[node.kind]} {name} = {expressions.text(node).text};")
 
 
@@ -324,7 +329,9 @@ def _apart(order: list[Node]) -> set[Node]:
 
 
 def wrapped(statement: str, indent: str = INDENT) -> list[str]:
-    """A statement in lines of at most `WIDTH` columns, broken before operators and after commas."""
+    """Return a statement in lines of at most `WIDTH` columns, broken before operators and after
+    commas.
+    """
     line = indent + statement
     lines: list[str] = []
     while len(line) > WIDTH:
@@ -345,7 +352,7 @@ def _break(line: str) -> int:
 
 
 def _library(name: str, kind: str) -> str:
-    """A function of the C library."""
+    """Return a function of the C library."""
     return f"{name}f" if kind == "float32" else name
 
 
@@ -369,7 +376,7 @@ class Style(NamedTuple):
 
     @property
     def real(self) -> str:
-        """The type of a number."""
+        """Return the type of a number."""
         return self.language.types[self.kind]
 
 
@@ -385,7 +392,8 @@ static inline {to} {prefix}_{name}({of} x)
 
 
 def functions(names: Iterable[str], used: set[str], style: Style) -> list[str]:
-    """The texts of elementary functions, ahead of them those of a number's bits that are used.
+    """Return the texts of elementary functions, ahead of them those of a number's bits that are
+    used.
 
     Args:
         names: of the functions, each after those that it calls.
@@ -415,5 +423,5 @@ def functions(names: Iterable[str], used: set[str], style: Style) -> list[str]:
 
 
 def _commented(name: str) -> str:
-    """The comment of a function."""
+    """Return the comment of a function."""
     return f"/** {str(FUNCTIONS[name].__doc__).strip()} */"

@@ -70,17 +70,17 @@ class Text:
         return name
 
     def type(self, of_one: str, vector: bool = True) -> str:
-        """The type of a vector of lanes, or of one number."""
+        """Return the type of a vector of lanes, or of one number."""
         return f"<{self.lanes} x {of_one}>" if vector and self.lanes > 1 else of_one
 
     def at(self, base: str, index: int | str) -> str:
-        """The address of an entry of an array."""
+        """Return the address of an entry of an array."""
         if index == 0:
             return base
         return self.add(f"getelementptr double, ptr {base}, i64 {index}")
 
     def load(self, address: str, of_type: str = "double", vector: bool = False) -> str:
-        """The numbers at an address."""
+        """Return the numbers at an address."""
         return self.add(
             f"load {self.type(of_type, vector)}, ptr {address}, align {_SIZES[of_type]}"
         )
@@ -90,7 +90,7 @@ class Text:
         self.line(f"store {self.type('double', vector)} {name}, ptr {address}, align 8")
 
     def splat(self, name: str, of_type: str) -> str:
-        """A number in every lane."""
+        """Return a number in every lane."""
         if self.lanes == 1:
             return name
         vector = self.type(of_type)
@@ -99,7 +99,7 @@ class Text:
         return self.add(f"shufflevector {vector} {one}, {vector} poison, {zeros}")
 
     def literal(self, node: Node, vector: bool = True) -> str:
-        """A constant; of a float, the double of the same value."""
+        """Return a constant; of a float, the double of the same value."""
         of_type, text = TYPES[node.kind], node.text
         if node.is_real:
             (word,) = struct.unpack("<Q", struct.pack("<d", np.dtype(node.kind).type(text)))
@@ -115,7 +115,7 @@ class Text:
         return f"<{', '.join([f'{of_type} {text}'] * self.lanes)}>"
 
     def zero(self) -> str:
-        """0.0 in every lane."""
+        """Return 0.0 in every lane."""
         return "zeroinitializer" if self.lanes > 1 else "0.0"
 
     def print(self, node: Node, names: Names, vector: bool = True) -> str:
@@ -147,12 +147,12 @@ class Text:
         return self.add(f"{word} {value} {', '.join(args)}")
 
     def choice(self, condition: str, value: str, yes: str, no: str, vector: bool = True) -> str:
-        """One of two values of a type."""
+        """Return one of two values of a type."""
         truth = self.type("i1", vector)
         return self.add(f"select {truth} {condition}, {value} {yes}, {value} {no}")
 
     def _converted(self, node: Node, name: str, vector: bool) -> str:
-        """A number as one of another type."""
+        """Return a number as one of another type."""
         source = node.args[0]
         old, new = TYPES[source.kind], TYPES[node.kind]
         if old == new:
@@ -161,7 +161,7 @@ class Text:
         return self.add(f"{word} {self.type(old, vector)} {name} to {self.type(new, vector)}")
 
     def _intrinsic(self, node: Node, args: list[str], vector: bool) -> str:
-        """A call of what LLVM makes instructions of."""
+        """Return a call of what LLVM makes instructions of."""
         of_one = TYPES[node.kind]
         value = self.type(of_one, vector)
         lanes = f"v{self.lanes}" if vector and self.lanes > 1 else ""
@@ -183,7 +183,7 @@ class Text:
         return whole
 
     def _called(self, function: str, kind: str, args: list[str]) -> str:
-        """A call of a function of numbers of a kind."""
+        """Return a call of a function of numbers of a kind."""
         given = ", ".join([f"{kind} {arg}" for arg in args])
         return self.add(f"call {kind} @{function}({given})")
 
@@ -227,7 +227,7 @@ class Text:
         self.label(f"{name}.do")
 
     def any(self, condition: str) -> str:
-        """Whether a condition holds in any lane."""
+        """Return whether a condition holds in any lane."""
         if self.lanes == 1:
             return condition
         bits = self.add(f"bitcast {self.type('i1')} {condition} to i{self.lanes}")
@@ -254,7 +254,7 @@ def once(text: Text, wanted: Iterable[Node], have: dict[Node, str], source: Name
 
 
 def store_value(text: Text, node: Node, name: str, vector: bool = False) -> str:
-    """A value as a double, the form in which tables keep it."""
+    """Return a value as a double, the form in which tables keep it."""
     double = text.type("double", vector)
     if node.kind == "bool":
         one, zero = (text.every(number, "double", vector) for number in ("1.0", "0.0"))
@@ -265,7 +265,7 @@ def store_value(text: Text, node: Node, name: str, vector: bool = False) -> str:
 
 
 def plain(text: Text, node: Node, name: str, vector: bool = False) -> str:
-    """A double of a table as the value that it is."""
+    """Return a double of a table as the value that it is."""
     double = text.type("double", vector)
     if node.kind == "bool":
         return text.add(f"fcmp une {double} {name}, {text.zero() if vector else '0.0'}")
@@ -341,7 +341,7 @@ def entries_of(text: Text, array: str) -> Names:
 
 
 def _conversion(source: Node, target: Node) -> str:
-    """LLVM's name of a conversion by value."""
+    """Return LLVM's name of a conversion by value."""
     wider = _SIZES[TYPES[target.kind]] > _SIZES[TYPES[source.kind]]
     has_sign = not source.kind.startswith("u")
     if source.is_real and target.is_real:

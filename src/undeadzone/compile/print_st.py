@@ -30,7 +30,7 @@ _SCALE: Final = 2.0**120
 
 
 def literal(value: float, kind: str) -> str:
-    """A number with its type in an expression; its text means these bits and no others.
+    """Return a number with its type in an expression; its text means these bits and no others.
 
     Of infinity, and of NaN, it is the largest number.
     """
@@ -40,7 +40,7 @@ def literal(value: float, kind: str) -> str:
 
 
 def assigned(name: str, value: float, kind: str) -> list[str]:
-    """Statements that store a number; beyond the range of REAL they are exact products."""
+    """Return statements that store a number; beyond the range of REAL they are exact products."""
     size, factor = _held(value, kind), 1.0
     count = 0
     while kind == "float64" and abs(size) > float(_LIMITS.max):
@@ -52,19 +52,19 @@ def assigned(name: str, value: float, kind: str) -> list[str]:
 
 
 def initial(value: float, kind: str) -> str:
-    """A number in a declaration, without its type, which stands beside it."""
+    """Return a number in a declaration, without its type, which stands beside it."""
     size = _held(value, kind)
     return ("-" if math.copysign(1.0, size) < 0 else "") + _digits(abs(size), kind)
 
 
 def _held(value: float, kind: str) -> float:
-    """A number that can be written down."""
+    """Return a number that can be written down."""
     largest = float(np.finfo(kind).max)
     return largest if math.isnan(value) else max(-largest, min(value, largest))
 
 
 def _digits(size: float, kind: str) -> str:
-    """The digits of a number, with a point and a capital E."""
+    """Return the digits of a number, with a point and a capital E."""
     text = str(np.float32(size)) if kind == "float32" else repr(float(size))
     mantissa, letter, power = text.partition("e")
     whole = mantissa if "." in mantissa else f"{mantissa}.0"
@@ -80,14 +80,16 @@ def _constant(node: Node) -> Text:
 
 
 def _library(name: str, kind: str) -> str:
-    """A function that the standard has. Raises InputError for others."""
+    """Return a function that the standard has. Raises InputError for others."""
     if name != "sqrt":
         raise InputError(f"export: Structured Text has no function {name} of {TYPES[kind]}")
     return "SQRT"
 
 
 def _apart(order: list[Node]) -> set[Node]:
-    """Selections, long constants, and in single precision what rounds inside an expression."""
+    """Return selections, long constants, and in single precision what rounds inside an
+    expression.
+    """
     apart: set[Node] = set()
     for node in order:
         if node.op == "select" or len(_stored(node)) > 1:
@@ -98,13 +100,13 @@ def _apart(order: list[Node]) -> set[Node]:
 
 
 def _stored(node: Node) -> list[str]:
-    """The statements that store a constant; none for other nodes."""
+    """Return the statements that store a constant; none for other nodes."""
     is_number = node.op == "const" and node.is_real
     return assigned("", float(node.text), node.kind) if is_number else []
 
 
 def _rounds(node: Node) -> bool:
-    """Whether a node is a float that an operation rounds."""
+    """Return whether a node is a float that an operation rounds."""
     return node.kind == "float32" and node.op in _ROUNDED
 
 
@@ -130,7 +132,7 @@ ST: Final = Grammar(
 
 
 def reads(local: Local, held: dict[Node, str]) -> list[Node]:
-    """The inputs and the other locals' nodes that the statement of a local reads.
+    """Return the inputs and the other locals' nodes that the statement of a local reads.
 
     Args:
         local: the local.

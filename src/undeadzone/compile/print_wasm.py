@@ -55,7 +55,7 @@ class Function(NamedTuple):
 
 
 def module(functions: Sequence[Function], size: int) -> bytes:
-    """The module: it exports the functions, and the memory as "memory".
+    """Return the module: it exports the functions, and the memory as "memory".
 
     Args:
         functions: what it computes.
@@ -83,7 +83,10 @@ def module(functions: Sequence[Function], size: int) -> bytes:
 
 
 def _own(functions: Sequence[Function]) -> list[str]:
-    """The elementary functions that are called, but those of WebAssembly. Raises InputError."""
+    """Return the elementary functions that are called, but those of WebAssembly.
+
+    Raises InputError.
+    """
     names = set().union(*[elementary.called(function.results) for function in functions])
     if names & {"fmod", "remainder"}:
         raise InputError("export: a remainder of a division has no WebAssembly instruction")
@@ -91,7 +94,7 @@ def _own(functions: Sequence[Function]) -> list[str]:
 
 
 def _stored(function: Function, calls: dict[str, int]) -> bytes:
-    """The body of a function between places in memory."""
+    """Return the body of a function between places in memory."""
     writer = _Writer(function.results, function.inputs, {}, calls)
     code = writer.filled()
     for nodes, targets in zip(function.results, function.targets, strict=True):
@@ -101,7 +104,7 @@ def _stored(function: Function, calls: dict[str, int]) -> bytes:
 
 
 def _returned(shape: elementary.Formula, calls: dict[str, int]) -> bytes:
-    """The body of an elementary function."""
+    """Return the body of an elementary function."""
     arguments = {text: k for k, text in enumerate(shape.inputs)}
     writer = _Writer([[shape.result]], {}, arguments, calls)
     code = writer.filled() + writer.code(shape.result)
@@ -133,7 +136,7 @@ class _Writer:
         self._kept = self._kept_of(results)
 
     def _kept_of(self, results: Results) -> dict[str, list[Node]]:
-        """The nodes that a local holds, by their types."""
+        """Return the nodes that a local holds, by their types."""
         counts = uses(results)
         depths: dict[Node, int] = {}
         kept: dict[str, list[Node]] = {kind: [] for kind in _TYPES}
@@ -148,13 +151,13 @@ class _Writer:
         return kept
 
     def declared(self) -> bytes:
-        """The declaration of the locals."""
+        """Return the declaration of the locals."""
         held = {_TYPES[kind]: len(nodes) for kind, nodes in self._kept.items() if nodes}
         groups = [_unsigned(count) + bytes([kind]) for kind, count in held.items()]
         return _unsigned(len(groups)) + b"".join(groups)
 
     def filled(self) -> bytes:
-        """The instructions that fill the locals, each after those that it needs."""
+        """Return the instructions that fill the locals, each after those that it needs."""
         kept = itertools.chain(*self._kept.values())
         numbers = {node: self._first + k for k, node in enumerate(kept)}
         code = b""
@@ -164,7 +167,7 @@ class _Writer:
         return code
 
     def code(self, node: Node) -> bytes:
-        """The instructions of a node."""
+        """Return the instructions of a node."""
         if node in self._locals:
             return b"\x20" + _unsigned(self._locals[node])
         if node.op == "const":
@@ -186,7 +189,7 @@ class _Writer:
 
 
 def _is_short(node: Node) -> bool:
-    """Whether a node is a constant of a few bytes."""
+    """Return whether a node is a constant of a few bytes."""
     return node.op == "const" and len(_constant(node)) < REAL
 
 
@@ -208,7 +211,7 @@ def _constant(node: Node) -> bytes:
 
 
 def _signed(value: int) -> bytes:
-    """A signed integer in LEB128."""
+    """Return a signed integer in LEB128."""
     code = bytearray()
     while True:
         low, value = value & 0x7F, value >> 7
@@ -219,7 +222,7 @@ def _signed(value: int) -> bytes:
 
 
 def _unsigned(value: int) -> bytes:
-    """An unsigned integer in LEB128."""
+    """Return an unsigned integer in LEB128."""
     code = bytearray()
     while value > 0x7F:
         code.append((value & 0x7F) | 0x80)
@@ -228,17 +231,17 @@ def _unsigned(value: int) -> bytes:
 
 
 def _name(text: str) -> bytes:
-    """A name, its length first."""
+    """Return a name, its length first."""
     return _unsigned(len(text)) + text.encode()
 
 
 def _type(arguments: int, results: int) -> bytes:
-    """The type of a function of numbers."""
+    """Return the type of a function of numbers."""
     reals = bytes([_TYPES[KIND]])
     return b"\x60" + _unsigned(arguments) + reals * arguments + _unsigned(results) + reals * results
 
 
 def _section(number: int, entries: list[bytes]) -> bytes:
-    """A section of the module."""
+    """Return a section of the module."""
     content = _unsigned(len(entries)) + b"".join(entries)
     return bytes([number]) + _unsigned(len(content)) + content

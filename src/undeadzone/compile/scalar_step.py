@@ -69,7 +69,7 @@ class CompiledStepper:
         self._call(self._address)
 
     def run(self, w: Floats) -> Floats:
-        """The outputs along w (N x inputs), a row each; the state advances."""
+        """Return the outputs along w (N x inputs), a row each; the state advances."""
         outputs = np.empty((len(w), self.out.size))
         for start in range(0, len(w), ROWS):
             rows = w[start : start + ROWS]

@@ -25,12 +25,12 @@ Users = dict[Node, list[Node]]
 
 
 def of_graph(results: Iterable[Node]) -> list[Node]:
-    """The lanes' instructions in the order in which they were made."""
+    """Return the lanes' instructions in the order in which they were made."""
     return [node for node in needed(results) if node.level == LANES and node.op != "input"]
 
 
 def _users(order: list[Node]) -> Users:
-    """The instructions that use each value."""
+    """Return the instructions that use each value."""
     users: Users = defaultdict(list)
     for node in order:
         for arg in set(node.args):
@@ -39,7 +39,7 @@ def _users(order: list[Node]) -> Users:
 
 
 def ordered(results: list[Node], registers: int) -> list[Node]:
-    """The lanes' instructions, by list scheduling if registers are counted.
+    """Return the lanes' instructions, by list scheduling if registers are counted.
 
     First comes what is farthest from the end, until that many numbers are waiting for their use;
     then what makes a register free.
@@ -57,7 +57,7 @@ def ordered(results: list[Node], registers: int) -> list[Node]:
 
 
 def nested(made: list[Node], results: list[Node]) -> list[Node]:
-    """Each instruction right behind what it needs, of which the longest chain comes first.
+    """Return each instruction right behind what it needs, of which the longest chain comes first.
 
     Args:
         made: the instructions, each behind those that it needs.
@@ -131,7 +131,7 @@ class _State(NamedTuple):
 
 
 def _started(order: list[Node], results: list[Node]) -> _State:
-    """A schedule in which nothing is placed."""
+    """Return a schedule in which nothing is placed."""
     inside, users = set(order), _users(order)
     waiting = {node: len(inside.intersection(node.args)) for node in order}
     left = Counter(set(results))
@@ -145,7 +145,7 @@ def _started(order: list[Node], results: list[Node]) -> _State:
 
 
 def _latency(node: Node) -> int:
-    """Cycles until the result of an instruction is there."""
+    """Return cycles until the result of an instruction is there."""
     is_xor = node.op == "ne" and node.args[0].kind == "bool"
     return 1 if is_xor else _LATENCY.get(node.text or node.op, _USUAL)
 
@@ -170,7 +170,7 @@ Guard = tuple[Node, bool]  # a truth, and its value on which an instruction coun
 
 
 def gathered(order: list[Node], results: list[Node], least: int) -> list[Node | Branch]:
-    """The same instructions with branches.
+    """Return the same instructions with branches.
 
     Args:
         order: the instructions, each after what it needs.
@@ -183,7 +183,7 @@ def gathered(order: list[Node], results: list[Node], least: int) -> list[Node | 
 
 
 def _kept(order: list[Node], results: set[Node], users: Users, least: int) -> dict[Node, Guard]:
-    """The guard of each instruction of a branch."""
+    """Return the guard of each instruction of a branch."""
     nothing: frozenset[Guard] = frozenset()
     guards: dict[Node, frozenset[Guard]] = {}
     for node in reversed(order):
@@ -236,7 +236,7 @@ class _Gathering:
         self._place()
 
     def all(self) -> list[Node | Branch]:
-        """All instructions."""
+        """Return all instructions."""
         found: list[Node | Branch] = []
         while self._free or any(self._held.values()):
             while self._free:
@@ -255,7 +255,9 @@ class _Gathering:
             heapq.heappush(ready, (self._place_of[node], node))
 
     def _branch(self) -> Branch:
-        """The branch of which most is ready, with all of it that becomes ready on the way."""
+        """Return the branch of which most is ready, with all of it that becomes ready on the
+        way.
+        """
         guard = max(self._held, key=lambda guard: (len(self._held[guard]), _rank(guard)))
         nodes = []
         while self._held[guard]:
@@ -266,7 +268,7 @@ class _Gathering:
         return Branch(*guard, nodes, leaving)
 
     def _is_used_outside(self, node: Node, inside: set[Node]) -> bool:
-        """Whether a value is used after its branch."""
+        """Return whether a value is used after its branch."""
         if node in self._results:
             return True
         return any(node in user.args and user not in inside for user in self._users[node])

@@ -41,7 +41,7 @@ class Exact:
         self._implied: dict[tuple[Node, Node], bool] = {}
 
     def made(self, word: str, *args: Node) -> Node:
-        """The number that an instruction gives, where truths are 1 or 0."""
+        """Return the number that an instruction gives, where truths are 1 or 0."""
         if word in _COMPARED:
             return self.number(self.compared(word, *args))
         truths: dict[str, Callable[..., Node]] = {
@@ -60,13 +60,13 @@ class Exact:
         return self.nodes.intern("call", *args, text=word)
 
     def constant(self, value: float) -> Node:
-        """A number that is written down."""
+        """Return a number that is written down."""
         return self.nodes.constant(value, self.real)
 
     # --- Truths
 
     def number(self, truth: Node) -> Node:
-        """A truth as 1 or 0."""
+        """Return a truth as 1 or 0."""
         if truth.value is not None:
             return self.one if truth.value else self.zero
         return self.nodes.intern("select", truth, self.one, self.zero)
@@ -100,7 +100,7 @@ class Exact:
         return self.nodes.intern("or", a, b)
 
     def implies(self, one: Node, other: Node) -> bool:
-        """Whether a truth holds only where another does, as far as that shows.
+        """Return whether a truth holds only where another does, as far as that shows.
 
         Each pair is asked once: truths share their parts, and have more paths than nodes.
         """
@@ -109,7 +109,7 @@ class Exact:
         return self._implied[one, other]
 
     def _shown(self, one: Node, other: Node) -> bool:
-        """`implies`, from the parts of two truths."""
+        """Return `implies`, from the parts of two truths."""
         if one is other or other.value == 1.0:
             return True
         every, some = {"and": all, "or": any}, {"and": any, "or": all}
@@ -120,7 +120,7 @@ class Exact:
         return one.op == "lt" and other.op == "ne" and set(one.args) == set(other.args)
 
     def compared(self, word: str, a: Node, b: Node) -> Node:
-        """A comparison of numbers."""
+        """Return a comparison of numbers."""
         compare, (x, y), (this, that) = _COMPARED[word], (a.value, b.value), map(condition, (a, b))
         if x is not None and y is not None:
             return self.yes if compare(x, y) else self.no
@@ -137,18 +137,18 @@ class Exact:
         return self.nodes.intern(word, a, b, kind="bool")
 
     def _chosen(self, truth: Node, yes: bool, no: bool) -> Node:
-        """One of two known truths by a third."""
+        """Return one of two known truths by a third."""
         if yes == no:
             return self.yes if yes else self.no
         return truth if yes else self.negated(truth)
 
     def _unequal(self, word: str, a: Node, b: Node) -> Node:
-        """Whether one of two truths holds alone; of eq, whether not."""
+        """Return whether one of two truths holds alone; of eq, whether not."""
         unequal = self.nodes.intern("ne", a, b)
         return unequal if word == "ne" else self.negated(unequal)
 
     def _sign(self, word: str, more: Node, less: Node) -> Node:
-        """Whether 0 is less than, ... [more] - [less]."""
+        """Return whether 0 is less than, ... [more] - [less]."""
         exclusive = self._exclude(more, less) or self._exclude(less, more)
         if word in ("eq", "ne") and exclusive:
             some = self.either(more, less)
@@ -160,7 +160,9 @@ class Exact:
         return more if exclusive else self.both(more, self.negated(less))
 
     def _exclude(self, a: Node, b: Node) -> bool:
-        """Whether high < y is a part of one truth and y < low of the other, low not above high."""
+        """Return whether high < y is a part of one truth and y < low of the other, low not above
+        high.
+        """
         for above in _conjuncts(a):
             for below in _conjuncts(b):
                 promise = assumptions.apart(above, below)
@@ -176,7 +178,7 @@ class Exact:
     # --- Selections
 
     def selected(self, truth: Node, yes: Node, no: Node) -> Node:
-        """One of two numbers by a truth."""
+        """Return one of two numbers by a truth."""
         if truth.value is not None:
             return yes if truth.value else no
         inner = condition(yes)
@@ -188,7 +190,7 @@ class Exact:
         return yes if yes is no else self.nodes.intern("select", truth, yes, no)
 
     def _under(self, truth: Node, number: Node) -> Node:
-        """A number where a truth holds, without a selection that the truth decides."""
+        """Return a number where a truth holds, without a selection that the truth decides."""
         if number.op == "select" and self.implies(truth, number.args[0]):
             return self._under(truth, number.args[1])
         if number.op == "neg":
@@ -208,7 +210,7 @@ class Plain:
         self.nan, self.largest = nodes.constant(math.nan, real), round_to_type(math.inf, real)
 
     def made(self, word: str, *args: Node) -> Node:
-        """The number that an instruction gives, where truths are 1 or 0."""
+        """Return the number that an instruction gives, where truths are 1 or 0."""
         numbers, there = zip(*map(self._parts, args), strict=True)
         if all(each is self.exact.yes for each in there):
             return self._made(word, *numbers)
@@ -228,11 +230,11 @@ class Plain:
         return self.exact.number(self.exact.both(both, plain))
 
     def constant(self, value: float) -> Node:
-        """A number that is written down."""
+        """Return a number that is written down."""
         return self.nodes.constant(round_to_type(value, self.real), self.real)
 
     def _parts(self, node: Node) -> tuple[Node, Node]:
-        """A number, and the truth without which it is NaN."""
+        """Return a number, and the truth without which it is NaN."""
         if node is self.nan:
             return self.exact.zero, self.exact.no
         if node.op != "select" or node.args[2] is not self.nan:
@@ -243,7 +245,7 @@ class Plain:
         return number, truth
 
     def _where(self, truth: Node, number: Node) -> Node:
-        """A number where a truth holds, else NaN."""
+        """Return a number where a truth holds, else NaN."""
         return self.exact.selected(truth, number, self.nan)
 
     def _known_truth(self, node: Node) -> Node:
@@ -253,14 +255,14 @@ class Plain:
         return self.exact.number(self.exact.either(absent, self.exact.truth(number)))
 
     def _gated(self, truth: Node, number: Node, there: Node) -> Node:
-        """A number where a truth holds, else 0."""
+        """Return a number where a truth holds, else 0."""
         gated = self._selected(truth, number, self.exact.zero)
         if self.exact.implies(truth, there):
             return gated
         return self._where(self.exact.either(self.exact.negated(truth), there), gated)
 
     def _lesser(self, both: Node, a: tuple[Node, Node], b: tuple[Node, Node]) -> Node:
-        """The smaller or larger of two numbers; a number beats NaN."""
+        """Return the smaller or larger of two numbers; a number beats NaN."""
         if a[1] is b[1]:
             return self._where(a[1], both)
         only_a = self.exact.selected(b[1], both, a[0])
@@ -268,7 +270,7 @@ class Plain:
         return self._where(self.exact.either(a[1], b[1]), chosen)
 
     def _made(self, word: str, *args: Node) -> Node:
-        """An instruction on numbers that are no NaN."""
+        """Return an instruction on numbers that are no NaN."""
         if word == "mul":
             return self._product(*args)
         if word == "add":
@@ -280,13 +282,13 @@ class Plain:
         return self.exact.made(word, *args)
 
     def _selected(self, truth: Node, yes: Node, no: Node) -> Node:
-        """One of two numbers by a truth that is no negation."""
+        """Return one of two numbers by a truth that is no negation."""
         if truth.op == "not":
             truth, yes, no = truth.args[0], no, yes
         return self.exact.selected(truth, yes, no)
 
     def _product(self, a: Node, b: Node) -> Node:
-        """A product; of a condition, a selection."""
+        """Return a product; of a condition, a selection."""
         for factor, value in ((a, b), (b, a)):
             if factor is self.exact.one:
                 return value
@@ -296,7 +298,7 @@ class Plain:
         return self._either_way("mul", a, b)
 
     def _sum(self, a: Node, b: Node) -> Node:
-        """A sum; of what a truth and its opposite select, one selection."""
+        """Return a sum; of what a truth and its opposite select, one selection."""
         zero = self.exact.zero
         for one, other in ((a, b), (b, a)):
             if one is zero:
@@ -310,11 +312,11 @@ class Plain:
         return self._either_way("add", a, b)
 
     def _either_way(self, word: str, a: Node, b: Node) -> Node:
-        """A sum or product, the same one whichever operand stands first."""
+        """Return a sum or product, the same one whichever operand stands first."""
         return self.nodes.intern(word, *sorted((a, b), key=lambda node: node.number))
 
     def _bounded(self, word: str, a: Node, b: Node) -> Node:
-        """The smaller or larger of two numbers; a selection where one is constant."""
+        """Return the smaller or larger of two numbers; a selection where one is constant."""
         for number, bound in ((a, b), (b, a)):
             if bound.value is None:
                 continue
@@ -326,7 +328,7 @@ class Plain:
 
 
 def round_to_type(value: float, real: str) -> float:
-    """A number as a type holds it.
+    """Return a number as a type holds it.
 
     Infinity is the largest number. Other numbers beyond the type stand in its upper half, in their
     order, so that comparisons with them and among them mean what they mean in double. Of float,
@@ -355,7 +357,7 @@ class Gathered:
         self.real, self.two = self.exact.real, nodes.constant(2.0)
 
     def made(self, word: str, *args: Node) -> Node:
-        """The number that an instruction gives, where truths are 1 or 0."""
+        """Return the number that an instruction gives, where truths are 1 or 0."""
         if word == "if_else_zero":
             return self._gated(self.exact.truth(args[0]), args[1])
         if word == "div" and _is_steady(args[1]) and not _is_steady(args[0]):
@@ -366,11 +368,13 @@ class Gathered:
         return self.exact.made(word, *args)
 
     def constant(self, value: float) -> Node:
-        """A number that is written down."""
+        """Return a number that is written down."""
         return self.exact.constant(value)
 
     def _product(self, a: Node, b: Node) -> Node:
-        """a b, with what is steady ahead and in one factor, where no condition is a factor."""
+        """Return a b, with what is steady ahead and in one factor, where no condition is a
+        factor.
+        """
         for factor, value in ((a, b), (b, a)):
             truth = condition(factor)
             if truth is not None:
@@ -385,7 +389,7 @@ class Gathered:
         return self.nodes.intern("mul", a, b)
 
     def _gated(self, truth: Node, value: Node) -> Node:
-        """The value where a truth holds, else 0; a steady factor and a sign stay outside."""
+        """Return the value where a truth holds, else 0; a steady factor and a sign stay outside."""
         factor, rest = _factors(value)
         if factor is not None:
             return self.nodes.intern("mul", factor, self._gated(truth, rest))
@@ -402,7 +406,7 @@ def _conjuncts(truth: Node) -> list[Node]:
 
 
 def _sides(number: Node) -> tuple[Node, ...]:
-    """The truths a and b of a number [a] - [b]; empty for other numbers."""
+    """Return the truths a and b of a number [a] - [b]; empty for other numbers."""
     if number.op != "sub":
         return ()
     truths = [condition(arg) for arg in number.args]
@@ -410,12 +414,12 @@ def _sides(number: Node) -> tuple[Node, ...]:
 
 
 def _is_steady(number: Node) -> bool:
-    """Whether a number depends on constants and params alone."""
+    """Return whether a number depends on constants and params alone."""
     return number.level < SHARED
 
 
 def _factors(number: Node) -> tuple[Node | None, Node]:
-    """The steady factor and the rest of a product that has one; else None and the number."""
+    """Return the steady factor and the rest of a product that has one; else None and the number."""
     if not _is_steady(number) and number.op == "mul" and _is_steady(number.args[0]):
         return number.args[0], number.args[1]
     return None, number

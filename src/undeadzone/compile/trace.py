@@ -15,19 +15,19 @@ from undeadzone.compile.graph import Node, Nodes
 
 
 def lifted(nodes: Nodes, x: Any, kind: str) -> Node:
-    """The node of a number: a value's, of NumPy's own kind, or Python's of a kind."""
+    """Return the node of a number: a value's, of NumPy's own kind, or Python's of a kind."""
     if isinstance(x, Value):
         return x.node
     return nodes.constant(x, x.dtype.name if isinstance(x, np.generic) else kind)
 
 
 def _operator(op: str, kind: str = "") -> Callable[[Value, Any], Value]:
-    """An operator with a value on the left, whose result is of a kind."""
+    """Return an operator with a value on the left, whose result is of a kind."""
     return lambda a, other: Value(a.nodes, a.nodes.intern(op, a.node, a.lifted(other), kind=kind))
 
 
 def _swapped(op: str, kind: str = "") -> Callable[[Value, Any], Value]:
-    """An operator with a value on the right, whose result is of a kind."""
+    """Return an operator with a value on the right, whose result is of a kind."""
     return lambda b, other: Value(b.nodes, b.nodes.intern(op, b.lifted(other), b.node, kind=kind))
 
 
@@ -46,20 +46,20 @@ class Value:
         self.nodes, self.node = nodes, node
 
     def lifted(self, other: Any) -> Node:
-        """The node of another number."""
+        """Return the node of another number."""
         return lifted(self.nodes, other, self.node.kind)
 
     def __invert__(self) -> Value:
-        """All bits turned."""
+        """Return all bits turned."""
         every = int(np.iinfo(self.node.kind).max)
         return self ^ every
 
     def __neg__(self) -> Value:
-        """The number with the other sign."""
+        """Return the number with the other sign."""
         return Value(self.nodes, self.nodes.intern("neg", self.node))
 
     def __abs__(self) -> Value:
-        """The number without its sign."""
+        """Return the number without its sign."""
         return Value(self.nodes, self.nodes.intern("call", self.node, text="fabs"))
 
     __add__ = _operator("add")
@@ -83,7 +83,7 @@ class Value:
     __ne__ = _operator("ne", "bool")  # type: ignore[assignment]
 
     def view(self, kind: Kind) -> Value:
-        """The same bits as another kind of number."""
+        """Return the same bits as another kind of number."""
         return self.cast("view", kind.name)
 
     def cast(self, op: str, kind: str) -> Value:
@@ -103,7 +103,7 @@ class Kind(NamedTuple):
     name: str
 
     def __call__(self, x: Value) -> Value:
-        """A number of this kind."""
+        """Return a number of this kind."""
         return x.cast("convert", self.name)
 
 
@@ -122,15 +122,15 @@ class Numpy:
         self.nodes, self.real = nodes, real
 
     def where(self, truth: Value, yes: Any, no: Any) -> Value:
-        """One of two numbers."""
+        """Return one of two numbers."""
         operands = [lifted(self.nodes, x, self.real) for x in (yes, no)]
         return Value(self.nodes, self.nodes.intern("select", truth.node, *operands))
 
     def sqrt(self, x: Value) -> Value:
-        """The square root."""
+        """Return the square root."""
         return self.call("sqrt", x)
 
     def call(self, name: str, *args: Any) -> Value:
-        """A function by its name."""
+        """Return a function by its name."""
         operands = [lifted(self.nodes, x, self.real) for x in args]
         return Value(self.nodes, self.nodes.intern("call", *operands, text=name))

@@ -61,7 +61,7 @@ class ComputedTorque(Options, frozen=True, kw_only=True, tag="computed_torque"):
     crossing: float = 30.0
 
     def build(self, model: System) -> Controller:
-        """The controller for the model of a rigid arm, continuous or sampled."""
+        """Return the controller for the model of a rigid arm, continuous or sampled."""
         arm = model.arm
         if arm is None or arm.size != model.m:
             raise InputError(
@@ -93,7 +93,7 @@ class ComputedTorque(Options, frozen=True, kw_only=True, tag="computed_torque"):
         return 0.0, 0.0
 
     def _gains(self, N: int) -> tuple[Floats, Floats]:
-        """(K_p, K_d) (N each). Raises InputError, ShapeError."""
+        """Return (K_p, K_d) (N each). Raises InputError, ShapeError."""
         chosen = [name for name in ("bandwidth", "k_p", "k_d") if getattr(self, name) is not None]
 
         def per_joint(name: str) -> Floats:
@@ -120,7 +120,7 @@ class Params(NamedTuple):
 
 
 def accelerations(arm: Arm, params: Floats, target: Target) -> Floats:
-    """The joints' acceleration on the path (instants x N).
+    """Return the joints' acceleration on the path (instants x N).
 
     It is what u_ff does at x_ref, so that on the path u = u_ff.
 
@@ -170,7 +170,7 @@ class State(NamedTuple):
 def geared_torque(
     model: System, k_p: Floats, k_d: Floats, crossing: float, reject: bool
 ) -> Controller:
-    """The controller for the sampled model of an arm with gears.
+    """Return the controller for the sampled model of an arm with gears.
 
     Args:
         model: the model.
@@ -220,7 +220,8 @@ def geared_torque(
 
 
 def carrying(gears: Geared, params: Any, path: Any, before: Any) -> Any:
-    """The flank that carries each link on its path (N): +1 right, -1 left, the last one at rest.
+    """Return the flank that carries each link on its path (N): +1 right, -1 left, the last one at
+    rest.
 
     Args:
         gears: the arm.
@@ -233,7 +234,7 @@ def carrying(gears: Geared, params: Any, path: Any, before: Any) -> Any:
 
 
 def geared_accelerations(gears: Geared, params: Floats, target: Target) -> Floats:
-    """The links' acceleration on the path (instants x N), their motors turning with them.
+    """Return the links' acceleration on the path (instants x N), their motors turning with them.
 
     Args:
         gears: the arm.

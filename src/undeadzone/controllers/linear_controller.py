@@ -52,7 +52,7 @@ class LinearController(Options, frozen=True, tag="linear"):
             _unpack(self, self.A)
 
     def build(self, model: System) -> Controller:
-        """The controller for a model with as many inputs as outputs."""
+        """Return the controller for a model with as many inputs as outputs."""
         require_square("linear", model)
         numbers = self._numbers(model)
         params = self._in_time_of(model, numbers)
@@ -70,7 +70,7 @@ class LinearController(Options, frozen=True, tag="linear"):
         return Controller(params, init, step, rate=_fastest(numbers.A, self.Ts))
 
     def _numbers(self, model: System) -> Params:
-        """A, B, C, D as they stand. Raises InputError, ShapeError."""
+        """Return a, B, C, D as they stand. Raises InputError, ShapeError."""
         by_matrices = [name for name in "ABCD" if getattr(self, name) is not None]
         by_function = self.numerator is not None or self.denominator is not None
         if by_function and by_matrices:
@@ -102,7 +102,7 @@ class LinearController(Options, frozen=True, tag="linear"):
         return Params(A, B, C, D)
 
     def _realised(self) -> Params:
-        """A realisation of the transfer function. Raises InputError."""
+        """Return a realisation of the transfer function. Raises InputError."""
         from scipy.signal import tf2ss
 
         if self.numerator is None or self.denominator is None:
@@ -125,7 +125,7 @@ class LinearController(Options, frozen=True, tag="linear"):
         return Params(*(np.asarray(part, float) for part in tf2ss(numerator, denominator)))
 
     def _in_time_of(self, model: System, numbers: Params) -> Params:
-        """The numbers in the time of the model. Raises InputError, ShapeError."""
+        """Return the numbers in the time of the model. Raises InputError, ShapeError."""
         if numbers.D.shape != (model.m, model.p):
             raise InputError(
                 "controller.numerator: a transfer function is for a plant of one input and one "
@@ -169,7 +169,7 @@ class State(NamedTuple):
 
 
 def _static(D: Floats) -> Params:
-    """A gain alone (m x p)."""
+    """Return a gain alone (m x p)."""
     m, p = D.shape
     return Params(np.zeros((0, 0)), np.zeros((0, p)), np.zeros((m, 0)), D)
 
@@ -188,7 +188,7 @@ def _unpack(options: LinearController, system: Any) -> None:
 
 
 def _tustin(numbers: Params, Ts: float) -> Params:
-    """A continuous controller by the bilinear rule s = 2/Ts (z - 1)/(z + 1).
+    """Return a continuous controller by the bilinear rule s = 2/Ts (z - 1)/(z + 1).
 
     Raises InputError where it has a pole at 2/Ts.
     """
@@ -206,7 +206,7 @@ def _tustin(numbers: Params, Ts: float) -> Params:
 
 
 def _fastest(A: Floats, Ts: float | None) -> float | None:
-    """The largest |pole| of a continuous controller [1/s]; None without one."""
+    """Return the largest |pole| of a continuous controller [1/s]; None without one."""
     if Ts is not None or A.size == 0:
         return None
     return float(np.abs(np.linalg.eigvals(A)).max()) or None

@@ -36,7 +36,7 @@ class LQG(Options, frozen=True, kw_only=True, tag="lqg"):
     integral: Array | None = None
 
     def build(self, model: System) -> Controller:
-        """The controller for a model, continuous or sampled."""
+        """Return the controller for a model, continuous or sampled."""
         Q = weight("controller.Q", self.Q, model.n)
         R = weight("controller.R", self.R, model.m, "inputs x inputs")
         if self.integral is None:
@@ -55,7 +55,7 @@ class LQG(Options, frozen=True, kw_only=True, tag="lqg"):
         return Controller(params, init, step, K=params.K)
 
     def _servo(self, model: System, Q: Floats, R: Floats) -> Params:
-        """The gains of states and integrals together. Raises InputError, StructureError."""
+        """Return the gains of states and integrals together. Raises InputError, StructureError."""
         if model.p > model.m:
             raise InputError(
                 "controller.integral: needs as many inputs as outputs at least, the plant has "
@@ -94,5 +94,5 @@ class State(NamedTuple):
 
 
 def _feedback(p: Any, s: Any, estimate: Estimate, target: Target) -> tuple[Any, Any]:
-    """The law without an integral."""
+    """Return the law without an integral."""
     return s, target.u_ff - p.K @ (estimate.x - target.x_ref)

@@ -36,7 +36,7 @@ class LQR(Options, frozen=True, kw_only=True, tag="lqr"):
     stride: int = 1
 
     def build(self, model: System) -> Controller:
-        """The controller for a sampled model."""
+        """Return the controller for a sampled model."""
         if model.Ts is None:
             raise InputError(
                 "controller.method: 'lqr' works on samples; set simulation.time = \"sampled\" "
@@ -70,7 +70,7 @@ class Params(NamedTuple):
 
 
 def gains(model: System, params: Params, target: Target) -> Floats:
-    """K (instants x m x n) along a trajectory, whose end is taken for a steady state.
+    """Return K (instants x m x n) along a trajectory, whose end is taken for a steady state.
 
     Args:
         model: the sampled model.
@@ -90,7 +90,7 @@ def gains(model: System, params: Params, target: Target) -> Floats:
 
 
 def linearised(model: System, target: Target, stride: int) -> tuple[Floats, Floats]:
-    """A (instants x n x n), B (instants x n x m) of a model along a trajectory.
+    """Return A (instants x n x n), B (instants x n x m) of a model along a trajectory.
 
     Between every `stride`-th instant they are straight lines.
 

@@ -39,7 +39,7 @@ class PD(Options, frozen=True, kw_only=True, tag="pd"):
     filter_time: float = 0.01
 
     def build(self, model: System) -> Controller:
-        """The controller for a model with as many inputs as outputs."""
+        """Return the controller for a model with as many inputs as outputs."""
         require_square("pd", model)
         if model.delay:
             raise InputError(
@@ -61,7 +61,7 @@ class PD(Options, frozen=True, kw_only=True, tag="pd"):
         return Controller(params, init, step, rate=1.0 / tau)
 
     def _gains(self, model: System) -> tuple[Floats, Floats]:
-        """(k_p, k_d) (p each) as given, or by (34). Raises InputError, StructureError."""
+        """Return (k_p, k_d) (p each) as given, or by (34). Raises InputError, StructureError."""
         if self.k_p is None or self.k_d is None:
             K = self._riccati_gains(model)
             return K[0], K[1]
@@ -70,7 +70,7 @@ class PD(Options, frozen=True, kw_only=True, tag="pd"):
         return k_p, k_d
 
     def _riccati_gains(self, model: System) -> Floats:
-        """[k_p; k_d] (2 x 1), alpha B'P of (34). Raises InputError, StructureError."""
+        """Return [k_p; k_d] (2 x 1), alpha B'P of (34). Raises InputError, StructureError."""
         A, B, C = model.linear
         if (model.n, model.m) != (2, 1) or model.Ts is not None:
             raise InputError(

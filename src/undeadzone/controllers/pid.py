@@ -43,7 +43,7 @@ class PID(Options, frozen=True, kw_only=True, tag="pid"):
     feedforward: bool = False
 
     def build(self, model: System) -> Controller:
-        """The controller for a model with as many inputs as outputs."""
+        """Return the controller for a model with as many inputs as outputs."""
         require_square("pid", model)
         params = self._params(model)
         limited = self.limits is not None
@@ -68,7 +68,7 @@ class PID(Options, frozen=True, kw_only=True, tag="pid"):
         return Controller(params, init, step, rate=fastest)
 
     def _params(self, model: System) -> Params:
-        """The controller's numbers. Raises InputError, ShapeError."""
+        """Return the controller's numbers. Raises InputError, ShapeError."""
         each = "one per output"
         k_p = vector("controller.k_p", self.k_p, model.p, each)
         k_i = vector("controller.k_i", self.k_i, model.p, each)
@@ -85,7 +85,7 @@ class PID(Options, frozen=True, kw_only=True, tag="pid"):
         return Params(k_p, k_i * model.per_step, k_d, tau, rate, *weights, low, high, unwind)
 
     def _limits(self, m: int) -> tuple[Floats, Floats]:
-        """The least and the largest input (m each). Raises InputError, ShapeError."""
+        """Return the least and the largest input (m each). Raises InputError, ShapeError."""
         if self.limits is None:
             return np.zeros(m), np.zeros(m)
         pairs = np.atleast_2d(self.limits)

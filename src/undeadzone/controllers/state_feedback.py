@@ -64,7 +64,7 @@ class StateFeedback(Options, frozen=True, kw_only=True, tag="state_feedback"):
     reject: bool = True
 
     def build(self, model: System) -> Controller:
-        """The controller for a model, continuous or sampled."""
+        """Return the controller for a model, continuous or sampled."""
         Q = self._weight(model)
         K = self._gain(model, Q)
         params = self._params(model, K, Q)
@@ -81,7 +81,10 @@ class StateFeedback(Options, frozen=True, kw_only=True, tag="state_feedback"):
         return Controller(params, lambda p: None, step, K=K)
 
     def _weight(self, model: System) -> Floats:
-        """Q (n x n), once it is sure that one choice is made. Raises InputError, ShapeError."""
+        """Return Q (n x n), once it is sure that one choice is made.
+
+        Raises InputError, ShapeError.
+        """
         chosen = [name for name in CHOICES if getattr(self, name) is not None]
         if len(chosen) > 1:
             raise InputError(
@@ -91,7 +94,7 @@ class StateFeedback(Options, frozen=True, kw_only=True, tag="state_feedback"):
         return weight("controller.Q", self.Q, model.n)
 
     def _gain(self, model: System, Q: Floats) -> Floats:
-        """K (m x n) of the one choice that is made.
+        """Return K (m x n) of the one choice that is made.
 
         Raises:
             InputError, ShapeError: for numbers that cannot be.
@@ -111,7 +114,7 @@ class StateFeedback(Options, frozen=True, kw_only=True, tag="state_feedback"):
         return feedback(model.linear, alpha, Q, model.Ts)
 
     def _params(self, model: System, K: Floats, Q: Floats) -> Params:
-        """The controller's numbers. Raises InputError, StructureError."""
+        """Return the controller's numbers. Raises InputError, StructureError."""
         counter = np.hstack([K, np.eye(model.m)]) @ rest(model)
         if self.robust is None:
             none = np.zeros((model.m, model.n))
@@ -123,7 +126,7 @@ class StateFeedback(Options, frozen=True, kw_only=True, tag="state_feedback"):
 
 
 def rest(model: System) -> Floats:
-    """[x; u] per unit of a constant w ((n + m) x n), at rest.
+    """Return [x; u] per unit of a constant w ((n + m) x n), at rest.
 
     There x' = A x + B u + w is 0, and so are the first m outputs. The equations are solved in units
     in which neither the unit of time nor that of u matters.

@@ -56,13 +56,13 @@ class Batch(NamedTuple):
     tail: int
 
     def block(self, index: int, threads: int | None = None) -> Floats:
-        """The rows of one block, on that many threads (default: one per processor)."""
+        """Return the rows of one block, on that many threads (default: one per processor)."""
         runs = np.array(self.layout.within(index))
         values = self.binding.draw(int(runs[0]), runs.size, self.layout.runs)
         return self.rows(runs, values, threads)
 
     def rows(self, runs: Integers, values: Floats, threads: int | None = None) -> Floats:
-        """The values and metrics (a row each) of runs.
+        """Return the values and metrics (a row each) of runs.
 
         Args:
             runs: their numbers
@@ -72,7 +72,7 @@ class Batch(NamedTuple):
         return np.hstack([values, self.measure(runs, self.binding.lanes(values), threads)])
 
     def measure(self, runs: Integers, own: Lanes, threads: int | None = None) -> Floats:
-        """The metrics (a row each) of lanes.
+        """Return the metrics (a row each) of lanes.
 
         Args:
             runs: the number of the run whose noise each lane has
@@ -102,7 +102,7 @@ class Batch(NamedTuple):
 
 
 def prepare(scenario: Scenario, moved: Iterable[int] = ()) -> Batch:
-    """The runs of a scenario's [ensemble].
+    """Return the runs of a scenario's [ensemble].
 
     Args:
         scenario: with or without the table [ensemble]
@@ -144,7 +144,7 @@ def prepare(scenario: Scenario, moved: Iterable[int] = ()) -> Batch:
 
 
 def known_inputs(shared: Floats, own: tuple[int, ...]) -> dict[int, float]:
-    """The exogenous inputs that are 0 throughout and for all runs.
+    """Return the exogenous inputs that are 0 throughout and for all runs.
 
     A kernel that knows them is shorter.
 
@@ -157,6 +157,8 @@ def known_inputs(shared: Floats, own: tuple[int, ...]) -> dict[int, float]:
 
 
 def known_params(params: Floats, varied: tuple[int, ...]) -> dict[int, float]:
-    """The zeros and ones among the packed params that do not vary, which shorten a kernel too."""
+    """Return the zeros and ones among the packed params that do not vary, which shorten a kernel
+    too.
+    """
     values = enumerate(params.tolist())
     return {i: value for i, value in values if i not in varied and value in (0.0, 1.0)}

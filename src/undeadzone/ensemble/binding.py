@@ -55,7 +55,9 @@ class Sampled(NamedTuple):
         return range(self.start, self.start + self.AB.size)
 
     def values(self, own: dict[int, Floats], count: int) -> dict[int, Floats]:
-        """[Ad, Bd] of `count` runs by slot, from the entries of [A, B] that are their own."""
+        """Return [Ad, Bd] of `count` runs by slot, from the entries of [A, B] that are their
+        own.
+        """
         rows, columns = self.AB.shape
         AB = np.empty((rows, columns, count))
         for i, slot in enumerate(self.slots):
@@ -93,14 +95,14 @@ class Binding(NamedTuple):
 
     @property
     def names(self) -> list[str]:
-        """The columns that are drawn, such as `sensor.right[0]`.
+        """Return the columns that are drawn, such as `sensor.right[0]`.
 
         The name of a column that holds factors on nominal values ends in (relative).
         """
         return [column.name for column in self.columns]
 
     def draw(self, first: int, count: int, runs: int) -> Floats:
-        """The values that runs draw (count x columns).
+        """Return the values that runs draw (count x columns).
 
         Args:
             first: number of the first run
@@ -117,7 +119,7 @@ class Binding(NamedTuple):
         return np.stack(values, axis=1)
 
     def lanes(self, values: Floats) -> Lanes:
-        """The states and params of runs with these values (count x columns)."""
+        """Return the states and params of runs with these values (count x columns)."""
         count, size = len(values), self.params.size
         own: dict[int, Floats] = {}  # values (count) by slot of [params, state]
         for i, column in enumerate(self.columns):
@@ -137,7 +139,7 @@ class Binding(NamedTuple):
         return Lanes(states, params)
 
     def packed(self, values: Floats) -> tuple[Floats, Floats]:
-        """(initial state, params), packed, of one run with these values (columns).
+        """Return (initial state, params), packed, of one run with these values (columns).
 
         They are the numbers of its lane, for any engine.
         """
@@ -148,7 +150,7 @@ class Binding(NamedTuple):
 
 
 def bind(problem: Problem, loop: Loop) -> Binding:
-    """The scenario's [ensemble] bound to the loop of its problem.
+    """Return the scenario's [ensemble] bound to the loop of its problem.
 
     Args:
         problem: the scenario, checked and built
@@ -190,7 +192,7 @@ def require_bound(scenario: Scenario) -> None:
 
 
 def _checked(vary: Vary, problem: Problem) -> int:
-    """The seed. Raises InputError."""
+    """Return the seed. Raises InputError."""
     seed = problem.scenario.simulation.seed if vary.seed is None else vary.seed
     if vary.runs < 1:
         raise InputError(f"ensemble.runs: expected 1 or more, found {vary.runs}")
@@ -199,7 +201,7 @@ def _checked(vary: Vary, problem: Problem) -> int:
 
 
 def _sampled(problem: Problem, loop: Loop) -> list[Sampled]:
-    """The linear plants that the loop holds in sampled form."""
+    """Return the linear plants that the loop holds in sampled form."""
     names = tree.names(loop.params)
     systems = {"plant.A[0,0]": problem.plant, "observer.model.A[0,0]": problem.model}
     linear = []
@@ -259,7 +261,7 @@ class RunNoise(NamedTuple):
     seed: int
 
     def supply(self, runs: Integers) -> Supply | None:
-        """The entries along the steps of runs given by number; None where there are none."""
+        """Return the entries along the steps of runs given by number; None where there are none."""
         if not self.entries:
             return None
         return lambda lanes: _source(self, runs[lanes])
@@ -287,7 +289,7 @@ def drawn(problem: Problem, loop: Loop, binding: Binding) -> RunNoise:
 
 
 def _noise_streams(problem: Problem, loop: Loop, binding: Binding) -> dict[str, int]:
-    """The word of each noise of the sensor that any run has, by exogenous input."""
+    """Return the word of each noise of the sensor that any run has, by exogenous input."""
     slots = {name: i for i, name in enumerate(tree.names(loop.params))}
     words = {}
     for stream, name in ((noise.AFTER, "after"), (noise.BEFORE, "before")):
@@ -299,7 +301,9 @@ def _noise_streams(problem: Problem, loop: Loop, binding: Binding) -> dict[str, 
 
 
 def _sensor_streams(problem: Problem) -> dict[str, int]:
-    """The word of each worn edge, then of each reading that may be lost, by exogenous input."""
+    """Return the word of each worn edge, then of each reading that may be lost, by exogenous
+    input.
+    """
     sensor, p = problem.sensor, problem.plant.p
     wear, loss = (noise.WEAR, sensor.drift), (noise.LOSS, sensor.dropout)
     words = {}
@@ -310,7 +314,7 @@ def _sensor_streams(problem: Problem) -> dict[str, int]:
 
 
 def _random_disturbance(problem: Problem) -> RandomDisturbance | None:
-    """The random disturbance of a problem, if it has one."""
+    """Return the random disturbance of a problem, if it has one."""
     random = exogenous.random_disturbance(problem)
     if random is None:
         return None
@@ -320,7 +324,7 @@ def _random_disturbance(problem: Problem) -> RandomDisturbance | None:
 
 
 def _weights(problem: Problem) -> tuple[tuple[float, float], ...]:
-    """The weights (`RandomDisturbance`) of the straight line between two knots."""
+    """Return the weights (`RandomDisturbance`) of the straight line between two knots."""
     if problem.plant.Ts is not None:
         return ((0.5, 0.5),)
     if problem.scenario.simulation.order > RUNGE_KUTTA:
@@ -329,7 +333,7 @@ def _weights(problem: Problem) -> tuple[tuple[float, float], ...]:
 
 
 def _source(own: RunNoise, runs: Integers) -> Source:
-    """The entries of some runs (steps x entries x lanes), for steps asked for in order."""
+    """Return the entries of some runs (steps x entries x lanes), for steps asked for in order."""
     if own.disturbance is None:
         return _source_of_words(own, runs)
     disturbance = _source_of_disturbance(own.disturbance, own.seed, runs)
@@ -340,7 +344,9 @@ def _source(own: RunNoise, runs: Integers) -> Source:
 
 
 def _source_of_disturbance(disturbance: RandomDisturbance, seed: int, runs: Integers) -> Source:
-    """The disturbance at all of its instants, one after the other, for steps asked for in order."""
+    """Return the disturbance at all of its instants, one after the other, for steps asked for in
+    order.
+    """
     m = disturbance.rms.size
     words = [noise.word(noise.DISTURBANCE, i) for i in range(m)]
     state = np.empty((m, runs.size))  # of the colouring filter
@@ -362,7 +368,7 @@ def _source_of_disturbance(disturbance: RandomDisturbance, seed: int, runs: Inte
 
 
 def _source_of_words(own: RunNoise, runs: Integers) -> Source:
-    """The entries made of `words`, as `simulation.exogenous` makes them for one run."""
+    """Return the entries made of `words`, as `simulation.exogenous` makes them for one run."""
     channels, edges, losses = len(own.words), own.strides.size, own.dropout.size
     wear = slice(channels - losses - edges, channels - losses)
     lost = slice(channels - losses, channels)

@@ -26,7 +26,7 @@ REACH = 5.0  # [s] to connect to a scheduler
 
 @contextmanager
 def pool(prepare: Callable[[], Job], cluster: str) -> Iterator[Pool]:
-    """The workers of a cluster.
+    """Provide the workers of a cluster.
 
     Args:
         prepare: gives the job; picklable, such as a `functools.partial` of a function of an
@@ -79,7 +79,7 @@ def _prepared(payload: bytes, expected: tuple[tuple[str, str], ...]) -> Job:
 
 @contextmanager
 def _client(cluster: str) -> Iterator[Any]:
-    """A client of the cluster at an address. Raises InputError, ClusterError."""
+    """Provide a client of the cluster at an address. Raises InputError, ClusterError."""
     try:
         from distributed import Client
     except ImportError:
@@ -118,7 +118,7 @@ async def _reach(cluster: str) -> None:
 
 @contextmanager
 def _one_line(where: str) -> Iterator[None]:
-    """Failures of the cluster itself as ClusterError."""
+    """Provide failures of the cluster itself as ClusterError."""
     from distributed import CancelledError, KilledWorker
 
     try:

@@ -38,11 +38,11 @@ class Layout(NamedTuple):
 
     @property
     def blocks(self) -> int:
-        """The number of blocks."""
+        """Return the number of blocks."""
         return -(-self.runs // self.block)
 
     def within(self, block: int) -> range:
-        """The runs of a block."""
+        """Return the runs of a block."""
         return range(block * self.block, min((block + 1) * self.block, self.runs))
 
 
@@ -54,7 +54,7 @@ class Job(Protocol):
         """What the blocks make up."""
 
     def block(self, index: int, threads: int | None = None) -> Floats:
-        """The rows of one block; callable from several threads.
+        """Return the rows of one block; callable from several threads.
 
         Args:
             index: of the block
@@ -79,7 +79,7 @@ class Pool(NamedTuple):
 
 
 def results(pool: Pool, blocks: Sequence[int]) -> Iterator[tuple[int, Floats]]:
-    """(block, its rows) as they are computed, in any order.
+    """Yield (block, its rows) as they are computed, in any order.
 
     Args:
         pool: who computes.
@@ -113,7 +113,7 @@ def results(pool: Pool, blocks: Sequence[int]) -> Iterator[tuple[int, Floats]]:
 
 
 def batch_size(seconds: float, size: int, left: int, threads: int) -> int:
-    """The number of blocks in the next batch.
+    """Return the number of blocks in the next batch.
 
     It is about `LONGEST` of work, less towards the end so that all threads end together.
 
@@ -129,14 +129,17 @@ def batch_size(seconds: float, size: int, left: int, threads: int) -> int:
 
 
 def compute(job: Job, blocks: Sequence[int]) -> tuple[float, list[Floats]]:
-    """The seconds that blocks took, and their rows."""
+    """Return the seconds that blocks took, and their rows."""
     began = time.perf_counter()
     rows = [job.block(block, threads=1) for block in blocks]
     return time.perf_counter() - began, rows
 
 
 def _next(pool: Pool, finished: SimpleQueue[Any]) -> Any:
-    """The next batch that is done. Raises ClusterError where none comes and nobody is at work."""
+    """Return the next batch that is done.
+
+    Raises ClusterError where none comes and nobody is at work.
+    """
     while True:
         try:
             return finished.get(timeout=PATIENCE)

@@ -51,12 +51,12 @@ class Store(NamedTuple):
 
     @property
     def missing(self) -> list[int]:
-        """The blocks that it does not hold."""
+        """Return the blocks that it does not hold."""
         return [int(block) for block in np.flatnonzero(~self.done)]
 
     @property
     def runs_done(self) -> int:
-        """The number of runs that it holds."""
+        """Return the number of runs that it holds."""
         blocks = np.flatnonzero(self.done).tolist()
         return sum(len(self.layout.within(block)) for block in blocks)
 
@@ -77,7 +77,7 @@ class Store(NamedTuple):
         self.done[block] = True
 
     def columns(self) -> dict[str, Floats]:
-        """The columns by name (runs each), read from the file as they are used.
+        """Return the columns by name (runs each), read from the file as they are used.
 
         Raises InputError while blocks are missing.
         """
@@ -91,11 +91,13 @@ class Store(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Its bytes in all."""
+        """Return its bytes in all."""
         return self._checksums + self.layout.blocks * NUMBER
 
     def looked_through(self) -> Store:
-        """The store that knows which blocks it holds: those whose rows have their checksum."""
+        """Return the store that knows which blocks it holds: those whose rows have their
+        checksum.
+        """
         checksums = _read(self.file, self._checksums, self.layout.blocks * NUMBER)
         done = np.zeros(self.layout.blocks, bool)
         for block in np.flatnonzero(np.frombuffer(checksums, "<u8")).tolist():
@@ -164,7 +166,7 @@ def _header(layout: Layout) -> bytes:
 
 
 def _line_of(beginning: bytes) -> bytes:
-    """The line of JSON with which a file begins."""
+    """Return the line of JSON with which a file begins."""
     return beginning.partition(b"\n")[0]
 
 
@@ -184,14 +186,14 @@ def require_same(path: Path, there: dict[str, Any], here: dict[str, Any], cure: 
 
 
 def _difference(key: str, there: object, here: object) -> str:
-    """The first lines in which two values differ."""
+    """Return the first lines in which two values differ."""
     lines = zip_longest(str(there).splitlines(), str(here).splitlines(), fillvalue="nothing")
     was, now = next((pair for pair in lines if pair[0] != pair[1]), (there, here))
     return f"{key}: {was!s:.60} there, {now!s:.60} here"
 
 
 def _checksum(block: int, data: bytes) -> bytes:
-    """The checksum of the rows of a block, which also tells blocks apart."""
+    """Return the checksum of the rows of a block, which also tells blocks apart."""
     return hashlib.blake2b(data, digest_size=NUMBER, salt=block.to_bytes(16, "little")).digest()
 
 
@@ -211,6 +213,6 @@ def _allocate(path: Path, file: io.FileIO, size: int, fresh: bool) -> None:
 
 
 def _read(file: io.FileIO, offset: int, size: int) -> bytes:
-    """Some bytes, or as many as there are."""
+    """Return some bytes, or as many as there are."""
     file.seek(offset)
     return file.read(size)

@@ -55,7 +55,7 @@ class _Crew(NamedTuple):
 
 @contextmanager
 def pool(prepare: Callable[[], Job], workers: int) -> Iterator[Pool]:
-    """Local workers; in the end all are stopped, whatever they do.
+    """Provide local workers; in the end all are stopped, whatever they do.
 
     Args:
         prepare: gives the job; picklable, such as a `functools.partial` of a function of an
@@ -106,7 +106,7 @@ def _computed(crew: _Crew, workers: int, blocks: Sequence[int]) -> tuple[float, 
 
 
 def _asked(worker: subprocess.Popen[bytes], blocks: Sequence[int]) -> Any:
-    """A worker's answer. Raises OSError, EOFError or UnpicklingError where it died."""
+    """Return a worker's answer. Raises OSError, EOFError or UnpicklingError where it died."""
     assert worker.stdout is not None
     _tell(worker, list(blocks))
     return pickle.load(worker.stdout)
@@ -133,7 +133,9 @@ def _tell(worker: subprocess.Popen[bytes], *parts: Any) -> None:
 
 
 def _started() -> subprocess.Popen[bytes]:
-    """A new process, deaf to Ctrl-C: that is for this process, which then stops its workers."""
+    """Return a new process, deaf to Ctrl-C: that is for this process, which then stops its
+    workers.
+    """
     command = [sys.executable, "-P", "-c", BEGIN]
     pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
     try:
@@ -206,7 +208,7 @@ def _listen(requests: BinaryIO, asked: SimpleQueue[Any]) -> None:
 
 
 def _answer(prepared: Callable[[], Job], blocks: list[int]) -> bytes:
-    """The pickled answer to a batch; prepared: gives the job."""
+    """Return the pickled answer to a batch; prepared: gives the job."""
     try:
         return pickle.dumps(compute(prepared(), blocks))
     except BaseException as error:
@@ -214,7 +216,7 @@ def _answer(prepared: Callable[[], Job], blocks: list[int]) -> bytes:
 
 
 def _pickled(error: BaseException) -> bytes:
-    """An exception as bytes; in other words where it cannot be read back."""
+    """Return an exception as bytes; in other words where it cannot be read back."""
     try:
         content = pickle.dumps(error)
         pickle.loads(content)

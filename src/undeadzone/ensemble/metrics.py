@@ -65,7 +65,7 @@ class Measured(NamedTuple):
 
 
 def measured(loop: Loop, problem: Problem) -> Measured:
-    """The loop of a problem with its metrics."""
+    """Return the loop of a problem with its metrics."""
     step, rare = (loop.step, ()) if loop.parts is None else loop.parts
     zero = _nothing(problem.plant, problem.sensor.kind)
     size = tree.size(zero)
@@ -95,13 +95,13 @@ def measured(loop: Loop, problem: Problem) -> Measured:
 
 
 def _nothing(plant: System, sensor: str) -> Tally:
-    """The tally of a run that has not begun."""
+    """Return the tally of a run that has not begun."""
     tip, behind = int(plant.arm is not None), int(sensor == "play")
     return Tally(*map(np.zeros, (*[1] * 6, plant.p, plant.p, tip, behind)))
 
 
 def _astray(plant: System, model: System, params: Params, out: Outputs, instant: Exogenous) -> Any:
-    """An arm's tip less where the model's would be on the path [m]."""
+    """Return an arm's tip less where the model's would be on the path [m]."""
     assert plant.arm is not None
     x_ref = params.scale.reference * instant.target.x_ref
     reached = plant.arm.tip(*plant.joints(params.plant, out.x))
@@ -111,7 +111,7 @@ def _astray(plant: System, model: System, params: Params, out: Outputs, instant:
 def _add(
     tally: Tally, out: Outputs, error: ca.SX, t: ca.SX, tail: ca.SX, tolerance: ca.SX
 ) -> Tally:
-    """The tally with one sample more, but for the tip and what is behind a play."""
+    """Return the tally with one sample more, but for the tip and what is behind a play."""
     worst = ca.norm_inf(error)
     return tally._replace(
         tracking=tally.tracking + tail * ca.sumsqr(error),
@@ -126,7 +126,7 @@ def _add(
 
 
 def columns(plant: System, sensor: str) -> tuple[str, ...]:
-    """The names of the metrics of a plant behind a sensor of that kind."""
+    """Return the names of the metrics of a plant behind a sensor of that kind."""
     right = [f"d_right[{i}]" for i in range(plant.p)]
     left = [f"d_left[{i}]" for i in range(plant.p)]
     tip = [] if plant.arm is None else ["rms_tip"]
@@ -138,7 +138,7 @@ def columns(plant: System, sensor: str) -> tuple[str, ...]:
 def rows(
     tally: Tally, states: Floats, scales: Scales, samples: int, tail: int, tracked: int
 ) -> Floats:
-    """The metrics (runs x columns) of finished runs.
+    """Return the metrics (runs x columns) of finished runs.
 
     Args:
         tally: what each run accumulated (runs x 1 or x p each)
@@ -182,7 +182,7 @@ class Bands(NamedTuple):
 def bands(
     t: Floats, z: Floats, r: Floats, d_hat: Floats, widths: Floats, tracked: Sequence[int]
 ) -> Bands:
-    """The bands of recorded runs.
+    """Return the bands of recorded runs.
 
     A signal that is no number any more counts as infinitely far off, so that a band is one of all
     runs.
@@ -207,7 +207,7 @@ def bands(
 def true_width(
     name: str, widths: Sequence[float], varied: Mapping[str, Floats], geared: bool
 ) -> Floats:
-    """The true width of an edge in each run: a number, or a column (runs) where it varies.
+    """Return the true width of an edge in each run: a number, or a column (runs) where it varies.
 
     Args:
         name: the edge, such as `right[0]`
@@ -234,7 +234,7 @@ def width_error(
     varied: Mapping[str, Floats],
     geared: bool,
 ) -> Floats:
-    """The final error d^ - d of a width in each run.
+    """Return the final error d^ - d of a width in each run.
 
     Args:
         name: of the error, such as `d_right_error[0]`
@@ -246,12 +246,12 @@ def width_error(
 
 
 def widths_in_turn(sensor: Zone) -> list[float]:
-    """[right, left] of each output, one after the other."""
+    """Return [right, left] of each output, one after the other."""
     return list(np.stack([sensor.right, sensor.left], axis=1).ravel().tolist())
 
 
 def _drawn(name: str, nominal: float, varied: Mapping[str, Floats]) -> Floats:
-    """A number of the scenario in each run: itself, or a column (runs) where it varies."""
+    """Return a number of the scenario in each run: itself, or a column (runs) where it varies."""
     for words, column in varied.items():
         address = words.removesuffix(" (relative)")
         if any(matching(part, [name]) for part in address.split(" + ")):
@@ -261,7 +261,7 @@ def _drawn(name: str, nominal: float, varied: Mapping[str, Floats]) -> Floats:
 
 
 def _quantiles(values: Floats) -> Floats:
-    """The quantiles at each instant (N x levels) of values (lanes x N).
+    """Return the quantiles at each instant (N x levels) of values (lanes x N).
 
     Each is the value of a run: nothing is interpolated between a number and infinity.
     """

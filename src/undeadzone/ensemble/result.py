@@ -32,7 +32,9 @@ SHOWN: Final = 10  # worst runs, and runs that diverged, in a summary
 
 
 def _influence(one: Sensitivity) -> float:
-    """The share of the variance (of that of the ranks if larger) that comes from the entry."""
+    """Return the share of the variance (of that of the ranks if larger) that comes from the
+    entry.
+    """
     return max(one.spearman.value**2, (one.total_order or one.first_order).value)
 
 
@@ -59,7 +61,9 @@ class Ensemble:
 
     @property
     def independent(self) -> slice:
-        """The runs independent of each other: all, or blocks A and B of Saltelli's design."""
+        """Return the runs independent of each other: all, or blocks A and B of Saltelli's
+        design.
+        """
         blocks = len(self.varied) + 2 if self.info.sampling == "saltelli" else 2
         return slice(2 * self.info.runs // blocks)
 
@@ -74,12 +78,12 @@ class Ensemble:
 
     @property
     def errors(self) -> list[str]:
-        """The errors of the widths, by name."""
+        """Return the errors of the widths, by name."""
         widths = [name for name in self.metrics if name.startswith(("d_right[", "d_left["))]
         return [name.replace("[", "_error[") for name in widths]
 
     def column(self, name: str) -> Floats:
-        """A column by name (runs).
+        """Return a column by name (runs).
 
         Args:
             name: a varied entry, a metric, or one of `quantities`
@@ -130,7 +134,7 @@ class Ensemble:
         return ~self.diverged & (self.metrics["settling_time"] <= until)
 
     def unit(self, name: str) -> str:
-        """The unit of a column.
+        """Return the unit of a column.
 
         Args:
             name: as of `column`
@@ -141,7 +145,7 @@ class Ensemble:
         return unit_of_column(name, self.info.units)
 
     def worst(self, metric: str = MAIN, count: int = SHOWN) -> list[int]:
-        """The numbers of the worst runs, worst first.
+        """Return the numbers of the worst runs, worst first.
 
         Args:
             metric: by which runs are ranked, as of `column`
@@ -162,7 +166,7 @@ class Ensemble:
         return [int(run) for run in runs[worst_first][:count]]
 
     def typical(self, metric: str = MAIN) -> int | None:
-        """The number of the run whose metric is the median.
+        """Return the number of the run whose metric is the median.
 
         Args:
             metric: as of `column`
@@ -209,7 +213,7 @@ class Ensemble:
         return dict(sorted(pairs, key=lambda pair: -_influence(pair[1])))
 
     def row(self, run: int) -> dict[str, Any]:
-        """One run as a table.
+        """Return one run as a table.
 
         Args:
             run: its number, from 0
@@ -230,7 +234,7 @@ class Ensemble:
         }
 
     def summary(self) -> dict[str, Any]:
-        """Everything found, ready for JSON.
+        """Return everything found, ready for JSON.
 
         Returns:
             Shares, distributions, sensitivities and worst runs; null where the runs give no bound.
@@ -254,7 +258,9 @@ class Ensemble:
         return finite(summary)
 
     def blocks(self, summary: dict[str, Any] | None = None) -> list[Block]:
-        """The tables that `undeadzone ensemble` prints; summary: its own, where it is known."""
+        """Return the tables that `undeadzone ensemble` prints; summary: its own, where it is
+        known.
+        """
         numbers = self.summary() if summary is None else summary
         return in_words(self.info, numbers, int(self.diverged.sum()))
 
@@ -297,5 +303,5 @@ class Ensemble:
 
 
 def _share(runs: npt.NDArray[np.bool_]) -> Interval:
-    """The share of runs that have a property, with its interval."""
+    """Return the share of runs that have a property, with its interval."""
     return proportion(int(runs.sum()), runs.size)

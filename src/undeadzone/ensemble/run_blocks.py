@@ -83,7 +83,7 @@ def _results(
     workers: int | None,
     cluster: str | None,
 ) -> Generator[tuple[int, Floats], None, None]:
-    """(block, its rows) as they are computed."""
+    """Yield (block, its rows) as they are computed."""
     if workers is not None:
         from undeadzone.ensemble import local_workers
 

@@ -87,7 +87,7 @@ def run_ensemble(
 
 
 def _on_disk(batch: Batch, compute: Callable[..., Store], path: Path, resume: bool) -> Ensemble:
-    """The ensemble whose blocks `compute` keeps beside the file that it becomes."""
+    """Return the ensemble whose blocks `compute` keeps beside the file that it becomes."""
     partial = path.with_name(f"{path.name}.partial")
     if resume and not partial.exists():
         finished = _finished(path, batch)
@@ -101,7 +101,7 @@ def _on_disk(batch: Batch, compute: Callable[..., Store], path: Path, resume: bo
 
 
 def replay_run(result: Ensemble, run: int) -> Run:
-    """A run of an ensemble with all its signals.
+    """Return a run of an ensemble with all its signals.
 
     Its states are to the last bit what they were in the ensemble, if nothing has changed since
     (`deviation`).
@@ -144,7 +144,7 @@ def deviation(result: Ensemble, run: int) -> float:
 
 
 def _in_memory(batch: Batch, compute: Callable[[Path], Store]) -> Ensemble:
-    """The result of a store in a folder that is gone afterwards."""
+    """Return the result of a store in a folder that is gone afterwards."""
     with tempfile.TemporaryDirectory() as folder:
         store = compute(Path(folder) / "runs.partial")
         result = _result(batch, store)
@@ -166,7 +166,7 @@ def _finished(path: Path, batch: Batch) -> Ensemble | None:
 
 
 def _result(batch: Batch, store: Store) -> Ensemble:
-    """The result of a complete store; its columns are those of the store, on disk."""
+    """Return the result of a complete store; its columns are those of the store, on disk."""
     columns = store.columns()
     info = _info(batch)
     varied = {name: columns.pop(name) for name in batch.binding.names}
@@ -213,7 +213,7 @@ def replay(batch: Batch, run: int) -> Run:
 
 
 def recorded_bands(batch: Batch, runs: int) -> Bands:
-    """The bands of the first `runs` runs."""
+    """Return the bands of the first `runs` runs."""
     p = batch.problem.plant.p
     positions = [f"z[{i}]" for i in range(p)]
     edges = [f"{EDGES[j % 2]}[{j // 2}]" for j in range(2 * p)]
@@ -239,7 +239,8 @@ def recorded_bands(batch: Batch, runs: int) -> Bands:
 def _recorded(
     batch: Batch, runs: Integers, values: Floats, outputs: list[int], every: int
 ) -> Floats:
-    """Some outputs of runs along their states (runs x N x chosen), on CasADi's virtual machine.
+    """Return some outputs of runs along their states (runs x N x chosen), on CasADi's virtual
+    machine.
 
     Args:
         batch: the ensemble
@@ -265,7 +266,7 @@ def _recorded(
 
 
 def _watched(kernel: lanes.Kernel, every: int) -> lanes.Kernel:
-    """The kernel called for `every` steps at a time.
+    """Return the kernel called for `every` steps at a time.
 
     It records its states and own inputs before each call.
     """
@@ -285,7 +286,7 @@ def _watched(kernel: lanes.Kernel, every: int) -> lanes.Kernel:
 
 
 def _problem_of_run(batch: Batch, values: Floats, what: str) -> Problem:
-    """The problem as one run had it: its plant, its sensor and the size of its reference."""
+    """Return the problem as one run had it: its plant, its sensor and the size of its reference."""
     _, packed = batch.binding.packed(values)
     params: Params = tree.rebuild(batch.loop.params, _unpacked(batch.loop.params, packed))
     problem = batch.problem
@@ -301,7 +302,7 @@ def _problem_of_run(batch: Batch, values: Floats, what: str) -> Problem:
 
 
 def _sensor_of_run(sensor: Zone, params: Params) -> Zone:
-    """The sensor with the numbers of one run."""
+    """Return the sensor with the numbers of one run."""
     changes = {"noise": params.scale.after, "noise_before": params.scale.before}
     numbers = params.sensor._asdict()
     limits = numbers.pop("limits")
@@ -317,7 +318,7 @@ def _sensor_of_run(sensor: Zone, params: Params) -> Zone:
 
 
 def _unpacked(like: Any, numbers: Floats) -> Iterator[Floats]:
-    """The parts of packed numbers in the shapes of a tree's leaves."""
+    """Yield the parts of packed numbers in the shapes of a tree's leaves."""
     start = 0
     for _, leaf in tree.leaves(like):
         yield numbers[start : start + np.size(leaf)].reshape(np.shape(leaf), order="F")

@@ -36,7 +36,10 @@ _DAMAGE: Final = (ValueError, KeyError, struct.error, zipfile.BadZipFile, msgspe
 
 
 def require(path: Name) -> Path:
-    """The path. Raises InputError where no table can be written: its suffix, or no pyarrow."""
+    """Return the path.
+
+    Raises InputError where no table can be written: its suffix, or no pyarrow.
+    """
     path = path_of(path)
     if path.suffix not in (".npz", ".parquet"):
         raise InputError(f"{path}: the name must end in .npz or .parquet")
@@ -70,7 +73,9 @@ def _read_npz(path: Path) -> tuple[str, Columns, Columns]:
 
 
 def _mapped(path: Path, file: BinaryIO, offset: int) -> Any:
-    """The array of an uncompressed member of a zip file, as a map; offset: of its local header."""
+    """Return the array of an uncompressed member of a zip file, as a map; offset: of its local
+    header.
+    """
     file.seek(offset + ZIP_SIZES)
     name_size, extra_size = struct.unpack("<HH", file.read(4))
     file.seek(name_size + extra_size, 1)
@@ -80,7 +85,7 @@ def _mapped(path: Path, file: BinaryIO, offset: int) -> Any:
 
 
 def _below(kind: str, arrays: Mapping[str, Any]) -> dict[str, Any]:
-    """The arrays of one kind, by their own names."""
+    """Return the arrays of one kind, by their own names."""
     names = [name for name in arrays if name.startswith(kind)]
     return {name.removeprefix(kind): arrays[name] for name in names}
 
@@ -109,7 +114,7 @@ def _write_parquet(path: Path, header: str, columns: Columns, attached: Columns)
 
 
 def _read_parquet(path: Path) -> tuple[str, Columns, Columns]:
-    """The columns in memory, header and other arrays from the metadata."""
+    """Return the columns in memory, header and other arrays from the metadata."""
     _arrow()
     import pyarrow.parquet as parquet
 
@@ -126,7 +131,8 @@ def _read_parquet(path: Path) -> tuple[str, Columns, Columns]:
 
 
 def _checksum(metadata: Mapping[str, str | bytes], columns: Sequence[str]) -> str:
-    """The checksum of metadata and of the columns' names; what other programs add does not count.
+    """Return the checksum of metadata and of the columns' names; what other programs add does not
+    count.
 
     Args:
         metadata: by name.
@@ -142,7 +148,7 @@ def _checksum(metadata: Mapping[str, str | bytes], columns: Sequence[str]) -> st
 
 
 def _arrow() -> Any:
-    """The package pyarrow. Raises InputError where it is missing."""
+    """Return the package pyarrow. Raises InputError where it is missing."""
     try:
         import pyarrow
     except ImportError:
@@ -195,7 +201,7 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def unit_of_column(name: str, units: Units) -> str:
-    """The unit of a column, 1 also where it is not known; units: of output and input."""
+    """Return the unit of a column, 1 also where it is not known; units: of output and input."""
     if name.endswith("(relative)"):
         return "1"
     stem = name.partition("[")[0]
@@ -228,7 +234,7 @@ def write(path: Name, varied: Columns, metrics: Columns, info: Info, bands: Band
 
 
 def read(path: Name) -> tuple[Columns, Columns, Info, Bands | None]:
-    """The fields of an ensemble. Raises FileError; InputError where pyarrow is missing."""
+    """Return the fields of an ensemble. Raises FileError; InputError where pyarrow is missing."""
     path = path_of(path)
     try:
         require_plain(path)
@@ -247,7 +253,7 @@ def read(path: Name) -> tuple[Columns, Columns, Info, Bands | None]:
 
 
 def _attached_bands(attached: Mapping[str, Floats]) -> Bands | None:
-    """The bands among the other arrays of a file, if it has some."""
+    """Return the bands among the other arrays of a file, if it has some."""
     if "t" not in attached:
         return None
     t, names = attached["t"], [name for name in attached if name != "t"]

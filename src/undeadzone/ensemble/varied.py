@@ -87,7 +87,7 @@ class UncertainNumber(NamedTuple):
 
 
 def quantities(problem: Problem, loop: Loop, nominal: Floats) -> dict[str, Quantity]:
-    """Every quantity of a problem, by address, in the order of the loop's packed numbers.
+    """Return every quantity of a problem, by address, in the order of the loop's packed numbers.
 
     Args:
         problem: the scenario, checked and built
@@ -138,7 +138,9 @@ def _places_of_sensor(problem: Problem, loop: Loop) -> dict[str, tuple[int, ...]
 
 
 def _other_numbers(problem: Problem) -> dict[str, Floats]:
-    """Numbers of the sensor by key, hardly smaller than its own and all of them different."""
+    """Return numbers of the sensor by key, hardly smaller than its own and all of them
+    different.
+    """
     sensor = problem.sensor
     own = {name: getattr(sensor, name) for name in WIDTHS}
     if problem.plant.gears is not None:
@@ -156,7 +158,7 @@ def _other_numbers(problem: Problem) -> dict[str, Floats]:
 
 
 def _meaningless(problem: Problem) -> list[str]:
-    """The scales that mean nothing for a problem.
+    """Return the scales that mean nothing for a problem.
 
     The targets of a nonlinear model are not proportional to the reference.
     """
@@ -172,7 +174,7 @@ def _meaningless(problem: Problem) -> list[str]:
 
 
 def _address(problem: Problem, name: str) -> str:
-    """The address in the scenario of a packed number of the loop."""
+    """Return the address in the scenario of a packed number of the loop."""
     key, index = stem(name), index_of(name)
     if key in PARAMETRIC:
         return f"{key}.parameters.{problem.plant.names[int(index[1:-1])]}"
@@ -180,7 +182,7 @@ def _address(problem: Problem, name: str) -> str:
 
 
 def _least(problem: Problem, address: str) -> float:
-    """The least value that the number at an address may have."""
+    """Return the least value that the number at an address may have."""
     _, _, parameter = address.partition(".parameters.")
     if parameter and problem.plant.arm is not None and signless(parameter):
         return 0.0
@@ -190,7 +192,7 @@ def _least(problem: Problem, address: str) -> float:
 
 
 def _amplitudes(problem: Problem, by_address: dict[str, Quantity]) -> dict[str, Quantity]:
-    """The amplitudes of reference and disturbance that have one size, which is not 0."""
+    """Return the amplitudes of reference and disturbance that have one size, which is not 0."""
     amplitudes: dict[str, Quantity] = {}
     reference = sizes(problem.scenario.reference, len(problem.tracked))
     one_size = reference.size and reference.all() and np.ptp(reference) == 0
@@ -207,7 +209,9 @@ def _amplitudes(problem: Problem, by_address: dict[str, Quantity]) -> dict[str, 
 
 
 def sizes(signal: Signal | Random | None, channels: int) -> Floats:
-    """The amplitude (or rms) of each channel that a signal is proportional to; none without one."""
+    """Return the amplitude (or rms) of each channel that a signal is proportional to; none without
+    one.
+    """
     rest: npt.ArrayLike = 0.0  # what the signal has besides the part proportional to its size
     match signal:
         case Sine(amplitude=size, offset=rest) | Step(amplitude=size, before=rest):
@@ -290,7 +294,7 @@ def _require_values(address: str, names: list[str], known: dict[str, Quantity]) 
 def _with_factors(
     address: str, parts: list[str], names: list[str], known: dict[str, Quantity]
 ) -> list[str]:
-    """The names whose quantities a factor changes: not those that are 0 or infinite.
+    """Return the names whose quantities a factor changes: not those that are 0 or infinite.
 
     Raises InputError if none is left, or for a quantity that the address names by itself.
     """
@@ -305,7 +309,7 @@ def _with_factors(
 
 
 def _named(address: str, part: str, known: dict[str, Quantity], problem: Problem) -> list[str]:
-    """The quantities that one part of an address stands for. Raises InputError."""
+    """Return the quantities that one part of an address stands for. Raises InputError."""
     if names := matching(part, known):
         return names
     why = _advice(part, problem)

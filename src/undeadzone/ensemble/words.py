@@ -61,7 +61,7 @@ def in_words(info: Info, summary: dict[str, Any], diverged: int) -> list[Block]:
 
 
 def _shares(info: Info, summary: dict[str, Any], lost: int) -> dict[str, str]:
-    """The shares of runs that settle and that diverge."""
+    """Return the shares of runs that settle and that diverge."""
     diverged = summary["diverged"]
     lasts = f"for the last {LAST:g} s" if info.duration > LAST else "at the end"
     which = ""
@@ -78,7 +78,7 @@ def _shares(info: Info, summary: dict[str, Any], lost: int) -> dict[str, str]:
 
 
 def _quantiles(info: Info, metrics: dict[str, Any]) -> list[tuple[str, ...]]:
-    """The table of quantiles of each metric."""
+    """Return the table of quantiles of each metric."""
     rows: list[tuple[str, ...]] = [
         ("95 % intervals in []", "median", "95 % of runs below", "99 % of runs below")
     ]
@@ -92,13 +92,15 @@ def _quantiles(info: Info, metrics: dict[str, Any]) -> list[tuple[str, ...]]:
 
 
 def _listed(runs: list[int], total: int) -> str:
-    """The first runs of a list."""
+    """Return the first runs of a list."""
     names = ", ".join(map(str, runs[:SHOWN]))
     return f"run{'s' * (total > 1)} {names}{', ...' * (total > SHOWN)}"
 
 
 def _share(share: dict[str, Any]) -> str:
-    """A share and its interval in percent; one end of which is left out at 0 % and at 100 %."""
+    """Return a share and its interval in percent; one end of which is left out at 0 % and at 100
+    %.
+    """
     value, low, high = (f"{100 * share[key]:.3g} %" for key in ("value", "low", "high"))
     if share["value"] <= 0:
         low = ""
@@ -106,7 +108,9 @@ def _share(share: dict[str, Any]) -> str:
 
 
 def _interval(metric: dict[str, Any]) -> str:
-    """A metric and its interval; a settling time without a bound is one that is never over."""
+    """Return a metric and its interval; a settling time without a bound is one that is never
+    over.
+    """
     low, high = (number(metric[end], none="") for end in ("low", "high"))
     if metric["value"] is not None:
         return within(number(metric["value"]), low, high)
@@ -122,5 +126,5 @@ def _decides(name: str, entry: dict[str, Any]) -> tuple[str, str, str]:
 
 
 def _in_hundredths(value: dict[str, float]) -> str:
-    """A value and its interval, with two decimals."""
+    """Return a value and its interval, with two decimals."""
     return within(*(f"{value[key]:z.2f}" for key in ("value", "low", "high")))

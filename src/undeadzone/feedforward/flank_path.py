@@ -39,7 +39,7 @@ class Crossing(NamedTuple):
 
 
 def crossing(linear: Matrices, w: float, Ts: float | None, key: str) -> Crossing:
-    """The filter of a model of one input and one output.
+    """Return the filter of a model of one input and one output.
 
     Args:
         linear: the sampled model.
@@ -63,13 +63,13 @@ def crossing(linear: Matrices, w: float, Ts: float | None, key: str) -> Crossing
 
 
 def doubly_integrated(w: float, Ts: float, key: str) -> Crossing:
-    """The filter of an acceleration held over a sample; arguments as of `crossing`."""
+    """Return the filter of an acceleration held over a sample; arguments as of `crossing`."""
     A, B = np.array([[1.0, Ts], [0.0, 1.0]]), np.array([[Ts**2 / 2], [Ts]])
     return crossing(Matrices(A, B, np.eye(1, 2)), w, Ts, key)
 
 
 def turned(sign: Any, before: Any) -> Any:
-    """The flank that is wanted (...): where nothing turns, the one before.
+    """Return the flank that is wanted (...): where nothing turns, the one before.
 
     Args:
         sign: the flank that is asked for, 0 where none is.
@@ -79,7 +79,7 @@ def turned(sign: Any, before: Any) -> Any:
 
 
 def led(numbers: Crossing, moved: Any, wanted: Any) -> tuple[Any, Any]:
-    """(input (1 x k), the next state (n x k)) of k equal filters.
+    """Return (input (1 x k), the next state (n x k)) of k equal filters.
 
     Args:
         numbers: of the filter.

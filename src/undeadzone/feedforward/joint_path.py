@@ -35,7 +35,7 @@ def joint_path(
     step: float,
     start: Floats,
 ) -> Exosystem:
-    """The joints' path q, with two derivatives, that moves an arm's tip along a path.
+    """Return the joints' path q, with two derivatives, that moves an arm's tip along a path.
 
     It holds for 0 <= t <= duration + step. An arm in space with six joints or more keeps the
     orientation that its tip has at the start; joints beyond those needed keep their part in the
@@ -76,7 +76,7 @@ def joint_path(
 
 
 def after_swing(path: Exosystem, swing: Swing) -> Exosystem:
-    """A path of joints that begins after they have swung through points and back.
+    """Return a path of joints that begins after they have swung through points and back.
 
     Args:
         path: the path, which begins at rest.
@@ -111,7 +111,7 @@ def after_swing(path: Exosystem, swing: Swing) -> Exosystem:
 def _checked_nodes(
     equations: Equations, task: Exosystem, t: Floats, start: Floats
 ) -> tuple[Floats, Floats]:
-    """Positions and speeds (N x joints) at times t [s].
+    """Return positions and speeds (N x joints) at times t [s].
 
     Raises TrackingError where the tip cannot get, and where the arm is singular or its joints jump.
     """
@@ -135,7 +135,7 @@ def _checked_nodes(
 
 
 def _refined(equations: Equations, task: Exosystem, t: Floats, nearby: Floats) -> Floats:
-    """Exact positions, speeds and accelerations (N x 3 x joints) at times t [s].
+    """Return exact positions, speeds and accelerations (N x 3 x joints) at times t [s].
 
     By Newton's method from positions nearby (N x joints).
     """
@@ -151,7 +151,9 @@ def _refined(equations: Equations, task: Exosystem, t: Floats, nearby: Floats) -
 
 
 def _closes(path: Exosystem, period: float | None, end: float) -> bool:
-    """Whether the joints are back where they began after a period [s], known up to `end` [s]."""
+    """Return whether the joints are back where they began after a period [s], known up to `end`
+    [s].
+    """
     if period is None or period > end:
         return False
     both_ends = path.value(np.array([0.0, period]))
@@ -272,13 +274,15 @@ class Equations(NamedTuple):
     reach: float
 
     def goals(self, positions: Floats) -> Floats:
-        """The goals (N x joints) for positions of the tip (N x 2 or 3), or their derivatives."""
+        """Return the goals (N x joints) for positions of the tip (N x 2 or 3), or their
+        derivatives.
+        """
         kept = self.place.size1_in(0) - positions.shape[1]
         return np.pad(positions / self.reach, ((0, 0), (0, kept)))
 
 
 def equations_of(arm: Arm, params: Floats, start: Floats) -> Equations:
-    """The equations of an arm that sets out from `start`. Raises TrackingError."""
+    """Return the equations of an arm that sets out from `start`. Raises TrackingError."""
     q, v = ca.SX.sym("q", arm.size), ca.SX.sym("v", arm.size)
     numbers = ca.SX(params)
     tip = arm.tip(numbers, q)
@@ -315,12 +319,12 @@ def equations_of(arm: Arm, params: Floats, start: Floats) -> Equations:
 
 
 def _with_jacobian(q: ca.SX, value: ca.SX) -> ca.Function:
-    """q -> the value and its Jacobian."""
+    """Return q -> the value and its Jacobian."""
     return ca.Function("place", [q], [value, ca.densify(ca.jacobian(value, q))], {"cse": True})
 
 
 def mapped(function: ca.Function, *columns: Floats) -> list[Floats]:
-    """The function's values (N x rows x columns each) at N inputs (N x size each)."""
+    """Return the function's values (N x rows x columns each) at N inputs (N x size each)."""
     count = len(columns[0])
     values = function.map(count)(*[column.T for column in columns])
     if not isinstance(values, tuple):
@@ -329,7 +333,7 @@ def mapped(function: ca.Function, *columns: Floats) -> list[Floats]:
 
 
 def solved(J: Floats, goals: Floats) -> Floats:
-    """J^-1 goal for each of N Jacobians and goals (N x joints)."""
+    """Return J^-1 goal for each of N Jacobians and goals (N x joints)."""
     return np.linalg.solve(J, goals[:, :, None])[:, :, 0]
 
 
@@ -346,7 +350,8 @@ def singular(J: Floats) -> np.ndarray:
 
 
 def followed(equations: Equations, goals: Floats, start: Floats) -> Floats:
-    """Positions (N x joints) at which the equations meet their goals, the first from `start`.
+    """Return positions (N x joints) at which the equations meet their goals, the first from
+    `start`.
 
     Each is reached by Newton's method from the one before.
     """
@@ -362,7 +367,7 @@ def followed(equations: Equations, goals: Floats, start: Floats) -> Floats:
 
 
 def _first(equations: Equations, follow: ca.Function, goal: Floats, start: Floats) -> Floats:
-    """Joint angles that meet the first goal, by a line from `start` if that leads there."""
+    """Return joint angles that meet the first goal, by a line from `start` if that leads there."""
     here = equations.place(start)[0].full().ravel()
     line = np.linspace(here, goal, LOOKS).T
     arrived = follow.mapaccum(LOOKS)(start, line).full()[:, -1]
@@ -373,7 +378,7 @@ def _first(equations: Equations, follow: ca.Function, goal: Floats, start: Float
 
 
 def nearest(function: ca.Function, goal: Floats, start: Floats) -> Floats:
-    """The joint angles, from `start` on, at which a function comes nearest to its goal.
+    """Return the joint angles, from `start` on, at which a function comes nearest to its goal.
 
     function: q -> value and Jacobian; nearest in the sense of least squares.
     """

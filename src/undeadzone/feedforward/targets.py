@@ -38,7 +38,7 @@ class Target(NamedTuple):
 
 
 def along_targets(law: Callable[[Any, Any], Any], target: Target) -> Floats:
-    """law(x_ref, u_ff) at each of N instants (N x k).
+    """Return law(x_ref, u_ff) at each of N instants (N x k).
 
     Args:
         law: a function of CasADi expressions.
@@ -50,7 +50,7 @@ def along_targets(law: Callable[[Any, Any], Any], target: Target) -> Floats:
 
 
 def regulator(linear: Matrices, S: Floats, Q: Floats) -> tuple[Floats, Floats, float]:
-    """The solution of the regulator equations A Pi + B Gamma = Pi S, C Pi = Q.
+    """Return the solution of the regulator equations A Pi + B Gamma = Pi S, C Pi = Q.
 
     Then x_ref = Pi w, u_ff = Gamma w. It is that of least scaled norm where inputs are more than
     tracked outputs.
@@ -86,7 +86,7 @@ def regulator(linear: Matrices, S: Floats, Q: Floats) -> tuple[Floats, Floats, f
 
 
 def _blocking(linear: Matrices, S: Floats) -> complex:
-    """The eigenvalue of S nearest to being a zero of the plant.
+    """Return the eigenvalue of S nearest to being a zero of the plant.
 
     There the Rosenbrock matrix has its least singular value.
     """
@@ -104,7 +104,7 @@ def _blocking(linear: Matrices, S: Floats) -> complex:
 
 
 def moves(S: Floats, Ts: float | None) -> Floats:
-    """The S of w' = S w, or (e^(S Ts) - I) / Ts, its delta form (k x k) [1/s].
+    """Return the S of w' = S w, or (e^(S Ts) - I) / Ts, its delta form (k x k) [1/s].
 
     Args:
         S: dynamics of the exosystem (k x k) [1/s].
@@ -118,7 +118,7 @@ def moves(S: Floats, Ts: float | None) -> Floats:
 
 
 def steady_state(model: System, exo: Exosystem, tracked: list[int]) -> tuple[Floats, Floats]:
-    """(Pi, Gamma): x_ref = Pi w and u_ff = Gamma w of a linear model, continuous or sampled.
+    """Return (Pi, Gamma): x_ref = Pi w and u_ff = Gamma w of a linear model, continuous or sampled.
 
     Args:
         model: the plant.
@@ -154,7 +154,7 @@ def steady_state(model: System, exo: Exosystem, tracked: list[int]) -> tuple[Flo
 def linear_targets(
     model: System, exo: Exosystem, tracked: list[int], t: Floats, derivative: int = 0
 ) -> Target:
-    """Targets, or their derivatives, for a linear model, continuous or sampled.
+    """Return targets, or their derivatives, for a linear model, continuous or sampled.
 
     Args:
         model: the plant.
@@ -188,7 +188,7 @@ class _Derivative(NamedTuple):
 def inverted_targets(
     model: System, exo: Exosystem, tracked: list[int], t: Floats, x_eq: Floats
 ) -> Target:
-    """Targets for a nonlinear model without zero dynamics.
+    """Return targets for a nonlinear model without zero dynamics.
 
     r and its derivatives are inverted for x and u by Newton's method, each instant from the
     solution of the one before.
@@ -233,7 +233,7 @@ def inverted_targets(
 
 
 def _derivatives(model: System, tracked: list[int], x: ca.SX, u: ca.SX) -> list[_Derivative]:
-    """Derivatives of the tracked outputs, one per state and input, that determine x and u.
+    """Return derivatives of the tracked outputs, one per state and input, that determine x and u.
 
     Each output is differentiated until the input shows: those without it first, then those with it.
     Raises TrackingError.
@@ -264,7 +264,7 @@ def _derivatives(model: System, tracked: list[int], x: ca.SX, u: ca.SX) -> list[
 
 
 def flat_targets(model: System, exo: Exosystem, tracked: list[int], t: Floats) -> Target:
-    """Targets for a continuous model with `flat` coordinates.
+    """Return targets for a continuous model with `flat` coordinates.
 
     Args:
         model: the plant.

@@ -19,7 +19,7 @@ SMALL = 0.25
 
 
 def zoh(linear: Matrices, Ts: float) -> Matrices:
-    """Exact zero-order hold: Ad = e^{A Ts}, Bd = int_0^Ts e^{A t} dt B, C unchanged.
+    """Return exact zero-order hold: Ad = e^{A Ts}, Bd = int_0^Ts e^{A t} dt B, C unchanged.
 
     Args:
         linear: the plant in continuous time.
@@ -35,7 +35,7 @@ def zoh(linear: Matrices, Ts: float) -> Matrices:
 
 
 def zoh_slopes(AB: Floats, directions: Sequence[Floats], Ts: float) -> Floats:
-    """d[Ad, Bd] of `zoh` along directions, one below the other (K n x (n + m)).
+    """Return d[Ad, Bd] of `zoh` along directions, one below the other (K n x (n + m)).
 
     Args:
         AB: [A, B] (n x (n + m)).
@@ -87,7 +87,7 @@ def sampled_noise(A: Floats, W: Floats, Ts: float) -> tuple[Floats, Floats]:
 
 
 def _with_inputs(A: Floats, B: Floats) -> Floats:
-    """[[A, B], [0, 0]], the motion of [x; u] with u held."""
+    """Return [[A, B], [0, 0]], the motion of [x; u] with u held."""
     n, m = B.shape
     block = np.zeros((n + m, n + m))
     block[:n, :n], block[:n, n:] = A, B
@@ -95,7 +95,9 @@ def _with_inputs(A: Floats, B: Floats) -> Floats:
 
 
 def _units(block: Floats, n: int) -> Floats:
-    """The units of [x; u] that balance `_with_inputs`; a unit of u moves x as much as x itself."""
+    """Return the units of [x; u] that balance `_with_inputs`; a unit of u moves x as much as x
+    itself.
+    """
     A, B = block[:n, :n], block[:n, n:]
     of_states = balancing(A)
     even = similar(A, of_states)
@@ -104,7 +106,7 @@ def _units(block: Floats, n: int) -> Floats:
 
 
 def _ratio(M: Floats, A: Floats) -> float:
-    """|M| / |A| as a power of two; 1 where either is 0."""
+    """Return |M| / |A| as a power of two; 1 where either is 0."""
     sizes = np.abs(M).max(initial=0.0), np.abs(A).max(initial=0.0)
     if not all(0 < size < np.inf for size in sizes):
         return 1.0
@@ -112,7 +114,7 @@ def _ratio(M: Floats, A: Floats) -> float:
 
 
 def zoh_of_each(AB: Floats, Ts: float) -> Floats:
-    """Zero-order hold of many plants; as `zoh` of one.
+    """Return zero-order hold of many plants; as `zoh` of one.
 
     X = [Ad - I, Bd] = (I + M / 2! + M^2 / 3! + ...) [A, B] Ts with M = A Ts over a fraction 2^-k of
     Ts, then k times X <- 2 X + (Ad - I) X, which loses nothing where Ad is close to I. Plain
@@ -142,7 +144,7 @@ def zoh_of_each(AB: Floats, Ts: float) -> Floats:
 
 
 def _product(M: Floats, X: Floats) -> Floats:
-    """M X for every plant, summed in one order."""
+    """Return M X for every plant, summed in one order."""
     total = M[:, 0, None] * X[None, 0]
     for k in range(1, M.shape[1]):
         total += M[:, k, None] * X[None, k]

@@ -27,12 +27,13 @@ class Matrices(NamedTuple):
 
     @property
     def dual(self) -> Matrices:
-        """(A', C', B'), whose state feedbacks are the observers' gains, transposed."""
+        """Return (A', C', B'), whose state feedbacks are the observers' gains, transposed."""
         return Matrices(self.A.T, self.C.T, self.B.T)
 
 
 def delta(linear: Matrices, Ts: float | None) -> Matrices:
-    """The matrices in delta form, (Ad - I) / Ts and Bd / Ts, which tend to A and B as Ts -> 0.
+    """Return the matrices in delta form, (Ad - I) / Ts and Bd / Ts, which tend to A and B as Ts ->
+    0.
 
     Args:
         linear: a linear system; of one step if sampled.
@@ -45,7 +46,7 @@ def delta(linear: Matrices, Ts: float | None) -> Matrices:
 
 
 def companion(a: Any, b: Any = (1.0,)) -> Matrices:
-    """Companion form (15): A with last row -a, B = e_n, C = [b_0, b_1, ...].
+    """Return companion form (15): A with last row -a, B = e_n, C = [b_0, b_1, ...].
 
     Args:
         a: coefficients of the denominator without the leading 1 (n), lowest first.
@@ -82,7 +83,8 @@ def sizes(A: Floats, B: Floats, omega: float = 0.0) -> Floats:
 
 
 def balancing(A: Floats) -> Floats:
-    """Units of the states of x' = A x, powers of two, in which rows and columns of A are alike.
+    """Return units of the states of x' = A x, powers of two, in which rows and columns of A are
+    alike.
 
     LAPACK's gebal (Parlett and Reinsch 1969); 1 where A is not finite.
     """
@@ -95,12 +97,12 @@ def balancing(A: Floats) -> Floats:
 
 
 def similar(A: Floats, units: Floats) -> Floats:
-    """The matrix of x' = A x for states that are measured in these units (n)."""
+    """Return the matrix of x' = A x for states that are measured in these units (n)."""
     return A / units[:, None] * units
 
 
 def feedback_loops(A: Floats) -> Floats:
-    """A without the entries that are in no loop of states; it has the poles of A.
+    """Return a without the entries that are in no loop of states; it has the poles of A.
 
     The other entries, such as x_1' = x_2 of an integrator, have units of their own.
     """

@@ -12,7 +12,7 @@ ACCURATE = 1e-6  # error of the characteristic polynomial, relative to its large
 
 
 def parse_poles(key: str, poles: Array, n: int) -> np.ndarray:
-    """Complex poles from numbers or [real, imaginary] pairs.
+    """Return complex poles from numbers or [real, imaginary] pairs.
 
     Args:
         key: named in errors.
@@ -46,14 +46,16 @@ def parse_poles(key: str, poles: Array, n: int) -> np.ndarray:
 
 
 def slowest(poles: np.ndarray, Ts: float | None) -> float:
-    """The growth rate of the slowest mode [1/s], of poles of a continuous or a sampled system."""
+    """Return the growth rate of the slowest mode [1/s], of poles of a continuous or a sampled
+    system.
+    """
     if Ts is None:
         return float(poles.real.max())
     return float(np.log(max(np.abs(poles).max(), np.finfo(float).tiny)) / Ts)
 
 
 def place(A: Floats, B: Floats, poles: np.ndarray, key: str) -> Floats:
-    """K such that A - B K has given poles.
+    """Return K such that A - B K has given poles.
 
     Ackermann's formula for one input, scipy's place_poles for more.
 
@@ -80,7 +82,7 @@ def place(A: Floats, B: Floats, poles: np.ndarray, key: str) -> Floats:
 
 
 def _ackermann(A: Floats, B: Floats, poles: np.ndarray, key: str) -> Floats:
-    """The gain (1 x n) by Ackermann's formula."""
+    """Return the gain (1 x n) by Ackermann's formula."""
     n = A.shape[0]
     controllability = np.hstack([np.linalg.matrix_power(A, k) @ B for k in range(n)])
     polynomial = np.zeros((n, n))
@@ -100,7 +102,7 @@ def _ackermann(A: Floats, B: Floats, poles: np.ndarray, key: str) -> Floats:
 
 
 def _place_poles(A: Floats, B: Floats, poles: np.ndarray, key: str) -> Floats:
-    """The gain (m x n) by scipy's place_poles, for several inputs."""
+    """Return the gain (m x n) by scipy's place_poles, for several inputs."""
     from scipy.signal import place_poles
 
     try:
@@ -112,7 +114,7 @@ def _place_poles(A: Floats, B: Floats, poles: np.ndarray, key: str) -> Floats:
 def state_gain(
     linear: Matrices, poles: Array, Ts: float | None, key: str = "controller.poles"
 ) -> Floats:
-    """K that puts A - B K at continuous-time poles.
+    """Return K that puts A - B K at continuous-time poles.
 
     Args:
         linear: the model, continuous or sampled.
@@ -137,7 +139,7 @@ def state_gain(
 
 
 def observer_gain(linear: Matrices, poles: Array, Ts: float | None) -> Floats:
-    """L that puts A - L C at continuous-time poles.
+    """Return L that puts A - L C at continuous-time poles.
 
     Args:
         linear: the model, continuous or sampled.

@@ -45,7 +45,7 @@ class _Equation(NamedTuple):
 
 
 def weight(key: str, Q: Array, n: int, why: str = "states x states") -> Floats:
-    """Q as a symmetric positive definite n x n matrix.
+    """Return Q as a symmetric positive definite n x n matrix.
 
     Args:
         key: named in errors.
@@ -70,7 +70,7 @@ def weight(key: str, Q: Array, n: int, why: str = "states x states") -> Floats:
 
 
 def riccati(linear: Matrices, Q: Floats, R: Floats, Ts: float | None = None) -> Riccati:
-    """The stabilising P of A'P + PA - P B R^-1 B'P + Q = 0 and K = R^-1 B'P.
+    """Return the stabilising P of A'P + PA - P B R^-1 B'P + Q = 0 and K = R^-1 B'P.
 
     Sampled, P = A'PA - A'PB (R + B'PB)^-1 B'PA + Q and K = (R + B'PB)^-1 B'PA. scipy's answer is
     improved by Newton's method (Kleinman 1968; Hewer 1971) for as long as the residual falls.
@@ -101,7 +101,7 @@ def riccati(linear: Matrices, Q: Floats, R: Floats, Ts: float | None = None) -> 
 
 
 def _solution(equation: _Equation) -> Floats:
-    """scipy's solution of a Riccati equation. Raises StructureError if there is none."""
+    """Return scipy's solution of a Riccati equation. Raises StructureError if there is none."""
     from scipy.linalg import solve_continuous_are, solve_discrete_are
 
     A, B, Q, R, Ts = equation
@@ -114,7 +114,7 @@ def _solution(equation: _Equation) -> Floats:
 
 
 def _candidate(equation: _Equation, P: Floats) -> Riccati:
-    """A matrix put into the equation."""
+    """Return a matrix put into the equation."""
     A, B, Q, R, Ts = equation
     terms: tuple[Floats, ...]
     if Ts is None:
@@ -129,7 +129,7 @@ def _candidate(equation: _Equation, P: Floats) -> Riccati:
 
 
 def riccati_along(A: Floats, B: Floats, Q: Floats, R: Floats, P: Floats) -> Floats:
-    """Gains of the sampled Riccati equation, backwards along a trajectory.
+    """Return gains of the sampled Riccati equation, backwards along a trajectory.
 
     Args:
         A, B: the model at each sample (N x n x n, N x n x m).
@@ -150,7 +150,7 @@ def riccati_along(A: Floats, B: Floats, Q: Floats, R: Floats, P: Floats) -> Floa
 
 
 def paper_riccati(A: Floats, B: Floats, alpha: float, Q: Floats) -> Riccati:
-    """P of A'P + PA - 2 alpha P B B' P = -Q, (34), and K = alpha B'P.
+    """Return P of A'P + PA - 2 alpha P B B' P = -Q, (34), and K = alpha B'P.
 
     Args:
         A: whatever stands for A, (A - L C as printed) (n x n).
@@ -170,7 +170,7 @@ def paper_riccati(A: Floats, B: Floats, alpha: float, Q: Floats) -> Riccati:
 
 
 def feedback(linear: Matrices, alpha: float, Q: Floats, Ts: float | None) -> Floats:
-    """K of (34) with A, or its sampled counterpart, which tends to it as Ts -> 0.
+    """Return K of (34) with A, or its sampled counterpart, which tends to it as Ts -> 0.
 
     K = alpha B'P is half the optimal gain for R = 1 / (2 alpha); sampled: half of
     (R + B'PB)^-1 B'PA of the discrete equation with Q Ts, R Ts.
@@ -201,7 +201,7 @@ def feedback(linear: Matrices, alpha: float, Q: Floats, Ts: float | None) -> Flo
 
 
 def lyapunov(linear: Matrices, K: Floats, Q: Floats, Ts: float | None) -> Floats:
-    """P of (A - BK)'P + P(A - BK) = -Q, or of its sampled form.
+    """Return P of (A - BK)'P + P(A - BK) = -Q, or of its sampled form.
 
     Args:
         linear: the model, continuous or sampled.
@@ -223,7 +223,7 @@ def lyapunov(linear: Matrices, K: Floats, Q: Floats, Ts: float | None) -> Floats
 
 
 def storage_of(A: Floats, Q: Floats, Ts: float | None) -> Floats:
-    """P of A'P + PA = -Q, or of A'PA - P = -Q.
+    """Return P of A'P + PA = -Q, or of A'PA - P = -Q.
 
     Args:
         A: of a stable system, of one step if sampled (n x n).
@@ -238,7 +238,7 @@ def storage_of(A: Floats, Q: Floats, Ts: float | None) -> Floats:
 
 
 def fast_gain(linear: Matrices, speed: float, Ts: float | None) -> Floats:
-    """L (n x p) that puts A - L C left of -speed / 2 (sampled: within e^(-speed Ts / 2)).
+    """Return L (n x p) that puts A - L C left of -speed / 2 (sampled: within e^(-speed Ts / 2)).
 
     Args:
         linear: the model, of the sampled one Ad, Bd, C.
@@ -263,7 +263,7 @@ def fast_gain(linear: Matrices, speed: float, Ts: float | None) -> Floats:
 
 
 def fast_feedback(linear: Matrices, speed: float, Ts: float | None) -> Floats:
-    """K (m x n) that puts A - B K left of -speed / 2 (sampled: within e^(-speed Ts / 2)).
+    """Return K (m x n) that puts A - B K left of -speed / 2 (sampled: within e^(-speed Ts / 2)).
 
     Args:
         linear: the model, of the sampled one Ad, Bd, C.
@@ -283,7 +283,9 @@ def fast_feedback(linear: Matrices, speed: float, Ts: float | None) -> Floats:
 
 
 def _shifted_riccati_gain(A: Floats, C: Floats, speed: float, Ts: float | None) -> Floats:
-    """The Riccati gain of A shifted right by speed / 2 (n x p); 0 where there is no solution."""
+    """Return the Riccati gain of A shifted right by speed / 2 (n x p); 0 where there is no
+    solution.
+    """
     n, p = A.shape[0], C.shape[0]
     noise = 1e-8 * np.eye(n)
     with warnings.catch_warnings():

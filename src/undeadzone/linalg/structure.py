@@ -26,7 +26,7 @@ class Chains(NamedTuple):
 
 
 def unobservable_modes(A: Floats, C: Floats) -> list[complex]:
-    """Eigenvalues of A that C does not see.
+    """Return eigenvalues of A that C does not see.
 
     Hautus's test on singular values, in units that make the states alike.
 
@@ -48,7 +48,7 @@ def unobservable_modes(A: Floats, C: Floats) -> list[complex]:
 
 
 def uncontrollable_modes(A: Floats, B: Floats) -> list[complex]:
-    """Eigenvalues of A that B does not move: `unobservable_modes` of the dual pair."""
+    """Return eigenvalues of A that B does not move: `unobservable_modes` of the dual pair."""
     return unobservable_modes(A.T, B.T)
 
 
@@ -76,7 +76,7 @@ def require_structure(linear: Matrices, key: str) -> None:
 
 
 def output_chains(A: Floats, C: Floats) -> Chains:
-    """The outputs and as many of their derivatives under x' = A x as tell the whole state.
+    """Return the outputs and as many of their derivatives under x' = A x as tell the whole state.
 
     The lowest derivatives come first.
 
@@ -114,11 +114,11 @@ def output_chains(A: Floats, C: Floats) -> Chains:
 
 
 def _unit_rows(C: Floats) -> Floats:
-    """C with rows of length 1, or 0 where they are next to nothing."""
+    """Return C with rows of length 1, or 0 where they are next to nothing."""
     lengths = np.linalg.norm(C, axis=1, keepdims=True)
     return C / np.where(lengths > 1 / LARGEST, lengths, np.inf)
 
 
 def _modes_text(modes: list[complex]) -> str:
-    """One mode or several, as text."""
+    """Return one mode or several, as text."""
     return f"mode{'s' * (len(modes) > 1)} {listed(modes)}"

@@ -93,14 +93,15 @@ class Clock:
 
     @property
     def measured(self) -> float | None:
-        """The usual time between two of the first lines [s]; None without times."""
+        """Return the usual time between two of the first lines [s]; None without times."""
         intervals = np.diff(self._first)
         return usual_step(intervals[intervals > 0])
 
     def place(
         self, samples: Samples, unread: Sequence[Fault], timed: bool, last: bool
     ) -> Iterator[Piece]:
-        """The samples one step apart, as far as they can be judged; those in gaps are missing.
+        """Yield the samples one step apart, as far as they can be judged; those in gaps are
+        missing.
 
         Args:
             samples: the next ones of the log.
@@ -125,7 +126,7 @@ class Clock:
         yield from self._placed(samples, timed, last)
 
     def _placed(self, samples: Samples, timed: bool, last: bool) -> Iterator[Piece]:
-        """The same of lines whose faults are counted already."""
+        """Yield the same of lines whose faults are counted already."""
         if not timed:
             t = (self._count + np.arange(len(samples.t))) * self._step
             self._count += len(t)
@@ -150,7 +151,7 @@ class Clock:
             require_step(self.measured, self._step, TESTS[self._first.size], self._source)
 
     def _judged(self, samples: Samples, last: bool) -> Iterator[Piece]:
-        """The samples among lines with times, so far as they can be told."""
+        """Yield the samples among lines with times, so far as they can be told."""
         if self._waiting is not None:
             samples = joined([self._waiting, samples])
             self._waiting = None

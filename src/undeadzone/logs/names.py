@@ -66,7 +66,7 @@ def split_unit(text: str) -> Title:
 
 
 def numbers(key: str, value: Any, kinds: str) -> Floats:
-    """An array of floats, NaN and infinite ones among them.
+    """Return an array of floats, NaN and infinite ones among them.
 
     Args:
         key: what the user calls it.
@@ -111,23 +111,25 @@ class Layout(NamedTuple):
 
     @property
     def driving(self) -> list[int]:
-        """The columns of the inputs, and behind them that of the reference, if there is one."""
+        """Return the columns of the inputs, and behind them that of the reference, if there is
+        one.
+        """
         return self.inputs + ([] if self.reference is None else [self.reference])
 
     @property
     def columns(self) -> list[int]:
-        """The columns that are used: the time if there is one, readings, what drives."""
+        """Return the columns that are used: the time if there is one, readings, what drives."""
         first = [] if self.time is None else [self.time]
         return first + self.readings + self.driving
 
     @property
     def timed(self) -> bool:
-        """Whether it has times in seconds."""
+        """Return whether it has times in seconds."""
         return self.time is not None and self.seconds is not None
 
 
 def parse_columns(text: str | None) -> dict[str, str]:
-    """The columns that --columns names, by signal.
+    """Return the columns that --columns names, by signal.
 
     Args:
         text: `y=angle,u=voltage,r=wanted`, `t=1,y[0]=2,y[1]=3,u=4`; None: nothing is named.
@@ -214,7 +216,7 @@ class _Header(NamedTuple):
     source: str
 
     def layout(self, time: int | None, readings: list[int], inputs: list[int]) -> Layout:
-        """A layout, once no column is used twice and the unit of time is known."""
+        """Return a layout, once no column is used twice and the unit of time is known."""
         used = readings + inputs + ([] if time is None else [time])
         for column in used:
             if used.count(column) > 1:
@@ -232,7 +234,7 @@ class _Header(NamedTuple):
         return Layout(time, date, readings, inputs, seconds, y, u, ", ".join(roles))
 
     def with_reference(self, layout: Layout) -> Layout:
-        """The layout with the reference: a column that is nothing else. Raises FileError."""
+        """Return the layout with the reference: a column that is nothing else. Raises FileError."""
         same = [self.same(name) for name in REFERENCES]
         if "r" in self.chosen:
             same = [[self.named("r")]]
@@ -250,7 +252,7 @@ class _Header(NamedTuple):
         return FileError(f"{self.source}: column {name!r} would be used twice")
 
     def time(self) -> int | None:
-        """The number of the column of times; None where there is none. Raises FileError."""
+        """Return the number of the column of times; None where there is none. Raises FileError."""
         if "t" in self.chosen:
             return self.named("t")
         for name in TIMES:
@@ -263,7 +265,7 @@ class _Header(NamedTuple):
         return None
 
     def signals(self, signal: str, count: int | None, usual: Sequence[str]) -> list[int]:
-        """The numbers of the columns of a signal. Raises FileError."""
+        """Return the numbers of the columns of a signal. Raises FileError."""
         if count is None:
             count = len(_of_signal(self.chosen, signal)) or self.count(usual)
         wanted = [f"{signal}[{i}]" for i in range(count)]
@@ -308,7 +310,9 @@ class _Header(NamedTuple):
         return 1
 
     def usual(self, name: str, count: int) -> list[int]:
-        """The columns of a usual name: the one of that name, or those with an index, in order."""
+        """Return the columns of a usual name: the one of that name, or those with an index, in
+        order.
+        """
         same = self.same(name)
         if same and (count == 1 or len(same) > 1):
             return same
@@ -320,11 +324,14 @@ class _Header(NamedTuple):
         return [k for _, k in sorted(indexed)] or same
 
     def same(self, name: str) -> list[int]:
-        """The columns of that name, be they written large or small."""
+        """Return the columns of that name, be they written large or small."""
         return [k for k, title in enumerate(self.titles) if title.name.lower() == name.lower()]
 
     def named(self, key: str) -> int:
-        """The column of a chosen name or number (from 1). Raises FileError with the nearest."""
+        """Return the column of a chosen name or number (from 1).
+
+        Raises FileError with the nearest.
+        """
         name = self.chosen[key]
         exact = [k for k, title in enumerate(self.titles) if title.name == name]
         same = exact or self.same(name)
@@ -339,7 +346,7 @@ class _Header(NamedTuple):
         )
 
     def near(self, names: Sequence[str]) -> str:
-        """A hint at the names of columns that are near some names."""
+        """Return a hint at the names of columns that are near some names."""
         lower = {title.name.lower(): title.name for title in self.titles}
         for name in names:
             near = difflib.get_close_matches(name.lower(), lower, 1)
@@ -349,7 +356,7 @@ class _Header(NamedTuple):
 
 
 def _seconds(title: Title, source: str) -> float | None:
-    """The length of a unit of time [s]; None where it counts samples. Raises FileError."""
+    """Return the length of a unit of time [s]; None where it counts samples. Raises FileError."""
     unit = title.unit.lower()
     if unit in COUNTS:
         return None
@@ -379,11 +386,11 @@ def require_table(source: str) -> None:
 
 
 def _of_signal(chosen: Mapping[str, str], signal: str) -> list[str]:
-    """The keys of a signal among those that the user names."""
+    """Return the keys of a signal among those that the user names."""
     return [key for key in chosen if key.startswith(signal + "[")]
 
 
 def _listed(titles: Sequence[Title]) -> str:
-    """The names of columns, for a message."""
+    """Return the names of columns, for a message."""
     shown = ", ".join(repr(title.name) for title in titles[:_SHOWN])
     return shown + (", ..." if len(titles) > _SHOWN else "")

@@ -32,12 +32,12 @@ class RangeEnds(NamedTuple):
 
     @property
     def found(self) -> bool:
-        """Whether readings stick at either end."""
+        """Return whether readings stick at either end."""
         return self.number > 0
 
     @property
     def text(self) -> str:
-        """The range as a scenario has it."""
+        """Return the range as a scenario has it."""
         return f"[{self.low:.9g}, {self.high:.9g}]"
 
     def at(self, y: Floats, ok: np.ndarray) -> np.ndarray:
@@ -69,7 +69,7 @@ class RunningEnds:
         self._lower.add(-y, ok)
 
     def ends(self, quantum: float = 0.0) -> RangeEnds:
-        """The values at which readings stick on their way, as where an amplifier ends.
+        """Return the values at which readings stick on their way, as where an amplifier ends.
 
         At the top of a slow or rounded motion readings are alike too; there they do not come to a
         sudden stop. Noise repeats no reading but where the range ends.
@@ -88,7 +88,7 @@ class RunningEnds:
 
 
 def range_ends(y: Floats, ok: np.ndarray, quantum: float = 0.0) -> RangeEnds:
-    """The values at which the readings of a whole log stick; see `RunningEnds.ends`.
+    """Return the values at which the readings of a whole log stick; see `RunningEnds.ends`.
 
     Args:
         y: readings (N).
@@ -159,7 +159,7 @@ class _End:
         self._alike += int((elsewhere & (np.diff(y) == 0)).sum())
 
     def sticks(self, least: float) -> bool:
-        """Whether readings come to a sudden stop at the top, or noise leads there and back.
+        """Return whether readings come to a sudden stop at the top, or noise leads there and back.
 
         Args:
             least: by which they move in the step before they stick, at least.
@@ -192,5 +192,5 @@ def _first_of_runs(at: np.ndarray, ok: np.ndarray) -> Integers:
 
 
 def _all_in_a_row(flags: np.ndarray) -> np.ndarray:
-    """Whether `RUN` flags in a row are set, from each on."""
+    """Return whether `RUN` flags in a row are set, from each on."""
     return np.asarray(np.lib.stride_tricks.sliding_window_view(flags, RUN).all(axis=1))

@@ -60,12 +60,12 @@ class Samples(NamedTuple):
     lines: Lines
 
     def part(self, rows: Any) -> Samples:
-        """Some of the samples."""
+        """Return some of the samples."""
         return Samples(*[part[rows] for part in self])
 
     @property
     def regular(self) -> Regular:
-        """The same, once they are one step apart."""
+        """Return the same, once they are one step apart."""
         return Regular(self.t, self.y, self.u)
 
 
@@ -113,7 +113,7 @@ class Faults:
 
     @property
     def unreadable(self) -> int:
-        """The lines that could not be read."""
+        """Return the lines that could not be read."""
         return int(self.counts[: KINDS.index("jump")].sum())
 
     @property
@@ -167,7 +167,7 @@ class LogReader:
         self._count = 0  # lines read
 
     def feed(self, data: bytes, last: bool = False) -> Samples:
-        """The samples in the lines that are whole now.
+        """Return the samples in the lines that are whole now.
 
         Args:
             data: the bytes that came in.
@@ -201,7 +201,7 @@ class LogReader:
         return lines[:2] if dialect_of(lines[:1]).heads else lines[:1]
 
     def _numbered(self, lines: Sequence[str]) -> Numbered:
-        """The lines with content, with their numbers."""
+        """Return the lines with content, with their numbers."""
         first = self._count + 1
         self._count += len(lines)
         numbered = enumerate((line[: LONGEST_LINE + 1] for line in lines), first)
@@ -227,7 +227,7 @@ class LogReader:
         return Samples(*shapes, np.empty(0, np.int64))
 
     def _samples(self, numbered: Numbered, dialect: Dialect, layout: Layout) -> Samples:
-        """The samples in these lines."""
+        """Return the samples in these lines."""
         values = _at_once([line for _, line in numbered], dialect, layout)
         if values is not None:
             self._plain_times = self._plain_times or bool(np.isfinite(values[:, 0]).any())
@@ -278,7 +278,7 @@ class LogReader:
             return
 
     def _one_by_one(self, numbered: Numbered, dialect: Dialect, layout: Layout) -> Floats:
-        """The numbers of the columns that are used; a line that cannot be read gives NaN."""
+        """Return the numbers of the columns that are used; a line that cannot be read gives NaN."""
         values = np.full((len(numbered), len(layout.columns)), np.nan)
         for row, (number, line) in enumerate(numbered):
             found = self._row(number, line, dialect, layout)
@@ -292,7 +292,7 @@ class LogReader:
     def _row(
         self, number: int, line: str, dialect: Dialect, layout: Layout
     ) -> list[float | None] | Fault:
-        """The numbers of a line in the columns that are used, or why it cannot be read."""
+        """Return the numbers of a line in the columns that are used, or why it cannot be read."""
         kind, why = flaw(line)
         if why:
             return Fault(number, kind, why)
@@ -309,14 +309,14 @@ class LogReader:
 
 
 def _stamp(cells: list[str], layout: Layout) -> str:
-    """The text of a line's time, behind its date where that stands in another column."""
+    """Return the text of a line's time, behind its date where that stands in another column."""
     assert layout.time is not None
     time = cells[layout.time]
     return time if layout.date is None else f"{cells[layout.date]} {time}"
 
 
 def samples_of_text(reader: LogReader, path: Path, largest: int, most: float) -> Samples:
-    """All samples of a CSV file, the oldest first.
+    """Return all samples of a CSV file, the oldest first.
 
     Args:
         reader: that has read nothing yet; afterwards it says what could not be read.
@@ -351,12 +351,14 @@ def oldest_first(samples: Samples) -> Samples:
 
 
 def counted_lines(count: int) -> str:
-    """A number of lines, in words."""
+    """Return a number of lines, in words."""
     return "1 line" if count == 1 else f"{count} lines"
 
 
 def _at_once(lines: list[str], dialect: Dialect, layout: Layout) -> Floats | None:
-    """The numbers of the columns that are used, read by NumPy; None where a line is not plain."""
+    """Return the numbers of the columns that are used, read by NumPy; None where a line is not
+    plain.
+    """
     if dialect.separator == " " or any(len(line) > LONGEST_LINE for line in lines):
         return None
     between = {line.count(dialect.separator) for line in lines}
@@ -403,7 +405,7 @@ class Placed(NamedTuple):
 
 
 def placed(samples: Samples, timed: bool, step: float, source: str) -> Placed:
-    """The samples of a whole log, put on the steps of a scenario.
+    """Return the samples of a whole log, put on the steps of a scenario.
 
     Args:
         samples: of the log.
@@ -503,7 +505,9 @@ def filled(samples: Regular, steps: Floats, step: float) -> Regular:
 
 
 def usual_step(intervals: Floats) -> float | None:
-    """The lower median of intervals [s], for gaps only lengthen them; None where there are none."""
+    """Return the lower median of intervals [s], for gaps only lengthen them; None where there are
+    none.
+    """
     return float(np.quantile(intervals, 0.5, method="lower")) if intervals.size else None
 
 

@@ -42,7 +42,7 @@ class Stamps(NamedTuple):
     day_first: bool | None
 
     def seconds(self, text: str) -> float | None:
-        """A time [s], since 1970 or since midnight; None where it cannot be read.
+        """Return a time [s], since 1970 or since midnight; None where it cannot be read.
 
         Args:
             text: date and time of day as written; what has no zone counts as UTC.
@@ -73,7 +73,7 @@ def stamps_of(texts: Iterable[str]) -> Stamps | None:
 
 
 def is_ambiguous(text: str, stamps: Stamps) -> bool:
-    """Whether a date does not say which number is the month, as 3/4/2026."""
+    """Return whether a date does not say which number is the month, as 3/4/2026."""
     found = STAMP.fullmatch(text.strip())
     if found is None or found["a"] is None or stamps.day_first is not None:
         return False
@@ -105,7 +105,7 @@ def over_midnight(t: Floats, before: float) -> Floats:
 
 
 def _day(found: re.Match[str], day_first: bool | None) -> int | None:
-    """Days since 1970; None where there is no such day, or which it is cannot be told."""
+    """Return days since 1970; None where there is no such day, or which it is cannot be told."""
     a, b, c = found["a"], found["b"], found["c"]
     if len(a) == 4:
         year, month, day = a, b, c
@@ -122,7 +122,9 @@ def _day(found: re.Match[str], day_first: bool | None) -> int | None:
 
 
 def _of_day(found: re.Match[str]) -> float | None:
-    """Seconds since midnight, UTC where a zone is named; None where there is no such time."""
+    """Return seconds since midnight, UTC where a zone is named; None where there is no such
+    time.
+    """
     if found["h"] is None:
         return 0.0
     hour, minute = int(found["h"]), int(found["min"])

@@ -32,7 +32,7 @@ BRACKETED: Final = re.compile(r"^\[.*\]$|^\(.*\)$")
 
 
 def blocks_of(path: Path, largest: int = LARGEST_RUN) -> Iterator[tuple[bytes, bool]]:
-    """The bytes of a file in blocks, each with whether it is the last. Raises FileError.
+    """Yield the bytes of a file in blocks, each with whether it is the last. Raises FileError.
 
     Args:
         path: of the file.
@@ -70,7 +70,7 @@ class Text:
         self._is_text = False  # whether a line with content came
 
     def feed(self, data: bytes, last: bool = False) -> list[str]:
-        """The lines that are whole now, without their ends.
+        """Return the lines that are whole now, without their ends.
 
         Args:
             data: the bytes that came in.
@@ -102,7 +102,7 @@ class Text:
             return
 
     def _decoded(self, data: bytes, last: bool) -> str:
-        """The text of the bytes that came in."""
+        """Return the text of the bytes that came in."""
         if self._decoder is None:
             data = self._mark + data
             if len(data) < 2 and not last:
@@ -121,7 +121,7 @@ class Text:
 
 
 def _western(found: re.Match[str]) -> str:
-    """Bytes that are no UTF-8, as Windows' Western European."""
+    """Return bytes that are no UTF-8, as Windows' Western European."""
     return found[0].encode("utf-8", "surrogateescape").decode("cp1252", "replace")
 
 
@@ -154,25 +154,27 @@ class Dialect(NamedTuple):
     heads: int
 
     def cells(self, line: str) -> list[str]:
-        """The cells of a line, without what surrounds them; one separator may end the line."""
+        """Return the cells of a line, without what surrounds them; one separator may end the
+        line.
+        """
         cells = split(line, self.separator)
         if len(cells) == self.width + 1 and not cells[-1]:
             cells.pop()
         return cells
 
     def number(self, cell: str) -> float | None:
-        """The number in a cell, NaN where it is missing; None where it cannot be read."""
+        """Return the number in a cell, NaN where it is missing; None where it cannot be read."""
         return number(cell, self.separator != ",")
 
 
 def is_content(line: str) -> bool:
-    """Whether a line is neither empty nor a remark."""
+    """Return whether a line is neither empty nor a remark."""
     stripped = line.strip()
     return bool(stripped) and not stripped.startswith(REMARKS)
 
 
 def dialect_of(lines: Sequence[str]) -> Dialect:
-    """The dialect of a text.
+    """Return the dialect of a text.
 
     Args:
         lines: its first lines with content, at least one.
@@ -195,14 +197,14 @@ def dialect_of(lines: Sequence[str]) -> Dialect:
 
 
 def split(line: str, separator: str) -> list[str]:
-    """The cells of a line, without blanks and quotes around them."""
+    """Return the cells of a line, without blanks and quotes around them."""
     if separator == " ":
         return line.split()
     return [cell.strip().strip('"').strip() for cell in line.split(separator)]
 
 
 def number(cell: str, comma: bool) -> float | None:
-    """The number in a cell, NaN where it is missing; None where it cannot be read.
+    """Return the number in a cell, NaN where it is missing; None where it cannot be read.
 
     Args:
         cell: its text.
@@ -220,7 +222,7 @@ def number(cell: str, comma: bool) -> float | None:
 
 
 def _separator(lines: Sequence[str]) -> str:
-    """The separator: of `;`, tab, `,` the one that most of these lines hold, else blanks.
+    """Return the separator: of `;`, tab, `,` the one that most of these lines hold, else blanks.
 
     Commas in numbers with blanks between are decimal commas.
     """

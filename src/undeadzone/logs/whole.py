@@ -36,7 +36,7 @@ Columns = list[tuple[Title, Floats]]  # what is said of each, and its numbers (N
 def samples_of(
     log: Any, p: int | None, m: int | None, chosen: Mapping[str, str], source: str
 ) -> tuple[Samples, Layout]:
-    """The samples of a DataFrame, an .npz or a .mat file.
+    """Return the samples of a DataFrame, an .npz or a .mat file.
 
     Args:
         log: the DataFrame, or the path.
@@ -92,7 +92,7 @@ def samples_of_arrays(t: Any, y: Any, u: Any, p: int, m: int, step: float) -> Sa
 
 
 def _columns(log: Any) -> Columns:
-    """The columns of numbers of a file or a DataFrame."""
+    """Return the columns of numbers of a file or a DataFrame."""
     if isinstance(log, Path):
         return of_npz(log) if log.suffix.lower() == ".npz" else of_mat(log)
     return of_frame(log)
@@ -105,13 +105,13 @@ def _usable(t: Floats, y: Floats, u: Floats) -> Samples:
 
 
 def _sensible(values: Floats) -> Floats:
-    """The values, NaN where one is infinite or too large."""
+    """Return the values, NaN where one is infinite or too large."""
     with np.errstate(invalid="ignore"):
         return np.where(np.abs(values) <= LARGEST, values, np.nan)
 
 
 def _rows(key: str, value: Any, size: int) -> Floats:
-    """An array of rows of that size. Raises InputError."""
+    """Return an array of rows of that size. Raises InputError."""
     rows = numbers(key, value, "iufb")
     if rows.ndim == 1 and size == 1:
         rows = rows[:, None]
@@ -122,7 +122,7 @@ def _rows(key: str, value: Any, size: int) -> Floats:
 
 
 def of_frame(frame: Any) -> Columns:
-    """The numeric columns of a DataFrame; times of day become seconds since the first."""
+    """Return the numeric columns of a DataFrame; times of day become seconds since the first."""
     titled = [(str(title), np.asarray(frame[title])) for title in frame.columns]
     if frame.index.name is not None:
         titled.insert(0, (str(frame.index.name), np.asarray(frame.index)))
@@ -138,7 +138,7 @@ def of_frame(frame: Any) -> Columns:
 
 
 def of_npz(path: Path) -> Columns:
-    """The arrays of an .npz file as columns. Raises FileError."""
+    """Return the arrays of an .npz file as columns. Raises FileError."""
     try:
         arrays = arrays_of(path, LARGEST_RUN)
         arrays.pop("info", None)
@@ -150,7 +150,7 @@ def of_npz(path: Path) -> Columns:
 
 
 def of_mat(path: Path) -> Columns:
-    """The variables of a .mat file as columns. Raises FileError."""
+    """Return the variables of a .mat file as columns. Raises FileError."""
     from scipy.io import loadmat, whosmat
     from scipy.io.matlab import MatReadError
 
@@ -200,7 +200,10 @@ def _unpacked(packed: bytes, most: int) -> int:
 
 
 def _columns_of(arrays: dict[str, Any], path: Path) -> Columns:
-    """Arrays of one length as columns; a matrix gives `u[0]`, `u[1]`, ... Raises FileError."""
+    """Return arrays of one length as columns; a matrix gives `u[0]`, `u[1]`, ...
+
+    Raises FileError.
+    """
     longest = 0
     for array in arrays.values():
         if isinstance(array, np.ndarray) and array.dtype.kind in "iuf" and array.ndim <= 2:

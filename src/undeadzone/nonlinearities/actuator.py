@@ -81,7 +81,7 @@ class Drive(NamedTuple):
 
     @property
     def rated(self) -> bool:
-        """Whether the rate of the command has a limit."""
+        """Return whether the rate of the command has a limit."""
         return bool((np.minimum(self.fall, self.rise) < LARGEST).any())
 
 
@@ -98,7 +98,7 @@ class Belief(NamedTuple):
 
 
 def through_line(line: Any, u: Any) -> tuple[Any, Any]:
-    """(the line of delays after a command u (m), the command that leaves it), in CasADi.
+    """Return (the line of delays after a command u (m), the command that leaves it), in CasADi.
 
     Args:
         line: commands under way, the oldest first (delay m); empty: a command leaves at once.
@@ -109,12 +109,12 @@ def through_line(line: Any, u: Any) -> tuple[Any, Any]:
 
 
 def within_limits(ops: Any, u: Any, drive: Drive) -> Any:
-    """The command kept within its limits (m)."""
+    """Return the command kept within its limits (m)."""
     return ops.fmax(ops.fmin(u, drive.high), drive.low)
 
 
 def within_rate(ops: Any, u: Any, last: Any, drive: Drive, step: Any) -> Any:
-    """The command kept within its rate (m).
+    """Return the command kept within its rate (m).
 
     Args:
         ops: the module of fmax and fmin, NumPy or CasADi.
@@ -133,7 +133,7 @@ def through_zone(ops: Any, u: Any, drive: Drive) -> Any:
 
 
 def resolve_actuator(actuator: Actuator | ActuatorModel, m: int, key: str = "actuator") -> Drive:
-    """The checked actuator of a plant with m inputs.
+    """Return the checked actuator of a plant with m inputs.
 
     Args:
         actuator: in a user's words.
@@ -198,7 +198,7 @@ SIDES = ("right", "left")
 
 
 def _known(width: Any) -> Any:
-    """A width; 0 where none is given."""
+    """Return a width; 0 where none is given."""
     return 0.0 if width is None else width
 
 

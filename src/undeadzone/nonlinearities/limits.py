@@ -28,19 +28,23 @@ class Limits(NamedTuple):
 
 
 def at_limit(y: Any, limits: Limits) -> Any:
-    """+1 where a reading is at its upper limit, -1 where at its lower one, else 0 (NaN too)."""
+    """Return +1 where a reading is at its upper limit, -1 where at its lower one, else 0 (NaN
+    too).
+    """
     low, high = (1 - ROUNDING) * limits.low, (1 - ROUNDING) * limits.high
     return 1.0 * (y >= high) - 1.0 * (y <= low)
 
 
 def beyond(y: Any, limits: Limits) -> Any:
-    """1 where a finite number lies beyond its range by more than rounding: no reading does."""
+    """Return 1 where a finite number lies beyond its range by more than rounding: no reading
+    does.
+    """
     low, high = (1 + ROUNDING) * limits.low, (1 + ROUNDING) * limits.high
     return 1.0 * (y > high) * (y < np.inf) + 1.0 * (y < low) * (y > -np.inf)
 
 
 def checked_range(key: str, value: Any, p: int) -> tuple[Floats, Floats]:
-    """(least, largest) readings (p each), -inf and inf where there is no limit.
+    """Return (least, largest) readings (p each), -inf and inf where there is no limit.
 
     Args:
         key: named in errors.
@@ -61,7 +65,7 @@ def checked_range(key: str, value: Any, p: int) -> tuple[Floats, Floats]:
 
 
 def pairs(key: str, value: Any, count: int, default: list[float], what: str, each: str) -> Floats:
-    """One pair of numbers per output or input (count x 2), infinite or NaN perhaps.
+    """Return one pair of numbers per output or input (count x 2), infinite or NaN perhaps.
 
     Args:
         key: named in errors.
@@ -84,7 +88,7 @@ def pairs(key: str, value: Any, count: int, default: list[float], what: str, eac
 
 
 def paired(key: str, given: Floats, count: int, what: str, each: str) -> Floats:
-    """The numbers, if they are one pair (2) or one for each of several things (count x 2).
+    """Return the numbers, if they are one pair (2) or one for each of several things (count x 2).
 
     Args:
         key: named in errors.
@@ -104,7 +108,7 @@ def paired(key: str, given: Floats, count: int, what: str, each: str) -> Floats:
 
 
 def limits_of(low: Floats, high: Floats) -> Limits | None:
-    """The limits with finite numbers (p each); None where no output has any."""
+    """Return the limits with finite numbers (p each); None where no output has any."""
     if not np.isfinite([low, high]).any():
         return None
     return Limits(np.maximum(low, -LARGEST), np.minimum(high, LARGEST))

@@ -33,7 +33,7 @@ def apply_backlash(ops: Any, z: Any, before: Any, right: Any, left: Any) -> Any:
 
 
 def contact(level: Any, before: Any) -> Any:
-    """The contact in which a level moved: +1 right, -1 left, 0 where it held."""
+    """Return the contact in which a level moved: +1 right, -1 left, 0 where it held."""
     return 1.0 * (level > before) - 1.0 * (level < before)
 
 
@@ -55,7 +55,8 @@ def levels(z: Floats, right: Floats, left: Floats, start: Floats) -> Floats:
 
 
 def contacts(z: Floats, right: Floats, left: Floats, start: Floats) -> Floats:
-    """The contacts along a record of outputs (N x p), at the first sample those of the start.
+    """Return the contacts along a record of outputs (N x p), at the first sample those of the
+    start.
 
     Args:
         z, right, left, start: as of `levels`.
@@ -110,7 +111,7 @@ class Ahead(NamedTuple):
 
 
 def largest_gap(play: Ahead | None) -> float:
-    """The largest gap that a play may have [z]; 0 without one."""
+    """Return the largest gap that a play may have [z]; 0 without one."""
     if play is None:
         return 0.0
     ends = np.stack([play.right, play.left]) if play.ranges is None else play.ranges
@@ -118,7 +119,7 @@ def largest_gap(play: Ahead | None) -> float:
 
 
 def gaps_of(given: Any, p: int, key: str = KEY) -> tuple[Floats, Floats | None]:
-    """The gaps (2 x p) and, where they are not known, their ranges (2p x 2) [z].
+    """Return the gaps (2 x p) and, where they are not known, their ranges (2p x 2) [z].
 
     Args:
         given: [c_r, c_l], or one such pair per output; a range [lo, hi] in place of each number.

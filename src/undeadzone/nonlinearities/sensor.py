@@ -31,7 +31,7 @@ FALSE_ALARMS = 0.01  # rate at which noise may exceed a default threshold, in po
 
 
 def _ops(*values: Any) -> Any:
-    """CasADi when any value is a CasADi expression, else NumPy.
+    """Return CasADi when any value is a CasADi expression, else NumPy.
 
     fmax, fmin and tanh have the same names in both.
     """
@@ -43,13 +43,13 @@ def _ops(*values: Any) -> Any:
 
 
 def saturation(z: Any, right: Any, left: Any) -> Any:
-    """Sat z of (4): z limited to [-d_l, d_r]."""
+    """Return sat z of (4): z limited to [-d_l, d_r]."""
     ops = _ops(z, right, left)
     return ops.fmax(ops.fmin(z, right), -left)
 
 
 def deadzone(z: Any, right: Any, left: Any, slope: Any = 1.0) -> Any:
-    """The reading y = m (z - Sat z) of (1), (3), (14); exactly 0 inside the zone."""
+    """Return the reading y = m (z - Sat z) of (1), (3), (14); exactly 0 inside the zone."""
     return slope * (z - saturation(z, right, left))
 
 
@@ -59,12 +59,12 @@ def zone(z: Any, right: Any, left: Any) -> Any:
 
 
 def jump(z: Any, right: Any, left: Any, slope: Any = 1.0) -> Any:
-    """The reading of a jump sensor: m z outside the zone, 0 inside (velocity sensors)."""
+    """Return the reading of a jump sensor: m z outside the zone, 0 inside (velocity sensors)."""
     return slope * z * (1.0 * (z > right) + 1.0 * (z < -left))
 
 
 def present(y: Any) -> Any:
-    """1 where a reading is a finite number, 0 where it is missing (NaN, infinite).
+    """Return 1 where a reading is a finite number, 0 where it is missing (NaN, infinite).
 
     CasADi takes y == y for true, so the reading is compared with large numbers.
     """
@@ -72,7 +72,7 @@ def present(y: Any) -> Any:
 
 
 def side(y: Any, threshold: Any = 0.0, limits: Limits | None = None) -> Any:
-    """The measured side: +1 where y > threshold, -1 where y < -threshold, else 0.
+    """Return the measured side: +1 where y > threshold, -1 where y < -threshold, else 0.
 
     0 is silent, also for NaN. +2 and -2 are at the limits of the range, if there are any: there z
     is at least, or at most, what the reading says.
@@ -82,7 +82,7 @@ def side(y: Any, threshold: Any = 0.0, limits: Limits | None = None) -> Any:
 
 
 def indicators(y: Any, sharpness: Any) -> tuple[Any, Any]:
-    """The paper's smooth (chi_r, chi_l) of (8)-(10), sgn replaced by tanh(k_s y).
+    """Return the paper's smooth (chi_r, chi_l) of (8)-(10), sgn replaced by tanh(k_s y).
 
     Both are 1/2 at y = 0. sharpness is k_s [1/y].
     """
@@ -91,7 +91,9 @@ def indicators(y: Any, sharpness: Any) -> tuple[Any, Any]:
 
 
 def quantised(y: Any, quantum: Any) -> Any:
-    """The reading rounded to a multiple of its quantum (an encoder's), itself where that is 0."""
+    """Return the reading rounded to a multiple of its quantum (an encoder's), itself where that is
+    0.
+    """
     ops = _ops(y, quantum)
     step = quantum + (quantum == 0)
     rounded = step * ops.floor(y / step + 0.5)
@@ -99,7 +101,7 @@ def quantised(y: Any, quantum: Any) -> Any:
 
 
 def offset(side: Any, right: Any, left: Any) -> Any:
-    """chi_bar d of (12) with chi_bar = [chi_r, -chi_l].
+    """Return chi_bar d of (12) with chi_bar = [chi_r, -chi_l].
 
     That is what the deadzone takes off z on that side (+1, -1; 0 where silent).
     """
@@ -107,7 +109,7 @@ def offset(side: Any, right: Any, left: Any) -> Any:
 
 
 def branch(z: Any, zone: Any, right: Any, left: Any, slope: Any, kind: str) -> Any:
-    """The reading on a given branch, continued beyond its edge.
+    """Return the reading on a given branch, continued beyond its edge.
 
     It is m (z - chi_bar d), m z for a jump sensor, 0 inside.
 
@@ -125,7 +127,7 @@ def branch(z: Any, zone: Any, right: Any, left: Any, slope: Any, kind: str) -> A
 def inverse(
     y: Any, side: Any, right: Any, left: Any, slope: Any = 1.0, kind: str = "deadzone"
 ) -> Any:
-    """The deadzone inverse (26): y / m + chi_bar d on the measured side.
+    """Return the deadzone inverse (26): y / m + chi_bar d on the measured side.
 
     It is y / m where the sensor is silent, of the jump kind or an encoder beside gears.
 
@@ -143,7 +145,7 @@ def inverse(
 def edges(
     right: Any, left: Any, slope: Any, kind: str, threshold: Any, noise: Any = 0.0
 ) -> tuple[Any, Any]:
-    """(z_r, z_l): the measured side is right above z_r and left below -z_l.
+    """Return (z_r, z_l): the measured side is right above z_r and left below -z_l.
 
     Noise beyond the threshold moves an edge across the zone: then the zone itself reads as that
         side.
@@ -161,7 +163,7 @@ def edges(
 
 
 def _edge(own: Any, other: Any, margin: Any, kind: str) -> Any:
-    """|z| from which a side is read.
+    """Return |z| from which a side is read.
 
     Args:
         own, other: widths of this side and of the other [z].
@@ -178,12 +180,14 @@ def _edge(own: Any, other: Any, margin: Any, kind: str) -> Any:
 
 
 def bound(right: Any, left: Any) -> Any:
-    """The least d_M of (2) as corrected, d_r + d_l <= d_M; it bounds |Sat z| too, as (13) asks."""
+    """Return the least d_M of (2) as corrected, d_r + d_l <= d_M; it bounds |Sat z| too, as (13)
+    asks.
+    """
     return right + left
 
 
 def noise_threshold(noise: Floats, step: float, rate: float) -> Floats:
-    """|y| below which a reading counts as silent (p) [y].
+    """Return |y| below which a reading counts as silent (p) [y].
 
     White noise of that rms then gives `rate` false alarms per second.
 
@@ -303,12 +307,12 @@ class Zone(msgspec.Struct, frozen=True):
 
     @property
     def moves(self) -> bool:
-        """Whether it is a play, or has one: what it reads depends on how z moved."""
+        """Return whether it is a play, or has one: what it reads depends on how z moved."""
         return self.kind == "play" or self.play is not None
 
     @property
     def limits(self) -> Limits | None:
-        """The limits of the readings; None where no output has any."""
+        """Return the limits of the readings; None where no output has any."""
         return limits_of(self.low, self.high)
 
     @property
@@ -323,7 +327,7 @@ class Zone(msgspec.Struct, frozen=True):
 
 
 def _width(key: str, value: Array, p: int) -> Floats:
-    """The widths of one side (p). Raises InputError, ShapeError."""
+    """Return the widths of one side (p). Raises InputError, ShapeError."""
     widths = vector(key, value, p, f"one per output, the plant has {p}")
     if (widths < 0).any():
         raise InputError(
@@ -334,7 +338,7 @@ def _width(key: str, value: Array, p: int) -> Floats:
 
 
 def resolve(sensor: Sensor, p: int, step: float, pace: float = 1.0) -> Zone:
-    """The checked sensor of a plant.
+    """Return the checked sensor of a plant.
 
     Args:
         sensor: the sensor in a user's words.
@@ -378,7 +382,9 @@ def resolve(sensor: Sensor, p: int, step: float, pace: float = 1.0) -> Zone:
 
 
 def _motion(noise: Floats, quantum: Floats, window: int, step: float, rate: float) -> Floats:
-    """Change of a reading over the window that noise alone exceeds at a rate [1/s] (p) [y]."""
+    """Return change of a reading over the window that noise alone exceeds at a rate [1/s] (p)
+    [y].
+    """
     # the least-squares slope over the window, times the window, has this rms
     spread = np.sqrt(12 / window)
     rms = np.hypot(noise, quantum / np.sqrt(12))
@@ -386,7 +392,7 @@ def _motion(noise: Floats, quantum: Floats, window: int, step: float, rate: floa
 
 
 def _ahead(sensor: Sensor, p: int, threshold: Floats) -> Ahead | None:
-    """The play ahead of the dead zone; None where there is none. Raises InputError."""
+    """Return the play ahead of the dead zone; None where there is none. Raises InputError."""
     if sensor.play is None:
         return None
     if sensor.kind != "deadzone":
@@ -401,7 +407,7 @@ def _ahead(sensor: Sensor, p: int, threshold: Floats) -> Ahead | None:
 
 
 def _load(sensor: Sensor, p: int) -> tuple[Floats, Floats, Floats]:
-    """(friction, inertia, std of the friction) behind a play (p each). Raises InputError."""
+    """Return (friction, inertia, std of the friction) behind a play (p each). Raises InputError."""
     why = f"one per output, the plant has {p}"
     friction, std = sensor.load_friction, np.zeros(p)
     if np.size(friction) == 2:
@@ -426,7 +432,7 @@ def _load(sensor: Sensor, p: int) -> tuple[Floats, Floats, Floats]:
 
 
 def _window(sensor: Sensor, step: float, pace: float) -> int:
-    """Readings over which a play's motion is judged. Raises InputError."""
+    """Return readings over which a play's motion is judged. Raises InputError."""
     if sensor.kind != "play" and sensor.play is None:
         for name, given in (("start", np.any(sensor.start)), ("window", sensor.window)):
             if given:

@@ -32,7 +32,7 @@ class Later(NamedTuple):
 
 
 def back(moments: Any, later: Later) -> tuple[Floats, Floats, Later]:
-    """The beliefs at B samples given later ones, and what all say of the first belief.
+    """Return the beliefs at B samples given later ones, and what all say of the first belief.
 
     Args:
         moments: `Moments` of a filter, with arrays of a row a sample.
@@ -66,7 +66,7 @@ def back(moments: Any, later: Later) -> tuple[Floats, Floats, Later]:
 
 
 def adjoint_information(before: Any, after: Any, rows: Floats) -> tuple[Floats, Floats]:
-    """(push, known) that make `after` from `before`, as of `Later`, at each of B samples.
+    """Return (push, known) that make `after` from `before`, as of `Later`, at each of B samples.
 
     Args:
         before, after: beliefs (means B x N, covariances B x N x N).
@@ -97,5 +97,5 @@ def adjoint_information(before: Any, after: Any, rows: Floats) -> tuple[Floats, 
 
 
 def _inverse(matrices: Floats) -> Floats:
-    """Pseudo-inverses of symmetric matrices of unit diagonal."""
+    """Return pseudo-inverses of symmetric matrices of unit diagonal."""
     return np.asarray(np.linalg.pinv(matrices, rcond=TINY, hermitian=True))

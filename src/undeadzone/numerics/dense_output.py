@@ -45,7 +45,7 @@ def runge_kutta(
     states: int,
     h: ca.SX,
 ) -> Callable[[ca.SX, Any, Any], DenseStep]:
-    """Arcs of x' = rate(x, c, mode) by RK4 with cubic dense output.
+    """Return arcs of x' = rate(x, c, mode) by RK4 with cubic dense output.
 
     Args:
         rate: the right-hand side at the fraction c of the step, on the branch `mode`.
@@ -89,7 +89,7 @@ def taylor(
     states: int,
     h: ca.SX,
 ) -> Callable[[ca.SX, Any, Any], DenseStep]:
-    """Arcs of x' = rate(x, w, mode) by Taylor series of as many terms as there are `inputs`.
+    """Return arcs of x' = rate(x, w, mode) by Taylor series of as many terms as there are `inputs`.
 
     Exact but for the terms left out.
 
@@ -126,7 +126,7 @@ def taylor(
 
 
 def _moved(inputs: list[ca.SX], begin: Any, rest: Any) -> list[ca.SX]:
-    """The coefficients of the inputs over the rest of a step after the fraction `begin`."""
+    """Return the coefficients of the inputs over the rest of a step after the fraction `begin`."""
     moved = []
     for k in range(len(inputs)):
         derivative = [math.comb(j, k) * inputs[j] for j in range(k, len(inputs))]
@@ -135,7 +135,7 @@ def _moved(inputs: list[ca.SX], begin: Any, rest: Any) -> list[ca.SX]:
 
 
 def _polynomial(terms: list[ca.SX], c: Any) -> ca.SX:
-    """terms[0] + terms[1] c + ... by Horner's rule; at 1, the smallest first."""
+    """Return terms[0] + terms[1] c + ... by Horner's rule; at 1, the smallest first."""
     at_end = isinstance(c, float) and c == 1.0
     total = terms[-1]
     for term in terms[-2::-1]:
@@ -148,7 +148,7 @@ class Mode(Protocol):
 
     @property
     def side(self) -> Any:
-        """The side that is read."""
+        """Return the side that is read."""
         ...
 
 
@@ -233,7 +233,8 @@ def located_step(
     second: Callable[[Branch, Crossing], Branch],
     x: ca.SX,
 ) -> list[StepAttempt]:
-    """A step from x: with no change of side, with one simple one located, with `CHANGES` of them.
+    """Return a step from x: with no change of side, with one simple one located, with `CHANGES` of
+    them.
 
     The last attempt also minds where z turns. The first attempt that needs no more is right, or the
     last. An excursion that ends before the step does is two changes. Branch-free, and the first
@@ -252,7 +253,7 @@ def located_step(
     whole = arc(x, 0.0, first)
 
     def follow(changes: int, turning: bool) -> _Followed:
-        """The step with so many changes located one after another."""
+        """Return the step with so many changes located one after another."""
         mode, now, end = first, whole, whole.end
         begin, changed = ca.SX(0.0), ca.SX(0.0)
         for _ in range(changes):
@@ -276,7 +277,7 @@ def located_step(
 
 
 def _may_change(arc: DenseStep, levels: Levels, side: ca.SX) -> ca.SX:
-    """Whether the side may change on an arc.
+    """Return whether the side may change on an arc.
 
     It may if it is another at the end, or would be if z went on for half of the arc as it sets
     out.
@@ -286,7 +287,7 @@ def _may_change(arc: DenseStep, levels: Levels, side: ca.SX) -> ca.SX:
 
 
 def _beyond(z: ca.SX, levels: Levels, side: ca.SX) -> ca.SX:
-    """Whether z lies where another side is read."""
+    """Return whether z lies where another side is read."""
     other = ca.SX(0.0)
     for k, (above, below) in enumerate(zip(*levels, strict=True)):
         other = ca.logic_or(other, (z > above) != (side > k))
@@ -295,7 +296,7 @@ def _beyond(z: ca.SX, levels: Levels, side: ca.SX) -> ca.SX:
 
 
 def _earliest(arc: DenseStep, levels: Levels, side: ca.SX, turning: bool) -> tuple[Crossing, ca.SX]:
-    """The first change of each output on an arc, and the fraction of the arc at which it is.
+    """Return the first change of each output on an arc, and the fraction of the arc at which it is.
 
     The fraction is 1 where there is no change. turning: mind where z turns; else it is taken to
     move one way.
@@ -311,7 +312,7 @@ def _earliest(arc: DenseStep, levels: Levels, side: ca.SX, turning: bool) -> tup
 
 
 def _course(arc: DenseStep, turning: bool) -> _Course:
-    """z along an arc; without `turning` it is taken to move one way."""
+    """Return z along an arc; without `turning` it is taken to move one way."""
     start, final = arc.output(0.0), arc.final
     s0, s1 = arc.slope(0.0), arc.slope(1.0)
     turns = s0 * s1 < 0 if turning else ca.SX.zeros(s0.shape)
@@ -320,7 +321,9 @@ def _course(arc: DenseStep, turning: bool) -> _Course:
 
 
 def _crossing(z: ca.SX, levels: Levels, side: ca.SX) -> Crossing:
-    """The change of side of an output that comes from `side` and reaches z: to the next one."""
+    """Return the change of side of an output that comes from `side` and reaches z: to the next
+    one.
+    """
     outermost = len(levels.above)
     up, down = met(levels, side, ca.SX(1.0)), met(levels, side, ca.SX(0.0))
     rises = ca.logic_and(side < outermost, z > up)
@@ -333,7 +336,7 @@ def _crossing(z: ca.SX, levels: Levels, side: ca.SX) -> Crossing:
 
 
 def met(levels: Levels, side: ca.SX, rising: ca.SX) -> ca.SX:
-    """The level that z meets first when it leaves a side (p).
+    """Return the level that z meets first when it leaves a side (p).
 
     Args:
         levels: between the sides.
@@ -349,7 +352,7 @@ def met(levels: Levels, side: ca.SX, rising: ca.SX) -> ca.SX:
 
 
 def _meeting(arc: DenseStep, course: _Course, crossing: Crossing) -> ca.SX:
-    """The fraction of an arc at which z meets the level, by Newton's method from a guess."""
+    """Return the fraction of an arc at which z meets the level, by Newton's method from a guess."""
     z0, z1, turn, turns = course.start, course.final, course.turn, course.turns
     # z moves through the level as it does at first: ahead of the turn.
     before = (course.slope > 0) == crossing.rising
@@ -380,5 +383,5 @@ def _secant(slope: Callable[[Any], ca.SX], s0: ca.SX, s1: ca.SX) -> ca.SX:
 
 
 def _clamp(c: ca.SX, low: Any, high: Any) -> ca.SX:
-    """c brought between low and high."""
+    """Return c brought between low and high."""
     return ca.fmin(ca.fmax(c, low), high)

@@ -23,7 +23,7 @@ LEAST = 1e-6  # chance of not being beyond some edge, below which all has arrive
 
 
 def beyond(belief: Gaussian, h: Any, excess: Any, R: Any) -> Any:
-    """The chance that excess + h (x - x^) + v > 0.
+    """Return the chance that excess + h (x - x^) + v > 0.
 
     Args:
         belief: of x (N).
@@ -36,7 +36,8 @@ def beyond(belief: Gaussian, h: Any, excess: Any, R: Any) -> Any:
 
 
 def arriving(before: Sequence[Any], now: Sequence[Any], lost: Any = 0.0) -> list[Any]:
-    """The shares of what has reached no edge that reach each of them in a sample; together <= 1.
+    """Return the shares of what has reached no edge that reach each of them in a sample; together
+    <= 1.
 
     Args:
         before, now: chances beyond each edge under the uncut belief, a sample ago and now.
@@ -54,7 +55,7 @@ def arriving(before: Sequence[Any], now: Sequence[Any], lost: Any = 0.0) -> list
 
 
 def at_edge(belief: Gaussian, h: Any, excess: Any, R: Any, moved: Any = None) -> Gaussian:
-    """The belief of what has just arrived: excess + h (x - x^) + v = 0.
+    """Return the belief of what has just arrived: excess + h (x - x^) + v = 0.
 
     Args:
         belief: of x (N), uncut.

@@ -32,17 +32,19 @@ class Gaussian(NamedTuple):
 
 
 def triangle(cov: Any, entries: ca.Sparsity) -> Any:
-    """The given entries of a symmetric matrix, of its upper triangle, column by column."""
+    """Return the given entries of a symmetric matrix, of its upper triangle, column by column."""
     return ca.project(cov, entries).nz[:]
 
 
 def symmetric(column: Any, entries: ca.Sparsity) -> Any:
-    """The symmetric matrix whose `triangle` is given; outside these entries it is known to be 0."""
+    """Return the symmetric matrix whose `triangle` is given; outside these entries it is known to
+    be 0.
+    """
     return ca.triu2symm(ca.SX(entries, column))
 
 
 def linearise(f: Callable[[Any], Any], at: Any) -> tuple[Any, Any]:
-    """The value of f and its Jacobian at the column `at`."""
+    """Return the value of f and its Jacobian at the column `at`."""
     X = ca.SX.sym("X", at.shape[0])
     value = f(X)
     options = [{"helper_options": {"ad_weight": weight}} for weight in (0.0, 1.0)]
@@ -73,7 +75,8 @@ def predict(
     lasting: Any = 1.0,
     bend: Callable[[Any], Products] | None = None,
 ) -> Gaussian:
-    """The belief after x+ = x + f(x) + w, to second order; exact for degree 2 and lasting = 1.
+    """Return the belief after x+ = x + f(x) + w, to second order; exact for degree 2 and lasting =
+    1.
 
     Args:
         belief: of x (N).
@@ -109,7 +112,7 @@ def bent(belief: Gaussian, b: Any, X: Any) -> tuple[Any, Any]:
 
 
 def multiplied(P: Any, of: Products, X: Any) -> tuple[Any, Any]:
-    """The same of Z (l r), which has no others, if P is the covariance of X."""
+    """Return the same of Z (l r), which has no others, if P is the covariance of X."""
     left, right = ca.jacobian(of.left, X), ca.jacobian(of.right, X)
     across = left @ P @ right.T
     each = from_upper((left @ P @ left.T) * (right @ P @ right.T) + across * across.T)
@@ -117,7 +120,7 @@ def multiplied(P: Any, of: Products, X: Any) -> tuple[Any, Any]:
 
 
 def advance(belief: Gaussian, change: Callable[[Any], Any], Q: Any, E: Any = None) -> Gaussian:
-    """The belief after x+ = x + f(x) + w, to first order.
+    """Return the belief after x+ = x + f(x) + w, to first order.
 
     Args:
         belief: of x (N).
@@ -130,7 +133,7 @@ def advance(belief: Gaussian, change: Callable[[Any], Any], Q: Any, E: Any = Non
 
 
 def spread(P: Any, E: Any, Q: Any) -> Any:
-    """(I + E) P (I + E)' + Q as P and its increment.
+    """Return (I + E) P (I + E)' + Q as P and its increment.
 
     At fast sampling E is small: to add I first would round it, in single precision until the
     covariance is not positive any more.
@@ -140,7 +143,7 @@ def spread(P: Any, E: Any, Q: Any) -> Any:
 
 
 def update(belief: Gaussian, h: Any, e: Any, R: Any, use: Any) -> tuple[Gaussian, Any]:
-    """The belief after one reading h x + v, by Joseph's form.
+    """Return the belief after one reading h x + v, by Joseph's form.
 
     In that form rounding cannot make the covariance indefinite.
 
@@ -164,7 +167,7 @@ def update(belief: Gaussian, h: Any, e: Any, R: Any, use: Any) -> tuple[Gaussian
 
 
 def mixed(shares: Sequence[Any], beliefs: Sequence[Gaussian]) -> Gaussian:
-    """The mean and the covariance of a mixture.
+    """Return the mean and the covariance of a mixture.
 
     Args:
         shares: of each belief; their sum is 1.
@@ -198,7 +201,8 @@ def cut_to(mean: Any, variance: Any, low: Any, high: Any) -> tuple[Any, Any, Any
 
 
 def chance(alpha: Any) -> tuple[Any, Any]:
-    """Phi(alpha) of the standard normal distribution, and its hazard phi(alpha) / Phi(alpha).
+    """Return phi(alpha) of the standard normal distribution, and its hazard phi(alpha) /
+    Phi(alpha).
 
     Below -5 by the asymptotic series of the hazard, 1e-4 accurate there.
     """
@@ -210,22 +214,22 @@ def chance(alpha: Any) -> tuple[Any, Any]:
 
 
 def _inside(alpha: Any) -> Any:
-    """Phi(alpha) of the standard normal distribution; below -5 as there."""
+    """Return phi(alpha) of the standard normal distribution; below -5 as there."""
     return below(ca.fmax(alpha, -DEEP))
 
 
 def below(x: Any) -> Any:
-    """Phi(x) of the standard normal distribution, to rounding of 1: 0 far below."""
+    """Return phi(x) of the standard normal distribution, to rounding of 1: 0 far below."""
     return (1 + ca.erf(x / math.sqrt(2))) / 2
 
 
 def density(x: Any) -> Any:
-    """phi(x) of the standard normal distribution."""
+    """Return phi(x) of the standard normal distribution."""
     return ca.exp(-0.5 * x**2) * (1 / math.sqrt(2 * math.pi))
 
 
 def from_upper(cov: Any) -> Any:
-    """The symmetric matrix with this upper triangle."""
+    """Return the symmetric matrix with this upper triangle."""
     return ca.triu2symm(ca.triu(cov))
 
 
@@ -258,7 +262,8 @@ def update_unless_glitch(
     moved: Any = None,
     surprise: Any = 0.0,
 ) -> Weighed:
-    """The belief after one reading h x + v that may be a glitch, by matching mean and covariance.
+    """Return the belief after one reading h x + v that may be a glitch, by matching mean and
+    covariance.
 
     A glitch says nothing of x and is evenly spread.
 
@@ -291,7 +296,7 @@ def settle(
     moved: Any = None,
     surprise: Any = 0.0,
 ) -> Weighed:
-    """The belief after a reading of which the gain is known, or after a glitch.
+    """Return the belief after a reading of which the gain is known, or after a glitch.
 
     The covariance loses one product k k', which rounds each entry once and leaves it as it is where
     nothing is used; no variance falls below that of v seen through the gain, which it cannot in
@@ -322,7 +327,7 @@ def settle(
 def _moved(
     belief: Gaussian, K: Any, e: Any, S: Any, between: Any, R: Any, weight: Any, moved: Any = None
 ) -> Gaussian:
-    """The belief moved by a share of K e.
+    """Return the belief moved by a share of K e.
 
     Args:
         belief: of x (N).
@@ -414,7 +419,8 @@ def cut(
     fake: Any = None,
     moved: Any = None,
 ) -> Cut:
-    """The belief given one bound, or both ends of an interval, by matching mean and covariance.
+    """Return the belief given one bound, or both ends of an interval, by matching mean and
+    covariance.
 
     Args:
         belief: of x (N), with the mean x^.
@@ -505,13 +511,15 @@ def _two(bounds: Sequence[Bound], G: Any, R: Any, limit: float) -> _Told:
 
 
 def _moments(slope: Any, alpha: Any, std: Any) -> tuple[Any, Any]:
-    """`shift` and `lost` of `_Told`, with the slope of the log of the chance in each alpha (k)."""
+    """Return `shift` and `lost` of `_Told`, with the slope of the log of the chance in each alpha
+    (k).
+    """
     shift = -slope / std
     return shift, shift @ shift.T + ca.diag(slope * alpha / std**2)
 
 
 def _are_moments(lost: Any, G: Any) -> Any:
-    """Whether G - G lost G is a covariance, and none above G (2 x 2 each)."""
+    """Return whether G - G lost G is a covariance, and none above G (2 x 2 each)."""
     trace = ca.sum1(ca.sum2(lost * G))
     det = (lost[0, 0] * lost[1, 1] - lost[0, 1] ** 2) * (G[0, 0] * G[1, 1] - G[0, 1] ** 2)
     below = ca.logic_and(trace < 2, 1 - trace + det > 0)

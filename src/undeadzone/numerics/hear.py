@@ -92,7 +92,8 @@ def deadzone_update(
     noise_before: float = 0.0,
     slope: float = 1.0,
 ) -> DeadzoneUpdate:
-    """The mean and covariance after a reading y = slope Dz(C x + noise ahead) + noise behind.
+    """Return the mean and covariance after a reading y = slope Dz(C x + noise ahead) + noise
+    behind.
 
     Args:
         mean: of the filter's state, after its prediction (N, or N x 1).
@@ -156,7 +157,7 @@ def deadzone_update(
 
 
 def _checked(mean: Array, cov: Array) -> Gauss:
-    """Mean (N) and covariance (N x N) as new arrays. Raises ShapeError."""
+    """Return mean (N) and covariance (N x N) as new arrays. Raises ShapeError."""
     m, P = np.array(mean, float).ravel(), np.array(cov, float)
     if P.shape != (m.size, m.size):
         raise ShapeError(f"cov: expected {m.size} x {m.size}, as the mean, found {P.shape}")
@@ -164,7 +165,7 @@ def _checked(mean: Array, cov: Array) -> Gauss:
 
 
 def _row(name: str, value: Array, count: int) -> Floats:
-    """A row (N). Raises ShapeError."""
+    """Return a row (N). Raises ShapeError."""
     row = np.asarray(value, float).ravel()
     if row.size != count:
         raise ShapeError(
@@ -174,7 +175,7 @@ def _row(name: str, value: Array, count: int) -> Floats:
 
 
 def _edge(name: str, sign: int, width: Array, z: Floats) -> Edge:
-    """An edge of known or estimated width. Raises InputError, ShapeError."""
+    """Return an edge of known or estimated width. Raises InputError, ShapeError."""
     if np.ndim(width):
         return Edge(sign, _row(name, width, z.size), 0.0)
     known = float(np.asarray(width))
@@ -184,13 +185,17 @@ def _edge(name: str, sign: int, width: Array, z: Floats) -> Edge:
 
 
 def _sure(y: float, last: float, previous: float, gate: float) -> int:
-    """Whether a reading is surely on the right: far out, or announced by the two before it."""
+    """Return whether a reading is surely on the right: far out, or announced by the two before
+    it.
+    """
     announced = last > gate and previous > gate and 2 * last - previous > gate
     return int(y > 2 * gate or (announced and y > 0))
 
 
 def _corrected(belief: Gauss, h: Floats, e: float, R: float) -> tuple[Gauss, float]:
-    """The belief after a linear reading, by Joseph's form, and the innovation's deviation."""
+    """Return the belief after a linear reading, by Joseph's form, and the innovation's
+    deviation.
+    """
     m, P = belief
     S = h @ P @ h + R
     K = P @ h / S
@@ -201,7 +206,7 @@ def _corrected(belief: Gauss, h: Floats, e: float, R: float) -> tuple[Gauss, flo
 def _within(
     belief: Gauss, z: Floats, edges: list[Edge], slack: float, R: float, asked: Flags
 ) -> tuple[Gauss, Flags]:
-    """The belief given that z is inside of both edges, and which of them were heard.
+    """Return the belief given that z is inside of both edges, and which of them were heard.
 
     Nothing is beyond both, so that the chance of that is Phi(a) + Phi(b) - 1, with a and b how far
     inside of the edges z is, in standard deviations; its logarithm's slope and bend are the
@@ -234,13 +239,17 @@ def _bend(slope: Floats, alpha: Floats, std: Floats) -> Floats:
 
 
 def _are_moments(lost: Floats) -> bool:
-    """Whether the belief loses no more than all, and no less than nothing, in any direction."""
+    """Return whether the belief loses no more than all, and no less than nothing, in any
+    direction.
+    """
     trace, det = np.trace(lost), np.linalg.det(lost)
     return bool(0 < trace < 2 and 1 - trace + det > 0 and det > -NARROW)
 
 
 def _hazard(alpha: float) -> float:
-    """phi(alpha) / Phi(alpha) of the standard normal distribution; far below 0 by its series."""
+    """Return phi(alpha) / Phi(alpha) of the standard normal distribution; far below 0 by its
+    series.
+    """
     if alpha > -DEEP:
         return exp(-(alpha**2) / 2) / (sqrt(pi / 2) * (1 + erf(alpha / sqrt(2))))
     return -alpha + (1 - (2 - 10 / alpha**2) / alpha**2) / -alpha

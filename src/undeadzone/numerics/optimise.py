@@ -28,7 +28,7 @@ def evolve(
     start: Floats | None = None,
     spread: float = 0.05,
 ) -> tuple[Floats, float]:
-    """The point of least cost found in a box by CMA-ES, Hansen and Ostermeier (2001).
+    """Return the point of least cost found in a box by CMA-ES, Hansen and Ostermeier (2001).
 
     Args:
         cost: takes points (size, d) and gives their costs (size).
@@ -77,7 +77,8 @@ def pareto(
     rounds: int = 120,
     tick: Callable[[], None] = lambda: None,
 ) -> tuple[Floats, Floats]:
-    """A Pareto front of k objectives, by MOEA/D with differential evolution, Li and Zhang (2009).
+    """Return a Pareto front of k objectives, by MOEA/D with differential evolution, Li and Zhang
+    (2009).
 
     Each weight on a grid keeps the point whose largest weighted loss is least. Losses are scaled
     to run from 0 at the least to 1 at the greatest cost on the front.
@@ -120,7 +121,7 @@ def pareto(
 
 
 def scalar(values: Floats, least: Floats, greatest: Floats, weights: Floats) -> Floats:
-    """The scalar cost (w, b) of b points under each of w weights: the largest weighted loss.
+    """Return the scalar cost (w, b) of b points under each of w weights: the largest weighted loss.
 
     A small part of the sum of the losses is added to it.
 
@@ -143,7 +144,9 @@ def undominated(values: Floats) -> np.ndarray:
 def _children(
     rng: np.random.Generator, points: Floats, near: Integers, low: Floats, high: Floats
 ) -> Floats:
-    """A new point (w, d) for each weight from the points (w, d), by differences and rare jumps."""
+    """Return a new point (w, d) for each weight from the points (w, d), by differences and rare
+    jumps.
+    """
     size, d = points.shape
     one = _mates(rng, near)
     two = _mates(rng, near)
@@ -164,7 +167,7 @@ def _mates(rng: np.random.Generator, near: Integers) -> Integers:
 
 
 def _neighbours(weights: Floats) -> Integers:
-    """The numbers of the nearest weights (w, at most NEIGHBOURS), itself first."""
+    """Return the numbers of the nearest weights (w, at most NEIGHBOURS), itself first."""
     distance = ((weights[:, None] - weights) ** 2).sum(axis=2)
     return np.argsort(distance, axis=1)[:, :NEIGHBOURS]
 
@@ -183,13 +186,15 @@ def _best_offers(losses: Floats, near: Integers) -> tuple[Integers, Floats]:
 
 
 def _frame(values: Floats) -> tuple[Floats, Floats]:
-    """Least and greatest costs (k) on the front of the points so far, from their costs (b, k)."""
+    """Return least and greatest costs (k) on the front of the points so far, from their costs (b,
+    k).
+    """
     admitted = values[np.isfinite(values).all(axis=1)]
     front = admitted[undominated(admitted)]
     return front.min(axis=0), front.max(axis=0)
 
 
 def _grid(k: int, divisions: int) -> Floats:
-    """All k-tuples of multiples of 1 / divisions that add up to 1."""
+    """Return all k-tuples of multiples of 1 / divisions that add up to 1."""
     tuples = itertools.product(range(divisions + 1), repeat=k)
     return np.array([parts for parts in tuples if sum(parts) == divisions]) / divisions

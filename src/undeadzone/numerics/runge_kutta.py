@@ -7,7 +7,7 @@ from typing import Any
 
 
 def rk4(rate: Callable[[Any, float], Any], x: Any, h: Any, k1: Any = None) -> Any:
-    """One step of x' = rate(x, c).
+    """Return one step of x' = rate(x, c).
 
     Args:
         rate: the right-hand side at the fraction c of the step, 0 <= c <= 1.
@@ -31,7 +31,7 @@ def rk4_change(rate: Callable[[Any, float], Any], x: Any, h: Any, k1: Any = None
 
 
 def hermite(x0: Any, dx0: Any, x1: Any, dx1: Any, h: Any, c: Any) -> Any:
-    """The cubic through two points with given slopes, at the fraction c; error O(h^4).
+    """Return the cubic through two points with given slopes, at the fraction c; error O(h^4).
 
     Args:
         x0, x1: values at the beginning and at the end.
@@ -44,6 +44,6 @@ def hermite(x0: Any, dx0: Any, x1: Any, dx1: Any, h: Any, c: Any) -> Any:
 
 
 def hermite_slope(x0: Any, dx0: Any, x1: Any, dx1: Any, h: Any, c: Any) -> Any:
-    """The derivative of `hermite` with respect to c."""
+    """Return the derivative of `hermite` with respect to c."""
     d = x1 - x0
     return h * dx0 + c * (2 * (3 * d - h * (2 * dx0 + dx1)) + c * (3 * (h * (dx0 + dx1) - 2 * d)))

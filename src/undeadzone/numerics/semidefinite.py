@@ -13,7 +13,7 @@ ACCEPTED = 0.1  # residual of the solver's answer; whoever needs a proof checks 
 
 
 def minimise(cost: Floats, blocks: Callable[[Floats], list[Floats]]) -> Floats | None:
-    """x that minimises cost'x with every block(x) >= 0; None if there is none.
+    """Return x that minimises cost'x with every block(x) >= 0; None if there is none.
 
     The answer is the solver's: whoever uses it as a proof checks it (`dissipation.check`).
 
@@ -48,7 +48,9 @@ def minimise(cost: Floats, blocks: Callable[[Floats], list[Floats]]) -> Floats |
 
 
 def symmetric(entries: Floats, n: int) -> Floats:
-    """The symmetric n x n matrix with these n (n + 1) / 2 entries, its upper triangle by rows."""
+    """Return the symmetric n x n matrix with these n (n + 1) / 2 entries, its upper triangle by
+    rows.
+    """
     P = np.zeros((n, n))
     row, column = np.triu_indices(n)
     P[row, column] = P[column, row] = entries
@@ -56,7 +58,7 @@ def symmetric(entries: Floats, n: int) -> Floats:
 
 
 def _cone(block: Floats) -> Any:
-    """Clarabel's cone of a block."""
+    """Return Clarabel's cone of a block."""
     import clarabel
 
     if block.ndim == 1:
@@ -65,12 +67,13 @@ def _cone(block: Floats) -> Any:
 
 
 def _stacked(blocks: list[Floats]) -> Floats:
-    """All blocks in one vector."""
+    """Return all blocks in one vector."""
     return np.concatenate([_vector(block) for block in blocks])
 
 
 def _vector(block: Floats) -> Floats:
-    """A vector as it is; of a matrix the upper triangle column by column, as Clarabel wants it.
+    """Return a vector as it is; of a matrix the upper triangle column by column, as Clarabel wants
+    it.
 
     Entries off the diagonal are multiplied by sqrt 2.
     """

@@ -25,7 +25,7 @@ class Auto(Assumptions, frozen=True, kw_only=True, tag_field="method", tag="auto
     """
 
     def chosen(self, model: System, sensor: Zone) -> Censored | Certified | HighGain:
-        """The options of the chosen observer. Raises InputError, ShapeError."""
+        """Return the options of the chosen observer. Raises InputError, ShapeError."""
         if model.Ts is not None:
             return Censored(**self.claims())
         ranges = width_ranges(self.right, self.left, model.p)
@@ -40,7 +40,7 @@ class Auto(Assumptions, frozen=True, kw_only=True, tag_field="method", tag="auto
 
     @property
     def exact(self) -> bool:
-        """Whether disturbance, bias and error of the model are all claimed to be 0."""
+        """Return whether disturbance, bias and error of the model are all claimed to be 0."""
         claims = [self.disturbance, self.bias]
         if isinstance(self.tolerance, dict):
             claims.extend(self.tolerance.values())
@@ -49,5 +49,5 @@ class Auto(Assumptions, frozen=True, kw_only=True, tag_field="method", tag="auto
         return not any(claim is None or np.any(claim) for claim in claims)
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The chosen observer for a model, continuous or sampled."""
+        """Return the chosen observer for a model, continuous or sampled."""
         return self.chosen(model, sensor).build(model, sensor)

@@ -51,7 +51,7 @@ class Censored(Assumptions, frozen=True, kw_only=True, tag_field="method", tag="
     silence: bool = True
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The filter for a sampled model."""
+        """Return the filter for a sampled model."""
         prior = build_prior(
             self, model, sensor, wear=WEAR, centre=self.centre, silence=self.silence
         )

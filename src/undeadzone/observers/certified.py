@@ -47,7 +47,7 @@ class Certified(Options, frozen=True, kw_only=True, tag="certified"):
     adaptation: Adaptation = Gradient()
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The observer for a model, continuous or sampled."""
+        """Return the observer for a model, continuous or sampled."""
         p = model.p
         L, gain = self._gains(model)
         gamma = nonnegative("observer.gamma", gain, p, "one per output")
@@ -59,7 +59,7 @@ class Certified(Options, frozen=True, kw_only=True, tag="certified"):
         )
 
     def _gains(self, model: System) -> tuple[Array | None, Array]:
-        """(L, gamma) as given, or those of the design. Raises InputError, ProofError."""
+        """Return (L, gamma) as given, or those of the design. Raises InputError, ProofError."""
         if self.design is None:
             return self.L, default_adaptation(model) if self.gamma is None else self.gamma
         if self.L is not None or self.gamma is not None:
@@ -70,7 +70,10 @@ class Certified(Options, frozen=True, kw_only=True, tag="certified"):
 
 
 def _of_design(path: str, model: System) -> tuple[Floats, Floats]:
-    """(L, gamma) of a design whose proof holds for the model. Raises FileError, ProofError."""
+    """Return (L, gamma) of a design whose proof holds for the model.
+
+    Raises FileError, ProofError.
+    """
     from undeadzone.analysis.certificate.design_file import Design
 
     design = Design.load(path)

@@ -120,7 +120,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
     joints: Literal["coupled", "separate"] = "coupled"
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The filter for the sampled model of an arm with gears."""
+        """Return the filter for the sampled model of an arm with gears."""
         gears, Ts = model.gears, model.Ts
         if gears is None or Ts is None:
             raise InputError(
@@ -149,7 +149,10 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
     def _numbers(
         self, model: System, gears: Geared, drives: tuple[Drive, ...], sensor: Zone
     ) -> tuple[tuple[tuple[Modes, ...], ...], Numbers]:
-        """The modes at first and the numbers of the filter. Raises InputError, ShapeError."""
+        """Return the modes at first and the numbers of the filter.
+
+        Raises InputError, ShapeError.
+        """
         N, layout, Ts = gears.size, Layout(gears.size), drives[0].Ts
         of, values = layout.of, model.params
 
@@ -273,7 +276,7 @@ def fading(Ts: float, time: float) -> Floats:
 
 
 def _ranges(key: str, claimed: Array, N: int) -> Floats:
-    """Claimed ranges [lo, hi] (N x 2). Raises InputError."""
+    """Return claimed ranges [lo, hi] (N x 2). Raises InputError."""
     value = paired(key, array(key, claimed), N, "a range [lo, hi]", "per joint")
     if (value[..., 0] > value[..., 1]).any() or (value < 0).any():
         raise InputError(f"{key}: a range needs 0 <= lo <= hi, found {value.tolist()}")
@@ -281,7 +284,8 @@ def _ranges(key: str, claimed: Array, N: int) -> Floats:
 
 
 def unknown_torques(model: System, gears: Geared, payload: float) -> tuple[Floats, Floats, Floats]:
-    """(of the motors, of the links, [N m]; inertia of the links (N)): torques that may be unknown.
+    """Return (of the motors, of the links, [N m]; inertia of the links (N)): torques that may be
+    unknown.
 
     Args:
         model: the model.
@@ -301,14 +305,14 @@ def unknown_torques(model: System, gears: Geared, payload: float) -> tuple[Float
 
 
 def _started(setup: Setup, q: Params) -> State:
-    """The state before the first reading."""
+    """Return the state before the first reading."""
     none = np.zeros(setup.model.p)
     odds = tuple(np.zeros(len(begins)) for begins in q.start)
     return State(q.start, odds, Sums(none, none, np.ones(setup.model.p)))
 
 
 def _step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> tuple[State, Estimate]:
-    """One sample: the readings, what they show, and the motion to the next sample."""
+    """Return one sample: the readings, what they show, and the motion to the next sample."""
     drives, y = setup.drives, reading.y / q.slope
     count, layout = len(drives), Layout(setup.gears.size)
     parts = [part_of(q.modes, layout, joint, count) for joint in range(count)]
@@ -345,7 +349,7 @@ def _step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> tuple[
 def _weighed(
     odds: Sequence[Any], each: Sequence[Sequence[Posterior]]
 ) -> tuple[tuple[Any, ...], list[tuple[Any, Any]]]:
-    """(log odds after a sample; shares before and after it) of the filters of each joint.
+    """Return (log odds after a sample; shares before and after it) of the filters of each joint.
 
     Args:
         odds: log odds before the sample, of each joint.
@@ -408,6 +412,6 @@ def _shown(
 
 
 def _variances(belief: Gaussian, rows: Any) -> Any:
-    """Variances of some rows times x (k)."""
+    """Return variances of some rows times x (k)."""
     rows = ca.sparsify(rows)
     return ca.fmax(ca.diag(rows @ belief.cov @ rows.T), 0.0)

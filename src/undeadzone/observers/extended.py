@@ -96,7 +96,7 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
     joints: Literal["coupled", "separate"] = "coupled"
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The filter for a sampled model."""
+        """Return the filter for a sampled model."""
         if sensor.kind == "jump" and not (self.silence or self.blind):
             raise InputError(
                 "observer.silence: readings of a jump sensor only bound its widths, so that "
@@ -133,7 +133,7 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
         )
 
     def _prior(self, model: System, sensor: Zone) -> Prior:
-        """The prior; of a blind filter, widths of 0. Raises InputError, ShapeError."""
+        """Return the prior; of a blind filter, widths of 0. Raises InputError, ShapeError."""
         prior = build_prior(
             self, model, sensor, start=self.start, centre=self.centre, silence=self.silence
         )
@@ -146,7 +146,7 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
     def _augmentation(
         self, model: System, colour: Colour, rms: Floats, bias: Floats
     ) -> Augmentation:
-        """The disturbance, the bias, and the uncertain parameters. Raises InputError."""
+        """Return the disturbance, the bias, and the uncertain parameters. Raises InputError."""
         if self.joints == "separate":
             if self.uncertain or bias.any():
                 key = "uncertain: a parameter" if self.uncertain else "bias: a constant"
@@ -182,7 +182,8 @@ class Joints(NamedTuple):
 
 
 def separate(model: System, colour: Colour, rms: Floats) -> Augmentation:
-    """An unknown acceleration a of each joint, and covariances of its own five unknowns alone.
+    """Return an unknown acceleration a of each joint, and covariances of its own five unknowns
+    alone.
 
     The mean moves by the whole model, whose accelerations are taken once a sample; the variance is
     that of the accelerations that the disturbance makes where the model was linearised.
@@ -221,7 +222,7 @@ def separate(model: System, colour: Colour, rms: Floats) -> Augmentation:
 
 
 def joint_change(joints: Joints, q: Params, x: Any, extra: Any, u: Any) -> tuple[Any, Any]:
-    """(x+ - x, a+ - a) with accelerations that stay as they are over the step."""
+    """Return (x+ - x, a+ - a) with accelerations that stay as they are over the step."""
     N, Ts = joints.size, joints.Ts
     v = x[N:]
     a = joints.rate(q.model, x, u)[N:] + extra
@@ -229,7 +230,9 @@ def joint_change(joints: Joints, q: Params, x: Any, extra: Any, u: Any) -> tuple
 
 
 def joint_slope(joints: Joints, q: Params) -> Any:
-    """The Jacobian of the change (5N x 5N), that of a double integrator under a for each joint."""
+    """Return the Jacobian of the change (5N x 5N), that of a double integrator under a for each
+    joint.
+    """
     Ts = joints.Ts
     one = ca.SX(5, 5)  # of [q_i; q_i'; d_ri; d_li; a_i]
     one[0, 1] = Ts
@@ -240,7 +243,7 @@ def joint_slope(joints: Joints, q: Params) -> Any:
 
 
 def joint_noise(joints: Joints, q: Params, x: Any, u: Any) -> tuple[Any, Any]:
-    """The covariances that a step adds to x and to the accelerations."""
+    """Return the covariances that a step adds to x and to the accelerations."""
     states = 2 * joints.size
     return ca.SX(states, states), q.augmentation.Q * ca.diag(q.augmentation.variance)
 
@@ -251,7 +254,7 @@ def joint_disturbance(joints: Joints, q: Params, extra: Any) -> Any:
 
 
 def mechanical(model: System) -> bool:
-    """Whether the states are [q; q'] and the outputs q, less a constant perhaps."""
+    """Return whether the states are [q; q'] and the outputs q, less a constant perhaps."""
     N = model.p
     if model.n != 2 * N or model.flow is None:
         return False

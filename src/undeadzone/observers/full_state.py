@@ -23,7 +23,7 @@ class FullState(Options, frozen=True, kw_only=True, tag="full_state"):
     gears = True  # it knows them
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The reference line for a model, continuous or sampled."""
+        """Return the reference line for a model, continuous or sampled."""
 
         def step(p: Params, s: Any, u: Any, reading: Reading) -> tuple[Any, Estimate]:
             if reading.x is None:

@@ -39,7 +39,7 @@ class HighGain(Options, frozen=True, kw_only=True, tag="high_gain"):
     width_max: Array | None = None
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The observer for a model, continuous or sampled."""
+        """Return the observer for a model, continuous or sampled."""
         widths = adapted(self.gamma, self.widths0, self.width_max, model, sensor)
         epsilon = self._epsilon(model)
         L = high_gain(model, epsilon)
@@ -55,7 +55,7 @@ class HighGain(Options, frozen=True, kw_only=True, tag="high_gain"):
         return output_error(model, sensor, L, widths)
 
     def _epsilon(self, model: System) -> float:
-        """epsilon as given, or its default [s]. Raises InputError."""
+        """Return epsilon as given, or its default [s]. Raises InputError."""
         if self.epsilon is not None:
             return scalar("observer.epsilon", self.epsilon, above=0.0)
         least = 0.0 if model.Ts is None else 4 * model.Ts
@@ -63,7 +63,7 @@ class HighGain(Options, frozen=True, kw_only=True, tag="high_gain"):
 
 
 def high_gain(model: System, epsilon: float) -> Floats:
-    """L (n x p) [1/s] in continuous time; epsilon: as in `HighGain` [s]."""
+    """Return L (n x p) [1/s] in continuous time; epsilon: as in `HighGain` [s]."""
     flow = model.continuous
     chains = output_chains(flow.A, flow.C)
     gains = np.zeros((model.n, model.p))

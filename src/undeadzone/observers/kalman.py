@@ -51,7 +51,7 @@ class Kalman(Options, frozen=True, kw_only=True, tag="kalman"):
     glitches: float = GLITCHES
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The filter for a sampled model."""
+        """Return the filter for a sampled model."""
         if sensor.kind == "jump":
             raise InputError(
                 "observer.method: readings of a jump sensor only bound its widths, which 'kalman' "

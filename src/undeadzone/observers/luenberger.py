@@ -29,7 +29,7 @@ class Luenberger(Options, frozen=True, kw_only=True, tag="luenberger"):
     poles: Array | None = None
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The observer for a model, continuous or sampled."""
+        """Return the observer for a model, continuous or sampled."""
         L = self._gain(model)
 
         def init(p: Params) -> State:
@@ -46,7 +46,10 @@ class Luenberger(Options, frozen=True, kw_only=True, tag="luenberger"):
         return Observer(params, init, step, traits=Traits(L=L, adapts=False))
 
     def _gain(self, model: System) -> Floats:
-        """L (n x p), per step when the model is sampled. Raises InputError, StructureError."""
+        """Return L (n x p), per step when the model is sampled.
+
+        Raises InputError, StructureError.
+        """
         if self.poles is not None and self.L is None:
             return observer_gain(model.linear, self.poles, model.Ts)
         if self.L is not None and self.poles is None:

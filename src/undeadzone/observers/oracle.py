@@ -25,7 +25,7 @@ class Oracle(Options, frozen=True, kw_only=True, tag="oracle"):
     silence: bool = False
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The observer for a model, continuous or sampled."""
+        """Return the observer for a model, continuous or sampled."""
         widths = np.stack([sensor.right, sensor.left], axis=1)
         gain, gamma = gains(self.L, model), np.zeros(model.p)
         start, limit = np.zeros(model.n), np.full(model.p, np.inf)

@@ -52,7 +52,7 @@ LATEST = 1000  # samples by which an input may act late
 
 
 def matrices(plant: Plant, key: str = "plant") -> Matrices:
-    """The matrices of a linear plant in any form.
+    """Return the matrices of a linear plant in any form.
 
     Args:
         plant: the plant in words.
@@ -77,7 +77,7 @@ def matrices(plant: Plant, key: str = "plant") -> Matrices:
 
 
 def system(plant: Plant, key: str = "plant") -> System:
-    """The continuous-time `System` of a plant.
+    """Return the continuous-time `System` of a plant.
 
     Args:
         plant: the plant in words.
@@ -92,7 +92,7 @@ def system(plant: Plant, key: str = "plant") -> System:
 
 
 def _without_delay(plant: Plant, key: str) -> System:
-    """The `System` of a plant whose input acts at once. Raises InputError."""
+    """Return the `System` of a plant whose input acts at once. Raises InputError."""
     form = _form(plant, key)
     if plant.f is not None:
         return _nonlinear(plant, key)
@@ -107,7 +107,10 @@ def _without_delay(plant: Plant, key: str) -> System:
 
 
 def initial_state(plant: Plant, system: System, key: str = "plant") -> Floats:
-    """x(0) (n), zeros by default; of gears also that of the links alone. Raises ShapeError."""
+    """Return x(0) (n), zeros by default; of gears also that of the links alone.
+
+    Raises ShapeError.
+    """
     if system.gears is not None:
         from undeadzone.plants.robots.build import start
 
@@ -116,7 +119,10 @@ def initial_state(plant: Plant, system: System, key: str = "plant") -> Floats:
 
 
 def _form(plant: Plant, key: str) -> str:
-    """The leading key of the plant's form. Raises InputError where keys of another are given."""
+    """Return the leading key of the plant's form.
+
+    Raises InputError where keys of another are given.
+    """
     forms = [form for form in _FORMS if getattr(plant, form) is not None]
     if len(forms) != 1:
         present = " and ".join(forms) or "none"
@@ -134,7 +140,7 @@ def _form(plant: Plant, key: str) -> str:
 
 
 def _written_out(plant: Plant, key: str) -> Matrices:
-    """The matrices A, B, C that a plant gives itself."""
+    """Return the matrices A, B, C that a plant gives itself."""
     for name in "ABC":
         if getattr(plant, name) is None:
             raise InputError(
@@ -149,12 +155,14 @@ def _written_out(plant: Plant, key: str) -> Matrices:
 
 
 def _of_one(value: Any, shape: tuple[int, int]) -> Any:
-    """B of one input, or C of one output, where it is a plain list of n numbers; else as it is."""
+    """Return B of one input, or C of one output, where it is a plain list of n numbers; else as it
+    is.
+    """
     return np.reshape(value, shape) if np.shape(value) == (max(shape),) else value
 
 
 def _second_order(key: str, options: SecondOrder) -> Matrices:
-    """The matrices of (37) in companion form."""
+    """Return the matrices of (37) in companion form."""
     zeta = scalar(f"{key}.zeta", options.zeta)
     gain = scalar(f"{key}.gain", options.gain)
     omega = scalar(f"{key}.omega_n", options.omega_n, above=0.0)
@@ -163,7 +171,7 @@ def _second_order(key: str, options: SecondOrder) -> Matrices:
 
 
 def _transfer_function(key: str, options: TransferFunction) -> Matrices:
-    """The matrices of a transfer function in companion form."""
+    """Return the matrices of a transfer function in companion form."""
     num = np.trim_zeros(series(f"{key}.numerator", options.numerator), "f")
     den = np.trim_zeros(series(f"{key}.denominator", options.denominator), "f")
     if den.size < 2 or num.size == 0:
@@ -176,12 +184,12 @@ def _transfer_function(key: str, options: TransferFunction) -> Matrices:
 
 
 def _linear_move(params: Matrices, x: Any, u: Any) -> Any:
-    """x' (or x+) = A x + B u."""
+    """Return x' (or x+) = A x + B u."""
     return params.A @ x + params.B @ u
 
 
 def _linear_output(params: Matrices, x: Any) -> Any:
-    """z = C x."""
+    """Return z = C x."""
     return params.C @ x
 
 
@@ -190,7 +198,7 @@ _Functions = tuple[int, int, Callable[[Any, Any, Any], Any], Callable[[Any, Any]
 
 
 def _nonlinear(plant: Plant, key: str) -> System:
-    """The system of formulas, or of Python callables, f and h."""
+    """Return the system of formulas, or of Python callables, f and h."""
     names = list(plant.parameters)
     if callable(plant.f) != callable(plant.h):
         raise InputError(f"{key}: f and h must both be formulas or both be callables")
@@ -204,7 +212,7 @@ def _nonlinear(plant: Plant, key: str) -> System:
 
 
 def _callables(plant: Plant, key: str) -> _Functions:
-    """The functions of a plant that gives f and h as Python callables."""
+    """Return the functions of a plant that gives f and h as Python callables."""
     if plant.states is not None:
         n = len(plant.states)
     elif plant.x0 is not None:
@@ -223,7 +231,7 @@ def _callables(plant: Plant, key: str) -> _Functions:
 
 
 def _formulas(plant: Plant, key: str) -> _Functions:
-    """The functions of a plant that gives f and h as formulas in a scenario."""
+    """Return the functions of a plant that gives f and h as formulas in a scenario."""
     _require_formulas(plant, key)
     states = plant.states or []
     inputs = plant.inputs or ["u"]
@@ -244,7 +252,7 @@ def _formulas(plant: Plant, key: str) -> _Functions:
 
 
 def _column(key: str, formulas: list[str], names: dict[str, Any]) -> Any:
-    """The values of formulas, as a CasADi column."""
+    """Return the values of formulas, as a CasADi column."""
     values = [evaluate(f"{key}[{i}]", text, names) for i, text in enumerate(formulas)]
     return ca.vertcat(*values)
 
@@ -270,7 +278,10 @@ def _require_formulas(plant: Plant, key: str) -> None:
 
 
 def _vector_or_zeros(key: str, value: Array | None, size: int, why: str) -> Floats:
-    """A vector of that size as the user gives it, zeros where none is given. Raises ShapeError."""
+    """Return a vector of that size as the user gives it, zeros where none is given.
+
+    Raises ShapeError.
+    """
     return np.zeros(size) if value is None else vector(key, value, size, why)
 
 
@@ -283,7 +294,7 @@ class _Formula(NamedTuple):
 
 
 def evaluate(key: str, text: str, names: Mapping[str, Any]) -> Any:
-    """The value of a formula; only arithmetic and elementary functions.
+    """Return the value of a formula; only arithmetic and elementary functions.
 
     Args:
         key: where the formula stands, for messages.
@@ -310,7 +321,10 @@ def evaluate(key: str, text: str, names: Mapping[str, Any]) -> Any:
 
 
 def _value(formula: _Formula, node: ast.expr) -> Any:
-    """The value of a part of a formula. Raises OverflowError where that number is not finite."""
+    """Return the value of a part of a formula.
+
+    Raises OverflowError where that number is not finite.
+    """
     value = _compute(formula, node)
     if isinstance(value, complex) or (isinstance(value, float) and not math.isfinite(value)):
         raise OverflowError
@@ -318,7 +332,7 @@ def _value(formula: _Formula, node: ast.expr) -> Any:
 
 
 def _compute(formula: _Formula, node: ast.expr) -> Any:
-    """The value of a part of a formula, finite or not."""
+    """Return the value of a part of a formula, finite or not."""
     match node:
         case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
             return float(number)
@@ -351,7 +365,7 @@ def _named(formula: _Formula, name: str) -> Any:
 
 
 def _unknown(formula: _Formula, name: str, known: list[str]) -> InputError:
-    """An unknown name, with the nearest known one."""
+    """Return an unknown name, with the nearest known one."""
     near = difflib.get_close_matches(name, known, 1)
     advice = f"did you mean {near[0]!r}?" if near else f"known names: {', '.join(known)}"
     return _refused(formula, f"unknown name {name!r}", f"; {advice}")

@@ -12,7 +12,7 @@ from undeadzone.plants.options import Plant
 
 
 def from_statespace(system: Any, x0: Any = None) -> Plant:
-    """A `Plant` from a linear system of scipy or python-control.
+    """Return a `Plant` from a linear system of scipy or python-control.
 
     Args:
         system: state space (any object with A, B, C, D) or transfer function, in continuous time,
@@ -39,7 +39,7 @@ def from_statespace(system: Any, x0: Any = None) -> Plant:
 
 
 def in_state_space(system: Any, key: str, options: str) -> Any:
-    """A linear system of scipy or python-control as state space.
+    """Return a linear system of scipy or python-control as state space.
 
     Args:
         system: state space or transfer function.
@@ -71,7 +71,7 @@ from_control = from_statespace
 
 
 def to_scipy(plant: Plant) -> Any:
-    """The plant as `scipy.signal.StateSpace`.
+    """Return the plant as `scipy.signal.StateSpace`.
 
     Args:
         plant: a linear plant in any form.
@@ -89,7 +89,7 @@ def to_scipy(plant: Plant) -> Any:
 
 
 def to_control(plant: Plant) -> Any:
-    """The plant as `control.StateSpace` (extra `control`).
+    """Return the plant as `control.StateSpace` (extra `control`).
 
     Args:
         plant: a linear plant in any form.

@@ -35,13 +35,15 @@ class Box(NamedTuple):
     high: Floats
 
     def left(self, x: Floats, x_hat: Floats, u: Floats) -> np.ndarray:
-        """Whether state, estimate (N x n) or input (N x m) lie outside, or are no numbers (N)."""
+        """Return whether state, estimate (N x n) or input (N x m) lie outside, or are no numbers
+        (N).
+        """
         both = np.stack([np.hstack([x, u]), np.hstack([x_hat, u])])
         return np.asarray(~((both >= self.low) & (both <= self.high)).all(axis=(0, 2)))
 
 
 def box(region: Region, model: System) -> Box:
-    """The box of a region for a model.
+    """Return the box of a region for a model.
 
     Raises:
         InputError: or a subclass, that names the key.
@@ -56,7 +58,9 @@ def box(region: Region, model: System) -> Box:
 
 
 def _input_ranges(region: Region, model: System) -> Floats:
-    """The ranges of the inputs (m x 2): those of the region, or the model's torque limits."""
+    """Return the ranges of the inputs (m x 2): those of the region, or the model's torque
+    limits.
+    """
     if region.u is not None:
         return _ranges("region.u", region.u, model.m, "one [lo, hi] per input")
     if model.limit is not None and np.isfinite(model.limit).all():

@@ -80,7 +80,7 @@ class System(NamedTuple):
 
     @property
     def continuous(self) -> Matrices:
-        """The matrices in continuous time, of a sampled plant too."""
+        """Return the matrices in continuous time, of a sampled plant too."""
         return self.linear if self.flow is None else self.flow
 
     @property
@@ -90,26 +90,30 @@ class System(NamedTuple):
 
     @property
     def keep(self) -> float:
-        """1 where a method returns the next value of its state, 0 where it returns its rate."""
+        """Return 1 where a method returns the next value of its state, 0 where it returns its
+        rate.
+        """
         return 0.0 if self.Ts is None else 1.0
 
     def filtering(self, time: Any) -> Any:
-        """The rate of a filter of this time constant [s]: 1 / time, or its share per sample."""
+        """Return the rate of a filter of this time constant [s]: 1 / time, or its share per
+        sample.
+        """
         return 1.0 / time if self.Ts is None else -np.expm1(-self.Ts / time)
 
     @property
     def n(self) -> int:
-        """Number of states."""
+        """Return number of states."""
         return self.linear.A.shape[0]
 
     @property
     def m(self) -> int:
-        """Number of inputs."""
+        """Return number of inputs."""
         return self.linear.B.shape[1]
 
     @property
     def p(self) -> int:
-        """Number of outputs."""
+        """Return number of outputs."""
         return self.linear.C.shape[0]
 
     def read(self, params: Any, x: Any) -> Any:
@@ -117,7 +121,7 @@ class System(NamedTuple):
         return self.output(params, x) if self.seen is None else self.seen(params, x)
 
     def joints(self, params: Any, x: Any) -> tuple[Any, Any]:
-        """(parameters of `arm`, positions of its joints (N)) in parameters and a state."""
+        """Return (parameters of `arm`, positions of its joints (N)) in parameters and a state."""
         assert self.arm is not None
         N = self.arm.size
         if self.gears is None:
@@ -125,7 +129,9 @@ class System(NamedTuple):
         return self.gears.links(params), x[N : 2 * N]
 
     def pushed(self, params: Any, x: Any, u: Any, push: Any) -> Any:
-        """`move` and what a correction adds to it (n); of a sampled plant one increment of x."""
+        """Return `move` and what a correction adds to it (n); of a sampled plant one increment of
+        x.
+        """
         if self.change is None:
             return self.move(params, x, u) + push
         return x + (self.change(params, x, u) + push)
@@ -134,7 +140,7 @@ class System(NamedTuple):
 def linearised(
     key: str, params: Floats, move: Any, output: Any, x_eq: Floats, u_eq: Floats
 ) -> System:
-    """A continuous nonlinear plant with its linearisation.
+    """Return a continuous nonlinear plant with its linearisation.
 
     Args:
         key: name of the plant in messages.
@@ -167,7 +173,7 @@ def linearised(
 
 
 def sampled(plant: System, Ts: float, substeps: int = 10) -> System:
-    """The plant seen every Ts [s] with u held, as x plus its change in a sample.
+    """Return the plant seen every Ts [s] with u held, as x plus its change in a sample.
 
     An exact zero-order hold if the plant is linear, else RK4 with `substeps` steps.
     """
@@ -214,7 +220,7 @@ class Counted(NamedTuple):
 
 
 def in_units(system: System, units: Floats) -> System:
-    """A sampled system with states that are counted in these units (n): x = units x_counted.
+    """Return a sampled system with states that are counted in these units (n): x = units x_counted.
 
     Of a linear plant the units are numbers like others, so that one graph serves plants whose units
     differ.
@@ -246,7 +252,7 @@ def in_units(system: System, units: Floats) -> System:
 
 
 def _counted_matrices(linear: Matrices, units: Floats) -> Matrices:
-    """The matrices for states that are counted in these units (n)."""
+    """Return the matrices for states that are counted in these units (n)."""
     A, B, C = linear
     return Matrices(similar(A, units), B / units[:, None], C * units)
 
@@ -271,7 +277,7 @@ STILL = 1e-6  # of |A|, balanced: a pole this close to 0 is an integrator's
 
 
 def rates_of_motion(A: Floats) -> Floats:
-    """|pole| of x' = A x [1/s] for each pole that moves; those of integrators are left out.
+    """Return |pole| of x' = A x [1/s] for each pole that moves; those of integrators are left out.
 
     Empty for a chain of integrators.
     """
@@ -279,7 +285,7 @@ def rates_of_motion(A: Floats) -> Floats:
 
 
 def _moving(A: Floats) -> np.ndarray:
-    """The poles of x' = A x that are not those of integrators."""
+    """Return the poles of x' = A x that are not those of integrators."""
     poles = np.linalg.eigvals(A)
     loops = feedback_loops(A)
     size = np.linalg.norm(similar(loops, balancing(loops)), 2)
@@ -287,7 +293,7 @@ def _moving(A: Floats) -> np.ndarray:
 
 
 def moving_poles(model: System) -> Floats:
-    """|pole| of the plant in continuous time [1/s], those of integrators left out.
+    """Return |pole| of the plant in continuous time [1/s], those of integrators left out.
 
     One rate of 1 for a chain of integrators.
     """
@@ -296,17 +302,18 @@ def moving_poles(model: System) -> Floats:
 
 
 def fastest_pole(model: System) -> float:
-    """The largest of `moving_poles` [1/s]."""
+    """Return the largest of `moving_poles` [1/s]."""
     return float(moving_poles(model).max())
 
 
 def mean_pole(model: System) -> float:
-    """The geometric mean of `moving_poles` [1/s]."""
+    """Return the geometric mean of `moving_poles` [1/s]."""
     return float(np.exp(np.log(moving_poles(model)).mean()))
 
 
 def time_scale(flow: Matrices, Ts: float | None = None) -> float:
-    """A quarter period pi / (2 |pole|) [s], geometric mean over the poles that are not integrators.
+    """Return a quarter period pi / (2 |pole|) [s], geometric mean over the poles that are not
+    integrators.
 
     If all are, `QUARTER` samples: who samples so fast expects changes as fast. Of an unstable pole
     `UNSTABLE` times its size counts: the loop around it must be as fast.
@@ -324,7 +331,8 @@ def time_scale(flow: Matrices, Ts: float | None = None) -> float:
 
 
 def arrival(flow: Matrices, Ts: float | None = None) -> float:
-    """A quarter period, and 1 / |pole| for each further pole that an input passes to an output [s].
+    """Return a quarter period, and 1 / |pole| for each further pole that an input passes to an
+    output [s].
 
     The poles count per output. Until then an input has moved z by about as much of what it will,
     whatever the order. flow, Ts: as for `time_scale`; integrators are no delay.

@@ -63,14 +63,14 @@ class Arm(NamedTuple):
 
     @property
     def label(self) -> str:
-        """Its name, and how far its tip is off at the end."""
+        """Return its name, and how far its tip is off at the end."""
         far = self.error >= 0.1
         size = f"{self.error:.2g} m" if far else f"{1e3 * self.error:.2g} mm"
         return f"{self.name}: tip {size} off at the end"
 
 
 def animated(run: Run, rival: Run | None = None) -> Html:
-    """A canvas that plays the arm on the tip's path, and a rival's in another colour.
+    """Return a canvas that plays the arm on the tip's path, and a rival's in another colour.
 
     Arms in space turn under the mouse.
     """
@@ -102,7 +102,9 @@ def _script_data(run: Run, arms: list[Arm], grid: float) -> str:
 
 
 def _legend(arms: list[Arm], grid: float, spatial: bool) -> str:
-    """The names of arms and path in their colours, and the distance of the grid's lines [m]."""
+    """Return the names of arms and path in their colours, and the distance of the grid's lines
+    [m].
+    """
     names = [(arm.name, arm.colour) for arm in reversed(arms)]
     names.append(("path of the tip", ink.REFERENCE))
     keys = []
@@ -229,7 +231,7 @@ class Stage(NamedTuple):
 
 
 def _stage(run: Run, arms: list[Arm]) -> Stage:
-    """The figure with the path and its limits, and lines that hold no points yet."""
+    """Return the figure with the path and its limits, and lines that hold no points yet."""
     from matplotlib.figure import Figure
 
     spatial = _spatial(run)
@@ -290,13 +292,13 @@ def frames(run: Run) -> int:
 
 
 def _arms(run: Run, rival: Run | None) -> list[Arm]:
-    """The arms shown, each up to where it diverged; the run's own last, above the other."""
+    """Return the arms shown, each up to where it diverged; the run's own last, above the other."""
     own = _arm(run, ink.ESTIMATE)
     return [own] if rival is None else [_arm(rival, ink.PRINTED), own]
 
 
 def _arm(run: Run, colour: str) -> Arm:
-    """The arm of a run, up to where it diverged."""
+    """Return the arm of a run, up to where it diverged."""
     assert run.poses is not None
     end = len(run.poses)
     if run.diverged_at is not None:
@@ -312,7 +314,7 @@ def _path(run: Run) -> Floats:
 
 
 def _spatial(run: Run) -> bool:
-    """Whether the arm moves in space, not in a plane."""
+    """Return whether the arm moves in space, not in a plane."""
     return run.tip is not None and run.tip.shape[1] == 3
 
 
@@ -340,7 +342,7 @@ def face_seen(normal: Floats, turn: float) -> float:
 
 
 def _spacing(size: float) -> float:
-    """The distance [m] of some five to ten lines over a size [m]: 1, 2 or 5 times 10^k."""
+    """Return the distance [m] of some five to ten lines over a size [m]: 1, 2 or 5 times 10^k."""
     size = max(size, 1e-3)
     power = 10.0 ** np.floor(np.log10(size / 5))
     fitting = [factor for factor in (1, 2, 5) if factor * power <= size / 5 + 1e-12]
@@ -348,5 +350,5 @@ def _spacing(size: float) -> float:
 
 
 def _rounded(values: Floats) -> list[object]:
-    """Tenths of a millimetre: what a screen can show."""
+    """Return tenths of a millimetre: what a screen can show."""
     return list(np.round(values, 4).tolist())

@@ -77,7 +77,7 @@ def distributions(result: Ensemble) -> Figure:
 
 
 def first_of_ensemble(result: Ensemble) -> Figure:
-    """Its first figure. Raises InputError where every run diverged and none was recorded."""
+    """Return its first figure. Raises InputError where every run diverged and none was recorded."""
     if not result.diverged[result.independent].all():
         return distributions(result)
     figure = over_time(result)
@@ -94,7 +94,7 @@ def distribution(axes: Axes, result: Ensemble) -> None:
 
 
 def _distributed(result: Ensemble) -> list[str]:
-    """The metrics whose distributions are shown; settling times only if some run settled."""
+    """Return the metrics whose distributions are shown; settling times only if some run settled."""
     names = ["rms_tracking", "peak_tracking"]
     for name in ("rms_behind_play", "rms_tip"):
         if name in result.metrics:
@@ -135,7 +135,9 @@ def _histogram(axes: Axes, ordered: Floats) -> None:
 
 
 def bin_edges(bounded: Floats) -> tuple[Floats, bool]:
-    """The edges of a histogram's bins over ordered values, and whether they are logarithmic."""
+    """Return the edges of a histogram's bins over ordered values, and whether they are
+    logarithmic.
+    """
     low, high = (float(np.quantile(bounded, q)) for q in (0.005, 0.995))
     bins = int(np.clip(2 * bounded.size ** (1 / 3), 10, 80))  # Rice's rule
     reach = high - low
@@ -161,7 +163,7 @@ def _beyond(axes: Axes, ordered: Floats) -> None:
 
 
 def over_time(result: Ensemble) -> Figure | None:
-    """Median, 5-95 % and 1-99 % of the recorded runs over time; None without recorded runs.
+    """Return median, 5-95 % and 1-99 % of the recorded runs over time; None without recorded runs.
 
     Shown are |z - r| and the errors of the widths.
     """
@@ -193,7 +195,7 @@ def over_time(result: Ensemble) -> Figure | None:
 
 
 def _bounded(q: Floats) -> Floats:
-    """Infinite quantiles, of runs that diverged, out of sight above all others."""
+    """Return infinite quantiles, of runs that diverged, out of sight above all others."""
     largest = float(np.abs(q[np.isfinite(q)]).max(initial=1e-12))
     return np.clip(q, -1.05 * largest, 1.05 * largest)
 
@@ -229,7 +231,7 @@ class Marked(NamedTuple):
 
 
 def tornado(sensitivities: Sensitivities) -> Figure | None:
-    """Partial rank correlation and Sobol indices, the most influential entry on top.
+    """Return partial rank correlation and Sobol indices, the most influential entry on top.
 
     Args:
         sensitivities: of the entries, as in a summary; None is returned if there are none
@@ -266,7 +268,7 @@ def _ranks(axes: Axes, partial: list[dict[str, float]]) -> None:
 
 
 def _rank_colour(index: Index) -> str:
-    """Grey where it may be chance, else by sign."""
+    """Return grey where it may be chance, else by sign."""
     if index["p"] > 1 - LEVEL:
         return ink.ZONE
     return ink.PRINTED if index["value"] > 0 else ink.ESTIMATE
@@ -299,7 +301,7 @@ def _bars(
 
 
 def influence(result: Ensemble, sensitivities: Sensitivities) -> Figure | None:
-    """The main metric over each of the two most influential entries, and over both.
+    """Return the main metric over each of the two most influential entries, and over both.
 
     The worst runs, the median one and those that diverged are marked.
 
@@ -332,7 +334,9 @@ def influence(result: Ensemble, sensitivities: Sensitivities) -> Figure | None:
 
 
 def _marked(result: Ensemble, values: Floats) -> Marked:
-    """The runs that are shown and marked; values: of the main metric, nan where one diverged."""
+    """Return the runs that are shown and marked; values: of the main metric, nan where one
+    diverged.
+    """
     return Marked(
         shown=np.flatnonzero(np.isfinite(values[:JUDGED])),
         diverged=np.flatnonzero(result.diverged[:JUDGED]),
@@ -342,7 +346,7 @@ def _marked(result: Ensemble, values: Floats) -> Marked:
 
 
 def _scale(values: Floats) -> Scale:
-    """Logarithmic where nearly all values spread over more than a decade."""
+    """Return logarithmic where nearly all values spread over more than a decade."""
     low, high = np.quantile(values, [0.01, 0.99])
     return "log" if values.min() > 0 and high > SPREAD / 2 * low else "linear"
 
@@ -363,7 +367,7 @@ def _over_one(axes: Axes, x: Floats, y: Floats, runs: Marked, scale: Scale) -> N
 
 
 def _over_both(axes: Axes, x: Floats, y: Floats, values: Floats, runs: Marked, scale: Scale) -> Any:
-    """The median of the metric over two entries, in hexagons; returned for a colour bar."""
+    """Return the median of the metric over two entries, in hexagons; returned for a colour bar."""
     points = x[runs.shown], y[runs.shown], values[runs.shown]
     size = int(np.clip(np.sqrt(runs.shown.size) / 3, 8, 30))
     looks: Any = {"norm": scale, "cmap": "viridis_r", "edgecolors": "none"}

@@ -39,7 +39,7 @@ COLUMNS: Final = {"mean": "mean", "median": "median", "p95": "95 %", "p99": "99 
 
 
 def figures(result: Ensemble, summary: Mapping[str, Any]) -> dict[str, Figure]:
-    """The figures that apply, by name."""
+    """Return the figures that apply, by name."""
     drawn = {
         "distributions": distributions(result) if summary["metrics"] else None,
         "over_time": over_time(result),
@@ -74,7 +74,7 @@ def ensemble_page(
     images: Mapping[str, bytes],
     origin: html.Origin | None = None,
 ) -> str:
-    """The page; images: SVGs by the names of `figures`; else see `write_ensemble`."""
+    """Return the page; images: SVGs by the names of `figures`; else see `write_ensemble`."""
     shown = html.pictures(images, CAPTIONS)
     first, *others = _distributions(result, summary)
     parts = [html.section("Over time", first, *html.pick(shown, "over_time"))]
@@ -109,19 +109,19 @@ def _verdict(result: Ensemble, summary: Mapping[str, Any]) -> html.Html:
 
 
 def _settled_style(share: float) -> str:
-    """The class of a share of runs that settle."""
+    """Return the class of a share of runs that settle."""
     if share == 1:
         return "yes"
     return "mid" if share > 0.9 else "no"
 
 
 def _percent(share: Mapping[str, float]) -> str:
-    """A share with its interval."""
+    """Return a share with its interval."""
     return f"{100 * share['value']:.4g} % [{100 * share['low']:.4g}, {100 * share['high']:.4g}]"
 
 
 def _distributions(result: Ensemble, summary: Mapping[str, Any]) -> list[html.Html]:
-    """The table of metrics and errors of the widths, with a note."""
+    """Return the table of metrics and errors of the widths, with a note."""
     if not summary["metrics"]:
         return [html.paragraph("Every run diverged.", "no")]
     rows = []
@@ -142,21 +142,21 @@ def _distributions(result: Ensemble, summary: Mapping[str, Any]) -> list[html.Ht
 def _distribution(
     name: str, values: Mapping[str, Any], unit: str, duration: float
 ) -> tuple[Any, ...]:
-    """The row of a metric of runs of some duration [s]."""
+    """Return the row of a metric of runs of some duration [s]."""
     cells = [_bounded(name, values[column], _interval(values[column])) for column in COLUMNS]
     largest = _bounded(name, values["max"], values["max"]["value"])
     return (label(words(name, duration), unit), *cells, largest)
 
 
 def _bounded(name: str, value: Mapping[str, float | None], cell: Any) -> Any:
-    """The cell of a value; of a settling time without a bound, words."""
+    """Return the cell of a value; of a settling time without a bound, words."""
     if name == "settling_time" and value["value"] is None:
         return "never"
     return cell
 
 
 def _interval(value: Mapping[str, float | None]) -> html.Html:
-    """A value with its interval, which stands on a line of its own, unbroken."""
+    """Return a value with its interval, which stands on a line of its own, unbroken."""
     middle, low, high = (number(value[key], none="–") for key in ("value", "low", "high"))
     if middle == low == high:
         return html.Html(middle)
@@ -164,7 +164,7 @@ def _interval(value: Mapping[str, float | None]) -> html.Html:
 
 
 def _sensitivities(summary: Mapping[str, Any]) -> list[html.Html]:
-    """The table of what each entry contributes, with a note."""
+    """Return the table of what each entry contributes, with a note."""
     sensitivities = summary["sensitivities"]
     if not sensitivities:
         return [html.paragraph("These runs do not tell: they are too few, or all alike.")]
@@ -186,7 +186,7 @@ def _sensitivities(summary: Mapping[str, Any]) -> list[html.Html]:
 
 
 def _worst(result: Ensemble, summary: Mapping[str, Any]) -> list[html.Html]:
-    """The worst runs, the one at the median, and the command that shows one of them."""
+    """Return the worst runs, the one at the median, and the command that shows one of them."""
     units = [label(name, result.unit(name)) for name in result.varied]
     head = ("run", label(words(MAIN, result.info.duration), result.unit(MAIN)), *units)
     parts = [html.table(head, map(_run_row, summary["worst"]))]
@@ -200,7 +200,7 @@ def _worst(result: Ensemble, summary: Mapping[str, Any]) -> list[html.Html]:
 
 
 def _run_row(run: Mapping[str, Any]) -> tuple[Any, ...]:
-    """The row of a run: its number, its error or that it diverged, its entries."""
+    """Return the row of a run: its number, its error or that it diverged, its entries."""
     outcome = run["metrics"][MAIN]
     if run["diverged"]:
         outcome = html.tag("span", "diverged", "no")

@@ -38,7 +38,7 @@ LABELS: Final = {
 
 
 def root_locus(of: Assessment, gains: Gains) -> Figure:
-    """Poles of the error while every output is read, as gamma or L is scaled, and the rate.
+    """Return poles of the error while every output is read, as gamma or L is scaled, and the rate.
 
     The rate is that along the reference. Sampled, poles z are drawn as (z - 1) / Ts, which tends
     to s as Ts -> 0; the unit circle is drawn so too.
@@ -58,7 +58,9 @@ def root_locus(of: Assessment, gains: Gains) -> Figure:
 
 
 def _locus_panel(axes: Axes, dynamics: Dynamics, name: str) -> Any:
-    """The poles as one gain is scaled, slow ones enlarged; returns the dots for a colour bar."""
+    """Return the poles as one gain is scaled, slow ones enlarged; returns the dots for a colour
+    bar.
+    """
     Ts = dynamics.Ts
     poles = np.stack([_poles(dynamics, _scaled(dynamics, name, factor)) for factor in FACTORS])
     silent = np.linalg.eigvals(dynamics.A[0])
@@ -76,7 +78,9 @@ def _locus_panel(axes: Axes, dynamics: Dynamics, name: str) -> Any:
 
 
 def _locus(axes: Axes, poles: np.ndarray, silent: np.ndarray, name: str) -> Any:
-    """Poles (factors x poles) coloured by the factor of a gain, and those of a silent sensor."""
+    """Return poles (factors x poles) coloured by the factor of a gain, and those of a silent
+    sensor.
+    """
     factors = np.repeat(FACTORS, poles.shape[1])
     dots = axes.scatter(poles.real, poles.imag, c=factors, s=3, cmap="viridis", linewidths=0)
     dots.set_rasterized(True)  # thousands
@@ -109,12 +113,12 @@ def _enlarge_slow(
 
 
 def _scaled(dynamics: Dynamics, name: str, factor: float) -> Dynamics:
-    """The dynamics with one gain, gamma or L, scaled."""
+    """Return the dynamics with one gain, gamma or L, scaled."""
     return dynamics._replace(**{name: factor * getattr(dynamics, name)})
 
 
 def _poles(dynamics: Dynamics, scaled: Dynamics) -> np.ndarray:
-    """Poles of x~ and of the widths that `dynamics` adapts, under scaled gains.
+    """Return poles of x~ and of the widths that `dynamics` adapts, under scaled gains.
 
     Every output is read on its right side.
     """
@@ -157,20 +161,20 @@ def _rates(axes: Axes, of: Assessment, gains: Gains, scaled: list[str]) -> None:
 
 
 def _rate(of: Assessment, gains: Gains, name: str, factor: float) -> float:
-    """The rate [1/s] along the reference with one gain scaled."""
+    """Return the rate [1/s] along the reference with one gain scaled."""
     scaled, jump = gains._replace(**{name: factor * getattr(gains, name)}), of.problem.sensor.kind
     return rates(of.problem.model.linear, scaled.L, scaled.gamma, of.schedule, jump == "jump").rate
 
 
 def _proved(proof: Certificate, name: str, factor: float) -> bool:
-    """Whether the weights of a certificate prove it with one gain scaled, too."""
+    """Return whether the weights of a certificate prove it with one gain scaled, too."""
     if not proof.margin > -np.inf:
         return False
     return margin(_scaled(proof.dynamics, name, factor), proof.W)[0] > 0
 
 
 def front(design: Design) -> Figure:
-    """Rate against noise gain and against disturbance gain, each coloured by the other.
+    """Return rate against noise gain and against disturbance gain, each coloured by the other.
 
     The gains chosen, the fastest and the scenario's own are marked.
     """
@@ -222,7 +226,8 @@ def _mark(
 
 
 def ellipses(of: Assessment) -> Figure:
-    """The 95 % region of (d_r, d_l) of each output that an optimal estimator reaches in the end.
+    """Return the 95 % region of (d_r, d_l) of each output that an optimal estimator reaches in the
+    end.
 
     An ellipse about the truth, or an unbounded strip where only one direction can be known, with
     the reason in words.
@@ -286,7 +291,7 @@ def _ellipse(axes: Axes, known: Knowledge) -> None:
 
 
 def ellipse(std: dict[str, float]) -> Floats:
-    """The border (2 x points) of the 95 % ellipse of (d_r, d_l) about the truth.
+    """Return the border (2 x points) of the 95 % ellipse of (d_r, d_l) about the truth.
 
     The covariance follows from the deviations of both, of their sum and of their difference.
     """

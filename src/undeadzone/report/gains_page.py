@@ -51,7 +51,7 @@ SCORES: Final = {
 def figures(
     of: Assessment, tried: Attacks | None, design: Design | None = None
 ) -> dict[str, Figure]:
-    """The figures that apply, by name.
+    """Return the figures that apply, by name.
 
     Args:
         of: the assessment of the gains
@@ -102,7 +102,7 @@ def gains_page(
     design: Design | None = None,
     origin: html.Origin | None = None,
 ) -> str:
-    """The page of an assessment.
+    """Return the page of an assessment.
 
     Args:
         of, tried, design, origin: see `write_gains`
@@ -140,7 +140,7 @@ def _why_no_rate(of: Assessment) -> str:
 
 
 def _answer(of: Assessment) -> html.Html:
-    """Gains, how fast they are, what can be known, and how strongly readings are heard."""
+    """Return gains, how fast they are, what can be known, and how strongly readings are heard."""
     rows: list[tuple[str, Any]] = []
     if of.gains is not None:
         L, speed = listed(np.ravel(of.gains.L)), of.gains.rates
@@ -153,7 +153,7 @@ def _answer(of: Assessment) -> html.Html:
 
 
 def _asked(of: Assessment, design: Design | None) -> html.Html:
-    """The plant, the sensor, the reference and what was wanted."""
+    """Return the plant, the sensor, the reference and what was wanted."""
     scenario, model = of.problem.scenario, of.problem.model
     unit = scenario.units.output
     sizes = (
@@ -175,7 +175,7 @@ def _asked(of: Assessment, design: Design | None) -> html.Html:
 
 
 def _sensor_rows(of: Assessment, unit: str) -> list[tuple[str, str]]:
-    """The sensor and its noise."""
+    """Return the sensor and its noise."""
     sensor = of.problem.sensor
     widths = f"d_r = {listed(sensor.right)}, d_l = {listed(sensor.left)}"
     silent = f"silent below |y| = {listed(sensor.threshold)}"
@@ -187,7 +187,7 @@ def _sensor_rows(of: Assessment, unit: str) -> list[tuple[str, str]]:
 
 
 def _reference(of: Assessment) -> str:
-    """The kind of the reference, and over which ranges the outputs move."""
+    """Return the kind of the reference, and over which ranges the outputs move."""
     ends = zip(of.schedule.low, of.schedule.high, strict=True)
     reach = ", ".join(f"{low:.4g} to {high:.4g}" for low, high in ends)
     kind = type(of.problem.scenario.reference).__name__.lower()
@@ -202,7 +202,7 @@ def _schedule(of: Assessment) -> str:
 
 
 def verdict(of: Assessment) -> html.Html:
-    """One line: certified or not, and whether every width can be known."""
+    """Return one line: certified or not, and whether every width can be known."""
     parts = [html.widths_known(all(one.right and one.left for one in of.known))]
     if of.gains is not None:
         proof = of.gains.certificate
@@ -212,7 +212,7 @@ def verdict(of: Assessment) -> html.Html:
 
 
 def gains_section(gains: Gains, design: Design | None) -> list[html.Html]:
-    """The gains, the nearest certified ones if these are not, and how to use a design."""
+    """Return the gains, the nearest certified ones if these are not, and how to use a design."""
     parts = [_gain_table(gains)]
     near = gains.nearest
     if near is not None:
@@ -230,7 +230,7 @@ def gains_section(gains: Gains, design: Design | None) -> list[html.Html]:
 
 
 def _gain_table(gains: Gains) -> html.Html:
-    """L and gamma, a column for each output."""
+    """Return L and gamma, a column for each output."""
     head = ("[1/s]", *(f"output {j}" for j in range(gains.gamma.size)))
     rows = [(f"L, x[{i}]", *map(float, row)) for i, row in enumerate(gains.L)]
     return html.table(head, [*rows, ("γ", *map(float, gains.gamma))])
@@ -278,7 +278,7 @@ def _no_guarantee(proof: Certificate, tried: Attacks | None) -> list[html.Html]:
 
 
 def _checked(proof: Certificate) -> list[tuple[str, Any]]:
-    """The numbers by which a certificate was checked."""
+    """Return the numbers by which a certificate was checked."""
     inequality = proof.dynamics.inequality(proof.W)
     matrices = inequality.matrices(proof.P)
     values = np.concatenate([np.linalg.eigvalsh(M) for M in matrices])
@@ -339,13 +339,13 @@ def knowledge_section(of: Assessment) -> list[html.Html]:
 
 
 def _known(known: Knowledge, name: str) -> html.Html:
-    """Whether a direction can be known, with half of its interval if that is."""
+    """Return whether a direction can be known, with half of its interval if that is."""
     yes = f"± {HALF_95 * known.std[name]:.2g}" if name in known.std else "yes"
     return html.tag("span", *html.yes_no(getattr(known, name), yes))
 
 
 def trade_section(design: Design) -> list[html.Html]:
-    """The gains chosen beside the scenario's own and the fastest; all gains of the front."""
+    """Return the gains chosen beside the scenario's own and the fastest; all gains of the front."""
     points = {"chosen": design.best}
     if design.present is not None:
         points["yours"] = design.present
@@ -362,7 +362,7 @@ def trade_section(design: Design) -> list[html.Html]:
 
 
 def _front_table(design: Design) -> html.Html:
-    """Every gain of the front and what it is worth."""
+    """Return every gain of the front and what it is worth."""
     rows = []
     for point in design.front:
         scores = [getattr(point, name) for name in SCORES]

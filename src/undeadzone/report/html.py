@@ -39,7 +39,7 @@ class Html(NamedTuple):
 
 
 def html(value: Any) -> str:
-    """The HTML of a value.
+    """Return the HTML of a value.
 
     An `Html` stays as it is, numbers have four digits, None is a dash, the rest is escaped text
     with `symbols`.
@@ -56,41 +56,41 @@ def html(value: Any) -> str:
 
 
 def escaped(text: str) -> str:
-    """A text of several lines as HTML, nothing in it changed."""
+    """Return a text of several lines as HTML, nothing in it changed."""
     return escape("\n".join(map(printable, text.split("\n"))))
 
 
 def symbols(text: str) -> str:
-    """Letters as in the figures: z^, x~, d_r, c_l^ with hats, tildes and indices."""
+    """Return letters as in the figures: z^, x~, d_r, c_l^ with hats, tildes and indices."""
     text = _ESTIMATES.sub(rf"\1{_HAT}", text)
     text = _ERRORS.sub(rf"\1{_TILDE}", text)
     return _EDGES.sub(_edge, text)
 
 
 def _edge(found: re.Match[str]) -> str:
-    """The letter of an edge, or of its estimate."""
+    """Return the letter of an edge, or of its estimate."""
     hat = _HAT if found[3] else ""
     return f"{found[1]}{hat}<sub>{found[2]}</sub>"
 
 
 def join(parts: Iterable[Any]) -> Html:
-    """Pieces one after another."""
+    """Return pieces one after another."""
     return Html("\n".join(map(html, parts)))
 
 
 def tag(name: str, content: Any, style: str = "") -> Html:
-    """One element, with a class of the page's style sheet."""
+    """Return one element, with a class of the page's style sheet."""
     attribute = f' class="{escape(style)}"' if style else ""
     return Html(f"<{name}{attribute}>{html(content)}</{name}>")
 
 
 def paragraph(text: Any, style: str = "") -> Html:
-    """A paragraph."""
+    """Return a paragraph."""
     return tag("p", text, style)
 
 
 def section(title: str, *parts: Any) -> Html:
-    """A heading, to which the contents lead, and what stands under it.
+    """Return a heading, to which the contents lead, and what stands under it.
 
     Where the page is wide enough a picture stands beside a narrow table. Without contents there
     is no section.
@@ -102,17 +102,17 @@ def section(title: str, *parts: Any) -> Html:
 
 
 def _anchor(title: str) -> str:
-    """The address of a section within its page."""
+    """Return the address of a section within its page."""
     return re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")
 
 
 def folded(title: str, *parts: Any) -> Html:
-    """A part that opens on a click."""
+    """Return a part that opens on a click."""
     return tag("details", join([tag("summary", title), *parts]))
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> Html:
-    """A table; columns of numbers are set right, a single long line is set upright.
+    """Return a table; columns of numbers are set right, a single long line is set upright.
 
     Args:
         head: the columns' names
@@ -136,7 +136,7 @@ def estimates(
     heads: Sequence[str] = (),
     cells: Sequence[Sequence[Any]] = (),
 ) -> Html:
-    """A table of estimates, a sheet in each line, beside the truth where it is known.
+    """Return a table of estimates, a sheet in each line, beside the truth where it is known.
 
     Args:
         what: has these estimates, such as an output.
@@ -158,18 +158,18 @@ def estimates(
 
 
 def verdict_line(*parts: tuple[str, str]) -> Html:
-    """One line of words, each with a class of the page's style sheet."""
+    """Return one line of words, each with a class of the page's style sheet."""
     spans = [tag("span", words, style).text for words, style in parts]
     return Html("<p>" + "; ".join(spans) + ".</p>")
 
 
 def yes_no(good: bool, yes: str = "yes", no: str = "no") -> tuple[str, str]:
-    """Words and their class: what is said of something that is good, or is not."""
+    """Return words and their class: what is said of something that is good, or is not."""
     return (yes, "yes") if good else (no, "no")
 
 
 def widths_known(all_of_them: bool) -> tuple[str, str]:
-    """Whether every width can be known, for a verdict."""
+    """Return whether every width can be known, for a verdict."""
     return yes_no(all_of_them, "every width can be known", "not every width can be known")
 
 
@@ -181,14 +181,16 @@ def trust(listens: Sequence[float | None]) -> Html | None:
 
 
 def _row(cells: Sequence[Any], numeric: Sequence[bool]) -> Html:
-    """A row of a table; numeric: which columns hold numbers alone."""
+    """Return a row of a table; numeric: which columns hold numbers alone."""
     styles = [_cell_style(*each) for each in zip(cells, numeric, strict=True)]
     parts = [tag("td", cell, style) for cell, style in zip(cells, styles, strict=True)]
     return tag("tr", join(parts))
 
 
 def _cell_style(cell: Any, numeric: bool) -> str:
-    """The class of a cell: that of a column of numbers, of words that stay in one line, or none."""
+    """Return the class of a cell: that of a column of numbers, of words that stay in one line, or
+    none.
+    """
     if numeric:
         return "number"
     interval = isinstance(cell, str) and len(cell) < LONG and re.search(r"\]$| to \S+\)$", cell)
@@ -196,17 +198,17 @@ def _cell_style(cell: Any, numeric: bool) -> str:
 
 
 def _is_number(cell: Any) -> bool:
-    """Whether a cell may stand in a column of numbers."""
+    """Return whether a cell may stand in a column of numbers."""
     return cell is None or (isinstance(cell, int | float) and not isinstance(cell, bool))
 
 
 def source(text: str) -> Html:
-    """A text as it is, such as a scenario."""
+    """Return a text as it is, such as a scenario."""
     return Html(f"<pre>{escaped(text)}</pre>")
 
 
 def picture(image: bytes, caption: str) -> Html:
-    """An SVG image, embedded, with its caption.
+    """Return an SVG image, embedded, with its caption.
 
     Where the page is narrower than three quarters of it, it is scrolled: its words stay legible.
     """
@@ -237,7 +239,7 @@ class Origin(NamedTuple):
 
 
 def page(title: str, *parts: Any, origin: Origin | None = None) -> str:
-    """A whole document that needs nothing but itself.
+    """Return a whole document that needs nothing but itself.
 
     It begins with its contents, and ends with how to get the same again and with its symbols.
 
@@ -261,12 +263,12 @@ def page(title: str, *parts: Any, origin: Origin | None = None) -> str:
 
 
 def _style() -> str:
-    """The style sheet of a page."""
+    """Return the style sheet of a page."""
     return (Path(__file__).parent / "page.css").read_text(encoding="utf-8")
 
 
 def _contents(below: Html) -> Html:
-    """Links to the sections."""
+    """Return links to the sections."""
     found = re.findall(r'<h2 id="([^"]+)">(.*?)</h2>', below.text)
     links = [f'<a href="#{anchor}">{words}</a>' for anchor, words in found]
     return Html(f"<nav>{' '.join(links)}</nav>")
@@ -322,10 +324,10 @@ def write_page(
 
 
 def pictures(images: Mapping[str, bytes], captions: Mapping[str, str]) -> dict[str, Html]:
-    """Figures (SVG) by name, each with its caption."""
+    """Return figures (SVG) by name, each with its caption."""
     return {name: picture(image, captions[name]) for name, image in images.items()}
 
 
 def pick(shown: Mapping[str, Html], *names: str) -> list[Html]:
-    """The pictures of these names that there are."""
+    """Return the pictures of these names that there are."""
     return [shown[name] for name in names if name in shown]

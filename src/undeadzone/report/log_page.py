@@ -83,7 +83,7 @@ def write_estimation(
 def estimation_page(
     result: Estimation, images: Mapping[str, bytes], origin: html.Origin | None = None
 ) -> str:
-    """The page of a log that was followed: figure, numbers, verdict.
+    """Return the page of a log that was followed: figure, numbers, verdict.
 
     Args:
         result: what the observer makes of the log.
@@ -108,7 +108,7 @@ def estimation_page(
 
 
 def _widths(result: Estimation) -> html.Html:
-    """The final widths of each output, and how many readings lie on each side."""
+    """Return the final widths of each output, and how many readings lie on each side."""
     info = result.info
     counts = list(zip(info.right, info.left, info.silent, strict=True))
     heads = ("readings right", "left", "silent")
@@ -116,7 +116,7 @@ def _widths(result: Estimation) -> html.Html:
 
 
 def _numbers(result: Estimation) -> dict[str, Any]:
-    """The numbers of a log, in words."""
+    """Return the numbers of a log, in words."""
     info = result.info
     return {
         "log": info.source,
@@ -137,7 +137,7 @@ def _numbers(result: Estimation) -> dict[str, Any]:
 
 
 def log_overview(result: Estimation) -> Figure:
-    """Per output: reading and estimates over the estimated zone; widths; innovations."""
+    """Return per output: reading and estimates over the estimated zone; widths; innovations."""
     rows = []
     for i in range(result.y.shape[1]):
         rows.append([f"output {i}"] * 2)
@@ -152,7 +152,7 @@ def log_overview(result: Estimation) -> Figure:
 
 
 def _shown(result: Estimation) -> slice:
-    """The samples that are drawn."""
+    """Return the samples that are drawn."""
     return slice(None, None, max(1, result.t.size // POINTS))
 
 

@@ -64,7 +64,9 @@ class Drawn(Protocol):
 
     @property
     def drawn(self) -> tuple[str, str, str]:
-        """A module, its function that makes a figure of a result, and its `panel(axes, result)`."""
+        """Return a module, its function that makes a figure of a result, and its `panel(axes,
+        result)`.
+        """
 
 
 if TYPE_CHECKING:

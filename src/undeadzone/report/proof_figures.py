@@ -31,7 +31,7 @@ STYLES: Final[dict[str, dict[str, Any]]] = {
 
 
 def proof_of(design: Design) -> Certificate:
-    """The certificate that a design holds, checked again by eigenvalues alone."""
+    """Return the certificate that a design holds, checked again by eigenvalues alone."""
     errors = dynamics(design.model, design.L, design.gamma, design.Ts)
     V = Storage(np.array(design.P), np.array(design.W), errors.gamma)
     check = recheck(errors, V.P, V.W)
@@ -39,7 +39,7 @@ def proof_of(design: Design) -> Certificate:
 
 
 def of_design(design: Design) -> Figure:
-    """The proof of a design over frequency."""
+    """Return the proof of a design over frequency."""
     return positive_realness(proof_of(design))
 
 
@@ -49,7 +49,7 @@ def panel_of_design(axes: Axes, design: Design) -> None:
 
 
 def positive_realness(proof: Certificate) -> Figure:
-    """1 + G(jw) and its real part over frequency.
+    """Return 1 + G(jw) and its real part over frequency.
 
     For several outputs the eigenvalues of its Hermitian part under the weights W. Sampled,
     1 + G - Ts gamma / 2 on the unit circle. The model must be stable: the margin finite.
@@ -84,21 +84,23 @@ def least_real_part(axes: Axes, proof: Certificate) -> None:
 
 
 def _verdict(proof: Certificate, worst_at: float) -> str:
-    """The least real part, where it is attained [rad/s], and whether it certifies."""
+    """Return the least real part, where it is attained [rad/s], and whether it certifies."""
     at = "for ω → ∞" if np.isinf(worst_at) else f"at {worst_at:.4g} rad/s"
     verdict = "certified" if proof.certified else "not certified"
     return f"Positive realness: the least real part is {proof.margin:.4g} {at}; {verdict}"
 
 
 def _frequencies(errors: Dynamics) -> Floats:
-    """Frequencies [rad/s] about all poles; of a sampled model up to that of Nyquist."""
+    """Return frequencies [rad/s] about all poles; of a sampled model up to that of Nyquist."""
     poles = np.abs(np.linalg.eigvals(errors.A[0]))
     highest = np.inf if errors.Ts is None else np.pi / errors.Ts
     return np.geomspace(1e-2 * poles.min(), min(1e2 * poles.max(), highest), POINTS)
 
 
 def _response(errors: Dynamics, W: Floats, w: Floats) -> np.ndarray:
-    """W^(1/2) (1 + G - Ts S Gamma S'/2) W^(-1/2) at frequencies w [rad/s]; inf is allowed."""
+    """Return W^(1/2) (1 + G - Ts S Gamma S'/2) W^(-1/2) at frequencies w [rad/s]; inf is
+    allowed.
+    """
     Ts, root = errors.Ts, np.sqrt(W)
     at_infinity = np.eye(root.size) - errors.steps[0] / 2
     H = response(errors.A[0], errors.C * root[:, None], errors.L / root, at_infinity, Ts)
@@ -171,7 +173,7 @@ def _eigenvalues(axes: Axes, w: Floats, H: np.ndarray, least: float, worst_at: f
 
 
 def courses(gains: Gains, tried: Attacks) -> Figure:
-    """V along random, adversarial and planned switching.
+    """Return V along random, adversarial and planned switching.
 
     Where V can be made to rise, the attack, and a growing cycle if one was found.
     """
@@ -223,7 +225,7 @@ def _rise(axes: Axes, course: Trajectory, title: str) -> None:
 
 
 def _words(mode: Mode) -> str:
-    """The sides that a mode reads, in words, and for how long."""
+    """Return the sides that a mode reads, in words, and for how long."""
     names = {1: "right", 0: "silent", -1: "left"}
     sides = [names[int(row.sum())] for row in mode.S]
     outputs = sides[0]

@@ -37,7 +37,8 @@ PLANES = {"x-y": (0, 1), "x-z": (0, 2)}  # coordinates to the right and upwards
 
 
 def overview(run: Run) -> Figure:
-    """Per output: z, reading, reference and estimate over the dead zone; errors; widths; then V.
+    """Return per output: z, reading, reference and estimate over the dead zone; errors; widths;
+    then V.
 
     Below them stand the actuators whose widths are estimated, and the plays ahead of dead zones
     whose gaps are. Many outputs have a row each. A run
@@ -73,7 +74,8 @@ def overview(run: Run) -> Figure:
 
 
 def rows_below(outputs: int, with_V: bool) -> list[list[str]]:
-    """The panels of few outputs: each output as wide as the figure, what belongs to it below.
+    """Return the panels of few outputs: each output as wide as the figure, what belongs to it
+    below.
 
     V stands beside the errors of the first output.
     """
@@ -85,13 +87,15 @@ def rows_below(outputs: int, with_V: bool) -> list[list[str]]:
 
 
 def rows_beside(outputs: int, with_V: bool) -> list[list[str]]:
-    """The panels of many outputs: a row each, what belongs to it beside; V below all."""
+    """Return the panels of many outputs: a row each, what belongs to it beside; V below all."""
     rows = [[f"output {i}"] * 6 + [f"error {i}"] * 3 + [f"widths {i}"] * 3 for i in range(outputs)]
     return [*rows, ["V"] * 12] if with_V else rows
 
 
 def halves(left: str, right: str, count: int, columns: int) -> list[list[str]]:
-    """Rows of two panels, one for each actuator or play: what it does, and its widths or gaps."""
+    """Return rows of two panels, one for each actuator or play: what it does, and its widths or
+    gaps.
+    """
     half = columns // 2
     return [[f"{left} {i}"] * half + [f"{right} {i}"] * half for i in range(count)]
 
@@ -167,7 +171,9 @@ def _edges(axes: Axes, run: Run, i: int, letter: str, true: Sequence[float], wha
 
 
 def tip(run: Run, rival: Run | None = None) -> Figure:
-    """The tip on its path in each plane it moves in, its distance from the path, the torques."""
+    """Return the tip on its path in each plane it moves in, its distance from the path, the
+    torques.
+    """
     assert run.tip is not None
     spatial = run.tip.shape[1] == 3
     title = f"{run.info.title}: the tip"
@@ -204,7 +210,7 @@ def _torques(axes: Axes, run: Run) -> None:
 
 
 def phase(run: Run) -> Figure:
-    """Position and velocity of each joint, truth and estimate.
+    """Return position and velocity of each joint, truth and estimate.
 
     The dead zone is shown where it lies in the position.
     """
@@ -217,7 +223,7 @@ def phase(run: Run) -> Figure:
 
 
 def joint_rows(joints: int) -> list[list[str]]:
-    """The panels of joints, some in a row; a dot is an empty place after the last one."""
+    """Return the panels of joints, some in a row; a dot is an empty place after the last one."""
     columns = min(COLUMNS, joints)
     names = [*map(str, range(joints)), *["."] * (-joints % columns)]
     return [names[first : first + columns] for first in range(0, len(names), columns)]
@@ -239,7 +245,7 @@ def _phase_plane(axes: Axes, run: Run, i: int, name: str) -> None:
 
 
 def _both(run: Run, rival: Run | None) -> list[tuple[Run, str]]:
-    """Each run with its colour."""
+    """Return each run with its colour."""
     runs = [run] if rival is None else [run, rival]
     return list(zip(runs, (ink.ESTIMATE, ink.PRINTED), strict=False))
 
@@ -281,7 +287,7 @@ def _zone(axes: Axes, run: Run, i: int) -> None:
 
 
 def offset(q: Floats, z: Floats) -> float | None:
-    """q - z where that is a constant: the position at which the sensor reads 0."""
+    """Return q - z where that is a constant: the position at which the sensor reads 0."""
     gap = q - z
     constant = np.ptp(gap) <= 1e-9 * (1 + np.abs(gap).max())
     return float(gap[0]) if constant else None

@@ -37,7 +37,7 @@ def run_page(
     rival: Run | None = None,
     origin: html.Origin | None = None,
 ) -> str:
-    """The page of one run.
+    """Return the page of one run.
 
     Args:
         run: what is shown.
@@ -70,7 +70,7 @@ def run_page(
 
 
 def _animation(run: Run, rival: Run | None, images: Mapping[str, bytes]) -> list[html.Html]:
-    """An arm in motion, above its own figures."""
+    """Return an arm in motion, above its own figures."""
     if "tip" not in images:
         return []
     from undeadzone.report.animation import animated
@@ -79,7 +79,7 @@ def _animation(run: Run, rival: Run | None, images: Mapping[str, bytes]) -> list
 
 
 def _verdict(run: Run) -> html.Html:
-    """One line: diverged or not, the error, whether every width can be known."""
+    """Return one line: diverged or not, the error, whether every width can be known."""
     if run.diverged_at is not None:
         return html.tag("p", html.tag("span", f"Diverged at {run.diverged_at:.4g} s.", "no"))
     rms = with_unit(f"rms of z − r {run.rms_tracking:.4g}", run.info.units.output)
@@ -93,7 +93,7 @@ def _verdict(run: Run) -> html.Html:
 
 
 def _numbers_tables(run: Run, rival: Run | None) -> tuple[html.Html, html.Html]:
-    """The first numbers of a run and the rest, beside those of a rival if there is one."""
+    """Return the first numbers of a run and the rest, beside those of a rival if there is one."""
     columns = [_numbers(each) for each in (run, rival) if each is not None]
     head = ("what", "value", "compared with")[: 1 + len(columns)]
     rows = [(name, *(column.get(name) for column in columns)) for name in columns[0]]
@@ -101,7 +101,7 @@ def _numbers_tables(run: Run, rival: Run | None) -> tuple[html.Html, html.Html]:
 
 
 def _numbers(run: Run) -> dict[str, Any]:
-    """The numbers of a run, in words, those that a user asks for first."""
+    """Return the numbers of a run, in words, those that a user asks for first."""
     numbers: dict[str, Any] = on_page(errors(run))
     for name, rows in zip(run.outputs, widths(run), strict=True):
         of = f", {_output(name)}" if len(run.outputs) > 1 else ""
@@ -124,12 +124,14 @@ def _numbers(run: Run) -> dict[str, Any]:
 
 
 def _magnitude(error: float | None) -> str | None:
-    """An error that is known to its order of magnitude."""
+    """Return an error that is known to its order of magnitude."""
     return None if error is None else f"{error:.1g}"
 
 
 def _widths_table(run: Run) -> html.Html:
-    """The estimated and the true widths of each output, and which of them readings can tell."""
+    """Return the estimated and the true widths of each output, and which of them readings can
+    tell.
+    """
     said = ([verdict[each] for each in DIRECTIONS] for verdict in run.info.identifiable)
     known = [[html.tag("span", *html.yes_no(each)) for each in verdict] for verdict in said]
     heads = ("d_r can be known", "d_l", "d_r + d_l", "d_r − d_l")
@@ -139,14 +141,14 @@ def _widths_table(run: Run) -> html.Html:
 def further_tables(
     outputs: Sequence[str], driven: Sequence[Sequence[Row]], ahead: Sequence[Sequence[Row]]
 ) -> list[html.Html]:
-    """The widths of each actuator and the gaps ahead of dead zones; nothing of none."""
+    """Return the widths of each actuator and the gaps ahead of dead zones; nothing of none."""
     inputs = [f"u[{j}]" for j in range(len(driven))]
     said = ("actuator", inputs, driven), ("play ahead of the zone", outputs, ahead)
     return [html.estimates(*each) for each in said if each[2]]
 
 
 def _gains(run: Run) -> list[html.Html]:
-    """The constant gains of observer and controller."""
+    """Return the constant gains of observer and controller."""
     gains = run.info.gains
     sampled = run.info.time == "sampled"
     parts = [] if "L" in gains else [html.paragraph(_VARIABLE)]
@@ -163,12 +165,12 @@ def _gains(run: Run) -> list[html.Html]:
 
 
 def _output(name: str) -> str:
-    """The head of an output's column."""
+    """Return the head of an output's column."""
     return f"output {name}" if name.isdigit() else name
 
 
 def _rows(letter: str, matrix: list[list[float]]) -> list[tuple[Any, ...]]:
-    """The rows of a matrix, each named by a letter and its number."""
+    """Return the rows of a matrix, each named by a letter and its number."""
     return [(f"{letter}[{i}]", *row) for i, row in enumerate(matrix)]
 
 

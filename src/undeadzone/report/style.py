@@ -37,7 +37,7 @@ EDGE: Final = 0.1  # between the top of a figure and its title [inch]
 
 @functools.cache
 def _look() -> Any:
-    """Matplotlib's settings that make the look."""
+    """Return Matplotlib's settings that make the look."""
     import matplotlib
 
     path = Path(__file__).parent / "figures.mplstyle"
@@ -68,7 +68,7 @@ def own_settings() -> None:
 def sheet(
     rows: list[list[str]], title: str, width: float = 10.0, height: float = 2.5, even: bool = False
 ) -> tuple[Figure, dict[str, Axes]]:
-    """A figure of named panels and these panels by name.
+    """Return a figure of named panels and these panels by name.
 
     Args:
         rows: names of panels as they lie; a panel spans all cells that hold its name
@@ -133,12 +133,14 @@ def _make_room(axes: Axes) -> None:
 
 
 def axis_label(words: str, unit: str) -> str:
-    """A `label` on a figure: the words may hold formulas, the unit is shown as it is."""
+    """Return a `label` on a figure: the words may hold formulas, the unit is shown as it is."""
     return label(words, plain(unit))
 
 
 def plain(text: str) -> str:
-    """A text of others as Matplotlib shows it as it is: no formula, no control characters."""
+    """Return a text of others as Matplotlib shows it as it is: no formula, no control
+    characters.
+    """
     return printable(text).replace("$", r"\$")
 
 
@@ -188,7 +190,9 @@ def plot_magnitude(axes: Axes, t: Floats, values: Floats, colour: str, name: str
 
 
 def floor_of(sizes: Floats) -> float:
-    """The least value of these sizes that a logarithmic axis shows: a tenth of nearly all."""
+    """Return the least value of these sizes that a logarithmic axis shows: a tenth of nearly
+    all.
+    """
     return max(FLOOR, float(np.quantile(sizes, 0.03)) / 10)
 
 
@@ -207,12 +211,14 @@ def write(figure: Figure, path: Path) -> Path:
 
 
 def png(figure: Figure) -> bytes:
-    """The figure as PNG bytes."""
+    """Return the figure as PNG bytes."""
     return image(figure, "png")
 
 
 def image(figure: Figure, kind: str) -> bytes:
-    """The figure as bytes of a PNG, PDF or SVG, with its title; the same gives the same SVG."""
+    """Return the figure as bytes of a PNG, PDF or SVG, with its title; the same gives the same
+    SVG.
+    """
     import matplotlib
 
     buffer, dpi = io.BytesIO(), FINE if kind == "svg" else DPI

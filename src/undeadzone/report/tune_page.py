@@ -56,7 +56,7 @@ def write_tuned(result: Tuned, folder: Path, origin: html.Origin | None = None) 
 
 
 def tuned_page(result: Tuned, images: dict[str, bytes], origin: html.Origin | None = None) -> str:
-    """The page; images: SVGs by name; else see `write_tuned`."""
+    """Return the page; images: SVGs by name; else see `write_tuned`."""
     shown = html.pictures(images, CAPTIONS)
     what = result.what
     asked = (
@@ -79,7 +79,7 @@ def tuned_page(result: Tuned, images: dict[str, bytes], origin: html.Origin | No
 
 
 def _verdict(result: Tuned) -> html.Html:
-    """One line: better or not, certified or not."""
+    """Return one line: better or not, certified or not."""
     no_better = "no improvement that chance could not explain"
     parts = [html.yes_no(result.improved, "better on held-out runs", no_better)]
     if result.margin is not None:
@@ -89,7 +89,7 @@ def _verdict(result: Tuned) -> html.Html:
 
 
 def _numbers(result: Tuned) -> list[html.Html]:
-    """The numbers, from where they started and their ranges; what lies at the end of one."""
+    """Return the numbers, from where they started and their ranges; what lies at the end of one."""
     rows = []
     for parameter, value in zip(result.parameters, result.values, strict=True):
         bounds = f"{parameter.low:g} to {parameter.high:g}{', log' if parameter.log else ''}"
@@ -100,7 +100,7 @@ def _numbers(result: Tuned) -> list[html.Html]:
 
 
 def _worth(result: Tuned) -> html.Html:
-    """Before and after, on the runs tuned on and on held-out ones of each scenario."""
+    """Return before and after, on the runs tuned on and on held-out ones of each scenario."""
     rows: list[tuple[Any, ...]] = [("runs tuned on", *map(float, result.cost), None, None)]
     for scenario, held_out in zip(result.scenarios, result.held_out, strict=True):
         rows.append(_held_out(scenario.title, held_out))
@@ -109,7 +109,7 @@ def _worth(result: Tuned) -> html.Html:
 
 
 def _held_out(title: str, held_out: HeldOut) -> tuple[Any, ...]:
-    """The row of a scenario's held-out runs."""
+    """Return the row of a scenario's held-out runs."""
     before, after = held_out.before, held_out.after
     lost = [f"{100 * worth.diverged.value:.3g} %" for worth in (before, after)]
     name = f"{title}: {counted(held_out.runs, 'held-out run')}"
@@ -117,13 +117,13 @@ def _held_out(title: str, held_out: HeldOut) -> tuple[Any, ...]:
 
 
 def _interval(interval: Interval) -> str:
-    """A value with its interval."""
+    """Return a value with its interval."""
     alone = interval.low == interval.high
     return f"{interval.value:.4g}" if alone else bracketed(*interval, ".4g")
 
 
 def slices(result: Tuned) -> dict[str, Sweep]:
-    """The metric of the first scenario on held-out runs, over each tuned number alone."""
+    """Return the metric of the first scenario on held-out runs, over each tuned number alone."""
     what = msgspec.structs.replace(result.what, runs=result.what.held_out, seed=result.seed + 1)
     sweeps = {}
     for parameter, value in zip(result.parameters, result.values, strict=True):
@@ -133,7 +133,7 @@ def slices(result: Tuned) -> dict[str, Sweep]:
 
 
 def history(result: Tuned) -> Figure:
-    """Every candidate in order, and the scenario before and after on held-out runs."""
+    """Return every candidate in order, and the scenario before and after on held-out runs."""
     rows = [["trials", "trials", "trials", "held_out"]]
     figure, panels = sheet(rows, f"{result.scenario.title}: tuned", height=3.6)
     candidates(panels["trials"], result)
@@ -167,7 +167,9 @@ def candidates(axes: Axes, result: Tuned) -> None:
 
 
 def around(result: Tuned, sweeps: dict[str, Sweep]) -> Figure:
-    """The metric over each tuned number, on held-out runs; sweeps: as `slices` gives them."""
+    """Return the metric over each tuned number, on held-out runs; sweeps: as `slices` gives
+    them.
+    """
     names = list(sweeps)
     rows = [names[i : i + COLUMNS] for i in range(0, len(names), COLUMNS)]
     rows[-1] += [rows[-1][-1]] * (len(rows[0]) - len(rows[-1]))
@@ -198,12 +200,12 @@ def _curve(axes: Axes, parameter: Parameter, value: float, curve: Sweep, margin:
 
 
 def _words(result: Tuned) -> str:
-    """The statistic and the metric that were tuned for."""
+    """Return the statistic and the metric that were tuned for."""
     return f"{result.what.statistic} {words(result.what.metric)}"
 
 
 def _places(parameter: Parameter, value: float) -> Floats:
-    """The tuned number, and a grid over its range."""
+    """Return the tuned number, and a grid over its range."""
     return np.unique(np.append(parameter.value(np.linspace(0.0, 1.0, POINTS)), value))
 
 

@@ -77,21 +77,25 @@ class Estimation:
     __dir__ = attributes
 
     def __getattr__(self, name: str) -> Any:
-        """A signal by name, None where there is none. Raises AttributeError."""
+        """Return a signal by name, None where there is none. Raises AttributeError."""
         return attribute(self, name)
 
     @property
     def consistent(self) -> bool | None:
-        """Whether the innovations are what the observer claims; None: it cannot be tested."""
+        """Return whether the innovations are what the observer claims; None: it cannot be
+        tested.
+        """
         return self.info.consistent
 
     @property
     def outputs(self) -> list[str]:
-        """The names of the outputs: an arm's joints where it has one for each, else numbers."""
+        """Return the names of the outputs: an arm's joints where it has one for each, else
+        numbers.
+        """
         return output_names(self.info.joints, self.y.shape[1])
 
     def summary(self) -> dict[str, Any]:
-        """The numbers of the log, ready for JSON; lists where there are several outputs."""
+        """Return the numbers of the log, ready for JSON; lists where there are several outputs."""
         numbers = self.info.summary()
         numbers |= final(self.signals.arrays, "width_std")
         if found := self.signals.parameters(self.info.uncertain):
@@ -100,7 +104,7 @@ class Estimation:
         return finite(numbers)
 
     def blocks(self) -> list[Block]:
-        """The tables that `undeadzone estimate` prints."""
+        """Return the tables that `undeadzone estimate` prints."""
         return in_words(self.info)
 
     __repr__ = shown.in_text
@@ -169,7 +173,7 @@ def in_words(info: LogInfo) -> list[Block]:
 
 
 def _rows(info: LogInfo) -> Rows:
-    """A row for each output: its widths and on which sides its readings are."""
+    """Return a row for each output: its widths and on which sides its readings are."""
     count, unit = len(info.d_right), info.units.output
     names = output_names(info.joints, count)
     what = "output" if names[0] == "0" else "joint"
@@ -192,17 +196,19 @@ def _samples(info: LogInfo) -> str:
 
 
 def widths(info: LogInfo) -> list[list[Row]]:
-    """The final widths of each output."""
+    """Return the final widths of each output."""
     return sheet.of_each(msgspec.structs.asdict(info), "d", info.units.output)
 
 
 def gaps(info: LogInfo) -> list[list[Row]]:
-    """The final gaps of the play ahead of each dead zone; nothing where none are estimated."""
+    """Return the final gaps of the play ahead of each dead zone; nothing where none are
+    estimated.
+    """
     return sheet.of_each(info.further, "gap", info.units.output)
 
 
 def actuators(info: LogInfo) -> list[list[Row]]:
-    """The final widths of each actuator; nothing where none are estimated."""
+    """Return the final widths of each actuator; nothing where none are estimated."""
     return sheet.of_each(info.further, "b", info.units.input)
 
 
@@ -218,7 +224,7 @@ def _sides(info: LogInfo, i: int) -> str:
 
 
 def _verdict(info: LogInfo) -> str:
-    """Whether the record is consistent with what the observer claims, and why not."""
+    """Return whether the record is consistent with what the observer claims, and why not."""
     if info.consistent is None:
         return f"cannot be tested: {'; '.join(info.reasons)}"
     if not info.consistent:

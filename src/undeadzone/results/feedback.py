@@ -12,12 +12,12 @@ LOUD: Final = 0.5  # share of it that z^ must follow, not to be taken on trust
 
 
 def is_open_loop(shares: Sequence[float | None]) -> bool:
-    """Whether some z^ hardly follows its readings, so that the model is taken on trust."""
+    """Return whether some z^ hardly follows its readings, so that the model is taken on trust."""
     return any(share is not None and share < LOUD for share in shares)
 
 
 def describe_feedback(shares: Sequence[float | None]) -> str:
-    """Shares, in words.
+    """Return shares, in words.
 
     Args:
         shares: of each output; None where it cannot be told.
@@ -30,7 +30,7 @@ def describe_feedback(shares: Sequence[float | None]) -> str:
 
 
 def _percent(share: float | None) -> str:
-    """A share in words."""
+    """Return a share in words."""
     if share is None or math.isnan(share):
         return "unknown"
     return f"{100 * share:.0f} %" if share > -NOTHING else "0 % or less"

@@ -30,13 +30,13 @@ NOT_A_RUN: Final = (*files.NO_ARRAYS, StopIteration, msgspec.DecodeError)
 
 
 def columns(result: Any) -> dict[str, Floats]:
-    """Every scalar signal by column name: t, y[0], ..., d_right[0], d_left[0], ..., V."""
+    """Return every scalar signal by column name: t, y[0], ..., d_right[0], d_left[0], ..., V."""
     found: dict[str, Floats] = result.signals.columns()
     return found
 
 
 def unit(result: Any, name: str) -> str:
-    """The unit of a signal or of one of its columns.
+    """Return the unit of a signal or of one of its columns.
 
     Args:
         result: whose signal it is.
@@ -46,7 +46,7 @@ def unit(result: Any, name: str) -> str:
 
 
 def to_pandas(result: Any) -> Any:
-    """A pandas DataFrame indexed by t, one column per scalar signal; needs pandas."""
+    """Return a pandas DataFrame indexed by t, one column per scalar signal; needs pandas."""
     import pandas as pd
 
     table = columns(result)
@@ -55,7 +55,7 @@ def to_pandas(result: Any) -> Any:
 
 
 def table_size(result: Any) -> float:
-    """About how many bytes its `.csv` has."""
+    """Return about how many bytes its `.csv` has."""
     return DIGITS * sum(float(column.size) for column in columns(result).values())
 
 
@@ -85,12 +85,12 @@ def save(result: Any, path: Name) -> Path:
 
 
 def untimed(info: Any) -> Any:
-    """An info without the time that it took, so that equal runs have equal files."""
+    """Return an info without the time that it took, so that equal runs have equal files."""
     return msgspec.structs.replace(info, seconds=0.0) if hasattr(info, "seconds") else info
 
 
 def read(path: Name, layout: Layout, kind: type[msgspec.Struct]) -> tuple[Any, Signals]:
-    """The info and the signals of a result. Raises FileError.
+    """Return the info and the signals of a result. Raises FileError.
 
     Args:
         path: of a file that `save` wrote.
@@ -143,7 +143,7 @@ def _write_csv(path: Path, info: Any, table: Mapping[str, Floats]) -> None:
 
 
 def _read_csv(path: Path, kind: type[msgspec.Struct]) -> tuple[Any, dict[str, Floats]]:
-    """The info and the columns of a table."""
+    """Return the info and the columns of a table."""
     _require_whole(path)
     with open(path, encoding="utf-8", newline="") as file:
         info = msgspec.json.decode(file.readline().removeprefix("# "), type=kind)

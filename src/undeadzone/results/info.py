@@ -165,7 +165,7 @@ class LogInfo(msgspec.Struct, frozen=True, kw_only=True):
     faults: dict[str, int] = {}
 
     def summary(self) -> dict[str, Any]:
-        """The numbers, ready for JSON; lists where there are several outputs."""
+        """Return the numbers, ready for JSON; lists where there are several outputs."""
         numbers = msgspec.to_builtins(self)
         numbers |= numbers.pop("further")
         for name in ("right", "left", "silent", "limited"):

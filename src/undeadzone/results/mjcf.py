@@ -48,7 +48,8 @@ class Joint(NamedTuple):
 
 
 def of_run(run: Run) -> list[Joint]:
-    """The gears as a run found them, and as its model has the rest; none where it found none.
+    """Return the gears as a run found them, and as its model has the rest; none where it found
+    none.
 
     Args:
         run: with its scenario.
@@ -112,7 +113,7 @@ def write(joints: list[Joint], folder: Path) -> list[Path]:
 
 
 def _numbers(**values: float | tuple[float, ...]) -> dict[str, str]:
-    """Attributes of an element."""
+    """Return attributes of an element."""
     found = {}
     for name, value in values.items():
         entries = value if isinstance(value, tuple) else (value,)

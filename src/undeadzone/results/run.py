@@ -105,22 +105,25 @@ class Run:
     __dir__ = attributes
 
     def __getattr__(self, name: str) -> Any:
-        """A signal by name, None where there is none. Raises AttributeError."""
+        """Return a signal by name, None where there is none. Raises AttributeError."""
         return attribute(self, name)
 
     @property
     def last(self) -> slice:
-        """The samples of the last 2 s (all of a shorter run)."""
+        """Return the samples of the last 2 s (all of a shorter run)."""
         return last_samples(self.t)
 
     @property
     def lasting(self) -> float:
-        """The time over which errors are measured, at the end: 2 s, or all of a shorter run [s]."""
+        """Return the time over which errors are measured, at the end: 2 s, or all of a shorter run
+        [s].
+        """
         return min(LAST, float(self.t[-1] - self.t[0]))
 
     @property
     def diverged_at(self) -> float | None:
-        """The time [s] at which a signal left 1e12 times its scale or was no number, or None.
+        """Return the time [s] at which a signal left 1e12 times its scale or was no number, or
+        None.
 
         The scales are the plant's own, so that no choice of units makes a run diverge.
         """
@@ -133,7 +136,7 @@ class Run:
 
     @property
     def inexact(self) -> bool:
-        """Whether half the step makes so much of a difference that the run is no result.
+        """Return whether half the step makes so much of a difference that the run is no result.
 
         That is more than 1 % of the largest |z|, in z, z^ or d^.
         """
@@ -142,7 +145,9 @@ class Run:
 
     @property
     def plot_window(self) -> slice:
-        """The samples that a figure shows: those up to where the run diverged, two at least."""
+        """Return the samples that a figure shows: those up to where the run diverged, two at
+        least.
+        """
         diverged = self.diverged_at
         if diverged is None:
             return slice(0, self.t.size)
@@ -158,24 +163,27 @@ class Run:
 
     @property
     def rms_tracking(self) -> float:
-        """Root mean square of z - r over the last 2 s and the tracked outputs."""
+        """Return root mean square of z - r over the last 2 s and the tracked outputs."""
         return _rms((self.z[:, self.info.tracked] - self.r)[self.last])
 
     @property
     def rms_estimation(self) -> float:
-        """Root mean square of z - z_hat over the last 2 s and all outputs."""
+        """Return root mean square of z - z_hat over the last 2 s and all outputs."""
         return _rms((self.z - self.z_hat)[self.last])
 
     @property
     def rms_behind_play(self) -> float | None:
-        """Root mean square of y / m - r over the last 2 s, y without noise; None without a play."""
+        """Return root mean square of y / m - r over the last 2 s, y without noise; None without a
+        play.
+        """
         if self.level is None:
             return None
         return _rms((self.level[:, self.info.tracked] - self.r)[self.last])
 
     @property
     def rms_tip(self) -> float | None:
-        """Root mean square distance of an arm's tip from where it should be over the last 2 s [m].
+        """Return root mean square distance of an arm's tip from where it should be over the last 2
+        s [m].
 
         None without an arm.
         """
@@ -185,29 +193,33 @@ class Run:
 
     @property
     def widths(self) -> Floats:
-        """The final width estimates (p x 2): [d_r^, d_l^] of each output."""
+        """Return the final width estimates (p x 2): [d_r^, d_l^] of each output."""
         return self.d_hat[-1].reshape(-1, 2)
 
     @property
     def parameters(self) -> dict[str, dict[str, float]]:
-        """The final estimates of uncertain parameters, their standard deviations, and the truth."""
+        """Return the final estimates of uncertain parameters, their standard deviations, and the
+        truth.
+        """
         true = self.info.uncertain
         found = self.signals.parameters(true)
         return {name: each | {"true": true[name]} for name, each in found.items()}
 
     @property
     def outputs(self) -> list[str]:
-        """The names of the outputs: an arm's joints where it has one for each, else numbers."""
+        """Return the names of the outputs: an arm's joints where it has one for each, else
+        numbers.
+        """
         return output_names(self.info.joints, self.z.shape[1])
 
     @property
     def silent_fraction(self) -> float:
-        """The share of samples at which an output is silent."""
+        """Return the share of samples at which an output is silent."""
         return float((self.side == 0).mean())
 
     @property
     def largest_rise_of_V(self) -> float | None:
-        """The largest increase of V above any earlier value, relative to the largest V.
+        """Return the largest increase of V above any earlier value, relative to the largest V.
 
         None without a certificate.
         """
@@ -219,19 +231,19 @@ class Run:
 
     @property
     def fully_identifiable(self) -> bool:
-        """Whether every width of every output could be told from this run's readings."""
+        """Return whether every width of every output could be told from this run's readings."""
         return all(verdict["right"] and verdict["left"] for verdict in self.info.identifiable)
 
     @property
     def adapts(self) -> bool:
-        """Whether the observer estimates the widths.
+        """Return whether the observer estimates the widths.
 
         `luenberger` and `oracle` do not, nor does a blind filter.
         """
         return self.info.adapts
 
     def summary(self) -> dict[str, Any]:
-        """The numbers of the run, ready for JSON; lists where there are several outputs."""
+        """Return the numbers of the run, ready for JSON; lists where there are several outputs."""
         verdicts, listens, ends = self.info.identifiable, self.info.listens, self.signals.arrays
         numbers: dict[str, Any] = {
             "title": self.info.title,
@@ -259,7 +271,7 @@ class Run:
         return finite(numbers)
 
     def blocks(self) -> list[Block]:
-        """The tables that `undeadzone run` prints."""
+        """Return the tables that `undeadzone run` prints."""
         return in_words(self)
 
     __repr__ = in_text
@@ -288,18 +300,18 @@ class Run:
 
 
 def last_samples(t: Floats) -> slice:
-    """The samples at times t [s] over which errors are measured: of the last 2 s, or all."""
+    """Return the samples at times t [s] over which errors are measured: of the last 2 s, or all."""
     return slice(int(np.searchsorted(t, t[-1] - LAST - 1e-12)), None)
 
 
 def _rms(values: Floats) -> float:
-    """Root mean square of all entries."""
+    """Return root mean square of all entries."""
     with np.errstate(over="ignore", invalid="ignore"):
         return float(np.sqrt(np.mean(values**2)))
 
 
 def errors(run: Run) -> list[Row]:
-    """The errors of a run over its end."""
+    """Return the errors of a run over its end."""
     last, unit = f"last {run.lasting:g} s", run.info.units.output
     rows = []
     for key, (name, title) in ERRORS.items():
@@ -312,7 +324,7 @@ def errors(run: Run) -> list[Row]:
 
 
 def parameters(run: Run) -> list[Row]:
-    """The parameters that the observer estimates."""
+    """Return the parameters that the observer estimates."""
     rows = []
     for name, found in run.parameters.items():
         note = f" (true {found['true']:g})"
@@ -322,22 +334,22 @@ def parameters(run: Run) -> list[Row]:
 
 
 def widths(run: Run) -> list[list[Row]]:
-    """The widths of each output."""
+    """Return the widths of each output."""
     return sheet.of_each(_found(run), "d", run.info.units.output, run.info.widths)
 
 
 def actuators(run: Run) -> list[list[Row]]:
-    """The widths of each actuator; nothing where none are estimated."""
+    """Return the widths of each actuator; nothing where none are estimated."""
     return sheet.of_each(_found(run), "b", run.info.units.input, run.info.actuator)
 
 
 def gaps(run: Run) -> list[list[Row]]:
-    """The gaps of the play ahead of each dead zone; nothing where none are estimated."""
+    """Return the gaps of the play ahead of each dead zone; nothing where none are estimated."""
     return sheet.of_each(_found(run), "gap", run.info.units.output, run.info.gaps)
 
 
 def _found(run: Run) -> dict[str, Any]:
-    """The last widths and gaps, and their deviations where known, by name."""
+    """Return the last widths and gaps, and their deviations where known, by name."""
     names = "d_hat", "d_std", "b_hat", "b_std", "c_hat", "c_std", "gap_std"
     return final(run.signals.arrays, *names)
 
@@ -381,7 +393,7 @@ def in_words(run: Run) -> list[Block]:
 
 
 def _rows(run: Run) -> Rows:
-    """A row for each output: its errors, widths, and what its readings tell."""
+    """Return a row for each output: its errors, widths, and what its readings tell."""
     info, unit = run.info, run.info.units.output
     heads = [label(name, unit) for name in ("rms z - r", "rms z - z^", "d_right", "d_left")]
     what = "joint" if info.joints == run.outputs else "output"

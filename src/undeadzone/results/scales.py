@@ -30,7 +30,7 @@ class Scales(NamedTuple):
 
 
 def plant_scales(problem: Problem) -> Scales:
-    """The scales of a problem; those of states and inputs are 1 if the plant is nonlinear.
+    """Return the scales of a problem; those of states and inputs are 1 if the plant is nonlinear.
 
     That of the outputs is the largest of widths, reference and start; of a state that with which
     the outputs show about theirs, of the inputs that which makes such states.
@@ -50,7 +50,8 @@ def plant_scales(problem: Problem) -> Scales:
 
 
 def shares(scales: Scales, states: list[Floats], outputs: list[Floats], u: Floats) -> Floats:
-    """The largest signal of each sample in its scale (N); not below `LIMIT`: it has diverged.
+    """Return the largest signal of each sample in its scale (N); not below `LIMIT`: it has
+    diverged.
 
     Args:
         scales: of the plant.

@@ -42,30 +42,30 @@ class Row(NamedTuple):
 
     @property
     def found(self) -> str:
-        """The value, with its 95 % interval where that is known; nan where there is none."""
+        """Return the value, with its 95 % interval where that is known; nan where there is none."""
         if self.std is None:
             return number(finite(self.value), self.form)
         return with_interval(finite(self.value), finite(self.std))
 
     @property
     def words(self) -> str:
-        """The value with all that is known of it."""
+        """Return the value with all that is known of it."""
         truth = "" if self.true is None else f" (true {self.true:.6g})"
         return f"{with_unit(self.found, self.unit)}{truth}{self.note}"
 
     @property
     def cell(self) -> Any:
-        """The value as a page has it: a number, or words where its interval is known."""
+        """Return the value as a page has it: a number, or words where its interval is known."""
         return self.value if self.std is None else with_interval(self.value, self.std)
 
     @property
     def head(self) -> str:
-        """The title with the unit."""
+        """Return the title with the unit."""
         return label(self.title, self.unit)
 
 
 def number(value: float | None, form: str = ".4g", none: str = "nan") -> str:
-    """A number as text.
+    """Return a number as text.
 
     Args:
         value: the number.
@@ -76,7 +76,7 @@ def number(value: float | None, form: str = ".4g", none: str = "nan") -> str:
 
 
 def within(value: str, low: str, high: str) -> str:
-    """A value and its interval as text; an end that is not known is empty."""
+    """Return a value and its interval as text; an end that is not known is empty."""
     if not low and not high:
         return value
     if not high:
@@ -87,17 +87,17 @@ def within(value: str, low: str, high: str) -> str:
 
 
 def in_text(rows: Iterable[Row]) -> dict[str, str]:
-    """Rows as a terminal and a notebook show them."""
+    """Return rows as a terminal and a notebook show them."""
     return {row.label: row.words for row in rows}
 
 
 def in_json(rows: Iterable[Row]) -> dict[str, float | None]:
-    """Rows as a summary has them."""
+    """Return rows as a summary has them."""
     return {row.key: row.value for row in rows}
 
 
 def on_page(rows: Iterable[Row]) -> dict[str, Any]:
-    """Rows as a page shows them one below the other."""
+    """Return rows as a page shows them one below the other."""
     return {row.head: row.cell for row in rows}
 
 

@@ -30,7 +30,7 @@ class Signal(NamedTuple):
 
 
 def _estimated() -> dict[str, Signal]:
-    """The signals that observers give; a run calls b what an estimate calls actuator."""
+    """Return the signals that observers give; a run calls b what an estimate calls actuator."""
     found: dict[str, Signal] = {}
     for field, quantity in QUANTITIES.items():
         if not quantity.signal:
@@ -82,7 +82,9 @@ class Layout(NamedTuple):
 
 
 def _layout(measured: tuple[str, ...], driven: tuple[str, ...], further: tuple[str, ...]) -> Layout:
-    """A layout: what is measured, what every observer gives, what drives, and what else may be."""
+    """Return a layout: what is measured, what every observer gives, what drives, and what else may
+    be.
+    """
     required = (*measured, *EVERY, *driven)
     return Layout((*required, *further), required)
 
@@ -124,7 +126,7 @@ class Signals:
                 self.arrays[name] = value
 
     def columns(self) -> dict[str, Floats]:
-        """The columns of the signals that have a row per sample: all but poses."""
+        """Return the columns of the signals that have a row per sample: all but poses."""
         columns: dict[str, Floats] = {}
         for name, value in self.arrays.items():
             if name in SERIES:
@@ -136,7 +138,8 @@ class Signals:
         return columns
 
     def parameters(self, names: Iterable[str]) -> dict[str, dict[str, float]]:
-        """The last estimates of parameters, and their deviations; nothing where there are none.
+        """Return the last estimates of parameters, and their deviations; nothing where there are
+        none.
 
         Args:
             names: of the parameters.
@@ -148,7 +151,7 @@ class Signals:
 
 
 def attribute(result: Any, name: str) -> Any:
-    """A signal by name, None where there is none; `__getattr__` of results.
+    """Return a signal by name, None where there is none; `__getattr__` of results.
 
     Raises:
         AttributeError: such a result cannot have it.
@@ -159,12 +162,12 @@ def attribute(result: Any, name: str) -> Any:
 
 
 def attributes(result: Any) -> list[str]:
-    """The names of attributes, signals among them; `__dir__` of results."""
+    """Return the names of attributes, signals among them; `__dir__` of results."""
     return [*object.__dir__(result), *type(result).layout.names]
 
 
 def final(signals: Mapping[str, Floats], *names: str) -> dict[str, Any]:
-    """The last rows of signals, for a summary; nothing of those that there are not.
+    """Return the last rows of signals, for a summary; nothing of those that there are not.
 
     Args:
         signals: by name.
@@ -178,14 +181,16 @@ def final(signals: Mapping[str, Floats], *names: str) -> dict[str, Any]:
 
 
 def claims_at_end(signals: Mapping[str, Floats]) -> dict[str, list[str]]:
-    """The names of claims that the last readings refute, for a summary; nothing of no filter."""
+    """Return the names of claims that the last readings refute, for a summary; nothing of no
+    filter.
+    """
     if "claims" not in signals:
         return {}
     return {"claims": false_claims(signals["claims"][-1, 0], signals["suspect"][-1, 0])}
 
 
 def _final(signal: Signal, last: Floats) -> dict[str, Any]:
-    """The last row of a signal, by the names of its columns."""
+    """Return the last row of a signal, by the names of its columns."""
     if signal.final is not float:
         assert signal.final is not None
         return {signal.columns[0]: signal.final(last.sum())}
@@ -194,7 +199,7 @@ def _final(signal: Signal, last: Floats) -> dict[str, Any]:
 
 
 def ending(kind: type, but: Iterable[str] = ()) -> list[str]:
-    """The estimated signals whose last rows stand in a summary as this.
+    """Return the estimated signals whose last rows stand in a summary as this.
 
     Args:
         kind: float: a number each; int: their sum; bool: whether they hold.
@@ -204,7 +209,7 @@ def ending(kind: type, but: Iterable[str] = ()) -> list[str]:
 
 
 def of_estimate(estimate: Estimate) -> dict[str, Floats]:
-    """The signals that an observer gave.
+    """Return the signals that an observer gave.
 
     Args:
         estimate: a row for each sample in each field.
@@ -221,13 +226,15 @@ def of_estimate(estimate: Estimate) -> dict[str, Floats]:
 
 
 def _telling(signal: Signal) -> list[str]:
-    """The fields that tell whether a signal is estimated: gaps without a deviation are known."""
+    """Return the fields that tell whether a signal is estimated: gaps without a deviation are
+    known.
+    """
     deviations = [f"{field}_std" for field in signal.fields if field in Estimate._field_defaults]
     return [*signal.fields, *(name for name in deviations if name in QUANTITIES)]
 
 
 def from_columns(columns: Mapping[str, Floats], layout: Layout) -> dict[str, Floats]:
-    """The signals whose columns these are.
+    """Return the signals whose columns these are.
 
     Args:
         columns: as `Signals.columns` names them.
@@ -245,7 +252,7 @@ def from_columns(columns: Mapping[str, Floats], layout: Layout) -> dict[str, Flo
 
 
 def unit_of(name: str, units: Units) -> str:
-    """The unit of a signal, `x`, or of one of its columns, `x[0]`.
+    """Return the unit of a signal, `x`, or of one of its columns, `x[0]`.
 
     Args:
         name: of either.
@@ -258,7 +265,7 @@ def unit_of(name: str, units: Units) -> str:
 
 
 def of_kind(kind: str, index: int, units: Units) -> str:
-    """The unit of an entry of a quantity.
+    """Return the unit of an entry of a quantity.
 
     Args:
         kind: output, input, state or rate, or the unit itself.
@@ -272,7 +279,7 @@ def of_kind(kind: str, index: int, units: Units) -> str:
 
 
 def output_names(joints: Sequence[str], count: int) -> list[str]:
-    """The names of outputs: an arm's joints where it has one for each, else numbers.
+    """Return the names of outputs: an arm's joints where it has one for each, else numbers.
 
     Of encoders at links and motors those at the motors come last.
     """

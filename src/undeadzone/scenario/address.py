@@ -44,17 +44,17 @@ class Number(NamedTuple):
 
 
 def stem(address: str) -> str:
-    """An address without its index."""
+    """Return an address without its index."""
     return address.partition("[")[0]
 
 
 def index_of(address: str) -> str:
-    """The index of an address with its brackets; empty if it has none."""
+    """Return the index of an address with its brackets; empty if it has none."""
     return address[len(stem(address)) :]
 
 
 def matching(address: str, names: Iterable[str]) -> list[str]:
-    """The names that an address stands for.
+    """Return the names that an address stands for.
 
     Without an index it stands for all entries, with `:` for all values of that index.
     """
@@ -65,7 +65,9 @@ def matching(address: str, names: Iterable[str]) -> list[str]:
 
 
 def entries_there(address: str, names: Iterable[str]) -> str:
-    """The entries under the key of an address, first and last, in words; empty: there are none."""
+    """Return the entries under the key of an address, first and last, in words; empty: there are
+    none.
+    """
     there = matching(stem(address), names)
     if there[1:]:
         return f"{there[0]} to {there[-1]}"
@@ -73,7 +75,7 @@ def entries_there(address: str, names: Iterable[str]) -> str:
 
 
 def similar(address: str, names: Iterable[str], otherwise: str) -> str:
-    """A question for the key that was meant, if one is similar; else what there is.
+    """Return a question for the key that was meant, if one is similar; else what there is.
 
     Args:
         address: that no name has.
@@ -91,7 +93,7 @@ def child(parent: Any, name: str) -> Any:
 
 
 def with_entry(key: str, present: Any, index: str, value: Any) -> Floats:
-    """An array with another entry.
+    """Return an array with another entry.
 
     Args:
         key: of the array, for messages.
@@ -115,7 +117,7 @@ def with_entry(key: str, present: Any, index: str, value: Any) -> Floats:
 
 
 def numbers(scenario: Any) -> dict[str, Number]:
-    """Every number in the options of a scenario's observer and controller, by address."""
+    """Return every number in the options of a scenario's observer and controller, by address."""
     found: dict[str, Number] = {}
 
     def walk(name: str, value: Any, kind: Any = None) -> None:
@@ -139,21 +141,21 @@ def numbers(scenario: Any) -> dict[str, Number]:
 
 
 def _may_be_number(value: Any, kind: Any) -> bool:
-    """Whether a value is a number, or None where its annotation allows a number."""
+    """Return whether a value is a number, or None where its annotation allows a number."""
     if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
         return False
     return kind is None or bool({int, float, Array} & {kind, *typing.get_args(kind)})
 
 
 def with_numbers(scenario: Any, values: Mapping[str, float]) -> Any:
-    """The scenario with other numbers at addresses that `numbers` knows."""
+    """Return the scenario with other numbers at addresses that `numbers` knows."""
     for address, value in values.items():
         scenario = _with_number(scenario, address, value)
     return scenario
 
 
 def _with_number(parent: Any, address: str, value: float) -> Any:
-    """A struct or dictionary with another number at an address in it."""
+    """Return a struct or dictionary with another number at an address in it."""
     head, _, rest = address.partition(".")
     name, index = stem(head), index_of(head)
     old = child(parent, name)
@@ -170,7 +172,7 @@ def _with_number(parent: Any, address: str, value: float) -> Any:
 
 
 def with_value(scenario: S, address: str, value: Any) -> S:
-    """A scenario with another value at an address.
+    """Return a scenario with another value at an address.
 
     Args:
         scenario: the scenario.
@@ -195,7 +197,7 @@ def with_value(scenario: S, address: str, value: Any) -> S:
 
 
 def with_tables(scenario: S, changes: Mapping[str, Any]) -> S:
-    """A scenario with other tables.
+    """Return a scenario with other tables.
 
     A table keeps the keys that are not changed, unless its `kind` or `method` is another one.
 
@@ -225,7 +227,8 @@ def with_tables(scenario: S, changes: Mapping[str, Any]) -> S:
 
 
 def alike(compare: Any, observer: Any) -> Any:
-    """The table [compare], in place of `like = "observer"` all keys of [observer] that it lacks.
+    """Return the table [compare], in place of `like = "observer"` all keys of [observer] that it
+    lacks.
 
     Args:
         compare: the table as TOML gives it.
@@ -250,7 +253,7 @@ def alike(compare: Any, observer: Any) -> Any:
 
 
 def with_entries(data: Mapping[str, Any]) -> dict[str, Any]:
-    """A scenario's tables, entries by address moved to `entries` in [ensemble] and [tune].
+    """Return a scenario's tables, entries by address moved to `entries` in [ensemble] and [tune].
 
     Raises:
         InputError: a key there is neither known nor an address, or an entry cannot be read.
@@ -276,7 +279,7 @@ def require_finite(value: Any, key: str) -> None:
 
 
 def _converted(before: Any, name: str, change: Any, annotation: Any, kind: type) -> Any:
-    """A top-level table merged with a change and checked.
+    """Return a top-level table merged with a change and checked.
 
     Args:
         before: the table so far.
@@ -299,7 +302,7 @@ def _converted(before: Any, name: str, change: Any, annotation: Any, kind: type)
 
 
 def _merged(before: Any, change: Any) -> Any:
-    """A value as TOML would give it: tables merged key by key, anything else replaced."""
+    """Return a value as TOML would give it: tables merged key by key, anything else replaced."""
     if isinstance(change, msgspec.Struct):
         return tables(change)
     if isinstance(change, np.ndarray | np.number):
@@ -316,5 +319,5 @@ def _merged(before: Any, change: Any) -> Any:
 
 
 def _is_another(present: Mapping[str, Any], change: Mapping[str, Any]) -> bool:
-    """Whether a change chooses another variant of a table."""
+    """Return whether a change chooses another variant of a table."""
     return any(key in change and change[key] != present.get(key) for key in CHOOSERS)

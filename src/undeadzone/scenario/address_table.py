@@ -33,7 +33,7 @@ class Table(NamedTuple):
         return f'{self.name}."{address}"'
 
     def decoded(self, table: Any) -> Any:
-        """The table as TOML gives it, with the keys that are addresses moved to `entries`.
+        """Return the table as TOML gives it, with the keys that are addresses moved to `entries`.
 
         Anything but a table is handed back as it is.
 
@@ -58,7 +58,7 @@ class Table(NamedTuple):
         return options
 
     def _entry(self, address: str, value: Any) -> msgspec.Struct:
-        """An entry as TOML gives it, read. Raises InputError."""
+        """Return an entry as TOML gives it, read. Raises InputError."""
         if isinstance(value, self.kind):
             return value
         if not isinstance(value, dict):

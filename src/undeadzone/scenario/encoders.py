@@ -20,7 +20,8 @@ ZONE = ("right", "left", "noise_before", "drift", "play", "load_friction", "load
 
 
 def sensed(sensor: Sensor, system: System, step: float, rate: float) -> Zone:
-    """The checked sensor of a plant; of an arm with gears its encoders, with the gaps for widths.
+    """Return the checked sensor of a plant; of an arm with gears its encoders, with the gaps for
+    widths.
 
     Args:
         sensor: in a user's words.
@@ -45,7 +46,9 @@ def sensed(sensor: Sensor, system: System, step: float, rate: float) -> Zone:
 
 
 def with_gaps(zone: Zone, system: System) -> Zone:
-    """The sensor with the gaps of a plant's gears for widths; as it is where there are none."""
+    """Return the sensor with the gaps of a plant's gears for widths; as it is where there are
+    none.
+    """
     if system.gears is None:
         return zone
     right, left = (np.asarray(each).ravel() for each in system.gears.widths(system.params))

@@ -94,7 +94,7 @@ class CheckedDistribution(NamedTuple):
     least: float
 
     def quantile(self, u: Floats) -> Floats:
-        """The values below which the shares u, between 0 and 1, of the distribution lie."""
+        """Return the values below which the shares u, between 0 and 1, of the distribution lie."""
         from scipy.special import ndtr, ndtri
 
         first, second = self.first, self.second
@@ -112,7 +112,7 @@ TABLE: Final = Table(
 
 
 def spread(address: str, distribution: Distribution, least: float) -> CheckedDistribution:
-    """The distribution of a number, checked.
+    """Return the distribution of a number, checked.
 
     Args:
         address: address of the number.
@@ -140,7 +140,7 @@ def spread(address: str, distribution: Distribution, least: float) -> CheckedDis
 
 
 def _numbers(address: str, distribution: Distribution) -> tuple[str, float, float]:
-    """The kind of a distribution and its two numbers. Raises InputError."""
+    """Return the kind of a distribution and its two numbers. Raises InputError."""
     key = TABLE.entry_name(address)
     kinds = [kind for kind in KINDS if getattr(distribution, kind) is not None]
     if len(kinds) != 1:

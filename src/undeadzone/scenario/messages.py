@@ -74,7 +74,7 @@ _Structs = list[type[msgspec.Struct]]
 
 
 def explain(message: str, data: dict[str, Any], root: type[msgspec.Struct]) -> str:
-    """The message of a msgspec.ValidationError in a reader's words.
+    """Return the message of a msgspec.ValidationError in a reader's words.
 
     Args:
         message: the message of the error; tables within tables may each have said where they are.
@@ -121,7 +121,7 @@ def require_kind(key: str, value: Any, kind: Any) -> None:
 
 
 def _is_of(value: Any, kind: Any) -> bool:
-    """Whether a part is of a kind; the options of an observer are no controller's."""
+    """Return whether a part is of a kind; the options of an observer are no controller's."""
     if kind not in CATALOGUES or isinstance(value, type) or not isinstance(value, kind):
         return isinstance(value, kind) and not isinstance(value, type)
     others = [one for each, one in CATALOGUES.items() if each is not kind]
@@ -144,7 +144,7 @@ def require_words(key: str, options: Any, kind: type[msgspec.Struct]) -> None:
 
 
 def _unknown_choice(key: str, word: Any, choices: list[str]) -> str:
-    """The message about a word that is none of those that may stand at a key."""
+    """Return the message about a word that is none of those that may stand at a key."""
     advice = _advice(str(word), choices, "expected one of")
     if str(word) in _SYNONYMS:
         advice = f"{advice}; {_SYNONYMS[str(word)]}"
@@ -152,7 +152,7 @@ def _unknown_choice(key: str, word: Any, choices: list[str]) -> str:
 
 
 def _missing(key: str, name: str, root: type[msgspec.Struct]) -> str:
-    """The message about a key that is missing from the table at `key`."""
+    """Return the message about a key that is missing from the table at `key`."""
     text = f"{_join(key, name)}: missing; this key is required"
     choices = _tags(root, key) if name in CHOOSERS else []
     if choices:
@@ -161,7 +161,9 @@ def _missing(key: str, name: str, root: type[msgspec.Struct]) -> str:
 
 
 def _choices(root: type[msgspec.Struct], key: str, data: dict[str, Any]) -> list[str]:
-    """The words that may stand at a dotted key; none where it does not choose among words."""
+    """Return the words that may stand at a dotted key; none where it does not choose among
+    words.
+    """
     parent, _, name = key.rpartition(".")
     tags = _tags(root, parent) if name in CHOOSERS else []
     if tags:
@@ -174,19 +176,19 @@ def _choices(root: type[msgspec.Struct], key: str, data: dict[str, Any]) -> list
 
 
 def _in_words(types: re.Match[str]) -> str:
-    """The types that msgspec names, in a reader's words."""
+    """Return the types that msgspec names, in a reader's words."""
     names = types[1].split(" | ")
     names = [name for name in names if name != "null"] or names
     return " or ".join(_WORDS.get(name, name) for name in names)
 
 
 def _join(key: str, name: str) -> str:
-    """The dotted key of a name in the table at `key`."""
+    """Return the dotted key of a name in the table at `key`."""
     return f"{key}.{name}" if key else name or "''"
 
 
 def _advice(name: str, known: list[str], otherwise: str) -> str:
-    """The nearest known name, or all of them; upper and lower case count as the same."""
+    """Return the nearest known name, or all of them; upper and lower case count as the same."""
     lower = {each.lower(): each for each in known}
     near = [each for each in known if each in difflib.get_close_matches(name, known, 1, NEAR)]
     near = near or [lower[each] for each in difflib.get_close_matches(name.lower(), lower, 1, NEAR)]
@@ -206,7 +208,7 @@ def _walk(key: str, data: Any) -> Any:
 
 
 def _entry(key: str, data: Any) -> str:
-    """The key with the name of the entry that is no number, where msgspec says [...].
+    """Return the key with the name of the entry that is no number, where msgspec says [...].
 
     Only tables of numbers have free names.
     """
@@ -219,7 +221,7 @@ def _entry(key: str, data: Any) -> str:
 
 
 def _structs(annotation: Any) -> _Structs:
-    """The structs that an annotation allows."""
+    """Return the structs that an annotation allows."""
     if annotation in CATALOGUES:
         return [*CATALOGUES[annotation].every()]
     if isinstance(annotation, type) and issubclass(annotation, msgspec.Struct):
@@ -231,7 +233,7 @@ def _structs(annotation: Any) -> _Structs:
 
 
 def _literals(annotation: Any) -> list[Any]:
-    """The words that an annotation allows."""
+    """Return the words that an annotation allows."""
     if typing.get_origin(annotation) is typing.Literal:
         return list(typing.get_args(annotation))
     words = []
@@ -241,7 +243,7 @@ def _literals(annotation: Any) -> list[Any]:
 
 
 def _at(root: type[msgspec.Struct], key: str) -> _Structs:
-    """The structs that may stand at a dotted key."""
+    """Return the structs that may stand at a dotted key."""
     here: _Structs = [root]
     for part in filter(None, re.sub(r"\[[^\]]*\]", "", key).split(".")):
         below: _Structs = []
@@ -252,13 +254,13 @@ def _at(root: type[msgspec.Struct], key: str) -> _Structs:
 
 
 def _tags(root: type[msgspec.Struct], key: str) -> list[str]:
-    """The names of the variants at a dotted key."""
+    """Return the names of the variants at a dotted key."""
     tags = [struct.__struct_config__.tag for struct in _at(root, key)]
     return [str(tag) for tag in tags if tag is not None]
 
 
 def _chosen(root: type[msgspec.Struct], key: str, data: dict[str, Any]) -> _Structs:
-    """The variant at a dotted key that the data choose, or all that may stand there."""
+    """Return the variant at a dotted key that the data choose, or all that may stand there."""
     table, structs = _walk(key, data), _at(root, key)
     if not isinstance(table, dict):
         return structs
@@ -267,7 +269,9 @@ def _chosen(root: type[msgspec.Struct], key: str, data: dict[str, Any]) -> _Stru
 
 
 def _fields(root: type[msgspec.Struct], key: str, data: dict[str, Any]) -> list[str]:
-    """Keys known at a dotted key, of the variant that the data choose where there are several."""
+    """Return keys known at a dotted key, of the variant that the data choose where there are
+    several.
+    """
     names: list[str] = []
     choosers: list[str] = []
     for struct in _chosen(root, key, data):

@@ -22,7 +22,8 @@ SMOOTH = 1.3  # ratio of decelerations over one and two steps beyond which r has
 def overrun_numbers(
     sensor: Zone, reference: Exosystem, tracked: list[int], duration: float, step: float
 ) -> list[float | None] | None:
-    """J a / f of each output; None where it cannot be told, and of all where no inertia is given.
+    """Return J a / f of each output; None where it cannot be told, and of all where no inertia is
+    given.
 
     It cannot of an output that is not tracked, and of a reference with corners.
 
@@ -44,7 +45,7 @@ def overrun_numbers(
 
 
 def decelerations(reference: Exosystem, duration: float, step: float) -> Floats:
-    """The largest deceleration of each signal [1/s^2], nan where it has corners.
+    """Return the largest deceleration of each signal [1/s^2], nan where it has corners.
 
     Args:
         reference: the signals.
@@ -57,14 +58,14 @@ def decelerations(reference: Exosystem, duration: float, step: float) -> Floats:
 
 
 def _largest(r: Floats, step: float) -> Floats:
-    """The largest deceleration of each column of samples."""
+    """Return the largest deceleration of each column of samples."""
     rate, bend = np.diff(r, axis=0) / step, np.diff(r, 2, axis=0) / step**2
     slowing = np.maximum(-bend * np.sign(rate[:-1]), -bend * np.sign(rate[1:]))
     return np.asarray(slowing.max(axis=0, initial=0.0))
 
 
 def overrun_along(sensor: Zone, flow: Matrices, x: Floats, u: Floats) -> Floats:
-    """J a / f of each output at instants of which state and input are known (N x p).
+    """Return J a / f of each output at instants of which state and input are known (N x p).
 
     Args:
         sensor: the sensor, with a load that has friction.

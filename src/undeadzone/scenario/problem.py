@@ -171,7 +171,7 @@ def _require_no_samples(plant: System, model: System, sensor: Zone) -> None:
 def watching(
     options: ObserverOptions, model: System, told: Zone, belief: Belief | None, step: float
 ) -> Observer:
-    """The observer of a model behind a sensor, built and checked.
+    """Return the observer of a model behind a sensor, built and checked.
 
     Args:
         options: of the observer.
@@ -200,7 +200,7 @@ def known_actuator(scenario: Scenario) -> ActuatorModel | None:
 
 
 def known_sensor(scenario: Scenario) -> Sensor:
-    """The sensor as observers know it, in a user's words: with what [model] says of it."""
+    """Return the sensor as observers know it, in a user's words: with what [model] says of it."""
     told = _given(scenario.model, ("load_friction", "play"))
     return msgspec.structs.replace(scenario.sensor, **told)
 
@@ -235,7 +235,7 @@ def _require_play(told: Array, sensor: Zone) -> None:
 
 
 def _actuator(scenario: Scenario, inputs: int) -> tuple[Drive | None, Belief | None]:
-    """The actuator and what is known of it; None where there is none. Raises InputError."""
+    """Return the actuator and what is known of it; None where there is none. Raises InputError."""
     belief = believed(known_actuator(scenario), inputs)
     if scenario.actuator is None:
         return None, belief
@@ -246,7 +246,7 @@ def _actuator(scenario: Scenario, inputs: int) -> tuple[Drive | None, Belief | N
 
 
 def _compensator(scenario: Scenario, model: System, belief: Belief | None) -> Compensator | None:
-    """The compensator of a scenario; by default a smooth inverse of a known actuator."""
+    """Return the compensator of a scenario; by default a smooth inverse of a known actuator."""
     if scenario.compensator is not None:
         return scenario.compensator.build(model, belief)
     return None if belief is None else SmoothZoneInverse().build(model, belief)
@@ -269,7 +269,7 @@ def _require_room(sensor: Zone, observer: Observer) -> None:
 
 
 def systems(scenario: Scenario) -> tuple[System, System, Floats]:
-    """(the plant, the model, x(0)) in continuous time, checked against each other.
+    """Return (the plant, the model, x(0)) in continuous time, checked against each other.
 
     Raises:
         InputError: or a subclass, naming the key.
@@ -305,7 +305,10 @@ def require_visible(system: System, key: str) -> None:
 
 
 def modelled_plant(scenario: Scenario) -> Plant:
-    """The plant as observer and controller know it: [model] over [plant]. Raises InputError."""
+    """Return the plant as observer and controller know it: [model] over [plant].
+
+    Raises InputError.
+    """
     model, plant = scenario.model, scenario.plant
     if model is None:
         return plant
@@ -322,7 +325,10 @@ def modelled_plant(scenario: Scenario) -> Plant:
 
 
 def _with_parameters(model: Model, plant: Plant, matrices: dict[str, object]) -> Plant:
-    """A plant given by formulas or an arm, with the parameters of [model]. Raises InputError."""
+    """Return a plant given by formulas or an arm, with the parameters of [model].
+
+    Raises InputError.
+    """
     if matrices:
         raise InputError(
             f"model.{min(matrices)}: the plant is given by formulas or an arm; its model can "
@@ -338,7 +344,7 @@ def _with_parameters(model: Model, plant: Plant, matrices: dict[str, object]) ->
 
 
 def _tracked(scenario: Scenario, plant: System) -> list[int]:
-    """The numbers of the outputs that follow the reference. Raises InputError."""
+    """Return the numbers of the outputs that follow the reference. Raises InputError."""
     if scenario.tracked is None:
         return list(range(min(plant.m, plant.p)))
     tracked: Any = scenario.tracked  # a program may give anything
@@ -356,7 +362,7 @@ def _tracked(scenario: Scenario, plant: System) -> list[int]:
 def _reference(
     scenario: Scenario, flow: System, tracked: list[int], x0: Floats, step: float
 ) -> tuple[Exosystem, Exosystem | None]:
-    """The reference of the tracked outputs, and the path of a flat model's coordinates."""
+    """Return the reference of the tracked outputs, and the path of a flat model's coordinates."""
     if flow.flat is None:
         reference = signals.exosystem("reference", scenario.reference, len(tracked))
         require_resolved("reference", reference, step)
@@ -371,7 +377,7 @@ def _reference(
 
 
 def _disturbance(scenario: Scenario, inputs: int) -> Exosystem | None:
-    """The disturbance at the inputs; None where there is none, or a random one."""
+    """Return the disturbance at the inputs; None where there is none, or a random one."""
     signal = scenario.disturbance
     if signal is None:
         return None
@@ -383,7 +389,7 @@ def _disturbance(scenario: Scenario, inputs: int) -> Exosystem | None:
 
 
 def constant_gains(observer: Observer, model: System) -> tuple[Floats, Floats] | None:
-    """(L, gamma), both [1/s], of an observer that corrects with constant ones; else None."""
+    """Return (L, gamma), both [1/s], of an observer that corrects with constant ones; else None."""
     traits = observer.traits
     if not traits.constant or traits.L is None or traits.gamma is None:
         return None
@@ -391,7 +397,7 @@ def constant_gains(observer: Observer, model: System) -> tuple[Floats, Floats] |
 
 
 def followed(scenario: Scenario, model: System, start: Floats, step: float) -> Exosystem:
-    """The path of the flat coordinates: of the joints, or of an elastic joint's link.
+    """Return the path of the flat coordinates: of the joints, or of an elastic joint's link.
 
     The reference gives it as such, or for the tip.
 
@@ -430,7 +436,7 @@ def followed(scenario: Scenario, model: System, start: Floats, step: float) -> E
 
 
 def with_units(scenario: Scenario, plant: System) -> Scenario:
-    """The scenario with the units of an arm where it names none.
+    """Return the scenario with the units of an arm where it names none.
 
     The outputs, inputs and states of other plants may be anything: they keep the unit 1. So do
     those of an arm with sliding joints, which has outputs of two units.

@@ -43,7 +43,7 @@ OPEN = r"^\s*([\w.]+)\s*=\s*\[\s*[-+.\de]+(\s+[-+.\de]+)+\s*(#.*|%.*)?$"  # A = 
 
 
 def read(path: str | os.PathLike[str], confine: str | os.PathLike[str] | None = None) -> Scenario:
-    """The scenario in a TOML file.
+    """Return the scenario in a TOML file.
 
     Args:
         path: the file; the files that it names are relative to its folder.
@@ -67,7 +67,8 @@ def read(path: str | os.PathLike[str], confine: str | os.PathLike[str] | None = 
 def read_for_logs(
     path: str | os.PathLike[str], confine: str | os.PathLike[str] | None = None
 ) -> Scenario:
-    """The scenario in a TOML file of which only plant, sensor and observer are used, along a log.
+    """Return the scenario in a TOML file of which only plant, sensor and observer are used, along a
+    log.
 
     Reference, controller and the sensor's widths may be left out; others stand in for them.
 
@@ -86,7 +87,7 @@ def read_for_logs(
 
 
 def _completed(data: dict[str, Any]) -> dict[str, Any]:
-    """The tables with what a scenario for logs may leave out. Raises InputError."""
+    """Return the tables with what a scenario for logs may leave out. Raises InputError."""
     for name, table in _STAND_INS.items():
         data.setdefault(name, table)
     sensor, observer = data.setdefault("sensor", {}), data.get("observer")
@@ -124,7 +125,7 @@ _TOLD_THE_WIDTHS: Final = ("oracle", "full_state")  # methods that take the sens
 
 
 def _text(path: Path) -> str:
-    """The text of a file. Raises FileError."""
+    """Return the text of a file. Raises FileError."""
     try:
         return read_text(path)
     except UnicodeDecodeError:
@@ -135,7 +136,7 @@ def _text(path: Path) -> str:
 
 @contextmanager
 def _naming(path: Path) -> Iterator[None]:
-    """Put the name of a file in front of what is wrong with its text."""
+    """Provide put the name of a file in front of what is wrong with its text."""
     try:
         yield
     except FileError:
@@ -146,7 +147,7 @@ def _naming(path: Path) -> Iterator[None]:
 
 
 def parse(text: str, folder: Path = Path()) -> Scenario:
-    """The scenario in a TOML text.
+    """Return the scenario in a TOML text.
 
     Args:
         text: the text.
@@ -159,7 +160,7 @@ def parse(text: str, folder: Path = Path()) -> Scenario:
 
 
 def _tables(text: str) -> dict[str, Any]:
-    """The tables of a TOML text. Raises InputError."""
+    """Return the tables of a TOML text. Raises InputError."""
     try:
         return tomllib.loads(text)
     except RecursionError:
@@ -169,7 +170,7 @@ def _tables(text: str) -> dict[str, Any]:
 
 
 def convert(data: dict[str, Any], folder: Path = Path()) -> Scenario:
-    """The scenario in a dictionary as TOML gives it.
+    """Return the scenario in a dictionary as TOML gives it.
 
     Args:
         data: the tables.
@@ -192,12 +193,12 @@ def convert(data: dict[str, Any], folder: Path = Path()) -> Scenario:
 
 
 def anchored(scenario: Scenario, folder: Path) -> Scenario:
-    """The scenario with the files that it names taken from `folder`."""
+    """Return the scenario with the files that it names taken from `folder`."""
     return _with_files(scenario, lambda key, path: str(folder / path))
 
 
 def confined(scenario: Scenario, folder: Path) -> Scenario:
-    """The scenario with the real paths of the files that it names, links followed.
+    """Return the scenario with the real paths of the files that it names, links followed.
 
     Args:
         scenario: with its files' paths.
@@ -224,7 +225,7 @@ def confined(scenario: Scenario, folder: Path) -> Scenario:
 
 
 def _has_further_names(path: Path) -> bool:
-    """Whether a file is one that hard links show elsewhere too."""
+    """Return whether a file is one that hard links show elsewhere too."""
     try:
         status = path.stat()
     except OSError:
@@ -233,7 +234,9 @@ def _has_further_names(path: Path) -> bool:
 
 
 def digests(scenario: Scenario) -> dict[str, str]:
-    """Digests of what the files hold that a scenario names, by key; of one that is missing none."""
+    """Return digests of what the files hold that a scenario names, by key; of one that is missing
+    none.
+    """
     by_key: dict[str, str] = {}
 
     def seen(key: str, path: str) -> str:
@@ -247,7 +250,7 @@ def digests(scenario: Scenario) -> dict[str, str]:
 
 
 def _with_files(scenario: Scenario, change: Callable[[str, str], str]) -> Scenario:
-    """The scenario with other paths of the files that it names.
+    """Return the scenario with other paths of the files that it names.
 
     Args:
         scenario: the scenario.
@@ -261,7 +264,7 @@ def _with_files(scenario: Scenario, change: Callable[[str, str], str]) -> Scenar
 
 
 def _with_file(part: Any, key: str, change: Callable[[str, str], str]) -> Any:
-    """The part under a key with another path of the file that it names, if any."""
+    """Return the part under a key with another path of the file that it names, if any."""
     for name in ("path", "design"):
         path = getattr(part, name, None)
         if path is not None:
@@ -270,7 +273,7 @@ def _with_file(part: Any, key: str, change: Callable[[str, str], str]) -> Any:
 
 
 def invalid_toml(text: str, message: str) -> str:
-    """The message about a text that is no TOML, with its line.
+    """Return the message about a text that is no TOML, with its line.
 
     Args:
         text: that was read.

@@ -49,7 +49,7 @@ def vague_claims(sensor: Sensor) -> Assumptions:
 
 
 def usual_observer(plant: Plant, sensor: Sensor, declared: Assumptions | None) -> ObserverOptions:
-    """`auto`, with what is declared; `contact` for an arm with gears.
+    """Return `auto`, with what is declared; `contact` for an arm with gears.
 
     Args:
         plant: the plant, whose gaps count if it has gears.
@@ -211,7 +211,8 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             msgspec.structs.force_setattr(self, "controller", controller)
 
     def replace(self, address: str, value: Any) -> Scenario:
-        """The scenario with another value at one key: `scenario.replace("sensor.right", 1.2)`.
+        """Return the scenario with another value at one key: `scenario.replace("sensor.right",
+        1.2)`.
 
         Args:
             address: dotted key, with an index for one entry: `sensor.right`, `plant.A[1,0]`.
@@ -226,7 +227,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         return with_value(self, address, value)
 
     def __or__(self, changes: Mapping[str, Any]) -> Scenario:
-        """The scenario with other tables: `scenario | {"sensor": {"right": 1.2}}`.
+        """Return the scenario with other tables: `scenario | {"sensor": {"right": 1.2}}`.
 
         A table keeps the keys that are not changed, unless its `kind` or `method` is another one.
 
@@ -251,12 +252,12 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         return write_text(toml.dumps(self), path)
 
     def __str__(self) -> str:
-        """The scenario as TOML."""
+        """Return the scenario as TOML."""
         try:
             return toml.dumps(self)
         except InputError:
             return repr(self)
 
     def _repr_html_(self) -> str:
-        """The same, for a notebook."""
+        """Return the same, for a notebook."""
         return shown.source(str(self))

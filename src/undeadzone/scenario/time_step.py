@@ -20,7 +20,7 @@ GROWTH: Final = 10  # largest exponent by which a plant may grow within one samp
 
 
 def checked_time(scenario: Scenario, plant: System) -> tuple[float, int]:
-    """The step [s] and the number of steps of a simulation.
+    """Return the step [s] and the number of steps of a simulation.
 
     Raises:
         StepError: the step is longer than the run, or so short that memory would not do.
@@ -77,7 +77,7 @@ def require_resolved(key: str, signal: Exosystem, step: float) -> None:
 
 
 def sampled_within_limits(key: str, system: System, step: float, substeps: int) -> System:
-    """The sampled system.
+    """Return the sampled system.
 
     It is observable where the continuous one is, since no two poles fall on one (Kalman, Ho,
     Narendra 1963).
@@ -119,7 +119,9 @@ def sampled_within_limits(key: str, system: System, step: float, substeps: int) 
 
 
 def _largest_gamma(observer: Observer) -> float:
-    """The largest gain of a width, per step when the model is sampled; 0 where none is constant."""
+    """Return the largest gain of a width, per step when the model is sampled; 0 where none is
+    constant.
+    """
     gamma = observer.traits.gamma
     return 0.0 if gamma is None else float(gamma.max())
 

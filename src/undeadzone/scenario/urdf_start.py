@@ -28,7 +28,7 @@ LEFT_OUT = 0.005  # of the torque of a motion, of what nobody modelled
 
 
 def starting_scenario(found: Survey, path: str, gears: bool = False) -> str:
-    """A scenario as TOML text: every joint swings about the arm's posture, in a dead zone.
+    """Return a scenario as TOML text: every joint swings about the arm's posture, in a dead zone.
 
     Args:
         found: what the file says.
@@ -69,7 +69,7 @@ def starting_scenario(found: Survey, path: str, gears: bool = False) -> str:
 
 
 def _gears(found: Survey, widths: Floats) -> dict[str, str]:
-    """Gears that might be the arm's: motors as heavy as what they move."""
+    """Return gears that might be the arm's: motors as heavy as what they move."""
     torque = found.body.chain.torque
     friction = FRICTION * np.where(np.isfinite(torque), torque, np.abs(found.holding))
     guessed = {"half": GAP * widths, "inertia": _links(found), "friction": friction}
@@ -77,7 +77,7 @@ def _gears(found: Survey, widths: Floats) -> dict[str, str]:
 
 
 def _links(found: Survey) -> Floats:
-    """Inertia of the links as felt at each joint in the posture (N) [kg m^2 or kg]."""
+    """Return inertia of the links as felt at each joint in the posture (N) [kg m^2 or kg]."""
     return np.diag(found.body.mass(found.body.values, found.q).full())
 
 
@@ -92,7 +92,7 @@ def _swing(joint: Joint, q: float) -> float:
 
 
 def _units(joints: list[Joint], bodies: int) -> dict[str, str]:
-    """The names of the units, with two bodies a joint where motors are apart from links."""
+    """Return the names of the units, with two bodies a joint where motors are apart from links."""
     slides = [joint.kind == "prismatic" for joint in joints]
     units = list(np.where(slides, "m", "rad")) * bodies
     speeds = [f"{unit}/s" for unit in units]
@@ -106,20 +106,20 @@ def _units(joints: list[Joint], bodies: int) -> dict[str, str]:
 
 
 def _text(words: str) -> str:
-    """A text in TOML."""
+    """Return a text in TOML."""
     return json_line(json.dumps(words, ensure_ascii=False))
 
 
 def _texts(many: Sequence[str]) -> str:
-    """Texts as a list in TOML."""
+    """Return texts as a list in TOML."""
     return f"[{', '.join(map(_text, many))}]"
 
 
 def _range(width: float) -> str:
-    """A range that is claimed of a width."""
+    """Return a range that is claimed of a width."""
     return f"[0.0, {3 * width:.3g}]"
 
 
 def _listed(values: Floats) -> str:
-    """Numbers as a list in TOML, to six digits."""
+    """Return numbers as a list in TOML, to six digits."""
     return str([float(f"{value:.6g}") for value in values])

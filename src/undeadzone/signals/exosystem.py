@@ -27,7 +27,7 @@ Derivatives = Callable[[Floats], Floats]
 
 
 def common_period(frequencies: list[float]) -> float | None:
-    """The least common period [s] of frequencies [Hz].
+    """Return the least common period [s] of frequencies [Hz].
 
     None if their ratios are not those of whole numbers up to 1000.
     """
@@ -61,7 +61,7 @@ class Exosystem(NamedTuple):
     corners: Floats = np.empty(0)
 
     def value(self, t: Floats, derivative: int = 0) -> Floats:
-        """r, or its derivative of that order, at times t [s] (len(t) x channels)."""
+        """Return r, or its derivative of that order, at times t [s] (len(t) x channels)."""
         return self.state(t) @ (self.Q @ np.linalg.matrix_power(self.S, derivative)).T
 
 
@@ -160,7 +160,7 @@ Disturbance = Sine | Sines | Step | Trapezoid | Samples | Random
 
 
 def exosystem(key: str, signal: Signal, channels: int, task: bool = False) -> Exosystem:
-    """The exosystem of a signal.
+    """Return the exosystem of a signal.
 
     Args:
         key: name of the signal in messages.
@@ -201,7 +201,7 @@ def exosystem(key: str, signal: Signal, channels: int, task: bool = False) -> Ex
 
 
 def piecewise(derivatives: Derivatives, channels: int, closure: Floats | None = None) -> Exosystem:
-    """An exosystem whose states are a value and its derivatives.
+    """Return an exosystem whose states are a value and its derivatives.
 
     Args:
         derivatives: t (N) [s] -> the value and its derivatives (N x order x channels).
@@ -222,12 +222,14 @@ def piecewise(derivatives: Derivatives, channels: int, closure: Floats | None = 
 
 
 def _per_channel(key: str, value: Array, channels: int) -> Floats:
-    """One number per channel, checked."""
+    """Return one number per channel, checked."""
     return vector(key, value, channels, f"one per channel, there are {channels}")
 
 
 def _tones(key: str, keys: list[str], tones: list[Tone], offset: Array, channels: int) -> Exosystem:
-    """The exosystem of a sum of sines about an offset: two states a sine, and 1 for an offset."""
+    """Return the exosystem of a sum of sines about an offset: two states a sine, and 1 for an
+    offset.
+    """
     constant = _per_channel(f"{key}.offset", offset, channels)
     omegas, gains = [], []
     for name, tone in zip(keys, tones, strict=True):
@@ -253,7 +255,7 @@ def _tones(key: str, keys: list[str], tones: list[Tone], offset: Array, channels
 
 
 def _step(key: str, signal: Step, channels: int) -> Exosystem:
-    """The exosystem of a step, constant on either side."""
+    """Return the exosystem of a step, constant on either side."""
     before = _per_channel(f"{key}.before", signal.before, channels)
     after = _per_channel(f"{key}.amplitude", signal.amplitude, channels)
     time = scalar(f"{key}.time", signal.time)
@@ -266,7 +268,7 @@ def _step(key: str, signal: Step, channels: int) -> Exosystem:
 
 
 def _trapezoid(key: str, signal: Trapezoid, channels: int) -> Exosystem:
-    """The exosystem of a trapezoid."""
+    """Return the exosystem of a trapezoid."""
     amplitude = _per_channel(f"{key}.amplitude", signal.amplitude, channels)
     rise = scalar(f"{key}.rise", signal.rise, above=0.0)
     hold = scalar(f"{key}.hold", signal.hold, least=0.0)
@@ -276,7 +278,7 @@ def _trapezoid(key: str, signal: Trapezoid, channels: int) -> Exosystem:
 
 
 def _samples(key: str, signal: Samples, channels: int) -> Exosystem:
-    """The exosystem of samples in a file."""
+    """Return the exosystem of samples in a file."""
     t, values = read_csv(key, signal.path, channels)
     smooth = signal.smooth and t.size > 2
     derivatives = spline(t, values) if smooth else lines(t, values)
@@ -284,7 +286,7 @@ def _samples(key: str, signal: Samples, channels: int) -> Exosystem:
 
 
 def trapezoid(corners: Floats, amplitude: Floats) -> Derivatives:
-    """A periodic trapezoid between plus and minus its amplitude, with one derivative.
+    """Return a periodic trapezoid between plus and minus its amplitude, with one derivative.
 
     Args:
         corners: times of its corners in one period, the first at 0 (6) [s].
@@ -295,7 +297,7 @@ def trapezoid(corners: Floats, amplitude: Floats) -> Derivatives:
 
 
 def lines(t: Floats, values: Floats) -> Derivatives:
-    """Straight lines between samples, with one derivative; held at the ends.
+    """Return straight lines between samples, with one derivative; held at the ends.
 
     Args:
         t: times of the samples (N) [s]; where two are the same, the later sample counts.
@@ -315,7 +317,7 @@ def lines(t: Floats, values: Floats) -> Derivatives:
 
 
 def spline(t: Floats, values: Floats) -> Derivatives:
-    """A cubic spline through samples, with three derivatives; held at the ends.
+    """Return a cubic spline through samples, with three derivatives; held at the ends.
 
     Args:
         t: times of the samples (N) [s].
@@ -335,7 +337,7 @@ def spline(t: Floats, values: Floats) -> Derivatives:
 
 
 def read_csv(key: str, path: str, channels: int) -> tuple[Floats, Floats]:
-    """The samples in a CSV file; a header line and lines that start with # are allowed.
+    """Return the samples in a CSV file; a header line and lines that start with # are allowed.
 
     Args:
         key: name of the signal in messages.
@@ -362,7 +364,7 @@ def read_csv(key: str, path: str, channels: int) -> tuple[Floats, Floats]:
 
 
 def _rows(key: str, path: str) -> list[list[str]]:
-    """The cells of a CSV file without empty lines and comments. Raises FileError."""
+    """Return the cells of a CSV file without empty lines and comments. Raises FileError."""
     try:
         lines = io.StringIO(read_text(path, LARGEST_TABLE).removeprefix("\ufeff"), newline="")
         return [row for row in csv.reader(lines) if row and not row[0].lstrip().startswith("#")]
@@ -389,7 +391,7 @@ def _require_sample(where: str, row: list[str], channels: int) -> None:
 
 
 def _number(text: str) -> float | None:
-    """The number in a cell, None where there is something else."""
+    """Return the number in a cell, None where there is something else."""
     try:
         return float(text)
     except ValueError:

@@ -35,12 +35,13 @@ class Colour(NamedTuple):
 
 
 def word(stream: int, channel: int) -> int:
-    """The second word of the counter."""
+    """Return the second word of the counter."""
     return stream << 24 | channel
 
 
 def gaussian(seed: int, stream: int, samples: int, channels: int, run: int = 0) -> Floats:
-    """Standard normal numbers, each a function of (seed, run, stream, channel, sample) alone.
+    """Return standard normal numbers, each a function of (seed, run, stream, channel, sample)
+    alone.
 
     Args:
         seed: from 0 to 2^64 - 1.
@@ -60,7 +61,7 @@ def gaussian(seed: int, stream: int, samples: int, channels: int, run: int = 0) 
 
 
 def colour(correlation: float, step: float) -> Colour:
-    """The first-order noise of a correlation time [s] on a grid of `step` [s]."""
+    """Return the first-order noise of a correlation time [s] on a grid of `step` [s]."""
     memory = math.exp(-step / correlation)
     return Colour(memory, math.sqrt(1 - memory**2))
 
@@ -68,7 +69,7 @@ def colour(correlation: float, step: float) -> Colour:
 def coloured(
     seed: int, samples: int, rms: Floats, correlation: float, step: float, run: int = 0
 ) -> Floats:
-    """First-order Gaussian noise, stationary from the start.
+    """Return first-order Gaussian noise, stationary from the start.
 
     Args:
         seed: seed of the numbers.

@@ -127,7 +127,7 @@ class Curve(NamedTuple):
 
 
 def curve(key: str, path: Path, channels: int) -> Curve:
-    """The curve of a path.
+    """Return the curve of a path.
 
     Args:
         key: name of the path in messages.
@@ -155,7 +155,7 @@ def curve(key: str, path: Path, channels: int) -> Curve:
 
 
 def _quintic(key: str, path: Quintic, channels: int) -> Curve:
-    """The curve through points."""
+    """Return the curve through points."""
     from scipy.interpolate import make_interp_spline
 
     points, times = _points(key, path, channels)
@@ -174,7 +174,7 @@ def _quintic(key: str, path: Quintic, channels: int) -> Curve:
 
 
 def _points(key: str, path: Quintic, channels: int) -> tuple[Floats, Floats]:
-    """Points (K x channels) and times (K), checked."""
+    """Return points (K x channels) and times (K), checked."""
     points = array(f"{key}.points", path.points)
     if points.ndim == channels == 1:
         points = points[:, None]
@@ -196,7 +196,9 @@ def _points(key: str, path: Quintic, channels: int) -> tuple[Floats, Floats]:
 
 
 def _plane(key: str, path: Circle | FigureEight, channels: int) -> tuple[Floats, Floats]:
-    """The directions of the sine and of the cosine: of phase 0 and of a quarter turn later."""
+    """Return the directions of the sine and of the cosine: of phase 0 and of a quarter turn
+    later.
+    """
     if channels not in (2, 3):
         be = "is" if channels == 1 else "are"
         raise ShapeError(
@@ -222,7 +224,7 @@ def _plane(key: str, path: Circle | FigureEight, channels: int) -> tuple[Floats,
 def _turning(
     key: str, path: Circle | FigureEight, harmonics: np.ndarray, gains: np.ndarray
 ) -> Curve:
-    """centre + the real part of the sum of gains e^{i harmonics angle}.
+    """Return centre + the real part of the sum of gains e^{i harmonics angle}.
 
     The angle turns ever faster during the ramp, then evenly. Then the closure is exact: s^3 (s^2 +
     w^2) and s (s^2 + w^2) (s^2 + 4 w^2) vanish on one and on two harmonics.
@@ -251,7 +253,7 @@ def _turning(
 
 
 def _angle(t: Floats, w: float, ramp: float) -> list[Floats]:
-    """The angle [rad] and its derivatives at times t [s].
+    """Return the angle [rad] and its derivatives at times t [s].
 
     It turns evenly with w [rad/s] after the ramp [s].
     """
@@ -265,7 +267,7 @@ def _angle(t: Floats, w: float, ramp: float) -> list[Floats]:
 
 
 def _waves(harmonics: np.ndarray, angle: list[Floats]) -> np.ndarray:
-    """The waves e^{i harmonics angle} and their derivatives (N x order x K).
+    """Return the waves e^{i harmonics angle} and their derivatives (N x order x K).
 
     By Leibniz' rule on wave' = i harmonics angle' wave. angle: the angle and its derivatives (N x 1
     each).
@@ -278,7 +280,9 @@ def _waves(harmonics: np.ndarray, angle: list[Floats]) -> np.ndarray:
 
 
 def _closure(harmonics: np.ndarray, w: float) -> Floats:
-    """The closure of harmonics that turn evenly with w [rad/s] (ORDER + 1), as in `Curve`."""
+    """Return the closure of harmonics that turn evenly with w [rad/s] (ORDER + 1), as in
+    `Curve`.
+    """
     vanishing = np.array([1.0])  # polynomial in s, highest power first
     for harmonic in harmonics:
         vanishing = np.polymul(vanishing, np.array([1.0, 0.0, (harmonic * w) ** 2]))

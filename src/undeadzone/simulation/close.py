@@ -61,7 +61,7 @@ class Wiring(NamedTuple):
     compensator: Compensator | None = None
 
     def mode(self, s: State, w: Exogenous) -> Mode:
-        """The branch at a state."""
+        """Return the branch at a state."""
         right, left = self.widths(w)
         z = self.ahead_of_zone(s, w)
         side = ca.SX(0.0)
@@ -77,7 +77,7 @@ class Wiring(NamedTuple):
         return z + w.before
 
     def levels(self, w: Exogenous) -> Levels:
-        """Levels of z, noise ahead of the zone included (p each).
+        """Return levels of z, noise ahead of the zone included (p each).
 
         The side is right where z lies above the first upper one, left where z lies below the first
         lower one; beyond the second ones the reading is at a limit of its range.
@@ -95,13 +95,13 @@ class Wiring(NamedTuple):
         return Levels(*zip(*pairs, strict=True))
 
     def widths(self, w: Exogenous) -> tuple[ca.SX, ca.SX]:
-        """d_r, d_l at an instant (p each); encoders of an arm with gears have none."""
+        """Return d_r, d_l at an instant (p each); encoders of an arm with gears have none."""
         if self.kind == "gears":
             return ca.SX.zeros(self.plant.p), ca.SX.zeros(self.plant.p)
         return self.p.sensor.right * (1 + w.right), self.p.sensor.left * (1 + w.left)
 
     def exogenous(self, instant: Exogenous, column: ca.SX) -> Exogenous:
-        """The exogenous inputs of one instant, scaled.
+        """Return the exogenous inputs of one instant, scaled.
 
         A missing reading is noise that is not a number; its side is silent.
 
@@ -120,7 +120,7 @@ class Wiring(NamedTuple):
         )
 
     def move(self, s: State, w: Exogenous, mode: Mode) -> tuple[State, Outputs]:
-        """The state's derivative (or next value) and the outputs, on a given branch."""
+        """Return the state's derivative (or next value) and the outputs, on a given branch."""
         z = self.plant.output(self.p.plant, s.plant)
         level = s.sensor
         if self.kind == "play":
@@ -164,7 +164,7 @@ class Wiring(NamedTuple):
         return Driven(tree.substituted(observer, unused, u), controller, compensator), u, estimate
 
     def _actuated(self, s: State, u: ca.SX) -> tuple[Any, ca.SX]:
-        """(the command within its rate, what enters the plant) of a command u (m)."""
+        """Return (the command within its rate, what enters the plant) of a command u (m)."""
         drive = self.p.actuator
         if drive is None:
             return s.actuator, u
@@ -196,7 +196,7 @@ class Wiring(NamedTuple):
         return Reading(y, read, s.plant)
 
     def _within_range(self, y: ca.SX) -> ca.SX:
-        """A reading kept within its range, if it has one; a missing one stays missing."""
+        """Return a reading kept within its range, if it has one; a missing one stays missing."""
         limits = self.p.sensor.limits
         if limits is None:
             return y
@@ -204,7 +204,7 @@ class Wiring(NamedTuple):
         return ca.if_else(y < limits.low, limits.low, y)
 
     def admissible(self, like: State, column: ca.SX) -> ca.SX:
-        """The admissible state nearest to a column, as a column.
+        """Return the admissible state nearest to a column, as a column.
 
         Args:
             like: a state of the right shapes.
@@ -215,7 +215,8 @@ class Wiring(NamedTuple):
 
 
 def close(problem: Problem) -> loop.Loop:
-    """The closed loop of a problem; the estimate of an observer in Python is written into it.
+    """Return the closed loop of a problem; the estimate of an observer in Python is written into
+    it.
 
     In continuous time it finds changes of side inside a step where simulation.switching is
     "located"; else every stage of RK4 reads its own side. With simulation.order above 4 it takes
@@ -254,7 +255,7 @@ def close(problem: Problem) -> loop.Loop:
 
 
 def numbers(problem: Problem) -> loop.Params:
-    """The numbers of a loop."""
+    """Return the numbers of a loop."""
     plant, sensor = problem.plant, problem.sensor
     none, ahead, undoing = np.empty(0), sensor.play, problem.compensator
     zone = loop.SensorParams(
@@ -281,7 +282,7 @@ def numbers(problem: Problem) -> loop.Params:
 
 
 def _state(problem: Problem) -> loop.State:
-    """The state of a loop at its start, but for that of the plant, which is 0."""
+    """Return the state of a loop at its start, but for that of the plant, which is 0."""
     plant, sensor, drive = problem.plant, problem.sensor, problem.actuator
     observer, controller, undoing = problem.observer, problem.controller, problem.compensator
     return loop.State(
@@ -296,20 +297,20 @@ def _state(problem: Problem) -> loop.State:
 
 
 def no_target(problem: Problem) -> Target:
-    """Zeros of the shapes of what the controller should reach."""
+    """Return zeros of the shapes of what the controller should reach."""
     sizes = len(problem.tracked), problem.plant.n, problem.plant.m, problem.controller.planned
     return Target(*map(np.zeros, sizes))
 
 
 def _instant(problem: Problem) -> loop.Exogenous:
-    """Zeros of the shapes of the exogenous inputs at one instant."""
+    """Return zeros of the shapes of the exogenous inputs at one instant."""
     plant = problem.plant
     held = np.zeros((loop.HELD, plant.p))
     return loop.Exogenous(no_target(problem), np.zeros(plant.m), *held)
 
 
 def _first_that_suffices(attempts: list[dense_output.StepAttempt]) -> ca.SX:
-    """The end of the first attempt that needs no further one, or of the last."""
+    """Return the end of the first attempt that needs no further one, or of the last."""
     *earlier, last = attempts
     following = last.end
     for attempt in reversed(earlier):
@@ -318,7 +319,9 @@ def _first_that_suffices(attempts: list[dense_output.StepAttempt]) -> ca.SX:
 
 
 def _in_parts(attempts: list[ca.SX], inputs: list[ca.SX], out: ca.SX) -> loop.Parts:
-    """The step as one function for each attempt: of its end, and whether there may be more."""
+    """Return the step as one function for each attempt: of its end, and whether there may be
+    more.
+    """
     end, more, *others = attempts
     usual = _function("usual", inputs, next=end, out=out, flag=more)
     pairs = zip(others[::2], others[1::2], strict=True)
@@ -327,7 +330,7 @@ def _in_parts(attempts: list[ca.SX], inputs: list[ca.SX], out: ca.SX) -> loop.Pa
 
 
 def _function(name: str, inputs: list[ca.SX], **results: ca.SX) -> ca.Function:
-    """A function of state, exogenous inputs and params with named results."""
+    """Return a function of state, exogenous inputs and params with named results."""
     return ca.Function(name, inputs, list(results.values()), ["s", "w", "p"], list(results))
 
 
@@ -349,12 +352,12 @@ class _Step(NamedTuple):
     columns: list[ca.SX]
 
     def admissible(self, column: ca.SX) -> ca.SX:
-        """A state inside the step as it may be; that at its start is."""
+        """Return a state inside the step as it may be; that at its start is."""
         return column if column is self.start else self.wiring.admissible(self.like, column)
 
 
 def _plain(step: _Step) -> ca.SX:
-    """The state after an RK4 step that takes the side at each stage anew; noise is held.
+    """Return the state after an RK4 step that takes the side at each stage anew; noise is held.
 
     Its error is of order h^2 where the side changes.
     """
@@ -369,7 +372,8 @@ def _plain(step: _Step) -> ca.SX:
 
 
 def exogenous_at(columns: list[ca.SX], c: Any, p: int) -> ca.SX:
-    """The exogenous inputs at a fraction of the step: quadratic, but for those that are held.
+    """Return the exogenous inputs at a fraction of the step: quadratic, but for those that are
+    held.
 
     Args:
         columns: the inputs at the step's start, middle and end.
@@ -386,7 +390,7 @@ def exogenous_at(columns: list[ca.SX], c: Any, p: int) -> ca.SX:
 
 
 def _located(step: _Step, order: int) -> list[dense_output.StepAttempt]:
-    """Attempts at a step with its changes of side located (`event_location.located_step`).
+    """Return attempts at a step with its changes of side located (`event_location.located_step`).
 
     A change of zone that leaves the side as it is (noise beyond the threshold) is not located.
 
@@ -416,7 +420,7 @@ def _located(step: _Step, order: int) -> list[dense_output.StepAttempt]:
 def entered(
     mode: Mode, crossing: dense_output.Crossing, edge: ca.SX, right: ca.SX, left: ca.SX
 ) -> Mode:
-    """The branch after a crossing.
+    """Return the branch after a crossing.
 
     Args:
         mode: the branch before it.
@@ -435,7 +439,7 @@ def entered(
 
 
 def _dense_step(step: _Step, order: int) -> Callable[[ca.SX, Any, Any], dense_output.DenseStep]:
-    """A step on a fixed branch that can be evaluated inside: RK4, or a Taylor series."""
+    """Return a step on a fixed branch that can be evaluated inside: RK4, or a Taylor series."""
     wiring, size, h = step.wiring, step.start.shape[0], step.wiring.p.h
     x, w = ca.SX.sym("x", size), ca.SX.sym("w", step.columns[0].shape[0])
     branch_taken = Mode(*(ca.SX.sym(name, wiring.plant.p) for name in Mode._fields))

@@ -151,7 +151,7 @@ def tips(problem: Problem, x: Floats, x_hat: Floats, t: Floats) -> dict[str, Flo
 
 
 def _along(f: ca.Function, system: System, x: Floats) -> Floats:
-    """A function of an arm's parameters and joints, at each row of states (N x n)."""
+    """Return a function of an arm's parameters and joints, at each row of states (N x n)."""
     params, q = system.joints(system.params, x.T)
     return evaluate_rows(f, params, q.T)
 
@@ -174,7 +174,9 @@ def _poses(problem: Problem, x: Floats, t: Floats) -> dict[str, Floats]:
 
 
 def certificate(problem: Problem) -> Certificate | None:
-    """The proof that V never rises, for constant gains L, gamma on a linear model; else None."""
+    """Return the proof that V never rises, for constant gains L, gamma on a linear model; else
+    None.
+    """
     gains = constant_gains(problem.observer, problem.model)
     if gains is None or problem.model.nonlinear:
         return None
@@ -182,7 +184,7 @@ def certificate(problem: Problem) -> Certificate | None:
 
 
 def collect(problem: Problem, signal: Outputs, error: IntegrationError | None, began: float) -> Run:
-    """The run whose signals these are.
+    """Return the run whose signals these are.
 
     Args:
         problem: what was simulated.
@@ -212,7 +214,9 @@ def collect(problem: Problem, signal: Outputs, error: IntegrationError | None, b
 
 
 def _true_actuator(problem: Problem) -> list[float]:
-    """True [right, left] of each actuator; nothing where they are known, or there is none."""
+    """Return true [right, left] of each actuator; nothing where they are known, or there is
+    none.
+    """
     drive, belief = problem.actuator, problem.belief
     if drive is None or belief is None or belief.ranges is None:
         return []
@@ -220,7 +224,7 @@ def _true_actuator(problem: Problem) -> list[float]:
 
 
 def _true_gaps(problem: Problem, signal: Outputs) -> list[float]:
-    """True [c_r, c_l] of each output; nothing where they are known, or there is no play."""
+    """Return true [c_r, c_l] of each output; nothing where they are known, or there is no play."""
     if not signal.estimate.gap_std.shape[1]:
         return []
     play = problem.sensor.play
@@ -228,7 +232,7 @@ def _true_gaps(problem: Problem, signal: Outputs) -> list[float]:
 
 
 def _in_turn(right: Floats, left: Floats) -> list[float]:
-    """Right and left of each output or actuator in turn."""
+    """Return right and left of each output or actuator in turn."""
     turns: list[float] = np.stack([right, left], axis=1).ravel().astype(float).tolist()
     return turns
 
@@ -236,7 +240,7 @@ def _in_turn(right: Floats, left: Floats) -> list[float]:
 def _storage(
     problem: Problem, proof: Certificate | None, x_error: Floats, d_hat: Floats
 ) -> Floats | None:
-    """V along a run (N); None without a proof.
+    """Return V along a run (N); None without a proof.
 
     A width that is wrong and not adapted disturbs for ever: no V. The widths of a jump sensor do
     not enter.
@@ -294,7 +298,7 @@ def _info(
 
 
 def _text(scenario: Scenario) -> str:
-    """The scenario as TOML; empty where it holds a function of Python."""
+    """Return the scenario as TOML; empty where it holds a function of Python."""
     try:
         return toml.dumps(scenario)
     except InputError:
@@ -302,17 +306,17 @@ def _text(scenario: Scenario) -> str:
 
 
 def _gains(problem: Problem) -> dict[str, list[Any]]:
-    """The constant gains of observer and controller, by name."""
+    """Return the constant gains of observer and controller, by name."""
     traits = problem.observer.traits
     gains = {"L": traits.L, "gamma": traits.gamma, "K": problem.controller.K}
     return {name: np.asarray(gain).tolist() for name, gain in gains.items() if gain is not None}
 
 
 def _parameter(plant: System, name: str) -> float:
-    """The value of a named parameter of a plant."""
+    """Return the value of a named parameter of a plant."""
     return float(np.ravel(plant.params)[plant.names.index(name)])
 
 
 def _as_json(verdict: Verdict) -> dict[str, Any]:
-    """A verdict for JSON."""
+    """Return a verdict for JSON."""
     return verdict._asdict() | {"reasons": list(verdict.reasons)}

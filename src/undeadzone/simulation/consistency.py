@@ -84,7 +84,7 @@ class Consistency:
         self._sums = np.array([0.0, 0.0, 1.0])  # total, count, ratio
 
     def add(self, innovation: Floats, std: Floats) -> Floats:
-        """B after each of the next samples (N).
+        """Return B after each of the next samples (N).
 
         Args:
             innovation: of the output (N); 0 where no reading was used.
@@ -131,7 +131,7 @@ class Consistency:
 
     @property
     def square(self) -> float | None:
-        """The mean square of the normalised innovations that count; None: there is none."""
+        """Return the mean square of the normalised innovations that count; None: there is none."""
         count = self.used - self.refused
         return self._squares / count if count > 0 else None
 
@@ -143,7 +143,7 @@ class Consistency:
 
     @property
     def exceeded(self) -> float:
-        """The share of the samples at which B was beyond its limit."""
+        """Return the share of the samples at which B was beyond its limit."""
         return self._exceeded / max(1, self._samples)
 
 
@@ -181,7 +181,9 @@ class Own:
 
     @property
     def claims(self) -> list[str]:
-        """The claims that do not fit at the end, else the likeliest where they seldom did."""
+        """Return the claims that do not fit at the end, else the likeliest where they seldom
+        did.
+        """
         last = false_claims(*self._last)
         if last or self.unfit <= MOST_OF_THE_TIME:
             return last
@@ -189,12 +191,14 @@ class Own:
 
     @property
     def unfit(self) -> float:
-        """The share of the samples at which the claims did not fit."""
+        """Return the share of the samples at which the claims did not fit."""
         return self._unfit / max(1, self._samples)
 
 
 def _graph() -> ca.Function:
-    """The recursion of the sums as a graph: next, ratio = step(sums, [nu; counted], rates)."""
+    """Return the recursion of the sums as a graph: next, ratio = step(sums, [nu; counted],
+    rates).
+    """
     sums, row, rates = ca.SX.sym("s", 3), ca.SX.sym("w", 2), ca.SX.sym("p", 2)
     after = accumulate(Sums(*ca.vertsplit(sums)), row[0], row[1], rates[0], rates[1])
     return ca.Function("sums", [sums, row, rates], [ca.vertcat(*after), after.ratio])
@@ -248,7 +252,7 @@ def verdict_of(
 
 
 def _share(count: int, of: int) -> str:
-    """A share in percent."""
+    """Return a share in percent."""
     return f"{100 * count / max(of, 1):.0f} %"
 
 

@@ -56,7 +56,7 @@ def estimate(
     smoothing: bool = True,
     progress: Callable[[int], None] | None = None,
 ) -> Estimation:
-    """Let an observer follow a log.
+    """Return let an observer follow a log.
 
     Args:
         scenario: a scenario, or the path of its file, which needs no [reference], no [controller]
@@ -132,7 +132,7 @@ class _Log(NamedTuple):
 def _read(
     scenario: Scenario, follower: Follower, log: Any, chosen: Mapping[str, str], strict: bool
 ) -> _Log:
-    """A log from a file or a DataFrame."""
+    """Return a log from a file or a DataFrame."""
     is_path = isinstance(log, str | os.PathLike)
     if not is_path and not (hasattr(log, "columns") and hasattr(log, "index")):
         raise InputError(f"estimate: expected a path or a DataFrame, found {type(log).__name__}")
@@ -204,7 +204,7 @@ def smooth(
     u: Floats,
     progress: Callable[[int], None] | None = None,
 ) -> dict[str, Floats]:
-    """The smoothed signals along a log: what it says as a whole of each of its samples.
+    """Return the smoothed signals along a log: what it says as a whole of each of its samples.
 
     Args:
         model: the sampled model.
@@ -233,7 +233,7 @@ def smooth(
 
 
 def _graphs(model: System, observer: Observer, sensor: Zone) -> _Graphs:
-    """The functions of a filter along a log."""
+    """Return the functions of a filter along a log."""
     known = observer_graph(model, observer, sensor)
     smoothing, inputs = observer.smoothing, [known.s, known.w, known.p]
     following, given = known.step(*inputs)
@@ -259,7 +259,7 @@ def _graphs(model: System, observer: Observer, sensor: Zone) -> _Graphs:
 
 
 def _block(graphs: _Graphs, start: Floats, w: Floats, ahead: _Ahead) -> tuple[Floats, _Ahead]:
-    """A block of samples, given what the later ones say.
+    """Return a block of samples, given what the later ones say.
 
     Args:
         graphs: of the filter.
@@ -292,7 +292,7 @@ def _block(graphs: _Graphs, start: Floats, w: Floats, ahead: _Ahead) -> tuple[Fl
 
 
 def _arrays(like: tuple[Moments, ...], known: Floats) -> tuple[Moments, ...]:
-    """The moments of each member at each sample, from rows of packed numbers."""
+    """Return the moments of each member at each sample, from rows of packed numbers."""
     leaves = []
     columns = tree.leaves(tree.columns(like, known))
     for (_, leaf), (_, values) in zip(tree.leaves(like), columns, strict=True):
@@ -325,7 +325,7 @@ def _shares(graphs: _Graphs, states: Floats, logs: Floats, odds: Floats) -> tupl
 
 
 def _records(graphs: _Graphs, states: Floats, worst: Any) -> tuple[Floats, Any]:
-    """The worst record from each sample on (B x numbers), and that of the whole block.
+    """Return the worst record from each sample on (B x numbers), and that of the whole block.
 
     Args:
         graphs: of the filter.
@@ -344,7 +344,7 @@ def _records(graphs: _Graphs, states: Floats, worst: Any) -> tuple[Floats, Any]:
 
 
 def _arranged(model: System, shown: Floats) -> dict[str, Floats]:
-    """The smoothed signals by name, right and left of each output in turn."""
+    """Return the smoothed signals by name, right and left of each output in turn."""
     n, p = model.n, model.p
     ends = np.cumsum([n, p, p, p, n, p])
     x, z, right, left, x_std, right_std, left_std = np.split(shown, ends, axis=1)

@@ -35,14 +35,14 @@ class _Grid(NamedTuple):
 
     @property
     def lower(self) -> Integers:
-        """The scenario's sample at or before each row (N)."""
+        """Return the scenario's sample at or before each row (N)."""
         return self.rows // self.refine
 
 
 def exogenous(
     problem: Problem, refine: int = 1, run: int | None = 0, seed: int | None = None
 ) -> Floats:
-    """The exogenous inputs of a run: one row per step, and one for the last instant.
+    """Return the exogenous inputs of a run: one row per step, and one for the last instant.
 
     A row is in the order of `loop.Exogenous`, of one instant in sampled time and of three in
     continuous time. With Taylor series (simulation.order above 4) the coefficients of a step stand
@@ -70,7 +70,7 @@ def exogenous(
 
 
 def knots_of(problem: Problem, run: int | None, seed: int | None = None) -> Floats:
-    """The random disturbance at the scenario's samples, between which it runs straight.
+    """Return the random disturbance at the scenario's samples, between which it runs straight.
 
     Args:
         problem: what is simulated.
@@ -89,14 +89,14 @@ def knots_of(problem: Problem, run: int | None, seed: int | None = None) -> Floa
 
 
 def _at_samples(problem: Problem, grid: _Grid, held: Floats) -> list[Floats]:
-    """The inputs of each step in sampled time: targets at its start, w at its middle."""
+    """Return the inputs of each step in sampled time: targets at its start, w at its middle."""
     t = grid.rows * grid.step
     w = _disturbance(problem, grid, t + grid.step / 2, 0.5)
     return [*targets(problem, t), w, held]
 
 
 def _at_instants(problem: Problem, grid: _Grid, held: Floats) -> list[Floats]:
-    """The inputs at the start, middle and end of each step, one after the other."""
+    """Return the inputs at the start, middle and end of each step, one after the other."""
     parts: list[Floats] = []
     for fraction in INSTANTS:
         nudged = min(max(fraction, NUDGE), 1 - NUDGE)
@@ -107,7 +107,7 @@ def _at_instants(problem: Problem, grid: _Grid, held: Floats) -> list[Floats]:
 
 
 def _coefficients(problem: Problem, grid: _Grid, held: Floats) -> list[Floats]:
-    """The inputs of each step as Taylor coefficients, one after the other.
+    """Return the inputs of each step as Taylor coefficients, one after the other.
 
     What is held has the first coefficient alone.
     """
@@ -131,7 +131,7 @@ def _coefficients(problem: Problem, grid: _Grid, held: Floats) -> list[Floats]:
 
 
 def _disturbance(problem: Problem, grid: _Grid, t: Floats, fraction: float) -> Floats:
-    """w at the instants t [s], which are at that fraction of their steps (N x m)."""
+    """Return w at the instants t [s], which are at that fraction of their steps (N x m)."""
     if problem.disturbance is not None:
         return problem.disturbance.value(t)
     share = (grid.rows % grid.refine + fraction)[:, None] / grid.refine
@@ -158,7 +158,7 @@ def _held(problem: Problem, seed: int, run: int) -> list[Floats]:
 
 
 def widths(problem: Problem, exogenous: Floats) -> Floats:
-    """The true d_r, d_l at the start of each step (N x 2 x p)."""
+    """Return the true d_r, d_l at the start of each step (N x 2 x p)."""
     p = problem.plant.p
     count = instants(problem.plant.Ts, problem.scenario.simulation.order)
     first = exogenous[:, : exogenous.shape[1] // count]
@@ -177,7 +177,7 @@ def worn(walk: Floats) -> Floats:
 
 
 def lost(normal: Floats, dropout: Floats) -> Floats:
-    """NaN where a reading is missing, else 0 (... x p).
+    """Return NaN where a reading is missing, else 0 (... x p).
 
     Args:
         normal: standard normal numbers (... x p); the lowest ones are those that are missing.
@@ -191,7 +191,8 @@ def lost(normal: Floats, dropout: Floats) -> Floats:
 
 
 def random_disturbance(problem: Problem) -> tuple[Floats, float] | None:
-    """(rms (m), correlation time [s]) of a random disturbance; None where there is no such one.
+    """Return (rms (m), correlation time [s]) of a random disturbance; None where there is no such
+    one.
 
     It runs in straight lines between the samples of the time grid.
     """
@@ -203,12 +204,12 @@ def random_disturbance(problem: Problem) -> tuple[Floats, float] | None:
 
 
 def between(first: Floats, last: Floats, fraction: Floats | float) -> Floats:
-    """The straight line from first to last, exactly first at fraction 0 and last at 1."""
+    """Return the straight line from first to last, exactly first at fraction 0 and last at 1."""
     return first * (1.0 - fraction) + last * fraction
 
 
 def targets(problem: Problem, t: Floats) -> Target:
-    """Targets with what the controller plans along them.
+    """Return targets with what the controller plans along them.
 
     u_ff of a sampled nonlinear model is that of the middle of the step.
 
@@ -224,7 +225,7 @@ def targets(problem: Problem, t: Floats) -> Target:
 
 
 def _followed(problem: Problem, t: Floats) -> Target:
-    """Targets at times t [s], by the method that the model allows."""
+    """Return targets at times t [s], by the method that the model allows."""
     if not problem.model.nonlinear:
         return linear_targets(problem.model, problem.reference, problem.tracked, t)
     if problem.path is not None:

@@ -24,7 +24,7 @@ STILL: Final = 1e-6  # of the largest |z|: an output that moves less says nothin
 
 
 def measure_feedback(scenario: Scenario, progress: Progress | None = None) -> Run:
-    """The run of a scenario, with how strongly its readings moved z^ in its info.
+    """Return the run of a scenario, with how strongly its readings moved z^ in its info.
 
     Args:
         scenario: what to simulate.
@@ -38,7 +38,7 @@ def measure_feedback(scenario: Scenario, progress: Progress | None = None) -> Ru
 def feedback_shares(
     problem: Problem, run: Run | None, start: Start | None = None, progress: Progress | None = None
 ) -> list[float]:
-    """The share of a lasting error of the model that z^ follows: 1 all of it, 0 none.
+    """Return the share of a lasting error of the model that z^ follows: 1 all of it, 0 none.
 
     It is negative where readings make z^ worse. Errors are taken over the second half of the run.
 
@@ -81,7 +81,7 @@ def _moved(start: Start | None, other: Problem) -> Start | None:
 
 
 def _larger(plant: System) -> System:
-    """The plant with a larger output."""
+    """Return the plant with a larger output."""
     if plant.nonlinear:
         output = plant.output
         return plant._replace(output=lambda params, x: (1 + LARGER) * output(params, x))
@@ -90,5 +90,5 @@ def _larger(plant: System) -> System:
 
 
 def _rms(values: Floats) -> Floats:
-    """Root mean squares of columns."""
+    """Return root mean squares of columns."""
     return np.asarray(np.sqrt(np.mean(values**2, axis=0)))

@@ -298,7 +298,7 @@ class LiveLog:
         self._source, self._units = source, scenario.units
 
     def pieces(self, data: bytes, last: bool) -> Iterator[Piece]:
-        """The samples in the lines that are whole now, so far as they can be judged.
+        """Yield the samples in the lines that are whole now, so far as they can be judged.
 
         Args:
             data: the bytes that came in.

@@ -62,7 +62,7 @@ def linear_verdicts(problem: Problem, schedule: Schedule, arrive: Floats) -> lis
 
 
 def _with_deviations(problem: Problem, schedule: Schedule, readings: Readings) -> list[Verdict]:
-    """Verdicts with the deviations of the widths, from the readings and what is told."""
+    """Return verdicts with the deviations of the widths, from the readings and what is told."""
     linear, bias, told = problem.model.linear, readings.bias, readings.told
     expected = deviations(linear, schedule, readings)
     judged = []
@@ -75,7 +75,7 @@ def _with_deviations(problem: Problem, schedule: Schedule, readings: Readings) -
 def _second(
     problem: Problem, expected: Deviations, readings: Readings, i: int
 ) -> dict[str, Any] | None:
-    """Another truth of output i with the same readings."""
+    """Return another truth of output i with the same readings."""
     linear, size = problem.model.linear, expected.hidden.scale.size
     n = linear.A.shape[0]
     widths = np.array([problem.sensor.right[i], problem.sensor.left[i]])
@@ -125,20 +125,21 @@ def readings_of(problem: Problem, schedule: Schedule, arrive: Floats) -> Reading
 
 
 def gaps_known(problem: Problem) -> bool:
-    """Whether the observer is told the gaps of the play ahead of a dead zone."""
+    """Return whether the observer is told the gaps of the play ahead of a dead zone."""
     model = problem.scenario.model
     return model is None or model.play is None or gaps_of(model.play, problem.model.p)[1] is None
 
 
 def withdrawn(problem: Problem, why: str) -> list[Verdict]:
-    """Verdicts that claim nothing, with the reason."""
+    """Return verdicts that claim nothing, with the reason."""
     return [Verdict(**NONE, reasons=(why,))] * problem.model.p
 
 
 def as_far_as_known(
     problem: Problem, schedule: Schedule, verdict: Verdict, i: int, std: dict[str, float]
 ) -> Verdict:
-    """The verdict on output i with the deviations of its widths; what they exceed is not known.
+    """Return the verdict on output i with the deviations of its widths; what they exceed is not
+    known.
 
     Args:
         problem: the scenario's parts.
@@ -161,7 +162,7 @@ def as_far_as_known(
 
 
 def actuator_unknown(problem: Problem) -> bool:
-    """Whether the actuator's widths are to be estimated, of a linear plant."""
+    """Return whether the actuator's widths are to be estimated, of a linear plant."""
     belief = problem.belief
     return belief is not None and belief.ranges is not None and not problem.plant.nonlinear
 
@@ -183,12 +184,13 @@ def told_at_both_ends(problem: Problem, signal: Outputs, schedule: Schedule) -> 
 
 
 def late_inputs(problem: Problem, signal: Outputs) -> Floats:
-    """The inputs of a run at the samples at which they act on the plant (N x m)."""
+    """Return the inputs of a run at the samples at which they act on the plant (N x m)."""
     return later(signal.u, problem.plant.delay, np.zeros(1, int))
 
 
 def by_claims(traits: Traits, alone: Verdict, claimed: Verdict) -> Verdict:
-    """The verdict with what an observer claims beforehand, which says what nothing else tells.
+    """Return the verdict with what an observer claims beforehand, which says what nothing else
+    tells.
 
     Args:
         traits: of the observer.
@@ -204,7 +206,7 @@ def by_claims(traits: Traits, alone: Verdict, claimed: Verdict) -> Verdict:
 
 
 def constant_inputs(problem: Problem, B: Floats) -> Floats | None:
-    """The columns of B on which the scenario's disturbance leaves an unknown constant.
+    """Return the columns of B on which the scenario's disturbance leaves an unknown constant.
 
     Args:
         problem: the scenario's parts.
@@ -215,7 +217,8 @@ def constant_inputs(problem: Problem, B: Floats) -> Floats | None:
 
 
 def with_false_claims(problem: Problem, verdicts: Sequence[Verdict]) -> list[Verdict]:
-    """The verdicts; a width outside of its claimed range is not known, as no reading corrects it.
+    """Return the verdicts; a width outside of its claimed range is not known, as no reading
+    corrects it.
 
     Args:
         problem: the scenario's parts.
@@ -243,7 +246,7 @@ def with_false_claims(problem: Problem, verdicts: Sequence[Verdict]) -> list[Ver
 
 
 def _with_false_gaps(problem: Problem, verdict: Verdict, i: int) -> Verdict:
-    """The verdict on output i; no width is known beside a gap that is told wrongly."""
+    """Return the verdict on output i; no width is known beside a gap that is told wrongly."""
     play, model = problem.sensor.play, problem.scenario.model
     if play is None or model is None or model.play is None:
         return verdict
@@ -255,7 +258,9 @@ def _with_false_gaps(problem: Problem, verdict: Verdict, i: int) -> Verdict:
 
 
 def _with_false_actuator(problem: Problem, verdict: Verdict) -> Verdict:
-    """The verdict on an output; none of its widths is known behind an actuator told wrongly."""
+    """Return the verdict on an output; none of its widths is known behind an actuator told
+    wrongly.
+    """
     actuator, belief = problem.actuator, problem.belief
     if actuator is None or belief is None:
         return verdict
@@ -268,14 +273,14 @@ def _with_false_actuator(problem: Problem, verdict: Verdict) -> Verdict:
 
 
 def _claimed(true: Floats, told: Floats, ranges: Floats | None) -> np.ndarray:
-    """Whether true [right, left] (2 x each) are as told, or in the ranges that are told."""
+    """Return whether true [right, left] (2 x each) are as told, or in the ranges that are told."""
     low, high = (told, told) if ranges is None else ranges.T.reshape(2, *true.shape)
     slack = ROUNDING * true
     return np.asarray((low - slack <= true) & (true <= high + slack))
 
 
 def with_cures(problem: Problem, verdicts: Sequence[Verdict], z: Floats) -> list[Verdict]:
-    """The verdicts on an arm, each with a cure where the motion passes one edge or none.
+    """Return the verdicts on an arm, each with a cure where the motion passes one edge or none.
 
     Args:
         problem: the scenario's parts.

@@ -64,7 +64,7 @@ def _misreadings(y: Floats, u: Floats, known: int) -> Iterator[tuple[str, Floats
 
 
 def _missed(innovation: Floats, y: Floats) -> float:
-    """Share of the readings that their predictions miss (rms over rms)."""
+    """Return share of the readings that their predictions miss (rms over rms)."""
     with np.errstate(all="ignore"):
         share = np.nanmean(innovation**2) / np.nanmean(y**2)
     return float(np.sqrt(share)) if np.isfinite(share) else np.inf

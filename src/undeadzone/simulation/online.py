@@ -64,7 +64,7 @@ class ObserverGraph(NamedTuple):
 
 
 def observer_graph(model: System, observer: Observer, sensor: Zone) -> ObserverGraph:
-    """The graph of an observer alone.
+    """Return the graph of an observer alone.
 
     Args:
         model: the sampled model.
@@ -152,7 +152,7 @@ class Online:
         self._out[self._where.side] = 0.0
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Built again from what it was made of, then as it was."""
+        """Return built again from what it was made of, then as it was."""
         return Online, self._asked, {name: getattr(self, name) for name in self.KEPT}
 
     def __setstate__(self, kept: dict[str, Any]) -> None:
@@ -169,7 +169,7 @@ class Online:
 
     @property
     def state(self) -> Floats:
-        """The observer's state and what it gave last, as one vector; it may be set."""
+        """Return the observer's state and what it gave last, as one vector; it may be set."""
         return np.concatenate([self._step.state, self._out])
 
     @state.setter
@@ -185,7 +185,7 @@ class Online:
 
     @property
     def side(self) -> Floats:
-        """Measured side of the last reading (p)."""
+        """Return measured side of the last reading (p)."""
         return self._out[self._where.side].copy()
 
     def update(self, y: Array, u: Array) -> Estimate:
@@ -274,7 +274,7 @@ class Online:
         return Estimate(*[out[:, part] for part in self._where.estimate]), sides
 
     def peek(self, y: Array) -> Estimate:
-        """The estimate that `update(y, u)` would return; nothing advances.
+        """Return the estimate that `update(y, u)` would return; nothing advances.
 
         It does not depend on u.
 
@@ -308,7 +308,7 @@ def built_for(
     substeps: int,
     actuator: ActuatorModel | None = None,
 ) -> tuple[System, Zone, Observer]:
-    """The sampled model, the checked sensor, and the observer built for both.
+    """Return the sampled model, the checked sensor, and the observer built for both.
 
     Args:
         observer: options of the observer.

@@ -17,7 +17,7 @@ from undeadzone.util.arrays import Floats, Integers
 
 
 def packed(problem: Problem, loop: Loop) -> tuple[Floats, Floats]:
-    """(initial state, params), packed, that a problem gives a loop of its graph.
+    """Return (initial state, params), packed, that a problem gives a loop of its graph.
 
     Args:
         problem: the numbers' own.
@@ -42,7 +42,7 @@ def moved(loop: Loop, others: Iterable[Floats]) -> Integers:
 
 
 def graph(problem: Problem) -> str:
-    """Observer and controller without their numbers, but with those of a plan, as text.
+    """Return observer and controller without their numbers, but with those of a plan, as text.
 
     It is equal for problems that one kernel serves.
 

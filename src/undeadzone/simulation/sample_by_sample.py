@@ -31,7 +31,7 @@ def run_sample_by_sample(
     progress: Callable[[int], None] | None = None,
     law: ControlLaw | None = None,
 ) -> Outputs:
-    """The outputs of the closed loop along exogenous inputs, by name (rows: time).
+    """Return the outputs of the closed loop along exogenous inputs, by name (rows: time).
 
     Args:
         problem: what is simulated, in sampled time.
@@ -109,7 +109,7 @@ def numeric_along(
     seed: int,
     progress: Callable[[int], None] | None = None,
 ) -> tuple[Estimate, Floats]:
-    """The estimates of an observer that computes in Python.
+    """Return the estimates of an observer that computes in Python.
 
     Args:
         observer: the observer.

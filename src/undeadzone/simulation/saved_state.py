@@ -71,12 +71,12 @@ def load(path: Path, parts: Mapping[str, Any], digest: str) -> None:
 
 
 def _whole(digest: str) -> str:
-    """A digest, and the version that gives the numbers their names."""
+    """Return a digest, and the version that gives the numbers their names."""
     return f"{undeadzone.__version__} {digest}"
 
 
 def _kept(parts: Mapping[str, Any]) -> Iterator[tuple[Any, str, str]]:
-    """(owner, attribute, dotted name in the file) of all numbers that objects hold."""
+    """Yield (owner, attribute, dotted name in the file) of all numbers that objects hold."""
     for above, part in parts.items():
         for name in part.KEPT:
             value, key = getattr(part, name), f"{above}.{name}"
@@ -87,7 +87,7 @@ def _kept(parts: Mapping[str, Any]) -> Iterator[tuple[Any, str, str]]:
 
 
 def _inner(name: str, value: Any) -> dict[str, Any]:
-    """The objects with `KEPT` under a name, which may be a list of them; none of numbers."""
+    """Return the objects with `KEPT` under a name, which may be a list of them; none of numbers."""
     if hasattr(value, "KEPT"):
         return {name: value}
     if isinstance(value, list):
@@ -96,7 +96,7 @@ def _inner(name: str, value: Any) -> dict[str, Any]:
 
 
 def _like(value: Any, array: Any, name: str) -> Any:
-    """An array as a value of the same kind; of another shape only where the value is empty.
+    """Return an array as a value of the same kind; of another shape only where the value is empty.
 
     Raises ValueError for what does not fit.
     """

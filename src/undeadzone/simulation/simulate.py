@@ -112,7 +112,7 @@ def steps(scenario: Scenario, check_step: bool = True) -> int:
 
 
 def _under(law: live.ControlLaw, problem: Problem, engine: Engine) -> Problem:
-    """The problem with a control law in Python for its controller. Raises InputError."""
+    """Return the problem with a control law in Python for its controller. Raises InputError."""
     if not callable(law):
         raise InputError(
             f"controller: expected a function of t, estimate and r, found {type(law).__name__}; "
@@ -135,7 +135,7 @@ def signals_of(
     engine: Engine = "auto",
     law: live.ControlLaw | None = None,
 ) -> tuple[Outputs, IntegrationError | None]:
-    """The signals of a run, and the error of its integration where that is measured.
+    """Return the signals of a run, and the error of its integration where that is measured.
 
     Args:
         problem: the scenario's parts.
@@ -158,7 +158,9 @@ def signals_of(
 def _with_error(
     problem: Problem, start: Start, progress: Progress | None, run: LoopEngine
 ) -> tuple[Outputs, IntegrationError]:
-    """The signals of a run, and by how much its twin of half the step differs, run beside it."""
+    """Return the signals of a run, and by how much its twin of half the step differs, run beside
+    it.
+    """
     interrupted = threading.Event()
 
     def tick(done: int) -> None:
@@ -180,7 +182,7 @@ def _with_error(
 def outputs_of(
     start: Start, progress: Progress | None = None, run: LoopEngine | None = None
 ) -> Outputs:
-    """The outputs of a run, by name.
+    """Return the outputs of a run, by name.
 
     Args:
         start: what it starts from.
@@ -197,7 +199,7 @@ def outputs_of(
 def _at_half_the_step(
     problem: Problem, start: Start, progress: Progress, run: LoopEngine
 ) -> Outputs:
-    """The signals of a run with half the step, at the instants of the whole ones."""
+    """Return the signals of a run with half the step, at the instants of the whole ones."""
     params = start.loop.params
     halved = start.loop._replace(params=params._replace(h=params.h / 2))
     fine = outputs_of(Start(halved, start.state, inputs.exogenous(problem, 2)), progress, run)
@@ -227,7 +229,7 @@ def prepare(problem: Problem) -> Start:
 
 
 def closed(problem: Problem) -> Loop:
-    """The closed loop of a problem. Raises InputError for an observer that is no graph."""
+    """Return the closed loop of a problem. Raises InputError for an observer that is no graph."""
     return close(problem._replace(observer=graph_of(problem.observer)))
 
 
@@ -258,13 +260,13 @@ def engine_for(loop: Loop, engine: Engine, steps: int) -> LoopEngine:
 
 
 def named(loop: Loop, outputs: Floats) -> Outputs:
-    """The columns of recorded outputs (N x all) by name."""
+    """Return the columns of recorded outputs (N x all) by name."""
     by_name: Outputs = tree.columns(loop.outputs, outputs)
     return by_name
 
 
 def _difference(coarse: Outputs, fine: Outputs) -> IntegrationError:
-    """The differences between a run and its twin of half the step."""
+    """Return the differences between a run and its twin of half the step."""
     of_x = np.abs(coarse.x - fine.x).max()
     of_z = np.abs(coarse.z - fine.z).max()
     gaps = {}
@@ -308,7 +310,7 @@ def compare(
 def beside(
     scenario: Scenario, run: Run, progress: Callable[[int], None] | None = None
 ) -> tuple[Run, Run]:
-    """The run of a scenario and that of the observer of its [compare] table, both labelled.
+    """Return the run of a scenario and that of the observer of its [compare] table, both labelled.
 
     Args:
         scenario: which has a [compare] table.
@@ -337,7 +339,7 @@ def labels(first: Any, second: Any) -> tuple[str, str]:
 
 
 def _in_words(options: dict[str, Any], name: str) -> str:
-    """A method, and one of its options, in words."""
+    """Return a method, and one of its options, in words."""
     method, value = str(options["method"]), options.get(name)
     if name == "method" or value in (None, False, {}):
         return method
@@ -349,5 +351,5 @@ def _in_words(options: dict[str, Any], name: str) -> str:
 
 
 def _told(run: Run, **info: Any) -> Run:
-    """The run with other words in its info."""
+    """Return the run with other words in its info."""
     return dataclasses.replace(run, info=msgspec.structs.replace(run.info, **info))

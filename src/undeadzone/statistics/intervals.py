@@ -44,7 +44,7 @@ class Extreme(NamedTuple):
 
 
 def describe(column: Floats) -> dict[str, Interval | Extreme]:
-    """Mean, standard deviation, QUANTILES, min and max of a column of runs.
+    """Return mean, standard deviation, QUANTILES, min and max of a column of runs.
 
     Args:
         column: one number or more; infinite ones are allowed, which have no mean, NaN is not.
@@ -60,7 +60,7 @@ def describe(column: Floats) -> dict[str, Interval | Extreme]:
 
 
 def quantile(ordered: Floats, share: float) -> Interval:
-    """A quantile of a column, itself one of the runs, between two others.
+    """Return a quantile of a column, itself one of the runs, between two others.
 
     The interval rests on order statistics: how many runs lie below the true quantile is binomial.
 
@@ -78,7 +78,7 @@ def quantile(ordered: Floats, share: float) -> Interval:
 
 
 def binomial(n: int, share: float, level: float) -> int:
-    """The quantile of the binomial distribution.
+    """Return the quantile of the binomial distribution.
 
     It is the least k such that at most k of n runs have a property of that share with probability
     `level`, or more.
@@ -91,7 +91,7 @@ def binomial(n: int, share: float, level: float) -> int:
 
 
 def mean(column: Floats) -> Interval:
-    """The mean of a sorted column, with Student's interval."""
+    """Return the mean of a sorted column, with Student's interval."""
     if not np.isfinite(column[[0, -1]]).all():
         return Interval(np.nan, np.nan, np.nan)
     value = float(np.mean(column))
@@ -102,7 +102,7 @@ def mean(column: Floats) -> Interval:
 
 
 def deviation(column: Floats) -> Interval:
-    """The standard deviation of a sorted column.
+    """Return the standard deviation of a sorted column.
 
     The interval is that of its logarithm, with the kurtosis of the runs.
     """
@@ -119,13 +119,14 @@ def deviation(column: Floats) -> Interval:
 
 
 def proportion(count: int, runs: int) -> Interval:
-    """The share of runs with a property, between Clopper and Pearson's exact bounds."""
+    """Return the share of runs with a property, between Clopper and Pearson's exact bounds."""
     (low,), (high,) = shares_between(np.array([count]), runs)
     return Interval(count / runs, float(low), float(high))
 
 
 def shares_between(counts: Integers, runs: int) -> tuple[Floats, Floats]:
-    """Clopper and Pearson's bounds of the shares of runs with properties, the lower ones first.
+    """Return Clopper and Pearson's bounds of the shares of runs with properties, the lower ones
+    first.
 
     Args:
         counts: how many runs have each property.
@@ -139,7 +140,8 @@ def shares_between(counts: Integers, runs: int) -> tuple[Floats, Floats]:
 
 
 def jackknife(estimate: Callable[[Any], Floats], rows: int) -> Floats:
-    """The standard error of an estimate, by leaving out one of GROUPS groups of rows at a time.
+    """Return the standard error of an estimate, by leaving out one of GROUPS groups of rows at a
+    time.
 
     Args:
         estimate: takes a mask of the rows to use.
@@ -151,7 +153,9 @@ def jackknife(estimate: Callable[[Any], Floats], rows: int) -> Floats:
 
 
 def student(freedom: int) -> float:
-    """Half the width of Student's interval, in standard errors, for these degrees of freedom."""
+    """Return half the width of Student's interval, in standard errors, for these degrees of
+    freedom.
+    """
     from scipy.special import stdtrit
 
     return float(stdtrit(freedom, (1 + LEVEL) / 2))

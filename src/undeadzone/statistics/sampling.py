@@ -20,7 +20,7 @@ BITS: Final = 32  # of a Sobol point
 
 
 def points(sampling: str, seed: int, first: int, count: int, entries: int, runs: int) -> Floats:
-    """Points inside the open unit cube (count x entries).
+    """Return points inside the open unit cube (count x entries).
 
     Args:
         sampling: "random", "latin_hypercube", "sobol" or "saltelli".
@@ -45,18 +45,18 @@ def points(sampling: str, seed: int, first: int, count: int, entries: int, runs:
 
 
 def _words(seed: int, kind: int, column: int, first: int, count: int) -> Any:
-    """Words first .. first + count (64 bits each) of the stream of a column."""
+    """Return words first .. first + count (64 bits each) of the stream of a column."""
     generator = np.random.Philox(key=STREAM + seed, counter=[first // 4, 0, column, kind])
     return generator.random_raw(count + first % 4)[first % 4 :]
 
 
 def _uniform(seed: int, first: int, count: int, column: int) -> Floats:
-    """Multiples of 2^-52, and a half of that: never 0 or 1."""
+    """Return multiples of 2^-52, and a half of that: never 0 or 1."""
     return ((_words(seed, NUMBERS, column, first, count) >> np.uint64(12)) + 0.5) * 2.0**-52
 
 
 def _stratified(u: Floats, seed: int, first: int, column: int, runs: int) -> Floats:
-    """Each run in its own of `runs` equal intervals, at the share u of it."""
+    """Return each run in its own of `runs` equal intervals, at the share u of it."""
     keys = _words(seed, KEYS, column, 0, ROUNDS)
     interval = permuted(np.arange(first, first + u.size, dtype=np.uint64), runs, keys)
     return np.minimum((interval + u) / runs, np.nextafter(1.0, 0.0))
@@ -83,7 +83,9 @@ def permuted(index: Any, size: int, keys: Any) -> Any:
 
 
 def _feistel(value: Any, half: Any, keys: Any) -> Any:
-    """A permutation of the numbers of 2 `half` bits, by rounds that mix one half into the other."""
+    """Return a permutation of the numbers of 2 `half` bits, by rounds that mix one half into the
+    other.
+    """
     mask = (np.uint64(1) << half) - np.uint64(1)
     left, right = value >> half, value & mask
     for key in keys:
@@ -92,7 +94,7 @@ def _feistel(value: Any, half: Any, keys: Any) -> Any:
 
 
 def _mixed(word: Any) -> Any:
-    """The finaliser of SplitMix64, Steele et al. (2014).
+    """Return the finaliser of SplitMix64, Steele et al. (2014).
 
     Every bit of the word changes half of the bits.
     """
@@ -102,7 +104,7 @@ def _mixed(word: Any) -> Any:
 
 
 def _sobol(seed: int, first: int, count: int, entries: int) -> Floats:
-    """Scrambled Sobol points, each in the middle of its cell."""
+    """Return scrambled Sobol points, each in the middle of its cell."""
     if entries == 0 or count == 0:
         return np.empty((count, entries))
     from scipy.stats import qmc  # importing it takes longer than most runs
@@ -125,7 +127,7 @@ def _sobol(seed: int, first: int, count: int, entries: int) -> Floats:
 
 
 def _saltelli(seed: int, first: int, count: int, entries: int, runs: int) -> Floats:
-    """The design of Saltelli et al. (2010), from two halves A and B of Sobol points.
+    """Return the design of Saltelli et al. (2010), from two halves A and B of Sobol points.
 
     The runs of A come first, then those of B, of A with column 1 of B, of A with column 2 of B, ...
     """

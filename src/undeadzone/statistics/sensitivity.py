@@ -64,7 +64,7 @@ class Indices(NamedTuple):
 
 
 def given(X: Floats, y: Floats) -> list[Sensitivity]:
-    """The dependence of y on each entry, from runs as they are.
+    """Return the dependence of y on each entry, from runs as they are.
 
     Args:
         X: the varied entries (runs x entries).
@@ -78,7 +78,7 @@ def given(X: Floats, y: Floats) -> list[Sensitivity]:
         return []
 
     def estimate(rows: Floats) -> Floats:
-        """Spearman's, partial, first order (3 x entries) from some of the runs."""
+        """Return Spearman's, partial, first order (3 x entries) from some of the runs."""
         return np.stack([*rank_correlations(X[rows], y[rows]), first_order(X[rows], y[rows])])
 
     spearman, partial, first = estimate(np.full(n, True))
@@ -93,7 +93,7 @@ def given(X: Floats, y: Floats) -> list[Sensitivity]:
 
 
 def saltelli(blocks: Floats) -> list[Indices]:
-    """Sobol indices of each entry from the runs of Saltelli's design.
+    """Return sobol indices of each entry from the runs of Saltelli's design.
 
     Args:
         blocks: the metric f_A, f_B, f_AB1, ..., f_ABd (entries + 2 rows); columns with a NaN are
@@ -115,7 +115,7 @@ def saltelli(blocks: Floats) -> list[Indices]:
 
 
 def indices(blocks: Floats) -> Floats:
-    """Sobol indices by Saltelli's estimator of 2010 (first) and Jansen's (total).
+    """Return sobol indices by Saltelli's estimator of 2010 (first) and Jansen's (total).
 
     Args:
         blocks: the metric f_A, f_B, f_AB1, ..., f_ABd (entries + 2 rows).
@@ -132,7 +132,8 @@ def indices(blocks: Floats) -> Floats:
 
 
 def rank_correlations(X: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Spearman's correlation of each entry with y, and the partial one; 0 where nothing varies.
+    """Return Spearman's correlation of each entry with y, and the partial one; 0 where nothing
+    varies.
 
     The partial one is of what the ranks of the other entries leave of both.
     """
@@ -147,13 +148,14 @@ def rank_correlations(X: Floats, y: Floats) -> tuple[Floats, Floats]:
 
 
 def mean_ranks(x: Floats) -> Floats:
-    """Ranks from 1 for the least; numbers that are alike share the mean of theirs."""
+    """Return ranks from 1 for the least; numbers that are alike share the mean of theirs."""
     _, place, count = np.unique(x, return_inverse=True, return_counts=True)
     return (np.cumsum(count) - (count - 1) / 2)[place]
 
 
 def first_order(X: Floats, y: Floats) -> Floats:
-    """The share of the variance of y that each entry explains, without what it would by chance.
+    """Return the share of the variance of y that each entry explains, without what it would by
+    chance.
 
     An entry explains what a straight line in each of its bins does; 0 where it does not vary.
     """
@@ -166,7 +168,8 @@ def first_order(X: Floats, y: Floats) -> Floats:
 
 
 def chance(y: Floats) -> float:
-    """The first-order index that an entry without influence exceeds with probability 1 - LEVEL.
+    """Return the first-order index that an entry without influence exceeds with probability 1 -
+    LEVEL.
 
     It is found from permutations of y.
     """
@@ -177,7 +180,7 @@ def chance(y: Floats) -> float:
 
 
 def _explained(x: Floats, y: Floats) -> float:
-    """1 - (variance about a line in each bin) / (variance of y), both unbiased.
+    """Return 1 - (variance about a line in each bin) / (variance of y), both unbiased.
 
     x ascends; its n^(2/5) bins hold equally many runs.
     """
@@ -195,12 +198,12 @@ def _explained(x: Floats, y: Floats) -> float:
 
 
 def _from_means(v: Floats, starts: Integers, sizes: Integers) -> Floats:
-    """v less its mean in each bin."""
+    """Return v less its mean in each bin."""
     return v - np.repeat(np.add.reduceat(v, starts) / sizes, sizes)
 
 
 def _correlation(r: float, error: float, freedom: int) -> Correlation:
-    """A correlation with the interval of arctanh r, and p of Student's test."""
+    """Return a correlation with the interval of arctanh r, and p of Student's test."""
     from scipy.special import stdtr
 
     r = float(np.clip(r, -1.0, 1.0))
@@ -213,6 +216,6 @@ def _correlation(r: float, error: float, freedom: int) -> Correlation:
 
 
 def _share(value: float, error: float) -> Interval:
-    """A share with its interval, both between 0 and 1, where the true one lies."""
+    """Return a share with its interval, both between 0 and 1, where the true one lies."""
     value, low, high = np.clip([value, value - error, value + error], 0.0, 1.0)
     return Interval(float(value), float(low), float(high))

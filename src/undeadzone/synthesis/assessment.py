@@ -113,7 +113,7 @@ class Assessment(NamedTuple):
 
 
 def assess(problem: Problem, listen: bool = False) -> Assessment:
-    """The assessment of a problem.
+    """Return the assessment of a problem.
 
     Args:
         problem: the scenario's parts.
@@ -132,7 +132,7 @@ def assess(problem: Problem, listen: bool = False) -> Assessment:
 
 
 def attack(assessment: Assessment, seed: int = 0) -> Attacks | None:
-    """Attempts to break the gains of an assessment, which take seconds.
+    """Return attempts to break the gains of an assessment, which take seconds.
 
     Args:
         assessment: of a scenario.
@@ -179,7 +179,7 @@ def _gains(problem: Problem, schedule: Schedule, L: Floats, gamma: Floats) -> Ga
 
 
 def _nearest(problem: Problem, schedule: Schedule, L: Floats, gamma: Floats) -> Gains | None:
-    """Certified gains near to L (n x p), gamma (p) [1/s]; None where none were found."""
+    """Return certified gains near to L (n x p), gamma (p) [1/s]; None where none were found."""
     try:
         certificate = nearest(problem.model.linear, L, gamma, problem.model.Ts).certificate
     except StructureError:
@@ -191,7 +191,7 @@ def _nearest(problem: Problem, schedule: Schedule, L: Floats, gamma: Floats) -> 
 
 
 def trial_run(problem: Problem) -> Run | None:
-    """A run of the scenario, where its sides cannot be told without one; else None.
+    """Return a run of the scenario, where its sides cannot be told without one; else None.
 
     They cannot for a nonlinear plant, nor for a controller that does not make z follow r, nor can
     the modes of an actuator whose widths are estimated.
@@ -208,7 +208,7 @@ def trial_run(problem: Problem) -> Run | None:
 
 
 def plan(problem: Problem, run: Run | None) -> Schedule:
-    """The sides along a run, or along the reference where there is none."""
+    """Return the sides along a run, or along the reference where there is none."""
     model, sensor = problem.model, problem.sensor
     if run is not None:
         return recorded(run.z, sensor, run.info.step, model.Ts, np.isfinite(run.y))

@@ -62,7 +62,7 @@ class Nearest(NamedTuple):
     rate: float
 
     def plain(self) -> dict[str, Any]:
-        """The same for JSON."""
+        """Return the same for JSON."""
         return self._asdict() | {"L": self.L.tolist(), "gamma": self.gamma.tolist()}
 
 
@@ -114,7 +114,7 @@ class Check:
 
     @property
     def affirmed(self) -> bool:
-        """Whether everything is answered with yes: the exit code of `undeadzone check`.
+        """Return whether everything is answered with yes: the exit code of `undeadzone check`.
 
         That is: the gains are certified (observers without constant gains need not be), no run
         leaves the region, and every width can be identified.
@@ -124,12 +124,14 @@ class Check:
 
     @property
     def outputs(self) -> list[str]:
-        """The names of the outputs: an arm's joints where it has one for each, else numbers."""
+        """Return the names of the outputs: an arm's joints where it has one for each, else
+        numbers.
+        """
         arm = self.assessment.problem.model.arm
         return output_names([] if arm is None else arm.chain.joints, len(self.known))
 
     def summary(self) -> dict[str, Any]:
-        """The numbers, ready for JSON: lists where there are several outputs.
+        """Return the numbers, ready for JSON: lists where there are several outputs.
 
         None stands where there is no finite number. They are those of `undeadzone check --json`,
         see docs/json.md.
@@ -150,7 +152,7 @@ class Check:
         return dict(finite(numbers))
 
     def blocks(self) -> list[Block]:
-        """The tables that `undeadzone check` prints."""
+        """Return the tables that `undeadzone check` prints."""
         return in_words(self)
 
     __repr__ = shown.in_text
@@ -160,7 +162,7 @@ class Check:
     """Draw it."""
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Checked again from its scenario: what the report draws holds functions."""
+        """Return checked again from its scenario: what the report draws holds functions."""
         return check, (self.scenario,)
 
 
@@ -206,14 +208,14 @@ def check_assessment(assessment: Assessment) -> Check:
 
 
 def _overrun(problem: Problem) -> tuple[float | None, ...]:
-    """The overrun number of each output; nothing where no inertia is given."""
+    """Return the overrun number of each output; nothing where no inertia is given."""
     step = problem.scenario.simulation.step
     parts = problem.reference, problem.tracked, problem.steps * step, step
     return tuple(overrun_numbers(problem.sensor, *parts) or ())
 
 
 def _nearest(gains: Gains) -> Nearest:
-    """Gains and what they are worth."""
+    """Return gains and what they are worth."""
     return Nearest(gains.L, gains.gamma, gains.certificate.margin, gains.rates.rate)
 
 
@@ -285,7 +287,8 @@ def _reasons_of_outputs(known: Sequence[Knowledge]) -> list[str]:
 
 
 def _bounded(proof: Certificate, problem: Problem) -> Bounds | None:
-    """The least L2 gains to z - z^, each with the other input absent; None if one has no proof.
+    """Return the least L2 gains to z - z^, each with the other input absent; None if one has no
+    proof.
 
     They are those from a disturbance of the input and from noise on the reading.
     """
@@ -298,7 +301,9 @@ def _bounded(proof: Certificate, problem: Problem) -> Bounds | None:
 
 
 def _left(run: Run | None, ranges: Box) -> float | None:
-    """The time [s] at which state, estimate or input of a run first leave a box; None: never."""
+    """Return the time [s] at which state, estimate or input of a run first leave a box; None:
+    never.
+    """
     assert run is not None
     outside = np.flatnonzero(ranges.left(run.x, run.x_hat, run.u))
     return float(run.t[outside[0]]) if outside.size else None
@@ -337,7 +342,9 @@ def in_words(found: Check) -> list[Block]:
 
 
 def _rows(found: Check) -> Rows:
-    """A row for each output: what its readings tell, with the least deviations they allow."""
+    """Return a row for each output: what its readings tell, with the least deviations they
+    allow.
+    """
     table: list[Sequence[str]] = [("identifiable", *DIRECTIONS)]
     for name, known in zip(found.outputs, found.known, strict=True):
         table.append((name, *(_known(known, each) for each in DIRECTIONS)))
@@ -345,7 +352,7 @@ def _rows(found: Check) -> Rows:
 
 
 def _known(known: Knowledge, name: str) -> str:
-    """Whether a direction can be known, and how well."""
+    """Return whether a direction can be known, and how well."""
     if not getattr(known, name):
         return "NO"
     std = finite(known.std.get(name))
@@ -353,7 +360,7 @@ def _known(known: Knowledge, name: str) -> str:
 
 
 def _certified(found: Check) -> dict[str, str]:
-    """Whether the gains are certified, and whether a run stays where they are."""
+    """Return whether the gains are certified, and whether a run stays where they are."""
     shown = {}
     on_region = found.scenario.region is not None
     if found.certified and on_region:
@@ -377,7 +384,7 @@ def _certified(found: Check) -> dict[str, str]:
 
 
 def _bounds(found: Check) -> dict[str, str]:
-    """Certified gains near to those that are not, and bounds of those that are."""
+    """Return certified gains near to those that are not, and bounds of those that are."""
     shown, near = {}, found.nearest
     if near is not None:
         gains = f"L = {plain(near.L.tolist())}, gamma = {plain(near.gamma.tolist())}"
@@ -409,7 +416,7 @@ def _speed(found: Check) -> dict[str, str]:
 
 
 def _coasting(overrun: Sequence[float | None]) -> str:
-    """Whether what is behind a play rests in its gap."""
+    """Return whether what is behind a play rests in its gap."""
     told = ", ".join(f"{number:.3g}" for number in overrun if finite(number) is not None)
     if not told:
         return "cannot be told: the reference has corners"

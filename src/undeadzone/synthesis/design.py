@@ -109,7 +109,7 @@ def impossible(flow: System) -> str:
 
 
 def with_gains(scenario: Scenario, design: Design) -> Scenario:
-    """The scenario with the gains of a design."""
+    """Return the scenario with the gains of a design."""
     kept = scenario.observer if isinstance(scenario.observer, Certified) else Certified()
     observer = msgspec.structs.replace(kept, L=design.L, gamma=design.gamma, design=None)
     return msgspec.structs.replace(scenario, observer=observer)
@@ -138,7 +138,7 @@ def _require_task(scenario: Scenario, flow: System) -> None:
 
 
 def _present(scenario: Scenario, problem: Problem) -> tuple[Floats, Floats] | None:
-    """The scenario's own gains, if they are certified."""
+    """Return the scenario's own gains, if they are certified."""
     if not isinstance(scenario.observer, Certified):
         return None
     model = problem.model
@@ -149,7 +149,7 @@ def _present(scenario: Scenario, problem: Problem) -> tuple[Floats, Floats] | No
 
 
 def _proof(problem: Problem, result: gain_search.Synthesis) -> dict[str, Any]:
-    """The model of a design and the proof of its gains, as its file holds them."""
+    """Return the model of a design and the proof of its gains, as its file holds them."""
     A, B, C = problem.model.linear
     certificate = result.certificate
     return {
@@ -173,6 +173,6 @@ def _in_words(maximise: Aim) -> str:
 
 
 def _point(candidate: Candidate) -> Point:
-    """A candidate as a design's file holds it."""
+    """Return a candidate as a design's file holds it."""
     numbers = candidate._asdict()
     return Point(**numbers | {"L": candidate.L.tolist(), "gamma": candidate.gamma.tolist()})

@@ -83,7 +83,7 @@ Cost = Callable[[Floats], Floats]  # of points (b, d): numbers (b)
 
 
 def fastest(task: Task, weights: Weights, seed: int, tick: Tick) -> Synthesis:
-    """The certified gains of the largest rate, or of the best trade that `weights` name.
+    """Return the certified gains of the largest rate, or of the best trade that `weights` name.
 
     Args:
         task: the design task.
@@ -108,7 +108,8 @@ def at_the_limit(task: Task, best: Candidate) -> tuple[str, ...]:
 
 
 def search(task: Task, weights: Weights, seed: int, tick: Tick) -> tuple[Task, Floats]:
-    """The best of several seeded searches, before it is polished, and the task it was found in.
+    """Return the best of several seeded searches, before it is polished, and the task it was found
+    in.
 
     Where it touches the largest gains that are tried, larger ones are tried too.
     """
@@ -130,12 +131,12 @@ def search(task: Task, weights: Weights, seed: int, tick: Tick) -> tuple[Task, F
 
 
 def _better(cost: Cost, one: Floats, other: Floats) -> Floats:
-    """The point of less cost (d each)."""
+    """Return the point of less cost (d each)."""
     return (one, other)[int(np.argmin(cost(np.stack([one, other]))))]
 
 
 def _cost(task: Task, weights: Weights) -> Cost:
-    """The function that the best trade makes small."""
+    """Return the function that the best trade makes small."""
     mismatch = weights.mismatch > 0
     gains = weights.disturbance > 0 or weights.noise > 0
 
@@ -154,7 +155,7 @@ def _cost(task: Task, weights: Weights) -> Cost:
 def proved(
     task: Task, point: Floats, cost_in: Callable[[Task], Cost]
 ) -> tuple[Candidate, Certificate]:
-    """The point polished and proved.
+    """Return the point polished and proved.
 
     Where the exact margin is missed, its frequency is watched too.
 
@@ -179,7 +180,7 @@ def proved(
 
 
 def _polished(cost: Cost, point: Floats, low: Floats, high: Floats) -> Floats:
-    """A point of less cost between bounds (d each), by Nelder and Mead's method."""
+    """Return a point of less cost between bounds (d each), by Nelder and Mead's method."""
     from scipy.optimize import minimize
 
     def cost_of_one(x: Floats) -> float:
@@ -197,7 +198,7 @@ def population(task: Task) -> int:
 
 
 def balanced(task: Task, present: Candidate | None, seed: int, tick: Tick) -> Synthesis:
-    """The front of rate, disturbance and noise, and its knee.
+    """Return the front of rate, disturbance and noise, and its knee.
 
     The knee is the point whose largest normalised loss is smallest; a loss is a logarithm between
     the least (0) and greatest (1) on the front. The error that a wrong model leaves counts too, and
@@ -266,7 +267,7 @@ def _costs(task: Task, points: Floats, limit: float) -> Floats:
 
 
 def _traded(scores: Scores, limit: float) -> Floats:
-    """Logarithms of 1 / rate, disturbance and noise (b, 3).
+    """Return logarithms of 1 / rate, disturbance and noise (b, 3).
 
     They are inf where the rate is not above the limit [1/s].
     """
@@ -277,7 +278,7 @@ def _traded(scores: Scores, limit: float) -> Floats:
 
 
 def _around(task: Task, present: Candidate, level: Floats, limit: float, seed: int) -> Floats:
-    """The point near present gains that beats their costs, the level (3), by most."""
+    """Return the point near present gains that beats their costs, the level (3), by most."""
 
     def worst(points: Floats) -> Floats:
         return np.asarray((_costs(task, points, limit) - level).max(axis=1))
@@ -299,7 +300,7 @@ def _remarks(best: Candidate, present: Candidate) -> tuple[str, ...]:
 
 
 def _front(task: Task, points: Floats) -> list[Candidate]:
-    """The undominated of these points by falling rate.
+    """Return the undominated of these points by falling rate.
 
     Their margins are made exact at their own worst frequencies.
     """

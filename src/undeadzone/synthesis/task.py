@@ -68,22 +68,22 @@ class Task(NamedTuple):
 
     @property
     def n(self) -> int:
-        """Number of states."""
+        """Return number of states."""
         return self.A.shape[0]
 
     @property
     def p(self) -> int:
-        """Number of outputs."""
+        """Return number of outputs."""
         return self.linear.C.shape[0]
 
     @property
     def poles(self) -> Floats:
-        """Sizes of the plant's poles [1/s]."""
+        """Return sizes of the plant's poles [1/s]."""
         return np.abs(_poles(self.A, self.Ts))
 
 
 def make_task(problem: Problem, margin: float) -> Task:
-    """The design task of a linear, stable scenario.
+    """Return the design task of a linear, stable scenario.
 
     Args:
         problem: the scenario's parts.
@@ -132,20 +132,20 @@ def make_task(problem: Problem, margin: float) -> Task:
 
 
 def _balanced(linear: Matrices, units: Floats) -> Matrices:
-    """The matrices for states measured in these units (n)."""
+    """Return the matrices for states measured in these units (n)."""
     A, B, C = linear
     return Matrices(A / units[:, None] * units, B / units[:, None], C * units)
 
 
 def _frequencies(task: Task) -> Floats:
-    """0 and the frequencies around each pole at which the margin is looked at [rad/s]."""
+    """Return 0 and the frequencies around each pole at which the margin is looked at [rad/s]."""
     near = np.tan(np.linspace(-1.5, 1.5, PER_POLE))
     around = [abs(s.imag) + abs(s.real) * near for s in _poles(task.A, task.Ts)]
     return np.abs(np.concatenate([[0.0], *around]))
 
 
 def watched(task: Task, w: Floats) -> Task:
-    """The task with its margin looked at also at frequencies w [rad/s]."""
+    """Return the task with its margin looked at also at frequencies w [rad/s]."""
     if task.Ts is None:
         s = 1j * w
     else:
@@ -156,7 +156,7 @@ def watched(task: Task, w: Floats) -> Task:
 
 
 def _driven(problem: Problem, flow: Matrices, units: Floats) -> tuple[Floats, Floats, Floats]:
-    """(S, model_errors, source) of `Task`.
+    """Return (S, model_errors, source) of `Task`.
 
     Args:
         problem: the scenario's parts.
@@ -192,7 +192,7 @@ def _kinematic(A: Floats, B: Floats) -> np.ndarray:
 
 
 def _poles(A: Floats, Ts: float | None) -> np.ndarray:
-    """Poles [1/s] of A, or of a sampled A in delta form mapped back to continuous time."""
+    """Return poles [1/s] of A, or of a sampled A in delta form mapped back to continuous time."""
     poles = np.linalg.eigvals(A)
     if Ts is None:
         return np.asarray(poles)
@@ -267,7 +267,7 @@ def score(
 
 
 def certified(task: Task, L: Floats, gamma: Floats, W: Floats) -> Floats:
-    """L shrunk towards 0 as far as the margin asks (b, n, p): docs/rates.md.
+    """Return L shrunk towards 0 as far as the margin asks (b, n, p): docs/rates.md.
 
     1 + G - Ts gamma / 2 >= margin is linear in L, and holds at L = 0 since Ts gamma <= 1.
 
@@ -291,7 +291,7 @@ def certified(task: Task, L: Floats, gamma: Floats, W: Floats) -> Floats:
 
 
 def _slowest(task: Task, M: Floats, size: Floats) -> Floats:
-    """The largest ln |multiplier| of errors that can die (b).
+    """Return the largest ln |multiplier| of errors that can die (b).
 
     Those apart that unidentifiable errors keep on the unit circle.
 
@@ -308,7 +308,7 @@ def _slowest(task: Task, M: Floats, size: Floats) -> Floats:
 
 
 def _logarithms(M: Floats) -> Floats:
-    """ln |eigenvalue| of matrices (b, N, N)."""
+    """Return ln |eigenvalue| of matrices (b, N, N)."""
     return np.log(np.maximum(np.abs(np.linalg.eigvals(M)), floquet.TINY))
 
 
@@ -337,13 +337,13 @@ def candidate_of(task: Task, L: Floats, gamma: Floats) -> Candidate:
 
 
 def candidate_at(task: Task, point: Floats) -> Candidate:
-    """The gains at a point (d), and what they are worth."""
+    """Return the gains at a point (d), and what they are worth."""
     L, gamma = gains_at(task, point[None])
     return candidate_of(task, task.units[:, None] * L[0], gamma[0])
 
 
 def gains_at(task: Task, points: Floats) -> tuple[Floats, Floats]:
-    """The certified gains at points.
+    """Return the certified gains at points.
 
     Args:
         task: the design task.
@@ -361,7 +361,7 @@ def gains_at(task: Task, points: Floats) -> tuple[Floats, Floats]:
 
 
 def point_of(task: Task, gains: Candidate) -> Floats:
-    """The point whose `gains_at` these are, as near as the box allows."""
+    """Return the point whose `gains_at` these are, as near as the box allows."""
     L, gamma = gains.L / task.units[:, None], np.maximum(gains.gamma, 1e-300)
     shares = np.arcsinh(L / task.poles.min()).ravel()
     point = np.concatenate([shares, np.log(gamma), np.zeros(task.p - 1)])
@@ -369,7 +369,7 @@ def point_of(task: Task, gains: Candidate) -> Floats:
 
 
 def box(task: Task) -> tuple[Floats, Floats]:
-    """The least and greatest points of the search (d each).
+    """Return the least and greatest points of the search (d each).
 
     Steps of simulation and sampling bound the gains too.
     """

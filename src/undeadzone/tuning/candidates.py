@@ -67,7 +67,7 @@ class TestRuns(NamedTuple):
 
     @property
     def problem(self) -> Problem:
-        """The problem of the first candidate."""
+        """Return the problem of the first candidate."""
         return self.batch.problem
 
     @property
@@ -76,7 +76,9 @@ class TestRuns(NamedTuple):
         return dict(zip(self.batch.binding.names, self.values.T, strict=True))
 
     def redrawn(self, runs: int, seed: int) -> TestRuns:
-        """The same on other runs: the first `runs` of a seed; one if nothing differs among them."""
+        """Return the same on other runs: the first `runs` of a seed; one if nothing differs among
+        them.
+        """
         binding, own = self.batch.binding._replace(seed=seed), self.batch.own._replace(seed=seed)
         count = runs if binding.columns or own.entries else 1
         values = binding.draw(0, count, runs)
@@ -84,7 +86,7 @@ class TestRuns(NamedTuple):
         return self._replace(batch=batch, runs=np.arange(count), values=values)
 
     def rows(self, candidates: Sequence[Problem], threads: int | None = None) -> Floats:
-        """The metrics (candidates x runs x columns) of candidates.
+        """Return the metrics (candidates x runs x columns) of candidates.
 
         Those that the kernel does not serve get one of their own. Raises InputError.
         """
@@ -112,7 +114,9 @@ class TestRuns(NamedTuple):
         return form
 
     def _rows(self, candidates: list[Problem], threads: int | None) -> Floats:
-        """The metrics of candidates that the kernel serves: candidate by candidate, run by run."""
+        """Return the metrics of candidates that the kernel serves: candidate by candidate, run by
+        run.
+        """
         parts = []
         for candidate in candidates:
             state, params = packed(candidate, self.batch.loop)
@@ -172,18 +176,18 @@ class OneByOne(NamedTuple):
     varied: Mapping[str, Floats] = {}
 
     def redrawn(self, runs: int, seed: int) -> OneByOne:
-        """Other runs: the first `runs` of a seed; one if nothing differs between them."""
+        """Return other runs: the first `runs` of a seed; one if nothing differs between them."""
         sensor = self.problem.sensor
         noisy = sensor.noise.any() or sensor.noise_before.any()
         differ = noisy or random_disturbance(self.problem)
         return OneByOne(self.problem, runs if differ else 1, seed)
 
     def rows(self, candidates: Sequence[Problem], threads: int | None = None) -> Floats:
-        """The metrics (candidates x runs x columns) of candidates; threads: not used."""
+        """Return the metrics (candidates x runs x columns) of candidates; threads: not used."""
         return np.stack([self._rows_of(candidate) for candidate in candidates])
 
     def _rows_of(self, candidate: Problem) -> Floats:
-        """The metrics (runs x columns) of one candidate."""
+        """Return the metrics (runs x columns) of one candidate."""
         rows = []
         for run in range(self.runs):
             inputs = exogenous(candidate, run=run, seed=self.seed)
@@ -192,7 +196,9 @@ class OneByOne(NamedTuple):
 
 
 def row(problem: Problem, out: Outputs) -> Floats:
-    """The metrics (1 x columns) of one run, as `metrics.measured` accumulates them in the loop."""
+    """Return the metrics (1 x columns) of one run, as `metrics.measured` accumulates them in the
+    loop.
+    """
     t = np.arange(len(out.z)) * problem.scenario.simulation.step
     tail = last_samples(t)
     r = problem.reference.value(t)
@@ -243,7 +249,7 @@ class Objective(NamedTuple):
     test_runs: tuple[TestRuns | OneByOne, ...] = ()
 
     def prepared(self, probes: Floats, seed: int) -> Objective:
-        """The objective on the first runs of a seed.
+        """Return the objective on the first runs of a seed.
 
         Args:
             probes: candidates (rows) that move whatever others will move; the first one is possible
@@ -256,7 +262,9 @@ class Objective(NamedTuple):
         return self._replace(test_runs=tuple(self._test_runs(k, probes, seed) for k in scenarios))
 
     def _test_runs(self, index: int, probes: Floats, seed: int) -> TestRuns | OneByOne:
-        """The test runs of a scenario: on the lanes, unless its observer computes in Python."""
+        """Return the test runs of a scenario: on the lanes, unless its observer computes in
+        Python.
+        """
         first = resolve_scenario(self.scenario(index, probes[0]))
         _check_metric(self.what.metric, first)
         if first.observer.python is None:
@@ -269,19 +277,19 @@ class Objective(NamedTuple):
         return OneByOne(first).redrawn(self.what.runs, seed)
 
     def scenario(self, index: int, point: Floats) -> Scenario:
-        """A scenario with the numbers of a candidate."""
+        """Return a scenario with the numbers of a candidate."""
         values = dict(zip(self.names, point.tolist(), strict=True))
         return with_numbers(self.scenarios[index], values)
 
     def problem(self, index: int, point: Floats) -> Problem | None:
-        """The problem of a candidate in a scenario; None where it is refused."""
+        """Return the problem of a candidate in a scenario; None where it is refused."""
         try:
             return resolve_scenario(self.scenario(index, point))
         except (UndeadzoneError, np.linalg.LinAlgError):
             return None
 
     def problems(self, points: Floats) -> list[Problems | None]:
-        """The problems of each candidate, one per scenario; None where one is refused.
+        """Return the problems of each candidate, one per scenario; None where one is refused.
 
         Args:
             points: candidates x numbers
@@ -294,7 +302,7 @@ class Objective(NamedTuple):
         return candidates
 
     def margins(self, candidates: Sequence[Problems | None]) -> Floats:
-        """The least margin of each candidate's certificates.
+        """Return the least margin of each candidate's certificates.
 
         It is inf if no certificate is asked for, -inf for a candidate that is refused.
         """
@@ -317,7 +325,7 @@ class Objective(NamedTuple):
         return losses(self.what.metric, runs, runs.rows(candidates, self.threads))
 
     def scores(self, lost: Sequence[Floats]) -> Floats:
-        """The mean over the scenarios of framed statistics.
+        """Return the mean over the scenarios of framed statistics.
 
         Args:
             lost: losses in each scenario (candidates x runs)
@@ -329,7 +337,7 @@ class Objective(NamedTuple):
         return np.mean(framed, axis=0)
 
     def redrawn(self, runs: int, seed: int) -> Objective:
-        """The same on other runs: the first `runs` of a seed."""
+        """Return the same on other runs: the first `runs` of a seed."""
         return self._replace(test_runs=tuple(each.redrawn(runs, seed) for each in self.test_runs))
 
 
@@ -344,7 +352,7 @@ def _check_metric(metric: str, problem: Problem) -> None:
 
 
 def statistic(name: str, lost: Floats) -> Floats:
-    """The mean, or the loss of one of the runs, along the last axis."""
+    """Return the mean, or the loss of one of the runs, along the last axis."""
     if name == "mean":
         return lost.mean(axis=-1)
     share = 1.0 if name == "worst" else QUANTILES[name]
@@ -352,7 +360,8 @@ def statistic(name: str, lost: Floats) -> Floats:
 
 
 def losses(metric: str, runs: TestRuns | OneByOne, rows: Floats) -> Floats:
-    """The size of a metric; above LIMIT, but finite, for runs that diverged: the faster, the more.
+    """Return the size of a metric; above LIMIT, but finite, for runs that diverged: the faster, the
+    more.
 
     Args:
         metric: a column of `metrics`, or the error of a width such as `d_right_error[0]`
@@ -383,7 +392,10 @@ def _rate_of_divergence(columns: Mapping[str, Floats], step: float) -> Floats:
 
 
 def certified_margin(problem: Problem) -> float:
-    """The margin of the certificate; below 0 where the gains have none. Raises InputError."""
+    """Return the margin of the certificate; below 0 where the gains have none.
+
+    Raises InputError.
+    """
     gains = constant_gains(problem.observer, problem.model)
     if gains is None:
         raise InputError(

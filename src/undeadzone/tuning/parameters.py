@@ -48,7 +48,7 @@ class Parameter(NamedTuple):
     start: float
 
     def value(self, u: Floats) -> Floats:
-        """The number at the share u, 0 to 1, of the range."""
+        """Return the number at the share u, 0 to 1, of the range."""
         if self.log:
             value = self.low * (self.high / self.low) ** u
         else:
@@ -56,14 +56,14 @@ class Parameter(NamedTuple):
         return np.clip(np.round(value) if self.whole else value, self.low, self.high)
 
     def share(self, value: float) -> float:
-        """The share of the range at which a number lies."""
+        """Return the share of the range at which a number lies."""
         if self.log:
             return float(np.log(value / self.low) / np.log(self.high / self.low))
         return (value - self.low) / (self.high - self.low)
 
 
 def named(address: str, known: Mapping[str, Number]) -> list[str]:
-    """The numbers that an address stands for.
+    """Return the numbers that an address stands for.
 
     A list may be indexed as the column that it is, one number as a list.
 
@@ -122,7 +122,10 @@ def parameters(entries: Mapping[str, Range], scenario: Scenario) -> tuple[Parame
 
 
 def _parameter(address: str, name: str, bounds: Range, number: Number) -> Parameter:
-    """A number with its checked bounds and its start; address: of its entry. Raises InputError."""
+    """Return a number with its checked bounds and its start; address: of its entry.
+
+    Raises InputError.
+    """
     place = TABLE.entry_name(address)
     low, high = bounds.between
     if not -LARGEST <= low < high <= LARGEST:
@@ -146,12 +149,12 @@ def _parameter(address: str, name: str, bounds: Range, number: Number) -> Parame
 
 
 def values_at(tuned: Sequence[Parameter], u: Floats) -> Floats:
-    """The numbers of candidates at shares u of the ranges (candidates x numbers)."""
+    """Return the numbers of candidates at shares u of the ranges (candidates x numbers)."""
     return np.stack([p.value(u[:, i]) for i, p in enumerate(tuned)], axis=1)
 
 
 def with_gains(scenario: Scenario, what: Tune) -> Scenario:
-    """The scenario with its observer's default L, where L is tuned but left to the method.
+    """Return the scenario with its observer's default L, where L is tuned but left to the method.
 
     What is tuned of it is moved into its bounds.
     """

@@ -103,17 +103,17 @@ class Tuned:
 
     @property
     def scenario(self) -> Scenario:
-        """The tuned scenario, the first of several."""
+        """Return the tuned scenario, the first of several."""
         return self.scenarios[0]
 
     @property
     def certified(self) -> bool:
-        """Whether the certificate that was asked for holds; True if none was."""
+        """Return whether the certificate that was asked for holds; True if none was."""
         return self.margin is None or self.margin >= self.what.margin
 
     @property
     def improved(self) -> bool:
-        """Whether held-out runs are better.
+        """Return whether held-out runs are better.
 
         Fewer diverge, or as many and all that is known of the change is an improvement.
         """
@@ -125,12 +125,12 @@ class Tuned:
 
     @property
     def at_edge(self) -> list[str]:
-        """The tuned numbers that lie at an end of their range: a wider one may do better."""
+        """Return the tuned numbers that lie at an end of their range: a wider one may do better."""
         pairs = zip(self.parameters, self.values, strict=True)
         return [p.name for p, value in pairs if not EDGE < p.share(value) < 1 - EDGE]
 
     def blocks(self) -> list[shown.Block]:
-        """The tables that `undeadzone tune` prints."""
+        """Return the tables that `undeadzone tune` prints."""
         return [in_words(self)]
 
     __repr__ = shown.in_text
@@ -166,7 +166,7 @@ class Tuned:
         return write_text(marked(head + toml.dumps(anchored(self.scenarios[index], here))), path)
 
     def summary(self) -> dict[str, Any]:
-        """Everything found, ready for JSON.
+        """Return everything found, ready for JSON.
 
         Returns:
             What was tuned and how, costs, held-out runs and every candidate; null where there is no
@@ -241,18 +241,18 @@ def _gained(found: Tuned) -> dict[str, str]:
 
 
 def _interval(interval: Interval) -> str:
-    """A value and its interval, an end of which may be unknown."""
+    """Return a value and its interval, an end of which may be unknown."""
     value, low, high = map(_number, interval)
     return f"{value} [{low}, {high}]"
 
 
 def _number(value: float) -> str:
-    """A number, or that it is not known."""
+    """Return a number, or that it is not known."""
     return number(finite(value), none="?")
 
 
 def best_of(candidates: list[SimulatedCandidate], least: float) -> SimulatedCandidate:
-    """The cheapest candidate with the certificate, else that of the largest margin.
+    """Return the cheapest candidate with the certificate, else that of the largest margin.
 
     Args:
         candidates: one at least
@@ -267,7 +267,8 @@ def best_of(candidates: list[SimulatedCandidate], least: float) -> SimulatedCand
 def validate(
     on: Objective, tuned: tuple[Parameter, ...], candidates: list[SimulatedCandidate], seed: int
 ) -> Tuned:
-    """The result of tuning: the worth of the best candidate on held-out runs, of the next seed.
+    """Return the result of tuning: the worth of the best candidate on held-out runs, of the next
+    seed.
 
     Args:
         on: the objective
@@ -298,7 +299,7 @@ def validate(
 
 
 def worth(name: str, lost: Floats) -> Worth:
-    """The statistic of losses (runs) with its interval.
+    """Return the statistic of losses (runs) with its interval.
 
     The largest of the runs bounds the worst of all runs from below only.
     """

@@ -116,7 +116,7 @@ def _answers(on: Objective, keep: Path | None, resume: bool, seed: int) -> Itera
 
 
 def _moved_alone(start: Floats, places: Sequence[Sequence[float] | Floats]) -> list[Floats]:
-    """Points that move each number of a start alone, to each of its places."""
+    """Return points that move each number of a start alone, to each of its places."""
     moves = chain.from_iterable(product([i], values) for i, values in enumerate(places))
     return [np.where(np.arange(start.size) == i, value, start) for i, value in moves]
 
@@ -136,7 +136,7 @@ def _checked(scenarios: tuple[Scenario, ...], what: Tune | None) -> Tune:
 def _checked_frames(
     scenarios: tuple[Scenario, ...], frames: Sequence[Frame] | None
 ) -> Sequence[Frame]:
-    """A frame for each scenario. Raises InputError."""
+    """Return a frame for each scenario. Raises InputError."""
     if frames is None:
         return [Frame()] * len(scenarios)
     sound = all(np.isfinite(frame).all() and frame.zero < frame.one for frame in frames)
@@ -149,7 +149,7 @@ def _checked_frames(
 
 
 def _seed(scenario: Scenario, what: Tune) -> int:
-    """The seed of the runs tuned on. Raises InputError.
+    """Return the seed of the runs tuned on. Raises InputError.
 
     It is that of [tune], else of [ensemble], else of [simulation].
     """
@@ -198,7 +198,7 @@ class Search(NamedTuple):
 
     @property
     def best(self) -> SimulatedCandidate:
-        """The cheapest candidate with the certificate, else that of the largest margin."""
+        """Return the cheapest candidate with the certificate, else that of the largest margin."""
         return best_of(self.candidates, self.objective.what.margin)
 
     @property
@@ -269,7 +269,8 @@ class Search(NamedTuple):
 
 
 def gradient(evaluate: Evaluate, u: Floats) -> tuple[Evaluation, Evaluation]:
-    """(what u is worth, its slopes) by differences over REACH to either side within the box [0, 1].
+    """Return (what u is worth, its slopes) by differences over REACH to either side within the box
+    [0, 1].
 
     All candidates are evaluated in one call. Where a neighbour is refused, u itself stands in for
     it.
@@ -287,7 +288,9 @@ def gradient(evaluate: Evaluate, u: Floats) -> tuple[Evaluation, Evaluation]:
 
 
 def _slopes(values: Floats, refused: Floats, reach: Floats) -> Floats:
-    """The slopes of values at u, ahead of it and behind it (1 + 2 d); 0 where `reach` (d) is 0."""
+    """Return the slopes of values at u, ahead of it and behind it (1 + 2 d); 0 where `reach` (d) is
+    0.
+    """
     ahead, behind = np.split(np.where(refused, values[0], values)[1:], 2)
     with np.errstate(invalid="ignore"):
         slopes = (ahead - behind) / np.where(reach > 0, reach, np.inf)
@@ -334,7 +337,7 @@ def _polish(evaluate: Evaluate, what: Tune, best: Floats, seed: int) -> None:
 
 
 def _cells(what: Tune) -> int:
-    """The cells of the grid over the range of a single number."""
+    """Return the cells of the grid over the range of a single number."""
     return max(int(GLOBAL * what.budget) - 2, 1)
 
 
@@ -353,7 +356,9 @@ def _evolve(evaluate: Evaluate, what: Tune, start: Floats, seed: int, spread: fl
 
 
 def _penalised(worth: Evaluation, least: float) -> Floats:
-    """The cost of candidates; beyond FORBIDDEN by the lack of margin, for those that lack it."""
+    """Return the cost of candidates; beyond FORBIDDEN by the lack of margin, for those that lack
+    it.
+    """
     lack = np.clip(least - worth.margin, 0.0, 1e6)
     return np.where(worth.margin < least, FORBIDDEN * (1 + lack), worth.cost)
 
@@ -414,7 +419,10 @@ def sweep(
 
 
 def _axes(scenario: Scenario, grid: Mapping[str, npt.ArrayLike]) -> dict[str, Floats]:
-    """The values of each number that the addresses of a grid stand for. Raises InputError."""
+    """Return the values of each number that the addresses of a grid stand for.
+
+    Raises InputError.
+    """
     known = numbers(scenario)
     axes: dict[str, Floats] = {}
     for address, values in grid.items():

@@ -22,7 +22,7 @@ from undeadzone.util.versions import versions
 
 @contextmanager
 def keeping(leave: Callable[[], str]) -> Iterator[None]:
-    """Say what is kept, if something stops what is done inside.
+    """Provide say what is kept, if something stops what is done inside.
 
     Args:
         leave: closes the file and returns the sentence that says what it holds; empty: nothing.
@@ -46,7 +46,7 @@ def keeping(leave: Callable[[], str]) -> Iterator[None]:
 def problem_there(
     path: Path, head: str | bytes, mark: str, words: tuple[str, str], resume: bool
 ) -> dict[str, Any]:
-    """The problem that a file says it is of.
+    """Return the problem that a file says it is of.
 
     Args:
         path: of the file.
@@ -103,7 +103,8 @@ class Answers:
     def of(
         self, questions: Sequence[Any], compute: Callable[[list[int]], Iterator[tuple[int, Any]]]
     ) -> list[Any]:
-        """The answers to questions; those that are missing are computed, and kept as they come.
+        """Return the answers to questions; those that are missing are computed, and kept as they
+        come.
 
         Args:
             questions: values that JSON knows.
@@ -176,13 +177,13 @@ class Answers:
 
 
 def _line(text: str) -> bytes:
-    """A line of the file."""
+    """Return a line of the file."""
     data = text.encode()
     return _sum(data) + b" " + data + b"\n"
 
 
 def _sum(data: bytes) -> bytes:
-    """The checksum of a line."""
+    """Return the checksum of a line."""
     return hashlib.blake2b(data, digest_size=SUM // 2).hexdigest().encode()
 
 

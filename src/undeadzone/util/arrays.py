@@ -24,7 +24,7 @@ else:
 
 
 def decode(kind: type, value: Any) -> Floats:
-    """A float array from what TOML has for a field of type `Array`.
+    """Return a float array from what TOML has for a field of type `Array`.
 
     Raises:
         ValueError: not numbers; msgspec says where.
@@ -36,7 +36,7 @@ def decode(kind: type, value: Any) -> Floats:
 
 
 def numeric(value: Any) -> Floats:
-    """A float array from numbers, nested lists, or MATLAB's text "[0 1; -1 -2]".
+    """Return a float array from numbers, nested lists, or MATLAB's text "[0 1; -1 -2]".
 
     Raises:
         ValueError: other text, booleans, ragged lists, non-finite or huge entries.
@@ -63,14 +63,16 @@ def numeric(value: Any) -> Floats:
 
 
 def unmasked(value: Any) -> Any:
-    """The value, NaN in place of what an array masks: what is under the mask is no number."""
+    """Return the value, NaN in place of what an array masks: what is under the mask is no
+    number.
+    """
     if not isinstance(value, np.ma.MaskedArray):
         return value
     return np.ma.filled(value.astype(float), np.nan)
 
 
 def matlab(text: str) -> list[list[float]]:
-    """The rows of a matrix in MATLAB's notation: "[0 1; -1 -2]".
+    """Return the rows of a matrix in MATLAB's notation: "[0 1; -1 -2]".
 
     Raises:
         ValueError: another text.
@@ -86,7 +88,7 @@ def matlab(text: str) -> list[list[float]]:
 
 
 def array(key: str, value: Any) -> Floats:
-    """`numeric` with the key named in the error.
+    """Return `numeric` with the key named in the error.
 
     Raises:
         InputError: not numbers.
@@ -100,7 +102,7 @@ def array(key: str, value: Any) -> Floats:
 def matrix(
     key: str, value: Any, rows: int | None = None, columns: int | None = None, why: str = ""
 ) -> Floats:
-    """A 2-D float array of a given shape; one number is a 1 x 1 matrix.
+    """Return a 2-D float array of a given shape; one number is a 1 x 1 matrix.
 
     Args:
         key: named in errors.
@@ -125,7 +127,7 @@ def matrix(
 
 
 def vector(key: str, value: Any, size: int, why: str = "") -> Floats:
-    """A 1-D float array; one number is repeated, an n x 1 or 1 x n matrix flattened.
+    """Return a 1-D float array; one number is repeated, an n x 1 or 1 x n matrix flattened.
 
     Args:
         key: named in errors.
@@ -149,7 +151,7 @@ def vector(key: str, value: Any, size: int, why: str = "") -> Floats:
 
 
 def series(key: str, value: Any) -> Floats:
-    """A 1-D float array of any size but 0.
+    """Return a 1-D float array of any size but 0.
 
     Raises:
         InputError: not numbers.
@@ -164,19 +166,19 @@ def series(key: str, value: Any) -> Floats:
 
 
 def shape_text(shape: Iterable[int]) -> str:
-    """The shape of an array as text: 2 x 3, or one number."""
+    """Return the shape of an array as text: 2 x 3, or one number."""
     return " x ".join(map(str, shape)) or "one number"
 
 
 def listed(numbers: Iterable[complex]) -> str:
-    """Numbers, complex ones perhaps, as text: -1, -2+3j."""
+    """Return numbers, complex ones perhaps, as text: -1, -2+3j."""
     return ", ".join(map(_number_text, numbers))
 
 
 def scalar(
     key: str, value: Any, *, above: float | None = None, least: float | None = None
 ) -> float:
-    """One finite number within bounds.
+    """Return one finite number within bounds.
 
     Args:
         key: named in errors.
@@ -200,7 +202,7 @@ def scalar(
 
 
 def seed_of(key: str, value: Any) -> int:
-    """A seed of random numbers: a whole number that 63 bits hold, and the next one too.
+    """Return a seed of random numbers: a whole number that 63 bits hold, and the next one too.
 
     Raises:
         InputError: another value.
@@ -212,7 +214,7 @@ def seed_of(key: str, value: Any) -> int:
 
 
 def nonnegative(key: str, value: Any, size: int, why: str = "") -> Floats:
-    """`vector` whose entries are >= 0.
+    """Return `vector` whose entries are >= 0.
 
     Raises:
         InputError: not numbers, or a negative one.
@@ -225,7 +227,7 @@ def nonnegative(key: str, value: Any, size: int, why: str = "") -> Floats:
 
 
 def positive(key: str, value: Any, size: int, why: str = "") -> Floats:
-    """`vector` whose entries are > 0.
+    """Return `vector` whose entries are > 0.
 
     Raises:
         InputError: not numbers, or one that is not positive.
@@ -238,7 +240,7 @@ def positive(key: str, value: Any, size: int, why: str = "") -> Floats:
 
 
 def runs(flags: Flags) -> tuple[Integers, Integers]:
-    """The first and the last place of each run of True.
+    """Return the first and the last place of each run of True.
 
     Args:
         flags: in a row (N).
@@ -248,7 +250,7 @@ def runs(flags: Flags) -> tuple[Integers, Integers]:
 
 
 def finite(value: Any) -> Any:
-    """A value for JSON, which has no nan or inf: None in their place.
+    """Return a value for JSON, which has no nan or inf: None in their place.
 
     Dictionaries, lists and tuples are searched for them; named tuples become dictionaries.
     """
@@ -264,7 +266,7 @@ def finite(value: Any) -> Any:
 
 
 def _number_text(number: complex) -> str:
-    """A number, with its imaginary part if it has one."""
+    """Return a number, with its imaginary part if it has one."""
     if number.imag:
         return f"{number.real:.4g}{number.imag:+.4g}j"
     return f"{number.real:.4g}"
@@ -282,7 +284,7 @@ def since_start(start: Integers, size: int) -> Integers:
 
 
 def later(rows: Floats, samples: int, start: Integers) -> Floats:
-    """Rows of records so many samples later; what is not known is held.
+    """Return rows of records so many samples later; what is not known is held.
 
     Args:
         rows: of all records, one after another (N or N x m).
@@ -295,7 +297,7 @@ def later(rows: Floats, samples: int, start: Integers) -> Floats:
 
 
 def one_or_list(values: Sequence[Any] | Floats) -> Any:
-    """A plain value for each output, input or joint: itself where there is one, else a list.
+    """Return a plain value for each output, input or joint: itself where there is one, else a list.
 
     Args:
         values: one each.
@@ -310,7 +312,7 @@ def _count_text(count: int) -> str:
 
 
 def _matrix_text(rows: int | None, columns: int | None) -> str:
-    """A matrix of that shape, as text."""
+    """Return a matrix of that shape, as text."""
     if rows and columns:
         return f"a {rows} x {columns} matrix"
     if rows:

@@ -26,7 +26,7 @@ LARGEST_RUN: Final = 4_000_000_000  # [bytes] of the signals of one run
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Failures to write at a path as FileError."""
+    """Provide failures to write at a path as FileError."""
     try:
         yield
     except FileError:
@@ -37,7 +37,7 @@ def writing(path: Path) -> Iterator[None]:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A temporary path beside `path` that takes its name once written.
+    """Provide a temporary path beside `path` that takes its name once written.
 
     Nothing is left half-written. A link of that name is replaced, not what it leads to; a device or
     a pipe is not.
@@ -62,7 +62,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def path_of(name: Any) -> Path:
-    """The path that a program names. Raises FileError for what is no name, such as None."""
+    """Return the path that a program names. Raises FileError for what is no name, such as None."""
     if not isinstance(name, str | os.PathLike):
         found = type(name).__name__
         raise FileError(f"expected the name of a file, such as 'mine.toml', found {found}")
@@ -111,7 +111,8 @@ def require_plain(path: Name, largest: int | None = None) -> None:
 
 @contextmanager
 def kept_file(path: Path, mode: str, largest: int | None = None) -> Iterator[io.FileIO]:
-    """A file that a computation keeps its results in, made where there is none, open and locked.
+    """Provide a file that a computation keeps its results in, made where there is none, open and
+    locked.
 
     Nobody else may read it, and nothing is written through a link that someone put in its place.
     It is closed if what is done inside fails, else it stays open.
@@ -204,7 +205,7 @@ def _other_name(found: str) -> str:
 
 
 def arrays_of(path: Path, largest: int) -> dict[str, Any]:
-    """The arrays of an `.npz`, by name.
+    """Return the arrays of an `.npz`, by name.
 
     Args:
         path: of the file.
@@ -277,7 +278,7 @@ def reason(error: Exception) -> str:
 
 
 def _umask() -> int:
-    """The permissions that the system withholds from new files."""
+    """Return the permissions that the system withholds from new files."""
     mask = os.umask(0)
     os.umask(mask)
     return mask

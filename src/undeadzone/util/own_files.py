@@ -21,7 +21,7 @@ _SIGNED: Final = re.compile(re.escape(REMARK) + "([0-9a-f]{64})")
 
 
 def marked(text: str) -> str:
-    """A text under a remark that says whose it is, in TOML.
+    """Return a text under a remark that says whose it is, in TOML.
 
     Args:
         text: of the file.
@@ -30,7 +30,7 @@ def marked(text: str) -> str:
 
 
 def signed(text: str) -> str:
-    """A text that holds REMARK, with its digest behind that.
+    """Return a text that holds REMARK, with its digest behind that.
 
     Args:
         text: of the file.
@@ -67,7 +67,8 @@ def write_own(text: str, path: Path, force: bool = False) -> Path:
 
 
 def edited(folder: Path, digests: Mapping[str, str]) -> list[str]:
-    """The files in a folder that are not as undeadzone wrote them; those that are gone are none.
+    """Return the files in a folder that are not as undeadzone wrote them; those that are gone are
+    none.
 
     Args:
         folder: of the files.
@@ -77,12 +78,12 @@ def edited(folder: Path, digests: Mapping[str, str]) -> list[str]:
 
 
 def digest(content: bytes) -> str:
-    """The digest of what a file holds."""
+    """Return the digest of what a file holds."""
     return hashlib.sha256(content).hexdigest()
 
 
 def is_own(path: Path) -> bool:
-    """Whether a text is as undeadzone wrote it; line ends do not count."""
+    """Return whether a text is as undeadzone wrote it; line ends do not count."""
     try:
         text = read_bytes(path).decode().replace("\r\n", "\n")
     except (OSError, ValueError):
@@ -92,7 +93,7 @@ def is_own(path: Path) -> bool:
 
 
 def _is_as_written(path: Path, written: str) -> bool:
-    """Whether a file has a digest, or is gone."""
+    """Return whether a file has a digest, or is gone."""
     try:
         return digest(read_bytes(path, LARGEST_RUN)) == written
     except FileNotFoundError:

@@ -52,7 +52,7 @@ def in_notebook(
 
 @contextmanager
 def on_terminal(what: str, total: int | None, unit: str = "", of: Any = None) -> Iterator[Advance]:
-    """The same for a command: a bar on stderr, if that is a terminal and not a notebook's.
+    """Provide the same for a command: a bar on stderr, if that is a terminal and not a notebook's.
 
     Arguments as of `in_notebook`; of: the observer that is set up first.
     """
@@ -65,7 +65,7 @@ def on_terminal(what: str, total: int | None, unit: str = "", of: Any = None) ->
 
 
 def _kernel() -> bool:
-    """Whether this is the kernel of a notebook."""
+    """Return whether this is the kernel of a notebook."""
     ipython = sys.modules.get("IPython")
     shell = None if ipython is None else ipython.get_ipython()
     return type(shell).__name__ == "ZMQInteractiveShell"
@@ -85,7 +85,8 @@ class _Place(Protocol):
 def _shown(
     place: _Place, what: str, total: int | None, unit: str | None, first: str = SETTING_UP
 ) -> Iterator[Advance]:
-    """A bar that appears once PATIENCE has passed; steps may be counted from several threads.
+    """Provide a bar that appears once PATIENCE has passed; steps may be counted from several
+    threads.
 
     Until the first step it says what is set up.
     """
@@ -142,7 +143,7 @@ class _Terminal:
 
 
 def _bar() -> Progress:
-    """A bar of rich on stderr, that is not drawn yet."""
+    """Return a bar of rich on stderr, that is not drawn yet."""
     from rich import progress
     from rich.console import Console
 

@@ -31,7 +31,7 @@ DOTS = 110  # per inch, of figures in a notebook
 
 
 def text(blocks: Sequence[Block], width: int | None = None) -> str:
-    """Blocks as text, an empty line between them.
+    """Return blocks as text, an empty line between them.
 
     Args:
         blocks: what is shown.
@@ -42,18 +42,18 @@ def text(blocks: Sequence[Block], width: int | None = None) -> str:
 
 
 def html(blocks: Sequence[Block]) -> str:
-    """Blocks as HTML for a notebook; everything in them is escaped."""
+    """Return blocks as HTML for a notebook; everything in them is escaped."""
     return "\n".join(map(_html, blocks))
 
 
 def source(words: str) -> str:
-    """A text with its lines as they are, such as a scenario, as HTML for a notebook."""
+    """Return a text with its lines as they are, such as a scenario, as HTML for a notebook."""
     lines = [_escaped(line) for line in words.split("\n")]
     return f'<pre style="line-height:1.35">{chr(10).join(lines)}</pre>'
 
 
 def plot(result: Any, path: str | os.PathLike[str] | None = None, ax: Axes | None = None) -> Figure:
-    """The figure that `uz.plot` draws of a result; a method of every result.
+    """Return the figure that `uz.plot` draws of a result; a method of every result.
 
     Args:
         result: what `uz.plot` takes.
@@ -64,12 +64,14 @@ def plot(result: Any, path: str | os.PathLike[str] | None = None, ax: Axes | Non
 
 
 def in_text(result: Any) -> str:
-    """The tables that a result's command prints; `__repr__` of results with `blocks`."""
+    """Return the tables that a result's command prints; `__repr__` of results with `blocks`."""
     return text(result.blocks())
 
 
 def in_notebook(result: Any) -> str:
-    """The same and the figure that `uz.plot` draws; `_repr_html_` of results with `blocks`."""
+    """Return the same and the figure that `uz.plot` draws; `_repr_html_` of results with
+    `blocks`.
+    """
     shown = html(result.blocks())
     try:
         figure = uz.plot(result)
@@ -82,7 +84,7 @@ def in_notebook(result: Any) -> str:
 
 
 def _lines(block: Block, width: int | None) -> list[str]:
-    """One block as lines."""
+    """Return one block as lines."""
     if isinstance(block, str):
         first, *others = _folded(printable(block), width)
         return [first, *(f"  {line}" for line in others)]  # no line begins with words of others
@@ -90,7 +92,7 @@ def _lines(block: Block, width: int | None) -> list[str]:
 
 
 def _aligned(pairs: Pairs, width: int | None) -> list[str]:
-    """Lines `name  value`; a list takes a line for each of its entries."""
+    """Return lines `name  value`; a list takes a line for each of its entries."""
     longest = max(len(printable(name)) for name in pairs)
     lines = []
     for name, value in pairs.items():
@@ -105,7 +107,7 @@ def _aligned(pairs: Pairs, width: int | None) -> list[str]:
 
 
 def _columns(rows: Rows, width: int | None) -> list[str]:
-    """Lines of aligned columns; where they do not fit, a line for each cell."""
+    """Return lines of aligned columns; where they do not fit, a line for each cell."""
     shown = [[printable(cell) for cell in row] for row in rows]
     widths = [max(map(len, column)) for column in zip(*shown, strict=True)]
     if width is not None and sum(widths) + 2 * len(widths) - 2 > width:
@@ -118,7 +120,9 @@ def _columns(rows: Rows, width: int | None) -> list[str]:
 
 
 def _records(rows: Sequence[Sequence[str]], width: int) -> list[str]:
-    """The rows of a table one below the other, a line `head  cell` for each cell that is filled."""
+    """Return the rows of a table one below the other, a line `head cell` for each cell that is
+    filled.
+    """
     heads, *others = rows
     lines: list[str] = []
     for row in others:
@@ -128,14 +132,14 @@ def _records(rows: Sequence[Sequence[str]], width: int) -> list[str]:
 
 
 def _folded(words: str, width: int | None) -> list[str]:
-    """A line as lines of so many characters; words that are longer stay whole."""
+    """Return a line as lines of so many characters; words that are longer stay whole."""
     if width is None or len(words) <= width:
         return [words]
     return textwrap.wrap(words, width, break_long_words=False, break_on_hyphens=False)
 
 
 def _html(block: Block) -> str:
-    """One block as HTML."""
+    """Return one block as HTML."""
     if isinstance(block, str):
         return f"<p>{_escaped(block)}</p>"
     if isinstance(block, Mapping):
@@ -147,27 +151,27 @@ def _html(block: Block) -> str:
 
 
 def _pair(name: str, value: Any) -> str:
-    """A row of a table of pairs."""
+    """Return a row of a table of pairs."""
     cell = "<br>".join(_escaped(_cell(entry)) for entry in _entries(value))
     style = ' style="text-align:left"'
     return f"<tr><th{style}>{_escaped(name)}</th><td{style}>{cell}</td></tr>"
 
 
 def _td(cell: str) -> str:
-    """A cell of a table of rows."""
+    """Return a cell of a table of rows."""
     return f"<td>{_escaped(cell)}</td>"
 
 
 def _entries(value: Any) -> list[Any]:
-    """The lines of a value."""
+    """Return the lines of a value."""
     return value if isinstance(value, list) else [value]
 
 
 def _cell(value: Any) -> str:
-    """A value as text."""
+    """Return a value as text."""
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def _escaped(words: str) -> str:
-    """Text of others in HTML."""
+    """Return text of others in HTML."""
     return escape(printable(words))

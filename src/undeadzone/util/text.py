@@ -17,32 +17,32 @@ _WORD: Final = re.compile("@([a-z_]+)@")
 
 
 def printable(text: str) -> str:
-    """A text in which every control character stands as its escape, such as \\x1b or \\n."""
+    """Return a text in which every control character stands as its escape, such as \\x1b or \\n."""
     return text if text.isprintable() else "".join(map(_printable, text))
 
 
 def one_line(text: str) -> str:
-    """A text that is `printable`, its line ends and runs of blanks as single blanks."""
+    """Return a text that is `printable`, its line ends and runs of blanks as single blanks."""
     return printable(" ".join(text.split()))
 
 
 def label(words: str, unit: str) -> str:
-    """Words and unit, the unit left out where it is 1."""
+    """Return words and unit, the unit left out where it is 1."""
     return words if unit == "1" else f"{words} [{unit}]"
 
 
 def with_unit(words: str, unit: str) -> str:
-    """Words and unit behind them, the unit left out where it is 1."""
+    """Return words and unit behind them, the unit left out where it is 1."""
     return words if unit == "1" else f"{words} {unit}"
 
 
 def counted(number: int, what: str) -> str:
-    """A number of things: "1 run", "2 runs"."""
+    """Return a number of things: "1 run", "2 runs"."""
     return f"{number:,} {what}{'s' * (number != 1)}"
 
 
 def with_interval(value: float | None, std: float | None) -> str:
-    """A value and its 95 % interval, to the place of the second digit of its deviation.
+    """Return a value and its 95 % interval, to the place of the second digit of its deviation.
 
     Args:
         value: the number; None: there is none.
@@ -59,17 +59,17 @@ def with_interval(value: float | None, std: float | None) -> str:
 
 
 def bracketed(value: float, low: float, high: float, form: str) -> str:
-    """A value and its interval: 0.98 [0.55, 1.41]; `form` as `format` takes it."""
+    """Return a value and its interval: 0.98 [0.55, 1.41]; `form` as `format` takes it."""
     return f"{value:{form}} [{low:{form}}, {high:{form}}]"
 
 
 def _short(value: float | None) -> str:
-    """A number to four digits; nan where there is none."""
+    """Return a number to four digits; nan where there is none."""
     return "nan" if value is None else f"{value:.4g}"
 
 
 def json_line(text: str) -> str:
-    """A JSON text in which every control character stands as its JSON escape.
+    """Return a JSON text in which every control character stands as its JSON escape.
 
     JSON itself demands that below 0x20 only; terminals obey others too.
     """
@@ -77,7 +77,7 @@ def json_line(text: str) -> str:
 
 
 def filled(text: str, words: Mapping[str, Any]) -> str:
-    """A text: each `@word@` is filled in, a line that begins with `@?word@` needs its truth.
+    """Return a text: each `@word@` is filled in, a line that begins with `@?word@` needs its truth.
 
     Args:
         text: of lines.
@@ -88,13 +88,13 @@ def filled(text: str, words: Mapping[str, Any]) -> str:
 
 
 def _printable(character: str) -> str:
-    """A character, or its escape in Python."""
+    """Return a character, or its escape in Python."""
     hidden = unicodedata.category(character) in UNPRINTABLE
     return character.encode("unicode_escape").decode() if hidden else character
 
 
 def _in_json(character: str) -> str:
-    """A character, or its escape in JSON (two of them beyond 0xffff)."""
+    """Return a character, or its escape in JSON (two of them beyond 0xffff)."""
     if unicodedata.category(character) not in UNPRINTABLE:
         return character
     units = character.encode("utf-16-be", "surrogatepass")

@@ -16,7 +16,7 @@ class Kind(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="k
 
 
 def dumps(value: msgspec.Struct) -> str:
-    """The TOML text of a struct.
+    """Return the TOML text of a struct.
 
     Raises:
         InputError: something in it that no text can hold.
@@ -25,7 +25,7 @@ def dumps(value: msgspec.Struct) -> str:
 
 
 def tables(value: msgspec.Struct) -> dict[str, Any]:
-    """A struct as dictionaries, lists and numbers, its tag among them, without what is None.
+    """Return a struct as dictionaries, lists and numbers, its tag among them, without what is None.
 
     Raises:
         InputError: something in it that no text can hold.
@@ -34,14 +34,14 @@ def tables(value: msgspec.Struct) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """NumPy's numbers and arrays as lists of Python's."""
+    """Return NumPy's numbers and arrays as lists of Python's."""
     if isinstance(value, np.ndarray | np.number):
         return value.tolist()
     raise InputError(f"{value!r:.60} cannot be written as TOML; give formulas as text")
 
 
 def _without_none(value: Any) -> Any:
-    """A tree of dictionaries and lists without the keys that hold None."""
+    """Return a tree of dictionaries and lists without the keys that hold None."""
     if isinstance(value, dict):
         return {key: _without_none(entry) for key, entry in value.items() if entry is not None}
     if isinstance(value, list | tuple):

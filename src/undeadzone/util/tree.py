@@ -16,7 +16,7 @@ from undeadzone.util.arrays import Floats
 
 
 def joined(tree: Any, name: str, value: Any) -> Any:
-    """The named tuple, or an empty one, with one more field, the last one."""
+    """Return the named tuple, or an empty one, with one more field, the last one."""
     make: Any = namedtuple  # of names that are known at run time
     return make("Joined", [*getattr(tree, "_fields", ()), name])(*tree, value)
 
@@ -27,7 +27,7 @@ def parted(tree: Any, kind: Any) -> Any:
 
 
 def leaves(tree: Any, name: str = "") -> Iterator[tuple[str, Any]]:
-    """Every leaf in order with its dotted name; None holds nothing.
+    """Yield every leaf in order with its dotted name; None holds nothing.
 
     Args:
         tree: the tree.
@@ -45,7 +45,7 @@ def leaves(tree: Any, name: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def rebuild(like: Any, values: Iterator[Any]) -> Any:
-    """A tree of the shape of `like` whose leaves are taken from `values` in order."""
+    """Return a tree of the shape of `like` whose leaves are taken from `values` in order."""
     if like is None:
         return None
     if isinstance(like, tuple):
@@ -55,28 +55,32 @@ def rebuild(like: Any, values: Iterator[Any]) -> Any:
 
 
 def mapped(function: Callable[[Any], Any], tree: Any) -> Any:
-    """The tree of what a function makes of each leaf."""
+    """Return the tree of what a function makes of each leaf."""
     return rebuild(tree, (function(leaf) for _, leaf in leaves(tree)))
 
 
 def columns(like: Any, rows: Floats) -> Any:
-    """The columns of packed rows (N x all) as a tree of the shape of the NumPy tree `like`."""
+    """Return the columns of packed rows (N x all) as a tree of the shape of the NumPy tree
+    `like`.
+    """
     return mapped(lambda part: rows[:, part], slices(like))
 
 
 def pack(tree: Any) -> Floats:
-    """All numbers of a NumPy tree as one vector (matrices column by column, as CasADi does)."""
+    """Return all numbers of a NumPy tree as one vector (matrices column by column, as CasADi
+    does).
+    """
     parts = [np.ravel(np.asarray(leaf, float), order="F") for _, leaf in leaves(tree)]
     return np.concatenate(parts) if parts else np.empty(0)
 
 
 def stack(tree: Any) -> ca.SX:
-    """All entries of a CasADi tree as one column."""
+    """Return all entries of a CasADi tree as one column."""
     return ca.densify(ca.veccat(ca.SX(0, 1), *(leaf for _, leaf in leaves(tree))))
 
 
 def substituted(tree: Any, symbol: ca.SX, value: ca.SX) -> Any:
-    """A CasADi tree with an expression in the place of a symbol."""
+    """Return a CasADi tree with an expression in the place of a symbol."""
     leaves_now = [leaf for _, leaf in leaves(tree)]
     return rebuild(tree, iter(ca.substitute(leaves_now, [symbol], [value])))
 
@@ -100,7 +104,7 @@ def slices(like: Any) -> Any:
 
 
 def unpack(like: Any, column: ca.SX) -> Any:
-    """The entries of `column` (CasADi) in a tree of the shapes of the NumPy tree `like`."""
+    """Return the entries of `column` (CasADi) in a tree of the shapes of the NumPy tree `like`."""
     pieces = []
     for (_, leaf), (_, part) in zip(leaves(like), leaves(slices(like)), strict=True):
         rows, columns = (*np.shape(leaf), 1, 1)[:2]
@@ -110,13 +114,13 @@ def unpack(like: Any, column: ca.SX) -> Any:
 
 
 def symbols(like: Any, name: str) -> tuple[ca.SX, Any]:
-    """A fresh symbolic column and its tree view, shaped like the NumPy tree `like`."""
+    """Return a fresh symbolic column and its tree view, shaped like the NumPy tree `like`."""
     column = ca.SX.sym(name, size(like))
     return column, unpack(like, column)
 
 
 def names(tree: Any, prefix: str = "") -> list[str]:
-    """An address for every number, in `pack` order: `plant.A[1,0]`, `sensor.right[0]`."""
+    """Return an address for every number, in `pack` order: `plant.A[1,0]`, `sensor.right[0]`."""
     addresses = []
     for name, leaf in leaves(tree, prefix):
         shape = np.shape(leaf)

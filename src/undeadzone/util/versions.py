@@ -10,12 +10,12 @@ PACKAGES = ("casadi", "llvmlite", "numpy", "scipy")
 
 
 def versions() -> dict[str, str]:
-    """The versions of this package and of those that decide the last bits of its results."""
+    """Return the versions of this package and of those that decide the last bits of its results."""
     return {"undeadzone": undeadzone.__version__, **{name: _version(name) for name in PACKAGES}}
 
 
 def _version(name: str) -> str:
-    """The version of an installed package."""
+    """Return the version of an installed package."""
     try:
         return version(name)
     except PackageNotFoundError:

@@ -42,7 +42,7 @@ class AdaptiveZoneInverse(
     width_max: Array | None = None
 
     def build(self, model: System, belief: Belief | None) -> Compensator:
-        """The compensator for a model."""
+        """Return the compensator for a model."""
         if model.Ts is None:
             raise InputError(
                 "compensator.method: 'adaptive_inverse' needs samples; set simulation.time = "
@@ -110,7 +110,7 @@ class State(NamedTuple):
 def adaptive_step(
     m: int, q: Params, s: State, v: Any, estimate: Estimate, reading: Reading
 ) -> tuple[State, Any]:
-    """Learn from the reading, then invert."""
+    """Return learn from the reading, then invert."""
     zeta = q.C @ s.Phi
     error = estimate.z_inverse - q.C @ (s.xi + s.Phi @ s.widths)
     error = ca.if_else(present(reading.y), error, 0.0)

@@ -87,11 +87,12 @@ class Contest(NamedTuple):
 
     @property
     def contestants(self) -> list[Row]:
-        """The rows that are no lines to compare with, and could be entered somewhere."""
+        """Return the rows that are no lines to compare with, and could be entered somewhere."""
         return contestants(self.rows)
 
     def scenario(self, method: str, title: str) -> Scenario:
-        """A scenario with a method in the place of its observer, its knobs as they were here.
+        """Return a scenario with a method in the place of its observer, its knobs as they were
+        here.
 
         Args:
             method: name in the catalogue, or of one's own.
@@ -105,7 +106,7 @@ class Contest(NamedTuple):
         return entered(known[method], situation(self.scenarios[title]), numbers)
 
     def replay(self, method: str, title: str) -> tuple[Problem, Outputs]:
-        """A run again, with the first seed, and all its signals.
+        """Return a run again, with the first seed, and all its signals.
 
         Args:
             method: name in the catalogue.
@@ -120,7 +121,7 @@ class Contest(NamedTuple):
         return "undeadzone_arena.contest.page", "first", "panel"
 
     def summary(self) -> dict[str, Any]:
-        """Everything, ready for JSON; null where there is no number."""
+        """Return everything, ready for JSON; null where there is no number."""
         titles = {name: scenario.title for name, scenario in self.scenarios.items()}
         return dict(
             finite(
@@ -136,7 +137,7 @@ class Contest(NamedTuple):
         )
 
     def _flat_results(self) -> list[dict[str, Any]]:
-        """The results with their regrets, each as one dictionary."""
+        """Return the results with their regrets, each as one dictionary."""
         regret = regrets(self.results)
         places = {title: i for i, title in enumerate(self.scenarios)}
         flat = []
@@ -157,15 +158,15 @@ class Contest(NamedTuple):
         return flat
 
     def __repr__(self) -> str:
-        """The leaderboard that `undeadzone arena` prints."""
+        """Return the leaderboard that `undeadzone arena` prints."""
         return shown.in_text(self)
 
     def _repr_html_(self) -> str:
-        """The same and a figure, for a notebook."""
+        """Return the same and a figure, for a notebook."""
         return shown.in_notebook(self)
 
     def blocks(self) -> list[Block]:
-        """The tables that `undeadzone arena` prints."""
+        """Return the tables that `undeadzone arena` prints."""
         reasons = {result.method: result.reason or "" for result in reversed(self.results)}
         return in_words(self.rows, len(self.scenarios), len(self.seeds), reasons)
 
@@ -192,7 +193,7 @@ class Contest(NamedTuple):
 
 
 def _json_file(value: Any, path: Path) -> Path:
-    """A value written as JSON. Raises FileError."""
+    """Return a value written as JSON. Raises FileError."""
     return write_text(json.dumps(value, indent=1, allow_nan=False), path)
 
 
@@ -205,7 +206,7 @@ def arena(
     processes: int | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Contest:
-    """Let methods run against each other, your own among them (docs/arena.md).
+    """Return let methods run against each other, your own among them (docs/arena.md).
 
     Args:
         scenarios: by name, or in a list, whose titles name them; None: those that the arena holds
@@ -251,7 +252,7 @@ def run_contest(
     keep: Path | None = None,
     resume: bool = False,
 ) -> Contest:
-    """Let methods run against each other on scenarios.
+    """Return let methods run against each other on scenarios.
 
     Args:
         methods: names in the catalogue, or methods by name; None: all.

@@ -52,14 +52,14 @@ def in_words(
 
 
 def _naive(setting: Setting) -> float:
-    """The time that a run of the naive observer takes [s]."""
+    """Return the time that a run of the naive observer takes [s]."""
     began = time.perf_counter()
     trial(NAIVE, catalogue()[NAIVE], "", setting, [setting.scenario.simulation.seed])
     return time.perf_counter() - began
 
 
 def _about(minutes: float) -> str:
-    """A time to one digit."""
+    """Return a time to one digit."""
     if minutes < 1:
         return "less than a minute"
     number, unit = (minutes, "min") if minutes < 90 else (minutes / 60, "h")
@@ -67,5 +67,5 @@ def _about(minutes: float) -> str:
 
 
 def _counted(number: int, one: str, many: str = "") -> str:
-    """1 run, 2 runs."""
+    """Return 1 run, 2 runs."""
     return f"{number:,} {one if number == 1 else many or f'{one}s'}"

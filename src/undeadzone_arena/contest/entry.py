@@ -24,7 +24,7 @@ OWN = ("tuned.toml", "tuned_both_ends.toml")  # of --tune, and of --tune --set b
 
 
 def numbers(path: Path | None = None) -> Numbers:
-    """The numbers of the knobs, by method, as `undeadzone arena --tune` found them.
+    """Return the numbers of the knobs, by method, as `undeadzone arena --tune` found them.
 
     Args:
         path: of a file of one's own; None: those that come with the package.
@@ -42,7 +42,7 @@ def numbers(path: Path | None = None) -> Numbers:
 
 
 def entered(method: Method, ground: Setting, numbers: Knobs = NOTHING) -> Scenario:
-    """The scenario with a method in the place of its observer.
+    """Return the scenario with a method in the place of its observer.
 
     The method takes the place of the controller too if it has its own.
 
@@ -87,7 +87,7 @@ def entered(method: Method, ground: Setting, numbers: Knobs = NOTHING) -> Scenar
 
 
 def _model(method: Method, scenario: Scenario, prior: PriorKnowledge) -> Model | None:
-    """The scenario's model with what a method believes of the actuator.
+    """Return the scenario's model with what a method believes of the actuator.
 
     A line to compare with knows it. A method that estimates widths gets their ranges, another one
     the middle of these.
@@ -104,7 +104,7 @@ def _model(method: Method, scenario: Scenario, prior: PriorKnowledge) -> Model |
 
 
 def _in_continuous_time(method: Method, ground: Setting) -> Setting:
-    """The same scenario in continuous time, and what is known of it."""
+    """Return the same scenario in continuous time, and what is known of it."""
     parts = {
         "simulation": msgspec.structs.replace(ground.scenario.simulation, time="continuous"),
         "model": _model(method, *ground),
@@ -115,7 +115,7 @@ def _in_continuous_time(method: Method, ground: Setting) -> Setting:
 
 
 def _options(kind: Any, part: str, prior: PriorKnowledge, options: Mapping[str, Any]) -> Any:
-    """The options of a part.
+    """Return the options of a part.
 
     They are what is known, by the names that the part has for it, then what has its address.
 

@@ -23,7 +23,7 @@ COLOURS: Final = (ink.ESTIMATE, ink.READING, ink.PRINTED, ink.OTHER)
 
 
 def places(rows: Sequence[Row], title: str) -> Figure:
-    """Median and worst regret of every method with their intervals, the best on top."""
+    """Return median and worst regret of every method with their intervals, the best on top."""
     figure, panels = sheet([["all"]], title, height=0.24 * len(rows) + 1.2)
     leaderboard(panels["all"], rows)
     return figure
@@ -69,7 +69,7 @@ def _place(
 
 
 def heat(rows: Sequence[Row], regrets: Mapping[str, Floats], scenarios: Sequence[str]) -> Figure:
-    """Regret of every method on every scenario; a dash where it is not applicable.
+    """Return regret of every method on every scenario; a dash where it is not applicable.
 
     Args:
         rows: the methods in order
@@ -104,7 +104,7 @@ def heat(rows: Sequence[Row], regrets: Mapping[str, Floats], scenarios: Sequence
 
 
 def cell(value: float) -> str:
-    """A regret in three places: 12, 1.2, .12 or −.12; a dash where it is not finite."""
+    """Return a regret in three places: 12, 1.2, .12 or −.12; a dash where it is not finite."""
     if not np.isfinite(value):
         return "–"
     if value >= 9.95:
@@ -115,7 +115,9 @@ def cell(value: float) -> str:
 
 
 def traces(runs: Sequence[Trace]) -> Figure:
-    """The hidden output under each method in the last seconds, and |z - r| over the whole run."""
+    """Return the hidden output under each method in the last seconds, and |z - r| over the whole
+    run.
+    """
     rows = [[trace.method] * 2 for trace in runs] + [["errors"] * 2]
     figure, panels = sheet(rows, f"{runs[0].scenario}: the hidden output", height=2.1)
     for trace in runs:
@@ -145,13 +147,13 @@ def _trace(axes: Axes, trace: Trace) -> None:
 
 
 def envelope(size: Floats, parts: int = 40) -> Floats:
-    """The largest value within each of `parts` spans, at every sample."""
+    """Return the largest value within each of `parts` spans, at every sample."""
     spans = np.array_split(np.nan_to_num(size, nan=np.inf), min(parts, size.size))
     return np.concatenate([np.full(span.size, max(span.max(), 1e-6)) for span in spans])
 
 
 def costs(rows: Sequence[Row]) -> Figure:
-    """Median regret against the cost of a step; the methods are numbered by their places."""
+    """Return median regret against the cost of a step; the methods are numbered by their places."""
     height = max(4.6, 0.155 * len(rows) + 0.6)
     figure, panels = sheet([["all"] * 3 + ["names"]], "Cost against error", height=height)
     axes, names = panels["all"], panels["names"]

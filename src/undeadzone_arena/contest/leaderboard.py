@@ -74,12 +74,12 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def contestants(rows: Sequence[Row]) -> list[Row]:
-    """The rows that are no lines to compare with, and could be entered somewhere."""
+    """Return the rows that are no lines to compare with, and could be entered somewhere."""
     return [row for row in rows if not row.reference and row.not_applicable < 1]
 
 
 def regrets(results: Sequence[Result]) -> dict[str, Floats]:
-    """Regret (scenarios x seeds) by method; NaN where refused.
+    """Return regret (scenarios x seeds) by method; NaN where refused.
 
     It is (J - J_informed) / zone of the same scenario and seed, J the rms of z - r, `bounded`: of
     two runs that do not diverge the one with the smaller J has the smaller regret, whatever the
@@ -101,7 +101,8 @@ def regrets(results: Sequence[Result]) -> dict[str, Floats]:
 
 
 def bounded(regret: Floats) -> Floats:
-    """A regret as it is up to half of `CAP` on either side, beyond rising ever more slowly to it.
+    """Return a regret as it is up to half of `CAP` on either side, beyond rising ever more slowly
+    to it.
 
     The order stays, and CAP itself is left to runs that diverged.
     """
@@ -113,7 +114,7 @@ def bounded(regret: Floats) -> Floats:
 def leaderboard(
     results: Sequence[Result], references: Container[str] = (), seed: int = 0
 ) -> list[Row]:
-    """The methods by median regret, of equals by the worst.
+    """Return the methods by median regret, of equals by the worst.
 
     Where one is not applicable the regret of the naive observer counts.
 
@@ -155,7 +156,7 @@ def leaderboard(
 
 
 def _best(counted: Mapping[str, Floats], references: Container[str]) -> str:
-    """The contestant of least median regret, of equals that of the least worst one."""
+    """Return the contestant of least median regret, of equals that of the least worst one."""
     best, least = ZERO, (np.inf, np.inf)
     for name, regret in counted.items():
         each = regret.mean(axis=1)
@@ -166,7 +167,7 @@ def _best(counted: Mapping[str, Floats], references: Container[str]) -> str:
 
 
 def _averages(results: Sequence[Result]) -> dict[str, Any]:
-    """The entries of a row that are averages or shares of a method's runs."""
+    """Return the entries of a row that are averages or shares of a method's runs."""
     done = [result.worth for result in results if result.worth is not None]
     kept = [worth for worth in done if not worth.diverged]
     settled = [worth for worth in kept if worth.settling is not None]
@@ -183,14 +184,14 @@ def _averages(results: Sequence[Result]) -> dict[str, Any]:
 def _over(
     kept: Sequence[Worth], field: str, statistic: Callable[[list[float]], Any]
 ) -> float | None:
-    """A statistic of a field over the runs that have it; None where none has."""
+    """Return a statistic of a field over the runs that have it; None where none has."""
     every = [getattr(worth, field) for worth in kept]
     values = [value for value in every if value is not None]
     return float(statistic(values)) if values else None
 
 
 def _times(results: Sequence[Result], name: str) -> dict[str, float]:
-    """Seconds per step by scenario: the least of the seeds, since other work only adds."""
+    """Return seconds per step by scenario: the least of the seeds, since other work only adds."""
     times: dict[str, float] = {}
     for result in results:
         if result.method == name and result.worth is not None:
@@ -200,7 +201,8 @@ def _times(results: Sequence[Result], name: str) -> dict[str, float]:
 
 
 def intervals(regret: Floats, seed: int = 0) -> tuple[Interval, Interval]:
-    """Median and largest over scenarios of the mean over seeds, with their bootstrap intervals.
+    """Return median and largest over scenarios of the mean over seeds, with their bootstrap
+    intervals.
 
     Seeds are drawn anew within every scenario; for the median scenarios are too. The worst is that
     of these very scenarios: resampled ones could only leave it out.

@@ -95,12 +95,14 @@ class Method(NamedTuple):
 
 
 def _by_speed(prior: PriorKnowledge, knobs: Knobs) -> Options:
-    """L for poles of the speed that the knob says."""
+    """Return L for poles of the speed that the knob says."""
     return {"observer.L": prior.gain(knobs["speed"])}
 
 
 def _passive(prior: PriorKnowledge, knobs: Knobs) -> Options:
-    """L in a certified direction, so strong that it stays certified; for stable plants only."""
+    """Return L in a certified direction, so strong that it stays certified; for stable plants
+    only.
+    """
     linear, Ts = prior.model.linear, prior.model.Ts
     direction = passive_gain(linear, Ts)
     gamma = np.full(prior.model.p, knobs["observer.gamma"] * UNITS[GAIN.unit](prior))
@@ -111,7 +113,7 @@ def _passive(prior: PriorKnowledge, knobs: Knobs) -> Options:
 
 
 def _naive(prior: PriorKnowledge, knobs: Knobs) -> Options:
-    """L for poles somewhat faster than the closed loop's."""
+    """Return L for poles somewhat faster than the closed loop's."""
     return {"observer.L": prior.gain(NAIVE * prior.loop_rate)}
 
 
@@ -121,12 +123,12 @@ def _deaf(prior: PriorKnowledge, knobs: Knobs) -> Options:
 
 
 def _readable(prior: PriorKnowledge, knobs: Knobs) -> Options:
-    """A jump sensor leaves no width to adapt."""
+    """Return a jump sensor leaves no width to adapt."""
     return {"observer.gamma": 0.0} if prior.kind == "jump" else {}
 
 
 def _bounded(prior: PriorKnowledge, knobs: Knobs) -> Options:
-    """A bound of the disturbance."""
+    """Return a bound of the disturbance."""
     return {"observer.disturbance": SURELY * math.hypot(prior.disturbance_rms, prior.bias)}
 
 
@@ -272,7 +274,7 @@ METHODS: Final[Mapping[str, Method]] = MappingProxyType(
 
 
 def catalogue() -> dict[str, Method]:
-    """Every contestant by name.
+    """Return every contestant by name.
 
     Besides METHODS, it has each observer that has no line there, with its default options.
     """
@@ -285,7 +287,9 @@ def catalogue() -> dict[str, Method]:
 
 
 def of_options(options: Any) -> Method:
-    """An observer of one's own as a method: what its options say is fixed, the rest is declared."""
+    """Return an observer of one's own as a method: what its options say is fixed, the rest is
+    declared.
+    """
     fixed = {}
     for field in msgspec.structs.fields(options):
         value = getattr(options, field.name)
@@ -295,14 +299,14 @@ def of_options(options: Any) -> Method:
 
 
 def fitting(scenarios: Iterable[Scenario]) -> list[str]:
-    """Every contestant for scenarios: those that need an actuator only where one has one."""
+    """Return every contestant for scenarios: those that need an actuator only where one has one."""
     actuated = any(scenario.actuator is not None for scenario in scenarios)
     every = catalogue().items()
     return [name for name, method in every if actuated or method.compensator is None]
 
 
 def require(name: str) -> str:
-    """The name of a method of the catalogue. Raises InputError."""
+    """Return the name of a method of the catalogue. Raises InputError."""
     known = catalogue()
     if name in known:
         return name
@@ -312,5 +316,5 @@ def require(name: str) -> str:
 
 
 def middle(method: Method) -> dict[str, float]:
-    """Every knob in the middle of its range: what tuning starts from."""
+    """Return every knob in the middle of its range: what tuning starts from."""
     return {address: math.sqrt(knob.low * knob.high) for address, knob in method.knobs.items()}

@@ -76,7 +76,7 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def worth(problem: Problem, out: Outputs, truth: Floats, cost: float) -> Worth:
-    """The worth of a run.
+    """Return the worth of a run.
 
     Args:
         problem: what was simulated.
@@ -107,12 +107,12 @@ def worth(problem: Problem, out: Outputs, truth: Floats, cost: float) -> Worth:
 
 
 def rms(values: Floats) -> float:
-    """Root mean square of all entries."""
+    """Return root mean square of all entries."""
     return float(np.sqrt(np.mean(values**2)))
 
 
 def _diverged(problem: Problem, out: Outputs) -> bool:
-    """Whether a signal left `LIMIT` times its scale or was no number."""
+    """Return whether a signal left `LIMIT` times its scale or was no number."""
     estimate = out.estimate
     outputs = [out.z, estimate.z, estimate.right, estimate.left]
     worst = shares(plant_scales(problem), [out.x, estimate.x], outputs, out.u)
@@ -129,7 +129,9 @@ def _settling(t: Floats, error: Floats, r: Floats, tail: int) -> float | None:
 
 
 def _widths(problem: Problem, out: Outputs, truth: Floats) -> tuple[float | None, float | None]:
-    """The errors of d_r + d_l and of d_r - d_l at the end, relative, where they can be known."""
+    """Return the errors of d_r + d_l and of d_r - d_l at the end, relative, where they can be
+    known.
+    """
     estimated = np.stack([out.estimate.right, out.estimate.left], axis=1)
     if not (estimated != estimated[0]).any():
         return None, None
@@ -149,12 +151,14 @@ def _widths(problem: Problem, out: Outputs, truth: Floats) -> tuple[float | None
 
 
 def _mean(values: Floats) -> float | None:
-    """The mean; None of nothing."""
+    """Return the mean; None of nothing."""
     return float(values.mean()) if values.size else None
 
 
 def _coverage(out: Outputs, truth: Floats) -> float | None:
-    """The share of claimed 95 % intervals of widths that hold the truth at the end (2 x p)."""
+    """Return the share of claimed 95 % intervals of widths that hold the truth at the end (2 x
+    p).
+    """
     estimate = out.estimate
     if not estimate.right_std.size:
         return None

@@ -101,7 +101,7 @@ def write_arena(
 
 
 def figures(contest: Contest, runs: Sequence[Trace]) -> dict[str, Figure]:
-    """The figures by name; runs: of some methods, as `traces.traced` gives them."""
+    """Return the figures by name; runs: of some methods, as `traces.traced` gives them."""
     drawn = {
         "leaderboard": first(contest),
         "scenarios": heat(contest.rows, regrets(contest.results), list(contest.scenarios)),
@@ -113,7 +113,7 @@ def figures(contest: Contest, runs: Sequence[Trace]) -> dict[str, Figure]:
 
 
 def first(contest: Contest) -> Figure:
-    """Median and worst regret of every method."""
+    """Return median and worst regret of every method."""
     return places(contest.rows, size_in_words(contest))
 
 
@@ -123,7 +123,7 @@ def panel(axes: Axes, contest: Contest) -> None:
 
 
 def arena_page(contest: Contest, images: Mapping[str, bytes], origin: Origin | None = None) -> str:
-    """The page; images: SVGs by the names of `figures`; else see `write_arena`."""
+    """Return the page; images: SVGs by the names of `figures`; else see `write_arena`."""
     shown = pictures(images, CAPTIONS)
     every = folded("All numbers", table(HEAD, map(_cells, contest.rows)), paragraph(NOTE, "note"))
     ranked = [_first(contest), *pick(shown, "leaderboard"), every]
@@ -141,7 +141,7 @@ def arena_page(contest: Contest, images: Mapping[str, bytes], origin: Origin | N
 
 
 def _first(contest: Contest) -> Html:
-    """The best methods in a few numbers."""
+    """Return the best methods in a few numbers."""
     rows = []
     for row in contest.contestants[:MOST]:
         regret = f"{row.median_regret:.3f} {_interval(row.median_interval)}"
@@ -150,7 +150,7 @@ def _first(contest: Contest) -> Html:
 
 
 def _cells(row: Row) -> tuple[Any, ...]:
-    """The row of a method, as `HEAD` names its cells; lines to compare with are grey."""
+    """Return the row of a method, as `HEAD` names its cells; lines to compare with are grey."""
     name: str | Html = row.method
     if row.reference:
         name = Html(f'<span class="note">{row.method}</span>')
@@ -163,12 +163,12 @@ def _cells(row: Row) -> tuple[Any, ...]:
 
 
 def _interval(ends: tuple[float, float]) -> str:
-    """An interval in brackets."""
+    """Return an interval in brackets."""
     return f"[{ends[0]:.3f}, {ends[1]:.3f}]"
 
 
 def _rounded(value: float | None) -> float | None:
-    """A number to three digits."""
+    """Return a number to three digits."""
     return None if value is None else float(f"{value:.3g}")
 
 
@@ -201,7 +201,7 @@ def _verdict(contest: Contest) -> Html:
 
 
 def _settings(contest: Contest) -> Html:
-    """The scenarios: widths, noise and step."""
+    """Return the scenarios: widths, noise and step."""
     rows = []
     for name, scenario in contest.scenarios.items():
         sensor = scenario.sensor
@@ -212,7 +212,7 @@ def _settings(contest: Contest) -> Html:
 
 
 def _refusals(contest: Contest) -> Html:
-    """The scenarios to which a method does not apply, with the reasons, each once."""
+    """Return the scenarios to which a method does not apply, with the reasons, each once."""
     refused = [result for result in contest.results if result.worth is None]
     reasons = [(result.method, result.scenario, result.reason) for result in refused]
     rows = list(dict.fromkeys(reasons))
@@ -221,7 +221,7 @@ def _refusals(contest: Contest) -> Html:
 
 
 def _tuned_numbers(contest: Contest) -> Html:
-    """The tuned numbers of every method that has some."""
+    """Return the tuned numbers of every method that has some."""
     rows = []
     for row in contest.rows:
         knobs = contest.numbers.get(row.method, {})

@@ -56,22 +56,22 @@ class PriorKnowledge(NamedTuple):
 
     @property
     def width(self) -> float:
-        """The largest declared width [z]."""
+        """Return the largest declared width [z]."""
         return float(self.widths.max())
 
     @property
     def pole(self) -> float:
-        """The fastest pole of the model [1/s]."""
+        """Return the fastest pole of the model [1/s]."""
         return fastest_pole(self.model)
 
     @property
     def flow(self) -> Matrices:
-        """The model in continuous time."""
+        """Return the model in continuous time."""
         return self.model.continuous
 
     @property
     def quarter(self) -> float:
-        """A quarter period of the plant; 1 s of one that only integrates [s]."""
+        """Return a quarter period of the plant; 1 s of one that only integrates [s]."""
         try:
             return time_scale(self.flow)
         except InputError:
@@ -79,18 +79,18 @@ class PriorKnowledge(NamedTuple):
 
     @property
     def correlation(self) -> float:
-        """The correlation time of the disturbance [s]."""
+        """Return the correlation time of the disturbance [s]."""
         declared = self.declared.correlation_time
         return self.quarter if declared is None else declared
 
     @property
     def bias(self) -> float:
-        """The rms of a constant input disturbance [u]."""
+        """Return the rms of a constant input disturbance [u]."""
         return 0.0 if self.declared.bias is None else float(np.max(self.declared.bias))
 
     @property
     def disturbance_rms(self) -> float:
-        """The rms of the input disturbance [u]."""
+        """Return the rms of the input disturbance [u]."""
         if self.declared.disturbance is not None:
             return float(np.max(self.declared.disturbance))
         A, B, C = self.flow
@@ -99,7 +99,7 @@ class PriorKnowledge(NamedTuple):
 
     @property
     def white(self) -> float:
-        """The rms of a disturbance that is new at every sample [u].
+        """Return the rms of a disturbance that is new at every sample [u].
 
         It moves the state as far as bias and gusts do.
         """
@@ -107,7 +107,7 @@ class PriorKnowledge(NamedTuple):
         return math.hypot(self.disturbance_rms, self.bias) * math.sqrt(samples)
 
     def gain(self, speed: float) -> Floats:
-        """L (n x p) [1/s] for poles of A - L C near -speed [1/s]."""
+        """Return L (n x p) [1/s] for poles of A - L C near -speed [1/s]."""
         return fast_gain(self.model.linear, speed, self.model.Ts) / (self.model.Ts or 1.0)
 
 
@@ -134,7 +134,10 @@ class Setting(NamedTuple):
 
 
 def situations(scenarios: Mapping[str, Scenario]) -> dict[str, Setting]:
-    """Scenarios by title, each with what is known of it. Raises InputError, which names one."""
+    """Return scenarios by title, each with what is known of it.
+
+    Raises InputError, which names one.
+    """
     found = {}
     for title, scenario in scenarios.items():
         try:
@@ -145,7 +148,7 @@ def situations(scenarios: Mapping[str, Scenario]) -> dict[str, Setting]:
 
 
 def situation(scenario: Scenario) -> Setting:
-    """A scenario with what is known of it. Raises InputError or a subclass."""
+    """Return a scenario with what is known of it. Raises InputError or a subclass."""
     if scenario.sensor.play is not None:
         raise InputError(
             "sensor.play: the arena has no play ahead of a dead zone, which most of its methods do "
@@ -193,7 +196,7 @@ def declaration(scenario: Scenario) -> Assumptions:
 
 
 def _reach(problem: Problem, width: float) -> Floats:
-    """MARGIN times the largest |r|, |r'|, ... over the tracked outputs; z wider by a width.
+    """Return MARGIN times the largest |r|, |r'|, ... over the tracked outputs; z wider by a width.
 
     They are as many as one output has derivatives that no input moves.
     """
@@ -206,7 +209,7 @@ def _reach(problem: Problem, width: float) -> Floats:
 
 
 def _loop_rate(problem: Problem) -> float:
-    """The geometric mean of the poles of A - B K [1/s].
+    """Return the geometric mean of the poles of A - B K [1/s].
 
     It is ten times the plant's fastest where the controller has no K.
     """

@@ -21,7 +21,8 @@ SAFE: Final = "PYTHONSAFEPATH"  # set: a new Python does not look into the worki
 
 @contextmanager
 def pool(count: int | None) -> Iterator[ProcessPoolExecutor]:
-    """Processes started anew, so that nothing is inherited, and no code of the working folder runs.
+    """Provide processes started anew, so that nothing is inherited, and no code of the working
+    folder runs.
 
     They end with this process, also when it is killed in the middle of their work. What this
     process may import they may too: they take its path of modules before anything else is done.
@@ -36,7 +37,7 @@ def pool(count: int | None) -> Iterator[ProcessPoolExecutor]:
 
 @contextmanager
 def _safe_start() -> Iterator[None]:
-    """Python starts safely inside: workers, and the process that tracks what they share."""
+    """Provide Python starts safely inside: workers, and the process that tracks what they share."""
     before = os.environ.get(SAFE)
     os.environ[SAFE] = "1"
     try:
@@ -84,7 +85,7 @@ def as_done(
 
 @contextmanager
 def _starting() -> Iterator[None]:
-    """Ctrl-C waits inside, and for the processes started there until they have begun.
+    """Provide ctrl-C waits inside, and for the processes started there until they have begun.
 
     It would print the traceback of each that is still importing.
     """

@@ -27,7 +27,7 @@ SETS: Final[Mapping[str, tuple[Kind, Kind]]] = MappingProxyType(
 
 
 def scenarios(kind: Kind) -> dict[str, Scenario]:
-    """The arena's own scenarios, by file name without its suffix.
+    """Return the arena's own scenarios, by file name without its suffix.
 
     Each method takes the place of their observer.
     """
@@ -38,7 +38,7 @@ def scenarios(kind: Kind) -> dict[str, Scenario]:
 def from_files(
     paths: Sequence[str | os.PathLike[str]], confine: Path | None = None
 ) -> dict[str, Scenario]:
-    """Scenarios of one's own, by file name without its suffix. Raises FileError, InputError.
+    """Return scenarios of one's own, by file name without its suffix. Raises FileError, InputError.
 
     Args:
         paths: of the files.

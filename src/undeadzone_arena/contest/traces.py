@@ -40,7 +40,7 @@ class Trace(NamedTuple):
 
 
 def typical(contest: Contest) -> str:
-    """The scenario on which the regret of the best method is nearest to its median.
+    """Return the scenario on which the regret of the best method is nearest to its median.
 
     It is one of those with a dead zone if there are any. There must be a contestant.
     """
@@ -72,7 +72,7 @@ def traced(contest: Contest, title: str | None = None) -> list[Trace]:
 
 
 def _worth_seeing(contest: Contest) -> list[str]:
-    """The methods whose runs are shown, each once."""
+    """Return the methods whose runs are shown, each once."""
     contestants = contest.contestants
     kept = [row.method for row in contestants if not row.diverged and not row.not_applicable]
     if not kept:
@@ -82,7 +82,7 @@ def _worth_seeing(contest: Contest) -> list[str]:
 
 
 def _trace(contest: Contest, method: str, title: str) -> Trace:
-    """A run of one method on one scenario. Raises InputError where it is not applicable."""
+    """Return a run of one method on one scenario. Raises InputError where it is not applicable."""
     problem, out = contest.replay(method, title)
     t, i = np.arange(len(out.z)) * problem.scenario.simulation.step, problem.tracked[0]
     return Trace(

@@ -50,7 +50,7 @@ def trial(
     seeds: Sequence[int],
     numbers: Mapping[str, float] = NOTHING,
 ) -> list[Result]:
-    """A method on a scenario, a run per seed; that the method refuses it is a result.
+    """Return a method on a scenario, a run per seed; that the method refuses it is a result.
 
     Args:
         name: of the method.
@@ -76,12 +76,12 @@ def trial(
 
 
 def signals(problem: Problem, seed: int) -> Outputs:
-    """The signals of one run."""
+    """Return the signals of one run."""
     return next(iter(_runs(problem, [seed]))).out
 
 
 def _runs(problem: Problem, seeds: Sequence[int]) -> Iterator[_TrialRun]:
-    """The runs of a problem."""
+    """Yield the runs of a problem."""
     observer = problem.observer
     loop = None if observer.python is not None else closed(problem)
     for seed in seeds:
@@ -97,14 +97,14 @@ def _runs(problem: Problem, seeds: Sequence[int]) -> Iterator[_TrialRun]:
 
 
 def _seeded(problem: Problem, seed: int) -> Problem:
-    """The problem with another seed."""
+    """Return the problem with another seed."""
     simulation = msgspec.structs.replace(problem.scenario.simulation, seed=seed)
     scenario = msgspec.structs.replace(problem.scenario, simulation=simulation)
     return problem._replace(scenario=scenario)
 
 
 def _interpreted(loop: Loop, problem: Problem, exogenous: Floats) -> Outputs:
-    """The outputs of a loop on CasADi's virtual machine."""
+    """Return the outputs of a loop on CasADi's virtual machine."""
     state = tree.pack(loop.state._replace(plant=problem.x0))
     outputs, _ = interpret.run(loop.step, state, exogenous, tree.pack(loop.params))
     return named(loop, outputs)
@@ -140,7 +140,7 @@ def score(
     progress: Callable[[int], None] | None = None,
     kept: Answers | None = None,
 ) -> list[Result]:
-    """The results of methods on scenarios, with the lines that are always there (FRAME).
+    """Yield the results of methods on scenarios, with the lines that are always there (FRAME).
 
     Args:
         methods: names in the catalogue, or methods of one's own by name, which run in this
@@ -166,7 +166,7 @@ def score(
             jobs.append(Job(name, own.get(name), title, scenario, tuple(seeds), knobs))
 
     def compute(missing: list[int]) -> Iterator[tuple[int, list[Any]]]:
-        """Results as they come, in the form in which they are kept."""
+        """Yield results as they come, in the form in which they are kept."""
         for k, results in _done([jobs[k] for k in missing], 1 if own else processes):
             yield missing[k], msgspec.to_builtins(results)
             if progress is not None:
@@ -186,7 +186,7 @@ def score(
 def problem_of(
     scenarios: Mapping[str, Scenario], seeds: Sequence[int], numbers: Numbers
 ) -> dict[str, Any]:
-    """Everything that the results of methods of the catalogue depend on."""
+    """Return everything that the results of methods of the catalogue depend on."""
     return {
         "scenarios": {title: toml.dumps(scenario) for title, scenario in scenarios.items()},
         "files": {title: digests(scenario) for title, scenario in scenarios.items()},
@@ -198,7 +198,7 @@ def problem_of(
 def _names(
     methods: Sequence[str] | Mapping[str, Method] | None, grounds: Mapping[str, Scenario]
 ) -> list[str]:
-    """The names of methods. Raises InputError for one that is not in the catalogue."""
+    """Return the names of methods. Raises InputError for one that is not in the catalogue."""
     if methods is None:
         return fitting(grounds.values())
     if isinstance(methods, Mapping):
@@ -213,7 +213,7 @@ def processes_for(jobs: int, processes: int | None) -> int:
 
 
 def _done(jobs: Sequence[Job], processes: int | None) -> Iterator[tuple[int, list[Result]]]:
-    """Results by number of the job, as they come.
+    """Yield results by number of the job, as they come.
 
     Processes are started anew, so that nothing is inherited.
     """
@@ -225,6 +225,6 @@ def _done(jobs: Sequence[Job], processes: int | None) -> Iterator[tuple[int, lis
 
 
 def _try(job: Job) -> list[Result]:
-    """The results of a job."""
+    """Return the results of a job."""
     method = catalogue()[job.name] if job.method is None else job.method
     return trial(job.name, method, job.title, situation(job.scenario), job.seeds, job.numbers)

@@ -38,7 +38,7 @@ def tune(
     keep: Path | None = None,
     resume: bool = False,
 ) -> Tuned:
-    """The numbers of each method's knobs that make its mean regret small.
+    """Yield the numbers of each method's knobs that make its mean regret small.
 
     Args:
         names: of the methods.
@@ -83,7 +83,7 @@ def tune(
 
 
 def _frame(grounds: Mapping[str, Scenario], seeds: Sequence[int]) -> list[Result]:
-    """The results of the lines that are always there."""
+    """Return the results of the lines that are always there."""
     settings = situations(grounds)
     known = catalogue()
     results: list[Result] = []
@@ -101,7 +101,7 @@ def _search(
     seeds: Sequence[int],
     search: int,
 ) -> Found:
-    """The numbers of one method's knobs, found in a process of its own."""
+    """Return the numbers of one method's knobs, found in a process of its own."""
     grounds = situations(scenarios)
     method = catalogue()[name]
 
@@ -114,7 +114,7 @@ def _search(
 def best(
     method: Method, cost: Callable[[Mapping[str, float]], float], budget: int, search: int
 ) -> Found:
-    """The cheapest of `budget` candidates.
+    """Return the cheapest of `budget` candidates.
 
     They come from an evolution that begins in the middle of the ranges, on logarithmic scales; from
     a grid for a single knob.
@@ -148,7 +148,7 @@ def best(
 
 
 def _numbers(method: Method, shares: Floats) -> dict[str, float]:
-    """The numbers of a method's knobs at shares of their ranges, on logarithmic scales."""
+    """Return the numbers of a method's knobs at shares of their ranges, on logarithmic scales."""
     knobs = zip(method.knobs.items(), shares, strict=True)
     return {
         address: float(knob.low * (knob.high / knob.low) ** share)
@@ -163,7 +163,7 @@ def mean_regret(
     seeds: Sequence[int],
     numbers: Mapping[str, float],
 ) -> float:
-    """The mean regret of a method over scenarios and seeds.
+    """Return the mean regret of a method over scenarios and seeds.
 
     It counts CAP where the method is not applicable with these numbers, lest it be tuned to refuse
     what is hard.

@@ -28,7 +28,7 @@ HEAD: Final = (
 def in_words(
     rows: Sequence[Row], scenarios: int, seeds: int, reasons: Mapping[str, str]
 ) -> list[Block]:
-    """A leaderboard, as blocks of text and a table.
+    """Return a leaderboard, as blocks of text and a table.
 
     Args:
         rows: the leaderboard.
@@ -53,7 +53,7 @@ def in_words(
 
 
 def _cells(place: str, row: Row) -> tuple[str, ...]:
-    """A row of the leaderboard as text."""
+    """Return a row of the leaderboard as text."""
     return (
         place,
         row.method,
@@ -69,10 +69,10 @@ def _cells(place: str, row: Row) -> tuple[str, ...]:
 
 
 def _regret(value: float, interval: tuple[float, float]) -> str:
-    """A regret and its interval."""
+    """Return a regret and its interval."""
     return f"{value:.3f} [{interval[0]:.3f}, {interval[1]:.3f}]"
 
 
 def _share(value: float) -> str:
-    """A share in percent; nothing where there is none."""
+    """Return a share in percent; nothing where there is none."""
     return f"{100 * value:.0f} %" if value else ""

@@ -32,7 +32,7 @@ class GravityPD(Options, frozen=True, kw_only=True, tag="gravity_pd"):
     at: Literal["reference", "estimate"] = "reference"
 
     def build(self, model: System) -> Controller:
-        """The controller for the model of an arm, continuous or sampled."""
+        """Return the controller for the model of an arm, continuous or sampled."""
         flat = model.flat
         if flat is None:
             raise InputError(
@@ -53,7 +53,7 @@ class GravityPD(Options, frozen=True, kw_only=True, tag="gravity_pd"):
         return Controller(Params(model.params, K), lambda p: None, step, K=K)
 
     def _gain(self, model: System) -> Floats:
-        """K (m x n) of x = [motors; links; their speeds]. Raises InputError, ShapeError.
+        """Return K (m x n) of x = [motors; links; their speeds]. Raises InputError, ShapeError.
 
         Motors and links are one in a rigid arm.
         """

@@ -92,7 +92,7 @@ class Rates(NamedTuple):
 def approximating(
     model: System, options: FeedbackOptions, basis_on: Callable[[Floats], Basis]
 ) -> Controller:
-    """The controller for z^(r) = f + b u, r the relative degree, f unknown, b known.
+    """Return the controller for z^(r) = f + b u, r the relative degree, f unknown, b known.
 
     x^' = chain x^ + input (b u + W'phi(x^)) + L e, e = z - x^_1, z the inverted reading; E = x^
     less r and its derivatives; b u = r^(r) - W'phi - L_r e - feedback E,
@@ -126,7 +126,7 @@ def approximating(
 
 
 def relative_degree(linear: Matrices) -> int:
-    """r, the first derivative of the one output that the input moves.
+    """Return r, the first derivative of the one output that the input moves.
 
     Raises StructureError if the rest is not stable by itself.
     """
@@ -149,13 +149,13 @@ def relative_degree(linear: Matrices) -> int:
 
 
 def _moves_nothing(row: Floats, B: Floats) -> bool:
-    """Whether the input leaves a derivative of the output as it is, but for rounding."""
+    """Return whether the input leaves a derivative of the output as it is, but for rounding."""
     scale = float(np.linalg.norm(row) * np.linalg.norm(B))
     return abs((row @ B).item()) <= 1e-9 * scale
 
 
 def _rates(model: System, options: FeedbackOptions) -> Rates:
-    """The rates as given, else in fastest poles of the plant. Raises InputError."""
+    """Return the rates as given, else in fastest poles of the plant. Raises InputError."""
     return Rates(
         speed=in_poles(model, "controller.speed", options.speed, 40.0),
         bandwidth=in_poles(model, "controller.bandwidth", options.bandwidth, 10.0),
@@ -165,7 +165,7 @@ def _rates(model: System, options: FeedbackOptions) -> Rates:
 
 
 def _params(flow: Matrices, Ts: float | None, r: int, rates: Rates, basis: Any) -> Params:
-    """The controller's numbers."""
+    """Return the controller's numbers."""
     chain = companion(np.zeros(r))
     poles = np.full(r, -rates.speed)
     L = observer_gain(chain, poles, None)[:, 0]
@@ -193,14 +193,16 @@ def _params(flow: Matrices, Ts: float | None, r: int, rates: Rates, basis: Any) 
 
 
 def error_weights(order: int, bandwidth: float) -> Floats:
-    """Coefficients of (s + bandwidth)^order below the highest, lowest first (order)."""
+    """Return coefficients of (s + bandwidth)^order below the highest, lowest first (order)."""
     return np.atleast_1d(np.poly(np.full(order, -bandwidth)))[:0:-1]
 
 
 def learned_step(
     basis: Basis, keep: float, p: Params, s: State, estimate: Estimate, target: Target
 ) -> tuple[State, Any]:
-    """(the state's derivative, or its next value when sampled, u); keep: 1 when sampled, else 0."""
+    """Return (the state's derivative, or its next value when sampled, u); keep: 1 when sampled,
+    else 0.
+    """
     e = estimate.z_inverse - s.x[0]
     phi = basis.phi(p.basis, s.x)
     error = s.x - p.reference @ target.x_ref

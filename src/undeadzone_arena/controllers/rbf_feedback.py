@@ -25,7 +25,7 @@ class RBFFeedback(FeedbackOptions, frozen=True, kw_only=True, tag="rbf_feedback"
     overlap: float = 0.7
 
     def build(self, model: System) -> Controller:
-        """The controller for a linear model of one input and one output."""
+        """Return the controller for a linear model of one input and one output."""
         overlap = scalar("controller.overlap", self.overlap, above=0.0)
         return approximating(
             model,

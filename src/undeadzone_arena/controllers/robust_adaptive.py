@@ -47,7 +47,7 @@ class RobustAdaptive(Options, frozen=True, kw_only=True, tag="robust_adaptive"):
     most: Array | None = None
 
     def build(self, model: System) -> Controller:
-        """The controller for a model, continuous or sampled."""
+        """Return the controller for a model, continuous or sampled."""
         n, m, Ts = model.n, model.m, model.Ts
         usual = USUAL * fastest_pole(model)
         rate = usual if self.rate is None else scalar("controller.rate", self.rate, above=0.0)

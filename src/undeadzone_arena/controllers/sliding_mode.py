@@ -42,7 +42,7 @@ class SlidingMode(Options, frozen=True, kw_only=True, tag="sliding_mode"):
     boundary: Array | None = None
 
     def build(self, model: System) -> Controller:
-        """The controller for a model, continuous or sampled."""
+        """Return the controller for a model, continuous or sampled."""
         n, m, Ts = model.n, model.m, model.Ts
         usual = 10 * fastest_pole(model)
         spread = np.linspace(0.8, 1.2, max(n - m, 0))
@@ -68,7 +68,7 @@ class SlidingMode(Options, frozen=True, kw_only=True, tag="sliding_mode"):
         return Controller(params, lambda p: None, step)
 
     def _layer(self, m: int, rate: float) -> tuple[Floats, Floats]:
-        """(gain, boundary) (m each). Raises InputError, ShapeError."""
+        """Return (gain, boundary) (m each). Raises InputError, ShapeError."""
         gain = nonnegative("controller.gain", self.gain, m, "one per input")
         if not gain.all():
             raise InputError(
@@ -100,7 +100,7 @@ class Params(NamedTuple):
 
 
 def surface(model: System, poles: Array) -> Floats:
-    """G (m x n) with G B = 1 such that the error on G e = 0 has given poles.
+    """Return G (m x n) with G B = 1 such that the error on G e = 0 has given poles.
 
     Args:
         model: the model, continuous or sampled.

@@ -22,7 +22,7 @@ class TaylorFeedback(FeedbackOptions, frozen=True, kw_only=True, tag="taylor_fee
     degree: int = 3
 
     def build(self, model: System) -> Controller:
-        """The controller for a linear model of one input and one output."""
+        """Return the controller for a linear model of one input and one output."""
         return approximating(
             model, self, lambda reach: monomials("controller.degree", reach, self.degree)
         )

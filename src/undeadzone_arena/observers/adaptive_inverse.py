@@ -53,7 +53,7 @@ class AdaptiveInverse(Options, frozen=True, kw_only=True, tag="adaptive_inverse"
     width_max: Array | None = None
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The observer for a model, continuous or sampled."""
+        """Return the observer for a model, continuous or sampled."""
         p = model.p
         widths, limit = bounded_widths(self.widths0, self.width_max, p)
         L = injection(model, self.L, self.poles, self.speed, width_hiding_speed(model, 30.0))
@@ -70,5 +70,5 @@ class AdaptiveInverse(Options, frozen=True, kw_only=True, tag="adaptive_inverse"
 
 
 def indicators(params: Any, y: Any, side: Any, z: Any) -> Any:
-    """chi_bar of (12): 1 on the right, -1 on the left, so that W = [d_r; d_l]."""
+    """Return chi_bar of (12): 1 on the right, -1 on the left, so that W = [d_r; d_l]."""
     return ca.vertcat(side > 0, -(side < 0))

@@ -40,7 +40,7 @@ class EKF(JointClaims, frozen=True, kw_only=True, tag="ekf"):
     pseudo: bool = True
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The filter for a sampled model."""
+        """Return the filter for a sampled model."""
         if sensor.kind == "jump":
             raise InputError(
                 "observer.method: the slope of a jump sensor's reading says nothing of its widths, "
@@ -55,7 +55,7 @@ class EKF(JointClaims, frozen=True, kw_only=True, tag="ekf"):
 
 
 def correct_predicted(q: Params, belief: Gaussian, sample: Sample) -> Weighed:
-    """The correction on the branch where the estimate is."""
+    """Return the correction on the branch where the estimate is."""
     return corrected(q, belief, sample, sample.sight, sample.seen)
 
 
@@ -67,7 +67,7 @@ def correct_measured(
     belief: Gaussian,
     sample: Sample,
 ) -> Weighed:
-    """The correction on the measured branch.
+    """Return the correction on the measured branch.
 
     With `pseudo`, a silent sensor is read on the branch where the estimate is.
     """
@@ -85,7 +85,7 @@ def correct_measured(
 
 
 def corrected(q: Params, belief: Gaussian, sample: Sample, sight: Sight, use: Any) -> Weighed:
-    """The correction by a reading that is linearised where the estimate is."""
+    """Return the correction by a reading that is linearised where the estimate is."""
     expected, h = linearise(sight, belief.mean)
     e, i = ca.if_else(use, sample.y - expected, 0.0), sample.i
     return update_unless_glitch(belief, h, e, q.R[i], use, sample.odds, q.doubt.reach[i])

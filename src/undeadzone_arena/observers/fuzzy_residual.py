@@ -28,7 +28,7 @@ class FuzzyResidual(LearnedOptions, frozen=True, kw_only=True, tag="fuzzy_residu
     overlap: float = 0.7
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The observer for a model, continuous or sampled."""
+        """Return the observer for a model, continuous or sampled."""
         overlap = scalar("observer.overlap", self.overlap, above=0.0)
         basis = gaussians("observer.rules", np.ones(1), self.rules, overlap, True)
         return residual(model, sensor, self, self.reach, basis)

@@ -59,7 +59,7 @@ class Interval(Options, frozen=True, kw_only=True, tag="interval"):
     contraction: float | None = None
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The observer for a linear model, continuous or sampled."""
+        """Return the observer for a linear model, continuous or sampled."""
         if model.nonlinear:
             raise InputError(
                 "observer.method: 'interval' bounds linear plants only; use 'censored' for a "
@@ -97,7 +97,7 @@ class Interval(Options, frozen=True, kw_only=True, tag="interval"):
         return interval(model, form.pairs, params, sensor)
 
     def _noise(self, sensor: Zone, p: int) -> tuple[Floats, Floats]:
-        """The bounds of the noise after (p) [y] and before the sensor (p) [z]."""
+        """Return the bounds of the noise after (p) [y] and before the sensor (p) [z]."""
         after, before = NOISE * sensor.noise, NOISE * sensor.noise_before
         if self.noise is not None:
             after = nonnegative("observer.noise", self.noise, p, "one per output")
@@ -106,7 +106,7 @@ class Interval(Options, frozen=True, kw_only=True, tag="interval"):
         return after, before
 
     def _gain(self, model: System, flow: Matrices) -> Floats:
-        """L (n x p), per step when sampled: 0 for a stable plant if nothing is chosen."""
+        """Return L (n x p), per step when sampled: 0 for a stable plant if nothing is chosen."""
         stable = np.linalg.eigvals(flow.A).real.max() < -1e-9 * np.linalg.norm(flow.A, 2)
         if self.L is self.poles is self.speed is None and stable:
             return np.zeros((model.n, model.p))

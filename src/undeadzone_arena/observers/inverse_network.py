@@ -33,7 +33,7 @@ class InverseNetwork(LearnedOptions, frozen=True, kw_only=True, tag="inverse_net
     functions: int = 2
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The observer for a model, continuous or sampled."""
+        """Return the observer for a model, continuous or sampled."""
         scale = positive("observer.scale", self.scale, model.p, "one per output")
         basis = jumps("observer.functions", self.functions)
 

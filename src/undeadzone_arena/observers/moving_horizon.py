@@ -58,7 +58,7 @@ class MovingHorizon(JointClaims, frozen=True, kw_only=True, tag="moving_horizon"
     solver: Literal["daqp", "osqp"] = "daqp"
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The estimator for a sampled model."""
+        """Return the estimator for a sampled model."""
         if sensor.kind == "jump":
             raise InputError(
                 "observer.method: 'moving_horizon' takes a reading for z - d_r or z + d_l, which "
@@ -84,7 +84,7 @@ class MovingHorizon(JointClaims, frozen=True, kw_only=True, tag="moving_horizon"
         return moving(model, sensor, prior, weights, nodes, stride, share, self.solver)
 
     def _grid(self, model: System) -> tuple[int, int]:
-        """(intervals of the horizon, samples of an interval). Raises InputError."""
+        """Return (intervals of the horizon, samples of an interval). Raises InputError."""
         Ts = sample_time(model)
         if self.horizon is None:
             length = quarter_period(model)
@@ -162,7 +162,7 @@ def moving(
     glitches: float,
     plugin: str,
 ) -> Observer:
-    """The estimator.
+    """Return the estimator.
 
     Its covariance, which weighs the past and is shown, is that of a Kalman filter on the active
     readings: what silence adds is not counted.
@@ -190,7 +190,7 @@ def moving(
 
 
 def initial_state(model: System, prior: JointPrior, tangents: Tangents, nodes: int) -> State:
-    """The state at t = 0: every node of the window knows the prior alone."""
+    """Return the state at t = 0: every node of the window knows the prior alone."""
     n, p, m = model.n, model.p, model.m
     mean = prior.prior.mean
     cov = np.diag(prior.prior.std**2)
@@ -203,7 +203,7 @@ def initial_state(model: System, prior: JointPrior, tangents: Tangents, nodes: i
 
 
 def correct(setup: Setup, s: State, reading: Reading) -> tuple[State, Estimate]:
-    """(the state, the estimate) given a reading; every `stride` samples a node is added.
+    """Return (the state, the estimate) given a reading; every `stride` samples a node is added.
 
     A reading that is likelier a glitch counts as missing. Where most of late were, or the state
     left all bounds, all begins anew from the prior.
@@ -235,7 +235,7 @@ def correct(setup: Setup, s: State, reading: Reading) -> tuple[State, Estimate]:
 
 
 def with_node(setup: Setup, s: State, y: Floats, side: Floats, seen: Floats) -> State:
-    """The state with a new node, and the programme solved.
+    """Return the state with a new node, and the programme solved.
 
     Args:
         setup: the estimator.
@@ -261,13 +261,13 @@ def with_node(setup: Setup, s: State, y: Floats, side: Floats, seen: Floats) -> 
 
 
 def refused_share(doubt: Doubt, share: Floats, side: Floats, refused: Any) -> Floats:
-    """The mean share of refused readings after one more on some outputs (p)."""
+    """Return the mean share of refused readings after one more on some outputs (p)."""
     mean = doubt.forget * share + (1 - doubt.forget) * refused
     return np.where(refused | (side != 0), mean, share)
 
 
 def covariance_now(setup: Setup, s: State) -> Floats:
-    """The covariance of X now, from that of the newest node."""
+    """Return the covariance of X now, from that of the newest node."""
     n, p = setup.model.n, setup.model.p
     T = np.eye(n + 2 * p)
     T[:n, :n] = s.F
@@ -278,7 +278,9 @@ def covariance_now(setup: Setup, s: State) -> Floats:
 
 
 def moved_on(s: State, newest: Window) -> Window:
-    """The window without its oldest node and with a new one; the motion up to it is known now."""
+    """Return the window without its oldest node and with a new one; the motion up to it is known
+    now.
+    """
     motion = {}
     for name in ("F", "f", "G"):
         before = getattr(s.window, name)[:-1]
@@ -290,7 +292,7 @@ def moved_on(s: State, newest: Window) -> Window:
 
 
 def predict(setup: Setup, s: State, u: Floats) -> State:
-    """The state at the next sample."""
+    """Return the state at the next sample."""
     n = setup.model.n
     x, A, B = setup.tangents.move(s.X[:n], u)
     return s._replace(

@@ -47,7 +47,7 @@ class ParticleFilter(JointClaims, frozen=True, kw_only=True, tag="particle_filte
     particles: int = 500
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The filter for a sampled model."""
+        """Return the filter for a sampled model."""
         if not 2 <= self.particles <= 1_000_000:
             raise InputError(f"observer.particles: expected 2 to 1000000, found {self.particles}")
         prior = joint_prior(self, model, sensor, DEFAULTS)
@@ -107,19 +107,19 @@ class Setup(NamedTuple):
 def bootstrap(
     model: System, sensor: Zone, prior: JointPrior, count: int, glitches: float
 ) -> Observer:
-    """The filter with `count` particles; glitches: probability that a reading is wrong."""
+    """Return the filter with `count` particles; glitches: probability that a reading is wrong."""
     setup = Setup(model, sensor, prior, count, glitches, vectorised(model, count))
     how = InPython(partial(start, setup), partial(correct, setup), partial(predict, setup))
     return in_python(how, model.p, Traits())
 
 
 def start(setup: Setup, seed: int) -> State:
-    """Particles drawn from the prior."""
+    """Return particles drawn from the prior."""
     return drawn(setup, seed, 0)._replace(sample=1)
 
 
 def drawn(setup: Setup, seed: int, sample: int) -> State:
-    """Particles drawn from the prior at that sample."""
+    """Return particles drawn from the prior at that sample."""
     n, p, count = setup.model.n, setup.model.p, setup.particles
     prior, _, ranges = setup.prior
     rng = _random(seed, 2 * sample)
@@ -129,7 +129,7 @@ def drawn(setup: Setup, seed: int, sample: int) -> State:
 
 
 def correct(setup: Setup, s: State, reading: Reading) -> tuple[State, Estimate]:
-    """(the particles weighed by a reading and perhaps resampled, the estimate).
+    """Return (the particles weighed by a reading and perhaps resampled, the estimate).
 
     Particles that left all bounds are drawn anew.
     """
@@ -162,7 +162,7 @@ def correct(setup: Setup, s: State, reading: Reading) -> tuple[State, Estimate]:
 
 
 def limited(e: Floats, side: Floats) -> Floats:
-    """Residuals whose half squares are those of a reading that only bounds z at a limit.
+    """Return residuals whose half squares are those of a reading that only bounds z at a limit.
 
     There the likelihood is the chance that the sensor reads at least, or at most, as much.
 
@@ -177,7 +177,7 @@ def limited(e: Floats, side: Floats) -> Floats:
 
 
 def resampled(s: State) -> State:
-    """The particles, drawn anew where fewer than half of them count, 1 / sum w^2."""
+    """Return the particles, drawn anew where fewer than half of them count, 1 / sum w^2."""
     count = s.weights.size
     if 1.0 / (s.weights @ s.weights) >= count / 2:
         return s
@@ -186,7 +186,7 @@ def resampled(s: State) -> State:
 
 
 def predict(setup: Setup, s: State, u: Floats) -> State:
-    """The particles at the next sample; widths are reflected at both ends of their range."""
+    """Return the particles at the next sample; widths are reflected at both ends of their range."""
     m, p, count = setup.model.m, setup.model.p, setup.particles
     prior, variance, ranges = setup.prior
     low, high = ranges[:, :1], ranges[:, 1:]
@@ -200,7 +200,7 @@ def predict(setup: Setup, s: State, u: Floats) -> State:
 
 
 def even(count: int) -> Floats:
-    """The same weight for every particle."""
+    """Return the same weight for every particle."""
     return np.full(count, 1.0 / count)
 
 
@@ -216,7 +216,7 @@ def systematic(weights: Floats, offset: float) -> Integers:
 
 
 def glitch_odds(glitches: float, prior: Prior) -> Floats:
-    """Log density of a glitch over that of a regular reading without residual (p)."""
+    """Return log density of a glitch over that of a regular reading without residual (p)."""
     reach = glitch_reach(prior)
     with np.errstate(divide="ignore"):
         odds: Floats = np.log(glitches / (1 - glitches) * np.sqrt(2 * np.pi * prior.R) / reach)
@@ -224,7 +224,7 @@ def glitch_odds(glitches: float, prior: Prior) -> Floats:
 
 
 def reweighted(weights: Floats, e: Floats, glitch: Floats) -> Floats:
-    """The weights times exp(-e^2 / 2) + exp(glitch) of each reading, normalised.
+    """Return the weights times exp(-e^2 / 2) + exp(glitch) of each reading, normalised.
 
     Unchanged if no particle is a number any more.
 
@@ -243,17 +243,17 @@ def reweighted(weights: Floats, e: Floats, glitch: Floats) -> Floats:
 
 
 def weighted_variance(rows: Floats, weights: Floats) -> Floats:
-    """The weighted variance of each row."""
+    """Return the weighted variance of each row."""
     return np.asarray((rows - (rows @ weights)[:, None]) ** 2 @ weights)
 
 
 def _random(seed: int, purpose: int) -> np.random.Generator:
-    """Random numbers of their own for every seed and purpose."""
+    """Return random numbers of their own for every seed and purpose."""
     return np.random.Generator(np.random.Philox(key=[seed, STREAM], counter=[0, purpose, 0, 0]))
 
 
 def vectorised(model: System, count: int) -> Vectorised:
-    """The model's motion and output on `count` columns of numbers."""
+    """Return the model's motion and output on `count` columns of numbers."""
     params = model.params
     if not model.nonlinear:
         return Vectorised(

@@ -51,7 +51,7 @@ class RobustGradient(Options, frozen=True, kw_only=True, tag="robust_gradient"):
     width_max: Array | None = None
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The observer for a model, continuous or sampled."""
+        """Return the observer for a model, continuous or sampled."""
         if sensor.kind == "jump":
             raise InputError(
                 "observer.method: 'robust_gradient' compares with a dead zone, which a jump sensor "
@@ -95,7 +95,7 @@ def estimated_side(law: Law, s: State, z: Any, reading: Reading) -> tuple[Any, A
 
 
 def steady_input(model: System, L: Floats) -> Floats:
-    """B G(0)^-1 (n x p), G of A - L C from inputs to outputs.
+    """Return B G(0)^-1 (n x p), G of A - L C from inputs to outputs.
 
     It moves each C x^ by 1 in steady state. Raises StructureError.
     """

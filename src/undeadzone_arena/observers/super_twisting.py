@@ -55,7 +55,7 @@ class SuperTwisting(Options, frozen=True, kw_only=True, tag="super_twisting"):
     width_max: Array | None = None
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The observer for a model, continuous or sampled."""
+        """Return the observer for a model, continuous or sampled."""
         widths = adapted(self.gamma, self.widths0, self.width_max, model, sensor)
         L = self._linear_gain(model)
         flow = model.continuous
@@ -75,13 +75,16 @@ class SuperTwisting(Options, frozen=True, kw_only=True, tag="super_twisting"):
         return output_error(model, sensor, L, widths, law, partial(fractional_powers, orders))
 
     def _linear_gain(self, model: System) -> Floats:
-        """L (n x p) of the linear correction, per step when sampled; 0 if none is given."""
+        """Return L (n x p) of the linear correction, per step when sampled; 0 if none is given."""
         if self.L is self.poles is self.speed is None:
             return np.zeros((model.n, model.p))
         return injection(model, self.L, self.poles, self.speed, 1.0)
 
     def _bound(self, model: System, orders: list[int]) -> Floats:
-        """`lipschitz` as given, or its default (p) [z/s^r]. Raises InputError, ShapeError."""
+        """Return `lipschitz` as given, or its default (p) [z/s^r].
+
+        Raises InputError, ShapeError.
+        """
         default = (5 * fastest_pole(model)) ** np.array(orders, float)
         chosen = default if self.lipschitz is None else self.lipschitz
         bound = vector("observer.lipschitz", chosen, model.p, "one per output")
@@ -112,7 +115,7 @@ def fractional_powers(orders: list[int], law: Law, e: Any) -> Any:
 
 
 def differentiator_gains(r: int) -> Floats:
-    """lambda_1 ... lambda_r of the non-recursive differentiator of r coordinates."""
+    """Return lambda_1 ... lambda_r of the non-recursive differentiator of r coordinates."""
     gains = [LEVANT[r - 1]]
     for k in range(1, r):
         gains.append(LEVANT[r - 1 - k] * gains[-1] ** ((r - 1 - k) / (r - k)))

@@ -27,6 +27,6 @@ class TaylorResidual(LearnedOptions, frozen=True, kw_only=True, tag="taylor_resi
     degree: int = 7
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The observer for a model, continuous or sampled."""
+        """Return the observer for a model, continuous or sampled."""
         basis = monomials("observer.degree", np.ones(1), self.degree)
         return residual(model, sensor, self, self.reach, basis)

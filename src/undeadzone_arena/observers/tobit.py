@@ -38,7 +38,7 @@ class Tobit(JointClaims, frozen=True, kw_only=True, tag="tobit"):
     """
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The filter for a sampled model."""
+        """Return the filter for a sampled model."""
         if sensor.kind == "jump":
             raise InputError(
                 "observer.method: 'tobit' takes a reading for what lies beyond an edge, and a jump "
@@ -53,7 +53,8 @@ class Tobit(JointClaims, frozen=True, kw_only=True, tag="tobit"):
 def correct_tobit(
     model: System, limited: bool, q: Params, belief: Gaussian, sample: Sample
 ) -> Weighed:
-    """The correction by the mean of the reading and by its slopes, averaged over the branches.
+    """Return the correction by the mean of the reading and by its slopes, averaged over the
+    branches.
 
     On each branch the reading is max(s, 0) of a normal s, whose moments are known; a reading at a
     limit bounds it.

@@ -41,7 +41,7 @@ class UKF(JointClaims, frozen=True, kw_only=True, tag="ukf"):
     kappa: float = 0.5
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The filter for a sampled model."""
+        """Return the filter for a sampled model."""
         weights = self._weights(model.n + 2 * model.p)
 
         def correct(q: Params, belief: Gaussian, sample: Sample) -> Weighed:
@@ -57,7 +57,7 @@ class UKF(JointClaims, frozen=True, kw_only=True, tag="ukf"):
         return joint_filter(model, sensor, prior, self.glitches, correct, predict)
 
     def _weights(self, size: int) -> unscented.Weights:
-        """The weights of the points of `size` variables. Raises InputError."""
+        """Return the weights of the points of `size` variables. Raises InputError."""
         alpha = scalar("observer.alpha", self.alpha)
         beta = scalar("observer.beta", self.beta)
         kappa = scalar("observer.kappa", self.kappa)

@@ -54,7 +54,7 @@ class WalcottZak(Options, frozen=True, kw_only=True, tag="walcott_zak"):
     width_max: Array | None = None
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """The observer for a model, continuous or sampled."""
+        """Return the observer for a model, continuous or sampled."""
         L = injection(model, self.L, self.poles, self.speed, 10.0)
         rho, boundary = self._layer(model)
         law = Law(direction(model, L, self.Q), rho, boundary)
@@ -64,7 +64,7 @@ class WalcottZak(Options, frozen=True, kw_only=True, tag="walcott_zak"):
         return output_error(model, sensor, L, widths, law, sliding)
 
     def _layer(self, model: System) -> tuple[Floats, Floats]:
-        """(rho, per step when sampled, boundary) (p each). Raises InputError, ShapeError."""
+        """Return (rho, per step when sampled, boundary) (p each). Raises InputError, ShapeError."""
         p = model.p
         default = 5 * fastest_pole(model)
         chosen = default if self.rho is None else self.rho
@@ -109,7 +109,7 @@ def _require_fine_step(model: System, L: Floats, law: Law) -> None:
 
 
 def direction(model: System, L: Floats, Q: Array | None) -> Floats:
-    """G (n x p), C G = I, along P^-1 C'.
+    """Return G (n x p), C G = I, along P^-1 C'.
 
     The error that keeps C x~ = 0 then decays, as C (sI - A + L C)^-1 G is positive real.
 

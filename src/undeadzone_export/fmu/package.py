@@ -66,7 +66,7 @@ class Variable(NamedTuple):
 
 
 def variables(step: Step, units: Units) -> list[Variable]:
-    """All variables of a step, in the order of their references, which count from 0.
+    """Return all variables of a step, in the order of their references, which count from 0.
 
     Args:
         step: the step.
@@ -83,7 +83,7 @@ def variables(step: Step, units: Units) -> list[Variable]:
 
 
 def _entry(field: Field, k: int, causality: str, units: Units, start: float | None) -> Variable:
-    """An entry of a field."""
+    """Return an entry of a field."""
     name = field.name
     if causality == "output":
         name = RENAMED.get(name, name)
@@ -110,7 +110,7 @@ def token(report: dict[str, Any], version: int) -> str:
 def description(
     report: dict[str, Any], listed: list[Variable], sources: list[str], version: int
 ) -> str:
-    """The text of modelDescription.xml.
+    """Return the text of modelDescription.xml.
 
     Args:
         report: what the manifest holds.
@@ -197,12 +197,12 @@ def _structure(root: Element, listed: list[Variable], version: int) -> None:
 
 
 def _plain(text: str) -> str:
-    """A text on one line that XML can hold."""
+    """Return a text on one line that XML can hold."""
     return one_line(text).translate(_NO_XML)
 
 
 def build_description(name: str, sources: list[str]) -> str:
-    """The text of sources/buildDescription.xml of FMI 3.0.
+    """Return the text of sources/buildDescription.xml of FMI 3.0.
 
     Args:
         name: the model's identifier.
@@ -217,7 +217,7 @@ def build_description(name: str, sources: list[str]) -> str:
 
 
 def _text(root: Element) -> str:
-    """An XML document."""
+    """Return an XML document."""
     ElementTree.indent(root)
     text = ElementTree.tostring(root, encoding="unicode")
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'
@@ -266,7 +266,7 @@ def require_buildable(prefix: str, version: int) -> None:
 def package(
     printed: Code, files: dict[str, str], report: dict[str, Any], units: Units, version: int
 ) -> bytes:
-    """The FMU.
+    """Return the FMU.
 
     Args:
         printed: what was printed.
@@ -295,7 +295,7 @@ def package(
 
 
 def _model(printed: Code, report: dict[str, Any], version: int) -> str:
-    """The text of fmu_model.h."""
+    """Return the text of fmu_model.h."""
     step = printed.step
     words = report | {
         "token": token(report, version),
@@ -311,7 +311,7 @@ def _model(printed: Code, report: dict[str, Any], version: int) -> str:
 
 
 def _binary(sources: dict[str, str]) -> bytes:
-    """The shared library."""
+    """Return the shared library."""
     with tempfile.TemporaryDirectory() as name:
         files = compiler.written(sources, Path(name))
         options = ("-O2", "-fvisibility=hidden")
@@ -319,7 +319,7 @@ def _binary(sources: dict[str, str]) -> bytes:
 
 
 def _zipped(contents: dict[str, str | bytes]) -> bytes:
-    """A zip file of the same bytes each time."""
+    """Return a zip file of the same bytes each time."""
     memory = io.BytesIO()
     with zipfile.ZipFile(memory, "w", zipfile.ZIP_DEFLATED) as archive:
         for path, content in contents.items():

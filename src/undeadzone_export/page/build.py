@@ -42,7 +42,7 @@ SERIES = 1e-10  # largest error of the series, relative to the signal's size
 
 
 def reference(problem: Problem) -> dict[str, Any]:
-    """The target (r, x_ref, u_ff) along the run.
+    """Return the target (r, x_ref, u_ff) along the run.
 
     Args:
         problem: the checked parts of a scenario.
@@ -59,12 +59,14 @@ def reference(problem: Problem) -> dict[str, Any]:
 
 
 def period(problem: Problem) -> float | None:
-    """The period of the reference [s]; None: it has none."""
+    """Return the period of the reference [s]; None: it has none."""
     return problem.reference.period if problem.path is None else problem.path.period
 
 
 def _harmonics(problem: Problem) -> dict[str, Any]:
-    """A periodic target as a Fourier series, checked between the samples that it was made of."""
+    """Return a periodic target as a Fourier series, checked between the samples that it was made
+    of.
+    """
     length = period(problem)
     if length is None:
         raise InputError(
@@ -93,7 +95,7 @@ def _harmonics(problem: Problem) -> dict[str, Any]:
 
 
 def disturbance(problem: Problem) -> dict[str, Any] | None:
-    """The disturbance along the run; None: there is none.
+    """Return the disturbance along the run; None: there is none.
 
     Args:
         problem: the checked parts of a scenario.
@@ -111,7 +113,7 @@ def disturbance(problem: Problem) -> dict[str, Any] | None:
 
 
 def _signal_data(key: str, signal: Any, exo: Exosystem, gains: Floats) -> dict[str, Any]:
-    """A signal as what its exosystem's state is made of, and the gains from there."""
+    """Return a signal as what its exosystem's state is made of, and the gains from there."""
     data: dict[str, Any] = {"gains": gains.tolist()}
     if isinstance(signal, Sine | Sines):
         count = exo.S.shape[0] // 2
@@ -183,7 +185,7 @@ def write_page(scenario: Scenario, out: Path, force: bool = False) -> dict[str, 
 
 
 def build(scenario: Scenario) -> Page:
-    """The page of a scenario; the same scenario gives the same bytes.
+    """Return the page of a scenario; the same scenario gives the same bytes.
 
     Args:
         scenario: a linear scenario, sampled or continuous.
@@ -256,7 +258,7 @@ def _results(loop: Loop) -> Results:
 
 
 def _code(loop: Loop) -> tuple[bytes, dict[str, int]]:
-    """(the module, where each part of its memory begins, counted in numbers)."""
+    """Return (the module, where each part of its memory begins, counted in numbers)."""
     step = loop.step
     each = [*map(step.size1_in, range(3)), *map(step.size1_out, range(2))]
     sizes = dict(zip("swpno", each, strict=True)) | {"flag": 1}
@@ -332,7 +334,9 @@ def _data(problem: Problem, loop: Loop, memory: dict[str, int]) -> dict[str, Any
 
 
 def _sizes(problem: Problem) -> Floats:
-    """The largest |z| that the reference asks for, or four widths where it says nothing (p)."""
+    """Return the largest |z| that the reference asks for, or four widths where it says nothing
+    (p).
+    """
     rows = exogenous.exogenous(problem, run=None)
     q, n = len(problem.tracked), problem.model.n
     largest = np.zeros(problem.plant.p)
@@ -365,7 +369,7 @@ def _note(problem: Problem) -> str:
 
 
 def framed(title: str, data: dict[str, Any]) -> str:
-    """The page.
+    """Return the page.
 
     Args:
         title: its title.
@@ -390,5 +394,5 @@ def framed(title: str, data: dict[str, Any]) -> str:
 
 
 def _digest(text: str) -> str:
-    """The hash by which the page's policy allows a text, and no other."""
+    """Return the hash by which the page's policy allows a text, and no other."""
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"

@@ -50,14 +50,14 @@ class Slider(NamedTuple):
 
 
 def slider_of(wanted: Slider, moves: list[tuple[int, float, float]]) -> Slider:
-    """A slider of a range that moves numbers, with steps of a round size."""
+    """Return a slider of a range that moves numbers, with steps of a round size."""
     grid = nice((wanted.most - wanted.least) / TICKS, (1.0, 2.0, 5.0))
     most, least = max(wanted.most, wanted.value), min(wanted.least, wanted.value)
     return wanted._replace(least=least, most=most, grid=grid, moves=moves)
 
 
 def nice(value: float, factors: tuple[float, ...] = ROUND) -> float:
-    """The nearest round number that is not smaller: a factor times a power of ten."""
+    """Return the nearest round number that is not smaller: a factor times a power of ten."""
     power = 10.0 ** np.floor(np.log10(value))
     for factor in factors:
         if factor * power >= value * (1 - 1e-9):
@@ -74,7 +74,7 @@ Moves = list[tuple[int, float, float]]  # as of `Slider`
 
 
 def sliders(problem: Problem, loop: Loop, sizes: Floats) -> list[Slider]:
-    """The sliders of a scenario.
+    """Return the sliders of a scenario.
 
     Args:
         problem: the checked parts of the scenario.
@@ -96,12 +96,12 @@ def sliders(problem: Problem, loop: Loop, sizes: Floats) -> list[Slider]:
 
 
 def _unit(scenario: Scenario) -> str:
-    """The unit of the outputs, as the page shows it."""
+    """Return the unit of the outputs, as the page shows it."""
     return "" if scenario.units.output == "1" else scenario.units.output
 
 
 def _edges(problem: Problem, loop: Loop, sizes: Floats) -> list[Slider]:
-    """A slider for each edge of each output."""
+    """Return a slider for each edge of each output."""
     made = []
     limit = problem.observer.traits.width_max
     widest = np.maximum(problem.sensor.right, problem.sensor.left)
@@ -122,7 +122,7 @@ def _edges(problem: Problem, loop: Loop, sizes: Floats) -> list[Slider]:
 
 
 def _motion(problem: Problem, loop: Loop) -> list[Slider]:
-    """The sliders of the reference's size and speed."""
+    """Return the sliders of the reference's size and speed."""
     if problem.model.nonlinear:  # its target does not scale
         return []
     signal, unit = problem.scenario.reference, _unit(problem.scenario)
@@ -159,7 +159,9 @@ def _fastest(problem: Problem) -> float:
 
 
 def _learning(problem: Problem, loop: Loop) -> list[Slider]:
-    """The slider of the observer's gain of adaptation, if it has one and takes it as a number."""
+    """Return the slider of the observer's gain of adaptation, if it has one and takes it as a
+    number.
+    """
     options: Any = problem.scenario.observer
     traits = problem.observer.traits
     gamma = getattr(options, "gamma", None)
@@ -181,7 +183,9 @@ def _learning(problem: Problem, loop: Loop) -> list[Slider]:
 
 
 def _mismatch(problem: Problem, loop: Loop) -> list[Slider]:
-    """The slider that makes the plant's input act more strongly than its observer believes."""
+    """Return the slider that makes the plant's input act more strongly than its observer
+    believes.
+    """
     moves = []
     names = tree.names(loop.params)
     values = tree.pack(loop.params)
@@ -193,7 +197,8 @@ def _mismatch(problem: Problem, loop: Loop) -> list[Slider]:
 
 
 def _varied(problem: Problem, loop: Loop, wanted: Slider, change: Change) -> list[Slider]:
-    """The slider of a key, its range cut to where the scenario is accepted; none if it fits none.
+    """Return the slider of a key, its range cut to where the scenario is accepted; none if it fits
+    none.
 
     Args:
         problem: the checked parts of the scenario.
@@ -210,7 +215,7 @@ def _varied(problem: Problem, loop: Loop, wanted: Slider, change: Change) -> lis
 
 
 def _accepted(wanted: Slider, change: Change) -> Slider:
-    """The range with its upper end brought down to where the scenario is accepted."""
+    """Return the range with its upper end brought down to where the scenario is accepted."""
     for _ in range(HALVINGS):
         if _possible(change, wanted.most) is not None:
             break
@@ -219,7 +224,7 @@ def _accepted(wanted: Slider, change: Change) -> Slider:
 
 
 def _possible(change: Change, value: float) -> Problem | None:
-    """The scenario with another value of a key; None where it is refused, or is no graph."""
+    """Return the scenario with another value of a key; None where it is refused, or is no graph."""
     try:
         problem = resolve_scenario(change(value))
         graph_of(problem.observer)
@@ -259,7 +264,9 @@ def _place(loop: Loop, name: str) -> int:
 
 
 def _apart(made: list[Slider]) -> list[Slider]:
-    """The sliders, without those that move a number of an earlier one: they would not add up."""
+    """Return the sliders, without those that move a number of an earlier one: they would not add
+    up.
+    """
     taken: set[int] = set()
     kept = []
     for slider in made:

@@ -62,7 +62,7 @@ class Grid(NamedTuple):
 
 
 def to_grid(logs: list[Log], resample: float | None = None) -> Grid:
-    """Logs of one plant on one regular grid.
+    """Return logs of one plant on one regular grid.
 
     Args:
         logs: one or more; each begins a record with a state of its own.
@@ -119,7 +119,7 @@ def to_grid(logs: list[Log], resample: float | None = None) -> Grid:
 
 
 def spikes(values: Floats, known: Flags) -> Flags:
-    """The few values far beyond all others: one would rule every sum.
+    """Return the few values far beyond all others: one would rule every sum.
 
     Args:
         values: a signal (N, or N x K).
@@ -132,7 +132,8 @@ def spikes(values: Floats, known: Flags) -> Flags:
 
 
 def shortened(grid: Grid, integrators: int = 0) -> Grid:
-    """Stretches of a very long log, evenly spread over it, with a remark; others as they are.
+    """Return stretches of a very long log, evenly spread over it, with a remark; others as they
+    are.
 
     Args:
         grid: the records.
@@ -171,7 +172,7 @@ class _Piece(NamedTuple):
 
 
 def find_step(log: Log) -> float:
-    """The sample time of a log [s].
+    """Return the sample time of a log [s].
 
     Args:
         log: its times increase.
@@ -212,7 +213,7 @@ def _printed(t: Floats) -> float:
 
 
 def _regular(log: Log, step: float, remarks: list[str]) -> _Piece:
-    """A log of multiples of a step; short gaps are filled, a long one begins a record."""
+    """Return a log of multiples of a step; short gaps are filled, a long one begins a record."""
     steps = np.maximum(np.rint(np.diff(log.t, prepend=log.t[0] - step) / step), 1.0)
     breaks = steps > LONG
     steps[breaks] = 1.0
@@ -234,7 +235,9 @@ def _regular(log: Log, step: float, remarks: list[str]) -> _Piece:
 
 
 def _resampled(log: Log, step: float, remarks: list[str]) -> _Piece:
-    """A log on a grid of its own: inputs held, readings kept only where they lie near the grid."""
+    """Return a log on a grid of its own: inputs held, readings kept only where they lie near the
+    grid.
+    """
     if not 0 < step < (log.t[-1] - log.t[0]) / 10:
         raise InputError(f"resample: a step of {step:g} s does not fit {log.t[-1] - log.t[0]:g} s")
     size = int(np.floor((log.t[-1] - log.t[0]) / step)) + 1
@@ -254,7 +257,7 @@ def _resampled(log: Log, step: float, remarks: list[str]) -> _Piece:
 
 
 def find_quantum(y: Floats) -> float:
-    """The spacing of readings that are few and alike, as an encoder's are.
+    """Return the spacing of readings that are few and alike, as an encoder's are.
 
     Args:
         y: readings (N), none missing.
@@ -268,12 +271,14 @@ def find_quantum(y: Floats) -> float:
 
 
 def rounding_of(y: Floats) -> float:
-    """The spacing [y] of which every reading (N) is a multiple; 0 if printing may have made it."""
+    """Return the spacing [y] of which every reading (N) is a multiple; 0 if printing may have made
+    it.
+    """
     return spacing_of(np.unique(np.append(np.abs(y), 0.0)))
 
 
 def spacing_of(values: Floats) -> float:
-    """The spacing of which every difference of values is a multiple; 0 where there is none.
+    """Return the spacing of which every difference of values is a multiple; 0 where there is none.
 
     Args:
         values: in ascending order, all different (N).

@@ -75,7 +75,7 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
             msgspec.structs.force_setattr(self, "kind", "play")
 
     def orders(self) -> range:
-        """The orders to try. Raises InputError."""
+        """Return the orders to try. Raises InputError."""
         ends = _one_or_two(self.order, "-", int)
         if not ends or not 1 <= ends[0] <= ends[-1] <= MOST_POLES:
             raise InputError(
@@ -85,7 +85,10 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         return range(max(ends[0], self.integrators), max(ends[-1], self.integrators) + 1)
 
     def offset_rms(self) -> float | None:
-        """The rms of an unknown output offset [y]; None where it is free. Raises InputError."""
+        """Return the rms of an unknown output offset [y]; None where it is free.
+
+        Raises InputError.
+        """
         if self.offset == "free":
             return None
         try:
@@ -97,7 +100,10 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         return rms
 
     def bounds(self, side: str) -> tuple[float, float]:
-        """Least and largest width of right or left [y]; equal if known. Raises InputError."""
+        """Return least and largest width of right or left [y]; equal if known.
+
+        Raises InputError.
+        """
         text = self.right if side == "right" else self.left
         if text is None:
             return (-math.inf, math.inf)
@@ -138,7 +144,7 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
 
 def _one_or_two(text: str, between: str, kind: Callable[[str], T]) -> list[T]:
-    """One number or two; empty where the text is something else."""
+    """Return one number or two; empty where the text is something else."""
     try:
         numbers = [kind(part) for part in text.split(between)]
     except ValueError:
@@ -180,7 +186,7 @@ class Log(NamedTuple):
     remarks: tuple[str, ...] = ()
 
     def of_output(self, k: int) -> Log:
-        """The log with one of its outputs alone."""
+        """Return the log with one of its outputs alone."""
         return self._replace(
             y=self.y[:, k : k + 1],
             outputs=self.outputs[k : k + 1],
@@ -189,7 +195,7 @@ class Log(NamedTuple):
 
 
 def checked_log(samples: Samples, layout: Layout, source: str) -> Log:
-    """A log from samples, fit for identification.
+    """Return a log from samples, fit for identification.
 
     Args:
         samples: times, readings, inputs with the reference behind them.
@@ -234,7 +240,7 @@ def checked_log(samples: Samples, layout: Layout, source: str) -> Log:
 
 
 def where(source: str, lines: Any, index: int) -> str:
-    """The place of a sample, for messages: its line where the file has one."""
+    """Return the place of a sample, for messages: its line where the file has one."""
     if len(lines):
         return f"{source}, line {int(lines[index])}"
     return f"{source}, sample {index}"
@@ -269,7 +275,7 @@ def _check_inputs(u: Floats, inputs: Sequence[str], source: str, lines: Any) -> 
 
 
 def read_log(source: Any, columns: str | None = None, strict: bool = False) -> Log:
-    """The log in a file or DataFrame.
+    """Return the log in a file or DataFrame.
 
     Args:
         source: path of a CSV, .npz or .mat file, or a pandas DataFrame with the columns.
@@ -306,7 +312,7 @@ def read_log(source: Any, columns: str | None = None, strict: bool = False) -> L
 def _of_text(
     path: Path, chosen: Mapping[str, str], strict: bool, remarks: list[str]
 ) -> tuple[Samples, Layout]:
-    """The samples of a CSV file, without lines that cannot be read. Raises FileError."""
+    """Return the samples of a CSV file, without lines that cannot be read. Raises FileError."""
     reader = LogReader(str(path), None, None, chosen, strict)
     samples = samples_of_text(reader, path, LARGEST_TABLE, math.inf)
     if reader.layout is None or not samples.t.size:
@@ -321,7 +327,7 @@ def _of_text(
 
 
 def _readable(samples: Samples, reader: LogReader, path: Path) -> Samples:
-    """The samples of which something could be read. Raises FileError if those are few."""
+    """Return the samples of which something could be read. Raises FileError if those are few."""
     if reader.faults.unreadable > MOST_UNREADABLE * samples.t.size:
         raise FileError(
             f"{path}: {counted_lines(reader.faults.unreadable)} of {samples.t.size} cannot be "
@@ -332,7 +338,7 @@ def _readable(samples: Samples, reader: LogReader, path: Path) -> Samples:
 
 
 def log_of_arrays(t: Any, u: Any, y: Any, r: Any = None) -> Log:
-    """A log from arrays.
+    """Return a log from arrays.
 
     Args:
         t: times (N) [s], or one number, the sample time [s].
@@ -363,7 +369,7 @@ def log_of_arrays(t: Any, u: Any, y: Any, r: Any = None) -> Log:
 
 
 def _layout(p: int, m: int) -> Layout:
-    """The layout of arrays."""
+    """Return the layout of arrays."""
     titles = [Title("t", "s")]
     for signal, count in (("y", p), ("u", m)):
         names = [signal] if count == 1 else [f"{signal}[{i}]" for i in range(count)]
@@ -372,7 +378,7 @@ def _layout(p: int, m: int) -> Layout:
 
 
 def _rows(key: str, array: Any) -> Any:
-    """An array with a row a sample. Raises InputError."""
+    """Return an array with a row a sample. Raises InputError."""
     if array.ndim == 1:
         return array[:, None]
     if array.ndim == 2 and 1 in array.shape and array.shape[1] != 1:

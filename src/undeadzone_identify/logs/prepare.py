@@ -60,7 +60,7 @@ def usable(grid: Grid, remarks: list[str]) -> tuple[Flags, RangeEnds]:
 
 
 def _spikes(grid: Grid, remarks: list[str]) -> Flags:
-    """The few readings far beyond all others (N)."""
+    """Return the few readings far beyond all others (N)."""
     found = spikes(grid.y, grid.ok)
     if found.any():
         remarks.append(
@@ -71,7 +71,7 @@ def _spikes(grid: Grid, remarks: list[str]) -> Flags:
 
 
 def _dropouts(grid: Grid, ok: Flags, remarks: list[str]) -> Flags:
-    """Zeros between two readings so loud that no output falls silent from there (N).
+    """Return zeros between two readings so loud that no output falls silent from there (N).
 
     It would have to move in a step by much more than it does before and after. A jump sensor falls
     silent from its edge, its least reading; so what counts is how far readings are beyond that.
@@ -105,7 +105,7 @@ def _dropouts(grid: Grid, ok: Flags, remarks: list[str]) -> Flags:
 
 
 def _stuck(grid: Grid, ok: Flags, remarks: list[str]) -> Flags:
-    """A long hold of one reading, not 0, while the input goes on to move (N)."""
+    """Return a long hold of one reading, not 0, while the input goes on to move (N)."""
     held = np.append(False, (np.diff(grid.y) == 0) & ok[1:] & ok[:-1]) & (grid.y != 0)
     first, last = runs(held)
     stuck = np.zeros_like(ok)
@@ -182,7 +182,7 @@ class Prepared(NamedTuple):
 
 
 def prepare(grid: Grid, options: Options) -> Prepared:
-    """The data of a fit.
+    """Return the data of a fit.
 
     Args:
         grid: the log on its grid.
@@ -266,7 +266,7 @@ def _refuse(grid: Grid, y: Floats, side: Integers, remarks: str) -> None:
 
 
 def _orders(count: int, options: Options, remarks: list[str]) -> list[int]:
-    """The orders that so many readings allow. Raises InputError."""
+    """Return the orders that so many readings allow. Raises InputError."""
     asked = options.orders()
     orders = [n for n in asked if count >= PER_NUMBER * (n + 1)]
     if not orders:
@@ -282,7 +282,7 @@ def _orders(count: int, options: Options, remarks: list[str]) -> list[int]:
 
 
 def _is_ahead(y: Floats, silent: Flags, options: Options) -> bool:
-    """Whether noise acts ahead of the zone, so that readings inside it are silent."""
+    """Return whether noise acts ahead of the zone, so that readings inside it are silent."""
     if options.noise == "before" and not silent.any():
         raise InputError(
             "noise: before the zone means exact zeros inside it, and no reading is silent; give"
@@ -295,7 +295,9 @@ def _is_ahead(y: Floats, silent: Flags, options: Options) -> bool:
 
 
 def _stands_out(y: Floats) -> bool:
-    """Whether 0 comes back and lasts: noise rounds to the values beside it as well, and at once."""
+    """Return whether 0 comes back and lasts: noise rounds to the values beside it as well, and at
+    once.
+    """
     values, counts = np.unique(y, return_counts=True)
     zero = int(np.searchsorted(values, 0.0))
     beside = np.isin(y, values[max(zero - 1, 0) : zero + 2]) & (y != 0)
@@ -304,7 +306,7 @@ def _stands_out(y: Floats) -> bool:
 
 
 def _stretches(grid: Grid, remarks: list[str]) -> Integers:
-    """First samples of stretches of about STRETCH samples of each record."""
+    """Return first samples of stretches of about STRETCH samples of each record."""
     ends = np.append(grid.start[1:], grid.t.size)
     starts = []
     for first, end in zip(grid.start, ends, strict=True):
@@ -339,7 +341,8 @@ def _limits(data: Data, options: Options) -> Limits:
 
 
 def as_dead_zone(data: Data, options: Options) -> tuple[Data, Limits, tuple[JumpEdge, JumpEdge]]:
-    """The readings of a jump sensor less its edges, as a dead zone of known widths gives them.
+    """Return the readings of a jump sensor less its edges, as a dead zone of known widths gives
+    them.
 
     Args:
         data: records, scaled, with exact zeros.
@@ -364,7 +367,7 @@ def as_dead_zone(data: Data, options: Options) -> tuple[Data, Limits, tuple[Jump
 
 
 def _edge(data: Data, sign: int, name: str, options: Options) -> JumpEdge:
-    """An edge with its intervals, scaled. Raises InputError."""
+    """Return an edge with its intervals, scaled. Raises InputError."""
     least = _least_by_passage(data, sign)
     low, high = options.bounds(name)
     if low == high and math.isfinite(low):
@@ -384,7 +387,7 @@ def _edge(data: Data, sign: int, name: str, options: Options) -> JumpEdge:
 
 
 def edge_of(least: Floats) -> JumpEdge:
-    """The edge below the least readings of several passages.
+    """Return the edge below the least readings of several passages.
 
     With k of them evenly spread above the edge d, (k - 1) / (x_k - x_1) is the density, and x_1 - d
     over their spread has the distribution of a ratio of gamma variables: F with 2 and 2 (k - 1)
@@ -407,7 +410,7 @@ def edge_of(least: Floats) -> JumpEdge:
 
 
 def _least_by_passage(data: Data, sign: int) -> Floats:
-    """The least |reading| of each passage of an edge, sorted; one visit has two ends."""
+    """Return the least |reading| of each passage of an edge, sorted; one visit has two ends."""
     beyond = data.ok & (data.side == sign)
     first, last = runs(beyond)
     size = np.abs(data.y)

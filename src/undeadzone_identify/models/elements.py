@@ -60,20 +60,22 @@ class PlayModel:
         self.begun = [self._first_reading(part) for part in self.data.records()]
 
     def _first_reading(self, part: slice) -> Floats:
-        """The level with which a record begins (1); that of the log where it has no reading."""
+        """Return the level with which a record begins (1); that of the log where it has no
+        reading.
+        """
         there = part if self.data.ok[part].any() else slice(None)
         return self.data.y[there][self.data.ok[there]][:1]
 
     def along(self, data: Data) -> PlayModel:
-        """The same model of other records."""
+        """Return the same model of other records."""
         return PlayModel(self.simulator.along(data), self.zone)
 
     def of_readings(self, y: Floats) -> PlayModel:
-        """The same model of other readings (N), which no climb on disk is of."""
+        """Return the same model of other readings (N), which no climb on disk is of."""
         return self.along(self.data._replace(y=np.where(self.data.ok, y, 0.0), climbs=None))
 
     def project(self, theta: Floats) -> Floats:
-        """theta with c_r + c_l and d_r + d_l not below 0."""
+        """Return theta with c_r + c_l and d_r + d_l not below 0."""
         for right in (self.base, self.base + 2):
             theta[right : right + 2] -= min(theta[right] + theta[right + 1], 0.0) / 2
         if self.tied:
@@ -81,7 +83,7 @@ class PlayModel:
         return theta
 
     def output(self, theta: Floats) -> Floats:
-        """z, the output of the plant (N)."""
+        """Return z, the output of the plant (N)."""
         return self.simulator.z(theta)
 
     def level(self, z: Floats, theta: Floats) -> tuple[Floats, Floats]:
@@ -91,7 +93,7 @@ class PlayModel:
 
     @latest
     def _dragged(self, numbers: Floats) -> tuple[Floats, Floats]:
-        """`level` of c_r, c_l and z in one column."""
+        """Return `level` of c_r, c_l and z in one column."""
         right, left, z = numbers[:1], numbers[1:2], numbers[2:, None]
         parts = zip(self.data.records(), self.begun, strict=True)
         level = np.vstack([levels(z[part], right, left, begun) for part, begun in parts])[:, 0]
@@ -104,11 +106,11 @@ class PlayModel:
         return self._through(self.level(z, theta)[0], theta)
 
     def _through(self, level: Floats, theta: Floats) -> Floats:
-        """The level through the dead zone."""
+        """Return the level through the dead zone."""
         return dead_zone(level, *theta[self.base + 2 :]) if self.zone else level
 
     def slopes(self, theta: Floats) -> tuple[Floats, Floats]:
-        """The readings (N), and their derivatives by the free numbers (N x free)."""
+        """Return the readings (N), and their derivatives by the free numbers (N x free)."""
         z = self.output(theta)
         slope = self.simulator.gradient(theta, z)[:, : self.base]
         level, moved = self.level(z, theta)
@@ -126,13 +128,13 @@ class PlayModel:
         return self._through(level, theta), rows[:, self.free]
 
     def _last_moved(self, level: Floats) -> Integers:
-        """The sample at which the level last moved (N); the record's first before it did."""
+        """Return the sample at which the level last moved (N); the record's first before it did."""
         changed = np.append(True, np.diff(level) != 0)
         changed[self.data.start] = True
         return np.asarray(np.maximum.accumulate(np.where(changed, np.arange(level.size), 0)))
 
     def direction(self, *weights: float) -> Floats:
-        """The row that weighs c_r, c_l, d_r, d_l over the free numbers."""
+        """Return the row that weighs c_r, c_l, d_r, d_l over the free numbers."""
         return weighing(self.free, self.size, self.base, weights, self.tied)
 
 
@@ -140,7 +142,7 @@ PlayFit = Fitted[PlayModel]
 
 
 def fit_play(data: Data, orders: list[int], integrators: int) -> PlayFit | None:
-    """The play behind the plant that suits it best; None where none is stable.
+    """Return the play behind the plant that suits it best; None where none is stable.
 
     Args:
         data: the records.
@@ -152,7 +154,7 @@ def fit_play(data: Data, orders: list[int], integrators: int) -> PlayFit | None:
 
 
 def fit_both(begun: Sequence[PlayFit | Fit]) -> PlayFit | None:
-    """The play that a dead zone follows, with the plant that suits it best.
+    """Return the play that a dead zone follows, with the plant that suits it best.
 
     Args:
         begun: fits of a play, or of a dead zone, where climbs start.
@@ -171,7 +173,7 @@ def fit_both(begun: Sequence[PlayFit | Fit]) -> PlayFit | None:
 
 
 def _gaps(model: PlayModel) -> list[Floats]:
-    """Gaps of several sizes behind a plant somewhat louder than a linear fit's."""
+    """Return gaps of several sizes behind a plant somewhat louder than a linear fit's."""
     linear = fit_linear(model.simulator, model.data.ok)
     begun = [[*about_level(linear, half), 0.0, 0.0] for half in HALVES]
     return [_begun(model, linear, LOUDER, numbers) for numbers in begun]
@@ -185,7 +187,7 @@ def _begun(model: PlayModel | MapModel, plant: Fit, gain: float, p: Sequence[flo
 
 
 def _best(fits: list[PlayFit | None]) -> PlayFit | None:
-    """The fit of least BIC; of those that leave as little, one whose plant settles."""
+    """Return the fit of least BIC; of those that leave as little, one whose plant settles."""
     there = sorted(filter(None, fits), key=lambda one: one.bic)
     alike = (one for one in there if one.density.rms <= CREDIBLE * there[0].density.rms)
     settled = (one for one in alike if not one.model.simulator.at_limit(one.theta))
@@ -198,44 +200,46 @@ Map = Callable[[Floats, Floats], tuple[Floats, Floats, Floats]]
 
 
 def linear(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
-    """z itself."""
+    """Return z itself."""
     return z, np.ones(z.size), np.zeros((z.size, 2))
 
 
 def shifted(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
-    """z beyond -p_1 and p_0, less the width: a dead zone."""
+    """Return z beyond -p_1 and p_0, less the width: a dead zone."""
     above, below = z > p[0], z < -p[1]
     return dead_zone(z, *p), 1.0 * (above | below), np.column_stack([-1.0 * above, 1.0 * below])
 
 
 def saturation(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
-    """z limited to -p_1 and p_0."""
+    """Return z limited to -p_1 and p_0."""
     above, below = z > p[0], z < -p[1]
     inside = ~(above | below)
     return np.clip(z, -p[1], p[0]), 1.0 * inside, np.column_stack([1.0 * above, -1.0 * below])
 
 
 def absolute(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
-    """|z - p_0| + p_1."""
+    """Return |z - p_0| + p_1."""
     sign = np.sign(z - p[0])
     return np.abs(z - p[0]) + p[1], sign, np.column_stack([-sign, np.ones(z.size)])
 
 
 def cubic(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
-    """z + p_0 z^2 + p_1 z^3."""
+    """Return z + p_0 z^2 + p_1 z^3."""
     slope = 1.0 + 2 * p[0] * z + 3 * p[1] * z**2
     return z + p[0] * z**2 + p[1] * z**3, slope, np.column_stack([z**2, z**3])
 
 
 def blurred_zone(blur: float, z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
-    """The mean reading of a dead zone whose noise of that rms acts ahead of it."""
+    """Return the mean reading of a dead zone whose noise of that rms acts ahead of it."""
     a, b, above, below = _edges(blur, z, p)
     value = blur * (np.exp(-0.5 * a**2) / ROOT + a * above - np.exp(-0.5 * b**2) / ROOT - b * below)
     return value, above + below, np.column_stack([-above, below])
 
 
 def blurred_jump(blur: float, z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
-    """z beyond -p_1 and p_0, else 0; its corners blurred by noise of that rms ahead of it."""
+    """Return z beyond -p_1 and p_0, else 0; its corners blurred by noise of that rms ahead of
+    it.
+    """
     a, b, above, below = _edges(blur, z, p)
     share = above + below
     at_a, at_b = np.exp(-0.5 * a**2) / (blur * ROOT), np.exp(-0.5 * b**2) / (blur * ROOT)
@@ -269,17 +273,19 @@ class MapModel:
         self.has_level = not holds and not simulator.layout.integrators
 
     def along(self, data: Data) -> MapModel:
-        """The same model of other records."""
+        """Return the same model of other records."""
         return MapModel(self.simulator.along(data), self.name, self.shape)
 
     def project(self, theta: Floats) -> Floats:
-        """Widths of the input's zone brought back to 0 or above; other numbers make sense."""
+        """Return widths of the input's zone brought back to 0 or above; other numbers make
+        sense.
+        """
         widths = self.simulator.layout.input
         theta[widths] = np.maximum(theta[widths], 0.0)
         return theta
 
     def output(self, theta: Floats) -> Floats:
-        """z, the output of the plant (N)."""
+        """Return z, the output of the plant (N)."""
         return self.simulator.z(theta)
 
     def readings(self, z: Floats, theta: Floats) -> Floats:
@@ -287,7 +293,7 @@ class MapModel:
         return self.shape(z, theta[self.base :])[0]
 
     def slopes(self, theta: Floats) -> tuple[Floats, Floats]:
-        """The readings (N), and their derivatives by the free numbers (N x free)."""
+        """Return the readings (N), and their derivatives by the free numbers (N x free)."""
         z = self.output(theta)
         y, by_z, by_p = self.shape(z, theta[self.base :])
         slope = self.simulator.gradient(theta, z)[:, : self.base]
@@ -298,7 +304,7 @@ class MapModel:
 
 
 def static_rivals(fit: Fit) -> dict[str, Density]:
-    """The dead zone and its rivals, each fitted by least squares.
+    """Return the dead zone and its rivals, each fitted by least squares.
 
     Args:
         fit: plant and zone of the record, where the rivals start.
@@ -317,12 +323,12 @@ def static_rivals(fit: Fit) -> dict[str, Density]:
 
 
 def best_densities(densities: Iterable[Density]) -> dict[str, Density]:
-    """The density of least BIC of each name."""
+    """Return the density of least BIC of each name."""
     return best_of_each((one.name, one.bic, one) for one in densities)
 
 
 def best_of_each(models: Iterable[tuple[str, float, T]]) -> dict[str, T]:
-    """The model of least BIC of each name.
+    """Return the model of least BIC of each name.
 
     Args:
         models: name, BIC and model.
@@ -339,7 +345,7 @@ Begun = tuple[str, Map, list[tuple[Fit, float, list[float]]]]
 
 
 def _maps(fit: Fit) -> list[Begun]:
-    """The maps, and where they start beside the fit of a dead zone."""
+    """Return the maps, and where they start beside the fit of a dead zone."""
     simulator, is_behind = fit.objective.simulator, fit.objective.kind == "behind"
     plain = fit_linear(simulator, fit.objective.readings.ok)
     own = [max(fit.right, 0.0), max(fit.left, 0.0)]
@@ -365,6 +371,6 @@ def _maps(fit: Fit) -> list[Begun]:
 
 
 def _nothing(squares: LeastSquares[MapModel]) -> Density:
-    """The account of a model of which no start makes sense, which is the worst."""
+    """Return the account of a model of which no start makes sense, which is the worst."""
     worst = np.full(squares.data.y.size, -1e3)
     return Density(squares.model.name, worst, squares.free.size, math.inf)

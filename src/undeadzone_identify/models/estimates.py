@@ -35,24 +35,24 @@ class Target(Protocol):
 
     @property
     def gain(self) -> float:
-        """Two steps in a row that gain less than this end a climb."""
+        """Return two steps in a row that gain less than this end a climb."""
 
     @property
     def longest(self) -> Floats | float:
-        """The longest step of each free number, or of all."""
+        """Return the longest step of each free number, or of all."""
 
     @property
     def climbs(self) -> KeptClimbs | None:
-        """Tops that are on disk; None: none are."""
+        """Return tops that are on disk; None: none are."""
 
     def value(self, theta: Floats) -> float:
-        """The log likelihood; -inf where theta makes no sense."""
+        """Return the log likelihood; -inf where theta makes no sense."""
 
     def quadratic(self, theta: Floats) -> tuple[float, Floats, Floats]:
-        """Value, score and a positive Hessian of minus the value, of the free numbers."""
+        """Return value, score and a positive Hessian of minus the value, of the free numbers."""
 
     def project(self, theta: Floats) -> Floats:
-        """A trial brought back within bounds; it may be changed."""
+        """Return a trial brought back within bounds; it may be changed."""
 
 
 class Top(NamedTuple):
@@ -63,7 +63,7 @@ class Top(NamedTuple):
 
 
 def digest(numbers: Floats) -> str:
-    """A name of these numbers, and of no others."""
+    """Return a name of these numbers, and of no others."""
     return hashlib.blake2b(numbers.tobytes(), digest_size=16).hexdigest()
 
 
@@ -83,7 +83,7 @@ class KeptClimbs:
         self._answers = None
 
     def top(self, start: Floats, compute: Callable[[], Top]) -> Top:
-        """The top of the next climb, from the file or computed and kept.
+        """Yield the top of the next climb, from the file or computed and kept.
 
         Args:
             start: where the climb begins (P).
@@ -122,7 +122,7 @@ def climb(target: Target, start: Floats, steps: int, gain: float | None = None) 
 
 
 def _climbed(target: Target, theta: Floats, steps: int, gain: float) -> Top:
-    """The top above theta, which makes sense."""
+    """Return the top above theta, which makes sense."""
     top, best = theta, target.quadratic(theta)
     damping, small = 1e-2, 0
     for _ in range(steps):
@@ -146,7 +146,7 @@ def _climbed(target: Target, theta: Floats, steps: int, gain: float) -> Top:
 
 
 def _step(score: Floats, hessian: Floats, damping: float) -> Floats:
-    """The damped Newton step, scaled by the Hessian's diagonal."""
+    """Return the damped Newton step, scaled by the Hessian's diagonal."""
     diagonal = np.maximum(hessian.diagonal(), 0.0)
     scale = np.sqrt(diagonal + 1e-14 * diagonal.sum()) + 1e-12
     damped = hessian / (scale[:, None] * scale)
@@ -159,7 +159,7 @@ def _step(score: Floats, hessian: Floats, damping: float) -> Floats:
 def best_top(
     target: Target, starts: Sequence[Floats], first: int, last: int, lead: float = math.inf
 ) -> Top | None:
-    """The best of the climbs from several starts.
+    """Return the best of the climbs from several starts.
 
     Args:
         target: the log likelihood.
@@ -187,7 +187,8 @@ Found = TypeVar("Found")
 
 
 def latest(compute: Callable[[Any, Floats], Found]) -> Callable[[Any, Floats], Found]:
-    """A method of numbers (P) that keeps what it computed last: a climb asks for the same again.
+    """Return a method of numbers (P) that keeps what it computed last: a climb asks for the same
+    again.
 
     Args:
         compute: the method.
@@ -210,7 +211,8 @@ def latest(compute: Callable[[Any, Floats], Found]) -> Callable[[Any, Floats], F
 
 
 def run_along(kernel: lanes.Kernel, exogenous: Floats, rows: Floats) -> tuple[Floats, Floats]:
-    """A compiled step along a log for several sets of its numbers, each from a state of zeros.
+    """Return a compiled step along a log for several sets of its numbers, each from a state of
+    zeros.
 
     Args:
         kernel: the step.
@@ -226,7 +228,9 @@ def run_along(kernel: lanes.Kernel, exogenous: Floats, rows: Floats) -> tuple[Fl
 
 
 def around(theta: Floats, free: Integers, steps: Floats) -> Floats:
-    """The numbers, then each free one a step larger, then each a step smaller (1 + 2 free, P)."""
+    """Return the numbers, then each free one a step larger, then each a step smaller (1 + 2 free,
+    P).
+    """
     moves, each = np.zeros((1 + 2 * free.size, theta.size)), np.arange(1, 1 + free.size)
     moves[each, free] = steps
     moves[each + free.size, free] = -steps
@@ -234,7 +238,9 @@ def around(theta: Floats, free: Integers, steps: Floats) -> Floats:
 
 
 def differences(moved: Floats, steps: Floats) -> Floats:
-    """Derivatives by the free numbers (free x ...), of values at all points but the first one."""
+    """Return derivatives by the free numbers (free x ...), of values at all points but the first
+    one.
+    """
     more, less = np.split(moved, 2)
     return np.asarray((more - less).T / (2 * steps)).T
 
@@ -251,25 +257,25 @@ class Interval(NamedTuple):
 
     @staticmethod
     def around(value: float, half: float) -> Interval:
-        """An interval that reaches as far to both sides."""
+        """Return an interval that reaches as far to both sides."""
         return Interval(value, value - half, value + half)
 
     def scaled(self, factor: float) -> Interval:
-        """The interval in other units."""
+        """Return the interval in other units."""
         return Interval(self.value * factor, self.low * factor, self.high * factor)
 
     def grown(self, factor: float) -> Interval:
-        """An interval whose halves are so many times as long."""
+        """Return an interval whose halves are so many times as long."""
         below, above = self.value - self.low, self.high - self.value
         return Interval(self.value, self.value - factor * below, self.value + factor * above)
 
     def reaching(self, below: float, above: float) -> Interval:
-        """An interval that reaches further down and up by so much."""
+        """Return an interval that reaches further down and up by so much."""
         return Interval(self.value, self.low - below, self.high + above)
 
     @property
     def half(self) -> float:
-        """Half the width of the interval."""
+        """Return half the width of the interval."""
         return 0.5 * (self.high - self.low)
 
 
@@ -289,7 +295,7 @@ class Spread(NamedTuple):
     scores: Floats
 
     def accuracy(self, direction: Floats) -> tuple[float, float]:
-        """The variance of direction' theta without its bias, and its degrees of freedom.
+        """Return the variance of direction' theta without its bias, and its degrees of freedom.
 
         Where a few samples tell of an edge, the cosines that they enter are few, and the fit has
         used up part of what they scatter: docs/identify.md, "Few passages".
@@ -299,12 +305,12 @@ class Spread(NamedTuple):
         return variance / kept, degrees
 
     def half_and_degrees(self, direction: Floats) -> tuple[float, float]:
-        """Half the 95 % interval of direction' theta, and its degrees of freedom."""
+        """Return half the 95 % interval of direction' theta, and its degrees of freedom."""
         variance, degrees = self.accuracy(direction)
         return quantile(degrees) * variance**0.5, degrees
 
     def half_width(self, direction: Floats) -> float:
-        """Half the 95 % interval of direction' theta."""
+        """Return half the 95 % interval of direction' theta."""
         return self.half_and_degrees(direction)[0]
 
 
@@ -341,7 +347,7 @@ def few_samples(scores: Floats, row: Floats, count: int) -> tuple[float, float]:
 
 
 def _whitener(scores: Floats) -> Floats:
-    """W with W W' the inverse of the sum of the scores' outer products (P x P)."""
+    """Return W with W W' the inverse of the sum of the scores' outer products (P x P)."""
     scale = 1 / np.sqrt(np.sum(scores**2, axis=0) + 1e-300)
     values, vectors = np.linalg.eigh(finite((scores * scale).T @ (scores * scale)))
     whitener = scale[:, None] * vectors / np.sqrt(np.maximum(values, 1e-10))
@@ -349,7 +355,7 @@ def _whitener(scores: Floats) -> Floats:
 
 
 def finite(matrix: Floats) -> Floats:
-    """A matrix whose decomposition is asked for.
+    """Return a matrix whose decomposition is asked for.
 
     Raises:
         InputError: a fit of which so little is known that its derivatives overflow.
@@ -363,12 +369,12 @@ def finite(matrix: Floats) -> Floats:
 
 
 def quantile(degrees: float, level: float = 0.95) -> float:
-    """Student's two-sided quantile."""
+    """Return Student's two-sided quantile."""
     return float(student.ppf(0.5 + level / 2, degrees))
 
 
 def long_run_covariance(scores: Floats, count: int | None = None) -> tuple[Floats, int]:
-    """The covariance of sum(scores) and its degrees of freedom.
+    """Return the covariance of sum(scores) and its degrees of freedom.
 
     Args:
         scores: one row a sample (N x P), correlated in any way that dies out.
@@ -382,14 +388,16 @@ def long_run_covariance(scores: Floats, count: int | None = None) -> tuple[Float
 
 
 def cosines(scores: Floats, count: int | None = None) -> Floats:
-    """The slow parts of scores (K x P), by which their sum scatters; as `long_run_covariance`."""
+    """Return the slow parts of scores (K x P), by which their sum scatters; as
+    `long_run_covariance`.
+    """
     size = scores.shape[0]
     number = max(8, min(int(0.4 * size ** (2 / 3)), size // 8)) if count is None else count
     return np.asarray(dct(scores, axis=0, norm="ortho")[1 : number + 1])
 
 
 def sandwich(scores: Floats, hessian: Floats, count: int | None = None) -> Spread:
-    """(I1): the robust covariance of an estimate.
+    """Return (I1): the robust covariance of an estimate.
 
     Args:
         scores: of each sample at the estimate (N x P).
@@ -405,7 +413,9 @@ def sandwich(scores: Floats, hessian: Floats, count: int | None = None) -> Sprea
 
 
 def positive(hessian: Floats) -> Floats:
-    """A Hessian with its eigenvalues, after scaling, raised to at least 1e-6 of the largest."""
+    """Return a Hessian with its eigenvalues, after scaling, raised to at least 1e-6 of the
+    largest.
+    """
     both = 0.5 * (hessian + hessian.T)
     scale = 1 / np.sqrt(np.abs(np.diag(both)) + 1e-300)
     values, vectors = np.linalg.eigh(finite(both * np.outer(scale, scale)))
@@ -414,7 +424,7 @@ def positive(hessian: Floats) -> Floats:
 
 
 def above(hessian: Floats, outer: Floats, least: float = 0.5) -> Floats:
-    """A Hessian raised to at least a part of the scores' outer products, in every direction.
+    """Return a Hessian raised to at least a part of the scores' outer products, in every direction.
 
     Args:
         hessian: minus the second derivative, by differences (P x P).
@@ -438,7 +448,7 @@ def above(hessian: Floats, outer: Floats, least: float = 0.5) -> Floats:
 def weighing(
     free: Integers, size: int, first: int, weights: Sequence[float], tied: bool = False
 ) -> Floats:
-    """The row of a weighted sum of numbers over those that are free.
+    """Return the row of a weighted sum of numbers over those that are free.
 
     Args:
         free: places of the numbers that may change.

@@ -36,7 +36,7 @@ NARROW = 1e-6  # a zone this narrow, in standard deviations, is a point
 
 
 def log_phi(x: Any) -> Any:
-    """ln Phi(x) on CasADi expressions."""
+    """Return ln Phi(x) on CasADi expressions."""
     near = ca.fmax(x, TAIL)
     far = ca.fmax(-x, -TAIL)
     fraction = far
@@ -47,7 +47,7 @@ def log_phi(x: Any) -> Any:
 
 
 def log_mass(a: Any, b: Any) -> Any:
-    """ln(Phi(a) - Phi(b)) on CasADi expressions, a > b."""
+    """Return ln(Phi(a) - Phi(b)) on CasADi expressions, a > b."""
     flip = b > 0
     upper = ca.if_else(flip, -b, a)
     lower = ca.if_else(flip, -a, b)
@@ -59,7 +59,7 @@ def log_mass(a: Any, b: Any) -> Any:
 
 
 def corrected(y: Any, side: Any, mean: Any, s: Any, right: Any, left: Any) -> tuple[Any, Any, Any]:
-    """A reading's log density, and g and k of x += P H' g / s, P -= P H' H P k / s^2.
+    """Return a reading's log density, and g and k of x += P H' g / s, P -= P H' H P k / s^2.
 
     Without a side z lies in the dead zone.
     """
@@ -82,7 +82,7 @@ def corrected(y: Any, side: Any, mean: Any, s: Any, right: Any, left: Any) -> tu
 
 @cache
 def kernel(n: int, m: int, model: int, moments: bool = False) -> lanes.Kernel:
-    """The compiled step.
+    """Return the compiled step.
 
     Args:
         n: order of the plant.
@@ -129,7 +129,7 @@ def kernel(n: int, m: int, model: int, moments: bool = False) -> lanes.Kernel:
 
 
 def matrices(n: int, m: int, model: int, numbers: Any) -> tuple[Any, Any, Any, Any]:
-    """F, B, the noise's G G' and H of the plant in observer form, with its disturbance.
+    """Return F, B, the noise's G G' and H of the plant in observer form, with its disturbance.
 
     Args:
         n, m, model: as for `kernel`.
@@ -199,7 +199,7 @@ class KalmanObjective:
         self.longest = np.where(by_noise, 1.0, np.inf)
 
     def admissible(self, p: Floats) -> bool:
-        """Whether the filter can be run with these numbers."""
+        """Return whether the filter can be run with these numbers."""
         if not np.isfinite(p).all():
             return False
         log_q, log_r, right, left = p[self.log_q : self.log_q + 4]
@@ -211,7 +211,7 @@ class KalmanObjective:
         return bool(np.abs(poles).max(initial=0.0) < 1 - 1e-4)
 
     def lane(self, p: Floats) -> Floats:
-        """The numbers of `kalman_step.kernel` for p."""
+        """Return the numbers of `kalman_step.kernel` for p."""
         log_q, log_r, right, left = p[self.log_q : self.log_q + 4]
         left = right if self.limits.tied else left
         q = math.exp(log_q)
@@ -223,19 +223,23 @@ class KalmanObjective:
         return np.concatenate([a, p[self.layout.b], tail])
 
     def densities(self, points: Floats) -> Floats:
-        """Log densities of the samples (points x N) for several sets of numbers (points x P)."""
+        """Return log densities of the samples (points x N) for several sets of numbers (points x
+        P).
+        """
         logs = self.outputs(points)[:, :, 0]
         return np.nan_to_num(logs, nan=-1e3, posinf=-1e3, neginf=-1e3)
 
     def outputs(self, points: Floats, moments: bool = False) -> Floats:
-        """Outputs of `kalman_step.kernel` (points x N x outputs) for several sets of numbers."""
+        """Return outputs of `kalman_step.kernel` (points x N x outputs) for several sets of
+        numbers.
+        """
         rows = np.array([self.lane(p) for p in points])
         compiled = kernel(self.layout.n, self.layout.m, self.model, moments)
         return estimates.run_along(compiled, self.exogenous, rows)[0]
 
     @estimates.latest
     def scores(self, p: Floats) -> tuple[Floats, Floats]:
-        """Log densities (N) and their derivatives by the free numbers (N x free)."""
+        """Return log densities (N) and their derivatives by the free numbers (N x free)."""
         steps = self._steps(p)
         value, *moved = self.densities(estimates.around(p, self.free, steps))
         return value, estimates.differences(np.array(moved), steps).T
@@ -245,23 +249,25 @@ class KalmanObjective:
         return STEP * np.maximum(np.abs(p[self.free]), 0.05)
 
     def value(self, p: Floats) -> float:
-        """The log likelihood; -inf where p makes no sense."""
+        """Return the log likelihood; -inf where p makes no sense."""
         if not self.admissible(p):
             return -math.inf
         return float(self.scores(p)[0].sum())
 
     def project(self, p: Floats) -> Floats:
-        """A trial as it is: what makes no sense has no value."""
+        """Return a trial as it is: what makes no sense has no value."""
         return p
 
     def quadratic(self, p: Floats) -> tuple[float, Floats, Floats]:
-        """(value, score, outer products of the scores) of the free numbers."""
+        """Return (value, score, outer products of the scores) of the free numbers."""
         values, slopes = self.scores(p)
         hessian = slopes.T @ slopes + 1e-9 * np.eye(self.free.size)
         return float(values.sum()), slopes.sum(axis=0), hessian
 
     def start(self, fit: Fit, share: float) -> Floats:
-        """Numbers from a fit of (L2), that share of its disturbance coming from the model."""
+        """Return numbers from a fit of (L2), that share of its disturbance coming from the
+        model.
+        """
         p = np.zeros(self.size)
         p[: self.log_q] = fit.theta[: self.log_q]
         disturbance = math.sqrt(share) * fit.s
@@ -282,13 +288,13 @@ class KalmanObjective:
         return p
 
     def direction(self, right: float, left: float) -> Floats:
-        """The row that weighs d_r and d_l over the free numbers."""
+        """Return the row that weighs d_r and d_l over the free numbers."""
         first, tied = self.log_q + 2, self.limits.tied
         return estimates.weighing(self.free, self.size, first, (right, left), tied)
 
     @estimates.latest
     def spread(self, p: Floats) -> estimates.Spread:
-        """(I1) of the free numbers, with a numerical Hessian; the last one is kept."""
+        """Return (I1) of the free numbers, with a numerical Hessian; the last one is kept."""
         _, scores = self.scores(p)
         outer = scores.T @ scores
         scale = 1 / np.sqrt(np.diag(outer) + 1e-12)

@@ -40,44 +40,44 @@ class KalmanFit(NamedTuple):
 
     @property
     def bic(self) -> float:
-        """-2 L + P ln N."""
+        """Return -2 L + P ln N."""
         count = int(self.objective.data.ok.sum())
         return -2 * self.value + self.objective.free.size * math.log(count)
 
     @property
     def model(self) -> int:
-        """The model of the disturbance."""
+        """Return the model of the disturbance."""
         return self.objective.model
 
     @property
     def right(self) -> float:
-        """d_r, scaled."""
+        """Return d_r, scaled."""
         return float(self.theta[self.objective.log_q + 2])
 
     @property
     def left(self) -> float:
-        """d_l, scaled."""
+        """Return d_l, scaled."""
         tied = self.objective.limits.tied
         return self.right if tied else float(self.theta[self.objective.log_q + 3])
 
     @property
     def r(self) -> float:
-        """rms of white noise ahead of the zone, scaled."""
+        """Return rms of white noise ahead of the zone, scaled."""
         return max(math.exp(float(self.theta[self.objective.log_q + 1])), QUIETEST)
 
     @property
     def q(self) -> float:
-        """rms of what drives the disturbance, scaled."""
+        """Return rms of what drives the disturbance, scaled."""
         return math.exp(float(self.theta[self.objective.log_q]))
 
     @property
     def phi(self) -> float:
-        """Correlation of the disturbance over one sample."""
+        """Return correlation of the disturbance over one sample."""
         return math.tanh(float(self.theta[-1])) if self.model else 0.0
 
 
 def fit_kalman(fit: Fit) -> list[KalmanFit]:
-    """(L3) for the three models of the disturbance, best first by BIC.
+    """Return (L3) for the three models of the disturbance, best first by BIC.
 
     Args:
         fit: that of (L2), where the climbs start; of a long log in a part of it.
@@ -119,12 +119,12 @@ class Smoothed(NamedTuple):
 
     @property
     def z(self) -> Floats:
-        """z, with the disturbance (N)."""
+        """Return z, with the disturbance (N)."""
         return self.x @ self.H
 
     @property
     def z_std(self) -> Floats:
-        """Standard deviations of z, the numbers of the model taken as known (N)."""
+        """Return standard deviations of z, the numbers of the model taken as known (N)."""
         variance = np.einsum("i,tij,j->t", self.H, self.P, self.H)
         return np.sqrt(np.maximum(variance, 0.0))
 
@@ -148,7 +148,7 @@ class _Back(NamedTuple):
 
 
 def smooth(fit: KalmanFit) -> Smoothed:
-    """Fixed-interval smoothing (Rauch, Tung and Striebel 1965) on the filter's moments.
+    """Return fixed-interval smoothing (Rauch, Tung and Striebel 1965) on the filter's moments.
 
     Args:
         fit: of (L3).
@@ -167,12 +167,12 @@ def smooth(fit: KalmanFit) -> Smoothed:
 
 
 def innovations(fit: KalmanFit) -> Floats:
-    """One-step prediction errors over their standard deviations (N); 0 where missing."""
+    """Return one-step prediction errors over their standard deviations (N); 0 where missing."""
     return _forth(fit, fit.theta).g
 
 
 def _forth(fit: KalmanFit, p: Floats) -> _Pass:
-    """The filter along the records."""
+    """Return the filter along the records."""
     rows = fit.objective.outputs(p[None, :], moments=True)[0]
     size = fit.objective.layout.n + (fit.model > 0)
     entries = size * (size + 1) // 2
@@ -182,7 +182,7 @@ def _forth(fit: KalmanFit, p: Floats) -> _Pass:
 
 
 def _square(triangles: Floats, size: int) -> Floats:
-    """Symmetric matrices (N x size x size) of their upper parts, column by column."""
+    """Return symmetric matrices (N x size x size) of their upper parts, column by column."""
     out = np.empty((len(triangles), size, size))
     columns, rows = np.tril_indices(size)
     out[:, rows, columns] = triangles
@@ -191,7 +191,7 @@ def _square(triangles: Floats, size: int) -> Floats:
 
 
 def _back(fit: KalmanFit, p: Floats, forth: _Pass) -> _Back:
-    """The smoothed means, from the end of each record to its beginning."""
+    """Return the smoothed means, from the end of each record to its beginning."""
     layout = fit.objective.layout
     numbers = ca.DM(fit.objective.lane(p))
     F, _, _, H = (part.full() for part in matrices(layout.n, layout.m, fit.model, numbers))
@@ -205,7 +205,8 @@ def _back(fit: KalmanFit, p: Floats, forth: _Pass) -> _Back:
 
 
 def smoothed_with_spread(fit: KalmanFit) -> tuple[Smoothed, Floats]:
-    """The smoothed states and the standard deviation of z, the spread of the numbers included.
+    """Return the smoothed states and the standard deviation of z, the spread of the numbers
+    included.
 
     Args:
         fit: of (L3).

@@ -49,16 +49,16 @@ class Model(Protocol):
     has_level: bool
 
     def project(self, theta: Floats) -> Floats:
-        """Numbers brought back to where they make sense; these may be changed."""
+        """Return numbers brought back to where they make sense; these may be changed."""
 
     def output(self, theta: Floats) -> Floats:
-        """z, the output of the plant (N)."""
+        """Return z, the output of the plant (N)."""
 
     def readings(self, z: Floats, theta: Floats) -> Floats:
         """What is read of z without noise (N)."""
 
     def slopes(self, theta: Floats) -> tuple[Floats, Floats]:
-        """The readings (N), and their derivatives by the free numbers (N x free)."""
+        """Return the readings (N), and their derivatives by the free numbers (N x free)."""
 
 
 M = TypeVar("M", bound=Model)
@@ -83,7 +83,7 @@ class Density(NamedTuple):
 
     @property
     def bic(self) -> float:
-        """-2 L + p ln N."""
+        """Return -2 L + p ln N."""
         return -2 * float(self.value.sum()) + self.numbers * math.log(self.value.size)
 
 
@@ -106,46 +106,50 @@ class LeastSquares(Generic[M]):
         self._whole = self._count == self.data.ok.size
 
     def residual(self, theta: Floats) -> Floats:
-        """y less what is expected (N); 0 where a reading is missing."""
+        """Return y less what is expected (N); 0 where a reading is missing."""
         expected = self.model.readings(self.model.output(theta), theta)
         return self._without_level(self.data.y - expected)
 
     def _without_level(self, columns: Floats) -> Floats:
-        """Less their mean, which is the best constant; 0 where a reading is missing."""
+        """Return less their mean, which is the best constant; 0 where a reading is missing."""
         there = np.ascontiguousarray(columns) if self._whole else columns[self.data.ok]
         left = columns - (there.mean(axis=0) if self.model.has_level else 0.0)
         return left if self._whole else np.where(self.data.ok, left.T, 0.0).T
 
     def rows(self, theta: Floats) -> tuple[Floats, Floats]:
-        """Residual (N) and derivatives of the reading by the free numbers (N x free)."""
+        """Return residual (N) and derivatives of the reading by the free numbers (N x free)."""
         expected, slopes = self.model.slopes(theta)
         return self._without_level(self.data.y - expected), self._without_level(slopes)
 
     def rms(self, theta: Floats) -> float:
-        """rms of what is left of the readings that there are."""
+        """Return rms of what is left of the readings that there are."""
         return float(np.sqrt(np.mean(self.residual(theta)[self.data.ok] ** 2)))
 
     def value(self, theta: Floats) -> float:
-        """Minus N / 2 ln of the mean square of the residual; -inf where theta makes no sense."""
+        """Return minus N / 2 ln of the mean square of the residual; -inf where theta makes no
+        sense.
+        """
         if not self.model.simulator.admissible(theta):
             return -math.inf
         return self._value_of(self._whitened(self.residual(theta)))
 
     def _value_of(self, e: Floats) -> float:
-        """The value of an admissible plant with these residuals (N)."""
+        """Return the value of an admissible plant with these residuals (N)."""
         square = float(e @ e)
         if not square < FAR:
             return -math.inf
         return -0.5 * self._count * math.log(square / self._count + 1e-30)
 
     def quadratic(self, theta: Floats) -> tuple[float, Floats, Floats]:
-        """(value, score, Gauss-Newton Hessian) of the free numbers of an admissible plant."""
+        """Return (value, score, Gauss-Newton Hessian) of the free numbers of an admissible
+        plant.
+        """
         e, rows = (self._whitened(one) for one in self.rows(theta))
         variance, hessian = self._gauss_newton(e, rows)
         return self._value_of(e), rows.T @ e / variance, hessian
 
     def _whitened(self, columns: Floats) -> Floats:
-        """Less what the samples before say of them."""
+        """Return less what the samples before say of them."""
         if not self.past.size:
             return columns
         white = columns.copy()
@@ -155,27 +159,30 @@ class LeastSquares(Generic[M]):
         return white
 
     def _gauss_newton(self, e: Floats, rows: Floats) -> tuple[float, Floats]:
-        """Variance of residuals, and the Hessian of half their squares over it, kept positive."""
+        """Return variance of residuals, and the Hessian of half their squares over it, kept
+        positive.
+        """
         variance = float(e @ e) / self._count + 1e-30
         return variance, rows.T @ rows / variance + 1e-9 * np.eye(rows.shape[1])
 
     def project(self, theta: Floats) -> Floats:
-        """Numbers brought back to where they make sense."""
+        """Return numbers brought back to where they make sense."""
         return self.model.project(theta)
 
     def spread(self, theta: Floats) -> estimates.Spread:
-        """(I1) of the free numbers."""
+        """Return (I1) of the free numbers."""
         e, rows = (self._whitened(one) for one in self.rows(theta))
         variance, hessian = self._gauss_newton(e, rows)
         return estimates.sandwich(rows * e[:, None] / variance, hessian)
 
     def best(self, starts: Sequence[Floats]) -> Fitted[M] | None:
-        """The best fit from several starts; None where no start makes sense."""
+        """Return the best fit from several starts; None where no start makes sense."""
         top = estimates.best_top(self, starts, self.model.first, self.model.last)
         return None if top is None else Fitted(self, top.theta, self.best_density(top.theta))
 
     def predicted(self, theta: Floats) -> tuple[LeastSquares[M], Floats]:
-        """Least squares of prediction errors, and the numbers where they are least, near theta.
+        """Return least squares of prediction errors, and the numbers where they are least, near
+        theta.
 
         What disturbs the plant is foretold from past residuals, so that an input that answers to
         these says nothing of the errors (Ljung 1999, section 13.4); no reference is needed.
@@ -187,7 +194,7 @@ class LeastSquares(Generic[M]):
         return squares, theta
 
     def best_density(self, theta: Floats) -> Density:
-        """The model's account of the readings where that is best, near least squares."""
+        """Return the model's account of the readings where that is best, near least squares."""
         first = best = self.density(theta)
         ok, e, z = self.data.ok, self.residual(theta), self.model.output(theta)
         strange = first.rms > LEAST_ODD and is_strange(*curve_over(z[ok], e[ok]))
@@ -198,13 +205,13 @@ class LeastSquares(Generic[M]):
 
     @estimates.latest
     def _coloured(self, theta: Floats) -> LeastSquares[M]:
-        """The same, with residuals that as many before them foretell as BIC takes."""
+        """Return the same, with residuals that as many before them foretell as BIC takes."""
         e = self.residual(theta)
         every = [LeastSquares(self.model, past) for past in self._pasts(e)]
         return min(every, key=lambda one: one._cost(e))
 
     def _cost(self, e: Floats) -> float:
-        """BIC of what foretells residuals."""
+        """Return BIC of what foretells residuals."""
         return -2 * self._value_of(self._whitened(e)) + self.past.size * math.log(self._count)
 
     def _pasts(self, e: Floats) -> list[Floats]:
@@ -214,7 +221,9 @@ class LeastSquares(Generic[M]):
         return [solve_toeplitz(seen[:lags], seen[1 : lags + 1]) for lags in range(1, HEARD)]
 
     def density(self, theta: Floats) -> Density:
-        """The model's account of the readings, residuals taken as autoregressive Gaussian noise."""
+        """Return the model's account of the readings, residuals taken as autoregressive Gaussian
+        noise.
+        """
         e = self.residual(theta)
         coloured = self._coloured(theta)
         innovation = coloured._whitened(e)
@@ -233,18 +242,18 @@ class Fitted(NamedTuple, Generic[M]):
 
     @property
     def model(self) -> M:
-        """The plant and the element."""
+        """Return the plant and the element."""
         return self.squares.model
 
     @property
     def predicting(self) -> Fitted[M]:
-        """The same model where its prediction errors are least."""
+        """Return the same model where its prediction errors are least."""
         squares, theta = self.squares.predicted(self.theta)
         return self._replace(squares=squares, theta=theta)
 
     @property
     def bic(self) -> float:
-        """-2 L + p ln N of the numbers that were fitted, by which orders are compared."""
+        """Return -2 L + p ln N of the numbers that were fitted, by which orders are compared."""
         return self.squares.density(self.theta).bic
 
 
@@ -252,13 +261,15 @@ class Fitted(NamedTuple, Generic[M]):
 
 
 def is_strange(share: float, chance: float) -> bool:
-    """Whether a curve explains so much of a residual, and so surely, that the model is wrong."""
+    """Return whether a curve explains so much of a residual, and so surely, that the model is
+    wrong.
+    """
     sure = share > SURE_SHARE and chance < CHANCE
     return sure or (share > LARGE_SHARE and chance < LIKELY)
 
 
 def curve_over(z: Floats, residual: Floats) -> tuple[float, float]:
-    """The share of a residual that a curve over z explains, and p of it.
+    """Return the share of a residual that a curve over z explains, and p of it.
 
     Args:
         z: output of the plant (N).
@@ -273,7 +284,7 @@ def curve_over(z: Floats, residual: Floats) -> tuple[float, float]:
 
 
 def hats(z: Floats, centres: Floats) -> Floats:
-    """Hat functions of z (N x K), one at each centre."""
+    """Return hat functions of z (N x K), one at each centre."""
     return np.column_stack([np.interp(z, centres, row) for row in np.eye(centres.size)])
 
 
@@ -283,7 +294,7 @@ def left_by(columns: Floats, target: Floats) -> Floats:
 
 
 def explained(columns: Floats, residual: Floats) -> tuple[Floats, Floats, float, float]:
-    """A residual by functions, by least squares.
+    """Return a residual by functions, by least squares.
 
     Args:
         columns: the functions (N x K).

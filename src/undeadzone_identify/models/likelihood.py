@@ -63,7 +63,7 @@ class Noise(NamedTuple):
 
 
 def dead_zone(z: Floats, right: float, left: float) -> Floats:
-    """Dz(z) (N): what is read of z without noise."""
+    """Return dz(z) (N): what is read of z without noise."""
     return np.maximum(z - right, 0.0) + np.minimum(z + left, 0.0)
 
 
@@ -73,12 +73,12 @@ def zone_offset(side: Integers, right: float, left: float) -> Floats:
 
 
 def residual(readings: Readings, z: Floats, right: float, left: float) -> Floats:
-    """e where a reading speaks: y + d_r - z or y - d_l - z (N); y - z where it is silent."""
+    """Return e where a reading speaks: y + d_r - z or y - d_l - z (N); y - z where it is silent."""
     return readings.y + zone_offset(readings.side, right, left) - z
 
 
 def singles(readings: Readings, z: Floats, noise: Noise) -> Terms:
-    """(L1): the log density of each sample by itself.
+    """Return (L1): the log density of each sample by itself.
 
     Args:
         readings: the record.
@@ -131,7 +131,7 @@ def _speak(
 
 
 def behind(readings: Readings, z: Floats, noise: Noise, zone: bool = True) -> Terms:
-    """The log density N(y; Dz(z), s^2) of noise behind the zone.
+    """Return the log density N(y; Dz(z), s^2) of noise behind the zone.
 
     Args:
         readings: the record; sides are not used.
@@ -155,7 +155,8 @@ def behind(readings: Readings, z: Floats, noise: Noise, zone: bool = True) -> Te
 
 
 def pairs(readings: Readings, z: Floats, noise: Noise) -> Terms:
-    """(L2): the log density of each sample given the one before; (L1) where there is none before.
+    """Return (L2): the log density of each sample given the one before; (L1) where there is none
+    before.
 
     Args:
         readings: the record.
@@ -178,14 +179,16 @@ def pairs(readings: Readings, z: Floats, noise: Noise) -> Terms:
 
 
 def _with_slope_of_rho(readings: Readings, z: Floats, noise: Noise, terms: Terms) -> Terms:
-    """(L1) with the derivative of (L2) by atanh rho at rho = 0: the product of both scores by z."""
+    """Return (L1) with the derivative of (L2) by atanh rho at rho = 0: the product of both scores
+    by z.
+    """
     both = np.flatnonzero(readings.ok & readings.before)
     terms.slopes[both, ATANH_RHO] = noise.s**2 * terms.slopes[both, Z] * terms.slopes[both - 1, Z]
     return terms
 
 
 def _sides(readings: Readings, at: Integers) -> tuple[Floats, Floats]:
-    """1 where the samples speak on the right; on the left."""
+    """Return 1 where the samples speak on the right; on the left."""
     return 1.0 * (readings.side[at] > 0), 1.0 * (readings.side[at] < 0)
 
 
@@ -282,7 +285,7 @@ def _silent_silent(readings: Readings, z: Floats, noise: Noise, at: Integers, te
 
 
 def log_difference(a: Floats, b: Floats) -> Floats:
-    """ln(Phi(a) - Phi(b)) without cancellation or underflow.
+    """Return ln(Phi(a) - Phi(b)) without cancellation or underflow.
 
     Args:
         a, b: upper and lower limits (any shape), a > b.
@@ -308,7 +311,9 @@ def log_difference(a: Floats, b: Floats) -> Floats:
 
 
 def _chance(x: Floats) -> Floats:
-    """Phi(x), once for a row that is the same throughout: half of those of a rectangle's pieces."""
+    """Return phi(x), once for a row that is the same throughout: half of those of a rectangle's
+    pieces.
+    """
     if x.ndim == 1:
         return np.asarray(ndtr(x))
     varies = (x != x[:, :1]).any(axis=1)
@@ -318,7 +323,7 @@ def _chance(x: Floats) -> Floats:
 
 
 def hazards(a: Floats, b: Floats, log_mass: Floats) -> tuple[Floats, Floats]:
-    """phi(a) and phi(b) over the mass between them, from the logarithm of that mass.
+    """Return phi(a) and phi(b) over the mass between them, from the logarithm of that mass.
 
     Args:
         a, b: upper and lower limits (any shape).
@@ -330,7 +335,7 @@ def hazards(a: Floats, b: Floats, log_mass: Floats) -> tuple[Floats, Floats]:
 
 
 def log_rectangle(a0: Floats, b0: Floats, a: Floats, b: Floats, rho: float) -> Floats:
-    """ln P(b0 < x0 < a0, b < x < a) of unit Gaussians x0, x with correlation rho.
+    """Return ln P(b0 < x0 < a0, b < x < a) of unit Gaussians x0, x with correlation rho.
 
     Weak correlations are integrated over x0, strong ones over the innovation x - rho x0, whichever
     integrand is smooth on the scale of 1; both are log-concave, so that `REACH` about a point near
@@ -365,7 +370,7 @@ def _bounds_nothing(a0: Floats, b0: Floats, a: Floats, b: Floats) -> Flags:
 
 
 def _over_first(a0: Floats, b0: Floats, a: Floats, b: Floats, rho: float, top: Floats) -> Floats:
-    """ln int phi(x) {Phi((a - rho x)/q) - Phi((b - rho x)/q)} dx from b0 to a0."""
+    """Return ln int phi(x) {Phi((a - rho x)/q) - Phi((b - rho x)/q)} dx from b0 to a0."""
     q = math.sqrt(1 - rho**2)
     low, high = np.maximum(b0, top - REACH), np.minimum(a0, top + REACH)
     half = 0.5 * (high - low)
@@ -378,7 +383,9 @@ def _over_first(a0: Floats, b0: Floats, a: Floats, b: Floats, rho: float, top: F
 def _over_innovation(
     a0: Floats, b0: Floats, a: Floats, b: Floats, rho: float, top: Floats
 ) -> Floats:
-    """ln int phi(v) {Phi(x_high(v)) - Phi(x_low(v))} dv, x0 between the limits that v leaves it."""
+    """Return ln int phi(v) {Phi(x_high(v)) - Phi(x_low(v))} dv, x0 between the limits that v leaves
+    it.
+    """
     q = math.sqrt(1 - rho**2)
     peak = (np.clip(rho * top, b, a) - rho * top) / q
     low = np.maximum((b - rho * a0) / q, peak - REACH)
@@ -401,7 +408,7 @@ def _over_innovation(
 
 
 def _log_sum(logs: Floats, weights: Floats) -> Floats:
-    """ln of the weighted sum of exponentials along the last axis."""
+    """Return ln of the weighted sum of exponentials along the last axis."""
     largest = logs.max(axis=1, initial=-1e300)
     total = np.sum(weights * np.exp(logs - largest[:, None]), axis=1)
     with np.errstate(divide="ignore"):
@@ -411,7 +418,7 @@ def _log_sum(logs: Floats, weights: Floats) -> Floats:
 def edge_slopes(
     a: Floats, b: Floats, other_a: Floats, other_b: Floats, rho: float, log_mass: Floats
 ) -> tuple[Floats, Floats]:
-    """Derivatives of ln P(b < x < a, other_b < x' < other_a) by a and b, of unit Gaussians.
+    """Return derivatives of ln P(b < x < a, other_b < x' < other_a) by a and b, of unit Gaussians.
 
     Args:
         a, b: limits of x (N).
@@ -431,7 +438,7 @@ def edge_slopes(
 def slope_of_rho(
     a0: Floats, b0: Floats, a: Floats, b: Floats, rho: float, log_mass: Floats
 ) -> Floats:
-    """Derivative of ln P(both inside) by rho: densities at the corners (Plackett 1954).
+    """Return derivative of ln P(both inside) by rho: densities at the corners (Plackett 1954).
 
     Args:
         a0, b0, a, b, rho: as for `log_rectangle`.

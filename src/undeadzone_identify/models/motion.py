@@ -90,7 +90,7 @@ def sensing(
 
 
 def sides(y: Floats, ok: Flags, start: Integers, how: Sensing) -> Integers:
-    """+1 where the readings move right for sure, -1 left, 0 where nothing is sure (N).
+    """Return +1 where the readings move right for sure, -1 left, 0 where nothing is sure (N).
 
     Args:
         y: readings (N).
@@ -109,7 +109,9 @@ def sides(y: Floats, ok: Flags, start: Integers, how: Sensing) -> Integers:
 
 
 def moved_before(y: Floats, ok: Flags, start: Integers, window: int) -> Floats:
-    """Slope of the `window` readings before each one times the window (N); 0 where unknown."""
+    """Return slope of the `window` readings before each one times the window (N); 0 where
+    unknown.
+    """
     weights = np.arange(window) - (window - 1) / 2
     weights *= window / (weights @ weights)
     slope = np.convolve(np.where(ok, y, 0.0), weights[::-1])[: y.size]
@@ -122,7 +124,7 @@ def moved_before(y: Floats, ok: Flags, start: Integers, window: int) -> Floats:
 
 
 def white_noise(y: Floats, ok: Flags, start: Integers) -> float:
-    """rms of the white noise of readings, by the median of their third differences."""
+    """Return rms of the white noise of readings, by the median of their third differences."""
     known = ok & (y != 0)  # what is silent has none
     difference = y
     for _ in range(3):
@@ -135,7 +137,7 @@ def white_noise(y: Floats, ok: Flags, start: Integers) -> float:
 
 
 def changes(y: Floats, ok: Flags, start: Integers) -> tuple[Floats, Flags]:
-    """Changes from the reading before (N), and where they are known (N)."""
+    """Return changes from the reading before (N), and where they are known (N)."""
     change = np.append(0.0, np.diff(y))
     known = ok & np.append(False, ok[:-1])
     known[start] = False
@@ -143,7 +145,9 @@ def changes(y: Floats, ok: Flags, start: Integers) -> tuple[Floats, Flags]:
 
 
 def _chatters(change: Floats) -> bool:
-    """Whether many ticks are taken back within two readings: noise about one boundary or more."""
+    """Return whether many ticks are taken back within two readings: noise about one boundary or
+    more.
+    """
     ticks = np.flatnonzero(change)
     if ticks.size < 10:
         return False
@@ -153,7 +157,7 @@ def _chatters(change: Floats) -> bool:
 
 
 def turns_between(z: Floats) -> float:
-    """Mean number of samples between two turns of a smooth signal."""
+    """Return mean number of samples between two turns of a smooth signal."""
     rising = np.diff(z) > 0
     return z.size / max(int(np.count_nonzero(rising[1:] != rising[:-1])), 1)
 
@@ -200,17 +204,17 @@ class Offsets(NamedTuple):
 
     @property
     def widths(self) -> Floats:
-        """c_r + c_l, d_r + d_l, and what neither explains (3) [y]."""
+        """Return c_r + c_l, d_r + d_l, and what neither explains (3) [y]."""
         return WIDTHS @ self.beta
 
     @property
     def std(self) -> Floats:
-        """Their standard deviations (3) [y]."""
+        """Return their standard deviations (3) [y]."""
         return np.sqrt(np.maximum(np.diag(WIDTHS @ self.covariance @ WIDTHS.T), 0.0))
 
     @property
     def name(self) -> str:
-        """neither, dead_zone, play or both."""
+        """Return neither, dead_zone, play or both."""
         return named(self.widths, self.std, self.rms)
 
 
@@ -237,7 +241,8 @@ def classes(y: Floats, side: Integers, noise: float) -> Integers:
 def four_offsets(
     plant: Moving, u: Floats, y: Floats, ok: Flags, start: Integers, how: Sensing
 ) -> Offsets:
-    """The four offsets along a log, by a Kalman filter that uses the readings of sure motion.
+    """Return the four offsets along a log, by a Kalman filter that uses the readings of sure
+    motion.
 
     Args:
         plant: with its disturbance.
@@ -289,7 +294,9 @@ def four_offsets(
 
 
 def _reading(y: float, side: int, moved: float, how: Sensing, noise: float) -> tuple[float, float]:
-    """A reading and its variance; of a tick, where between two boundaries z was when it came."""
+    """Return a reading and its variance; of a tick, where between two boundaries z was when it
+    came.
+    """
     if not how.quantum:
         return float(y), noise**2
     when, variance = detect_tick(np, y, side, moved, how.quantum)
@@ -300,7 +307,7 @@ def _reading(y: float, side: int, moved: float, how: Sensing, noise: float) -> t
 
 
 def along(simulator: Simulator, theta: Floats, rms: float, quantum: float) -> Offsets:
-    """The four offsets, with a fitted plant taken for known.
+    """Return the four offsets, with a fitted plant taken for known.
 
     Args:
         simulator: the plant, with its data.
@@ -317,7 +324,7 @@ def along(simulator: Simulator, theta: Floats, rms: float, quantum: float) -> Of
 
 
 def moving(simulator: Simulator, theta: Floats, rms: float, noise: float) -> Moving:
-    """A fitted plant as the filter of the four offsets takes it.
+    """Return a fitted plant as the filter of the four offsets takes it.
 
     Args:
         simulator: the plant.

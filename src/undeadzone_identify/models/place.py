@@ -44,13 +44,13 @@ WIDTHS = 7  # how many numbers these are
 
 
 def _zone(x: Any, right: Any, left: Any) -> Any:
-    """Dz(x) on CasADi expressions."""
+    """Return dz(x) on CasADi expressions."""
     return ca.fmax(x - right, 0.0) + ca.fmin(x + left, 0.0)
 
 
 @cache
 def kernel(n: int, m: int, position: bool) -> lanes.Kernel:
-    """The compiled step.
+    """Return the compiled step.
 
     Args:
         n: order of the plant.
@@ -87,7 +87,7 @@ def kernel(n: int, m: int, position: bool) -> lanes.Kernel:
 
 
 def simulate(n: int, m: int, position: bool, exogenous: Floats, numbers: Floats) -> Floats:
-    """z of a record for several sets of numbers.
+    """Return z of a record for several sets of numbers.
 
     Args:
         n, m, position: as for `kernel`.
@@ -128,7 +128,7 @@ class Shape(NamedTuple):
     free: int = 0
 
     def holds(self, other: Shape) -> bool:
-        """Whether another model is this one with some of its numbers 0."""
+        """Return whether another model is this one with some of its numbers 0."""
         if other.inner and other.position != self.position:
             return False
         return all(mine >= theirs for mine, theirs in zip(self[2:], other[2:], strict=True))
@@ -161,21 +161,23 @@ class PlaceModel:
         self.exogenous = np.hstack([simulator.lagged, pulses])
 
     def along(self, data: Data) -> PlaceModel:
-        """The same model of other records."""
+        """Return the same model of other records."""
         return PlaceModel(self.simulator.along(data), self.shape)
 
     def part(self, theta: Floats, name: str) -> Floats:
-        """The numbers of a part, of one set or of several: sensor, inner, sigma, input; a view."""
+        """Return the numbers of a part, of one set or of several: sensor, inner, sigma, input; a
+        view.
+        """
         return theta[..., self.base :][..., PARTS[name]]
 
     def project(self, theta: Floats) -> Floats:
-        """Widths and sigma brought back to 0 or above."""
+        """Return widths and sigma brought back to 0 or above."""
         widths = slice(self.base, self.base + WIDTHS)
         theta[widths] = np.maximum(theta[widths], 0.0)
         return theta
 
     def c(self, theta: Floats) -> Floats:
-        """c_1 to c_n: free ones, or those of friction where the input acts, or of one pole.
+        """Return c_1 to c_n: free ones, or those of friction where the input acts, or of one pole.
 
         Of one set of numbers, or of several (K x n).
         """
@@ -189,22 +191,24 @@ class PlaceModel:
         return c
 
     def output(self, theta: Floats) -> Floats:
-        """z, the output of the plant (N)."""
+        """Return z, the output of the plant (N)."""
         return self._run(theta)[0]
 
     def readings(self, z: Floats, theta: Floats) -> Floats:
-        """The reading that z makes, of one set or of several: through the sensor's zone if any."""
+        """Return the reading that z makes, of one set or of several: through the sensor's zone if
+        any.
+        """
         return dead_zone(z, *self.part(theta, "sensor").T[..., None])
 
     def slopes(self, theta: Floats) -> tuple[Floats, Floats]:
-        """The readings (N), and their derivatives by the free numbers (N x free)."""
+        """Return the readings (N), and their derivatives by the free numbers (N x free)."""
         steps = self._steps(theta)
         read = self.readings(self._run(theta), around(theta, self.free, steps))
         return read[0], differences(read[1:], steps).T
 
     @latest
     def _run(self, theta: Floats) -> Floats:
-        """z of the numbers, and of those around them ((1 + 2 free) x N)."""
+        """Return z of the numbers, and of those around them ((1 + 2 free) x N)."""
         points = around(theta, self.free, self._steps(theta))
         plant, tail = points[:, : self.base], points[:, self.base + 2 : self.base + WIDTHS]
         rows = np.hstack([plant, self.c(points), tail])
@@ -219,7 +223,9 @@ PlaceFit = Fitted[PlaceModel]
 
 
 def fit_place(simulator: Simulator, shape: Shape, begun: list[Floats]) -> PlaceFit | None:
-    """The best of the climbs from several starts, all for 12 steps and the best two to the end."""
+    """Return the best of the climbs from several starts, all for 12 steps and the best two to the
+    end.
+    """
     return LeastSquares(PlaceModel(simulator, shape)).best(begun)
 
 
@@ -227,7 +233,7 @@ def fit_place(simulator: Simulator, shape: Shape, begun: list[Floats]) -> PlaceF
 
 
 def numbers_of(plant: Floats, n: int, c: Floats | None = None, **parts: Floats) -> Floats:
-    """Numbers of a model from those of a plant and of parts; what is not named is 0.
+    """Return numbers of a model from those of a plant and of parts; what is not named is 0.
 
     Args:
         plant: a, b, x0.
@@ -262,15 +268,15 @@ class PlaceStarts:
         self.gain = gain if gain > 0.1 * usual else max(usual, 1e-3)
 
     def none(self) -> list[Floats]:
-        """A plant without a zone."""
+        """Return a plant without a zone."""
         return [numbers_of(self.plain, self.n)]
 
     def at_sensor(self) -> list[Floats]:
-        """The zone at the sensor."""
+        """Return the zone at the sensor."""
         return [numbers_of(self.plant, self.n, sensor=self.widths)]
 
     def levels(self) -> list[tuple[Floats, Floats]]:
-        """Plants and levels in units of the input to begin with."""
+        """Return plants and levels in units of the input to begin with."""
         widths = self.widths / self.gain
         sizes: list[Floats] = [np.clip(part * widths, 0.02, 1.5) for part in (1.0, 0.4)]
         begun = [(self.plant, size) for size in sizes]
@@ -281,11 +287,11 @@ class PlaceStarts:
         return begun
 
     def at_input(self) -> list[Floats]:
-        """Zones of the input."""
+        """Return zones of the input."""
         return [numbers_of(plant, self.n, input=level) for plant, level in self.levels()]
 
     def friction(self) -> list[Floats]:
-        """Friction where the input acts: c = b / b_1."""
+        """Return friction where the input acts: c = b / b_1."""
         begun = []
         for plant, level in self.levels():
             moved, n = plant.copy(), self.n
@@ -295,7 +301,7 @@ class PlaceStarts:
         return begun
 
     def free(self, fits: dict[str, PlaceFit]) -> list[Floats]:
-        """Friction elsewhere: c of the input's, or the product over all poles but one."""
+        """Return friction elsewhere: c of the input's, or the product over all poles but one."""
         begun = []
         for name in ("friction", "sensor"):
             if name not in fits:
@@ -315,7 +321,7 @@ class PlaceStarts:
         return begun
 
     def _shapes(self, a: Floats, b: Floats) -> list[Floats]:
-        """Candidates of (1, c_1, ... c_(n-1))."""
+        """Return candidates of (1, c_1, ... c_(n-1))."""
         shapes = [b / b[0]] if abs(b[0]) > 1e-6 else []
         poles = np.roots(np.append(1.0, a))
         real = np.abs(poles.imag) < 1e-9
@@ -325,7 +331,7 @@ class PlaceStarts:
         return shapes
 
     def sticking(self, fitted: PlaceFit) -> list[Floats]:
-        """The same with breakaway above sliding friction."""
+        """Return the same with breakaway above sliding friction."""
         begun = []
         for sigma in (0.2, 0.02):
             theta = fitted.theta.copy()
@@ -334,7 +340,7 @@ class PlaceStarts:
         return begun
 
     def with_sensor(self, fitted: PlaceFit) -> list[Floats]:
-        """The same with a zone of the sensor beside it, of several sizes."""
+        """Return the same with a zone of the sensor beside it, of several sizes."""
         begun = []
         for part, rest in ((0.3, 0.7), (0.8, 0.3), (0.15, 1.0)):
             theta = fitted.theta.copy()
@@ -364,7 +370,8 @@ class Zoned(NamedTuple):
     stages: Sequence[tuple[ZonedTarget, Floats]]
 
     def width(self, *weights: float) -> tuple[float, float, float]:
-        """A sum of the input's and the sensor's widths, half its interval, degrees of freedom.
+        """Return a sum of the input's and the sensor's widths, half its interval, degrees of
+        freedom.
 
         The half is the widest of the stages', and by how much these differ is added to it.
         """
@@ -378,7 +385,7 @@ class Zoned(NamedTuple):
 
 
 def fit_at_input(fits: Sequence[Fit]) -> Zoned | None:
-    """The plant of least BIC behind a zone of the input; None where none fits.
+    """Return the plant of least BIC behind a zone of the input; None where none fits.
 
     Args:
         fits: of every order, with a zone of the sensor, where climbs start.
@@ -397,7 +404,7 @@ def fit_at_input(fits: Sequence[Fit]) -> Zoned | None:
 
 
 def fit_both_ends(fits: Sequence[Fit], known: PlaceFit) -> Zoned | None:
-    """The plant of least BIC between zones of input and sensor; None where none fits.
+    """Return the plant of least BIC between zones of input and sensor; None where none fits.
 
     Args:
         fits: of every order, with a zone of the sensor.

@@ -66,13 +66,13 @@ class Data(NamedTuple):
         return Readings(self.y, self.side, ok, before)
 
     def records(self) -> list[slice]:
-        """The samples of each record."""
+        """Return the samples of each record."""
         ends = np.append(self.start[1:], self.y.size)
         return [slice(int(a), int(b)) for a, b in zip(self.start, ends, strict=True)]
 
 
 def delayed(data: Data, samples: int) -> Data:
-    """The records with their inputs later; what is not known is held.
+    """Return the records with their inputs later; what is not known is held.
 
     Args:
         data: the records.
@@ -82,7 +82,8 @@ def delayed(data: Data, samples: int) -> Data:
 
 
 def part_of(data: Data, longest: int = STRETCH) -> Data:
-    """The busiest stretches of a log, `MANY` samples in all; the log itself if it is no longer.
+    """Return the busiest stretches of a log, `MANY` samples in all; the log itself if it is no
+    longer.
 
     Args:
         data: the records.
@@ -104,7 +105,7 @@ def part_of(data: Data, longest: int = STRETCH) -> Data:
 
 
 def _cut(record: slice, longest: int) -> list[slice]:
-    """A record in stretches of equal length, nearly."""
+    """Return a record in stretches of equal length, nearly."""
     size = record.stop - record.start
     ends = np.linspace(record.start, record.stop, -(-size // longest) + 1).astype(int)
     return [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
@@ -118,7 +119,7 @@ def _passages(data: Data, part: slice) -> tuple[int, int]:
 
 
 def select_samples(data: Data, parts: Sequence[slice]) -> Data:
-    """Some samples of a log, each part a record of its own.
+    """Return some samples of a log, each part a record of its own.
 
     Args:
         data: the records.
@@ -136,7 +137,8 @@ def select_samples(data: Data, parts: Sequence[slice]) -> Data:
 
 
 def longest_of(data: Data) -> Data:
-    """The longest record alone, and of it no more than its busiest stretch; perhaps all there is.
+    """Return the longest record alone, and of it no more than its busiest stretch; perhaps all
+    there is.
 
     Args:
         data: the records.
@@ -170,31 +172,31 @@ class Layout:
 
     @cached_property
     def a(self) -> slice:
-        """The denominator's free coefficients a_1, a_2, ..."""
+        """Return the denominator's free coefficients a_1, a_2, ..."""
         return slice(0, self.n - self.integrators)
 
     @cached_property
     def b(self) -> slice:
-        """The numerators, input by input."""
+        """Return the numerators, input by input."""
         return slice(self.a.stop, self.a.stop + self.n * self.m)
 
     @cached_property
     def x0(self) -> slice:
-        """The initial states, record by record."""
+        """Return the initial states, record by record."""
         return slice(self.b.stop, self.b.stop + self.n * self.records)
 
     @cached_property
     def input(self) -> slice:
-        """The widths of the input's zone; empty where it has none."""
+        """Return the widths of the input's zone; empty where it has none."""
         return slice(self.x0.stop, self.x0.stop + 2 * self.zoned)
 
     @cached_property
     def right(self) -> int:
-        """d_r; d_l, log s and atanh rho follow."""
+        """Return d_r; d_l, log s and atanh rho follow."""
         return self.input.stop
 
     def denominator(self, a: Floats) -> Floats:
-        """The coefficients 1, a_1 to a_n of the whole denominator, integrators included."""
+        """Return the coefficients 1, a_1 to a_n of the whole denominator, integrators included."""
         whole = np.concatenate([[1.0], a])
         for _ in range(self.integrators):
             whole = np.convolve(whole, [1.0, -1.0])
@@ -202,11 +204,11 @@ class Layout:
 
     @cached_property
     def size(self) -> int:
-        """Numbers in theta."""
+        """Return numbers in theta."""
         return self.right + 4
 
     def at_rest(self, other: Layout, theta: Floats) -> Floats:
-        """Numbers of the same plant along other records, which begin at rest.
+        """Return numbers of the same plant along other records, which begin at rest.
 
         Args:
             other: layout of the numbers.
@@ -234,7 +236,7 @@ class Simulator:
         self.lagged = self._behind(data.u)
 
     def _behind(self, u: Floats) -> Floats:
-        """The last n samples of each input (N x m n)."""
+        """Return the last n samples of each input (N x m n)."""
         n = self.layout.n
         lagged = np.zeros((len(u), n * u.shape[1]))
         for part in self.records:
@@ -243,16 +245,18 @@ class Simulator:
         return lagged
 
     def along(self, data: Data) -> Simulator:
-        """The same plant along other records."""
+        """Return the same plant along other records."""
         return Simulator(data, self.layout.n, self.layout.integrators, self.layout.zoned)
 
     def passed(self, theta: Floats) -> Floats:
-        """The inputs, as they come through the zone (N x m)."""
+        """Return the inputs, as they come through the zone (N x m)."""
         u, zone = self.data.u, theta[self.layout.input]
         return dead_zone(u, *zone) if self.layout.zoned else u
 
     def z(self, theta: Floats) -> Floats:
-        """z (N) for parameters theta, of which those of the plant come first; not to be changed."""
+        """Return z (N) for parameters theta, of which those of the plant come first; not to be
+        changed.
+        """
         return self._simulated(theta[: self.layout.right])
 
     @latest
@@ -270,7 +274,7 @@ class Simulator:
         return z
 
     def gradient(self, theta: Floats, z: Floats) -> Floats:
-        """dz/dtheta (N x P), exact: one filter for a, one for x(0), one for each input."""
+        """Return dz/dtheta (N x P), exact: one filter for a, one for x(0), one for each input."""
         layout = self.layout
         n = layout.n
         whole, u = layout.denominator(theta[layout.a]), self.passed(theta)
@@ -293,18 +297,18 @@ class Simulator:
         return slopes
 
     def gain(self, theta: Floats) -> Floats:
-        """DC gain from each input to z (m); with integrators, to their input."""
+        """Return DC gain from each input to z (m); with integrators, to their input."""
         layout = self.layout
         numerators = theta[layout.b].reshape(layout.m, layout.n)
         return numerators.sum(axis=1) / (1 + theta[layout.a].sum())
 
     def poles(self, theta: Floats) -> Any:
-        """Poles of the sampled plant (n), complex; integrators last."""
+        """Return poles of the sampled plant (n), complex; integrators last."""
         moving = roots(theta[self.layout.a])
         return np.append(moving, np.ones(self.layout.integrators))
 
     def admissible(self, theta: Floats, margin: float = 1.0) -> bool:
-        """Whether the poles are stable and settle, `margin` times over, within a record."""
+        """Return whether the poles are stable and settle, `margin` times over, within a record."""
         if not np.isfinite(theta).all():
             return False
         for pole in roots(theta[self.layout.a]).tolist():
@@ -314,7 +318,9 @@ class Simulator:
         return True
 
     def at_limit(self, theta: Floats) -> bool:
-        """Whether a pole is as slow as is allowed, so that with x(0) it is an offset or a sine."""
+        """Return whether a pole is as slow as is allowed, so that with x(0) it is an offset or a
+        sine.
+        """
         return not self.admissible(theta, SLOWER)
 
     def settles(self, theta: Floats) -> float:
@@ -324,7 +330,7 @@ class Simulator:
 
 
 def roots(a: Floats) -> Any:
-    """Roots of z^n + a_1 z^(n-1) + ... + a_n (n): eigenvalues, complex where some are.
+    """Return roots of z^n + a_1 z^(n-1) + ... + a_n (n): eigenvalues, complex where some are.
 
     Args:
         a: coefficients (n); of such as are not finite, or too odd, all roots are infinite.
@@ -339,7 +345,9 @@ def roots(a: Floats) -> Any:
 
 
 def stabilised(a: Floats, radius: float = 0.98) -> Floats:
-    """Denominator coefficients a_1.. with poles beyond `radius` moved onto it, for starts."""
+    """Return denominator coefficients a_1.. with poles beyond `radius` moved onto it, for
+    starts.
+    """
     poles = roots(a)
     if not np.isfinite(poles).all():
         return np.zeros(a.size)
@@ -366,7 +374,7 @@ class Ahead(NamedTuple):
 
 
 def disturbance_ahead(layout: Layout, plant: Floats, residual: Floats, ok: Flags) -> Ahead:
-    """The disturbance whose colour, through the plant, is that of the residual.
+    """Return the disturbance whose colour, through the plant, is that of the residual.
 
     Args:
         layout: of the plant's numbers.
@@ -392,18 +400,20 @@ def disturbance_ahead(layout: Layout, plant: Floats, residual: Floats, ok: Flags
 
 
 def correlations(e: Floats, ok: Flags, lags: int) -> Floats:
-    """`products` over the number of readings."""
+    """Return `products` over the number of readings."""
     return np.array(products(e, ok, lags)) / max(int(ok.sum()), 1)
 
 
 def products(e: Floats, ok: Flags, lags: int) -> list[float]:
-    """The products of e with itself, less its mean, lags 0 to lags - 1."""
+    """Return the products of e with itself, less its mean, lags 0 to lags - 1."""
     centred = np.where(ok, e - e[ok].mean(), 0.0)
     return [float(centred[lag:] @ centred[: e.size - lag]) for lag in range(lags)]
 
 
 def white(runs: int, size: int, phi: float) -> Floats:
-    """First-order noise of rms 1, the same numbers for every colour (runs x (size + SETTLED))."""
+    """Return first-order noise of rms 1, the same numbers for every colour (runs x (size +
+    SETTLED)).
+    """
     draws = np.random.default_rng(0).standard_normal((runs, size + SETTLED))
     return np.asarray(lfilter([math.sqrt(1 - phi**2)], [1.0, -phi], draws, axis=1))
 
@@ -416,7 +426,7 @@ def shaped(layout: Layout, plant: Floats, noise: Floats) -> Floats:
 
 
 def input_gain(a: Floats, b: Floats, n: int, phi: float) -> float:
-    """Variance at z of unit noise at the inputs, first order with correlation phi.
+    """Return variance at z of unit noise at the inputs, first order with correlation phi.
 
     Args:
         a: denominator a_1, a_2, ...

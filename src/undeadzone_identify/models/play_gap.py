@@ -63,7 +63,7 @@ class Gap(NamedTuple):
 
 
 def find_gap(fit: PlayFit, quantum: float, in_loop: bool = False) -> Gap:
-    """The numbers of a play with their intervals.
+    """Return the numbers of a play with their intervals.
 
     Args:
         fit: least squares.
@@ -82,7 +82,7 @@ def find_gap(fit: PlayFit, quantum: float, in_loop: bool = False) -> Gap:
 
 
 def _noise(data: Data, how: motion.Sensing, quantum: float) -> float:
-    """rms of the white noise of the readings besides rounding, scaled."""
+    """Return rms of the white noise of the readings besides rounding, scaled."""
     if not how.noise:
         return 0.0
     rms = motion.white_noise(data.y, data.ok, data.start)
@@ -90,7 +90,7 @@ def _noise(data: Data, how: motion.Sensing, quantum: float) -> float:
 
 
 def _intervals(theta: Floats, model: PlayModel, halves: dict[str, float]) -> dict[str, Interval]:
-    """Values with their half intervals."""
+    """Return values with their half intervals."""
     intervals = {}
     for name, row in ROWS.items():
         value = float(np.dot(row, theta[model.base :][: len(row)]))
@@ -99,13 +99,13 @@ def _intervals(theta: Floats, model: PlayModel, halves: dict[str, float]) -> dic
 
 
 def _own_halves(fit: PlayFit) -> dict[str, float]:
-    """Half intervals by (I1)."""
+    """Return half intervals by (I1)."""
     spread = fit.squares.spread(fit.theta)
     return {name: spread.half_width(fit.model.direction(*row)) for name, row in ROWS.items()}
 
 
 def _as_fitted(fit: PlayFit, noise: float) -> Gap:
-    """The numbers of the fit with intervals by (I1)."""
+    """Return the numbers of the fit with intervals by (I1)."""
     count = fit.model.simulator.layout.b.stop
     V = fit.squares.spread(fit.theta).V[:count, :count]
     intervals = _intervals(fit.theta, fit.model, _own_halves(fit))
@@ -116,7 +116,7 @@ def _as_fitted(fit: PlayFit, noise: float) -> Gap:
 
 
 def _corrected(fit: PlayFit, noise: float, quantum: float, in_loop: bool) -> Gap:
-    """The numbers of the fit, moved to where simulated logs are fitted as the log was."""
+    """Return the numbers of the fit, moved to where simulated logs are fitted as the log was."""
     simulated, fit = fit, fit.predicting if in_loop else fit
     model, theta = fit.model, fit.theta
     halves, wider = _own_halves(fit), _own_halves(simulated)
@@ -142,7 +142,9 @@ def ahead_of(fit: PlayFit) -> Ahead:
 
 
 def _matched(fit: PlayFit, noise: float, quantum: float) -> tuple[Floats, Floats, Ahead]:
-    """Numbers whose simulated logs are fitted as the log was, those fits, and the disturbance."""
+    """Return numbers whose simulated logs are fitted as the log was, those fits, and the
+    disturbance.
+    """
     layout, size = fit.model.simulator.layout, fit.squares.data.y.size
     ahead = ahead_of(fit)
     colour = white(RUNS, size, ahead.phi)
@@ -161,7 +163,9 @@ def _matched(fit: PlayFit, noise: float, quantum: float) -> tuple[Floats, Floats
 
 
 def _moved(fit: PlayFit, theta: Floats, step: Floats) -> Floats:
-    """theta moved by a step; the widths alone where the plant would leave what is admissible."""
+    """Return theta moved by a step; the widths alone where the plant would leave what is
+    admissible.
+    """
     trial = fit.model.project(theta + step)
     if math.isfinite(fit.squares.value(trial)):
         return trial
@@ -170,7 +174,7 @@ def _moved(fit: PlayFit, theta: Floats, step: Floats) -> Floats:
 
 
 def _unexplained(rms: float, noise: float) -> float:
-    """The mean square of a residual besides white noise."""
+    """Return the mean square of a residual besides white noise."""
     return max(rms**2 - noise**2, 1e-8)
 
 
@@ -190,5 +194,5 @@ def _refitted(
 
 
 def _rounded(y: Floats, quantum: float) -> Floats:
-    """Readings as they are recorded."""
+    """Return readings as they are recorded."""
     return quantum * np.round(y / quantum) if quantum else y

@@ -31,7 +31,7 @@ class Limits(NamedTuple):
     tied: bool = False
 
     def clip(self, right: float, left: float) -> tuple[float, float]:
-        """Widths brought within these limits."""
+        """Return widths brought within these limits."""
         right = min(max(right, self.right[0]), self.right[1])
         if self.tied:
             return right, right
@@ -69,7 +69,7 @@ class Objective:
         self.free: Integers = np.flatnonzero(~self._fixed())
 
     def along(self, data: Data) -> Objective:
-        """The same likelihood of other records."""
+        """Return the same likelihood of other records."""
         return Objective(self.simulator.along(data), self.kind, self.limits)
 
     def _fixed(self) -> Flags:
@@ -83,13 +83,13 @@ class Objective:
         return fixed
 
     def noise(self, theta: Floats) -> likelihood.Noise:
-        """Widths, rms and correlation in theta."""
+        """Return widths, rms and correlation in theta."""
         right, left, log_s, atanh_rho = theta[self.layout.right :]
         rho = math.tanh(atanh_rho) if self.kind == "pairs" else 0.0
         return likelihood.Noise(float(right), float(left), math.exp(min(log_s, 50.0)), rho)
 
     def admissible(self, theta: Floats) -> bool:
-        """Whether theta has a likelihood worth computing."""
+        """Return whether theta has a likelihood worth computing."""
         right, left, log_s, atanh_rho = theta[self.layout.right :]
         if self.limits.zone and right + left < 0:
             return False
@@ -98,7 +98,7 @@ class Objective:
         return self.simulator.admissible(theta)
 
     def terms(self, theta: Floats, z: Floats) -> likelihood.Terms:
-        """Log densities of the samples and their derivatives."""
+        """Return log densities of the samples and their derivatives."""
         noise = self.noise(theta)
         if self.kind == "behind":
             return likelihood.behind(self.readings, z, noise, self.limits.zone)
@@ -108,12 +108,12 @@ class Objective:
 
     @estimates.latest
     def at(self, theta: Floats) -> tuple[Floats, likelihood.Terms]:
-        """z (N) and the terms of theta; those that were asked for last are kept."""
+        """Return z (N) and the terms of theta; those that were asked for last are kept."""
         z = self.simulator.z(theta)
         return z, self.terms(theta, z)
 
     def value(self, theta: Floats) -> float:
-        """The log likelihood, with the prior of x(0); -inf where theta makes no sense."""
+        """Return the log likelihood, with the prior of x(0); -inf where theta makes no sense."""
         if not (self.admissible(theta) and np.abs(self.simulator.z(theta)).max() < FAR):
             return -math.inf
         total = float(self.at(theta)[1].value.sum()) - self._prior(theta)
@@ -124,14 +124,14 @@ class Objective:
         return 0.5 * self.x0_weight * float(x0 @ x0)
 
     def project(self, theta: Floats) -> Floats:
-        """A trial with its widths brought back within their limits."""
+        """Return a trial with its widths brought back within their limits."""
         widths = slice(self.layout.right, self.layout.right + 2)
         theta[widths] = self.limits.clip(*theta[widths])
         theta[self.layout.input] = np.maximum(theta[self.layout.input], 0.0)
         return theta
 
     def scores(self, theta: Floats) -> tuple[Floats, Floats, Floats]:
-        """(log densities (N), scores (N x P), dz/dtheta (N x P)); fixed columns are 0."""
+        """Return (log densities (N), scores (N x P), dz/dtheta (N x P)); fixed columns are 0."""
         z, terms = self.at(theta)
         slope = self.simulator.gradient(theta, z)
         scores = terms.slopes[:, likelihood.Z : likelihood.Z + 1] * slope
@@ -148,11 +148,12 @@ class Objective:
         return terms.value, scores, slope
 
     def score(self, theta: Floats) -> Floats:
-        """The derivative of the log likelihood by theta (P)."""
+        """Return the derivative of the log likelihood by theta (P)."""
         return self.scores(theta)[1].sum(axis=0)
 
     def quadratic(self, theta: Floats) -> tuple[float, Floats, Floats]:
-        """(value, score, a positive Hessian of minus the log likelihood), of the free numbers.
+        """Return (value, score, a positive Hessian of minus the log likelihood), of the free
+        numbers.
 
         Gauss-Newton where a sample speaks, outer products of scores where it is silent.
         """
@@ -175,7 +176,9 @@ class Objective:
         return value, scores.sum(axis=0)[free], hessian[np.ix_(free, free)]
 
     def _gauss_newton(self, theta: Floats, slope: Floats) -> tuple[Floats, Flags]:
-        """Derivatives of what speaks, over its rms (M x P), and which samples are silent (N)."""
+        """Return derivatives of what speaks, over its rms (M x P), and which samples are silent
+        (N).
+        """
         noise, ok = self.noise(theta), self.readings.ok
         side = self.side(theta)
         speaks = ok & (side != 0)
@@ -194,7 +197,7 @@ class Objective:
         return rows[speaks], ok & ~speaks & (self.kind != "behind")
 
     def side(self, theta: Floats) -> Integers:
-        """+1, 0, -1 (N): of the readings, or of z where noise is behind the zone."""
+        """Return +1, 0, -1 (N): of the readings, or of z where noise is behind the zone."""
         if self.kind != "behind":
             return self.readings.side
         z, noise = self.at(theta)[0], self.noise(theta)
@@ -204,12 +207,12 @@ class Objective:
 
     @estimates.latest
     def spread(self, theta: Floats) -> estimates.Spread:
-        """(I1): robust covariance of the free numbers of theta; the last one is kept."""
+        """Return (I1): robust covariance of the free numbers of theta; the last one is kept."""
         _, scores, _ = self.scores(theta)
         return estimates.sandwich(scores[:, self.free], self.hessian(theta))
 
     def hessian(self, theta: Floats) -> Floats:
-        """Minus the second derivative by the free numbers.
+        """Return minus the second derivative by the free numbers.
 
         Gauss-Newton for noise behind, and behind a zone of the input, at whose edges scores jump.
         """
@@ -230,7 +233,7 @@ class Objective:
         return estimates.positive(rows)
 
     def _moved(self, theta: Floats, index: int, step: float) -> Floats:
-        """theta with one number changed, and what is tied to it."""
+        """Return theta with one number changed, and what is tied to it."""
         moved = theta.copy()
         moved[index] += step
         if self.limits.tied:
@@ -238,7 +241,9 @@ class Objective:
         return moved
 
     def direction(self, right: float, left: float) -> Floats:
-        """The row that weighs d_r and d_l over the free numbers: (1, 1) is that of the width."""
+        """Return the row that weighs d_r and d_l over the free numbers: (1, 1) is that of the
+        width.
+        """
         size, first = self.layout.size, self.layout.right
         return estimates.weighing(self.free, size, first, (right, left), self.limits.tied)
 

@@ -40,43 +40,43 @@ class Fit(NamedTuple):
 
     @property
     def z(self) -> Floats:
-        """Output of the fitted plant (N), scaled."""
+        """Return output of the fitted plant (N), scaled."""
         return self.objective.simulator.z(self.theta)
 
     @property
     def right(self) -> float:
-        """d_r, scaled."""
+        """Return d_r, scaled."""
         return float(self.theta[self.objective.layout.right])
 
     @property
     def left(self) -> float:
-        """d_l, scaled."""
+        """Return d_l, scaled."""
         return float(self.theta[self.objective.layout.right + 1])
 
     @property
     def width(self) -> float:
-        """d_r + d_l, scaled."""
+        """Return d_r + d_l, scaled."""
         return self.right + self.left
 
     @property
     def s(self) -> float:
-        """rms of what disturbs z, scaled."""
+        """Return rms of what disturbs z, scaled."""
         return math.exp(float(self.theta[self.objective.layout.right + 2]))
 
     @property
     def rho(self) -> float:
-        """Correlation of the disturbance over one sample; 0 where it is not fitted."""
+        """Return correlation of the disturbance over one sample; 0 where it is not fitted."""
         return self.objective.noise(self.theta).rho
 
     @property
     def bic(self) -> float:
-        """-2 L + p ln N."""
+        """Return -2 L + p ln N."""
         count = int(self.objective.readings.ok.sum())
         return -2 * self.value + self.objective.free.size * math.log(count)
 
 
 def expected_reading(fit: Fit) -> Floats:
-    """E[y | z] (N): of the zone, rounded by noise ahead of it."""
+    """Return E[y | z] (N): of the zone, rounded by noise ahead of it."""
     z, right, left, s = fit.z, fit.right, fit.left, fit.s
     if not fit.objective.limits.zone:
         return z - right
@@ -86,12 +86,12 @@ def expected_reading(fit: Fit) -> Floats:
 
 
 def _rounded(x: Floats) -> Floats:
-    """E max(x + e, 0) of a unit Gaussian e."""
+    """Return E max(x + e, 0) of a unit Gaussian e."""
     return np.exp(-0.5 * x**2) / math.sqrt(2 * math.pi) + x * ndtr(x)
 
 
 def fit_zone(simulator: Simulator, kind: Kind, limits: Limits) -> Fit:
-    """The fit of singles (L1) or of noise behind the zone, from several starts.
+    """Return the fit of singles (L1) or of noise behind the zone, from several starts.
 
     Args:
         simulator: the plant of one order, with its data.
@@ -110,7 +110,7 @@ def fit_zone(simulator: Simulator, kind: Kind, limits: Limits) -> Fit:
 
 
 def refit(fit: Fit, kind: Kind, use: Flags | None = None, steps: int = 60) -> Fit:
-    """A fit of another likelihood or of other samples, from where one ended."""
+    """Return a fit of another likelihood or of other samples, from where one ended."""
     old = fit.objective
     objective = Objective(old.simulator, kind, old.limits, use)
     theta = fit.theta.copy()
@@ -123,13 +123,15 @@ def refit(fit: Fit, kind: Kind, use: Flags | None = None, steps: int = 60) -> Fi
 
 
 def better(fit: Fit, theta: Floats) -> Fit:
-    """The fit, or a better one to which a climb from other numbers leads."""
+    """Return the fit, or a better one to which a climb from other numbers leads."""
     top = climb(fit.objective, theta, 60)
     return Fit(fit.objective, *top) if top.value > fit.value else fit
 
 
 def less_odd(fit: Fit, simulator: Simulator) -> Floats:
-    """Numbers of a fit with fewer poles: the least of the real ones, or of all, are left out."""
+    """Return numbers of a fit with fewer poles: the least of the real ones, or of all, are left
+    out.
+    """
     poles = roots(fit.theta[fit.objective.layout.a]).astype(complex)
     order = np.lexsort((poles.real, np.abs(poles.imag) > 1e-9))
     kept = poles[order[poles.size - simulator.layout.a.stop :]]
@@ -137,7 +139,7 @@ def less_odd(fit: Fit, simulator: Simulator) -> Floats:
 
 
 def nearest(fit: Fit, simulator: Simulator, a: Floats) -> Floats:
-    """Other poles for a fit, and the numerators with which z is nearest to what it was.
+    """Return other poles for a fit, and the numerators with which z is nearest to what it was.
 
     Args:
         fit: with the zone and the noise.
@@ -156,7 +158,7 @@ def nearest(fit: Fit, simulator: Simulator, a: Floats) -> Floats:
 
 
 def polished(fit: Fit) -> Fit:
-    """A fit after up to three Newton steps with the numerical Hessian, to the very top."""
+    """Return a fit after up to three Newton steps with the numerical Hessian, to the very top."""
     objective, theta, value = fit.objective, fit.theta, fit.value
     if objective.kind == "behind":
         return fit
@@ -176,7 +178,7 @@ def polished(fit: Fit) -> Fit:
 
 
 def fit_linear(simulator: Simulator, use: Flags | None = None) -> Fit:
-    """The output-error fit without a zone, about a level: y = z - d_r."""
+    """Return the output-error fit without a zone, about a level: y = z - d_r."""
     level = (0.0, 0.0) if simulator.layout.integrators else (-math.inf, math.inf)
     objective = Objective(simulator, "behind", Limits(right=level, zone=False), use)
     theta = np.zeros(objective.layout.size)
@@ -190,7 +192,9 @@ def fit_linear(simulator: Simulator, use: Flags | None = None) -> Fit:
 
 
 def speaking_correlation(fit: Fit) -> float:
-    """Correlation of e over one sample, from speaking samples in a row; 0 if they are few."""
+    """Return correlation of e over one sample, from speaking samples in a row; 0 if they are
+    few.
+    """
     readings = fit.objective.readings
     e = fit.objective.residuals(fit.theta)
     speaks = readings.ok & (readings.side != 0)
@@ -222,12 +226,14 @@ def starts(objective: Objective) -> list[Floats]:
 
 
 def about_level(linear: Fit, half: float) -> Floats:
-    """d_r and d_l of a zone that begins so wide a side, about the level of a linear fit."""
+    """Return d_r and d_l of a zone that begins so wide a side, about the level of a linear fit."""
     return half + linear.right * np.array([1.0, -1.0])
 
 
 def start_by_side(objective: Objective) -> Floats | None:
-    """An ARX model on runs of one side, with a constant a side whose difference is the width."""
+    """Return an ARX model on runs of one side, with a constant a side whose difference is the
+    width.
+    """
     layout = objective.layout
     if layout.integrators:
         return None  # differences hold no levels
@@ -251,7 +257,7 @@ def start_by_side(objective: Objective) -> Floats | None:
 def arx(
     simulator: Simulator, side: Integers | None, use: Flags | None
 ) -> tuple[Floats, Floats, Floats | None]:
-    """Least squares of y_t on past y and u; of differences of y where the plant integrates.
+    """Return least squares of y_t on past y and u; of differences of y where the plant integrates.
 
     Args:
         simulator: the order and the lagged inputs.
@@ -292,7 +298,7 @@ def arx(
 
 
 def _centred(objective: Objective, theta: Floats) -> Floats:
-    """The same numbers with both widths equal and the plant at rest at first."""
+    """Return the same numbers with both widths equal and the plant at rest at first."""
     layout = objective.layout
     again = theta.copy()
     again[layout.right : layout.right + 2] = max(
@@ -306,7 +312,7 @@ def _centred(objective: Objective, theta: Floats) -> Floats:
 
 
 def moved(fit: Fit, data: Data) -> Fit:
-    """The fit of other records of the same plant, from where one ended.
+    """Return the fit of other records of the same plant, from where one ended.
 
     Args:
         fit: of some records.
@@ -318,7 +324,7 @@ def moved(fit: Fit, data: Data) -> Fit:
 
 
 def reduced(fit: Fit) -> Fit:
-    """The fit of the busiest part of a long log alone; the same fit where the log is short.
+    """Return the fit of the busiest part of a long log alone; the same fit where the log is short.
 
     Args:
         fit: of the log.
@@ -328,7 +334,8 @@ def reduced(fit: Fit) -> Fit:
 
 
 def longest_record(fit: Fit) -> Fit:
-    """The fit of the longest of several records alone, and of no more than its busiest stretch.
+    """Return the fit of the longest of several records alone, and of no more than its busiest
+    stretch.
 
     Args:
         fit: of one or several records.

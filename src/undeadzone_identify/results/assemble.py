@@ -97,17 +97,17 @@ class Answer(NamedTuple):
 
     @property
     def zone(self) -> bool:
-        """Whether the sensor has a dead zone."""
+        """Return whether the sensor has a dead zone."""
         return self.verdict in ("dead_zone", "unreached")
 
     @property
     def fit(self) -> Fit:
-        """The fit that every sample enters: (L2), or that of noise behind the zone."""
+        """Return the fit that every sample enters: (L2), or that of noise behind the zone."""
         return self.chosen.pairs
 
     @property
     def scale(self) -> float:
-        """rms of y, by which the fit is scaled [y]."""
+        """Return rms of y, by which the fit is scaled [y]."""
         return self.fit.objective.data.y_scale
 
     @property
@@ -117,44 +117,44 @@ class Answer(NamedTuple):
 
     @property
     def servo(self) -> ServoGap | None:
-        """The servo behind a play that it is; None where it is not one."""
+        """Return the servo behind a play that it is; None where it is not one."""
         fit = None if self.element is None else self.element.fit
         return fit if isinstance(fit, ServoGap) else None
 
     @property
     def z(self) -> Floats:
-        """Output of the plant (N), scaled."""
+        """Return output of the plant (N), scaled."""
         return self.fit.z if self.element is None else self.element.z
 
     @property
     def plant(self) -> tuple[Simulator, Floats]:
-        """The plant along the log, and its numbers, scaled."""
+        """Return the plant along the log, and its numbers, scaled."""
         if self.element is None:
             return self.fit.objective.simulator, self.fit.theta
         return self.element.simulator, self.element.theta
 
     @property
     def order(self) -> int:
-        """Poles of the plant."""
+        """Return poles of the plant."""
         return self.plant[0].layout.n
 
     @property
     def poles(self) -> Any:
-        """Poles of the plant (n) [1/s], complex."""
+        """Return poles of the plant (n) [1/s], complex."""
         simulator, theta = self.plant
         with np.errstate(divide="ignore"):
             return np.log(simulator.poles(theta).astype(complex)) / self.case.grid.step
 
     @property
     def gain(self) -> Floats:
-        """DC gain from each input (m) [y/u]; with integrators, of the rates."""
+        """Return DC gain from each input (m) [y/u]; with integrators, of the rates."""
         simulator, theta = self.plant
         gain = simulator.gain(theta) * self.case.data.y_scale / self.case.data.u_scale
         return np.asarray(gain / self.case.grid.step**simulator.layout.integrators)
 
     @property
     def plant_numbers(self) -> tuple[Layout, Floats, Floats, Floats]:
-        """Layout, a, b in units of y and u, and their covariance together."""
+        """Return layout, a, b in units of y and u, and their covariance together."""
         simulator, theta = self.plant
         layout, data = simulator.layout, simulator.data
         told = self.fit.objective.spread(theta) if self.element is None else self.element
@@ -190,7 +190,7 @@ class Answer(NamedTuple):
 
 
 def to_answer(case: Case, found: Found) -> Answer:
-    """The answer in the units of the log.
+    """Return the answer in the units of the log.
 
     Args:
         case: the log, fitted with a zone of the sensor.
@@ -229,7 +229,7 @@ def to_answer(case: Case, found: Found) -> Answer:
 
 
 def _checked(case: Case, found: Found) -> OrderFit:
-    """The chosen order with the check on held-out data of what was found in the end."""
+    """Return the chosen order with the check on held-out data of what was found in the end."""
     chosen, held_out = case.chosen, case.options.held_out
     if found.element is not None:
         chosen = chosen._replace(**held_out_of(found.element, held_out)._asdict())
@@ -239,7 +239,7 @@ def _checked(case: Case, found: Found) -> OrderFit:
 
 
 def _with_edges(answer: Answer) -> Answer:
-    """The answer with the edges of a sensor's zone."""
+    """Return the answer with the edges of a sensor's zone."""
     heard = reacts_to_input(answer.fit)
     shown = _shown_jump(answer.case) or _shown(answer, 2.0 if heard else 1.0)
     remarks = [*_late(answer), *_edge_remarks(answer, shown, heard)]
@@ -270,14 +270,16 @@ def _unmoved(answer: Answer, shown: Shown) -> str:
 
 
 def _showing(answer: Answer, shown: Shown, remarks: list[str]) -> Answer:
-    """The answer with widths, and more to be careful about."""
+    """Return the answer with widths, and more to be careful about."""
     right, left, width, centre = (shown[name] for name in DIRECTIONS)
     remarks = [*answer.remarks, *remarks]
     return answer._replace(right=right, left=left, width=width, centre=centre, remarks=remarks)
 
 
 def _white_after_filter(kalman: KalmanFit, held_out: float) -> bool:
-    """Whether the filter's one-step errors on the held-out part are white, where it speaks."""
+    """Return whether the filter's one-step errors on the held-out part are white, where it
+    speaks.
+    """
     data = kalman.objective.data
     use = data.ok & (data.side != 0) & ~trained_part(data, held_out)
     return is_white(innovations(kalman), use)
@@ -293,7 +295,7 @@ def _late(answer: Answer) -> list[str]:
 
 
 def _in_loop(answer: Answer) -> Answer:
-    """The answer with whether the input answers to the readings, and what that means."""
+    """Return the answer with whether the input answers to the readings, and what that means."""
     servo, loop = answer.servo, detect_feedback(answer.case)
     holds = "Widths of a sensor's zone and of the input's hold in a loop; those of a play may be"
     holds += " off by more than their intervals where a disturbance is strong"
@@ -351,12 +353,12 @@ def _edge_remarks(answer: Answer, shown: Shown, heard: bool) -> list[str]:
 
 
 def _tied(answer: Answer) -> bool:
-    """Whether both edges are one number, of a plant that integrates."""
+    """Return whether both edges are one number, of a plant that integrates."""
     return answer.fit.objective.limits.tied
 
 
 def _hardly_passed(answer: Answer, shown: Shown) -> list[str]:
-    """Widen the intervals of edges that are hardly passed, and say so."""
+    """Return widen the intervals of edges that are hardly passed, and say so."""
     remarks: list[str] = []
     if answer.case.jumps or _tied(answer):
         return remarks
@@ -378,7 +380,9 @@ def _hardly_passed(answer: Answer, shown: Shown) -> list[str]:
 
 
 def _shown_jump(case: Case) -> Shown:
-    """The edges of a jump sensor in the units of the log; the others are on the safe side."""
+    """Return the edges of a jump sensor in the units of the log; the others are on the safe
+    side.
+    """
     if case.jumps is None:
         return {}
     scale, sides = case.data.y_scale, []
@@ -393,7 +397,7 @@ def _shown_jump(case: Case) -> Shown:
 
 
 def _shown(answer: Answer, wider: float) -> Shown:
-    """The widths in the units of the log; an edge never reached has a lower bound alone."""
+    """Return the widths in the units of the log; an edge never reached has a lower bound alone."""
     case, scale = answer.case, answer.scale
     shown: Shown = {}
     for name in DIRECTIONS:
@@ -417,7 +421,7 @@ def _shown(answer: Answer, wider: float) -> Shown:
 
 
 def told_range(answer: Answer, side: str) -> tuple[float, float]:
-    """The 99.9 % interval of a width, within the bounds that the user gave [y].
+    """Return the 99.9 % interval of a width, within the bounds that the user gave [y].
 
     Each half of the shown interval grows as Student's quantile does for the degrees of freedom that
     it has, which are few where the edge is passed a few times; an edge of a jump sensor has
@@ -446,13 +450,13 @@ def told_range(answer: Answer, side: str) -> tuple[float, float]:
 
 
 def told_element(element: Element, interval: Interval) -> tuple[float, float]:
-    """The 99.9 % interval of a width of an element that is no dead zone, not below 0 [y]."""
+    """Return the 99.9 % interval of a width of an element that is no dead zone, not below 0 [y]."""
     told = interval.grown(_growth(element.degrees))
     return _not_too_narrow(max(told.low, 0.0), told.high)
 
 
 def _not_too_narrow(low: float, high: float) -> tuple[float, float]:
-    """A range that is wider than rounding."""
+    """Return a range that is wider than rounding."""
     margin = LEAST * max(high, LEAST)
     return (low, high) if high - low > margin else (max(low - margin, 0.0), high + margin)
 
@@ -463,7 +467,7 @@ def _growth(degrees: float) -> float:
 
 
 def _told(answer: Answer, side: str, edge: Interval) -> Interval:
-    """The 99.9 % interval of a width [y]."""
+    """Return the 99.9 % interval of a width [y]."""
     jumps, element = answer.case.jumps, answer.element
     if jumps is not None:
         jump = jumps[0] if side == "right" else jumps[1]

@@ -74,7 +74,7 @@ class Next(NamedTuple):
 
     @property
     def table(self) -> str:
-        """The input as CSV."""
+        """Return the input as CSV."""
         rows = [",".join(self.heads)]
         for t, u in zip(self.t.tolist(), self.u.tolist(), strict=True):
             rows.append(",".join(f"{number:.9g}" for number in (t, *u)))
@@ -88,7 +88,7 @@ class Account(NamedTuple):
     theta: Floats
 
     def along(self, data: Data) -> Account:
-        """The same at rest, at the start of another record."""
+        """Return the same at rest, at the start of another record."""
         model = self.model.along(data)
         layout, own = model.simulator.layout, self.model.simulator.layout
         return Account(model, layout.at_rest(own, self.theta))
@@ -107,7 +107,9 @@ class Account(NamedTuple):
         return y - basis @ (basis.T @ y) if begins_at_rest else y, rows - basis @ (basis.T @ rows)
 
     def weights(self, name: str) -> Floats:
-        """The row of right, left, width or centre over the numbers but those of the start."""
+        """Return the row of right, left, width or centre over the numbers but those of the
+        start.
+        """
         model, x0 = self.model, self.model.simulator.layout.x0
         first, size = model.base, self.theta.size
         if isinstance(model, MapModel) and model.shape is linear:
@@ -118,7 +120,7 @@ class Account(NamedTuple):
 
 
 def next_log(answer: Answer) -> Next:
-    """The best of the candidates.
+    """Return the best of the candidates.
 
     Args:
         answer: what the log says.
@@ -138,7 +140,7 @@ def next_log(answer: Answer) -> Next:
 
 
 def _worth(best: Next | None, what: str) -> Next:
-    """The best candidate. Raises InputError where it gains nothing."""
+    """Return the best candidate. Raises InputError where it gains nothing."""
     gains = best is not None and (best.left or 0.0) < GAINS
     if best is None or not gains or (best.nats is not None and best.nats < PARTS_THEM):
         raise InputError(
@@ -152,7 +154,7 @@ def _worth(best: Next | None, what: str) -> Next:
 
 
 def _measured(answer: Answer) -> tuple[str, Account] | None:
-    """The width that is known least, and the model that has it; None where there is none."""
+    """Return the width that is known least, and the model that has it; None where there is none."""
     servo, element = answer.case.servo, answer.element
     if element is None and servo is not None and servo.turns_too_seldom:
         element = element_of(answer.case, servo)
@@ -174,13 +176,13 @@ def _measured(answer: Answer) -> tuple[str, Account] | None:
 
 
 def _of_zone(fit: Fit) -> Account:
-    """A dead zone of the sensor."""
+    """Return a dead zone of the sensor."""
     model = MapModel(fit.objective.simulator, "dead_zone", shifted)
     return Account(model, np.append(fit.theta[: model.base], [fit.right, fit.left]))
 
 
 def _of_element(element: Element) -> Account:
-    """A play, or a zone of the input."""
+    """Return a play, or a zone of the input."""
     if isinstance(element.fit, Fitted):
         return Account(element.fit.model, element.fit.theta)
     model = PlayModel(element.simulator)
@@ -191,7 +193,7 @@ def _of_element(element: Element) -> Account:
 
 
 def _two(answer: Answer) -> tuple[str, str]:
-    """The two likeliest names. Raises InputError where there are none to part."""
+    """Return the two likeliest names. Raises InputError where there are none to part."""
     known = _accounts(answer)
     likely = [word for word in answer.found.odds if word in known][:2]
     if answer.verdict != "undecided" or len(likely) < 2:
@@ -216,7 +218,7 @@ def _accounts(answer: Answer) -> dict[str, Account]:
 
 
 def _narrowing(answer: Answer, name: str, account: Account) -> Iterator[Next]:
-    """The candidates with the share of an interval that each leaves."""
+    """Yield the candidates with the share of an interval that each leaves."""
     row, (_, rows) = account.weights(name), account.rows(begins_at_rest=False)
     told = rows.T @ rows
     scale = 1 / np.sqrt(np.diag(told) + 1e-300)
@@ -229,7 +231,7 @@ def _narrowing(answer: Answer, name: str, account: Account) -> Iterator[Next]:
 
 
 def _parting(answer: Answer, first: str, second: str) -> Iterator[Next]:
-    """The candidates with the nats by which each parts two names."""
+    """Yield the candidates with the nats by which each parts two names."""
     known = _accounts(answer)
     one, other = known[first], known[second]
     _, rows = other.rows(begins_at_rest=False)
@@ -248,7 +250,7 @@ def _parting(answer: Answer, first: str, second: str) -> Iterator[Next]:
 def _proposed(
     answer: Answer, kind: str, data: Data, what: str, left: float | None, nats: float | None
 ) -> Next:
-    """A candidate in units of the log."""
+    """Return a candidate in units of the log."""
     grid = answer.case.grid
     t = grid.step * np.arange(data.y.size)
     heads = ("t [s]", *(f"{name} [{grid.input_unit}]" for name in grid.inputs))
@@ -259,7 +261,7 @@ def _proposed(
 
 
 def _candidates(answer: Answer, account: Account) -> Iterator[tuple[str, Data]]:
-    """Inputs within what the log's did, along which z moves no further (name, record)."""
+    """Yield inputs within what the log's did, along which z moves no further (name, record)."""
     own, step = account.model.simulator.data, answer.case.grid.step
     size = int(np.clip(round(SECONDS / step), FEWEST, MOST))
     reach = FURTHER * float(np.ptp(answer.z))
@@ -285,14 +287,14 @@ def _candidates(answer: Answer, account: Account) -> Iterator[tuple[str, Data]]:
 
 
 def _slowest(answer: Answer) -> float:
-    """The slowest time constant of the plant, in samples."""
+    """Return the slowest time constant of the plant, in samples."""
     rates = np.abs(answer.poles) * answer.case.grid.step
     moving = rates[np.isfinite(rates) & (rates > 1e-4)]
     return float(1 / moving.min()) if moving.size else 50.0
 
 
 def _patterns(slowest: float, size: int) -> Iterator[tuple[str, Floats]]:
-    """Signals between -1 and 1 (name, N)."""
+    """Yield signals between -1 and 1 (name, N)."""
     k, draw = np.arange(size), np.random.default_rng(0)
     periods = {float(np.clip(share * slowest, 20, size / 6)) for share in PERIODS}
     for period in sorted(periods):
@@ -304,7 +306,7 @@ def _patterns(slowest: float, size: int) -> Iterator[tuple[str, Floats]]:
 
 
 def _within(own: Floats, pattern: Floats, integrates: bool) -> Floats:
-    """A pattern within the amplitude of an input, changing no faster than it did (N)."""
+    """Return a pattern within the amplitude of an input, changing no faster than it did (N)."""
     low, high = float(own.min()), float(own.max())
     middle, reach = (low + high) / 2, (high - low) / 2
     if integrates or low * high < 0:  # about 0, which keeps z from running away

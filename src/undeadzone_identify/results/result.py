@@ -72,51 +72,51 @@ class Identified:
 
     @property
     def verdict(self) -> str:
-        """One word: dead_zone, none, play, both, friction, input_zone, undecided, ..."""
+        """Return one word: dead_zone, none, play, both, friction, input_zone, undecided, ..."""
         return self.answer.verdict
 
     @property
     def zone(self) -> bool:
-        """Whether the sensor has a dead zone."""
+        """Return whether the sensor has a dead zone."""
         return self.answer.zone
 
     @property
     def right(self) -> Interval | None:
-        """d_r, of a play c_r [y], of an input zone b_r [u]: (value, low, high)."""
+        """Return d_r, of a play c_r [y], of an input zone b_r [u]: (value, low, high)."""
         return self.answer.right
 
     @property
     def left(self) -> Interval | None:
-        """d_l, of a play c_l [y], of an input zone b_l [u]: (value, low, high)."""
+        """Return d_l, of a play c_l [y], of an input zone b_l [u]: (value, low, high)."""
         return self.answer.left
 
     @property
     def width(self) -> Interval | None:
-        """The sum of both as (value, low, high)."""
+        """Return the sum of both as (value, low, high)."""
         return self.answer.width
 
     @property
     def centre(self) -> Interval | None:
-        """Half of their difference as (value, low, high)."""
+        """Return half of their difference as (value, low, high)."""
         return self.answer.centre
 
     @property
     def order(self) -> int:
-        """Poles of the plant."""
+        """Return poles of the plant."""
         return self.answer.order
 
     @property
     def plant(self) -> dict[str, Any]:
-        """Poles [1/s] and DC gains [y/u] of the plant."""
+        """Return poles [1/s] and DC gains [y/u] of the plant."""
         return {"poles": self.answer.poles, "gain": self.answer.gain}
 
     @property
     def alternatives(self) -> dict[str, Any]:
-        """Nats per sample by which other models are behind the best."""
+        """Return nats per sample by which other models are behind the best."""
         return dict(self.numbers()["alternatives"])
 
     def states(self) -> States:
-        """z and the plant's states along the log, with deviations.
+        """Return z and the plant's states along the log, with deviations.
 
         Returns:
             The smoothed states where a disturbance was found ahead of the zone, else those of the
@@ -140,7 +140,7 @@ class Identified:
         return States(t, answer.z * scale, np.sqrt(variance + unseen**2) * scale, x * scale)
 
     def scenario(self, title: str = "Identified log") -> str:
-        """A scenario as TOML text, which `run`, `check`, `design` and `watch` take as it is.
+        """Return a scenario as TOML text, which `run`, `check`, `design` and `watch` take as it is.
 
         Args:
             title: of the scenario, of which code that is exported has its name.
@@ -156,7 +156,8 @@ class Identified:
         return scenario_text([self.answer], title)
 
     def next_log(self) -> Next:
-        """The input to record next: of 30 s, within the amplitude and the rate of this log's.
+        """Return the input to record next: of 30 s, within the amplitude and the rate of this
+        log's.
 
         Returns:
             Times, inputs, and what they are for: the width whose interval narrows most, and the
@@ -168,15 +169,15 @@ class Identified:
         return next_log(self.answer)
 
     def numbers(self) -> dict[str, Any]:
-        """All numbers of the answer, as `--json` prints them."""
+        """Return all numbers of the answer, as `--json` prints them."""
         return dict(finite(numbers(self.answer)))
 
     def summary(self) -> dict[str, Any]:
-        """The answer in words, as the command prints it."""
+        """Return the answer in words, as the command prints it."""
         return in_words(self.answer)
 
     def blocks(self) -> list[Block]:
-        """The table that `undeadzone identify` prints."""
+        """Return the table that `undeadzone identify` prints."""
         return [self.summary()]
 
     __repr__ = shown.in_text
@@ -218,17 +219,17 @@ class IdentifiedOutputs:
 
     @property
     def verdict(self) -> str:
-        """dead_zone where every output has one, else the first other verdict."""
+        """Return dead_zone where every output has one, else the first other verdict."""
         words = [one.verdict for one in self.outputs]
         return next((word for word in words if word != "dead_zone"), "dead_zone")
 
     @property
     def zone(self) -> bool:
-        """Whether every output has a dead zone."""
+        """Return whether every output has a dead zone."""
         return all(one.zone for one in self.outputs)
 
     def scenario(self, title: str = "Identified log") -> str:
-        """One scenario as TOML text: the outputs' plants side by side, with the same inputs.
+        """Return one scenario as TOML text: the outputs' plants side by side, with the same inputs.
 
         Args:
             title: of the scenario.
@@ -245,14 +246,14 @@ class IdentifiedOutputs:
         return scenario_text([one.answer for one in self.outputs], title)
 
     def numbers(self) -> dict[str, Any]:
-        """All numbers of the answers, as `--json` prints them."""
+        """Return all numbers of the answers, as `--json` prints them."""
         each = {}
         for name, one in zip(self.names, self.outputs, strict=True):
             each[name] = one.numbers()
         return dict(finite({"zone": self.zone, "verdict": self.verdict, "outputs": each}))
 
     def blocks(self) -> list[Block]:
-        """The tables that `undeadzone identify` prints, one for each output."""
+        """Return the tables that `undeadzone identify` prints, one for each output."""
         blocks: list[Block] = []
         for name, one in zip(self.names, self.outputs, strict=True):
             blocks += [{"output": name, **one.summary()}]

@@ -14,7 +14,7 @@ SMALL = 1e-3  # a static gain below this part of the largest makes no good scale
 
 
 def sampled_matrices(a: Floats, b: Floats, layout: Layout) -> Matrices:
-    """The sampled plant in observer form: x+ = F x + B u, z = first state.
+    """Return the sampled plant in observer form: x+ = F x + B u, z = first state.
 
     Args:
         a: denominator a_1, a_2, ... without its integrators.
@@ -30,7 +30,7 @@ def sampled_matrices(a: Floats, b: Floats, layout: Layout) -> Matrices:
 
 
 def continuous(a: Floats, b: Floats, layout: Layout, step: float) -> Matrices:
-    """The plant that becomes the sampled one under a zero-order hold, in companion form.
+    """Return the plant that becomes the sampled one under a zero-order hold, in companion form.
 
     Args:
         a, b, layout: as for `sampled_matrices`.
@@ -69,7 +69,7 @@ def continuous(a: Floats, b: Floats, layout: Layout, step: float) -> Matrices:
 
 
 def _polynomial(A: Floats, integrators: int) -> Floats:
-    """The characteristic polynomial, highest power first; its integrators exact."""
+    """Return the characteristic polynomial, highest power first; its integrators exact."""
     polynomial = np.real(np.poly(A))
     if integrators:
         polynomial[-integrators:] = 0.0
@@ -77,7 +77,7 @@ def _polynomial(A: Floats, integrators: int) -> Floats:
 
 
 def _controller_companion(A: Floats, B: Floats, C: Floats, polynomial: Floats) -> Matrices:
-    """A with -alpha in the last row, B = [0 ... 0 g], C = numerator over g."""
+    """Return a with -alpha in the last row, B = [0 ... 0 g], C = numerator over g."""
     n = A.shape[0]
     markov = [float((C @ np.linalg.matrix_power(A, k) @ B)[0, 0]) for k in range(n)]
     numerator = np.convolve(polynomial, markov)[:n][::-1]  # lowest power first
@@ -89,7 +89,7 @@ def _controller_companion(A: Floats, B: Floats, C: Floats, polynomial: Floats) -
 
 
 def _observer_companion(A: Floats, B: Floats, C: Floats, polynomial: Floats) -> Matrices:
-    """The states z, z', ... of the free motion: A companion, C = [1 0 ... 0]."""
+    """Return the states z, z', ... of the free motion: A companion, C = [1 0 ... 0]."""
     n = A.shape[0]
     T = np.vstack([C @ np.linalg.matrix_power(A, k) for k in range(n)])
     return companion(polynomial[:0:-1])._replace(B=T @ B, C=np.eye(1, n))
@@ -98,7 +98,7 @@ def _observer_companion(A: Floats, B: Floats, C: Floats, polynomial: Floats) -> 
 def entry_spread(
     a: Floats, b: Floats, layout: Layout, step: float, V: Floats
 ) -> tuple[Matrices, Floats, Floats]:
-    """The plant in continuous time and relative standard deviations of A and B.
+    """Return the plant in continuous time and relative standard deviations of A and B.
 
     Args:
         a, b, layout, step: as for `continuous`.
@@ -127,6 +127,6 @@ def entry_spread(
 
 
 def _relative(variance: Floats, entries: Floats) -> Floats:
-    """Deviations over entries; 0 where an entry is 0."""
+    """Return deviations over entries; 0 where an entry is 0."""
     size = np.abs(entries)
     return np.where(size > 0, np.sqrt(variance) / np.maximum(size, 1e-300), 0.0)

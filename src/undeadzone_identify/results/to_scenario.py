@@ -34,7 +34,7 @@ LEAST, MOST = 1e-3, 0.5  # tolerance of an entry
 
 
 def scenario_text(answers: Sequence[Answer], title: str) -> str:
-    """A scenario as TOML text.
+    """Return a scenario as TOML text.
 
     Args:
         answers: one for each output of one log: zones with both edges known. Each output has a
@@ -81,7 +81,7 @@ def scenario_text(answers: Sequence[Answer], title: str) -> str:
 
 
 def _zones(answers: Sequence[Answer]) -> dict[str, str]:
-    """Widths of sensor and actuator, and what is told of them; empty where there is no zone.
+    """Return widths of sensor and actuator, and what is told of them; empty where there is no zone.
 
     Raises:
         InputError: a width that no scenario has.
@@ -98,7 +98,7 @@ def _zones(answers: Sequence[Answer]) -> dict[str, str]:
 
 
 def _widths(zones: Sequence[tuple[Interval, Interval]]) -> str:
-    """The widths of the zones of all outputs."""
+    """Return the widths of the zones of all outputs."""
     lines = []
     for side, ends in zip(SIDES, zip(*zones, strict=True), strict=True):
         lines.append(f"{side} = {_numbers(one.value for one in ends)}  # 95 %: {_intervals(ends)}")
@@ -106,7 +106,7 @@ def _widths(zones: Sequence[tuple[Interval, Interval]]) -> str:
 
 
 def _claimed(answers: Sequence[Answer]) -> str:
-    """The widths as the observer knows them. Raises InputError."""
+    """Return the widths as the observer knows them. Raises InputError."""
     element = answers[0].element
     if element is not None and element.edges is not None:
         return _told([[told_element(element, edge)] for edge in element.edges], ", if c_r = c_l")
@@ -114,7 +114,7 @@ def _claimed(answers: Sequence[Answer]) -> str:
 
 
 def _told(ranges: Sequence[Sequence[tuple[float, float]]], where: str = "") -> str:
-    """The ranges of the widths of all outputs, right and left."""
+    """Return the ranges of the widths of all outputs, right and left."""
     lines = []
     for side, own in zip(SIDES, ranges, strict=True):
         lines.append(f"{side} = {_listed([_pair(*one) for one in own])}  # 99.9 % interval{where}")
@@ -122,7 +122,7 @@ def _told(ranges: Sequence[Sequence[tuple[float, float]]], where: str = "") -> s
 
 
 def _gap(answer: Answer) -> dict[str, str]:
-    """The gap of a play ahead of the dead zone; empty without one. Raises InputError."""
+    """Return the gap of a play ahead of the dead zone; empty without one. Raises InputError."""
     element, gap = answer.element, answer.width
     if answer.verdict != "both":
         return {"gap": ""}
@@ -137,7 +137,7 @@ def _gap(answer: Answer) -> dict[str, str]:
 
 
 def _plant(answer: Answer) -> tuple[Matrices, Floats, Floats]:
-    """The plant of one output, and relative spreads of its A and B. Raises InputError."""
+    """Return the plant of one output, and relative spreads of its A and B. Raises InputError."""
     layout, a, b, V = answer.plant_numbers
     return entry_spread(a, b, layout, answer.case.grid.step, V)
 
@@ -154,7 +154,7 @@ def _delay(answers: Sequence[Answer]) -> int:
 
 
 def _joined(plants: Sequence[Matrices]) -> Matrices:
-    """Plants side by side, with the same inputs."""
+    """Return plants side by side, with the same inputs."""
     return Matrices(
         block_diag(*[plant.A for plant in plants]),
         np.vstack([plant.B for plant in plants]),
@@ -163,27 +163,27 @@ def _joined(plants: Sequence[Matrices]) -> Matrices:
 
 
 def _numbers(values: Iterable[float]) -> str:
-    """The numbers of all outputs: one, or a list."""
+    """Return the numbers of all outputs: one, or a list."""
     return _listed([_number(value) for value in values])
 
 
 def _intervals(edges: Sequence[Interval]) -> str:
-    """The 95 % intervals of all outputs, for a remark."""
+    """Return the 95 % intervals of all outputs, for a remark."""
     return "; ".join(f"{edge.low:.6g} to {edge.high:.6g}" for edge in edges)
 
 
 def _pair(low: float, high: float) -> str:
-    """Two numbers in TOML."""
+    """Return two numbers in TOML."""
     return f"[{_number(low)}, {_number(high)}]"
 
 
 def _listed(texts: Sequence[str]) -> str:
-    """One text as it is, several as a list in TOML."""
+    """Return one text as it is, several as a list in TOML."""
     return texts[0] if len(texts) == 1 else f"[{', '.join(texts)}]"
 
 
 def _edges(answer: Answer) -> tuple[Interval, Interval]:
-    """Both widths. Raises InputError."""
+    """Return both widths. Raises InputError."""
     right, left = answer.right, answer.left
     if answer.element is not None and answer.element.edges is not None:
         right, left = answer.element.edges
@@ -193,7 +193,7 @@ def _edges(answer: Answer) -> tuple[Interval, Interval]:
 
 
 def _sound(answer: Answer, right: Interval, left: Interval) -> tuple[Interval, Interval]:
-    """Widths that a scenario may have. Raises InputError."""
+    """Return widths that a scenario may have. Raises InputError."""
     for name, edge in (("right", right), ("left", left)):
         if not math.isfinite(edge.value):
             raise InputError(
@@ -212,7 +212,9 @@ def _sound(answer: Answer, right: Interval, left: Interval) -> tuple[Interval, I
 
 
 def _noise(answers: Sequence[Answer]) -> dict[str, str]:
-    """Noise of the sensor beside its rounding, threshold, quantum; empty where there is none."""
+    """Return noise of the sensor beside its rounding, threshold, quantum; empty where there is
+    none.
+    """
     cases = [one.case for one in answers]
     rms = np.array([_rms_of_noise(answer) for answer in answers]).T
     quanta = np.array([rounding_of(one.grid.y[one.grid.ok]) for one in cases])
@@ -232,7 +234,9 @@ def _range(answers: Sequence[Answer]) -> str:
 
 
 def _rms_of_noise(answer: Answer) -> tuple[float, float]:
-    """rms of white noise ahead of the sensor's zone and behind it; of other elements behind."""
+    """Return rms of white noise ahead of the sensor's zone and behind it; of other elements
+    behind.
+    """
     disturbance = answer.disturbance
     white = disturbance.rms if disturbance.white is None else disturbance.white
     white = white and max(white, FINEST * answer.scale)
@@ -242,7 +246,7 @@ def _rms_of_noise(answer: Answer) -> tuple[float, float]:
 
 
 def _frequency(answer: Answer, A: Floats) -> float:
-    """A frequency that plant and samples follow [Hz]; integrators alone: that of the log."""
+    """Return a frequency that plant and samples follow [Hz]; integrators alone: that of the log."""
     rates = np.abs(np.linalg.eigvals(A))
     moving = rates[rates > 1e-6 * rates.max()]
     slowest = float(moving.min()) if moving.size else _rate_of_motion(answer)
@@ -250,14 +254,14 @@ def _frequency(answer: Answer, A: Floats) -> float:
 
 
 def _rate_of_motion(answer: Answer) -> float:
-    """rms of z' over that of z along the log [1/s]: of a sine its frequency."""
+    """Return rms of z' over that of z along the log [1/s]: of a sine its frequency."""
     grid = answer.case.grid
     around = float(np.std(answer.z))
     return float(np.std(np.diff(answer.z))) / (grid.step * around) if around else 0.02 / grid.step
 
 
 def _duration(answers: Sequence[Answer], A: Floats) -> float:
-    """A whole number of steps that hold 20 periods of the reference, 20,000 at most."""
+    """Return a whole number of steps that hold 20 periods of the reference, 20,000 at most."""
     step = answers[0].case.grid.step
     periods = 20 / _frequency(answers[0], A)
     return float(f"{step * math.ceil(min(periods / step, 20000)):.12g}")
@@ -274,7 +278,9 @@ def _disturbance(answers: Sequence[Answer]) -> dict[str, str]:
 
 
 def _claim(answer: Answer) -> tuple[float, float] | None:
-    """rms at the input and correlation time [s] of what disturbs an output; None: not known."""
+    """Return rms at the input and correlation time [s] of what disturbs an output; None: not
+    known.
+    """
     step = answer.case.grid.step
     kalman = answer.found.kalman
     data = answer.fit.objective.data
@@ -295,14 +301,16 @@ def _claim(answer: Answer) -> tuple[float, float] | None:
 
 
 def _correlation_time(phi: float, step: float) -> float:
-    """The correlation time [s] of a correlation over one step."""
+    """Return the correlation time [s] of a correlation over one step."""
     if phi <= 0.01:
         return 0.5 * step
     return float(np.clip(-step / math.log(phi), 0.11 * step, 1e5 * step))
 
 
 def _claim_ahead(element: Element, step: float, scale: float) -> tuple[float, float] | None:
-    """rms at the input and correlation time [s] of what disturbs the plant behind an element."""
+    """Return rms at the input and correlation time [s] of what disturbs the plant behind an
+    element.
+    """
     if element.ahead is None:
         return None
     unseen = UNSEEN * element.noise
@@ -314,7 +322,7 @@ def _claim_ahead(element: Element, step: float, scale: float) -> tuple[float, fl
 
 
 def _tolerance(spread_A: Floats, spread_B: Floats) -> str:
-    """Relative deviations of the entries of A and B, as a TOML table in a line."""
+    """Return relative deviations of the entries of A and B, as a TOML table in a line."""
     entries = []
     for name, spread in (("A", spread_A), ("B", spread_B)):
         for i, j in np.argwhere(spread > 0):
@@ -323,15 +331,15 @@ def _tolerance(spread_A: Floats, spread_B: Floats) -> str:
 
 
 def _rows(matrix: Any) -> str:
-    """A matrix in TOML."""
+    """Return a matrix in TOML."""
     return str(np.asarray(matrix, dtype=float).tolist())
 
 
 def _number(value: float) -> str:
-    """A number in TOML, every digit of it."""
+    """Return a number in TOML, every digit of it."""
     return repr(float(value))
 
 
 def _text(value: str) -> str:
-    """A text in TOML."""
+    """Return a text in TOML."""
     return json.dumps(printable(value), ensure_ascii=False)

@@ -26,7 +26,7 @@ SIDES = {1: "right", -1: "left"}
 
 
 def servo_numbers(answer: Answer) -> dict[str, Any] | None:
-    """The servo in units of the log, and its crossings column by column; None without one.
+    """Return the servo in units of the log, and its crossings column by column; None without one.
 
     Args:
         answer: what a log says.
@@ -56,7 +56,8 @@ def servo_numbers(answer: Answer) -> dict[str, Any] | None:
 
 
 def joints(answer: Answer) -> list[Joint]:
-    """The gears of a servo, for MuJoCo; none of another answer, or of a servo without inertia.
+    """Return the gears of a servo, for MuJoCo; none of another answer, or of a servo without
+    inertia.
 
     Args:
         answer: of a log whose input is a torque [N m] and whose output is an angle [rad].
@@ -71,7 +72,7 @@ def joints(answer: Answer) -> list[Joint]:
 
 
 def crossing_columns(answer: Answer) -> dict[str, Floats]:
-    """The crossings of a servo's gap column by column; empty where there is no servo."""
+    """Return the crossings of a servo's gap column by column; empty where there is no servo."""
     servo = answer.servo
     if servo is None:
         return {}
@@ -87,7 +88,7 @@ def crossing_columns(answer: Answer) -> dict[str, Floats]:
 
 
 def crossings_in_words(answer: Answer, unit: str) -> list[str]:
-    """The first crossings, and what all of them say."""
+    """Return the first crossings, and what all of them say."""
     columns, servo = crossing_columns(answer), answer.servo
     if servo is None or not columns["t"].size:
         return []
@@ -139,7 +140,7 @@ AT_ZERO = "  assumes z = 0 at u = 0"
 
 
 def numbers(answer: Answer) -> dict[str, Any]:
-    """All numbers of an answer, as nested dictionaries.
+    """Return all numbers of an answer, as nested dictionaries.
 
     Args:
         answer: what a log says.
@@ -206,7 +207,7 @@ def numbers(answer: Answer) -> dict[str, Any]:
 
 
 def _listed(interval: Interval | None) -> list[float] | None:
-    """[value, low, high]."""
+    """Return [value, low, high]."""
     return None if interval is None else [float(number) for number in interval]
 
 
@@ -221,14 +222,14 @@ def _offsets(answer: Answer) -> dict[str, Any] | None:
 
 
 def _levels(answer: Answer) -> dict[str, list[float]]:
-    """Friction and the zone of the input, right and left [u]."""
+    """Return friction and the zone of the input, right and left [u]."""
     u_scale = answer.fit.objective.data.u_scale[0]
     levels = levels_of(answer.found.places)
     return {word: [float(u_scale * one) for one in two] for word, two in levels.items()}
 
 
 def _stages(answer: Answer) -> dict[str, Any]:
-    """Widths and half intervals by stage of the fit."""
+    """Return widths and half intervals by stage of the fit."""
     widths = answer.widths
     stages = {}
     for name, (right, left) in widths.stages.items():
@@ -246,7 +247,7 @@ def _stages(answer: Answer) -> dict[str, Any]:
 
 
 def in_words(answer: Answer) -> dict[str, Any]:
-    """The answer as lines of the terminal: name and text, or a list of texts.
+    """Return the answer as lines of the terminal: name and text, or a list of texts.
 
     Args:
         answer: what a log says.
@@ -273,7 +274,9 @@ def in_words(answer: Answer) -> dict[str, Any]:
 
 
 def _widths(answer: Answer) -> dict[str, str]:
-    """The widths of the sensor's zone, or of what stands in its place, and the four offsets."""
+    """Return the widths of the sensor's zone, or of what stands in its place, and the four
+    offsets.
+    """
     element, grid = answer.element, answer.case.grid
     letter, unit = "d", _unit(grid.output_unit)
     if element is not None and element.kind != "two_zones":
@@ -307,12 +310,12 @@ def _title(letter: str, name: str) -> str:
 
 
 def _unit(unit: str) -> str:
-    """A unit behind a number."""
+    """Return a unit behind a number."""
     return "" if unit == "1" else f" {unit}"
 
 
 def _in_words(interval: Interval, unit: str) -> str:
-    """A value with its interval, digits as far as they mean something."""
+    """Return a value with its interval, digits as far as they mean something."""
     value, low, high = interval
     if not np.isfinite(high):
         if not np.isfinite(low):
@@ -373,7 +376,7 @@ def _certainty(answer: Answer) -> str:
 
 
 def chance_in_words(chance: float) -> str:
-    """A probability of chance alone; how small a very small one is says nothing."""
+    """Return a probability of chance alone; how small a very small one is says nothing."""
     return "p < 0.001" if chance < 1e-3 else f"p = {chance:.2g}"
 
 
@@ -388,7 +391,7 @@ def odds_in_words(answer: Answer) -> str:
 
 
 def _disturbance(answer: Answer, unit: str) -> str:
-    """rms and correlation time."""
+    """Return rms and correlation time."""
     disturbance = answer.disturbance
     where = "at z" if disturbance.ahead else "behind the zone"
     if not disturbance.ahead and not answer.zone:
@@ -414,7 +417,7 @@ def _held_out(answer: Answer, unit: str) -> str:
 
 
 def rivals_in_words(answer: Answer) -> list[tuple[str, str, float]]:
-    """Every model with its odds in words and how far it is behind, in nats per reading."""
+    """Return every model with its odds in words and how far it is behind, in nats per reading."""
     odds = {word: f"{100 * share:.1f} %" for word, share in answer.found.odds.items()}
     rivals = sorted(behind(answer.found.models).items(), key=lambda row: row[1])
     return [(MODELS[word], odds.get(word, "-"), nats) for word, nats in rivals]

@@ -105,7 +105,7 @@ class Element(NamedTuple):
 
     @property
     def unseen(self) -> float:
-        """rms of what z does that no input made, scaled."""
+        """Return rms of what z does that no input made, scaled."""
         return self.rms if self.ahead is None else self.ahead.rms
 
 
@@ -155,7 +155,9 @@ class Found(NamedTuple):
 
 
 def excluded(case: Case) -> Collection[str]:
-    """Words that are out of the question: by what the user said, or since noise falls silent."""
+    """Return words that are out of the question: by what the user said, or since noise falls
+    silent.
+    """
     out = set(MEMORY) if case.options.kind == "deadzone" else set()
     fit = case.chosen.singles
     if not case.data.silent_zeros or case.jumps:
@@ -193,7 +195,9 @@ def with_play(case: Case, found: Found) -> Found:
 
 
 def _tops(case: Case, data: plant.Data) -> dict[str, PlayFit]:
-    """The fits of a play, and of a play and a dead zone, by word; none where none is stable."""
+    """Return the fits of a play, and of a play and a dead zone, by word; none where none is
+    stable.
+    """
     begun = [reduced(one.pairs) for one in (case.chosen, *case.fitted.fits) if data is case.data]
     play = fit_play(plant.part_of(data), case.fitted.prepared.orders, case.options.integrators)
     if play is None:
@@ -204,7 +208,7 @@ def _tops(case: Case, data: plant.Data) -> dict[str, PlayFit]:
 
 
 def _is_asked(case: Case, found: Found, offsets: Offsets, brief: Fit) -> bool:
-    """Whether a play is looked for: it explains the log, or something with a memory may."""
+    """Return whether a play is looked for: it explains the log, or something with a memory may."""
     kind = case.options.kind
     if kind in ("jump", "deadzone"):
         return False
@@ -218,7 +222,7 @@ def _is_asked(case: Case, found: Found, offsets: Offsets, brief: Fit) -> bool:
 
 
 def _without_glitches(fit: PlayFit) -> PlayFit:
-    """The fit without the few readings that it cannot have produced."""
+    """Return the fit without the few readings that it cannot have produced."""
     data, e = fit.squares.data, fit.squares.residual(fit.theta)
     usual = float(np.median(np.abs(e[data.ok]))) / 0.6745
     odd = data.ok & (np.abs(e) > GLITCH * max(usual, LEAST_ODD))
@@ -229,7 +233,7 @@ def _without_glitches(fit: PlayFit) -> PlayFit:
 
 
 def with_gap(case: Case, found: Found) -> Found:
-    """The widths of a play, and perhaps of a dead zone; without widths above 0 it is none.
+    """Return the widths of a play, and perhaps of a dead zone; without widths above 0 it is none.
 
     Args:
         case: the log.
@@ -252,7 +256,8 @@ def with_gap(case: Case, found: Found) -> Found:
 
 
 def _denied(gap: Gap, offsets: Offsets) -> bool:
-    """Whether a width is not above 0 for certain; the four offsets must not deny both of them.
+    """Return whether a width is not above 0 for certain; the four offsets must not deny both of
+    them.
 
     Offsets that are known so badly that this gap would not show deny nothing.
     """
@@ -265,7 +270,7 @@ def _denied(gap: Gap, offsets: Offsets) -> bool:
 
 
 def is_there(interval: Interval) -> bool:
-    """Whether a gap is above 0 for certain, and no less than matters."""
+    """Return whether a gap is above 0 for certain, and no less than matters."""
     return interval.low > 0 and interval.value > LEAST_GAP
 
 
@@ -273,7 +278,7 @@ def is_there(interval: Interval) -> bool:
 
 
 def of_play(gap: Gap, whole: plant.Data, offset: float | None) -> Element:
-    """The element of a play, and of the dead zone after it.
+    """Return the element of a play, and of the dead zone after it.
 
     Args:
         gap: what was found, of the log or of its busiest part.
@@ -312,7 +317,9 @@ def of_play(gap: Gap, whole: plant.Data, offset: float | None) -> Element:
 
 
 def _of_all(gap: Gap, whole: plant.Data) -> tuple[PlayModel, Floats]:
-    """The model of all records, and its numbers; at rest at first where a part was fitted."""
+    """Return the model of all records, and its numbers; at rest at first where a part was
+    fitted.
+    """
     old = gap.fit.model
     if old.data.y.size == whole.y.size:
         return old, gap.theta
@@ -330,7 +337,7 @@ def _hidden(element: Element, strong: float) -> Element:
 
 
 def _with_zone(element: Element, gap: Gap, scale: float) -> Element:
-    """The widths of a play and of the dead zone after it."""
+    """Return the widths of a play and of the dead zone after it."""
     shown = {name: interval.scaled(scale) for name, interval in gap.intervals.items()}
     zone = shown["zone"]
     remark = (
@@ -346,7 +353,9 @@ def _with_zone(element: Element, gap: Gap, scale: float) -> Element:
 
 
 def _sides(gap: Gap, offset: float | None) -> dict[str, Interval | None]:
-    """The play's widths [y]; what an offset of the output leaves of its sides and its centre."""
+    """Return the play's widths [y]; what an offset of the output leaves of its sides and its
+    centre.
+    """
     shown: dict[str, Interval | None] = {}
     for name, row in DIRECTIONS.items():
         interval = gap.intervals[name]
@@ -361,7 +370,7 @@ def _sides(gap: Gap, offset: float | None) -> dict[str, Interval | None]:
 
 
 def at_input(case: Case, found: Found) -> Element | None:
-    """The zone of the input, or of both ends, with the plant; None where none fits.
+    """Return the zone of the input, or of both ends, with the plant; None where none fits.
 
     Args:
         case: the log.
@@ -374,7 +383,7 @@ def at_input(case: Case, found: Found) -> Element | None:
 
 
 def _of_zones(zoned: Zoned, case: Case) -> Element:
-    """The element of a fit of the longest record, or of all; along all of them."""
+    """Return the element of a fit of the longest record, or of all; along all of them."""
     fit, model, numbers = zoned.fit, zoned.fit.model, zoned.fit.theta
     whole, data, layout = case.data, model.simulator.data, model.simulator.layout
     passed = dead_zone(whole.u, *numbers[layout.input])
@@ -414,7 +423,7 @@ def _of_zones(zoned: Zoned, case: Case) -> Element:
 def _zone_of(
     zoned: Zoned, before: tuple[float, ...], scale: float, offset: float | None
 ) -> tuple[dict[str, Interval], float]:
-    """The widths of a zone, and their least degrees of freedom.
+    """Return the widths of a zone, and their least degrees of freedom.
 
     Args:
         zoned: the fit.
@@ -435,7 +444,7 @@ def _zone_of(
 
 
 def held_out_of(element: Element, held_out: float) -> HeldOut:
-    """Error, share and whiteness on blocks of a log, fitted to the others.
+    """Return error, share and whiteness on blocks of a log, fitted to the others.
 
     Args:
         element: a play, or a zone of the input.
@@ -454,7 +463,7 @@ def held_out_of(element: Element, held_out: float) -> HeldOut:
 
 
 def _held_out_of_servo(element: Element, gap: ServoGap, held_out: float) -> HeldOut:
-    """The same of a servo's predictor, which hears every reading up to the one before."""
+    """Return the same of a servo's predictor, which hears every reading up to the one before."""
     data, log = element.simulator.data, gap.log
     test = data.ok & ~trained_part(data, held_out)
     one = gap.trained(~test)

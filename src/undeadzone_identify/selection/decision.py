@@ -108,7 +108,7 @@ class Case(NamedTuple):
 
     @property
     def data(self) -> Data:
-        """The records as they were fitted."""
+        """Return the records as they were fitted."""
         return self.fitted.prepared.data
 
     @property
@@ -118,12 +118,14 @@ class Case(NamedTuple):
 
     @property
     def jumps(self) -> tuple[JumpEdge, JumpEdge] | None:
-        """Edges of a jump sensor, scaled, where the log was taken for one's; None elsewhere."""
+        """Return edges of a jump sensor, scaled, where the log was taken for one's; None
+        elsewhere.
+        """
         return self.fitted.prepared.jumps
 
     @property
     def offset(self) -> float | None:
-        """rms of an unknown offset of the output, scaled; None: free."""
+        """Return rms of an unknown offset of the output, scaled; None: free."""
         rms = self.options.offset_rms()
         return None if rms is None else rms / self.data.y_scale
 
@@ -136,12 +138,12 @@ class Verdict(NamedTuple):
     cautions: list[str]
 
     def with_cautions(self, *cautions: str) -> Verdict:
-        """The same with more to know."""
+        """Return the same with more to know."""
         return self._replace(cautions=[*self.cautions, *cautions])
 
 
 def decide(word: str, *reasons: str) -> Verdict:
-    """A verdict with its reasons."""
+    """Return a verdict with its reasons."""
     return Verdict(word, list(reasons), [])
 
 
@@ -163,7 +165,7 @@ class Loop(NamedTuple):
 
     @property
     def is_closed(self) -> bool:
-        """Whether the input answers to the readings."""
+        """Return whether the input answers to the readings."""
         if self.answered is None:
             return self.chance <= least_squares.CHANCE
         heard = self.answered > 0 and self.chance <= least_squares.CHANCE
@@ -171,7 +173,9 @@ class Loop(NamedTuple):
 
 
 def detect_feedback(case: Case) -> Loop:
-    """Whether a loop is closed, guessed by residuals, known by a reference that was recorded."""
+    """Return whether a loop is closed, guessed by residuals, known by a reference that was
+    recorded.
+    """
     grid, share = case.grid, None
     chance = orders.loop_chance(case.chosen.pairs, case.recorded.u) if case.chosen.white else 1.0
     known = grid.r[np.isfinite(grid.r)]
@@ -184,7 +188,7 @@ def detect_feedback(case: Case) -> Loop:
 
 
 def classify(case: Case, odds: dict[str, float], models: Sequence[Family], fits: Fits) -> Verdict:
-    """The verdict by the odds of all models, or why there is none.
+    """Return the verdict by the odds of all models, or why there is none.
 
     Args:
         case: the log, fitted with a zone of the sensor.
@@ -220,7 +224,9 @@ def classify(case: Case, odds: dict[str, float], models: Sequence[Family], fits:
 
 
 def _by_ends(case: Case, word: str, odds: dict[str, float]) -> Verdict | None:
-    """A saturation where readings stick at ends of a range, or that a memory is a guess there."""
+    """Return a saturation where readings stick at ends of a range, or that a memory is a guess
+    there.
+    """
     ends, clipped = case.fitted.prepared.ends, odds.get("none", 0.0) + odds.get("saturation", 0.0)
     mostly = bool(ends) and case.data.ok.sum() < MOSTLY * case.grid.ok.sum()
     stick = f"readings stick at the ends of the range {ends}"
@@ -232,7 +238,7 @@ def _by_ends(case: Case, word: str, odds: dict[str, float]) -> Verdict | None:
 
 
 def _claimed(odds: dict[str, float]) -> str:
-    """The likeliest word; where none is, one that claims less and that larger models hold.
+    """Return the likeliest word; where none is, one that claims less and that larger models hold.
 
     Beside a zone of the input that leads, the sensor's alone has other widths; a small play in
     front of it changes them little.
@@ -248,7 +254,7 @@ def _claimed(odds: dict[str, float]) -> str:
 
 
 def _by_jump(case: Case, odds: dict[str, float], models: Sequence[Family]) -> Verdict:
-    """The verdict on a record that was taken for that of a jump sensor."""
+    """Return the verdict on a record that was taken for that of a jump sensor."""
     word = next(iter(odds))
     if odds["jump"] < UNLIKELY:
         return decide("other", f"{MODELS[word]} explains the log better than a jump sensor")
@@ -256,7 +262,7 @@ def _by_jump(case: Case, odds: dict[str, float], models: Sequence[Family]) -> Ve
 
 
 def best_of(word: str, models: Sequence[Family]) -> Density:
-    """The best model of a word, by BIC per reading."""
+    """Return the best model of a word, by BIC per reading."""
     there = filter(None, (family.get(word) for family in models))
     return min(there, key=lambda one: one.bic / one.value.size)
 
@@ -269,12 +275,12 @@ def _undecided(odds: dict[str, float]) -> Verdict:
 
 
 def _within_steps(case: Case) -> bool:
-    """Whether the zone that was fitted is smaller than a few steps of the readings."""
+    """Return whether the zone that was fitted is smaller than a few steps of the readings."""
     return 0 < case.chosen.pairs.width < STEPS * case.quantum
 
 
 def _without_zone(case: Case) -> Verdict:
-    """The verdict on readings that a linear plant explains best."""
+    """Return the verdict on readings that a linear plant explains best."""
     y = case.grid.y[case.grid.ok]
     if np.quantile(y, FEW) > 0 or np.quantile(y, 1 - FEW) < 0:
         about = f"{float(y.mean()):.4g}"
@@ -313,7 +319,7 @@ def _unclear(case: Case, word: str, best: Density, fits: Fits) -> Verdict | None
 
 
 def _by_residual(case: Case) -> Verdict:
-    """dead_zone, unless a curve over z^ explains what it leaves."""
+    """Return dead_zone, unless a curve over z^ explains what it leaves."""
     residuals = case.residuals
     curve = f"a curve over z^ explains {100 * residuals.share:.0f} % of what"
     if least_squares.is_strange(residuals.share, residuals.chance):
@@ -333,7 +339,7 @@ def _by_residual(case: Case) -> Verdict:
 
 
 def unmodelled(verdict: Verdict, fit: Fit) -> Verdict:
-    """The verdict, with what the model lacks where that has a name.
+    """Return the verdict, with what the model lacks where that has a name.
 
     Args:
         verdict: dead_zone, other or unclear, so far.
@@ -367,7 +373,7 @@ def unmodelled(verdict: Verdict, fit: Fit) -> Verdict:
 
 
 def offset_inside(fit: Fit) -> float | None:
-    """The mean reading well inside the zone, scaled; None where it is 0 or cannot be told.
+    """Return the mean reading well inside the zone, scaled; None where it is 0 or cannot be told.
 
     Args:
         fit: plant and zone; with noise behind the zone, else silence is exactly 0.
@@ -413,7 +419,7 @@ def cubic_share(fit: Fit) -> tuple[float, float, float]:
 
 
 def _cube(fit: Fit) -> Floats:
-    """G z^3 along the records (N)."""
+    """Return G z^3 along the records (N)."""
     layout = fit.objective.layout
     denominator = layout.denominator(fit.theta[layout.a])
     numerator = np.append(0.0, fit.theta[layout.b][: layout.n])

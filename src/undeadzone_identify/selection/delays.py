@@ -37,7 +37,7 @@ REACH = 6.0  # of BIC: odds of 20 to 1, within which a delay may be the true one
 
 
 def drop_unvisited_edges(prepared: Prepared) -> tuple[Prepared, tuple[str, ...]]:
-    """An edge that no reading passes is put far away, and named.
+    """Return an edge that no reading passes is put far away, and named.
 
     Args:
         prepared: the log.
@@ -82,7 +82,7 @@ class FittedOrders(NamedTuple):
 
 
 def fit_with_delay(prepared: Prepared, advance: Callable[[int], None]) -> FittedOrders:
-    """Every order, fitted; once more where the input turns out to act later.
+    """Return every order, fitted; once more where the input turns out to act later.
 
     Delay and starts of a long log are found in a part of it.
 
@@ -104,7 +104,7 @@ def fit_with_delay(prepared: Prepared, advance: Callable[[int], None]) -> Fitted
 
 
 def _searched(prepared: Prepared, advance: Callable[[int], None]) -> FittedOrders:
-    """`fitted_with_delay` with all samples. Raises InputError."""
+    """Return `fitted_with_delay` with all samples. Raises InputError."""
     if prepared.options.delay != "auto":
         samples = int(prepared.options.delay)
         shifted = prepared._replace(data=delayed(prepared.data, samples))
@@ -137,7 +137,7 @@ def _refined(found: FittedOrders, first: int, advance: Callable[[int], None]) ->
 def _fitted(
     prepared: Prepared, advance: Callable[[int], None], begun: Sequence[OrderFit] = ()
 ) -> FittedOrders:
-    """Every order, fitted; once more where a few readings turn out to be glitches."""
+    """Return every order, fitted; once more where a few readings turn out to be glitches."""
     for _ in range(3):
         data, limits = prepared.data, prepared.limits
         held_out, integrators = prepared.options.held_out, prepared.options.integrators
@@ -178,7 +178,7 @@ def _glitches(chosen: OrderFit) -> Integers:
 
 
 def likely_delay(fits: list[OrderFit]) -> int:
-    """The delay with which a linear plant of low order explains a log best.
+    """Return the delay with which a linear plant of low order explains a log best.
 
     The zone disturbs these fits much alike; whether the delay is real is decided by fits with it.
 
@@ -208,7 +208,7 @@ def likely_delay(fits: list[OrderFit]) -> int:
 
 
 def better_delay(fits: list[OrderFit], late: list[OrderFit]) -> bool:
-    """Whether fits with a delay are better by BIC; the delay counts as a number.
+    """Return whether fits with a delay are better by BIC; the delay counts as a number.
 
     Clearly better, where the poles without it are those of a plant in continuous time.
 
@@ -270,7 +270,7 @@ def later(fits: list[OrderFit], samples: int) -> list[OrderFit]:
 
 
 def _late(fit: Fit, samples: int) -> Fit:
-    """A fit with the input later, from two starts.
+    """Return a fit with the input later, from two starts.
 
     One has the numerators with which z is nearest to what it was, the other the linear plant.
     """
@@ -282,7 +282,7 @@ def _late(fit: Fit, samples: int) -> Fit:
 
 
 def _linear(fit: Fit, simulator: Simulator) -> Floats:
-    """The widths of a fit, and the linear plant with the gain that these take away."""
+    """Return the widths of a fit, and the linear plant with the gain that these take away."""
     layout = simulator.layout
     theta = fit.theta.copy()
     plant = fit_linear(simulator).theta

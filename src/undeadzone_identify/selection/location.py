@@ -11,7 +11,7 @@ STEPS = 1.5  # quanta of rounded readings, below which a zone may be their own
 
 
 def find_places(fit: Fit, quantum: float) -> dict[str, PlaceFit]:
-    """The best model of each place of the zone, by the verdict's word for it.
+    """Return the best model of each place of the zone, by the verdict's word for it.
 
     Args:
         fit: plant and sensor zone, one record.
@@ -22,13 +22,17 @@ def find_places(fit: Fit, quantum: float) -> dict[str, PlaceFit]:
 
 
 def _is_of_steps(one: PlaceFit, quantum: float) -> bool:
-    """Whether a model has a zone of the sensor, beside another one, that rounding explains."""
+    """Return whether a model has a zone of the sensor, beside another one, that rounding
+    explains.
+    """
     shape, sensor = one.model.shape, one.model.part(one.theta, "sensor")
     return bool(shape.sensor and (shape.input or shape.inner) and sensor.sum() < STEPS * quantum)
 
 
 def _fit_all(fit: Fit) -> dict[str, PlaceFit]:
-    """Every model of the zone's place, fitted; one that holds others is no worse than they."""
+    """Return every model of the zone's place, fitted; one that holds others is no worse than
+    they.
+    """
     starts = PlaceStarts(fit)
     fits: dict[str, PlaceFit] = {}
 
@@ -62,7 +66,7 @@ def _fit_all(fit: Fit) -> dict[str, PlaceFit]:
 
 
 def _held(shape: Shape, fits: dict[str, PlaceFit]) -> list[Floats]:
-    """The end of the best of the models that a larger one holds."""
+    """Return the end of the best of the models that a larger one holds."""
     held = [one for one in fits.values() if shape.holds(one.model.shape)]
     if not held:
         return []
@@ -74,7 +78,7 @@ def _held(shape: Shape, fits: dict[str, PlaceFit]) -> list[Floats]:
 
 
 def levels_of(fits: dict[str, PlaceFit]) -> dict[str, tuple[float, float]]:
-    """Friction and the zone of the input, right and left, in units of the input, scaled.
+    """Return friction and the zone of the input, right and left, in units of the input, scaled.
 
     Args:
         fits: by word.

@@ -27,7 +27,7 @@ Family = Mapping[str, Density]  # models of the same readings, by word; one of t
 
 
 def odds_of(families: Sequence[Family], excluded: Collection[str] = ()) -> dict[str, float]:
-    """The odds of what may be there, by the verdict's words, largest first.
+    """Return the odds of what may be there, by the verdict's words, largest first.
 
     Args:
         families: models of the same readings; the readings of another family may be others.
@@ -46,7 +46,9 @@ def odds_of(families: Sequence[Family], excluded: Collection[str] = ()) -> dict[
 
 
 def _drawn(family: Family, least: Density) -> Floats:
-    """Log odds against no zone in logs of as few readings as the least family has (DRAWS x K)."""
+    """Return log odds against no zone in logs of as few readings as the least family has (DRAWS x
+    K).
+    """
     count = least.value.size
     none = least if family["none"].value.size == count else family["none"]
     gains = np.column_stack([one.value - none.value for one in family.values()])
@@ -59,7 +61,7 @@ def _drawn(family: Family, least: Density) -> Floats:
 
 
 def behind(families: Sequence[Family]) -> dict[str, float]:
-    """Nats a reading by which each model is behind the best, by word.
+    """Return nats a reading by which each model is behind the best, by word.
 
     Args:
         families: as for `odds_of`.

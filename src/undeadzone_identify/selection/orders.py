@@ -66,7 +66,7 @@ def fit_orders(
     integrators: int = 0,
     begun: Sequence[OrderFit] = (),
 ) -> list[OrderFit]:
-    """Every order, fitted to all data and checked on blocks of them.
+    """Return every order, fitted to all data and checked on blocks of them.
 
     Args:
         data: the records.
@@ -94,7 +94,7 @@ def fit_orders(
 
 
 def _less_odd(fits: list[OrderFit], train: Flags) -> list[OrderFit]:
-    """The orders, the best climbed on, and without its poles that no plant in time has.
+    """Return the orders, the best climbed on, and without its poles that no plant in time has.
 
     Args:
         fits: one an order.
@@ -112,7 +112,7 @@ def _less_odd(fits: list[OrderFit], train: Flags) -> list[OrderFit]:
 
 
 def _climbed_on(one: OrderFit, theta: Floats, train: Flags) -> OrderFit:
-    """The fits of an order, or those that a climb from other numbers leads to."""
+    """Return the fits of an order, or those that a climb from other numbers leads to."""
     pairs = zone_fit.better(one.pairs, theta)
     if pairs.value < one.pairs.value + GAINED:
         return one
@@ -123,7 +123,7 @@ def _climbed_on(one: OrderFit, theta: Floats, train: Flags) -> OrderFit:
 def _stages(
     simulator: Simulator, limits: Limits, begun: OrderFit | None
 ) -> tuple[zone_fit.Fit, zone_fit.Fit]:
-    """The fits of singles and of pairs; one and the same with noise behind the zone."""
+    """Return the fits of singles and of pairs; one and the same with noise behind the zone."""
     data = simulator.data
     if begun is not None:
         singles = zone_fit.moved(begun.singles, data)
@@ -134,14 +134,16 @@ def _stages(
 
 
 def _says_something(fit: zone_fit.Fit) -> bool:
-    """Whether a fit has a likelihood whose derivatives do not overflow."""
+    """Return whether a fit has a likelihood whose derivatives do not overflow."""
     if not math.isfinite(fit.value):
         return False
     return all(np.isfinite(part).all() for part in fit.objective.quadratic(fit.theta))
 
 
 def trained_part(data: Data, held_out: float) -> Flags:
-    """The samples that are no held-out ones (N): these are the ends of equal parts of a record."""
+    """Return the samples that are no held-out ones (N): these are the ends of equal parts of a
+    record.
+    """
     train = np.ones(data.y.size, bool)
     for part in data.records():
         size = part.stop - part.start
@@ -151,39 +153,47 @@ def trained_part(data: Data, held_out: float) -> Flags:
 
 
 def best_order(fits: list[OrderFit]) -> OrderFit:
-    """The order of least BIC of (L2), those with a pole at the limit of what is allowed last."""
+    """Return the order of least BIC of (L2), those with a pole at the limit of what is allowed
+    last.
+    """
     inside = [one for one in fits if not at_limit(one.pairs)]
     return min(inside or fits, key=lambda one: one.pairs.bic)
 
 
 def order_to_write(fits: list[OrderFit]) -> OrderFit:
-    """The best order; of those that predict alike, one that a plant in continuous time has."""
+    """Return the best order; of those that predict alike, one that a plant in continuous time
+    has.
+    """
     best = best_order(fits)
     alike = list(filter(lambda one: is_sampled(one.pairs), credible(fits)))
     return best if is_sampled(best.pairs) or not alike else best_order(alike)
 
 
 def is_sampled(fit: zone_fit.Fit) -> bool:
-    """Whether a plant in continuous time has these poles: none at 0 nearly, none negative."""
+    """Return whether a plant in continuous time has these poles: none at 0 nearly, none
+    negative.
+    """
     poles = fit.objective.simulator.poles(fit.theta)
     real = np.abs(poles.imag) < 1e-9
     return bool(np.all(np.where(real, poles.real, np.abs(poles)) > NEARLY_ZERO))
 
 
 def at_limit(fit: zone_fit.Fit) -> bool:
-    """Whether a pole is as slow as is allowed, so that with x(0) it is an offset or a sine."""
+    """Return whether a pole is as slow as is allowed, so that with x(0) it is an offset or a
+    sine.
+    """
     return fit.objective.simulator.at_limit(fit.theta)
 
 
 def credible(fits: list[OrderFit]) -> list[OrderFit]:
-    """The orders whose held-out error is within 2 % of the least."""
+    """Return the orders whose held-out error is within 2 % of the least."""
     inside = [one for one in fits if not at_limit(one.pairs)] or fits
     least = min(one.error for one in inside)
     return [one for one in inside if one.error <= CREDIBLE * least]
 
 
 def validate(fit: zone_fit.Fit, train: Flags) -> HeldOut:
-    """A fit of the training part, checked on the rest.
+    """Return a fit of the training part, checked on the rest.
 
     Args:
         fit: the fit to all data, from where the climb starts.
@@ -216,7 +226,9 @@ def judged(error: Floats, data: Data, test: Flags, one_step: tuple[Floats, Flags
 
 
 def innovations(fit: zone_fit.Fit, among: Flags) -> tuple[Floats, Flags]:
-    """One-step residuals e_t - rho e_(t-1) and where they are known: speaking in a row (N, N)."""
+    """Return one-step residuals e_t - rho e_(t-1) and where they are known: speaking in a row (N,
+    N).
+    """
     readings = fit.objective.readings
     e = fit.objective.residuals(fit.theta)
     ok = fit.objective.data.ok
@@ -228,7 +240,8 @@ def innovations(fit: zone_fit.Fit, among: Flags) -> tuple[Floats, Flags]:
 def one_step(
     e: Floats, among: Flags, speaks: Flags, start: Integers, rho: float | None = None
 ) -> tuple[Floats, Flags]:
-    """Residuals less what those of the sample before say of them, and where both are known (N, N).
+    """Return residuals less what those of the sample before say of them, and where both are known
+    (N, N).
 
     Args:
         e: residuals (N).
@@ -249,7 +262,7 @@ def one_step(
 
 
 def is_white(value: Floats, use: Flags, lags: int = LAGS) -> bool:
-    """Whether residuals are white, by Ljung and Box's sum of squared correlations at 1 %."""
+    """Return whether residuals are white, by Ljung and Box's sum of squared correlations at 1 %."""
     count = int(use.sum())
     if count < 3 * lags:
         return True
@@ -259,7 +272,7 @@ def is_white(value: Floats, use: Flags, lags: int = LAGS) -> bool:
 
 
 def reacts_to_input(fit: zone_fit.Fit) -> bool:
-    """Whether past inputs explain one-step residuals: a delay, or too few poles."""
+    """Return whether past inputs explain one-step residuals: a delay, or too few poles."""
     value, use = innovations(fit, fit.objective.data.ok)
     lagged = _lagged(fit.objective.data.u)
     use = use & (since_start(fit.objective.data.start, use.size) >= HEARD)
@@ -270,7 +283,8 @@ def reacts_to_input(fit: zone_fit.Fit) -> bool:
 
 
 def loop_chance(fit: zone_fit.Fit, u: Floats) -> float:
-    """p of what one-step residuals so far say of the input, if it does not answer to readings.
+    """Return p of what one-step residuals so far say of the input, if it does not answer to
+    readings.
 
     The reading of a sample comes before its input, which moves the plant in the next one.
 
@@ -289,7 +303,7 @@ def loop_chance(fit: zone_fit.Fit, u: Floats) -> float:
 def answered(
     moved: Floats, y: Floats, ok: Flags, r: Floats, start: Integers
 ) -> tuple[float, float]:
-    """The share that readings have of what is left of a signal, and p of it.
+    """Return the share that readings have of what is left of a signal, and p of it.
 
     Of an input beside its reference it is near 1 where a controller without noise makes it, near 0
     without a loop, and 0 where nothing is left: the reference alone makes the input.
@@ -315,12 +329,12 @@ def answered(
 
 
 def _lagged(columns: Floats, lags: range = range(1, HEARD + 1)) -> Floats:
-    """The last values of each column (N x lags K)."""
+    """Return the last values of each column (N x lags K)."""
     return np.hstack([np.roll(columns, lag, axis=0) for lag in lags])
 
 
 def correlation(value: Floats, use: Flags, lags: int) -> Floats:
-    """Autocorrelation at lags 1 to `lags` over pairs that are both known (lags)."""
+    """Return autocorrelation at lags 1 to `lags` over pairs that are both known (lags)."""
     if not use.any():
         return np.zeros(lags)
     own, *others = products(value, use, lags + 1)
@@ -351,12 +365,12 @@ class ResidualMap(NamedTuple):
 
     @property
     def strange(self) -> bool:
-        """Whether a map of z^ explains what a dead zone leaves."""
+        """Return whether a map of z^ explains what a dead zone leaves."""
         return self.share > SHARE and self.chance < CHANCE
 
     @property
     def remembers(self) -> bool:
-        """Whether the residual depends on the direction of z^."""
+        """Return whether the residual depends on the direction of z^."""
         return self.moving_share > SHARE and self.moving_chance < CHANCE
 
 
@@ -397,7 +411,7 @@ class NoZone(NamedTuple):
 
 
 def judge_no_zone(fit: zone_fit.Fit) -> NoZone:
-    """Whether the readings need a zone at all.
+    """Return whether the readings need a zone at all.
 
     Args:
         fit: plant and zone.

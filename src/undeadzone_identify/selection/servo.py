@@ -47,7 +47,8 @@ MOVED = 1e-4  # of a number, for derivatives of the sampled plant
 
 
 def observations_of(grid: Grid, options: Options) -> Observations | None:
-    """A log as a servo's predictor hears it; None where it is not one input's, or a sensor's.
+    """Return a log as a servo's predictor hears it; None where it is not one input's, or a
+    sensor's.
 
     Args:
         grid: the records.
@@ -69,7 +70,7 @@ def servo_of_ticks(grid: Grid, options: Options) -> ServoGap | None:
 
 
 def _falls_silent(grid: Grid) -> bool:
-    """Whether readings stay at 0 for far longer than at any other value: a sensor's zone.
+    """Return whether readings stay at 0 for far longer than at any other value: a sensor's zone.
 
     Those count that pass, as a loop may rest at 0; where few pass, all.
     """
@@ -88,7 +89,9 @@ def _falls_silent(grid: Grid) -> bool:
 
 
 def with_servo_options(options: Options, found: ServoGap) -> Options:
-    """Options of the fit beside a servo, whose plant is known: of first order, its delay alone."""
+    """Return options of the fit beside a servo, whose plant is known: of first order, its delay
+    alone.
+    """
     late = str(late_of(options, found))
     return msgspec.structs.replace(options, order="1", integrators=0, delay=late)
 
@@ -100,7 +103,7 @@ def late_of(options: Options, found: ServoGap | None = None) -> int:
 
 
 def order_of(servo: Servo) -> int:
-    """Poles of a servo."""
+    """Return poles of a servo."""
     return (1 if servo.structure.lag else 2) + ("pole" in servo.structure.parts)
 
 
@@ -108,7 +111,9 @@ def order_of(servo: Servo) -> int:
 
 
 def may_be_servo(case: Case, found: Found) -> bool:
-    """Whether a servo behind a play is asked for: of integrators, or where something is left."""
+    """Return whether a servo behind a play is asked for: of integrators, or where something is
+    left.
+    """
     if found.element is not None or case.jumps is not None or case.unreached:
         return False
     word = found.verdict.word
@@ -126,7 +131,7 @@ def may_be_servo(case: Case, found: Found) -> bool:
 
 
 def _is_likely(servo: ServoGap | None, word: str) -> bool:
-    """Whether a play that is not given is likely where a word denies or names none."""
+    """Return whether a play that is not given is likely where a word denies or names none."""
     if servo is None or servo.odds <= LIKELY:
         return False
     if word in STATIC:
@@ -135,7 +140,7 @@ def _is_likely(servo: ServoGap | None, word: str) -> bool:
 
 
 def _share(case: Case, found: Found) -> float:
-    """Share of the readings that the model of the verdict explains."""
+    """Return share of the readings that the model of the verdict explains."""
     y = case.data.y[case.data.ok]
     return 1 - best_of(found.verdict.word, found.models).rms / max(float(y.std()), 1e-300)
 
@@ -178,7 +183,9 @@ def _likelier(case: Case, servo: ServoGap, found: Found) -> Found:
 
 
 def _family(case: Case, servo: ServoGap) -> Family:
-    """A servo beside a plant without a zone, by the readings that its rivals were compared on."""
+    """Return a servo beside a plant without a zone, by the readings that its rivals were compared
+    on.
+    """
     log, none = servo.log, case.rivals["none"]
     own = np.full(case.data.y.size, np.nan)
     errors = slopes_of(log, servo.servo)
@@ -245,7 +252,7 @@ def _cautions(servo: ServoGap) -> list[str]:
 
 
 def element_of(case: Case, servo: ServoGap) -> Element:
-    """The element of a servo's play, with its plant without friction.
+    """Return the element of a servo's play, with its plant without friction.
 
     Args:
         case: the log.
@@ -293,7 +300,9 @@ def element_of(case: Case, servo: ServoGap) -> Element:
 
 
 def _widths(case: Case, servo: ServoGap, centre: Interval | None) -> dict[str, Interval | None]:
-    """The play's widths [y]; what an offset of the output leaves of its sides and its centre."""
+    """Return the play's widths [y]; what an offset of the output leaves of its sides and its
+    centre.
+    """
     width, even = servo.gap, servo.gap.scaled(0.5)
     if centre is None:
         return {"right": even, "left": even, "width": width, "centre": None}
@@ -306,7 +315,7 @@ def _widths(case: Case, servo: ServoGap, centre: Interval | None) -> dict[str, I
 
 
 def sampled_plant(servo: ServoGap, theta: Floats, scale: float) -> Floats:
-    """a without its integrators and b of a servo's sampled plant, without friction.
+    """Return a without its integrators and b of a servo's sampled plant, without friction.
 
     Args:
         servo: whose structure and step count.
@@ -330,7 +339,7 @@ def sampled_plant(servo: ServoGap, theta: Floats, scale: float) -> Floats:
 
 
 def _covariance(servo: ServoGap, scale: float, count: int) -> Floats:
-    """The covariance of a and b, from that of the servo's numbers."""
+    """Return the covariance of a and b, from that of the servo's numbers."""
     free = servo.servo.structure.free(servo.log.ticks, False)
     theta = servo.servo.theta
     rows = np.zeros((count, free.size))

@@ -52,7 +52,7 @@ def find_widths(
     quantum: float,
     offset: float | None,
 ) -> Widths:
-    """The widths and their intervals.
+    """Return the widths and their intervals.
 
     Args:
         chosen: the order that was chosen.
@@ -101,7 +101,8 @@ def find_widths(
 
 
 def with_offset(half: float, row: tuple[float, float], offset: float | None) -> float:
-    """Half an interval of right, left, width or centre, with what an offset of the output adds.
+    """Return half an interval of right, left, width or centre, with what an offset of the output
+    adds.
 
     Args:
         half: without it.
@@ -130,7 +131,7 @@ class _Stage(NamedTuple):
 
 
 def _stages(chosen: OrderFit, kalman: KalmanFit | None) -> dict[str, _Stage]:
-    """The stages that were run, by name."""
+    """Return the stages that were run, by name."""
     stages = {"L1": _told(chosen.singles)}
     drifts = chosen.pairs.objective.limits.tied and kalman is not None
     if chosen.pairs is not chosen.singles and not drifts:  # what drifts has no correlation
@@ -150,7 +151,7 @@ def _told(fit: Fit | KalmanFit) -> _Stage:
 
 
 def _hidden(name: str, others: list[OrderFit], chosen: OrderFit) -> float:
-    """The spread of a width over credible orders, which no score can show."""
+    """Return the spread of a width over credible orders, which no score can show."""
     gaps = [_difference(DIRECTIONS[name], other, chosen) for other in others]
     return float(np.sqrt(np.mean(np.square(gaps)))) if gaps else 0.0
 
@@ -162,7 +163,7 @@ def _difference(row: tuple[float, float], other: OrderFit, chosen: OrderFit) -> 
 
 
 def lower_bound(fit: Fit, side: str) -> float:
-    """The least width that an edge which no reading passes may have, scaled.
+    """Return the least width that an edge which no reading passes may have, scaled.
 
     Args:
         fit: with that edge far away.
@@ -194,7 +195,7 @@ def lower_bound(fit: Fit, side: str) -> float:
 
 
 def profile(fit: Fit, side: str, values: Floats, steps: int = 10) -> Floats:
-    """The log likelihood with one width held at each of several values (K), others refitted.
+    """Return the log likelihood with one width held at each of several values (K), others refitted.
 
     Args:
         fit: the fit whose likelihood is profiled.
@@ -226,7 +227,7 @@ def profile(fit: Fit, side: str, values: Floats, steps: int = 10) -> Floats:
 
 
 def widened(fit: Fit, side: str, edge: Interval, scale: float) -> Interval:
-    """The usual interval, and that of the profile where it reaches further.
+    """Return the usual interval, and that of the profile where it reaches further.
 
     2 (L - L(d)) V_naive / V <= F(1, K), with V the robust variance of the edge and V_naive that of
     independent samples.

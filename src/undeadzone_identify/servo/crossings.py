@@ -55,19 +55,19 @@ class Crossings(NamedTuple):
 
     @property
     def median(self) -> float:
-        """Their median [y]; nan where there is none."""
+        """Return their median [y]; nan where there is none."""
         return float(np.median(self.gap)) if self.gap.size else math.nan
 
     @property
     def scatter(self) -> float:
-        """Their standard deviation by the median deviation [y]."""
+        """Return their standard deviation by the median deviation [y]."""
         if not self.gap.size:
             return math.nan
         return float(NORMAL * np.median(np.abs(self.gap - self.median)))
 
     @property
     def error(self) -> float:
-        """Standard error of their median [y]."""
+        """Return standard error of their median [y]."""
         return OF_MEDIAN * self.scatter / math.sqrt(max(self.gap.size, 1))
 
     def trends(self) -> list[str]:
@@ -101,12 +101,12 @@ class Crossings(NamedTuple):
 
 
 def _standard(column: Floats) -> Floats:
-    """A column of mean 0 and variance 1, or of zeros."""
+    """Return a column of mean 0 and variance 1, or of zeros."""
     return np.asarray((column - column.mean()) / (column.std() + 1e-300))
 
 
 def crossings_of(log: Observations, one: Servo, free: bool = False) -> Crossings:
-    """The crossings of a log, in its units.
+    """Return the crossings of a log, in its units.
 
     Args:
         log: as the predictor hears it; of noisy readings those of a Schmitt trigger are taken.

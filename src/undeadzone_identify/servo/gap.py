@@ -52,7 +52,7 @@ STEPS = 8  # of a climb from the fit
 
 @cache
 def _kernel() -> lanes.Kernel:
-    """A servo and its play, with a torque of each lane's own."""
+    """Return a servo and its play, with a torque of each lane's own."""
     state = ca.SX.sym("s", MEAN + 1)
     signals = ca.SX.sym("w", LATEST + 1 + 3)
     numbers = ca.SX.sym("p", len(NUMBERS) + LATEST + 1)
@@ -70,7 +70,7 @@ def _kernel() -> lanes.Kernel:
 
 
 def simulated(log: Observations, one: Servo, runs: int = RUNS) -> list[Observations]:
-    """Logs of a servo with the log's input.
+    """Return logs of a servo with the log's input.
 
     Args:
         log: as the predictor hears it.
@@ -96,7 +96,7 @@ def simulated(log: Observations, one: Servo, runs: int = RUNS) -> list[Observati
 def _recorded(
     log: Observations, theta: Floats, level: Floats, draw: np.random.Generator
 ) -> Observations:
-    """Levels as the log's encoder reads them, or with its noise."""
+    """Return levels as the log's encoder reads them, or with its noise."""
     if not log.ticks:
         return log._replace(y=level + math.exp(theta[At.NOISE]) * draw.standard_normal(level.size))
     y = log.quantum * np.round(level / log.quantum) if log.quantum else level
@@ -105,7 +105,7 @@ def _recorded(
 
 
 def refitted(logs: Sequence[Observations], one: Servo) -> Floats:
-    """The gaps that climbs from a servo find in logs (runs)."""
+    """Return the gaps that climbs from a servo find in logs (runs)."""
     tops = (Likelihood(log).climbed([one], STEPS)[0] for log in logs)
     return np.array([top.theta[At.GAP] for top in tops])
 
@@ -167,17 +167,21 @@ class ServoGap(NamedTuple):
 
     @property
     def is_given(self) -> bool:
-        """Whether there is a gap, above 0 for certain."""
+        """Return whether there is a gap, above 0 for certain."""
         return not self.reasons
 
     @property
     def turns_too_seldom(self) -> bool:
-        """Whether that the readings turn too seldom is all that keeps a gap from being given."""
+        """Return whether that the readings turn too seldom is all that keeps a gap from being
+        given.
+        """
         return self.reversals < REVERSALS and len(self.reasons) == 1
 
     @property
     def integrates(self) -> bool:
-        """Whether nothing pulls z back to where it was, or nothing that this log could show."""
+        """Return whether nothing pulls z back to where it was, or nothing that this log could
+        show.
+        """
         one = self.servo
         if not one.structure.lag:
             return "spring" not in one.structure.parts
@@ -191,7 +195,8 @@ class ServoGap(NamedTuple):
 
     @property
     def disturbance(self) -> tuple[float, float]:
-        """rms [u] and correlation time [s] of what acts on the motor beside u and its damping.
+        """Return rms [u] and correlation time [s] of what acts on the motor beside u and its
+        damping.
 
         Friction is a part of it, which changes its sign at each reversal.
         """
@@ -209,11 +214,13 @@ class ServoGap(NamedTuple):
         return rms * log.u_scale, max(time, 0.5 * log.seconds)
 
     def trained(self, among: Flags) -> Servo:
-        """The servo fitted to some samples (N) alone."""
+        """Return the servo fitted to some samples (N) alone."""
         return Likelihood(self.log, among=among).climbed([self.servo], STEPS)[0]
 
     def expected(self, one: Servo) -> tuple[Floats, Floats, Integers]:
-        """z as it is predicted, what is read of it, and the contact then (N each), scaled."""
+        """Return z as it is predicted, what is read of it, and the contact then (N each),
+        scaled.
+        """
         log = self.log
         z = Likelihood(log).run(one.theta[None], one.structure.lag)[0][:, 2]
         half = float(one.theta[At.GAP]) / 2
@@ -224,7 +231,7 @@ class ServoGap(NamedTuple):
         return z, readings, np.sign(readings - before).astype(int)
 
     def errors(self, one: Servo) -> Floats:
-        """Errors that count, in their deviations (n)."""
+        """Return errors that count, in their deviations (n)."""
         slopes = slopes_of(self.log, one)
         return slopes.e * np.exp(-slopes.log_s)
 
@@ -235,7 +242,7 @@ class ServoGap(NamedTuple):
 
 
 def servo_gap(log: Observations | None) -> ServoGap | None:
-    """The gap of a servo's log; None where nothing moves, or no servo fits.
+    """Return the gap of a servo's log; None where nothing moves, or no servo fits.
 
     Args:
         log: as `heard.heard` gives it.
@@ -269,7 +276,8 @@ def servo_gap(log: Observations | None) -> ServoGap | None:
 
 
 def centre_of(found: ServoGap, level: float) -> Interval | None:
-    """Half the centre c_r - c_l of a gap, if z = 0 at u = 0 [y]; None of an integrating plant.
+    """Return half the centre c_r - c_l of a gap, if z = 0 at u = 0 [y]; None of an integrating
+    plant.
 
     Args:
         found: the gap.
@@ -299,12 +307,12 @@ def _rest(one: Servo) -> float:
 
 
 def _without(log: Observations, one: Servo) -> float:
-    """The log likelihood of a servo without a gap."""
+    """Return the log likelihood of a servo without a gap."""
     return Likelihood(log).climbed([one.changed(At.GAP, 0.0)], STEPS, (At.GAP,))[0].value
 
 
 def slopes_of(log: Observations, one: Servo) -> Slopes:
-    """Errors of a servo that count, and their derivatives by its free numbers."""
+    """Return errors of a servo that count, and their derivatives by its free numbers."""
     free = one.structure.free(log.ticks, False)
     return Likelihood(log).slopes(one.theta[None], [free], one.structure.lag)[0]
 
@@ -331,7 +339,7 @@ class _Spread:
 def _corrected(
     log: Observations, one: Servo, spread: _Spread, gaps: Floats, others: list[float]
 ) -> Interval:
-    """The gap less the bias that simulated logs show, with its interval, scaled."""
+    """Return the gap less the bias that simulated logs show, with its interval, scaled."""
     gap = float(one.theta[At.GAP])
     least = log.quantum if log.ticks else noise_of(log)
     reach = 4 * spread.error + 0.2 * least
@@ -347,12 +355,12 @@ def _corrected(
 
 
 def _slow(one: Servo) -> float:
-    """rms of slow torques, in that of the input."""
+    """Return rms of slow torques, in that of the input."""
     return math.exp(one.structure.of(one.theta)[At.SLOW])
 
 
 def _unbiased(crossings: Crossings, logs: list[Observations], one: Servo) -> Crossings:
-    """Crossings less what those of simulated logs are beside the truth."""
+    """Return crossings less what those of simulated logs are beside the truth."""
     medians = [crossings_of(log, one).median for log in logs[:LOOKED]]
     shift = float(np.nanmedian(medians)) - float(one.theta[At.GAP]) * logs[0].y_scale
     return crossings._replace(gap=crossings.gap - shift) if math.isfinite(shift) else crossings

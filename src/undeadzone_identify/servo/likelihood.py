@@ -37,7 +37,7 @@ AT_FIRST = 2.0  # standard deviation of v at first, in speeds that an input of 1
 
 
 def discretised(theta: Floats, step: float, lag: bool) -> tuple[Floats, Floats, Floats]:
-    """Transitions of (z, v, d, i), of u and torque, and the covariance of a sample.
+    """Return transitions of (z, v, d, i), of u and torque, and the covariance of a sample.
 
     Args:
         theta: numbers by `At` (L x P); what is not there is -inf, the pole +inf.
@@ -94,7 +94,7 @@ def discretised(theta: Floats, step: float, lag: bool) -> tuple[Floats, Floats, 
 def lanes_of(
     theta: Floats, step: float, quantum: float, ticks: bool, free: bool, lag: bool
 ) -> Floats:
-    """The numbers of the predictor's lanes (L x numbers).
+    """Return the numbers of the predictor's lanes (L x numbers).
 
     Args:
         theta: by `At` (L x P).
@@ -163,7 +163,7 @@ class Structure(NamedTuple):
     lag: bool = False
 
     def free(self, ticks: bool, free: bool, fixed: Sequence[int] = ()) -> Integers:
-        """The places of its numbers that are fitted."""
+        """Return the places of its numbers that are fitted."""
         places = [*ALWAYS, *(PARTS[name] for name in self.parts)]
         if not free:
             places.append(At.GAP)
@@ -172,7 +172,7 @@ class Structure(NamedTuple):
         return np.array(sorted(set(places) - set(fixed)))
 
     def of(self, theta: Floats) -> Floats:
-        """Numbers of which those that are not there have no effect."""
+        """Return numbers of which those that are not there have no effect."""
         own = theta.copy()
         for name, place in PARTS.items():
             if name not in self.parts:
@@ -188,7 +188,7 @@ class Servo(NamedTuple):
     value: float
 
     def changed(self, place: int, value: float) -> Servo:
-        """A servo with another number."""
+        """Return a servo with another number."""
         theta = self.theta.copy()
         theta[place] = value
         return self._replace(theta=theta)
@@ -229,17 +229,17 @@ class Likelihood:
         return self._run(self.kernel(), theta, lag)[0]
 
     def _run(self, kernel: lanes.Kernel, theta: Floats, lag: bool) -> tuple[Floats, Floats]:
-        """Outputs and final states of a kernel."""
+        """Return outputs and final states of a kernel."""
         log = self.log
         rows = lanes_of(theta, log.step, log.quantum, log.ticks, self.free, lag)
         return run_along(kernel, self.signals, rows)
 
     def values(self, theta: Floats, lag: bool) -> Floats:
-        """The log likelihoods of numbers (L x P)."""
+        """Return the log likelihoods of numbers (L x P)."""
         return self._run(self.kernel("sums"), theta, lag)[1][:, -1]
 
     def slopes(self, points: Floats, free: Sequence[Integers], lag: bool) -> list[Slopes]:
-        """Errors and derivatives at points (M x P) by the free numbers of each."""
+        """Return errors and derivatives at points (M x P) by the free numbers of each."""
         moves = [steps_of(theta)[own] for theta, own in zip(points, free, strict=True)]
         rows = [around(*one) for one in zip(points, free, moves, strict=True)]
         seen, _ = self._run(self.kernel("errors"), np.concatenate(rows), lag)
@@ -276,7 +276,7 @@ class Likelihood:
     def _climbed(
         self, starts: list[Servo], steps: int, fixed: Sequence[int], lag: bool
     ) -> list[Servo]:
-        """`climbed`, of motors alone or of lags alone."""
+        """Return `climbed`, of motors alone or of lags alone."""
         ticks = self.log.ticks
         free = [one.structure.free(ticks, self.free, fixed) for one in starts]
         theta = bounded(np.array([one.structure.of(one.theta) for one in starts]), self.log)
@@ -324,13 +324,15 @@ class Likelihood:
         return trials
 
     def bic(self, one: Servo) -> float:
-        """BIC, with numbers that are dear."""
+        """Return BIC, with numbers that are dear."""
         count = one.structure.free(self.log.ticks, self.free).size
         return -2 * one.value + DEAR * count * math.log(max(self.used.size, 2))
 
 
 def newton(slopes: Slopes) -> tuple[Floats, Floats]:
-    """The scores of the errors (n x free), and a positive Hessian of minus the log likelihood."""
+    """Return the scores of the errors (n x free), and a positive Hessian of minus the log
+    likelihood.
+    """
     inverse = np.exp(-slopes.log_s)
     r = slopes.e * inverse
     weight = (DEGREES + 1) / (DEGREES + r * r)
@@ -364,7 +366,7 @@ def reach_of(theta: Floats) -> Floats:
 
 
 def bounded(theta: Floats, log: Observations) -> Floats:
-    """Numbers within bounds (L x P); what is not there stays so."""
+    """Return numbers within bounds (L x P); what is not there stays so."""
     own = theta.T.copy()
     for place, low, high in (
         (At.DAMPING, math.log(0.02), math.log(min(1.5 / log.step, 2000.0))),

@@ -28,7 +28,8 @@ STILL = 0.5  # share of changes that are 0, from which u is a list of steps
 
 
 def loop_chance(u: Floats, y: Floats) -> float:
-    """p of what changes of y that came just before explain of changes of u, if there is no loop.
+    """Return p of what changes of y that came just before explain of changes of u, if there is no
+    loop.
 
     1 where they explain hardly anything, or nothing can be told.
 
@@ -58,7 +59,7 @@ def loop_chance(u: Floats, y: Floats) -> float:
 
 
 def _usual(columns: Floats, target: Floats) -> Flags:
-    """The rows without outliers (n)."""
+    """Return the rows without outliers (n)."""
     kept = np.ones(target.size, bool)
     for _ in range(3):
         slopes = np.linalg.lstsq(columns[kept], target[kept], rcond=1e-10)[0]
@@ -110,12 +111,12 @@ class Observations(NamedTuple):
 
     @property
     def closed(self) -> bool:
-        """Whether the input answers to the readings."""
+        """Return whether the input answers to the readings."""
         return self.loop < CHANCE
 
     @property
     def turns(self) -> Flags:
-        """Ticks to the other side than the one before in their record (N)."""
+        """Return ticks to the other side than the one before in their record (N)."""
         at = np.flatnonzero(self.side)
         turned = np.zeros(self.side.size, bool)
         record = np.searchsorted(self.start, at, side="right")
@@ -125,7 +126,7 @@ class Observations(NamedTuple):
 
     @property
     def first(self) -> Flags:
-        """The first tick of each record (N)."""
+        """Return the first tick of each record (N)."""
         at = np.flatnonzero(self.side)
         record = np.searchsorted(self.start, at, side="right")
         begun = np.zeros(self.side.size, bool)
@@ -133,7 +134,7 @@ class Observations(NamedTuple):
         return begun
 
     def signals(self, counted: Flags) -> Floats:
-        """Inputs of the kernel (N x inputs), with the samples whose errors count (N)."""
+        """Return inputs of the kernel (N x inputs), with the samples whose errors count (N)."""
         starts = np.zeros(self.u.size)
         starts[self.start] = 1.0
         late = np.column_stack([later(self.u, j, self.start) for j in range(LATEST + 1)])
@@ -143,7 +144,7 @@ class Observations(NamedTuple):
         return np.column_stack([late, *ticks, starts, counted])
 
     def counted(self, free: bool) -> Flags:
-        """The samples whose prediction errors count (N)."""
+        """Return the samples whose prediction errors count (N)."""
         if not self.ticks:
             counted = self.ok.copy()
             counted[self.start] = False
@@ -152,7 +153,7 @@ class Observations(NamedTuple):
         return counted & ~self.turns if free else counted
 
     def part(self, most: int, least: int = 0) -> Observations:
-        """The samples in a row with most reversals; all where there are not more.
+        """Return the samples in a row with most reversals; all where there are not more.
 
         Args:
             most: samples.
@@ -179,7 +180,7 @@ class Observations(NamedTuple):
 def read_observations(
     u: Floats, y: Floats, ok: Flags, start: Integers, step: float
 ) -> Observations | None:
-    """A log as the predictor hears it; None where nothing moves.
+    """Return a log as the predictor hears it; None where nothing moves.
 
     Args:
         u: input (N).
@@ -222,24 +223,26 @@ def read_observations(
 
 
 def filled(y: Floats, ok: Flags) -> Floats:
-    """Readings, the last one held where one is missing (N)."""
+    """Return readings, the last one held where one is missing (N)."""
     last = np.maximum.accumulate(np.where(ok, np.arange(y.size), -1))
     return np.where(last >= 0, y[np.maximum(last, 0)], 0.0)
 
 
 def sides(y: Floats, ok: Flags, start: Integers) -> Integers:
-    """The side of each change from a reading just before (N)."""
+    """Return the side of each change from a reading just before (N)."""
     change, known = changes(y, ok, start)
     return np.where(known, np.sign(change), 0.0).astype(int)
 
 
 def noise_of(log: Observations) -> float:
-    """rms of the white noise of readings, scaled."""
+    """Return rms of the white noise of readings, scaled."""
     return max(white_noise(log.y + 10.0, log.ok, log.start), 1e-5)
 
 
 def triggered(log: Observations) -> Observations:
-    """Noisy readings as ticks of a Schmitt trigger, whose gap is wider by 2 REACH of the noise."""
+    """Return noisy readings as ticks of a Schmitt trigger, whose gap is wider by 2 REACH of the
+    noise.
+    """
     reach = REACH * noise_of(log)
     level, held = float(log.y[0]), np.empty(log.y.size)
     for k, reading in enumerate(log.y.tolist()):

@@ -63,7 +63,7 @@ class Lane:
         self.taps = numbers[len(NUMBERS) :]
 
     def __getattr__(self, name: str) -> Any:
-        """A number."""
+        """Return a number."""
         return self._named[name]
 
 
@@ -82,7 +82,7 @@ class _Motion(NamedTuple):
 
 
 def moved(lane: Lane, x: list[Any], u: Any, torque: Any, contact: Any) -> _Motion:
-    """The mean a sample later.
+    """Return the mean a sample later.
 
     Args:
         lane: its numbers.
@@ -115,7 +115,7 @@ def moved(lane: Lane, x: list[Any], u: Any, torque: Any, contact: Any) -> _Motio
 
 
 def contact_of(lane: Lane, z: Any, v: Any, level: Any) -> Any:
-    """Share of a sample in which the gear pushes the load, with the sign of its way.
+    """Return share of a sample in which the gear pushes the load, with the sign of its way.
 
     Args:
         lane: its numbers.
@@ -131,12 +131,12 @@ def contact_of(lane: Lane, z: Any, v: Any, level: Any) -> Any:
 
 
 def pulled(lane: Lane, level: Any, z: Any) -> Any:
-    """The level of the load that the motor takes along."""
+    """Return the level of the load that the motor takes along."""
     return apply_backlash(ca, z, level, lane.gap / 2, lane.gap / 2)
 
 
 def _spread(lane: Lane, P: Any, motion: _Motion) -> Any:
-    """The covariance of z, v, d a sample later, and the matrix that carried it."""
+    """Return the covariance of z, v, d a sample later, and the matrix that carried it."""
     rests = motion.rests
     deviation = ca.sqrt(ca.fmax(P[1, 1], 0.0))
     kept = ca.fmax(1 - motion.brake / ca.fmax(deviation, 1e-300), 0.0)
@@ -159,7 +159,7 @@ def _spread(lane: Lane, P: Any, motion: _Motion) -> Any:
 
 
 def _symmetric(entries: list[Any]) -> Any:
-    """A covariance of z, v, d from its upper part."""
+    """Return a covariance of z, v, d from its upper part."""
     P = ca.SX(3, 3)
     for (row, column), entry in zip(TRIANGLE, entries, strict=True):
         P[row, column] = entry
@@ -168,12 +168,12 @@ def _symmetric(entries: list[Any]) -> Any:
 
 
 def _upper(P: Any) -> list[Any]:
-    """The upper part of a covariance of z, v, d."""
+    """Return the upper part of a covariance of z, v, d."""
     return [P[row, column] for row, column in TRIANGLE]
 
 
 def _first(lane: Lane, variance: Any) -> Any:
-    """The covariance of z, v, d at the start of a record."""
+    """Return the covariance of z, v, d at the start of a record."""
     return ca.diag(ca.vertcat(variance, lane.first_v, lane.first_d))
 
 
@@ -186,7 +186,7 @@ class _Out(NamedTuple):
 
 
 def density(error: Any, log_s: Any) -> Any:
-    """Student's log density of an error on CasADi expressions, less a constant.
+    """Return Student's log density of an error on CasADi expressions, less a constant.
 
     Args:
         error: of a prediction.
@@ -198,7 +198,7 @@ def density(error: Any, log_s: Any) -> Any:
 
 
 def _compiled(name: str, state: Any, signals: Any, numbers: Any, out: _Out, what: str) -> Any:
-    """A kernel that tells all, errors, or the sum of their log densities alone."""
+    """Return a kernel that tells all, errors, or the sum of their log densities alone."""
     if what != "sums":
         seen = out.seen if what == "all" else out.seen[:2]
         step = ca.Function(name, [state, signals, numbers], [out.following, seen])
@@ -212,7 +212,7 @@ def _compiled(name: str, state: Any, signals: Any, numbers: Any, out: _Out, what
 
 @cache
 def ticks(what: str = "all") -> lanes.Kernel:
-    """The predictor of ticks.
+    """Return the predictor of ticks.
 
     Args:
         what: it tells: all of `SEEN`, errors (the first two), or sums: log densities are added
@@ -267,7 +267,7 @@ def ticks(what: str = "all") -> lanes.Kernel:
 
 @cache
 def noise(what: str = "all") -> lanes.Kernel:
-    """The predictor of noisy readings.
+    """Return the predictor of noisy readings.
 
     Args:
         what: it tells: all of `SEEN`, errors (the first two), or sums: log densities are added

@@ -45,7 +45,7 @@ REACHED = 30.0  # of BIC, within which a structure may be the true one
 
 
 def searched(log: Observations) -> list[Servo]:
-    """The likeliest structures within `REACHED` of BIC, best first; of all samples.
+    """Return the likeliest structures within `REACHED` of BIC, best first; of all samples.
 
     Args:
         log: as the predictor hears it.
@@ -69,7 +69,7 @@ def searched(log: Observations) -> list[Servo]:
 
 
 def without_gap(log: Observations) -> list[Servo]:
-    """The best servos of a few structures that know of no gap, best first."""
+    """Return the best servos of a few structures that know of no gap, best first."""
     likelihood = Likelihood(log, free=True)
     if likelihood.used.size < 3 * len(At):
         return []
@@ -85,7 +85,7 @@ def without_gap(log: Observations) -> list[Servo]:
 
 
 def _best(tops: Sequence[Servo], family: Structure, count: int) -> list[Servo]:
-    """The best servos of a structure."""
+    """Return the best servos of a structure."""
     own = [one for one in tops if one.structure == family and math.isfinite(one.value)]
     return sorted(own, key=lambda one: -one.value)[:count]
 
@@ -112,7 +112,7 @@ def _begun(
     friction: float,
     late: float,
 ) -> Servo:
-    """A start with the gain that suits it."""
+    """Return a start with the gain that suits it."""
     theta = np.zeros(len(At))
     theta[At.DAMPING], theta[At.GAIN], theta[At.POLE] = math.log(rate), 1.0, math.inf
     theta[At.SPRING] = math.log(spring) if spring else -math.inf
@@ -128,7 +128,7 @@ def _begun(
 
 
 def _linear(log: Observations, theta: Floats, lag: bool) -> Floats:
-    """z of a servo without friction (N)."""
+    """Return z of a servo without friction (N)."""
     A, B, _ = discretised(theta[None], log.step, lag)
     F, b = A[0, :2, :2], B[0, :2, 0]
     late = later(log.u, 1 + round(theta[At.DELAY]), log.start)
@@ -141,7 +141,7 @@ def _linear(log: Observations, theta: Floats, lag: bool) -> Floats:
 
 
 def _gapped(log: Observations, ticked: Observations, one: Servo) -> Servo:
-    """A servo with the median of the gaps of its reversals."""
+    """Return a servo with the median of the gaps of its reversals."""
     gap = crossings_of(ticked, one, free=True).median / ticked.y_scale
     if log.ticks:
         return one.changed(At.GAP, max(gap, MEMORY * log.quantum, 1e-4))
@@ -150,7 +150,7 @@ def _gapped(log: Observations, ticked: Observations, one: Servo) -> Servo:
 
 
 def with_gap(log: Observations, begun: Sequence[Servo]) -> list[Servo]:
-    """The likeliest structures with a gap, within `REACHED` of BIC, best first.
+    """Return the likeliest structures with a gap, within `REACHED` of BIC, best first.
 
     Args:
         log: as the predictor hears it, or a part.
@@ -179,7 +179,7 @@ def with_gap(log: Observations, begun: Sequence[Servo]) -> list[Servo]:
 def _kept(
     fits: dict[Structure, Servo], likelihood: Likelihood, more: Sequence[Servo]
 ) -> dict[Structure, Servo]:
-    """The best servo of each structure."""
+    """Return the best servo of each structure."""
     kept = dict(fits)
     for one in more:
         own = kept.get(one.structure)
@@ -189,7 +189,7 @@ def _kept(
 
 
 def neighbours(one: Servo, step: float) -> list[Servo]:
-    """Servos with a part more, or less, where climbs begin."""
+    """Return servos with a part more, or less, where climbs begin."""
     found = []
     for name, place in PARTS.items():
         if one.structure.lag and name in ("friction", "load", "spring"):
@@ -213,7 +213,9 @@ def neighbours(one: Servo, step: float) -> list[Servo]:
 
 
 def _exchanged(theta: Floats, step: float) -> Floats:
-    """The numbers of a motor without a pole, whose damping is that pole; the other is a delay."""
+    """Return the numbers of a motor without a pole, whose damping is that pole; the other is a
+    delay.
+    """
     own = theta.copy()
     own[At.DAMPING] = np.logaddexp(theta[At.POLE], theta[At.SPRING] - theta[At.DAMPING])
     slower = theta[At.POLE] - theta[At.DAMPING]

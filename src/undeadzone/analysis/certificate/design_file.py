@@ -105,7 +105,7 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     @property
     def model(self) -> Matrices:
-        """A, B, C as arrays."""
+        """Return a, B, C as arrays."""
         n = len(self.A)
         return Matrices(
             matrix("A", self.A, n, n), matrix("B", self.B, n), matrix("C", self.C, None, n)
@@ -113,12 +113,12 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     @property
     def L(self) -> Floats:
-        """Observer gains (n x p) [1/s]."""
+        """Return observer gains (n x p) [1/s]."""
         return matrix("best.L", self.best.L, len(self.A), len(self.C))
 
     @property
     def gamma(self) -> Floats:
-        """Adaptation gains (p) [1/s]."""
+        """Return adaptation gains (p) [1/s]."""
         return vector("best.gamma", self.best.gamma, len(self.C))
 
     def require_proof(self, model: Matrices, Ts: float | None, what: str) -> None:
@@ -148,7 +148,7 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             )
 
     def blocks(self) -> list[shown.Block]:
-        """The gains, their proof and their trade, as a table."""
+        """Return the gains, their proof and their trade, as a table."""
         return [in_words(msgspec.to_builtins(self))]
 
     __repr__ = shown.in_text
@@ -202,7 +202,7 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 def _recomputed(design: Design, path: str) -> Design:
-    """A design as read, with everything recomputed that its file allows, and the rest named.
+    """Return a design as read, with everything recomputed that its file allows, and the rest named.
 
     Raises:
         InputError: for a sample time that is none.
@@ -269,7 +269,7 @@ class Knowledge(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
 
 def in_words(design: Mapping[str, Any]) -> dict[str, Any]:
-    """The gains of a design, their proof and their trade.
+    """Return the gains of a design, their proof and their trade.
 
     Args:
         design: the fields of a `Design`, as its file has them.
@@ -292,7 +292,7 @@ def in_words(design: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def in_words_of_margin(margin: float, frequency: float | None) -> str:
-    """The margin of a proof, and where it is attained [rad/s]."""
+    """Return the margin of a proof, and where it is attained [rad/s]."""
     where = "for large frequencies"
     if frequency is not None and math.isfinite(frequency):
         where = f"at {frequency:.4g} rad/s"
@@ -300,7 +300,7 @@ def in_words_of_margin(margin: float, frequency: float | None) -> str:
 
 
 def plain(gains: list[Any]) -> str:
-    """Gains as one would write them in a scenario, to six digits.
+    """Return gains as one would write them in a scenario, to six digits.
 
     One column is written as a plain list, one number as itself.
     """

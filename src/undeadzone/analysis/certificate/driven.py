@@ -59,7 +59,7 @@ class Channel(NamedTuple):
 def channels(
     errors: Dynamics, scaling: Scaling, E: Floats | None, noise: Floats | None
 ) -> list[Channel]:
-    """Disturbance and noise, as far as there are any, in scaled quantities.
+    """Return disturbance and noise, as far as there are any, in scaled quantities.
 
     Args:
         errors: the error dynamics, not scaled.
@@ -80,7 +80,7 @@ def channels(
 
 
 def output_rows(errors: Dynamics, scaling: Scaling, output: Floats | None) -> Floats:
-    """The rows of z = output x~ (C by default) for scaled states."""
+    """Return the rows of z = output x~ (C by default) for scaled states."""
     n = errors.L.shape[0]
     z = errors.C if output is None else matrix("output", output, None, n, "one column per state")
     return z * scaling.state
@@ -94,7 +94,7 @@ def driven(
     z: Floats,
     decay: float = 0.0,
 ) -> Inequality:
-    """V' + 2 decay x~'P x~ + |z x~|^2 - sum of mu |w|^2 over the channels < 0 in (x~, e, w).
+    """Return V' + 2 decay x~'P x~ + |z x~|^2 - sum of mu |w|^2 over the channels < 0 in (x~, e, w).
 
     Args:
         errors: the error dynamics.
@@ -114,7 +114,9 @@ def driven(
 
 
 def original_storage(errors: Dynamics, scaling: Scaling, solution: Solution) -> Storage:
-    """V in original quantities from a solution in scaled ones, q = [weight per group, ...]."""
+    """Return V in original quantities from a solution in scaled ones, q = [weight per group,
+    ...].
+    """
     weights = errors.groups @ solution.q[: errors.groups.shape[1]]
     return Storage(scaling.storage(solution.P), scaling.weights(weights), errors.gamma)
 
@@ -133,7 +135,9 @@ class _Search(NamedTuple):
     confine: Extra
 
     def least(self, unit: Floats, passes: int) -> Solution | None:
-        """P, q of least cost'q as the solver sees it, the multipliers in units that suit them."""
+        """Return P, q of least cost'q as the solver sees it, the multipliers in units that suit
+        them.
+        """
 
         def bounds(P: Floats, q: Floats) -> list[Floats]:
             return [q - FLOOR, CEILING - q, *self.confine(P, q * unit)]
@@ -144,7 +148,8 @@ class _Search(NamedTuple):
         return None if best is None else Solution(best.P, best.q * unit)
 
     def inside(self, best: Solution, excess: float) -> Solution | None:
-        """P, q that check and cost little more than the best; None if that is not inside enough.
+        """Return P, q that check and cost little more than the best; None if that is not inside
+        enough.
 
         excess: what the deepest point may cost more, relatively.
         """
@@ -166,7 +171,7 @@ class _Search(NamedTuple):
         return None
 
     def cheaper(self, best: Solution, solution: Solution, low: float, high: float) -> Solution:
-        """A solution that checks and costs next to no more than need be, by bisection.
+        """Return a solution that checks and costs next to no more than need be, by bisection.
 
         Where the inequality is hardly feasible the solver's least cost lies below the true one.
 
@@ -186,7 +191,8 @@ class _Search(NamedTuple):
 
 
 def prove(family: Family, cost: Floats, confine: Extra = no_more) -> Solution | None:
-    """P, q >= 0 of least cost'q, drawn so little towards the deep inside that the LMI checks.
+    """Return P, q >= 0 of least cost'q, drawn so little towards the deep inside that the LMI
+    checks.
 
     Args:
         family: q -> the inequality, affine in q.
@@ -316,7 +322,7 @@ class _Level(NamedTuple):
 def _level(
     scaled: Dynamics, signals: list[Channel], z: Floats, of_widths: Floats, rate: float
 ) -> _Level:
-    """The least level of V that is approached at this rate.
+    """Return the least level of V that is approached at this rate.
 
     of_widths: what the widths add to the level, per unit weight of each group.
     """
@@ -339,13 +345,14 @@ def _level(
 
 
 def _fastest(errors: Dynamics) -> float:
-    """The rate [1/s] that no V with these vertices can exceed."""
+    """Return the rate [1/s] that no V with these vertices can exceed."""
     fastest = min(-growth(A, errors.Ts) for A in errors.A)
     return fastest if errors.Ts is None else min(fastest, 0.5 / errors.Ts)
 
 
 def leaking(errors: Dynamics, sigma: float) -> Dynamics:
-    """Error dynamics as the LMI sees leakage: sampled, Gamma grows to Gamma / (1 - Ts sigma Gamma).
+    """Return error dynamics as the LMI sees leakage: sampled, Gamma grows to Gamma / (1 - Ts sigma
+    Gamma).
 
     Raises:
         InputError: if Gamma is not diagonal and positive, or Ts sigma gamma not below 1.
@@ -362,7 +369,7 @@ def leaking(errors: Dynamics, sigma: float) -> Dynamics:
 
 
 def _best(cost: Callable[[float], float], limit: float) -> float:
-    """The rate in (0, limit] of least cost: the best of a geometric grid, refined."""
+    """Return the rate in (0, limit] of least cost: the best of a geometric grid, refined."""
     from scipy.optimize import minimize_scalar
 
     grid = limit * np.geomspace(0.02, 0.98, 8)

@@ -39,7 +39,7 @@ class Nearest(NamedTuple):
 def nearest(
     linear: Matrices, L: Floats, gamma: Floats, Ts: float | None = None, least: float = 0.01
 ) -> Nearest:
-    """The gains nearest to L whose margin is `least` or more; L itself if it has that.
+    """Return the gains nearest to L whose margin is `least` or more; L itself if it has that.
 
     With the weights W that suit L best, the admissible gains are an intersection of half-spaces,
     one per frequency and direction, so that the nearest is unique; it is found by adding the exact
@@ -80,7 +80,7 @@ def nearest(
 
 
 def decay_limit(linear: Matrices, Ts: float | None = None, tolerance: float = 1e-4) -> float:
-    """The largest rate [1/s] at which one x~'P x~ can fall while an output is active.
+    """Return the largest rate [1/s] at which one x~'P x~ can fall while an output is active.
 
     The largest over every certified L (and P, W): bisection on the LMI M(P, Y, W) <= 0,
     (A - LC)'P + P(A - LC) <= -2 rate P with Y = PL (sampled: e^(-2 rate Ts) P). It is a limit of
@@ -114,7 +114,9 @@ def decay_limit(linear: Matrices, Ts: float | None = None, tolerance: float = 1e
 
 
 def _project(errors: Dynamics, W: Floats, least: float) -> Floats:
-    """L nearest to that of `errors` of margin `least` under W: least-distance cutting planes."""
+    """Return L nearest to that of `errors` of margin `least` under W: least-distance cutting
+    planes.
+    """
     root = np.sqrt(W)
     inward = np.linalg.inv(_metric(errors, W)).T
     # In units where W = 1.
@@ -143,7 +145,7 @@ def _project(errors: Dynamics, W: Floats, least: float) -> Floats:
 def _half_spaces(
     errors: Dynamics, L: Floats, D: Floats, least: float, frequencies: Floats
 ) -> list[tuple[Floats, float]]:
-    """(slope, level) of the half-spaces that L violates at these frequencies [rad/s].
+    """Return (slope, level) of the half-spaces that L violates at these frequencies [rad/s].
 
     The sum of slope times move is `level` or more for admissible gains errors.L + move.
     """
@@ -161,7 +163,7 @@ def _half_spaces(
 
 
 def _metric(errors: Dynamics, W: Floats) -> Floats:
-    """M (n x n) such that |M'L|_F is the energy norm of C (s - A)^-1 L weighted by W.
+    """Return M (n x n) such that |M'L|_F is the energy norm of C (s - A)^-1 L weighted by W.
 
     M M' is the observability Gramian. Directions that are hardly observable are given a least
     weight, so that M can be inverted.
@@ -174,7 +176,9 @@ def _metric(errors: Dynamics, W: Floats) -> Floats:
 
 
 def _resolvent(A: Floats, w: float, Ts: float | None) -> np.ndarray:
-    """(s - A)^-1 at s = jw, sampled at (z - 1)/Ts of Tustin's frequency w; its limit at w = inf."""
+    """Return (s - A)^-1 at s = jw, sampled at (z - 1)/Ts of Tustin's frequency w; its limit at w =
+    inf.
+    """
     if Ts is None and np.isinf(w):
         return np.zeros(A.shape, complex)
     if Ts is None:
@@ -187,7 +191,9 @@ def _resolvent(A: Floats, w: float, Ts: float | None) -> np.ndarray:
 
 
 def _least_distance(G: Floats, h: Floats) -> tuple[Floats, np.ndarray]:
-    """(the shortest x with G x >= h, which rows hold it): Lawson and Hanson 1974, chapter 23."""
+    """Return (the shortest x with G x >= h, which rows hold it): Lawson and Hanson 1974, chapter
+    23.
+    """
     from scipy.optimize import nnls
 
     size = np.linalg.norm(G, axis=1)
@@ -201,7 +207,9 @@ def _least_distance(G: Floats, h: Floats) -> tuple[Floats, np.ndarray]:
 
 
 def _decays(errors: Dynamics, rate: float) -> bool:
-    """Whether some P, Y = PL, W satisfy both inequalities of `decay_limit` at this rate [1/s]."""
+    """Return whether some P, Y = PL, W satisfy both inequalities of `decay_limit` at this rate
+    [1/s].
+    """
     n, p = errors.L.shape
     entries = n * (n + 1) // 2
     ends = [entries, entries + n * p]
@@ -228,7 +236,9 @@ def _decays(errors: Dynamics, rate: float) -> bool:
 def _decay_inequalities(
     errors: Dynamics, rate: float, P: Floats, Y: Floats, W: Floats
 ) -> tuple[Floats, Floats]:
-    """(M of the certificate, N of the decay while active) of `decay_limit`; both must be <= 0."""
+    """Return (M of the certificate, N of the decay while active) of `decay_limit`; both must be <=
+    0.
+    """
     (A,), C, _, _, Ts = errors
     PA = P @ A
     cross = C.T * W - Y

@@ -56,12 +56,12 @@ class Certificate(NamedTuple):
 
     @property
     def P(self) -> Floats:
-        """P (n x n) of V."""
+        """Return P (n x n) of V."""
         return self.V.P
 
     @property
     def W(self) -> Floats:
-        """The weights (p) of V."""
+        """Return the weights (p) of V."""
         return self.V.W
 
     def recheck(self) -> Check:
@@ -70,7 +70,7 @@ class Certificate(NamedTuple):
 
 
 def certify(linear: Matrices, L: Floats, gamma: Floats, Ts: float | None = None) -> Certificate:
-    """Whether gains are certified: one V falls whatever the sensor shows.
+    """Return whether gains are certified: one V falls whatever the sensor shows.
 
     Args:
         linear: the model's A, B, C (n states, p outputs), of one step if sampled.
@@ -89,7 +89,7 @@ def certify(linear: Matrices, L: Floats, gamma: Floats, Ts: float | None = None)
 
 
 def certify_dynamics(errors: Dynamics, W: Floats | None = None) -> Certificate:
-    """`certify` for error dynamics: one P for all vertices of A and what lies between.
+    """Return `certify` for error dynamics: one P for all vertices of A and what lies between.
 
     Args:
         errors: the error dynamics.
@@ -116,7 +116,7 @@ def certify_dynamics(errors: Dynamics, W: Floats | None = None) -> Certificate:
 
 
 def recheck(errors: Dynamics, P: Floats, W: Floats) -> Check:
-    """Whether P and W prove the dynamics, by eigenvalues alone; for proofs found elsewhere.
+    """Return whether P and W prove the dynamics, by eigenvalues alone; for proofs found elsewhere.
 
     Args:
         errors: the error dynamics.
@@ -132,7 +132,7 @@ def recheck(errors: Dynamics, P: Floats, W: Floats) -> Check:
 
 
 def stated_margin(errors: Dynamics, W: Floats) -> tuple[float, float]:
-    """`margin` of dynamics that are not balanced yet, as `certify_dynamics` says it.
+    """Return `margin` of dynamics that are not balanced yet, as `certify_dynamics` says it.
 
     Args:
         errors: error dynamics with one stable A.
@@ -144,7 +144,7 @@ def stated_margin(errors: Dynamics, W: Floats) -> tuple[float, float]:
 
 
 def passive_gain(linear: Matrices, Ts: float | None) -> Floats:
-    """L = P^-1 C' (n x p) [1/s] with A'P + PA = -2 w I, w the size of A.
+    """Return L = P^-1 C' (n x p) [1/s] with A'P + PA = -2 w I, w the size of A.
 
     It is certified for every stable model. Sampled, in delta form, P is enlarged until L is
     certified with every gamma up to 1 / Ts.
@@ -214,7 +214,7 @@ def unstable(errors: Dynamics) -> str:
 
 
 def defective(A: Floats, Ts: float | None) -> bool:
-    """Whether an eigenvalue on the stability boundary has too few eigenvectors.
+    """Return whether an eigenvalue on the stability boundary has too few eigenvectors.
 
     Args:
         A: the matrix (n x n; delta form if sampled) [1/s].

@@ -43,7 +43,7 @@ Bounds = Callable[[Box], Interval]
 def certify_on(
     model: System, L: Floats, gamma: Floats, box: Box, parts: int = PARTS
 ) -> Certificate:
-    """Whether gains are certified while x, x^ and u stay in a box; of a sampled model too.
+    """Return whether gains are certified while x, x^ and u stay in a box; of a sampled model too.
 
     Args:
         model: the model (n states, m inputs, p outputs).
@@ -63,7 +63,7 @@ def certify_on(
 
 
 def design_on(model: System, gamma: Floats, box: Box) -> Certificate:
-    """Certified gains for a box: L = P^-1 C' with A'P + PA <= -2 w I for every Jacobian A.
+    """Return certified gains for a box: L = P^-1 C' with A'P + PA <= -2 w I for every Jacobian A.
 
     w is the largest of their sizes. For a linear model `passivity.passive_gain`.
 
@@ -95,7 +95,9 @@ def design_on(model: System, gamma: Floats, box: Box) -> Certificate:
 
 
 def _common_storage(vertices: tuple[Floats, ...]) -> Floats | None:
-    """P (n x n) of least trace with A'P + PA <= -2 w I at every vertex; None if none is found."""
+    """Return P (n x n) of least trace with A'P + PA <= -2 w I at every vertex; None if none is
+    found.
+    """
     n = len(vertices[0])
     q = 2 * max(float(np.linalg.norm(A, 2)) for A in vertices)
 
@@ -111,7 +113,7 @@ def _common_storage(vertices: tuple[Floats, ...]) -> Floats | None:
 def _certified(
     model: System, L: Floats, gamma: Floats, box: Box, slopes: Slopes, parts: int
 ) -> Certificate:
-    """`certify_on` with the model's Jacobian: vertices are added until V misses none."""
+    """Return `certify_on` with the model's Jacobian: vertices are added until V misses none."""
     points = _start(box)
     for _ in range(ROUNDS):
         points = points[_different(slopes.at(points))]
@@ -134,7 +136,7 @@ def _certified(
 
 
 def _start(box: Box) -> Floats:
-    """The centre of a box, then corners of it, drawn if there are many."""
+    """Return the centre of a box, then corners of it, drawn if there are many."""
     size = box.low.size
     if 2**size <= CORNERS:
         corners = np.array(list(itertools.product((0.0, 1.0), repeat=size)))
@@ -144,7 +146,7 @@ def _start(box: Box) -> Floats:
 
 
 def _different(A: Floats) -> Floats:
-    """The first of each set of equal matrices, as their numbers."""
+    """Return the first of each set of equal matrices, as their numbers."""
     scale = max(float(np.abs(A).max()), 1e-300)
     rounded = np.round(A / scale, 12).reshape(len(A), -1)
     _, first = np.unique(rounded, axis=0, return_index=True)
@@ -152,7 +154,7 @@ def _different(A: Floats) -> Floats:
 
 
 def _why(certificate: Certificate, points: Floats, n: int) -> str:
-    """The reason, with the point of the box that has it if one alone does.
+    """Return the reason, with the point of the box that has it if one alone does.
 
     The centre, which comes first, is named before the worst.
     """
@@ -175,13 +177,13 @@ def _why(certificate: Certificate, points: Floats, n: int) -> str:
 
 
 def _point(point: Floats, n: int) -> str:
-    """A point [x, u] in words."""
+    """Return a point [x, u] in words."""
     x, u = _numbers(point[:n]), _numbers(point[n:])
     return f"x = [{x}], u = [{u}]"
 
 
 def _numbers(values: Floats) -> str:
-    """Numbers in four digits, without the sign of a zero."""
+    """Return numbers in four digits, without the sign of a zero."""
     return ", ".join(f"{value:.4g}" for value in values + 0.0)
 
 
@@ -205,11 +207,13 @@ class Form(NamedTuple):
     rounding: tuple[float, Floats]
 
     def depth(self, c: Floats) -> Floats:
-        """The least eigenvalue of -M, less rounding, for every c (rows x K); -inf if unbounded."""
+        """Return the least eigenvalue of -M, less rounding, for every c (rows x K); -inf if
+        unbounded.
+        """
         return self.depth_within(c, np.zeros_like(c), np.zeros((len(c), 0, self.mean.size)))
 
     def depth_within(self, c: Floats, loose: Floats, turns: Floats) -> Floats:
-        """`depth`, but the least over all entries within +-loose and turns of c.
+        """Return `depth`, but the least over all entries within +-loose and turns of c.
 
         Args:
             c: the middle (rows x K).
@@ -229,13 +233,13 @@ class Form(NamedTuple):
 
 
 def absolute(M: Floats) -> Floats:
-    """(M^2)^(1/2) of symmetric matrices, no less than +-M."""
+    """Return (M^2)^(1/2) of symmetric matrices, no less than +-M."""
     values, vectors = np.linalg.eigh((M + M.swapaxes(-1, -2)) / 2)
     return (vectors * np.abs(values)[..., None, :]) @ vectors.swapaxes(-1, -2)
 
 
 def form(certificate: Certificate, entries: tuple[Integers, Integers]) -> Form:
-    """The certificate's M as a function of some entries of A.
+    """Return the certificate's M as a function of some entries of A.
 
     Args:
         certificate: with V that is proved at the vertices.
@@ -257,7 +261,9 @@ def form(certificate: Certificate, entries: tuple[Integers, Integers]) -> Form:
 def _entry_slopes(
     P: Floats, N: int, Ts: float | None, entries: tuple[Integers, Integers]
 ) -> Floats:
-    """dM/dA_ij (K x N x N) for entries (i, j): P A stands at the corner and, sampled, last too."""
+    """Return dM/dA_ij (K x N x N) for entries (i, j): P A stands at the corner and, sampled, last
+    too.
+    """
     n = len(P)
     slopes = np.zeros((entries[0].size, N, N))
     places = ((0, 1.0), (N - n, np.sqrt(Ts or 0.0)))
@@ -286,7 +292,7 @@ def _doubt(
 
 
 def missed(certificate: Certificate, slopes: Slopes, box: Box, parts: int) -> Floats:
-    """Points of a box whose Jacobians the certificate's V misses or nearly does.
+    """Return points of a box whose Jacobians the certificate's V misses or nearly does.
 
     Args:
         certificate: with V that is proved at its vertices.
@@ -326,7 +332,7 @@ def missed(certificate: Certificate, slopes: Slopes, box: Box, parts: int) -> Fl
 def halved(
     low: Floats, centre: Floats, high: Floats, effect: Floats, box: Box
 ) -> tuple[Floats, Floats]:
-    """(low, high) of both halves of each part, cut across the side of most effect on M.
+    """Return (low, high) of both halves of each part, cut across the side of most effect on M.
 
     Where an effect has no bound, the side that is longest against the box is cut.
     """
@@ -339,7 +345,7 @@ def halved(
 
 
 def _middle(bound: Interval) -> tuple[Floats, Floats]:
-    """(middle, half width) of bounds; not finite where there are none."""
+    """Return (middle, half width) of bounds; not finite where there are none."""
     with np.errstate(invalid="ignore"):
         middle = (bound.low + bound.high) / 2
         return middle, np.nextafter(np.maximum(bound.high - middle, middle - bound.low), np.inf)
@@ -361,7 +367,7 @@ class Slopes(NamedTuple):
 
 
 def slopes_on(model: System, box: Box) -> Slopes:
-    """The Jacobian of a model, with bounds on parts of a box.
+    """Return the Jacobian of a model, with bounds on parts of a box.
 
     Args:
         model: the model, its outputs affine in the state.

@@ -49,7 +49,7 @@ def l2_gain(
     noise: Floats | None = None,
     output: Floats | None = None,
 ) -> Gain:
-    """The paper's BIBO claim as numbers: the least sum of squared gains from w and v to z.
+    """Return the paper's BIBO claim as numbers: the least sum of squared gains from w and v to z.
 
     With E or noise left out the other gain is as small as it can be.
 
@@ -89,7 +89,8 @@ def l2_gain(
 
 
 def certified_radius(errors: error_dynamics.Dynamics, E: Floats, F: Floats) -> float:
-    """The largest r such that V falls for x~' = (A + E Delta F) x~ - L e with |Delta(t)| < r.
+    """Return the largest r such that V falls for x~' = (A + E Delta F) x~ - L e with |Delta(t)| <
+    r.
 
     By the same token the largest Lipschitz constant of phi in a known plant
     A x + B u + E phi(F x), and in `closed_loop` with its model alone, E twice and
@@ -116,7 +117,8 @@ def closed_loop(
     gamma: Floats,
     Ts: float | None = None,
 ) -> error_dynamics.Dynamics:
-    """Error dynamics of (x - x_ref, x~) under u = u_ff - K (x^ - x_ref), one vertex per plant.
+    """Return error dynamics of (x - x_ref, x~) under u = u_ff - K (x^ - x_ref), one vertex per
+    plant.
 
     x~ is x - x^ of the model. `passivity.certify_dynamics` of it proves convergence for every plant
     between the vertices, also a varying one, when x_ref = 0; a reference drives both errors by

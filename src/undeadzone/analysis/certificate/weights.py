@@ -38,16 +38,16 @@ class _Cuts(NamedTuple):
     under: Floats
 
     def at(self, q: Floats) -> float:
-        """The least of these bounds for q."""
+        """Return the least of these bounds for q."""
         return float((self.over @ q / (self.under @ q)).min())
 
     def joined(self, others: _Cuts) -> _Cuts:
-        """Both."""
+        """Return both."""
         return _Cuts(*(np.vstack(rows) for rows in zip(self, others, strict=True)))
 
 
 def margin(errors: Dynamics, W: Floats) -> tuple[float, float]:
-    """(margin for this W, frequency [rad/s] where it is attained); exact, without a solver.
+    """Return (margin for this W, frequency [rad/s] where it is attained); exact, without a solver.
 
     Args:
         errors: error dynamics with one stable A.
@@ -58,7 +58,7 @@ def margin(errors: Dynamics, W: Floats) -> tuple[float, float]:
 
 
 def best_weights(errors: Dynamics) -> Weights:
-    """The weights that maximise the margin, with mean 1 over their groups."""
+    """Return the weights that maximise the margin, with mean 1 over their groups."""
     if len(errors.A) > 1:
         return _shared(errors)
     equal = np.ones(errors.groups.shape[1])
@@ -76,7 +76,7 @@ def best_weights(errors: Dynamics) -> Weights:
 
 
 def _worst(errors: Dynamics, W: Floats) -> tuple[Weights, _Cuts]:
-    """The margin of W, and what it says of other weights."""
+    """Return the margin of W, and what it says of other weights."""
     (A,), C, L, _, Ts = errors
     root = np.sqrt(W)
     found, over, under = [], [], []
@@ -95,7 +95,7 @@ def _worst(errors: Dynamics, W: Floats) -> tuple[Weights, _Cuts]:
 
 
 def _promising(cuts: _Cuts, best: float) -> Floats | None:
-    """The weights of the groups that the cuts bound least; None if `best` is as good."""
+    """Return the weights of the groups that the cuts bound least; None if `best` is as good."""
     groups, found, level = cuts.over.shape[1], None, best + ENOUGH * max(1.0, abs(best))
     for _ in range(SEARCHES):
         q = _deep(cuts, level, groups)
@@ -106,7 +106,7 @@ def _promising(cuts: _Cuts, best: float) -> Floats | None:
 
 
 def _deep(cuts: _Cuts, level: float, groups: int) -> Floats | None:
-    """q >= 0 of mean 1 that maximises the least of (over - level under) @ q."""
+    """Return q >= 0 of mean 1 that maximises the least of (over - level under) @ q."""
     rows = cuts.over - level * cuts.under
 
     def blocks(x: Floats) -> list[Floats]:
@@ -121,7 +121,7 @@ def _deep(cuts: _Cuts, level: float, groups: int) -> Floats | None:
 
 
 def _shared(errors: Dynamics) -> Weights:
-    """The weights for several A, of one P.
+    """Return the weights for several A, of one P.
 
     The largest m with M + 2m diag(0, W) <= 0 for some P is quasi-convex in W: Dinkelbach's
     iteration, one LMI a step.
@@ -144,7 +144,9 @@ def _shared(errors: Dynamics) -> Weights:
 
 
 def _deepest(errors: Dynamics, shift: float) -> tuple[Floats, Floats] | None:
-    """(P, W) of largest t such that M + 2 diag(0, shift W + t I) <= 0; None if there is none."""
+    """Return (P, W) of largest t such that M + 2 diag(0, shift W + t I) <= 0; None if there is
+    none.
+    """
     groups, none = errors.groups, np.zeros((errors.L.shape[0], 0))
 
     def weights(q: Floats) -> Floats:
@@ -165,7 +167,9 @@ def _deepest(errors: Dynamics, shift: float) -> tuple[Floats, Floats] | None:
 
 
 def _reached(errors: Dynamics, P: Floats, W: Floats) -> float:
-    """The largest m with M + 2m diag(0, W) <= 0 for every M at this P; -inf if there is none."""
+    """Return the largest m with M + 2m diag(0, W) <= 0 for every M at this P; -inf if there is
+    none.
+    """
     n, p = errors.L.shape
     least = np.inf
     for M in errors.inequality(W).matrices(P):
@@ -194,7 +198,7 @@ class Response(NamedTuple):
     Ts: float | None = None
 
     def at(self, w: Floats) -> np.ndarray:
-        """(G + G*)/2 (len(w) x p x p, complex) at frequencies w of the mapped axis.
+        """Return (G + G*)/2 (len(w) x p x p, complex) at frequencies w of the mapped axis.
 
         Args:
             w: frequencies [rad/s]; inf is allowed.
@@ -203,7 +207,7 @@ class Response(NamedTuple):
         return np.asarray(G + G.conj().transpose(0, 2, 1)) / 2
 
     def values(self, w: Floats) -> np.ndarray:
-        """G (len(w) x p x p, complex) at frequencies w of the mapped axis.
+        """Return G (len(w) x p x p, complex) at frequencies w of the mapped axis.
 
         Args:
             w: frequencies [rad/s]; inf is allowed.
@@ -216,7 +220,7 @@ class Response(NamedTuple):
         return np.asarray(G + self.D)
 
     def frequency(self, w: float) -> float:
-        """The true frequency [rad/s] of a frequency of the mapped axis."""
+        """Return the true frequency [rad/s] of a frequency of the mapped axis."""
         return w if self.Ts is None else float(2 * np.arctan(w * self.Ts / 2) / self.Ts)
 
 
@@ -235,7 +239,7 @@ class Worst(NamedTuple):
 
 
 def response(A: Floats, C: Floats, L: Floats, D: Floats, Ts: float | None) -> Response:
-    """D + C (s - A)^-1 L on the imaginary axis.
+    """Return D + C (s - A)^-1 L on the imaginary axis.
 
     Sampled, for A = (Ad - I)/Ts and L = Ld/Ts, Tustin's rule gives the same values there.
 
@@ -250,7 +254,7 @@ def response(A: Floats, C: Floats, L: Floats, D: Floats, Ts: float | None) -> Re
 
 
 def worst(G: Response) -> Worst:
-    """Minimum over w in [0, inf] of the least eigenvalue of Herm G(jw); A must be stable.
+    """Return minimum over w in [0, inf] of the least eigenvalue of Herm G(jw); A must be stable.
 
     At a level m every frequency where an eigenvalue of Herm G crosses m is the imaginary part of an
     eigenvalue of the pencil below; the least value at those and halfway between (both means) is the
@@ -276,7 +280,7 @@ def worst(G: Response) -> Worst:
 
 
 def _finite_eigenvalues(pencil: Floats, n: int) -> np.ndarray:
-    """Eigenvalues s of pencil - s diag(I_n, 0) that are finite."""
+    """Return eigenvalues s of pencil - s diag(I_n, 0) that are finite."""
     A, B = pencil[:n, :n], pencil[:n, n:]
     C, D = pencil[n:, :n], pencil[n:, n:]
     least = np.linalg.svd(D, compute_uv=False)[-1]
@@ -291,7 +295,7 @@ def _finite_eigenvalues(pencil: Floats, n: int) -> np.ndarray:
 
 
 def _least(G: Response, w: Floats) -> Worst:
-    """The least eigenvalue of Herm G at some frequencies."""
+    """Return the least eigenvalue of Herm G at some frequencies."""
     values, vectors = np.linalg.eigh(G.at(w))
     k = int(np.argmin(values[:, 0]))
     return Worst(float(values[k, 0]), vectors[k, :, 0], float(w[k]))

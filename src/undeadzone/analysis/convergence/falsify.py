@@ -129,7 +129,7 @@ def falsify(
 
 
 def _starts(rng: np.random.Generator, maps: Floats, size: int) -> Floats:
-    """Errors of length 1 (groups x size x N); a map raises the first of each group most."""
+    """Return errors of length 1 (groups x size x N); a map raises the first of each group most."""
     shape = (GROUPS, size, maps.shape[-1])
     states = rng.normal(size=shape) * 10 ** rng.uniform(-1, 1, shape)
     states[:, 0] = np.linalg.svd(maps)[2][rng.integers(len(maps), size=GROUPS), 0]
@@ -138,7 +138,9 @@ def _starts(rng: np.random.Generator, maps: Floats, size: int) -> Floats:
 
 
 def _switch(rng: np.random.Generator, maps: Floats, states: Floats) -> tuple[Integers, Floats]:
-    """(the modes taken, where they lead): at random, in one group of 20 the worst on offer."""
+    """Return (the modes taken, where they lead): at random, in one group of 20 the worst on
+    offer.
+    """
     groups, size = states.shape[:2]
     drawn = np.asarray(rng.integers(len(maps), size=groups))
     taken = np.repeat(drawn[:, None], size, axis=1)
@@ -152,7 +154,7 @@ def _switch(rng: np.random.Generator, maps: Floats, states: Floats) -> tuple[Int
 
 
 def diverge(errors: Dynamics, seed: int = 0, tries: int = 2000) -> Cycle:
-    """The periodic side sequence of fastest growth that a random search finds.
+    """Return the periodic side sequence of fastest growth that a random search finds.
 
     Its times are refined in continuous time. The factor is the largest modulus of the period's
     eigenvalues on [x~; d~]; a width that is not read counts 1.
@@ -193,13 +195,15 @@ def diverge(errors: Dynamics, seed: int = 0, tries: int = 2000) -> Cycle:
 
 
 def _cycle_rate(maps: Floats, times: Floats) -> float:
-    """The growth rate [1/s] of a period of these maps (K x N x N), of these times (K) [s]."""
+    """Return the growth rate [1/s] of a period of these maps (K x N x N), of these times (K)
+    [s].
+    """
     period = np.linalg.multi_dot([np.eye(maps.shape[1]), *maps[::-1]])
     return float(np.log(max(np.abs(np.linalg.eigvals(period)).max(), TINY)) / times.sum())
 
 
 def generator(errors: Dynamics, mode: Mode) -> Floats:
-    """F of [x~; d~]' = F [x~; d~] in a mode (delta form if sampled) [1/s]."""
+    """Return F of [x~; d~]' = F [x~; d~] in a mode (delta form if sampled) [1/s]."""
     A = np.tensordot(mode.vertices, np.stack(errors.A), 1)
     innovation = mode.theta[:, None] * np.hstack([errors.C, -mode.S])
     innovation[~mode.S.any(axis=1)] = 0.0
@@ -212,7 +216,7 @@ def generator(errors: Dynamics, mode: Mode) -> Floats:
 def passages(
     errors: Dynamics, modes: list[Mode], moved: Callable[[Floats], Floats] = np.asarray
 ) -> Floats:
-    """The maps of [x~; d~] over the modes' times, exactly (whole samples if sampled).
+    """Return the maps of [x~; d~] over the modes' times, exactly (whole samples if sampled).
 
     Args:
         errors: the error dynamics.
@@ -227,7 +231,7 @@ def passages(
 
 
 def _library(errors: Dynamics, rng: np.random.Generator, count: int) -> list[Mode]:
-    """Modes of every side pattern at every vertex, then random ones, from short to long.
+    """Return modes of every side pattern at every vertex, then random ones, from short to long.
 
     The random ones mix vertices and have shares theta below 1.
     """
@@ -249,7 +253,9 @@ def _library(errors: Dynamics, rng: np.random.Generator, count: int) -> list[Mod
 
 
 def _durations(errors: Dynamics, rng: np.random.Generator, count: int) -> Floats:
-    """Random times [s] from well below the fastest rate to above the slowest, on a log scale."""
+    """Return random times [s] from well below the fastest rate to above the slowest, on a log
+    scale.
+    """
     corrected = [np.linalg.eigvals(A - errors.L @ errors.C) for A in errors.A]
     fast = max(float(np.abs(poles).max()) for poles in corrected)
     fast += float(np.abs(errors.gamma).max())

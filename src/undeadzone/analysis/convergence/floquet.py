@@ -54,7 +54,7 @@ class Rates(NamedTuple):
 def rates(
     linear: Matrices, L: Floats, gamma: Floats, schedule: Schedule, jump: bool = False
 ) -> Rates:
-    """The rate of x~ -> 0, d~ -> 0 along a schedule.
+    """Return the rate of x~ -> 0, d~ -> 0 along a schedule.
 
     A schedule that is not periodic is taken as repeated: the rate is then its mean over many such
     passes. Widths that are not adapted (gamma = 0), or that a jump sensor's readings do not hold,
@@ -101,7 +101,7 @@ def rates(
 
 
 def _without_bound(unknowns: int, schedule: Schedule) -> Rates:
-    """The rates of an error that grows beyond all numbers in one pass."""
+    """Return the rates of an error that grows beyond all numbers in one pass."""
     none = np.zeros((unknowns, 0))
     T, periodic = schedule.duration, schedule.periodic
     return Rates(-np.inf, np.inf, np.array([np.inf]), none, (), T, periodic, np.inf)
@@ -110,7 +110,7 @@ def _without_bound(unknowns: int, schedule: Schedule) -> Rates:
 def _modes(
     M: Floats, size: Floats, hidden: Unobservable, part: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-    """The multipliers of the monodromy matrix M e^size.
+    """Return the multipliers of the monodromy matrix M e^size.
 
     hidden: what no reading shows; part: which unknowns M is of.
 
@@ -136,7 +136,7 @@ def _modes(
 def error_matrices(
     A: Floats, C: Floats, L: Floats, gamma: Floats, sides: Floats
 ) -> tuple[Floats, Floats]:
-    """(F, G) of (x~, d~)' = F (x~, d~) + G v on each of K sides, v noise on z.
+    """Return (F, G) of (x~, d~)' = F (x~, d~) + G v on each of K sides, v noise on z.
 
     x~' = A x~ - L e, d~' = Gamma S'e with e = C x~ - S d~ + v on the active outputs, 0 on the
     silent ones.
@@ -164,14 +164,16 @@ def error_matrices(
 
 
 def transitions(F: Floats, schedule: Schedule) -> Floats:
-    """The transition matrix over each span: e^{F t}, or (I + Ts F)^k; F (..., K, N, N) [1/s]."""
+    """Return the transition matrix over each span: e^{F t}, or (I + Ts F)^k; F (..., K, N, N)
+    [1/s].
+    """
     if schedule.Ts is None:
         return exponential(F * schedule.spans[:, None, None])
     return power(np.eye(F.shape[-1]) + schedule.Ts * F, schedule.spans.astype(int))
 
 
 def product(factors: Floats) -> tuple[Floats, Floats]:
-    """(M, s): the product ... F_2 F_1 F_0 of factors is M e^s; no underflow, however long.
+    """Return (M, s): the product ... F_2 F_1 F_0 of factors is M e^s; no underflow, however long.
 
     Args:
         factors: F_0, F_1, ... (..., K, N, N).
@@ -190,7 +192,9 @@ def product(factors: Floats) -> tuple[Floats, Floats]:
 
 
 def exponential(X: Floats) -> Floats:
-    """e^X of many small matrices (..., K, N, N) at once, by scaling, Taylor's series, squaring."""
+    """Return e^X of many small matrices (..., K, N, N) at once, by scaling, Taylor's series,
+    squaring.
+    """
     norm = np.abs(X).sum(axis=-1).max(axis=-1).reshape(-1, X.shape[-3]).max(axis=0)
     halvings = np.ceil(np.log2(np.maximum(8 * norm, 1.0))).astype(int)
     X = X / (2.0**halvings)[:, None, None]
@@ -202,7 +206,7 @@ def exponential(X: Floats) -> Floats:
 
 
 def power(X: Floats, times: Floats) -> Floats:
-    """X[..., k, :, :] to the power times[k] >= 0, by squaring."""
+    """Return X[..., k, :, :] to the power times[k] >= 0, by squaring."""
     raised = np.broadcast_to(np.eye(X.shape[-1]), X.shape)
     while True:
         odd = times % 2 == 1
@@ -231,7 +235,7 @@ class Span(NamedTuple):
 
 
 def spans(F: Floats, weights: Sequence[Floats], schedule: Schedule, twice: int = 0) -> Span:
-    """Every span of a schedule for x' = F x (or x+ = (I + Ts F) x).
+    """Return every span of a schedule for x' = F x (or x+ = (I + Ts F) x).
 
     Args:
         F: the dynamics in each span (..., K, N, N) [1/s].
@@ -266,7 +270,8 @@ def spans(F: Floats, weights: Sequence[Floats], schedule: Schedule, twice: int =
 def mean_squares(
     F: Floats, Z: Floats, sources: Sequence[Floats], schedule: Schedule
 ) -> list[Floats]:
-    """Mean over a pass of |Z x|^2 in the steady state of x' = F x + v, v white, for each source.
+    """Return mean over a pass of |Z x|^2 in the steady state of x' = F x + v, v white, for each
+    source.
 
     Sampled, x+ = (I + Ts F) x + v, and the mean is over the samples. Large if x does not settle.
 
@@ -290,7 +295,7 @@ def mean_squares(
 
 
 def _settled(Phi: Floats, spread: Floats) -> Floats:
-    """The covariance (..., N, N) at the start of a pass after many passes, by doubling."""
+    """Return the covariance (..., N, N) at the start of a pass after many passes, by doubling."""
     covariance: Floats = np.zeros(Phi.shape[:-3] + Phi.shape[-2:])
     for k in range(Phi.shape[-3]):
         covariance = _along(Phi, covariance, k) + spread[..., k, :, :]
@@ -305,7 +310,8 @@ def _settled(Phi: Floats, spread: Floats) -> Floats:
 def forced_mean_square(
     F: Floats, Z: Floats, push: Floats, S: Floats, starts: Floats, schedule: Schedule
 ) -> Floats:
-    """Mean over a pass of sum_j |Z x_j|^2 in the steady state of x_j' = F x_j + push_j w, w' = S w.
+    """Return mean over a pass of sum_j |Z x_j|^2 in the steady state of x_j' = F x_j + push_j w, w'
+    = S w.
 
     The pass is taken as repeated. F, push and S are in delta form if sampled.
 
@@ -338,7 +344,7 @@ def forced_mean_square(
 
 
 def _with_exosystem(F: Floats, E: Floats, S: Floats) -> Floats:
-    """The dynamics (..., K, N + k, N + k) of (x, w): x' = F x + E w, w' = S w."""
+    """Return the dynamics (..., K, N + k, N + k) of (x, w): x' = F x + E w, w' = S w."""
     N, k = E.shape
     joined = np.zeros((*F.shape[:-2], N + k, N + k))
     joined[..., :N, :N] = F
@@ -348,13 +354,15 @@ def _with_exosystem(F: Floats, E: Floats, S: Floats) -> Floats:
 
 
 def _onward(x: Floats, w: Floats, Phi: Floats) -> Floats:
-    """x (..., N) at the end of a span that starts with x and w (k); Phi: transition of (x, w)."""
+    """Return x (..., N) at the end of a span that starts with x and w (k); Phi: transition of (x,
+    w).
+    """
     N = x.shape[-1]
     return np.asarray((Phi[..., :N, :N] @ x[..., None] + Phi[..., :N, N:] @ w[:, None])[..., 0])
 
 
 def _power(one: Span, times: Floats) -> Span:
-    """Each span as often as `times` says (K), by doubling."""
+    """Return each span as often as `times` says (K), by doubling."""
     identity = np.broadcast_to(np.eye(one.Phi.shape[-1]), one.Phi.shape)
     whole = Span(identity, 0 * one.G, 0 * one.GG, 0 * one.length)
     while True:
@@ -368,7 +376,7 @@ def _power(one: Span, times: Floats) -> Span:
 
 
 def _chosen(which: np.ndarray, new: Span, old: Span) -> Span:
-    """The new spans where `which` (K) says so, and the old ones elsewhere."""
+    """Return the new spans where `which` (K) says so, and the old ones elsewhere."""
     if which.all():
         return new
     pairs = zip(new, old, strict=True)
@@ -376,7 +384,7 @@ def _chosen(which: np.ndarray, new: Span, old: Span) -> Span:
 
 
 def _then(a: Span, b: Span) -> Span:
-    """Span b after span a."""
+    """Return span b after span a."""
     Pt = _t(a.Phi)
     return Span(
         b.Phi @ a.Phi,
@@ -387,16 +395,16 @@ def _then(a: Span, b: Span) -> Span:
 
 
 def _along(Phi: Floats, covariance: Floats, k: int) -> Floats:
-    """A covariance (..., N, N) at the end of span k."""
+    """Return a covariance (..., N, N) at the end of span k."""
     return np.asarray(Phi[..., k, :, :] @ covariance @ _t(Phi[..., k, :, :]))
 
 
 def _whole(Phi: Floats) -> Floats:
-    """The transition (..., N, N) over all spans."""
+    """Return the transition (..., N, N) over all spans."""
     M, size = product(Phi)
     return np.asarray(M * np.exp(size)[..., None, None])
 
 
 def _t(M: Floats) -> Floats:
-    """Transposed matrices."""
+    """Return transposed matrices."""
     return np.swapaxes(M, -1, -2)

@@ -54,7 +54,8 @@ class _Moves(NamedTuple):
 def trajectories(
     errors: Dynamics, V: Storage, schedule: Schedule, seconds: float, seed: int = 0
 ) -> list[Trajectory]:
-    """V from one random error: along random trajectories, an adversary's, a fair one's, a schedule.
+    """Return V from one random error: along random trajectories, an adversary's, a fair one's, a
+    schedule.
 
     An adversary switches to what leaves V largest. The fair one must also read every output on both
     of its sides, each combination once in every window of time: that is what convergence needs
@@ -90,14 +91,16 @@ def trajectories(
 
 
 def _random(rng: np.random.Generator, moves: _Moves) -> Integers:
-    """Modes at every switch, each held for up to a window."""
+    """Return modes at every switch, each held for up to a window."""
     modes = rng.integers(len(moves.maps), size=SWITCHES)
     held = rng.integers(1, moves.window + 1, SWITCHES)
     return np.repeat(modes, held)[:SWITCHES]
 
 
 def _adversary(V: Storage, start: Floats, moves: _Moves, fair: bool) -> Integers:
-    """Modes at every switch that leave V largest; a fair adversary owes the full ones, too."""
+    """Return modes at every switch that leave V largest; a fair adversary owes the full ones,
+    too.
+    """
     error = start
     chosen: list[int] = []
     owed: list[int] = []  # full modes that are still to be taken in this window
@@ -116,7 +119,7 @@ def _adversary(V: Storage, start: Floats, moves: _Moves, fair: bool) -> Integers
 def trajectory(
     kind: str, errors: Dynamics, V: Storage, start: Floats, modes: list[Mode], step: float
 ) -> Trajectory:
-    """V from one error along modes.
+    """Return V from one error along modes.
 
     Args:
         kind: what the trajectory is called.
@@ -137,7 +140,7 @@ def trajectory(
 
 
 def growing(errors: Dynamics, cycle: Cycle) -> Floats:
-    """The error [x~; d~] that a cycle multiplies most: an eigenvector of its period."""
+    """Return the error [x~; d~] that a cycle multiplies most: an eigenvector of its period."""
     identity = np.eye(errors.L.shape[0] + errors.gamma.shape[0])
     period = np.linalg.multi_dot([identity, *passages(errors, [*cycle.modes])[::-1]])
     values, vectors = np.linalg.eig(period)
@@ -145,7 +148,8 @@ def growing(errors: Dynamics, cycle: Cycle) -> Floats:
 
 
 def settling(errors: Dynamics, V: Storage, schedule: Schedule, share: float = 0.01) -> float | None:
-    """The time [s] after which sqrt(V) is at most a share of what it was, whatever the error.
+    """Return the time [s] after which sqrt(V) is at most a share of what it was, whatever the
+    error.
 
     For V that never rises.
 
@@ -176,21 +180,23 @@ def settling(errors: Dynamics, V: Storage, schedule: Schedule, share: float = 0.
 
 
 def _left(E: Floats, M: Floats) -> float:
-    """The largest |E e| / |e| over all e, with |e|^2 = e'M e."""
+    """Return the largest |E e| / |e| over all e, with |e|^2 = e'M e."""
     from scipy.linalg import eigh
 
     return float(np.sqrt(max(eigh(E.T @ M @ E, M, eigvals_only=True)[-1], 0.0)))
 
 
 def _mode(errors: Dynamics, sides: Floats, seconds: float) -> Mode:
-    """A mode at the mean of the vertices with the whole innovation."""
+    """Return a mode at the mean of the vertices with the whole innovation."""
     vertices, p = len(errors.A), errors.C.shape[0]
     S = pattern(tuple(sides.astype(int)))
     return Mode(np.full(vertices, 1 / vertices), S, np.ones(p), seconds)
 
 
 def _passes(errors: Dynamics, schedule: Schedule, seconds: float) -> list[Mode]:
-    """The modes of a schedule, passed again and again, for that time or up to a sample more."""
+    """Return the modes of a schedule, passed again and again, for that time or up to a sample
+    more.
+    """
     once = []
     for sides, span in zip(*merged(schedule)[:2], strict=True):
         once.append(_mode(errors, sides, span * (errors.Ts or 1.0)))
@@ -205,7 +211,7 @@ def _passes(errors: Dynamics, schedule: Schedule, seconds: float) -> list[Mode]:
 
 
 def _start(V: Storage, rng: np.random.Generator) -> Floats:
-    """A random error of V = 1, every direction alike where V is the squared length.
+    """Return a random error of V = 1, every direction alike where V is the squared length.
 
     What V does not see is 0.
     """
@@ -217,12 +223,12 @@ def _start(V: Storage, rng: np.random.Generator) -> Floats:
 
 
 def _value(V: Storage, errors: Floats) -> Floats:
-    """V (N) of errors [x~; d~] (N rows)."""
+    """Return V (N) of errors [x~; d~] (N rows)."""
     return V.value(*np.split(errors, [len(V.P)], axis=1))
 
 
 def _trajectory(kind: str, V: Storage, start: Floats, maps: Floats, times: Floats) -> Trajectory:
-    """V along maps of the error (K x N x N), of these times (K) [s]."""
+    """Return V along maps of the error (K x N x N), of these times (K) [s]."""
     errors = [start]
     for M in maps:
         errors.append(M @ errors[-1])

@@ -48,7 +48,7 @@ class Colour(NamedTuple):
 
 
 def first_order(B: Floats, rms: Floats, correlation_time: float) -> Colour:
-    """First-order random inputs: w' = -w / correlation_time + white.
+    """Return first-order random inputs: w' = -w / correlation_time + white.
 
     Args:
         B: how they enter x' (n x b), or x+ of a sampled model.
@@ -60,7 +60,7 @@ def first_order(B: Floats, rms: Floats, correlation_time: float) -> Colour:
 
 
 def tone(B: Floats, amplitude: Floats, frequency: float) -> Colour:
-    """Sines of one frequency, whose amplitudes and phases are not known.
+    """Return sines of one frequency, whose amplitudes and phases are not known.
 
     Args:
         B: how they enter x' (n x b), or x+ of a sampled model.
@@ -74,7 +74,7 @@ def tone(B: Floats, amplitude: Floats, frequency: float) -> Colour:
 
 
 def together(colours: Sequence[Colour]) -> Colour | None:
-    """Unknown inputs side by side; None if there are none."""
+    """Return unknown inputs side by side; None if there are none."""
     from scipy.linalg import block_diag
 
     if not colours:
@@ -86,7 +86,7 @@ def together(colours: Sequence[Colour]) -> Colour | None:
 def unknown_bias(
     disturbance: Disturbance | None, B: Floats, duration: float = np.inf
 ) -> Floats | None:
-    """The columns of B on which a disturbance has a constant part, which may be of any size.
+    """Return the columns of B on which a disturbance has a constant part, which may be of any size.
 
     The signal itself is judged, not its kind: what does not swing within the run is a constant.
 
@@ -105,7 +105,7 @@ def unknown_bias(
 def unknown_constants(
     disturbance: Disturbance | None, m: int, duration: float
 ) -> tuple[Floats, Floats]:
-    """A disturbance as constants alone, for plants along whose runs no other is carried.
+    """Return a disturbance as constants alone, for plants along whose runs no other is carried.
 
     Args:
         disturbance: any.
@@ -155,7 +155,7 @@ def unknown_inputs(disturbance: Disturbance | None, B: Floats, duration: float) 
 
 
 def correlation_time(signal: Floats, step: float) -> float:
-    """After how long a signal's autocorrelation has fallen to 1/e [s], at least a step.
+    """Return after how long a signal's autocorrelation has fallen to 1/e [s], at least a step.
 
     Args:
         signal: without its mean (N).
@@ -168,7 +168,7 @@ def correlation_time(signal: Floats, step: float) -> float:
 
 
 def _swing(disturbance: Disturbance | None, constant: np.ndarray, duration: float) -> Floats:
-    """A disturbance at POINTS times of a run, without constants of any size (POINTS x m).
+    """Return a disturbance at POINTS times of a run, without constants of any size (POINTS x m).
 
     Args:
         disturbance: any.
@@ -184,12 +184,13 @@ def _swing(disturbance: Disturbance | None, constant: np.ndarray, duration: floa
 
 
 def _has_constant(disturbance: Disturbance | None, m: int, duration: float) -> np.ndarray:
-    """Whether a disturbance has a constant part of any size, of each input (m, bool)."""
+    """Return whether a disturbance has a constant part of any size, of each input (m, bool)."""
     return np.broadcast_to(np.ravel(_constant_part(disturbance, m, duration)) != 0, m)
 
 
 def _constant_part(disturbance: Disturbance | None, m: int, duration: float) -> Any:
-    """A number per input, or one for all, that is not 0 where a disturbance has a constant part.
+    """Return a number per input, or one for all, that is not 0 where a disturbance has a constant
+    part.
 
     A tone or a trapezoid counts if its period is longer than the run, samples in a file if their
     mean over the run is a hundredth of their size.
@@ -213,12 +214,12 @@ def _constant_part(disturbance: Disturbance | None, m: int, duration: float) -> 
 
 
 def _tones(disturbance: Disturbance | None) -> list[Tone]:
-    """The sines that a disturbance consists of, its offset aside."""
+    """Return the sines that a disturbance consists of, its offset aside."""
     if isinstance(disturbance, Sines):
         return disturbance.components
     return [disturbance] if isinstance(disturbance, Sine) else []
 
 
 def _sizes(*values: Array) -> Any:
-    """The sum of the magnitudes of numbers, one per input or one for all."""
+    """Return the sum of the magnitudes of numbers, one per input or one for all."""
     return sum(np.abs(np.asarray(value, float)).ravel() for value in values)

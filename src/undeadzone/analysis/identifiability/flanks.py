@@ -62,7 +62,7 @@ def _lasting(flags: Flags, step: float) -> Flags:
 
 
 def torques(body: Arm, params: Floats, path: Floats) -> Floats:
-    """The torque that links need along a path (N x joints) [N m].
+    """Return the torque that links need along a path (N x joints) [N m].
 
     Args:
         body: the arm.
@@ -75,7 +75,8 @@ def torques(body: Arm, params: Floats, path: Floats) -> Floats:
 
 
 def balanced(body: Arm, params: Floats, q: Floats, i: int) -> float | None:
-    """The position of joint i nearest to a posture at which gravity asks it for no torque [rad].
+    """Return the position of joint i nearest to a posture at which gravity asks it for no torque
+    [rad].
 
     Args:
         body: the arm.

@@ -21,7 +21,7 @@ PART: Final = 0.25  # of the larger width, by which one moves that nothing tells
 
 
 def farthest(hidden: Unobservable, covariance: Floats, i: int, widths: Floats) -> Floats:
-    """The change of the unknowns that readings tell least of output i's widths.
+    """Return the change of the unknowns that readings tell least of output i's widths.
 
     Args:
         hidden: what no reading shows.
@@ -55,7 +55,7 @@ def second_truth(
     start: Floats,
     constants: Floats,
 ) -> dict[str, Any] | None:
-    """A truth beside the one that is declared; None where its widths are nearly the same.
+    """Return a truth beside the one that is declared; None where its widths are nearly the same.
 
     Args:
         hidden, covariance, i, widths: as of `farthest`.
@@ -75,7 +75,7 @@ def second_truth(
 
 
 def in_words(truths: Sequence[Mapping[str, Any] | None]) -> list[str]:
-    """Second truths of outputs in words."""
+    """Return second truths of outputs in words."""
     told = []
     for i, one in enumerate(truths):
         if one is None:
@@ -88,7 +88,7 @@ def in_words(truths: Sequence[Mapping[str, Any] | None]) -> list[str]:
 
 
 def _numbers(values: Sequence[float]) -> str:
-    """One number, or several in brackets; what is nearly 0 beside the largest is 0."""
+    """Return one number, or several in brackets; what is nearly 0 beside the largest is 0."""
     given = np.array(values)
     given[np.abs(given) < NEAR * np.abs(given).max()] = 0.0
     texts = [f"{value:.3g}" for value in given]

@@ -118,7 +118,7 @@ def deviations(linear: Matrices, schedule: Schedule, readings: Readings) -> Devi
 def _coloured(
     linear: Matrices, Ts: float | None, colour: Colour, readings: Readings
 ) -> tuple[Matrices, Readings]:
-    """The model of [x; w], and what tells of it, with its process noise and its bias."""
+    """Return the model of [x; w], and what tells of it, with its process noise and its bias."""
     n, b = colour.B.shape
     own, white = colour.A, colour.Q
     if Ts is not None:
@@ -133,12 +133,12 @@ def _coloured(
 
 
 def padded(B: Floats, more: int) -> Floats:
-    """Inputs of n states as those of n + more states, the last of which they do not move."""
+    """Return inputs of n states as those of n + more states, the last of which they do not move."""
     return np.vstack([B, np.zeros((more, B.shape[1]))])
 
 
 def information(linear: Matrices, schedule: Schedule, readings: Readings) -> Floats:
-    """The information matrix (n + 2p + b square) of [x(0); d; beta].
+    """Return the information matrix (n + 2p + b square) of [x(0); d; beta].
 
     Without process noise it is exact: the observability Gramian of the switched system divided by
     the noise. Arguments as of `deviations`.
@@ -172,13 +172,15 @@ def information(linear: Matrices, schedule: Schedule, readings: Readings) -> Flo
 
 
 def scale_of(levels: Floats) -> Floats:
-    """The larger edge of each output (p), by which readings are exact; 1 where none has a width."""
+    """Return the larger edge of each output (p), by which readings are exact; 1 where none has a
+    width.
+    """
     level = levels.max(axis=1)
     return np.where(level > NO_WIDTH, level, 1.0)
 
 
 def then(first: Stretch, second: Stretch) -> Stretch:
-    """One stretch after another."""
+    """Return one stretch after another."""
     mixed = np.eye(first.Q.shape[0]) + first.Q @ second.H
     Phi, Q = np.hsplit(np.linalg.solve(mixed, np.hstack([first.Phi, first.Q])), 2)
     H = first.H + first.Phi.T @ second.H @ Phi
@@ -187,7 +189,7 @@ def then(first: Stretch, second: Stretch) -> Stretch:
 
 
 def repeat(once: Stretch, times: int) -> Stretch:
-    """A stretch `times` >= 1 times in a row, by doubling."""
+    """Return a stretch `times` >= 1 times in a row, by doubling."""
     whole = nothing(len(once.Q))
     while True:
         if times & 1:
@@ -199,13 +201,13 @@ def repeat(once: Stretch, times: int) -> Stretch:
 
 
 def nothing(size: int) -> Stretch:
-    """A stretch of no time, of so many unknowns."""
+    """Return a stretch of no time, of so many unknowns."""
     none = np.zeros((size, size))
     return Stretch(np.eye(size), none, none)
 
 
 def _flow(F: Floats, Q: Floats, H: Floats, span: float, step: float) -> Stretch:
-    """The stretch of x' = F x + w for `span` [s]: short parts, then doubling.
+    """Return the stretch of x' = F x + w for `span` [s]: short parts, then doubling.
 
     Within a part readings come before process noise: with Q, a part holds one reading (every `step`
     [s]) at most. Q: covariance of w; H: information of readings per second.
@@ -220,7 +222,9 @@ def _flow(F: Floats, Q: Floats, H: Floats, span: float, step: float) -> Stretch:
 
 
 def _inverse(information: Floats) -> Floats:
-    """The inverse of a positive semidefinite matrix, infinite where rounding leaves nothing."""
+    """Return the inverse of a positive semidefinite matrix, infinite where rounding leaves
+    nothing.
+    """
     tiny = np.finfo(float).tiny
     unit = np.sqrt(np.maximum(np.diag(information), tiny))
     scale = np.outer(unit, unit)

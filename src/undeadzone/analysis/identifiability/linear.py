@@ -83,7 +83,8 @@ def _unreached(name: str, edge: str, stays: str) -> str:
 
 
 def largest_deviations(right: float, left: float, swing: float) -> dict[str, float]:
-    """The largest deviation with which each of `DIRECTIONS` counts as known: that of its own size.
+    """Return the largest deviation with which each of `DIRECTIONS` counts as known: that of its own
+    size.
 
     Args:
         right, left: widths of the output [z].
@@ -115,7 +116,7 @@ def vague(std: dict[str, float], most: dict[str, float], right: float, left: flo
 
 
 def reaching(schedule: Schedule, i: int) -> Cure:
-    """The smallest change of output i that reaches both of its edges, with a margin."""
+    """Return the smallest change of output i that reaches both of its edges, with a margin."""
     right, left = schedule.levels[i] * (1 + MARGIN)
     low, mean, high = schedule.low[i], schedule.mean[i], schedule.high[i]
     mean = 0.0 if abs(mean) <= 1e-9 * (high - low) else mean
@@ -158,11 +159,11 @@ class Unobservable(NamedTuple):
     present: float = PRESENT
 
     def state(self, i: int) -> bool:
-        """Whether state i is determined nevertheless."""
+        """Return whether state i is determined nevertheless."""
         return not bool((np.abs(self.basis[i]) > self.present).any())
 
     def width(self, i: int, name: str) -> bool:
-        """Whether a width of output i is determined nevertheless.
+        """Return whether a width of output i is determined nevertheless.
 
         Args:
             i: the output.
@@ -177,12 +178,13 @@ class Unobservable(NamedTuple):
         return {name: self.width(i, name) for name in DIRECTIONS}
 
     def sees(self, direction: Floats) -> bool:
-        """Whether a combination of the unknowns (n + 2p + b) is determined nevertheless."""
+        """Return whether a combination of the unknowns (n + 2p + b) is determined nevertheless."""
         change = (direction * self.scale / np.abs(direction * self.scale).max()) @ self.basis
         return not bool((np.abs(change) > self.present).any())
 
     def deviations(self, i: int, covariance: Floats) -> dict[str, float]:
-        """Standard deviations of right, left, width, centre of output i; inf if not determined.
+        """Return standard deviations of right, left, width, centre of output i; inf if not
+        determined.
 
         Args:
             i: the output.
@@ -242,7 +244,7 @@ class Verdict(NamedTuple):
     second: dict[str, Any] | None = None
 
     def because(self, *reasons: str, **changed: bool) -> Verdict:
-        """The verdict with more reasons, and with what they change."""
+        """Return the verdict with more reasons, and with what they change."""
         changes: dict[str, Any] = {**changed, "reasons": (*self.reasons, *reasons)}
         return self._replace(**changes)
 
@@ -255,7 +257,7 @@ def invisible(
     jump: bool = False,
     drives: Sequence[Floats] | None = None,
 ) -> Unobservable:
-    """The changes of [x(0); d; beta] that no reading shows.
+    """Return the changes of [x(0); d; beta] that no reading shows.
 
     They solve A x + B_b beta in U, C_i x = d_ri and C_i x = -d_li on the visited sides, where U is
     the subspace that the visited outputs do not observe: when and for how long a side is visited
@@ -384,7 +386,7 @@ def _confounded(
 
 
 def kernel(M: Floats, tolerance: float) -> Floats:
-    """Orthonormal basis (n x k) of the kernel of a matrix whose entries are of order 1.
+    """Return orthonormal basis (n x k) of the kernel of a matrix whose entries are of order 1.
 
     Args:
         M: the matrix (rows x n); all is kernel if it is empty.
@@ -397,7 +399,7 @@ def kernel(M: Floats, tolerance: float) -> Floats:
 
 
 def unobservable(A: Floats, C: Floats, tolerance: float) -> Floats:
-    """Orthonormal basis (n x k) of the largest A-invariant subspace in the kernel of C.
+    """Return orthonormal basis (n x k) of the largest A-invariant subspace in the kernel of C.
 
     Args:
         A: the system's matrix (n x n), of order 1.

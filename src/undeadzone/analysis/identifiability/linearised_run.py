@@ -40,7 +40,7 @@ class LinearisedRun(NamedTuple):
 def linearised(
     model: System, x: Floats, u: Floats, step: float, bias: Floats, uncertain: Sequence[str] = ()
 ) -> LinearisedRun:
-    """The plant's linearisation along a run.
+    """Return the plant's linearisation along a run.
 
     A sampled plant's is exact at every sample, unless that costs too much. In continuous time, and
     for large sampled plants, steps span 2 samples, or as many as the work allows, by a fourth-order
@@ -82,12 +82,15 @@ def linearised(
 
 
 def _magnus(A0: Floats, A1: Floats, A2: Floats, h: Floats) -> Floats:
-    """The exponent of a step of length h [s] with rates A0, A1, A2 at start, middle and end."""
+    """Return the exponent of a step of length h [s] with rates A0, A1, A2 at start, middle and
+    end.
+    """
     return h / 6 * (A0 + 4 * A1 + A2) - h**2 / 12 * (A0 @ A2 - A2 @ A0)
 
 
 def _derivatives(model: System, move: Any, bias: Floats, uncertain: Sequence[str]) -> ca.Function:
-    """Derivatives of move and of the output by [x; beta; theta], by columns, of [x; u] and theta.
+    """Return derivatives of move and of the output by [x; beta; theta], by columns, of [x; u] and
+    theta.
 
     They are a step without a state.
     """
@@ -112,7 +115,9 @@ def _derivatives(model: System, move: Any, bias: Floats, uncertain: Sequence[str
 def _along(
     function: ca.Function, model: System, x: Floats, u: Floats, uncertain: Sequence[str]
 ) -> tuple[Floats, Floats]:
-    """The derivatives of move and of the output at each x and u (rows), from `_derivatives`."""
+    """Return the derivatives of move and of the output at each x and u (rows), from
+    `_derivatives`.
+    """
     theta = np.array([model.params[model.names.index(name)] for name in uncertain])
     values = interpret.mapped(function, np.hstack([x, u]), theta)
     both = values.reshape(len(x), -1, model.n + model.p).transpose(0, 2, 1)
@@ -120,7 +125,7 @@ def _along(
 
 
 def _run(steps: Floats, outputs: Floats, kept: Integers, tolerance: float) -> LinearisedRun:
-    """The run, up to where a derivative is not finite; the constants stay as they are."""
+    """Return the run, up to where a derivative is not finite; the constants stay as they are."""
     good = np.isfinite(steps).all(axis=(1, 2)) & np.isfinite(outputs).all(axis=(1, 2))
     end = good.size if good.all() else int(good.argmin())
     n, s = steps.shape[1:]
@@ -130,7 +135,7 @@ def _run(steps: Floats, outputs: Floats, kept: Integers, tolerance: float) -> Li
 
 
 def symmetric(model: System, change: Floats) -> bool:
-    """Whether the motion is the same from everywhere along a constant change of the state.
+    """Return whether the motion is the same from everywhere along a constant change of the state.
 
     Args:
         model: the plant.

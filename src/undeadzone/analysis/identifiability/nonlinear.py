@@ -34,7 +34,7 @@ from undeadzone.util.arrays import Floats, Integers
 def beforehand(
     n: int, p: int, start_std: Floats | None, centre_std: Floats | None, least: float
 ) -> Floats:
-    """Rows (k x n + 2p) on [x(0); d] whose squares are the information known beforehand.
+    """Return rows (k x n + 2p) on [x(0); d] whose squares are the information known beforehand.
 
     Args:
         n: number of states.
@@ -172,7 +172,9 @@ def _confounded(
 
 
 def _caused_by(part: np.ndarray, hidden: linear.Unobservable, i: int, edges: list[str]) -> bool:
-    """Whether edges of output i would be known if these unknowns were (part: bool, one each)."""
+    """Return whether edges of output i would be known if these unknowns were (part: bool, one
+    each).
+    """
     return bool(part.any()) and all(hidden.within(~part).width(i, name) for name in edges)
 
 
@@ -241,7 +243,7 @@ class Observability(NamedTuple):
 
     @property
     def gap(self) -> tuple[float, float]:
-        """The largest share that counts as none, and the smallest that does not.
+        """Return the largest share that counts as none, and the smallest that does not.
 
         The further apart, the surer.
         """
@@ -250,7 +252,9 @@ class Observability(NamedTuple):
         return none, float(self.singular[~null].min(initial=np.inf))
 
     def std(self, i: int) -> dict[str, float]:
-        """Deviations of right, left, width, centre of output i; infinite where no reading tells."""
+        """Return deviations of right, left, width, centre of output i; infinite where no reading
+        tells.
+        """
         return self.hidden.deviations(i, self.covariance)
 
 
@@ -265,7 +269,7 @@ def observability(
     uncertain: Sequence[str] = (),
     told: Floats | None = None,
 ) -> Observability:
-    """The observability Gramian over the noise along a run, as a root, and what it tells.
+    """Return the observability Gramian over the noise along a run, as a root, and what it tells.
 
     Args:
         model: the plant (n states, m inputs, p outputs).
@@ -300,13 +304,15 @@ def observability(
 
 
 def _told(R: Floats, told: Floats) -> Floats:
-    """The root with what is known beforehand."""
+    """Return the root with what is known beforehand."""
     rows = np.pad(told, [(0, 0), (0, R.shape[1] - told.shape[1])])
     return np.asarray(np.linalg.qr(np.vstack([R, rows]), mode="r"))
 
 
 def _units(R: Floats, n: int, p: int) -> Floats:
-    """Units in which the columns of R have length 1; the widths of an output share theirs."""
+    """Return units in which the columns of R have length 1; the widths of an output share
+    theirs.
+    """
     size = np.linalg.norm(R, axis=0)
     widths = slice(n, n + 2 * p)
     size[widths] = np.repeat(size[widths].reshape(p, 2).max(axis=1), 2)
@@ -314,7 +320,8 @@ def _units(R: Floats, n: int, p: int) -> Floats:
 
 
 def root(run: LinearisedRun, side: Floats, variance: Floats, n: int) -> Floats:
-    """R (N x N), R'R the information on [x(0); d; beta; theta]: backward from block to block.
+    """Return R (N x N), R'R the information on [x(0); d; beta; theta]: backward from block to
+    block.
 
     Where the plant's growth tells a direction CAP times better than all readings do within their
     blocks, it is left at that, which hides nothing and changes what the others tell by 1 / CAP^2.
@@ -339,7 +346,8 @@ def root(run: LinearisedRun, side: Floats, variance: Floats, n: int) -> Floats:
 
 
 def reading_weights(kept: Integers, side: Floats, variance: Floats) -> Floats:
-    """Weights (K x p x 2) of the readings on the [right, left] side nearest to each kept sample.
+    """Return weights (K x p x 2) of the readings on the [right, left] side nearest to each kept
+    sample.
 
     A weight is the root of (how many there are / variance).
 
@@ -361,14 +369,15 @@ def reading_weights(kept: Integers, side: Floats, variance: Floats) -> Floats:
 
 
 def _in_blocks(values: Floats, length: int) -> Floats:
-    """Values (K x ...) in blocks of that length, the last one filled up with 0."""
+    """Return values (K x ...) in blocks of that length, the last one filled up with 0."""
     blocks = -(-len(values) // length)
     missing = [(0, blocks * length - len(values)), (0, 0), (0, 0)]
     return np.pad(values, missing).reshape(blocks, length, *values.shape[1:])
 
 
 def _block_rows(run: LinearisedRun, n: int, length: int) -> tuple[Floats, Floats]:
-    """(rows of the readings by the unknowns at their block's start, transition over each block).
+    """Return (rows of the readings by the unknowns at their block's start, transition over each
+    block).
 
     The rows (blocks x length x p x 2 x N) come for the right and the left side.
     """
@@ -395,7 +404,7 @@ def _moving(n: int, p: int, s: int) -> Integers:
 
 
 def _backward(own: Floats, transitions: Floats, moving: Integers) -> Floats:
-    """The root (N x N) of all blocks' information, from the last block to the first.
+    """Return the root (N x N) of all blocks' information, from the last block to the first.
 
     Args:
         own: root of each block's own information (blocks x rows x N).

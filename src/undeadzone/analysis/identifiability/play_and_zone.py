@@ -35,7 +35,8 @@ class WidthInformation(NamedTuple):
 
 
 def with_gaps(linear: Matrices, Ts: float | None) -> Matrices:
-    """The plant with [c_r, c_l] of each output as states, and each output once for each contact.
+    """Return the plant with [c_r, c_l] of each output as states, and each output once for each
+    contact.
 
     Args:
         linear: A, B, C of the plant, of one step if sampled.
@@ -50,7 +51,7 @@ def with_gaps(linear: Matrices, Ts: float | None) -> Matrices:
 
 
 def by_contact(schedule: Schedule) -> Schedule:
-    """The schedule of the outputs of `with_gaps`: a side counts in its own contact alone."""
+    """Return the schedule of the outputs of `with_gaps`: a side counts in its own contact alone."""
     assert schedule.contacts is not None
     sides = np.stack([schedule.sides * (schedule.contacts == m) for m in (1.0, -1.0)], axis=2)
     low, mean, high = (np.repeat(part, 2) for part in schedule[5:8])
@@ -154,7 +155,7 @@ def states_told(linear: Matrices, schedule: Schedule, readings: Readings) -> lis
 def _direction(
     n: int, p: int, i: int, gap: tuple[float, ...], zone: tuple[float, ...] = (0.0, 0.0)
 ) -> Floats:
-    """A combination of gaps and widths of output i among [x; c; d]."""
+    """Return a combination of gaps and widths of output i among [x; c; d]."""
     direction = np.zeros(n + 6 * p)
     direction[n + 2 * i : n + 2 * i + 2] = gap
     direction[n + 2 * p + 4 * i : n + 2 * p + 4 * i + 2] = zone
@@ -162,7 +163,7 @@ def _direction(
 
 
 def _unreached(schedule: Schedule, n: int, i: int) -> list[str]:
-    """`unreached` of an edge behind a gap."""
+    """Return `unreached` of an edge behind a gap."""
     words = []
     for reason in unreached(schedule, schedule.visited(n), i):
         named = reason.replace("below d_r,", "below d_r + c_r,")

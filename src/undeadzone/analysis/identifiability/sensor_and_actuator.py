@@ -32,7 +32,7 @@ class BothEnds(NamedTuple):
 
 
 def modes_visited(u: Floats, visible: np.ndarray, drive: Drive, least: int) -> Floats:
-    """The modes of the actuators that last, while an output is visible (K x m).
+    """Return the modes of the actuators that last, while an output is visible (K x m).
 
     Args:
         u: commands (N x m) [u].
@@ -85,7 +85,9 @@ def both_ends(
 
 
 def _entering(B: Floats, mode: Floats, drive: Drive) -> Floats:
-    """-B chi of a mode (m): what the widths, right ones then left ones, take off x' (n x 2m)."""
+    """Return -B chi of a mode (m): what the widths, right ones then left ones, take off x' (n x
+    2m).
+    """
     right = -drive.slope_right * (mode > 0)
     left = drive.slope_left * (mode < 0)
     return np.hstack([B * right, B * left])

@@ -66,7 +66,7 @@ class State(NamedTuple):
 
 
 def coasting(options: Coasts, model: System) -> tuple[Numbers | None, State | None]:
-    """Numbers and first state of coasting; None where a compensator never coasts.
+    """Return numbers and first state of coasting; None where a compensator never coasts.
 
     Raises:
         InputError: for times that cannot be, or in continuous time.
@@ -101,7 +101,7 @@ def coasting(options: Coasts, model: System) -> tuple[Numbers | None, State | No
 def coasted(
     q: Numbers | None, s: State | None, u: Any, estimate: Estimate, reading: Reading
 ) -> tuple[State | None, Any]:
-    """(the next state, the input: u, or 0 while it coasts).
+    """Return (the next state, the input: u, or 0 while it coasts).
 
     Args:
         q: the numbers; None: it never coasts.
@@ -129,7 +129,7 @@ def coasted(
 
 
 def known_drive(belief: Belief | None) -> Drive:
-    """The believed actuator. Raises InputError where there is none."""
+    """Return the believed actuator. Raises InputError where there is none."""
     if belief is None:
         raise InputError(
             "compensator: there is no actuator to compensate; add [actuator] or [model.actuator]"
@@ -138,7 +138,7 @@ def known_drive(belief: Belief | None) -> Drive:
 
 
 def beyond(drive: Drive, estimate: Estimate) -> tuple[Any, Any]:
-    """(b_r^, b_l^) (m each): those of the observer, else those that are believed."""
+    """Return (b_r^, b_l^) (m each): those of the observer, else those that are believed."""
     if estimate.actuator_right_std.shape[0]:
         return estimate.actuator_right, estimate.actuator_left
     return drive.right, drive.left
@@ -161,7 +161,7 @@ class Inverse(NamedTuple):
 def inverting(
     options: Coasts, model: System, drive: Drive, soft: Floats | None = None
 ) -> Compensator:
-    """The inverse of the believed actuator, which coasts at times.
+    """Return the inverse of the believed actuator, which coasts at times.
 
     Args:
         options: of coasting.
@@ -181,7 +181,8 @@ def inverting(
 
 
 def inverted(drive: Drive, v: Any, right: Any, left: Any) -> Any:
-    """The command u (m) for which v (m) enters the plant: v / m_r + b_r, v / m_l - b_l, or 0.
+    """Return the command u (m) for which v (m) enters the plant: v / m_r + b_r, v / m_l - b_l, or
+    0.
 
     Args:
         drive: the believed actuator, for its slopes.

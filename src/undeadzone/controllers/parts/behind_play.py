@@ -46,7 +46,7 @@ class State(NamedTuple):
 def led_across(
     controller: Controller, model: System, sensor: Zone, tracked: list[int], rate: float | None
 ) -> Controller:
-    """The controller with a reference that is moved by the gap; itself without a rate.
+    """Return the controller with a reference that is moved by the gap; itself without a rate.
 
     Args:
         controller: that makes z follow a reference.
@@ -88,7 +88,9 @@ def led_across(
 def step_across(
     controller: Controller, output: int, q: Any, s: State, estimate: Estimate, target: Target
 ) -> tuple[State, Any]:
-    """One sample of the controller with its target moved; q: its numbers, then the filter's."""
+    """Return one sample of the controller with its target moved; q: its numbers, then the
+    filter's.
+    """
     inner, numbers = tree.parted(q, type(controller.params)), q.crossing
     moves = side(target.r - s.last, ROUNDING * (ca.fabs(target.r) + ca.fabs(s.last)))
     towards = turned(moves, s.towards)

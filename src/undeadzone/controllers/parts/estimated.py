@@ -17,7 +17,8 @@ from undeadzone.plants.system import System
 
 
 def with_estimates(controller: Controller, model: System, uncertain: tuple[str, ...]) -> Controller:
-    """The controller of an arm with gears, told what is estimated; of another plant as it is.
+    """Return the controller of an arm with gears, told what is estimated; of another plant as it
+    is.
 
     Args:
         controller: whose params have the model's parameters as `model`, if it uses them.

@@ -51,7 +51,7 @@ class State(NamedTuple):
 
 
 def predicting(controller: Controller, model: System, belief: Belief | None) -> Controller:
-    """The controller with the estimate of when its input acts; itself without a delay.
+    """Return the controller with the estimate of when its input acts; itself without a delay.
 
     Args:
         controller: for the model whose input acts at once.
@@ -88,7 +88,9 @@ def predicting(controller: Controller, model: System, belief: Belief | None) -> 
 def step_ahead(
     controller: Controller, model: System, q: Any, s: State, estimate: Estimate, target: Target
 ) -> tuple[State, Any]:
-    """One sample of the controller with the estimate moved on; q: its numbers, then `Ahead`."""
+    """Return one sample of the controller with the estimate moved on; q: its numbers, then
+    `Ahead`.
+    """
     inner, ahead = tree.parted(q, type(controller.params)), q.ahead
     x = estimate.x
     for acting in ca.vertsplit(s.line, model.m):

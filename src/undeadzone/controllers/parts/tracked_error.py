@@ -20,7 +20,10 @@ def require_square(method: str, model: System) -> None:
 
 
 def tracked_output(method: str, estimate: Estimate, target: Target) -> Any:
-    """z^ of the tracked outputs, which must be all of them in their order. Raises InputError."""
+    """Return z^ of the tracked outputs, which must be all of them in their order.
+
+    Raises InputError.
+    """
     z = estimate.z
     if z.shape[0] != target.r.shape[0]:
         raise InputError(

@@ -20,7 +20,7 @@ from undeadzone.util.arrays import Array, Floats, array, matrix, scalar, vector
 
 
 def pairs(key: str, value: Array, p: int) -> Floats:
-    """(p x 2) of [right, left] from one number, one pair, or one pair per output.
+    """Return (p x 2) of [right, left] from one number, one pair, or one pair per output.
 
     Raises ShapeError that names the key.
     """
@@ -31,7 +31,7 @@ def pairs(key: str, value: Array, p: int) -> Floats:
 
 
 def bounded_widths(widths0: Array, width_max: Array | None, p: int) -> tuple[Floats, Floats]:
-    """Initial widths and their upper bound.
+    """Return initial widths and their upper bound.
 
     Args:
         widths0: d^(0), one number, [right, left], or one such pair per output [z].
@@ -80,7 +80,7 @@ class Edge(NamedTuple):
 
 
 def gradient_move(numbers: Any, edge: Edge) -> tuple[Any, Any]:
-    """gamma times the drive."""
+    """Return gamma times the drive."""
     return edge.gamma * edge.drive, NONE
 
 
@@ -110,7 +110,7 @@ class Gradient(Options, frozen=True, kw_only=True, tag="gradient"):
     """d^' = gamma drive, (25) as repaired. Certified where M < 0."""
 
     def law(self, Ts: float | None) -> Law:
-        """The law.
+        """Return the law.
 
         Args:
             Ts: sample time [s]; None in continuous time.
@@ -131,7 +131,7 @@ class Normalised(Options, frozen=True, kw_only=True, tag="normalised"):
     weight: float = 1.0
 
     def law(self, Ts: float | None) -> Law:
-        """The law.
+        """Return the law.
 
         Args:
             Ts: sample time [s]; None in continuous time.
@@ -159,7 +159,7 @@ class LeastSquares(Options, frozen=True, kw_only=True, tag="least_squares"):
     reset: float = 0.0
 
     def law(self, Ts: float | None) -> Law:
-        """The law.
+        """Return the law.
 
         Args:
             Ts: sample time [s]; None in continuous time.
@@ -177,20 +177,24 @@ class LeastSquares(Options, frozen=True, kw_only=True, tag="least_squares"):
 
 
 def least_squares_flow(numbers: Any, edge: Edge) -> tuple[Any, Any]:
-    """(d^', g') in continuous time; numbers: the rate of forgetting and the share of `reset`."""
+    """Return (d^', g') in continuous time; numbers: the rate of forgetting and the share of
+    `reset`.
+    """
     growth = numbers[0] * edge.gain - edge.adapted * edge.gain**2
     below = edge.gain < edge.gamma
     return edge.gain * edge.drive, ca.if_else(below, growth, ca.fmin(growth, 0.0))
 
 
 def least_squares_step(numbers: Any, edge: Edge) -> tuple[Any, Any]:
-    """(what a step adds to d^, the next g); numbers: what a step keeps of readings, share."""
+    """Return (what a step adds to d^, the next g); numbers: what a step keeps of readings,
+    share.
+    """
     after = ca.fmin(edge.gain / (numbers[0] + edge.adapted * edge.gain), edge.gamma)
     return after * edge.drive, after
 
 
 def reset_small_gain(numbers: Any, gain: Any, gamma: Any) -> Any:
-    """gamma in place of a gain below its share of gamma."""
+    """Return gamma in place of a gain below its share of gamma."""
     return ca.if_else(gain < numbers[1] * gamma, gamma, gain)
 
 
@@ -208,7 +212,7 @@ class Sigma(Options, frozen=True, kw_only=True, tag="sigma"):
     leak: float
 
     def law(self, Ts: float | None) -> Law:
-        """The law.
+        """Return the law.
 
         Args:
             Ts: sample time [s]; None in continuous time.
@@ -221,7 +225,7 @@ class Sigma(Options, frozen=True, kw_only=True, tag="sigma"):
 
 
 def sigma_move(leak: Any, edge: Edge) -> tuple[Any, Any]:
-    """gamma times the drive less a constant leak."""
+    """Return gamma times the drive less a constant leak."""
     return edge.gamma * (edge.drive - leak * (edge.width - edge.width0)), NONE
 
 
@@ -238,7 +242,7 @@ class EModification(Options, frozen=True, kw_only=True, tag="e_modification"):
     leak: float
 
     def law(self, Ts: float | None) -> Law:
-        """The law.
+        """Return the law.
 
         Args:
             Ts: sample time [s]; None in continuous time.
@@ -251,7 +255,7 @@ class EModification(Options, frozen=True, kw_only=True, tag="e_modification"):
 
 
 def e_modification_move(leak: Any, edge: Edge) -> tuple[Any, Any]:
-    """gamma times the drive less a leak that grows with the error."""
+    """Return gamma times the drive less a leak that grows with the error."""
     leakage = leak * ca.fabs(edge.drive) * (edge.width - edge.width0)
     return edge.gamma * (edge.drive - leakage), NONE
 

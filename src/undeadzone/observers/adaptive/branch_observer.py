@@ -106,7 +106,7 @@ def measured_side(
     silence: bool,
     law: Law = GRADIENT,
 ) -> Observer:
-    """The observer itself; with gamma = 0 and true widths it is the known-width oracle.
+    """Return the observer itself; with gamma = 0 and true widths it is the known-width oracle.
 
     Args:
         model: the model, continuous or sampled.
@@ -151,7 +151,9 @@ def measured_side(
 
 
 def into_bounds(law: Law, p: Params, s: State) -> State:
-    """The state with its widths within [0, d_M], and gains that became too small set back."""
+    """Return the state with its widths within [0, d_M], and gains that became too small set
+    back.
+    """
     right = ca.fmax(ca.fmin(s.right, p.limit), 0.0)
     left = ca.fmax(ca.fmin(s.left, p.limit), 0.0)
     right_gain = law.reset(p.law, s.right_gain, p.gamma)
@@ -162,7 +164,7 @@ def into_bounds(law: Law, p: Params, s: State) -> State:
 def measured_side_step(
     setup: Setup, p: Params, s: State, u: Any, reading: Reading
 ) -> tuple[State, Estimate]:
-    """The state's derivative, or its next value when sampled, and the estimate."""
+    """Return the state's derivative, or its next value when sampled, and the estimate."""
     model, law = setup.model, setup.law
     z = model.output(p.model, s.x)
     y = reading.y / p.slope

@@ -24,7 +24,7 @@ TRIES: Final = 20  # such factors
 
 
 def gains(L: Array | None, model: System, key: str = "observer.L") -> Floats:
-    """L as n x p.
+    """Return L as n x p.
 
     Args:
         L: gains, a plain list for one output; None: `default_gain` of the model.
@@ -49,7 +49,8 @@ def gains(L: Array | None, model: System, key: str = "observer.L") -> Floats:
 
 
 def default_gain(model: System) -> Floats:
-    """L (n x p) [1/s] along P^-1 C', so strong that a lasting error moves z^ `STRENGTH` times.
+    """Return L (n x p) [1/s] along P^-1 C', so strong that a lasting error moves z^ `STRENGTH`
+    times.
 
     In continuous time every multiple is certified; sampled, the gain is weakened until it is.
 
@@ -75,6 +76,6 @@ def default_gain(model: System) -> Floats:
 
 
 def default_adaptation(model: System) -> float:
-    """gamma [1/s] for the plant's own speed."""
+    """Return gamma [1/s] for the plant's own speed."""
     wanted = ADAPTATION * mean_pole(model)
     return wanted if model.Ts is None else min(wanted, LARGEST / model.Ts)

@@ -75,7 +75,7 @@ class State(NamedTuple):
 def adapted(
     gamma: Array, widths0: Array, width_max: Array | None, model: System, sensor: Zone
 ) -> Widths:
-    """Checked widths and their gain. Raises InputError, ShapeError."""
+    """Return checked widths and their gain. Raises InputError, ShapeError."""
     gain = nonnegative("observer.gamma", gamma, model.p, "one per output")
     if sensor.kind == "jump" and gain.any():
         raise InputError(
@@ -86,7 +86,7 @@ def adapted(
 
 
 def measured(law: Any, s: State, z: Any, reading: Reading) -> tuple[Any, Any]:
-    """Whether the reading is on the right, on the left (p each)."""
+    """Return whether the reading is on the right, on the left (p each)."""
     return reading.side > 0, reading.side < 0
 
 
@@ -104,7 +104,8 @@ def output_error(
     inject: Callable[[Any, Any], Any] = nothing,
     where: Callable[[Any, State, Any, Reading], tuple[Any, Any]] = measured,
 ) -> Observer:
-    """x^' = A x^ + B u + L e + inject(law, e), d_r^' = -gamma e on the right, d_l^' = gamma e left.
+    """Return x^' = A x^ + B u + L e + inject(law, e), d_r^' = -gamma e on the right, d_l^' = gamma
+    e left.
 
     The widths stay within [0, d_M]. e = y / m - Dz(C x^; d^) (p), 0 where the reading is missing;
     with d^ = 0 it is y / m - C x^.
@@ -151,7 +152,9 @@ def output_error(
 
 
 def error(sensor: Zone, p: Params, s: State, z: Any, reading: Reading) -> Any:
-    """e = y / m - Dz(z; d^) (p), 0 where the reading is missing, or a limit that Dz is beyond."""
+    """Return e = y / m - Dz(z; d^) (p), 0 where the reading is missing, or a limit that Dz is
+    beyond.
+    """
     zone = jump if sensor.kind == "jump" else deadzone
     expected = zone(z, s.right, s.left)
     y = reading.y / p.slope
@@ -161,7 +164,7 @@ def error(sensor: Zone, p: Params, s: State, z: Any, reading: Reading) -> Any:
 
 
 def project(p: Params, s: State) -> State:
-    """The state with its widths within [0, d_M]."""
+    """Return the state with its widths within [0, d_M]."""
     right = ca.fmax(ca.fmin(s.right, p.limit), 0.0)
     left = ca.fmax(ca.fmin(s.left, p.limit), 0.0)
     return State(s.x, right, left)

@@ -75,7 +75,7 @@ def drive_of(gears: Geared, Ts: float, substeps: int, apart: bool = False) -> Dr
 
 
 def believed(gears: Geared, params: Any, x: Any) -> Any:
-    """The parameters of an arm with gears, with what a filter makes of them.
+    """Return the parameters of an arm with gears, with what a filter makes of them.
 
     Args:
         gears: the arm.
@@ -94,7 +94,9 @@ def believed(gears: Geared, params: Any, x: Any) -> Any:
 
 
 def alone(gears: Geared, joint: int) -> Geared:
-    """One joint of an arm with gears, as an arm of one link that knows the rest by numbers."""
+    """Return one joint of an arm with gears, as an arm of one link that knows the rest by
+    numbers.
+    """
 
     def bias(p: Any, q: Any, _: Any) -> Any:
         carried = p["weight"] * (p["payload"] - p["carried"])
@@ -122,7 +124,7 @@ def places(layout: Layout, joint: int) -> list[int]:
 
 
 def part_of(q: Numbers, layout: Layout, joint: int, count: int) -> Numbers:
-    """The numbers of one of so many filters: all, or those of a joint."""
+    """Return the numbers of one of so many filters: all, or those of a joint."""
     if count == 1:
         return q
     here = places(layout, joint)
@@ -138,7 +140,7 @@ def part_of(q: Numbers, layout: Layout, joint: int, count: int) -> Numbers:
 
 
 def touching(drive: Drive, told: Posterior) -> Any:
-    """The chance of the right flank less that of the left one, of each joint of a filter."""
+    """Return the chance of the right flank less that of the left one, of each joint of a filter."""
     filters = len(told.chances) // len(drive.layout.modes)
     sides = filters * [list(mode) for mode in drive.layout.modes]
     return ca.DM(sides).T @ ca.vertcat(*told.chances)
@@ -243,7 +245,8 @@ def posture(gears: Geared, model: Any, mean: Any, u: Any) -> Posture:
 
 
 def combine_joints(told: Sequence[Posterior], news: Any, arm: Posture) -> list[Posterior]:
-    """The joints, after their readings, once each has heard what those of others tell of torques.
+    """Return the joints, after their readings, once each has heard what those of others tell of
+    torques.
 
     Where readings correct the speed of a motor, its gears have given its link another impulse than
     was taken for the mean, opposite to that of the motor. Links elsewhere that are free went with
@@ -285,7 +288,8 @@ class Pressed(NamedTuple):
 def contact_forces(
     drives: Sequence[Drive], parts: Sequence[Numbers], told: Sequence[Posterior]
 ) -> Pressed:
-    """The torques at the beginning of a sample; what stops a strike is as uncertain as that one.
+    """Return the torques at the beginning of a sample; what stops a strike is as uncertain as that
+    one.
 
     Nothing is said of how uncertain a torque is within a contact: what is stiff corrects it at
     once, while the variances of two joints that take it for lasting would drive each other up.
@@ -318,7 +322,7 @@ def surroundings(
     told: Sequence[Posterior],
     arm: Posture,
 ) -> list[Numbers]:
-    """The numbers of each joint's filter, with what it knows of the rest of its arm.
+    """Return the numbers of each joint's filter, with what it knows of the rest of its arm.
 
     Args:
         ones: each joint `alone`.
@@ -360,7 +364,7 @@ def surroundings(
 
 
 def _column(gears: Geared, one: Geared, params: Any, joint: int) -> Any:
-    """The parameters of one joint alone, without what it knows of the rest."""
+    """Return the parameters of one joint alone, without what it knows of the rest."""
     column = ca.SX(one.values)
     for place, name in enumerate(one.names):
         if name.endswith("1"):
@@ -369,12 +373,13 @@ def _column(gears: Geared, one: Geared, params: Any, joint: int) -> Any:
 
 
 def _solved(M: Any, right: Any) -> Any:
-    """M^-1 times a matrix."""
+    """Return M^-1 times a matrix."""
     return ca.ldl_solve(right, *ca.ldl(M))
 
 
 def _moved(arm: Posture, touching: Any) -> Any:
-    """The acceleration of each link by torques (N x N); others turn their motors where they touch.
+    """Return the acceleration of each link by torques (N x N); others turn their motors where they
+    touch.
 
     So a link answers to its own contact, which lasts longer than a stiff contact takes.
     """
@@ -387,7 +392,7 @@ def _moved(arm: Posture, touching: Any) -> Any:
 
 
 def _lasting(arm: Posture, now: Pressed, drive: Drive) -> Any:
-    """The mean torques through the gears over a sample (N), of joints that stay as they are.
+    """Return the mean torques through the gears over a sample (N), of joints that stay as they are.
 
     A joint that touches feels its own torque, and those of others by the chance that they touch.
     """
@@ -419,7 +424,8 @@ def _shaken(
     told: Sequence[Posterior],
     Ts: float,
 ) -> Any:
-    """The variance that the speed of each link gains in a sample by what is unknown of others (N).
+    """Return the variance that the speed of each link gains in a sample by what is unknown of
+    others (N).
 
     What their torques are off by counts for the sample alone, as it is `made_up`.
 
@@ -443,7 +449,7 @@ def _shaken(
 
 
 def _span(belief: Gaussian) -> Any:
-    """The variance of a link, which is not beyond its flanks for long (1)."""
+    """Return the variance of a link, which is not beyond its flanks for long (1)."""
     layout = Layout(1)
     motor, link, half = (layout.of(name).start for name in ("motor", "link", "half"))
     bound = belief.mean[half] ** 2 + belief.cov[half, half] + belief.cov[motor, motor]

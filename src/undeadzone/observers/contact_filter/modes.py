@@ -66,7 +66,7 @@ class Layout(NamedTuple):
     size: int
 
     def of(self, name: str) -> slice:
-        """The entries of one quantity."""
+        """Return the entries of one quantity."""
         if name == "payload":
             return slice(self.entries - 1, self.entries)
         first = QUANTITIES.index(name) * self.size
@@ -79,18 +79,18 @@ class Layout(NamedTuple):
 
     @property
     def modes(self) -> list[Contacts]:
-        """Every combination of contacts."""
+        """Return every combination of contacts."""
         return list(itertools.product((1, 0, -1), repeat=self.size))
 
     def edge(self, joint: int, side: int) -> ca.DM:
-        """The row of side (theta - q + c) - a of a joint (1 x entries)."""
+        """Return the row of side (theta - q + c) - a of a joint (1 x entries)."""
         row = np.zeros((1, self.entries))
         for name, sign in (("motor", side), ("link", -side), ("centre", side), ("half", -1)):
             row[0, self.of(name).start + joint] = sign
         return ca.sparsify(ca.DM(row))
 
     def edges(self, joint: int) -> list[ca.DM]:
-        """The rows of its right and its left flank."""
+        """Return the rows of its right and its left flank."""
         return [self.edge(joint, side) for side in (1, -1)]
 
 
@@ -185,7 +185,8 @@ class Posterior(NamedTuple):
 
 
 def start(layout: Layout, mean: Floats, std: Floats, slack: float) -> Modes:
-    """The modes before the first reading, as NumPy arrays: each link on the flank of its mode.
+    """Return the modes before the first reading, as NumPy arrays: each link on the flank of its
+    mode.
 
     Args:
         layout: where the quantities stand.
@@ -206,7 +207,7 @@ def start(layout: Layout, mean: Floats, std: Floats, slack: float) -> Modes:
 
 
 def _beliefs(drive: Drive, s: Modes, y: Any) -> list[Gaussian]:
-    """The belief in each mode: the first whole sample sets the angles.
+    """Return the belief in each mode: the first whole sample sets the angles.
 
     Args:
         drive: the plant.
@@ -224,7 +225,7 @@ def _beliefs(drive: Drive, s: Modes, y: Any) -> list[Gaussian]:
 
 
 def corrected(drive: Drive, q: Numbers, s: Modes, y: Any) -> Posterior:
-    """The modes after the readings of a sample; one that is no number is missing."""
+    """Return the modes after the readings of a sample; one that is no number is missing."""
     beliefs, each = _beliefs(drive, s, y), []
     for contact, belief in zip(drive.layout.modes, beliefs, strict=True):
         each.append(_read(drive, q, contact, belief, y))
@@ -245,7 +246,7 @@ def corrected(drive: Drive, q: Numbers, s: Modes, y: Any) -> Posterior:
 
 
 def innovation(shares: Sequence[Any], each: Sequence[Posterior | Read]) -> tuple[Any, Any]:
-    """The innovation of a mixture and its deviation, where each part has a share (K)."""
+    """Return the innovation of a mixture and its deviation, where each part has a share (K)."""
     e = weighted_mean(shares, [one.e for one in each])
     variances = [one.std**2 + (one.e - e) ** 2 for one in each]
     return e, ca.sqrt(weighted_mean(shares, variances))
@@ -267,7 +268,7 @@ class Read(NamedTuple):
 
 
 def _read(drive: Drive, q: Numbers, contact: Contacts, foretold: Gaussian, y: Any) -> Read:
-    """One mode after the readings, with its numbers within their bounds."""
+    """Return one mode after the readings, with its numbers within their bounds."""
     belief, log, readings = foretold, ca.SX(0.0), []
     for row, entry in enumerate(drive.readings):
         seen = present(y[row])
@@ -286,7 +287,7 @@ def _read(drive: Drive, q: Numbers, contact: Contacts, foretold: Gaussian, y: An
 
 
 def _within(layout: Layout, contact: Contacts, belief: Gaussian, slack: Any) -> Any:
-    """The log of the chance that the links in their gaps are between their flanks.
+    """Return the log of the chance that the links in their gaps are between their flanks.
 
     By as much as readings raise it, they speak for a mode whose belief is uncut.
     """
@@ -299,19 +300,21 @@ def _within(layout: Layout, contact: Contacts, belief: Gaussian, slack: Any) -> 
 
 
 def _beyond(layout: Layout, joint: int, belief: Gaussian, slack: Any) -> list[Any]:
-    """The chances that a link is beyond its right and its left flank, under the uncut belief."""
+    """Return the chances that a link is beyond its right and its left flank, under the uncut
+    belief.
+    """
     return [beyond(belief, h, h @ belief.mean, slack) for h in layout.edges(joint)]
 
 
 def one_or_other(use: Any, one: Gaussian, other: Gaussian) -> Gaussian:
-    """One belief, or another one."""
+    """Return one belief, or another one."""
     return Gaussian(
         ca.if_else(use, one.mean, other.mean), from_upper(ca.if_else(use, one.cov, other.cov))
     )
 
 
 def normalised(weights: list[Any]) -> list[Any]:
-    """The weights over their sum."""
+    """Return the weights over their sum."""
     total = ca.fmax(sum(weights), 1e-300)
     return [weight / total for weight in weights]
 
@@ -348,7 +351,7 @@ class Mode(NamedTuple):
 
 
 def predicted(drive: Drive, q: Numbers, told: Posterior, u: Any) -> list[Mode]:
-    """The modes a sample later: links leave flanks, all move, links reach flanks.
+    """Return the modes a sample later: links leave flanks, all move, links reach flanks.
 
     Args:
         drive: the plant.
@@ -383,7 +386,7 @@ def _change(drive: Drive, q: Numbers, contact: Contacts, u: Any) -> Callable[[An
 
 
 def _leaving(drive: Drive, q: Numbers, contact: Contacts, one: Mode, u: Any) -> Any:
-    """The share of a mode of which each joint leaves its flank in the sample (N).
+    """Return the share of a mode of which each joint leaves its flank in the sample (N).
 
     It does where the torque through the gears, in the middle of the sample, pulls. What leaves is
     free for the whole sample: to wait for its end would make each crossing late.
@@ -407,7 +410,7 @@ def _sides(layout: Layout, joint: int) -> list[dict[int, int]]:
 def _released(
     drive: Drive, q: Numbers, joint: int, modes: list[Mode], leaving: list[Any]
 ) -> tuple[list[Mode], list[Any]]:
-    """The modes, and the shares that leave, after one joint has left its flanks."""
+    """Return the modes, and the shares that leave, after one joint has left its flanks."""
     after, shares = list(modes), list(leaving)
     for places in _sides(drive.layout, joint):
         gap, parts, left = places[0], [], []
@@ -440,7 +443,7 @@ def _resident(drive: Drive, q: Numbers, joint: int, gap: Mode, come: Any) -> lis
 
 
 def _moved(drive: Drive, q: Numbers, contact: Contacts, one: Mode, u: Any) -> Mode:
-    """One mode a sample later, contacts held."""
+    """Return one mode a sample later, contacts held."""
     layout, (mean, cov), Q = drive.layout, one.belief, ca.SX(q.Q)
     motors, halves = layout.of("motor_speed"), layout.of("half")
     friction = ca.fmax(mean[layout.of("friction")], q.least)
@@ -451,7 +454,7 @@ def _moved(drive: Drive, q: Numbers, contact: Contacts, one: Mode, u: Any) -> Mo
 
 
 def _arrivals(layout: Layout, slack: Any, contact: Contacts, start: Mode, end: Mode) -> Any:
-    """The shares of a mode that reach the right and the left flank of each joint (N x 2).
+    """Return the shares of a mode that reach the right and the left flank of each joint (N x 2).
 
     Where the uncut belief is much wider than the gap it says nothing more of what is in it.
     """
@@ -469,7 +472,7 @@ def _arrivals(layout: Layout, slack: Any, contact: Contacts, start: Mode, end: M
 def _caught(
     drive: Drive, q: Numbers, joint: int, modes: list[Mode], arrivals: list[Any]
 ) -> tuple[list[Mode], list[Any]]:
-    """The modes, and the shares that arrive, after one joint has reached its flanks."""
+    """Return the modes, and the shares that arrive, after one joint has reached its flanks."""
     after, shares = list(modes), list(arrivals)
     for places in _sides(drive.layout, joint):
         gap, share = modes[places[0]], arrivals[places[0]][joint, :]
@@ -497,7 +500,7 @@ def _merged(parts: list[Mode]) -> tuple[Mode, list[Any]]:
 def condition_on_impact(
     drive: Drive, q: Numbers, joint: int, side: int, belief: Gaussian
 ) -> Gaussian:
-    """The belief of a link that has just struck a flank.
+    """Return the belief of a link that has just struck a flank.
 
     In the mean it did so half a sample ago. Since then motor and link have moved on together, by as
     much as the impulse between them says; its size is not known, as restitution is not. Joint by
@@ -531,7 +534,7 @@ def _still(speed: Any) -> Any:
 
 
 def pack_modes(drive: Drive, moved: list[Mode], s: Modes, y: Any) -> Modes:
-    """The state at the next sample; before a first whole sample it stays as it is."""
+    """Return the state at the next sample; before a first whole sample it stays as it is."""
     entries, begun = ca.Sparsity.upper(drive.layout.entries), ca.fmax(s.begun, ca.mmin(present(y)))
 
     def kept(new: Any, old: Any) -> Any:

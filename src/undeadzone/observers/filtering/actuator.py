@@ -32,7 +32,7 @@ class State(NamedTuple):
 
 
 def built(options: Any, model: System, sensor: Zone, belief: Belief | None) -> Observer:
-    """The observer with these options for a model behind an actuator.
+    """Return the observer with these options for a model behind an actuator.
 
     Args:
         options: of the observer.
@@ -50,7 +50,7 @@ def built(options: Any, model: System, sensor: Zone, belief: Belief | None) -> O
 
 
 def _behind_actuator(options: Any, model: System, sensor: Zone, belief: Belief | None) -> Observer:
-    """The observer for a model whose input acts at once; arguments as of `built`."""
+    """Return the observer for a model whose input acts at once; arguments as of `built`."""
     if belief is None:
         return options.build(model, sensor)
     method = str(options.__struct_config__.tag)
@@ -82,7 +82,7 @@ def _require_friction(method: str, model: System, sensor: Zone) -> None:
 
 
 def through_actuator(observer: Observer, model: System, belief: Belief) -> Observer:
-    """The observer that is told what passes the actuator in place of the command.
+    """Return the observer that is told what passes the actuator in place of the command.
 
     Args:
         observer: that takes what enters the plant for its input, or estimates widths itself.
@@ -112,7 +112,7 @@ class Late(NamedTuple):
 
 
 def through_delay(observer: Observer, model: System) -> Observer:
-    """The observer that is told what acts now in place of the command. Raises InputError.
+    """Return the observer that is told what acts now in place of the command. Raises InputError.
 
     Its filter keeps its order: what is under way is known.
 
@@ -151,7 +151,7 @@ def through_delay(observer: Observer, model: System) -> Observer:
 def step_through(
     observer: Observer, model: System, known: bool, q: Any, s: State, u: Any, reading: Reading
 ) -> tuple[State, Estimate]:
-    """One sample; q: numbers of the observer, then the actuator's `Drive`."""
+    """Return one sample; q: numbers of the observer, then the actuator's `Drive`."""
     drive, inner = q.actuator, tree.parted(q, type(observer.params))
     passed = within_limits(ca, u, drive)
     command = s.command

@@ -21,7 +21,8 @@ SWING = 0.5  # rms, in largest widths, by which a disturbance moves z in a quart
 
 
 def agitation(model: System, rms: float, span: float | None = None) -> Floats:
-    """The rms (m) of a disturbance, new at every sample, that alone moves some z by a given rms.
+    """Return the rms (m) of a disturbance, new at every sample, that alone moves some z by a given
+    rms.
 
     Args:
         model: the sampled model.
@@ -38,7 +39,7 @@ def agitation(model: System, rms: float, span: float | None = None) -> Floats:
 
 
 def default_disturbance(model: System, largest: float, correlation: float) -> Floats:
-    """The rms (m) [u] of a coloured disturbance where none is claimed.
+    """Return the rms (m) [u] of a coloured disturbance where none is claimed.
 
     At low frequencies it is as strong as a white one that moves z by `SWING` largest widths until
     its `arrival`.
@@ -53,24 +54,24 @@ def default_disturbance(model: System, largest: float, correlation: float) -> Fl
 
 
 def quarter_period(model: System) -> float:
-    """`time_scale` [s] of a sampled model."""
+    """Return `time_scale` [s] of a sampled model."""
     return time_scale(model.continuous, model.Ts)
 
 
 def even_units(model: System) -> Floats:
-    """The powers of two next to `state_units` (n) of a sampled model."""
+    """Return the powers of two next to `state_units` (n) of a sampled model."""
     return np.asarray(2.0 ** np.round(np.log2(state_units(model.continuous, model.Ts))))
 
 
 def counted_prior(prior: Prior, units: Floats) -> Prior:
-    """The prior of states that are counted in these units (n)."""
+    """Return the prior of states that are counted in these units (n)."""
     n = units.size
     scale = np.concatenate([units, np.ones(prior.mean.size - n)])
     return prior._replace(mean=prior.mean / scale, std=prior.std / scale)
 
 
 def shown_states(observer: Observer, units: Floats) -> Observer:
-    """A filter of states counted in these units (n), that shows them in the plant's.
+    """Return a filter of states counted in these units (n), that shows them in the plant's.
 
     Of a linear plant the units are numbers of its model (`in_units`), so that one graph serves
     plants whose units differ.

@@ -42,7 +42,7 @@ class Sums(NamedTuple):
 
 
 def accumulate(before: Sums, nu: Any, counted: Any, fade: Any, keep: Any) -> Sums:
-    """The sums after one more sample.
+    """Return the sums after one more sample.
 
     Args:
         before: the sums before it.
@@ -97,7 +97,7 @@ class Member(NamedTuple):
 
 
 def log_density(e: Any, std: Any) -> Any:
-    """The log of the density of the readings that were used, up to a constant.
+    """Return the log of the density of the readings that were used, up to a constant.
 
     Args:
         e: innovations (p); one of 0 was not used.
@@ -160,7 +160,7 @@ class Setup(NamedTuple):
 def with_consistency_tests(
     member: Member, model: System, widens: bool, traits: Traits = NO_TRAITS, recovers: bool = True
 ) -> Observer:
-    """The filter as an observer.
+    """Return the filter as an observer.
 
     Args:
         member: the filter.
@@ -191,7 +191,7 @@ def with_consistency_tests(
 
 
 def _shown_smoothed(setup: Setup, q: Params, beliefs: Any, share: Any, record: Record) -> Estimate:
-    """The estimate that shows smoothed beliefs, as wide as the record demands."""
+    """Return the estimate that shows smoothed beliefs, as wide as the record demands."""
     estimated = setup.member.smoothing.shown(q, beliefs, share, ())
     return widen_intervals(setup.model, q, record, estimated) if setup.widens else estimated
 
@@ -199,7 +199,7 @@ def _shown_smoothed(setup: Setup, q: Params, beliefs: Any, share: Any, record: R
 def judged_step(
     setup: Setup, q: Params, s: State, u: Any, reading: Reading
 ) -> tuple[State, Estimate]:
-    """One sample of the filter, and what it shows after its readings were judged.
+    """Return one sample of the filter, and what it shows after its readings were judged.
 
     A restart shows at the next sample: it may come from the input, on which no estimate depends.
     """
@@ -215,7 +215,7 @@ def judged_step(
 
 
 def restart_record(record: Record, restarted: Any) -> Record:
-    """The record after the sample: a filter that begins anew has refuted nothing."""
+    """Return the record after the sample: a filter that begins anew has refuted nothing."""
     return record._replace(
         restarts=record.restarts + restarted,
         constant=ca.if_else(restarted, 0.0, record.constant),
@@ -224,7 +224,7 @@ def restart_record(record: Record, restarted: Any) -> Record:
 
 
 def update_record(q: Params, record: Record, step: Step, u: Any, reading: Reading) -> Record:
-    """The record after one more sample: of innovations that are used and not far off."""
+    """Return the record after one more sample: of innovations that are used and not far off."""
     e, std = step.estimate.innovation, step.estimate.innovation_std
     used = e != 0
     nu = ca.if_else(used, e / std, 0.0)
@@ -269,12 +269,12 @@ def consistency_statistics(q: Params, record: Record) -> dict[str, Any]:
 
 
 def fitting(q: Params, record: Record) -> Any:
-    """Whether the innovations fit the claims, and most readings were not refused."""
+    """Return whether the innovations fit the claims, and most readings were not refused."""
     return innovation_tests.verdict(consistency_statistics(q, record))["consistent"]
 
 
 def widen_intervals(model: System, q: Params, record: Record, estimated: Estimate) -> Estimate:
-    """The estimate with standard deviations that the innovations bear out.
+    """Return the estimate with standard deviations that the innovations bear out.
 
     Where they do not fit, deviations are multiplied by the root of the largest mean square of sums,
     and gain the mean innovation, for a filter that doubts nothing has none to multiply. Where most

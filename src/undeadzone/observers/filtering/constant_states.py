@@ -44,7 +44,7 @@ SAME = 20.0  # steps for which an error of the side keeps its sign, and counts t
 def with_constants(
     inner: Augmentation, variance: Floats, wear: Callable[[Any], Any] | None = None
 ) -> Augmentation:
-    """The motion with further unknowns of mean 0, the last ones, that change by noise alone.
+    """Return the motion with further unknowns of mean 0, the last ones, that change by noise alone.
 
     Its u is what enters the plant.
 
@@ -89,7 +89,7 @@ class Gaps(NamedTuple):
 
 
 def numbers_of(sensor: Zone, prior: Prior) -> Gaps | None:
-    """The numbers of a filter about the play ahead of the zone; None: there is none.
+    """Return the numbers of a filter about the play ahead of the zone; None: there is none.
 
     Args:
         sensor: as the filter takes it.
@@ -107,7 +107,7 @@ def numbers_of(sensor: Zone, prior: Prior) -> Gaps | None:
 
 
 def with_gaps(inner: Augmentation, gaps: Gaps | None) -> Augmentation:
-    """The motion with the gaps' errors as its last unknowns, if they are not known."""
+    """Return the motion with the gaps' errors as its last unknowns, if they are not known."""
     if gaps is None or not gaps.std.size:
         return inner
     return with_constants(inner, gaps.std**2, lambda q: ca.diag(q.gaps.drift))
@@ -125,7 +125,7 @@ def place(q: Any, size: int) -> slice:
 
 
 def gaps_at(q: Any, X: Any) -> Any:
-    """The gaps, all c_r, then all c_l (2p) [z], at [x; d; extra]."""
+    """Return the gaps, all c_r, then all c_l (2p) [z], at [x; d; extra]."""
     if not q.gaps.std.shape[0]:
         return q.gaps.middle
     return q.gaps.middle + X[place(q, X.shape[0])]
@@ -160,7 +160,7 @@ def taken_by_play(q: Any, i: int, contact: Any, X: Any) -> Any:
 
 
 def with_play(q: Any, estimated: Estimate, shown: Gaussian, reading: Reading) -> Estimate:
-    """The estimate with the gaps of the play ahead of the zone, if there is one.
+    """Return the estimate with the gaps of the play ahead of the zone, if there is one.
 
     Its inverse adds the gap of a reading that moves.
     """
@@ -193,7 +193,7 @@ class Zones(NamedTuple):
 
 
 def zones_of(belief: Belief | None) -> Zones | None:
-    """The numbers of a filter that estimates widths; None: it estimates none."""
+    """Return the numbers of a filter that estimates widths; None: it estimates none."""
     if belief is None or belief.ranges is None:
         return None
     drive = belief.drive
@@ -201,7 +201,7 @@ def zones_of(belief: Belief | None) -> Zones | None:
 
 
 def with_widths(inner: Augmentation, zones: Zones | None) -> Augmentation:
-    """The motion with the widths' errors as its last unknowns: right ones, then left ones.
+    """Return the motion with the widths' errors as its last unknowns: right ones, then left ones.
 
     Its u is what enters the plant; `entering` gives it.
     """
@@ -245,7 +245,7 @@ def entering(zones: Zones | None, belief: Gaussian, u: Any) -> tuple[Callable[[A
 
 
 def with_actuator(zones: Zones | None, estimated: Estimate, shown: Gaussian) -> Estimate:
-    """The estimate with the widths of the actuators, if they are estimated."""
+    """Return the estimate with the widths of the actuators, if they are estimated."""
     if zones is None:
         return estimated
     count = zones.middle.shape[0]
@@ -262,7 +262,7 @@ def with_actuator(zones: Zones | None, estimated: Estimate, shown: Gaussian) -> 
 
 
 def with_friction(inner: Augmentation, sensor: Zone) -> Augmentation:
-    """The motion with the error of the friction as its last unknown, if it is not known."""
+    """Return the motion with the error of the friction as its last unknown, if it is not known."""
     if not sensor.friction_std.any():
         return inner
     return with_constants(inner, sensor.friction_std**2)

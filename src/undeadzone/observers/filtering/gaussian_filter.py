@@ -98,7 +98,7 @@ class Params(NamedTuple):
 
 
 def filter_numbers(model: System, sensor: Zone, prior: Prior, augmentation: Augmentation) -> Params:
-    """The numbers of a filter that starts from the prior."""
+    """Return the numbers of a filter that starts from the prior."""
     known = model.n + 2 * model.p
     count = len(augmentation.cov)
     cov = np.zeros((known + count,) * 2)
@@ -121,7 +121,7 @@ def filter_numbers(model: System, sensor: Zone, prior: Prior, augmentation: Augm
 
 
 def kept_entries(model: System, augmentation: Augmentation) -> ca.Sparsity:
-    """The entries of the covariance's upper triangle that a filter keeps."""
+    """Return the entries of the covariance's upper triangle that a filter keeps."""
     if augmentation.entries is not None:
         return augmentation.entries
     return ca.Sparsity.upper(model.n + 2 * model.p + len(augmentation.cov))
@@ -135,7 +135,7 @@ def motion(
     drive: Callable[[Any], Any],
     doubt: Any = None,
 ) -> tuple[Callable[[Any], Any], Any]:
-    """(the change of [x; d; extra] over a step, the covariance that it adds).
+    """Return (the change of [x; d; extra] over a step, the covariance that it adds).
 
     Args:
         model: the model.
@@ -162,14 +162,14 @@ def motion(
 
 
 def _moved(augmentation: Augmentation, q: Params, x: Any, extra: Any, u: Any) -> Any:
-    """The change of x over a step under an input."""
+    """Return the change of x over a step under an input."""
     return augmentation.change(q, x, extra, u)[0]
 
 
 def to_estimate(
     model: System, sensor: Zone, q: Params, belief: Gaussian, reading: Reading, e: Any, e_std: Any
 ) -> Estimate:
-    """The belief about [x; d; extra] as an `Estimate`.
+    """Return the belief about [x; d; extra] as an `Estimate`.
 
     Args:
         model: the model.
@@ -197,7 +197,7 @@ def to_estimate(
 
 
 def deviations_of_sides(cov: Any) -> tuple[Any, Any, Any]:
-    """Standard deviations of right ends, of left ones, and of the sums of both (p each).
+    """Return standard deviations of right ends, of left ones, and of the sums of both (p each).
 
     Args:
         cov: covariance of all right ends, then of all left ones (2p x 2p).
@@ -210,7 +210,8 @@ def deviations_of_sides(cov: Any) -> tuple[Any, Any, Any]:
 
 
 def white(model: System, variance: Floats) -> Augmentation:
-    """An input disturbance that is new at every sample, and nothing else unknown beside [x; d].
+    """Return an input disturbance that is new at every sample, and nothing else unknown beside [x;
+    d].
 
     Args:
         model: the sampled model.
@@ -269,42 +270,46 @@ class Setup(NamedTuple):
 
     @property
     def apart(self) -> bool:
-        """Whether a reading on one edge moves other widths only as far as theirs told of them."""
+        """Return whether a reading on one edge moves other widths only as far as theirs told of
+        them.
+        """
         return self.careful and self.doubts and self.bounds and self.plain and not self.centred
 
     @property
     def paced(self) -> bool:
-        """Whether readings that leave silence are asked how far z can move."""
+        """Return whether readings that leave silence are asked how far z can move."""
         return self.doubts and self.plain
 
     @property
     def plain(self) -> bool:
-        """Whether the sensor is a dead zone alone, neither of the jump kind nor with a play."""
+        """Return whether the sensor is a dead zone alone, neither of the jump kind nor with a
+        play.
+        """
         return not self.jump and not self.sensor.moves
 
     @property
     def limited(self) -> bool:
-        """Whether readings at a limit of their range bound z; of a play they are missing."""
+        """Return whether readings at a limit of their range bound z; of a play they are missing."""
         return self.sensor.limits is not None and not self.sensor.moves
 
     @property
     def jump(self) -> bool:
-        """Whether the sensor is of the jump kind."""
+        """Return whether the sensor is of the jump kind."""
         return self.sensor.kind == "jump"
 
     @property
     def play(self) -> bool:
-        """Whether the sensor is a play, which holds its reading in place of 0."""
+        """Return whether the sensor is a play, which holds its reading in place of 0."""
         return self.sensor.kind == "play"
 
     @property
     def both(self) -> bool:
-        """Whether a play stands ahead of the dead zone."""
+        """Return whether a play stands ahead of the dead zone."""
         return self.sensor.play is not None
 
 
 def clip_belief(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, Any]:
-    """The belief that an estimate shows, and whether its widths may lie in their ranges.
+    """Return the belief that an estimate shows, and whether its widths may lie in their ranges.
 
     Its widths lie in their claimed ranges, and it is the mixture of both if some claim may be
     stronger.
@@ -322,7 +327,7 @@ def clip_belief(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, An
 
 
 def ambiguous(stronger: Gaussian, weaker: Gaussian, share: Any) -> Gaussian:
-    """The mixture of both beliefs, with deviations whose +-1.96 hold 95 % of it.
+    """Return the mixture of both beliefs, with deviations whose +-1.96 hold 95 % of it.
 
     A mixture of a narrow and a wide belief has more in its tails than a Gaussian of its variance.
     If the wide one, of chance b, is much wider, 95 % of the mixture lie within 1.96 deviations of
@@ -340,7 +345,8 @@ def ambiguous(stronger: Gaussian, weaker: Gaussian, share: Any) -> Gaussian:
 
 
 def excess_alone(n: int, q: Params, belief: Gaussian) -> Any:
-    """Square of how far the readings alone put some width beyond its range; 0 if they may not.
+    """Return square of how far the readings alone put some width beyond its range; 0 if they may
+    not.
 
     A belief is the product of its prior, of the variance of a uniform distribution over the range,
     and of what the readings say; a prior that is divided out pulls no mean into the range.
@@ -357,7 +363,7 @@ def excess_alone(n: int, q: Params, belief: Gaussian) -> Any:
 def clipped(
     n: int, q: Params, belief: Gaussian, doubts: bool, alone: Any = 0.0
 ) -> tuple[Gaussian, Any]:
-    """The belief with every width's mean in its claimed range, and whether it may lie there.
+    """Return the belief with every width's mean in its claimed range, and whether it may lie there.
 
     A width `FAR` beyond its range refutes some claim: its variance gains the square of the excess.
 
@@ -383,14 +389,16 @@ def clipped(
 
 
 def limit_widths(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, Any]:
-    """`within_ranges` where the filter uses bounds, else the belief as it is, of chance 1."""
+    """Return `within_ranges` where the filter uses bounds, else the belief as it is, of chance
+    1.
+    """
     if not setup.bounds:
         return belief, 1.0
     return within_ranges(q, setup.model.n, belief)
 
 
 def within_ranges(q: Params, n: int, belief: Gaussian) -> tuple[Gaussian, Any]:
-    """The belief with the mean that it has if every width lies in its claimed range.
+    """Return the belief with the mean that it has if every width lies in its claimed range.
 
     The covariance stays: that of a Gaussian cut where it was matched to a uniform distribution
     would claim too much. But no width is less known than its range says, however long it drifted.
@@ -416,7 +424,7 @@ def within_ranges(q: Params, n: int, belief: Gaussian) -> tuple[Gaussian, Any]:
 
 
 def _is_inside(pair: Gaussian, ranges: Any) -> Any:
-    """Whether every width lies farther than `INSIDE` from both ends of its range."""
+    """Return whether every width lies farther than `INSIDE` from both ends of its range."""
     scale, least = ca.sqrt(0.5 / ca.diag(pair.cov)), INSIDE / np.sqrt(2)
     low, high = (ranges[:, 0] - pair.mean) * scale, (ranges[:, 1] - pair.mean) * scale
     return ca.mmin(ca.logic_and(low < -least, high > least))
@@ -437,7 +445,9 @@ def _cut_to(pair: Gaussian, ranges: Any, order: tuple[int, int]) -> tuple[Any, A
 
 
 def _no_wider(q: Params, n: int, cov: Any) -> Any:
-    """A covariance whose widths deviate by no more than a uniform distribution over their range."""
+    """Return a covariance whose widths deviate by no more than a uniform distribution over their
+    range.
+    """
     count = q.ranges.shape[0]
     most = (1 + ROUNDING) * (q.ranges[:, 1] - q.ranges[:, 0]) ** 2 / 12
     variances = ca.diag(cov)[n : n + count]
@@ -449,7 +459,7 @@ def _no_wider(q: Params, n: int, cov: Any) -> Any:
 def with_unknowns(
     setup: Setup, q: Params, estimated: Estimate, shown: Gaussian, u: Any
 ) -> Estimate:
-    """The estimate with w and theta where there are such unknowns; u: the last input."""
+    """Return the estimate with w and theta where there are such unknowns; u: the last input."""
     augmentation, model, n = setup.augmentation, setup.model, setup.model.n
     if len(augmentation.cov):
         extra = shown.mean[n + 2 * model.p :]

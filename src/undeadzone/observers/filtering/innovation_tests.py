@@ -67,14 +67,14 @@ class Scores(NamedTuple):
 
 
 def start_scores(p: int) -> Scores:
-    """Before any reading; p: number of outputs."""
+    """Return before any reading; p: number of outputs."""
     return Scores(*[np.zeros(p)] * len(Scores._fields))
 
 
 def update_scores(
     q: Any, s: Scores, e: Any, nu: Any, counted: Any, refused: Any, reading: Reading, u: Any
 ) -> Scores:
-    """The sums after one more sample.
+    """Return the sums after one more sample.
 
     A loop that sees more than this filter puts it into its input at once, where it foretells
     innovations though all claims are true. So inputs count by their means over a while, in which
@@ -119,12 +119,16 @@ def update_scores(
 
 
 def is_stuck(doubt: Any, y: Any, last: Any) -> Any:
-    """Whether a reading that is the one before to the last digit shows a stuck sensor (p)."""
+    """Return whether a reading that is the one before to the last digit shows a stuck sensor
+    (p).
+    """
     return ca.logic_and(y == last, doubt.noisy)
 
 
 def squares(s: Scores) -> dict[str, Any]:
-    """Squares of the scores that are normal numbers, by claim, the largest of the outputs."""
+    """Return squares of the scores that are normal numbers, by claim, the largest of the
+    outputs.
+    """
     of_lift, of_rise = (ca.if_else(V > 0, V, 1.0) for V in (s.lift_square, s.rise_square))
     enough = ca.fmin(s.count / ENOUGH, 1.0)
     found = {
@@ -159,7 +163,7 @@ def rejected_assumptions(doubt: Any, s: Scores) -> dict[str, Any]:
 
 
 def limit_of(doubt: Any, name: str) -> Any:
-    """Square of a score that is taken for chance."""
+    """Return square of a score that is taken for chance."""
     return NOISY * doubt.most if name == "noise" else doubt.limit
 
 
@@ -177,7 +181,7 @@ def stretch(doubt: Any, s: Scores) -> Any:
 
 
 def verdict(ratios: dict[str, Any]) -> dict[str, Any]:
-    """The fields of an estimate about claims, by how much each is refuted: above 1 it is."""
+    """Return the fields of an estimate about claims, by how much each is refuted: above 1 it is."""
     bits, suspect, worst = 0.0, 0.0, 0.0
     for k, name in enumerate(CLAIMS):
         if name in ratios:

@@ -116,7 +116,8 @@ def measured_filter(
     levels: int = 1,
     recovers: bool = True,
 ) -> Observer:
-    """The filter as an observer; `Setup`, `Params` and `doubt_numbers` explain other arguments.
+    """Return the filter as an observer; `Setup`, `Params` and `doubt_numbers` explain other
+    arguments.
 
     Args:
         plant: the sampled model, in the plant's units.
@@ -215,7 +216,7 @@ def moments(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> tupl
 
 
 def rows_at(setup: Setup, q: Params, at: Any, side: Any) -> tuple[Any, Any]:
-    """The rows of the readings on these sides (p x N), and of all edges (2p x N)."""
+    """Return the rows of the readings on these sides (p x N), and of all edges (2p x N)."""
     p = setup.model.p
     read = list(enumerate([0.0] * p if setup.jump else ca.vertsplit(side)))
     edges = [(i, edge) for edge, i in product((RIGHT, LEFT), range(p))]
@@ -228,7 +229,7 @@ def rows_at(setup: Setup, q: Params, at: Any, side: Any) -> tuple[Any, Any]:
 
 
 def slope_at(setup: Setup, q: Params, belief: Gaussian, u: Any) -> Any:
-    """The slope of the motion that the prediction takes (N x N)."""
+    """Return the slope of the motion that the prediction takes (N x N)."""
     if setup.order == 1 and setup.augmentation.slope is not None:
         return setup.augmentation.slope(q)
     drive, _ = entering(q.zones, belief, u)
@@ -237,21 +238,21 @@ def slope_at(setup: Setup, q: Params, belief: Gaussian, u: Any) -> Any:
 
 
 def estimate_of_belief(setup: Setup, q: Params, belief: Gaussian) -> Estimate:
-    """The estimate that shows a belief; it has no innovations."""
+    """Return the estimate that shows a belief; it has no innovations."""
     shown, _ = clip_belief(setup, q, belief)
     none = ca.SX(setup.model.p, 1)
     return to_estimate(setup.model, setup.sensor, q, shown, Reading(none, none), none, none)
 
 
 def log_likelihood(setup: Setup, corrected: Weighed, heard: Corrected) -> Any:
-    """The log of the density with which the filter foretold a sample, up to a constant."""
+    """Return the log of the density with which the filter foretold a sample, up to a constant."""
     if setup.doubts:
         return ca.sum1(ca.log(heard.likely))
     return log_density(corrected.e, corrected.std)
 
 
 def filter_step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> Step:
-    """One sample: correct by the reading, use what bounds, estimate, predict."""
+    """Return one sample: correct by the reading, use what bounds, estimate, predict."""
     y, side, _, corrected, heard = update_measurement(setup, q, s, reading)
     shown, fits = clip_belief(setup, q, heard.belief)
     e, std = corrected.e, corrected.std
@@ -278,7 +279,7 @@ def filter_step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> 
 
 
 def variances(q: Params, reading: Reading) -> Any:
-    """Variances of the readings (p) [z^2]: the filter's, unless a reading tells its own."""
+    """Return variances of the readings (p) [z^2]: the filter's, unless a reading tells its own."""
     if reading.rms is None:
         return q.R
     return ca.if_else(reading.rms > 0, (reading.rms / q.slope) ** 2, q.R)
@@ -312,7 +313,7 @@ def with_bounds(
 def with_bounds_of_both(
     setup: Setup, q: Params, s: State, heard: Corrected, y: Any, seen: Any
 ) -> Corrected:
-    """`with_bounds` of a play ahead of a dead zone, which bounds z wherever it is.
+    """Return `with_bounds` of a play ahead of a dead zone, which bounds z wherever it is.
 
     Silence says -d_l - c_l <= z <= d_r + c_r; beyond an edge z lies within the gap about what is
     held, as far as readings that are held may be off.
@@ -326,7 +327,7 @@ def with_bounds_of_both(
 
 
 def choose_branch(setup: Setup, q: Params, s: State, reading: Reading, y: Any, seen: Any) -> Any:
-    """The sides on which the readings are used (p), 0 where none is sure.
+    """Return the sides on which the readings are used (p), 0 where none is sure.
 
     Args:
         setup: the filter.
@@ -351,7 +352,7 @@ def choose_branch(setup: Setup, q: Params, s: State, reading: Reading, y: Any, s
 
 
 def revise_branch(setup: Setup, q: Params, s: State, side: Any, trust: Any) -> State:
-    """The state without the readings that were refused; opened where most of late were.
+    """Return the state without the readings that were refused; opened where most of late were.
 
     Args:
         setup: the filter.
@@ -368,7 +369,7 @@ def revise_branch(setup: Setup, q: Params, s: State, side: Any, trust: Any) -> S
 
 
 def predicted(setup: Setup, q: Params, belief: Gaussian, u: Any, side: Any) -> Gaussian:
-    """The belief at the next sample, under an input u (m); side: that was measured (p)."""
+    """Return the belief at the next sample, under an input u (m); side: that was measured (p)."""
     augmentation = setup.augmentation
     drive, doubt = entering(q.zones, belief, u)
     drive = against_friction(setup.sensor, augmentation.zones, drive, side)
@@ -383,7 +384,7 @@ def predicted(setup: Setup, q: Params, belief: Gaussian, u: Any, side: Any) -> G
 
 
 def bilinear_part(setup: Setup, q: Params, drive: Callable[[Any], Any], X: Any) -> Any:
-    """The `Products` of the augmentation, at X = [x; d; extra]."""
+    """Return the `Products` of the augmentation, at X = [x; d; extra]."""
     assert setup.augmentation.bilinear is not None
     n, p = setup.model.n, setup.model.p
     return setup.augmentation.bilinear(q, X[:n], X[n + 2 * p :], drive(X))
@@ -413,7 +414,7 @@ def resting(setup: Setup) -> Pace:
 def normalised_innovation(
     setup: Setup, q: Params, pace: Pace, y: Any, side: Any, R: Any
 ) -> list[Any]:
-    """Log of the density of each reading given the silence before it, over that without (p).
+    """Return log of the density of each reading given the silence before it, over that without (p).
 
     z was inside of the edge since[] steps ago, by a reading within the gate, and moved by so many
     times what it moves in a step. A reading beyond that needs a motion as many deviations off; or
@@ -443,7 +444,7 @@ def normalised_innovation(
 def predict_state(
     setup: Setup, q: Params, pace: Pace, heard: Corrected, u: Any, side: Any, reading: Reading
 ) -> Pace:
-    """The pace at the next reading.
+    """Return the pace at the next reading.
 
     Args:
         setup: the filter.

@@ -76,7 +76,7 @@ def correct(
     surprise: Sequence[Any],
     contact: Any = None,
 ) -> Weighed:
-    """The belief after the readings on the sides that are sure, one output at a time.
+    """Return the belief after the readings on the sides that are sure, one output at a time.
 
     Args:
         setup: the filter.
@@ -126,7 +126,7 @@ def rest_of(model: System, sensor: Zone, lasting: float) -> float:
 
 
 def moved_by(setup: Setup, q: Params, belief: Gaussian, i: int, side: Any) -> Any:
-    """The share by which a reading of output i moves each variable (N).
+    """Return the share by which a reading of output i moves each variable (N).
 
     What silence says of z and an edge binds them, though it moved the edge by a share only. A
     reading on the other edge, which tells of z, moves this one by no more.
@@ -192,7 +192,8 @@ def use_bounds(
 
 
 def _edges(setup: Setup) -> list[tuple[int, dict[int, float]]]:
-    """Edges that are heard together: the output, and the side of each by its place among all.
+    """Return edges that are heard together: the output, and the side of each by its place among
+    all.
 
     Those of a jump sensor are heard one by one: of a z beyond one of them nothing is asked of the
     other.
@@ -224,7 +225,7 @@ def find_censored(setup: Setup, q: Params, reading: Reading, y: Any) -> Any:
 def censoring_probabilities(
     setup: Setup, q: Params, belief: Gaussian, silent: Any
 ) -> tuple[Any, ...]:
-    """Whether the belief bears a silence out, by right edges and by left ones (2 of p).
+    """Return whether the belief bears a silence out, by right edges and by left ones (2 of p).
 
     Empty where nobody asks.
 
@@ -258,7 +259,7 @@ def bound_at(
     slack: Any,
     heard: Any,
 ) -> Bound:
-    """The bound that one edge is.
+    """Return the bound that one edge is.
 
     Args:
         setup: the filter.
@@ -288,7 +289,8 @@ def edge_constraint(
 
 
 def sure_side(y: Any, last: Any, previous: Any, gate: Any) -> Any:
-    """The side on which a reading may be taken for z - d_r or z + d_l with noise of mean 0 (p).
+    """Return the side on which a reading may be taken for z - d_r or z + d_l with noise of mean 0
+    (p).
 
     A reading far beyond the gate, or one that the two before it announced: both beyond the gate,
     their straight line too, and y not across 0. To ask only whether y itself is beyond a threshold
@@ -298,7 +300,7 @@ def sure_side(y: Any, last: Any, previous: Any, gate: Any) -> Any:
 
 
 def _sure(y: Any, last: Any, previous: Any, gate: Any) -> Any:
-    """Whether a reading is surely on the right."""
+    """Return whether a reading is surely on the right."""
     both_beyond = ca.logic_and(last > gate, previous > gate)
     line_beyond = ca.logic_and(2 * last - previous > gate, y > 0)
     return ca.logic_or(y > 2 * gate, ca.logic_and(both_beyond, line_beyond))
@@ -318,14 +320,14 @@ class Ends(NamedTuple):
 
 
 def ends(sensor: Zone, prior: Prior) -> Ends | None:
-    """The numbers about the range; None where no output has one."""
+    """Return the numbers about the range; None where no output has one."""
     if sensor.limits is None:
         return None
     return Ends(*sensor.limits, 4 * np.sqrt(prior.R) * sensor.slope)
 
 
 def surely_exact(setup: Setup, q: Params, y: Any, last: Any, previous: Any, side: Any) -> Any:
-    """Whether a reading is surely exact, and not one that noise brought there (p).
+    """Return whether a reading is surely exact, and not one that noise brought there (p).
 
     It lies far from silence and from the limit of its side, or the two before it announced it: both
     lie between silence and limit, and their straight line too. A reading at a limit announces
@@ -345,7 +347,7 @@ def surely_exact(setup: Setup, q: Params, y: Any, last: Any, previous: Any, side
 
 
 def _surely_between(y: Any, last: Any, previous: Any, gate: Any, high: Any, margin: Any) -> Any:
-    """Whether a reading is surely on the right and below its limit.
+    """Return whether a reading is surely on the right and below its limit.
 
     Args:
         y: reading (p) [y].
@@ -421,5 +423,5 @@ def limit_update(
 
 
 def downweight_outliers(trust: Any, reading: Reading) -> Any:
-    """The trust in readings (p), 0 for those that cannot be: beyond their range."""
+    """Return the trust in readings (p), 0 for those that cannot be: beyond their range."""
     return ca.if_else(reading.y > 1e300, 0.0, trust)

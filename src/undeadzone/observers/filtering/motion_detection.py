@@ -83,7 +83,7 @@ class State(NamedTuple):
 
 
 def with_motion_detection(observer: Observer, model: System, sensor: Zone) -> Observer:
-    """The observer behind what makes out the side of a play; itself for another sensor.
+    """Return the observer behind what makes out the side of a play; itself for another sensor.
 
     Args:
         observer: that takes side, level and rms of a reading as given.
@@ -123,7 +123,7 @@ def with_motion_detection(observer: Observer, model: System, sensor: Zone) -> Ob
 
 
 def fading(window: int) -> float:
-    """The share that a fading line keeps of a residual.
+    """Return the share that a fading line keeps of a residual.
 
     Its slope has the variance of that of a straight line through `window` readings: 2 ((1 - b) /
     (1 + b))^3 = 12 / window^3 for large windows.
@@ -135,7 +135,9 @@ def fading(window: int) -> float:
 def step_by_motion(
     observer: Observer, model: System, sensor: Zone, q: Any, s: State, u: Any, reading: Reading
 ) -> tuple[State, Estimate]:
-    """One sample of the observer with the side of its readings; q: its numbers, then `Motion`."""
+    """Return one sample of the observer with the side of its readings; q: its numbers, then
+    `Motion`.
+    """
     inner, motion = tree.parted(q, type(observer.params)), q.motion
     reading = exact(reading, sensor.limits)
     y = reading.y
@@ -162,7 +164,7 @@ def step_by_motion(
 
 
 def sided(sensor: Zone, q: Motion, s: State, y: Any) -> tuple[Any, Any, Any]:
-    """(sides (p), the readings at the side (p) [y], what they are off by, rms (p) [y])."""
+    """Return (sides (p), the readings at the side (p) [y], what they are off by, rms (p) [y])."""
     parts = []
     for i in range(sensor.slope.size):
         rule = by_line
@@ -174,14 +176,14 @@ def sided(sensor: Zone, q: Motion, s: State, y: Any) -> tuple[Any, Any, Any]:
 
 
 def by_change(q: Motion, s: State, y: Any, i: int) -> tuple[Any, Any, Any]:
-    """Output i by the sign of its change."""
+    """Return output i by the sign of its change."""
     change = y[i] - s.level[i]
     least = ROUNDING * (ca.fabs(y[i]) + ca.fabs(s.level[i]))
     return side(change, least), y[i], 0.0
 
 
 def by_tick(q: Motion, s: State, y: Any, i: int) -> tuple[Any, Any, Any]:
-    """Output i by its ticks, at most as far beyond a boundary as z^ moves in a step."""
+    """Return output i by its ticks, at most as far beyond a boundary as z^ moves in a step."""
     quantum = q.quantum[i]
     tick = side(y[i] - s.level[i], quantum / 2)
     at_boundary, variance = detect_tick(ca, y[i], tick, s.ahead[i] * q.slope[i], quantum)
@@ -189,7 +191,7 @@ def by_tick(q: Motion, s: State, y: Any, i: int) -> tuple[Any, Any, Any]:
 
 
 def by_line(q: Motion, s: State, y: Any, i: int) -> tuple[Any, Any, Any]:
-    """Output i by the slope of the readings before, if z^ moves the same way.
+    """Return output i by the slope of the readings before, if z^ moves the same way.
 
     The variance of a slope through few readings is larger, by window^3 / (known^3 - known).
     """
@@ -200,7 +202,8 @@ def by_line(q: Motion, s: State, y: Any, i: int) -> tuple[Any, Any, Any]:
 
 
 def followed(sensor: Zone, q: Motion, s: State, y: Any, regular: Any) -> tuple[Any, Any, Any]:
-    """(level, slope, known) of the readings so far (p each); a new beginning where none was known.
+    """Return (level, slope, known) of the readings so far (p each); a new beginning where none was
+    known.
 
     The line through the first readings is the straight one, until the fading one forgets faster. It
     goes on where a noisy reading is missing or was refused, and rests on one less; what is missing

@@ -44,7 +44,7 @@ class State(NamedTuple):
 
 
 def with_disturbance_levels(member: Member, levels: int, claimed: bool) -> Member:
-    """The bank of a filter with several rms of its disturbance; the filter if it has none.
+    """Return the bank of a filter with several rms of its disturbance; the filter if it has none.
 
     Args:
         member: the filter.
@@ -65,13 +65,13 @@ def with_disturbance_levels(member: Member, levels: int, claimed: bool) -> Membe
 
 
 def _scaled(factor: float, q: Any) -> Any:
-    """The numbers of a filter with the rms of the disturbance times a factor."""
+    """Return the numbers of a filter with the rms of the disturbance times a factor."""
     variance = q.augmentation.variance * factor**2
     return q._replace(augmentation=q.augmentation._replace(variance=variance))
 
 
 def bank(member: Member, variants: Sequence[Callable[[Any], Any]]) -> Member:
-    """The mixture of K filters, as likely as each other at first (Magill 1965).
+    """Return the mixture of K filters, as likely as each other at first (Magill 1965).
 
     Args:
         member: the filter.
@@ -102,7 +102,8 @@ def bank(member: Member, variants: Sequence[Callable[[Any], Any]]) -> Member:
 
 
 def update_weights(odds: Any, logs: Any, least: float = LEAST) -> tuple[Any, Any]:
-    """(log of the odds, 0 for the best; shares) of K members once they have foretold a reading.
+    """Return (log of the odds, 0 for the best; shares) of K members once they have foretold a
+    reading.
 
     Args:
         odds: their log before (K).
@@ -116,7 +117,8 @@ def update_weights(odds: Any, logs: Any, least: float = LEAST) -> tuple[Any, Any
 
 
 def called(step: Callable[..., Step], *like: Any) -> Callable[..., Step]:
-    """A step whose graph is built once: a call puts other expressions in the place of symbols.
+    """Return a step whose graph is built once: a call puts other expressions in the place of
+    symbols.
 
     Args:
         step: of a member.
@@ -137,7 +139,7 @@ def called(step: Callable[..., Step], *like: Any) -> Callable[..., Step]:
 
 
 def _smoothing(member: Smoothing, variants: Sequence[Callable[[Any], Any]]) -> Smoothing:
-    """The bank as a smoother takes it."""
+    """Return the bank as a smoother takes it."""
 
     def moments(q: Any, s: State, u: Any, reading: Reading) -> tuple[Moments, ...]:
         every: list[Moments] = []
@@ -155,7 +157,8 @@ def _smoothing(member: Smoothing, variants: Sequence[Callable[[Any], Any]]) -> S
 
 
 def mixture(estimates: Sequence[Estimate], share: Any) -> Estimate:
-    """Mean of the estimates by their shares (K), and deviations whose +-1.96 hold 95 % of them.
+    """Return mean of the estimates by their shares (K), and deviations whose +-1.96 hold 95 % of
+    them.
 
     Those of what is estimated count each variance by `wider_of_two`; that of the innovation is the
     mixture's own.
@@ -173,12 +176,13 @@ def mixture(estimates: Sequence[Estimate], share: Any) -> Estimate:
 
 
 def weighted_mean(share: Any, values: Sequence[Any]) -> Any:
-    """The sum of the values, each times its share (K)."""
+    """Return the sum of the values, each times its share (K)."""
     return sum(share[k] * value for k, value in enumerate(values))
 
 
 def wider_of_two(share: Any) -> Any:
-    """The chance of each component, widest first, to be the wider one of two that are drawn (K).
+    """Return the chance of each component, widest first, to be the wider one of two that are drawn
+    (K).
 
     A mixture of deviations has more in its tails than a Gaussian of its variance; these shares make
     up for it (docs/filters.md, "What cannot be known").
@@ -188,7 +192,7 @@ def wider_of_two(share: Any) -> Any:
 
 
 def mixture_std(share: Any, wide: Any, means: Sequence[Any], stds: Sequence[Any]) -> Any:
-    """The standard deviation of a mixture.
+    """Return the standard deviation of a mixture.
 
     Args:
         share: of each component (K).

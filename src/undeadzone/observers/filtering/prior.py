@@ -49,7 +49,9 @@ class Prior(NamedTuple):
     largest: float = 0.0
 
     def widths(self) -> tuple[Floats, Floats]:
-        """Mean (2p) and covariance (2p x 2p) of [d_r; d_l], with what is claimed of the centre."""
+        """Return mean (2p) and covariance (2p x 2p) of [d_r; d_l], with what is claimed of the
+        centre.
+        """
         n = self.mean.size - len(self.ranges)
         mean, cov = self.mean[n:], np.diag(self.std[n:] ** 2)
         if self.centre is None:
@@ -75,7 +77,7 @@ def build_prior(
     centre: Array | None = None,
     silence: bool = False,
 ) -> Prior:
-    """The prior from claimed ranges [lo, hi] of the widths.
+    """Return the prior from claimed ranges [lo, hi] of the widths.
 
     A width has the mean of its range, and the standard deviation of a uniform distribution over it.
 
@@ -133,7 +135,7 @@ def build_prior(
 
 
 def silence_gate(sensor: Zone, rms: Floats) -> Floats:
-    """|y| that is surely not silent (p) [y]; of a play, how far a held reading may be off.
+    """Return |y| that is surely not silent (p) [y]; of a play, how far a held reading may be off.
 
     Args:
         sensor: the dead zone.
@@ -158,7 +160,9 @@ def claimed_traits(prior: Prior, x_std: Array | None) -> Traits:
 
 
 def _centres(claimed: Array, ranges: Floats, p: int) -> Floats:
-    """Mean and standard deviation of each claimed d_r - d_l (p x 2). Raises InputError, ShapeError.
+    """Return mean and standard deviation of each claimed d_r - d_l (p x 2).
+
+    Raises InputError, ShapeError.
 
     A range stands for the uniform distribution over it.
     """
@@ -182,7 +186,7 @@ def _centres(claimed: Array, ranges: Floats, p: int) -> Floats:
 
 
 def _claimed_noise(noise: Array, p: int) -> Floats:
-    """The claimed rms of a reading (p) [z]. Raises InputError where it is 0."""
+    """Return the claimed rms of a reading (p) [z]. Raises InputError where it is 0."""
     rms = nonnegative("observer.noise", noise, p, "one per output")
     if not rms.all():
         raise InputError(
@@ -192,7 +196,7 @@ def _claimed_noise(noise: Array, p: int) -> Floats:
 
 
 def sample_time(model: System) -> float:
-    """The model's sample time [s]. Raises InputError in continuous time."""
+    """Return the model's sample time [s]. Raises InputError in continuous time."""
     if model.Ts is None:
         raise InputError(
             'observer: this filter works on samples; set simulation.time = "sampled" '
@@ -202,7 +206,7 @@ def sample_time(model: System) -> float:
 
 
 def width_ranges(right: Array, left: Array | None, p: int) -> Floats:
-    """The claimed ranges of all d_r, then of all d_l (2p x 2) [z].
+    """Return the claimed ranges of all d_r, then of all d_l (2p x 2) [z].
 
     Args:
         right, left: [lo, hi], or one per output (p x 2); left None: those of right.
@@ -218,7 +222,7 @@ def width_ranges(right: Array, left: Array | None, p: int) -> Floats:
 
 
 def _ranges(key: str, value: Array, p: int) -> Floats:
-    """The ranges of one side (p x 2). Raises InputError, ShapeError."""
+    """Return the ranges of one side (p x 2). Raises InputError, ShapeError."""
     given = paired(key, array(key, value), p, "the declared range [lo, hi]", "per output")
     ranges = np.broadcast_to(given, (p, 2))
     if (ranges[:, 0] < 0).any() or (ranges[:, 0] >= ranges[:, 1]).any():
@@ -281,7 +285,7 @@ class Doubt(NamedTuple):
 def doubt_numbers(
     model: System, sensor: Zone, prior: Prior, glitches: float, claimed: bool
 ) -> Doubt:
-    """The numbers of the doubt.
+    """Return the numbers of the doubt.
 
     Args:
         model: the sampled model.
@@ -312,12 +316,12 @@ def doubt_numbers(
 
 
 def glitch_reach(prior: Prior) -> Floats:
-    """The range over which a wrong reading is evenly spread (p) [z]."""
+    """Return the range over which a wrong reading is evenly spread (p) [z]."""
     return np.asarray(GLITCH_REACH * prior.ranges[:, 1].reshape(2, -1).max(axis=0))
 
 
 def glitch_share(claimed: float) -> float:
-    """The claimed probability of a wrong reading. Raises InputError."""
+    """Return the claimed probability of a wrong reading. Raises InputError."""
     share = scalar("observer.glitches", claimed, least=0.0)
     if share > 0.5:
         raise InputError(f"observer.glitches: must be at most 0.5, found {share:g}")
@@ -366,5 +370,5 @@ class Assumptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     glitches: float = GLITCHES
 
     def claims(self) -> dict[str, Any]:
-        """The claims by name."""
+        """Return the claims by name."""
         return {name: getattr(self, name) for name in Assumptions.__struct_fields__}

@@ -47,7 +47,7 @@ def inflate_covariance(
     used: Any,
     trust: Any,
 ) -> tuple[Any, RejectionRate]:
-    """The covariance (its `triangle`), opened where most readings of late were refused.
+    """Return the covariance (its `triangle`), opened where most readings of late were refused.
 
     It then gains the prior's variances of state, disturbance and bias; of widths and errors of the
     model too where it was opened not long ago.
@@ -92,7 +92,7 @@ def moving_ones(model: System, constants: int, entries: ca.Sparsity) -> Flags:
 
 
 def reset_if_invalid(q: Params, entries: ca.Sparsity, belief: Gaussian) -> tuple[Any, Any, Any]:
-    """The belief if it is one of finite numbers and positive variances, else the prior.
+    """Return the belief if it is one of finite numbers and positive variances, else the prior.
 
     Args:
         q: the filter's numbers.

@@ -89,7 +89,7 @@ class Setup(NamedTuple):
 
 
 def coloured(correlation: float, washout: float | None, Ts: float) -> Colour:
-    """First-order noise p_1' = -p_1 / correlation + white noise, sampled exactly.
+    """Return first-order noise p_1' = -p_1 / correlation + white noise, sampled exactly.
 
     With a washout, p_1 - p_2 with p_2' = (p_1 - p_2) / washout instead: it has no constant part.
 
@@ -115,7 +115,7 @@ def coloured(correlation: float, washout: float | None, Ts: float) -> Colour:
 
 
 def span(key: str, value: Any, Ts: float) -> float:
-    """A time that samples resolve [s]. Raises InputError."""
+    """Return a time that samples resolve [s]. Raises InputError."""
     time = scalar(f"observer.{key}", value, above=0.0)
     if not 0.1 * Ts <= time <= 1e6 * Ts:
         raise InputError(
@@ -126,7 +126,7 @@ def span(key: str, value: Any, Ts: float) -> float:
 
 
 def per_input(key: str, claimed: Array | None, default: Floats) -> Floats:
-    """An rms as claimed, or its default (m) [u]. Raises InputError, ShapeError."""
+    """Return an rms as claimed, or its default (m) [u]. Raises InputError, ShapeError."""
     if claimed is None:
         return default
     return nonnegative(f"observer.{key}", claimed, np.size(default), "one per input")
@@ -147,7 +147,7 @@ def unknowns(
     tolerance: Tolerance,
     careful: bool = False,
 ) -> Augmentation:
-    """Bias, disturbance and tolerance states of those inputs and entries that have any.
+    """Return bias, disturbance and tolerance states of those inputs and entries that have any.
 
     Args:
         model: the sampled model.
@@ -196,7 +196,7 @@ def unknowns(
 
 
 def rest_under_bias(model: System, biased: Floats) -> Floats:
-    """The state at rest under each unit bias (n x biases).
+    """Return the state at rest under each unit bias (n x biases).
 
     The tolerance acts on x less that state: else estimates of theta would seem to tell bias from
     centre.
@@ -209,7 +209,7 @@ def rest_under_bias(model: System, biased: Floats) -> Floats:
 
 
 def change_with_unknowns(setup: Setup, q: Params, x: Any, extra: Any, u: Any) -> tuple[Any, Any]:
-    """(x+ - x, extra+ - extra) under bias, disturbance and tolerance."""
+    """Return (x+ - x, extra+ - extra) under bias, disturbance and tolerance."""
     model, tolerance, numbers = setup.model, setup.tolerance, q.augmentation
     count = tolerance.std.size
     constant, shaped, theta = ca.vertsplit(extra, setup.ends)
@@ -228,7 +228,7 @@ def change_with_unknowns(setup: Setup, q: Params, x: Any, extra: Any, u: Any) ->
 
 
 def tolerance_times_state(setup: Setup, q: Params, x: Any, extra: Any, u: Any) -> Products:
-    """theta_i a_i [x; u] in the rows of A and B, held over the step."""
+    """Return theta_i a_i [x; u] in the rows of A and B, held over the step."""
     numbers, entries = q.augmentation, setup.tolerance.entries
     constant, shaped, theta = ca.vertsplit(extra, setup.ends)
     moved = ca.vertcat(x - numbers.rest @ constant, u + setup.disturbing @ shaped)
@@ -241,7 +241,9 @@ def tolerance_times_state(setup: Setup, q: Params, x: Any, extra: Any, u: Any) -
 
 
 def noise_of_unknowns(setup: Setup, q: Params, x: Any, u: Any) -> tuple[Any, Any]:
-    """The covariances that a step adds to x and to extra: only the disturbances move at random."""
+    """Return the covariances that a step adds to x and to extra: only the disturbances move at
+    random.
+    """
     n, biases, count = setup.model.n, setup.biased.shape[1], setup.tolerance.std.size
     of_disturbances = ca.kron(q.augmentation.Q, ca.diag(q.augmentation.variance))
     of_extra = ca.diagcat(ca.SX(biases, biases), of_disturbances, ca.SX(count, count))
@@ -249,7 +251,7 @@ def noise_of_unknowns(setup: Setup, q: Params, x: Any, u: Any) -> tuple[Any, Any
 
 
 def small_bias(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, Any]:
-    """The belief if the bias is `SMALL`: what a reading of it as 0 leaves (docs/filters.md).
+    """Return the belief if the bias is `SMALL`: what a reading of it as 0 leaves (docs/filters.md).
 
     Returns:
         (belief, its odds).
@@ -289,7 +291,10 @@ class Tolerance(NamedTuple):
 
 
 def named(model: System, stds: dict[str, float]) -> Tolerance:
-    """Named parameters of a nonlinear plant, of absolute standard deviations. Raises InputError."""
+    """Return named parameters of a nonlinear plant, of absolute standard deviations.
+
+    Raises InputError.
+    """
     std = {}
     for name, value in stds.items():
         std[name] = scalar(f"observer.uncertain.{name}", value, above=0.0)
@@ -312,7 +317,7 @@ def named(model: System, stds: dict[str, float]) -> Tolerance:
 def tolerances(
     model: System, claimed: float | dict[str, float], units: Floats | None = None
 ) -> Tolerance:
-    """The uncertain entries of the plant's A and B, or its parameters.
+    """Return the uncertain entries of the plant's A and B, or its parameters.
 
     Args:
         model: the sampled model.
@@ -353,7 +358,7 @@ def tolerances(
 
 
 def _of_parameters(model: System, claimed: float | dict[str, float]) -> Tolerance:
-    """The same relative standard deviation of every parameter of a nonlinear plant."""
+    """Return the same relative standard deviation of every parameter of a nonlinear plant."""
     if isinstance(claimed, dict):
         raise InputError(
             "observer.tolerance: a nonlinear plant takes one number, for all of its parameters"
@@ -364,7 +369,7 @@ def _of_parameters(model: System, claimed: float | dict[str, float]) -> Toleranc
 
 
 def _entry_names(n: int, m: int) -> dict[str, tuple[int, int]]:
-    """The place in [A, B] of each entry, by name: "A[0,1]", "B[1,0]"."""
+    """Return the place in [A, B] of each entry, by name: "A[0,1]", "B[1,0]"."""
     places = {}
     for name, columns, first in (("A", n, 0), ("B", m, n)):
         for i, j in np.ndindex(n, columns):
@@ -375,7 +380,7 @@ def _entry_names(n: int, m: int) -> dict[str, tuple[int, int]]:
 def _dynamic_entries(
     AB: Floats, places: dict[str, tuple[int, int]], std: float
 ) -> dict[str, float]:
-    """`std` for every entry that is not 0, but of rows that only say x_i' = x_j."""
+    """Return `std` for every entry that is not 0, but of rows that only say x_i' = x_j."""
     integrates = (np.count_nonzero(AB, axis=1) == 1) & (AB.max(axis=1) == 1.0)
     stds = {}
     for name, at in places.items():
@@ -385,7 +390,8 @@ def _dynamic_entries(
 
 
 def sampled_slopes(AB: Floats, entries: list[tuple[int, int]], Ts: float) -> Floats:
-    """d[Ad, Bd] per relative change of each entry of [A, B], one below the other (K n x (n + m)).
+    """Return d[Ad, Bd] per relative change of each entry of [A, B], one below the other (K n x (n +
+    m)).
 
     Args:
         AB: [A, B] (n x (n + m)).

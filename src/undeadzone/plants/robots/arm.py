@@ -56,7 +56,7 @@ class Chain(NamedTuple):
 
     @staticmethod
     def free(N: int) -> dict[str, Any]:
-        """The fields of N joints without limits or friction."""
+        """Return the fields of N joints without limits or friction."""
         endless = np.full(N, np.inf)
         bounds = {"limits": np.outer(endless, [-1, 1]), "torque": endless, "speed": endless}
         return {**bounds, "friction": np.zeros((2, N))}
@@ -92,12 +92,12 @@ class Arm(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Number of joints."""
+        """Return number of joints."""
         return len(self.chain.joints)
 
 
 def arm(chain: Chain, rest: float = 0.05) -> Arm:
-    """The arm of a chain.
+    """Return the arm of a chain.
 
     Args:
         chain: the links.
@@ -132,28 +132,28 @@ def arm(chain: Chain, rest: float = 0.05) -> Arm:
 
 
 def _column(numbers: Numbers, names: Iterable[str]) -> Any:
-    """Some of the numbers as a CasADi column."""
+    """Return some of the numbers as a CasADi column."""
     return ca.vertcat(*[numbers[name] for name in names])
 
 
 def _function(name: str, inputs: list[ca.SX], value: ca.SX) -> ca.Function:
-    """A function whose common subexpressions are computed once."""
+    """Return a function whose common subexpressions are computed once."""
     return ca.Function(name, inputs, [value], {"cse": True})
 
 
 def acceleration(body: Arm, params: Any, q: Any, v: Any, torque: Any) -> Any:
-    """Forward dynamics: the joints' acceleration (N) under a torque (N)."""
+    """Return forward dynamics: the joints' acceleration (N) under a torque (N)."""
     D, L, order = ca.ldl(ca.densify(body.mass(params, q)))
     return ca.ldl_solve(torque - body.bias(params, q, v) - body.friction(params, v), D, L, order)
 
 
 def torque(body: Arm, params: Any, q: Any, v: Any, a: Any) -> Any:
-    """Inverse dynamics: the torque (N) for an acceleration (N)."""
+    """Return inverse dynamics: the torque (N) for an acceleration (N)."""
     return body.mass(params, q) @ a + body.bias(params, q, v) + body.friction(params, v)
 
 
 def evaluate_rows(f: ca.Function, params: Floats, q: Floats) -> Floats:
-    """f(params, q) for each row of q.
+    """Return f(params, q) for each row of q.
 
     Args:
         f: a function of an `Arm`, of parameters and positions.
@@ -170,14 +170,16 @@ def evaluate_rows(f: ca.Function, params: Floats, q: Floats) -> Floats:
 
 
 def signless(name: str) -> bool:
-    """Whether a parameter of an arm has no sign: masses, lengths, inertias, stiffness, friction."""
+    """Return whether a parameter of an arm has no sign: masses, lengths, inertias, stiffness,
+    friction.
+    """
     return re.fullmatch(SIGNLESS, name) is not None
 
 
 def numbers(
     names: tuple[str, ...], values: Floats, changes: Mapping[str, float], key: str
 ) -> Floats:
-    """The values of an arm's parameters, some of them changed by name.
+    """Return the values of an arm's parameters, some of them changed by name.
 
     Args:
         names: names of the parameters.

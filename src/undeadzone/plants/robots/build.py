@@ -27,7 +27,7 @@ POSITIVE = "mlIJk"  # first letters of masses, lengths, inertias and a spring's 
 
 
 def robot(plant: Plant, options: ArmOptions, key: str) -> System:
-    """The continuous-time plant of an arm.
+    """Return the continuous-time plant of an arm.
 
     Args:
         plant: the plant in words.
@@ -43,7 +43,7 @@ def robot(plant: Plant, options: ArmOptions, key: str) -> System:
 
 
 def _rigid(plant: Plant, options: Rigid, key: str) -> System:
-    """The continuous-time plant of an arm with rigid joints."""
+    """Return the continuous-time plant of an arm with rigid joints."""
     chain = _limited(options, _chain(options, plant, key), key)
     if options.gears is not None:
         return _geared(plant, options, chain, key)
@@ -69,7 +69,7 @@ def _rigid(plant: Plant, options: Rigid, key: str) -> System:
 
 
 def _geared(plant: Plant, options: Rigid, chain: Chain, key: str) -> System:
-    """The continuous-time plant of an arm with gears: x = [theta; q; theta'; q'], z = q.
+    """Return the continuous-time plant of an arm with gears: x = [theta; q; theta'; q'], z = q.
 
     With encoders at motors and links z = [q; theta]. It is linearised on the flanks that carry the
     links, locked both ways.
@@ -122,7 +122,7 @@ def _geared(plant: Plant, options: Rigid, chain: Chain, key: str) -> System:
 
 
 def _flat_of_links(gears: Geared) -> Flat:
-    """The links as flat coordinates, their motors in the middle of the gaps."""
+    """Return the links as flat coordinates, their motors in the middle of the gaps."""
 
     def solve(p: Any, path: Any) -> tuple[Any, Any]:
         q, v, a = ca.horzsplit(path)
@@ -134,7 +134,8 @@ def _flat_of_links(gears: Geared) -> Flat:
 
 
 def start(gears: Geared, x: Array | None, key: str) -> Floats:
-    """A state [theta; q; theta'; q'] (4 N) as given, or of links [q; q'] (2 N) on their flanks.
+    """Return a state [theta; q; theta'; q'] (4 N) as given, or of links [q; q'] (2 N) on their
+    flanks.
 
     Args:
         gears: the arm.
@@ -153,7 +154,9 @@ def start(gears: Geared, x: Array | None, key: str) -> Floats:
 
 
 def flat(body: Arm) -> Flat:
-    """The joints of a rigid arm as flat coordinates: two derivatives give state and torque."""
+    """Return the joints of a rigid arm as flat coordinates: two derivatives give state and
+    torque.
+    """
 
     def solve(p: Any, path: Any) -> tuple[Any, Any]:
         q, v, a = ca.horzsplit(path)
@@ -163,19 +166,22 @@ def flat(body: Arm) -> Flat:
 
 
 def _given(plant: Plant) -> tuple[str, Array | None]:
-    """(key, value) of the state at which an arm is linearised: x_eq, or else x0."""
+    """Return (key, value) of the state at which an arm is linearised: x_eq, or else x0."""
     return ("x0", plant.x0) if plant.x_eq is None else ("x_eq", plant.x_eq)
 
 
 def _held(plant: Plant, load: Floats, key: str) -> Floats:
-    """u_eq: as given, or what holds a load (m). Raises ShapeError."""
+    """Return u_eq: as given, or what holds a load (m). Raises ShapeError."""
     if plant.u_eq is None:
         return load
     return vector(f"{key}.u_eq", plant.u_eq, load.size, "one per input")
 
 
 def _equilibrium(plant: Plant, N: int, key: str) -> Floats:
-    """x_eq (2 N): as given, or at rest in the position of x0. Raises ShapeError, also for x0."""
+    """Return x_eq (2 N): as given, or at rest in the position of x0.
+
+    Raises ShapeError, also for x0.
+    """
     rest = np.zeros(2 * N)
     if plant.x0 is not None:
         why = "the angle of each joint, then its speed"
@@ -186,7 +192,7 @@ def _equilibrium(plant: Plant, N: int, key: str) -> Floats:
 
 
 def _chain(options: Rigid, plant: Plant, key: str) -> Chain:
-    """The links of a rigid arm."""
+    """Return the links of a rigid arm."""
     if isinstance(options, URDF):
         from undeadzone.plants.robots import urdf
 
@@ -197,7 +203,7 @@ def _chain(options: Rigid, plant: Plant, key: str) -> Chain:
 
 
 def _limited(options: Rigid, chain: Chain, key: str) -> Chain:
-    """The chain with the limits that the scenario gives in place of its own."""
+    """Return the chain with the limits that the scenario gives in place of its own."""
     N = len(chain.joints)
     if options.torque_max is not None:
         torque_max = positive(f"{key}.arm.torque_max", options.torque_max, N, "one per joint")
@@ -214,7 +220,7 @@ def _limited(options: Rigid, chain: Chain, key: str) -> Chain:
 
 
 def _stops(options: Rigid, chain: Chain, key: str) -> Callable[[Any, Any], Any]:
-    """The torque (N) of the mechanical stops, a function of q and v."""
+    """Return the torque (N) of the mechanical stops, a function of q and v."""
     if options.stops is None:
         return lambda q, v: 0.0
     stiffness, damping = (
@@ -247,7 +253,7 @@ def _require_mass(body: Arm, params: Floats, key: str) -> None:
 
 
 def one_link() -> Chain:
-    """One link; q from the x axis, gravity along -y.
+    """Return one link; q from the x axis, gravity along -y.
 
     Parameters: m mass [kg], l length [m], c centre of mass from the joint [m], I inertia about that
         centre
@@ -265,7 +271,7 @@ def one_link() -> Chain:
 
 
 def two_link() -> Chain:
-    """Two links; q1 from the x axis, q2 from the first link, gravity along -y.
+    """Return two links; q1 from the x axis, q2 from the first link, gravity along -y.
 
     Parameters, of link i = 1, 2: mi mass [kg], li length [m], ci centre of mass from joint i [m],
     Ii inertia about that centre [kg m^2]; g gravity [m/s^2] (0: a horizontal table, on which q1 is
@@ -294,7 +300,9 @@ def two_link() -> Chain:
 
 
 def changed(parameters: Mapping[str, float], changes: Mapping[str, float]) -> dict[str, float]:
-    """The parameters of a chain, with the changes to them; changes of other names are left out."""
+    """Return the parameters of a chain, with the changes to them; changes of other names are left
+    out.
+    """
     return {name: changes.get(name, value) for name, value in parameters.items()}
 
 
@@ -318,7 +326,9 @@ def _planar_chain(
     mass: Callable[[Numbers, Any], Any],
     bias: Callable[[Numbers, Any, Any], Any],
 ) -> Chain:
-    """A chain of links in the plane, without limits or friction; lengths: names of link lengths."""
+    """Return a chain of links in the plane, without limits or friction; lengths: names of link
+    lengths.
+    """
     N = len(lengths)
 
     def points(p: Numbers, q: Any) -> Any:
@@ -341,7 +351,7 @@ def _planar_chain(
 
 
 def _turn(p: Numbers, q: Any) -> Any:
-    """Rotation matrix (3 x 3) of the last link, whose angle is the sum of the joints'."""
+    """Return rotation matrix (3 x 3) of the last link, whose angle is the sum of the joints'."""
     angle = ca.sum1(q)
     return ca.blockcat(
         [[ca.cos(angle), -ca.sin(angle), 0], [ca.sin(angle), ca.cos(angle), 0], [0, 0, 1]]
@@ -349,12 +359,12 @@ def _turn(p: Numbers, q: Any) -> Any:
 
 
 def _gravity(p: Numbers) -> Any:
-    """Gravity along -y (3) [m/s^2]."""
+    """Return gravity along -y (3) [m/s^2]."""
     return ca.vertcat(0, -p["g"], 0)
 
 
 def joint() -> Chain:
-    """Motor and link as a chain of two angles [motor; link], both from the x axis.
+    """Return motor and link as a chain of two angles [motor; link], both from the x axis.
 
     The motor's inertia J, a spring of stiffness k, and `one_link`. Parameters: those of the link, J
     motor inertia [kg m^2] and k [N m/rad]. Friction of the motor (b1, f1) and of the link (b2, f2)
@@ -382,7 +392,7 @@ def joint() -> Chain:
 
 
 def elastic(plant: Plant, options: ElasticJoint, key: str = "plant") -> System:
-    """The plant of an elastic joint.
+    """Return the plant of an elastic joint.
 
     x = [motor angle; link angle; their speeds], u = the motor's torque [N m], z = the angle of
     `options.measured` less `reference` [rad]. Its path coordinate is the link's angle: with no
@@ -422,7 +432,7 @@ def elastic(plant: Plant, options: ElasticJoint, key: str = "plant") -> System:
 def _elastic_equilibrium(
     plant: Plant, params: Floats, solve: ca.Function, key: str
 ) -> tuple[Floats, Floats]:
-    """(x_eq, u_eq): as given, or where the motor holds the link still at its angle in x0."""
+    """Return (x_eq, u_eq): as given, or where the motor holds the link still at its angle in x0."""
     (at, given), why = _given(plant), "the angles of motor and link, then their speeds"
     x = vector(f"{key}.{at}", np.zeros(4) if given is None else given, 4, why)
     at_rest = x[1] * np.eye(1, 5)  # the link's angle, its derivatives 0
@@ -431,7 +441,7 @@ def _elastic_equilibrium(
 
 
 def _inverse(body: Arm) -> ca.Function:
-    """(params, the link's angle and four derivatives of it (1 x 5)) -> (x, u).
+    """Return (params, the link's angle and four derivatives of it (1 x 5)) -> (x, u).
 
     The link's equation gives the motor's angle, the motor's the torque.
     """

@@ -77,25 +77,27 @@ class Geared(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Number of joints."""
+        """Return number of joints."""
         return self.arm.size
 
     def links(self, params: Any) -> Any:
-        """The parameters of `arm` in a column of parameters."""
+        """Return the parameters of `arm` in a column of parameters."""
         return params[: len(self.arm.names)]
 
     def number(self, params: Any, name: str) -> Any:
-        """A number of the gears, such as "half", in a column of parameters (N)."""
+        """Return a number of the gears, such as "half", in a column of parameters (N)."""
         first = self.names.index(f"{name}1")
         return params[first : first + self.size]
 
     def angle(self, params: Any, x: Any) -> Any:
-        """xi, by which the motors are ahead of their links (N) [rad]; |xi| > half in contact."""
+        """Return xi, by which the motors are ahead of their links (N) [rad]; |xi| > half in
+        contact.
+        """
         N = self.size
         return x[:N] - x[N : 2 * N] + self.number(params, "centre")
 
     def widths(self, params: Any) -> tuple[Any, Any]:
-        """(right, left): how far each link may be ahead of its motor, and behind it [rad].
+        """Return (right, left): how far each link may be ahead of its motor, and behind it [rad].
 
         right = half + centre, left = half - centre; of encoders at motors and links (2 N) those at
         the motors come last, with 0.
@@ -105,13 +107,13 @@ class Geared(NamedTuple):
         return ca.vertcat(half + centre, motors), ca.vertcat(half - centre, motors)
 
     def friction(self, params: Any, turning: Any) -> Any:
-        """Torque of friction at motors of these speeds (N)."""
+        """Return torque of friction at motors of these speeds (N)."""
         sliding = turning / ca.sqrt(turning**2 + self.rest**2)
         viscous = self.number(params, "viscous") * turning
         return viscous + self.number(params, "friction") * sliding
 
     def torque(self, params: Any, x: Any, contact: Any = None) -> Any:
-        """tau, what the gears transmit to the links (N) [N m]. contact: as of `motion`."""
+        """Return tau, what the gears transmit to the links (N) [N m]. contact: as of `motion`."""
         N, half, xi = self.size, self.number(params, "half"), self.angle(params, x)
         frequency = self.number(params, "contact")
         if contact is None:
@@ -126,7 +128,7 @@ class Geared(NamedTuple):
     def motion(
         self, params: Any, x: Any, u: Any, contact: Any = None, load: Any = 0.0
     ) -> tuple[Any, Any]:
-        """(x' (4 N), tau (N)).
+        """Return (x' (4 N), tau (N)).
 
         Args:
             params: column of the parameters.
@@ -159,7 +161,7 @@ def geared_motion(
     changes: Mapping[str, float] = MappingProxyType({}),
     key: str = "plant",
 ) -> Geared:
-    """An arm of links behind gears.
+    """Return an arm of links behind gears.
 
     Args:
         chain: the links.
@@ -186,7 +188,10 @@ def geared_motion(
 
 
 def _numbers(gears: Gears, N: int, key: str) -> dict[str, Floats]:
-    """Each number of the gears that is a parameter (N each). Raises InputError, ShapeError."""
+    """Return each number of the gears that is a parameter (N each).
+
+    Raises InputError, ShapeError.
+    """
     checks = {
         "half": nonnegative,
         "centre": vector,
@@ -202,7 +207,7 @@ def _numbers(gears: Gears, N: int, key: str) -> dict[str, Floats]:
 
 
 def _unloaded(body: Arm, values: Floats) -> Floats:
-    """The parameters of the links, without payload."""
+    """Return the parameters of the links, without payload."""
     links = values[: len(body.names)].copy()
     links[body.names.index("payload")] = 0.0
     return links

@@ -93,7 +93,7 @@ def survey(
 
 
 def _posture(limits: Floats) -> Floats:
-    """0, or the middle between two limits, one of which is near 0 or beyond it."""
+    """Return 0, or the middle between two limits, one of which is near 0 or beyond it."""
     q = np.zeros(len(limits))
     for i, (low, high) in enumerate(limits):
         room = NEAR * (high - low)
@@ -115,7 +115,9 @@ def _require_within(moving: list[Joint], q: Floats) -> None:
 
 
 def _reach(body: Arm, moving: list[Joint]) -> float | None:
-    """The greatest distance of the tip from the first joint: climbed from the best postures."""
+    """Return the greatest distance of the tip from the first joint: climbed from the best
+    postures.
+    """
     from scipy.optimize import minimize
 
     low, high = body.chain.limits.T.copy()

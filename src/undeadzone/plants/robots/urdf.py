@@ -48,7 +48,7 @@ class Frames(NamedTuple):
 
 
 def straightened(robot: Robot, moving: list[Joint], tip: str) -> Frames:
-    """The frames of an arm, with all joints that do not move fixed at 0.
+    """Return the frames of an arm, with all joints that do not move fixed at 0.
 
     Args:
         robot: the tree of a file.
@@ -63,7 +63,7 @@ def straightened(robot: Robot, moving: list[Joint], tip: str) -> Frames:
 
 
 def exact(values: Floats) -> Floats:
-    """The values, those next to 0, 1 or -1 replaced by it."""
+    """Return the values, those next to 0, 1 or -1 replaced by it."""
     near = np.clip(np.round(values), -1, 1)
     tolerance = np.where(near == 0, ZERO, ONE)
     return np.where(np.abs(values - near) < tolerance, near, values) + 0.0
@@ -80,7 +80,9 @@ def _pose(way: list[Joint]) -> tuple[Floats, Floats]:
 
 
 def _anchors(moving: list[Joint], axes: Floats, origins: Floats) -> Floats:
-    """The point of each axis nearest to the anchor before (N x 3); a sliding joint keeps it."""
+    """Return the point of each axis nearest to the anchor before (N x 3); a sliding joint keeps
+    it.
+    """
     anchors, anchor = [], np.zeros(3)
     for joint, axis, origin in zip(moving, axes, origins, strict=True):
         if joint.kind != "prismatic":
@@ -105,7 +107,7 @@ def _bodies(
 
 
 def _joined(bodies: list[Body]) -> Body:
-    """Bodies fixed to each other as one."""
+    """Return bodies fixed to each other as one."""
     mass = sum(body.mass for body in bodies)
     centre = sum((body.mass * body.centre for body in bodies), np.zeros(3)) / (mass or 1)
     inertia = np.zeros((3, 3))
@@ -125,11 +127,11 @@ class _Kit(NamedTuple):
     urdf: Any
 
     def link(self, name: str, inertial: Any = None) -> Any:
-        """A link, without mass by default."""
+        """Return a link, without mass by default."""
         return self.link_class(self.urdf.Link(name, inertial=inertial), self.space)
 
     def inertial(self, body: Body, mass: ca.SX, anchor: Floats) -> Any:
-        """The mass of a body about an anchor, its inertia in proportion to the mass [kg]."""
+        """Return the mass of a body about an anchor, its inertia in proportion to the mass [kg]."""
         triangle = body.inertia[np.triu_indices(3)]  # xx, xy, xz, yy, yz, zz
         inertia = self.urdf.Inertia(*[mass / body.mass * entry for entry in triangle])
         return self.urdf.Inertial(mass, inertia, self.pose(body.centre - anchor))
@@ -143,7 +145,7 @@ class _Kit(NamedTuple):
         axis: Sequence[float] = (1.0, 0.0, 0.0),
         index: int | None = None,
     ) -> Any:
-        """A joint, which does not move by default.
+        """Return a joint, which does not move by default.
 
         Args:
             name: name of the joint.
@@ -160,12 +162,12 @@ class _Kit(NamedTuple):
         return joint
 
     def pose(self, place: Floats) -> Any:
-        """A place (3) [m] without a turn."""
+        """Return a place (3) [m] without a turn."""
         return self.urdf.Pose(exact(place).tolist(), LEVEL)
 
 
 def algorithms(moving: list[Joint], frames: Frames, masses: ca.SX) -> Any:
-    """adam's algorithms for an arm.
+    """Return adam's algorithms for an arm.
 
     Its frames are "base", "link i", "origin i" (where joint i stands in the file) and "tip".
 
@@ -197,7 +199,9 @@ def algorithms(moving: list[Joint], frames: Frames, masses: ca.SX) -> Any:
 def _parts(
     kit: _Kit, moving: list[Joint], frames: Frames, masses: ca.SX
 ) -> tuple[list[Any], list[Any], list[Any]]:
-    """Links with mass, massless links at the joints' places, and joints, from base to tip."""
+    """Return links with mass, massless links at the joints' places, and joints, from base to
+    tip.
+    """
     links, marks, joints = [kit.link("base")], [], []
     before, parent = np.zeros(3), "base"  # the anchor and link up to here
     for i, (anchor, body) in enumerate(zip(frames.anchors, frames.bodies, strict=True)):
@@ -220,7 +224,7 @@ def chain(
     tip: str | None = None,
     gravity: Array = (0.0, 0.0, -9.81),
 ) -> Chain:
-    """The serial arm in a URDF file, on a fixed base.
+    """Return the serial arm in a URDF file, on a fixed base.
 
     Parameters [kg]: m1, ... mN: mass of what moves with a joint up to the next, its inertia in
     proportion; payload: a point at the tip. The dynamics are those of adam-robotics (composite
@@ -279,7 +283,7 @@ def _require_masses(path: str | os.PathLike[str], moving: list[Joint], frames: F
 def selected(
     robot: Robot, joints: Sequence[str] | None, tip: str | None
 ) -> tuple[list[Joint], str]:
-    """The moving joints from base to tip, and the tip.
+    """Return the moving joints from base to tip, and the tip.
 
     Args:
         robot: the tree of a file.
@@ -345,7 +349,7 @@ def _require_uncoupled(robot: Robot, serial: list[str]) -> None:
 
 
 def _end(robot: Robot, moved: Sequence[str]) -> str:
-    """The one link without children to which all of these joints lead."""
+    """Return the one link without children to which all of these joints lead."""
     parents = {joint.parent for joint in robot.joints}
     ends = []
     for link in robot.links:
@@ -364,7 +368,7 @@ def _end(robot: Robot, moved: Sequence[str]) -> str:
 
 
 def _parting(robot: Robot, moved: Sequence[str]) -> str:
-    """The link at which the ways to these joints part."""
+    """Return the link at which the ways to these joints part."""
     joints = {joint.name: joint for joint in robot.joints}
     ways = [robot.way(joints[name].child) for name in moved]
     above: set[str] = set()
@@ -380,7 +384,7 @@ def _parting(robot: Robot, moved: Sequence[str]) -> str:
 
 
 def _functions(moving: list[Joint], frames: Frames, gravity: Floats) -> tuple[ca.Function, ...]:
-    """M(masses, q), h(masses, q, v), points(q) and turn(q) of a `Chain`, by adam."""
+    """Return M(masses, q), h(masses, q, v), points(q) and turn(q) of a `Chain`, by adam."""
     N = len(moving)
     masses = ca.SX.sym("m", N + 1)
     q, v = ca.SX.sym("q", N), ca.SX.sym("v", N)
@@ -405,5 +409,5 @@ def _functions(moving: list[Joint], frames: Frames, gravity: Floats) -> tuple[ca
 
 
 def _function(name: str, inputs: list[ca.SX], value: Any) -> ca.Function:
-    """A dense function whose common subexpressions are computed once."""
+    """Return a dense function whose common subexpressions are computed once."""
     return ca.Function(name, inputs, [ca.densify(value)], {"cse": True})

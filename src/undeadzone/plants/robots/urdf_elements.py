@@ -68,7 +68,7 @@ class Body(NamedTuple):
 
 
 def rotation(roll: float, pitch: float, yaw: float) -> Floats:
-    """Rotation matrix (3 x 3) of the turns [rad] about the fixed axes x, then y, then z."""
+    """Return rotation matrix (3 x 3) of the turns [rad] about the fixed axes x, then y, then z."""
     (cx, cy, cz), (sx, sy, sz) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
     return np.array(
         [
@@ -80,7 +80,7 @@ def rotation(roll: float, pitch: float, yaw: float) -> Floats:
 
 
 def joint_of(element: Element) -> Joint:
-    """A <joint>. Raises ValueError."""
+    """Return a <joint>. Raises ValueError."""
     name, kind = name_of(element), element.get("type", "")
     where = f"joint {name}"
     if kind not in (*MOVABLE, "fixed"):
@@ -113,7 +113,7 @@ def joint_of(element: Element) -> Joint:
 
 
 def _axis(element: Element, kind: str, where: str) -> Floats:
-    """The unit axis (3) of a <joint>, which a fixed one need not have. Raises ValueError."""
+    """Return the unit axis (3) of a <joint>, which a fixed one need not have. Raises ValueError."""
     axis = _numbers(element.find("axis"), "xyz", (1.0, 0.0, 0.0), where)
     length = np.linalg.norm(axis)
     if not length > 0 and kind != "fixed":
@@ -124,7 +124,7 @@ def _axis(element: Element, kind: str, where: str) -> Floats:
 def _limits(
     limit: Element | None, kind: str, where: str
 ) -> tuple[tuple[float, float], float, float]:
-    """(lower and upper position, effort, velocity) of a <limit>, infinite where it has none.
+    """Return (lower and upper position, effort, velocity) of a <limit>, infinite where it has none.
 
     Raises ValueError unless a joint that is not fixed can move.
     """
@@ -147,7 +147,7 @@ def _limits(
 
 
 def _friction(dynamics: Element | None, where: str) -> tuple[float, float]:
-    """Viscous and Coulomb coefficients of a <dynamics>. Raises ValueError."""
+    """Return viscous and Coulomb coefficients of a <dynamics>. Raises ValueError."""
     viscous = _number(dynamics, "damping", 0.0, where)
     coulomb = _number(dynamics, "friction", 0.0, where)
     if min(viscous, coulomb) < 0:
@@ -158,7 +158,7 @@ def _friction(dynamics: Element | None, where: str) -> tuple[float, float]:
 
 
 def body_of(element: Element) -> Body:
-    """The body of a <link>, in its coordinates. Raises ValueError."""
+    """Return the body of a <link>, in its coordinates. Raises ValueError."""
     inertial, where = element.find("inertial"), f"link {name_of(element)}"
     if inertial is None:
         return Body(0.0, np.zeros(3), np.zeros((3, 3)))
@@ -171,7 +171,10 @@ def body_of(element: Element) -> Body:
 
 
 def _inertia(element: Element | None, where: str) -> Floats:
-    """The matrix (3 x 3) [kg m^2] of an <inertia>. Raises ValueError unless a body can have it."""
+    """Return the matrix (3 x 3) [kg m^2] of an <inertia>.
+
+    Raises ValueError unless a body can have it.
+    """
     xx, xy, xz, yy, yz, zz = (
         _number(element, f"i{pair}", 0.0, where) for pair in ("xx", "xy", "xz", "yy", "yz", "zz")
     )
@@ -191,7 +194,7 @@ def _inertia(element: Element | None, where: str) -> Floats:
 
 
 def name_of(element: Element) -> str:
-    """The name of an element. Raises ValueError where it has none."""
+    """Return the name of an element. Raises ValueError where it has none."""
     name = element.get("name", "")
     if not name:
         raise ValueError(f"a <{element.tag}> has no name")
@@ -199,21 +202,21 @@ def name_of(element: Element) -> str:
 
 
 def _pose(element: Element, where: str) -> tuple[Floats, Floats]:
-    """<origin> as place (3) [m] and turn (3 x 3)."""
+    """Return <origin> as place (3) [m] and turn (3 x 3)."""
     origin = element.find("origin")
     place = _numbers(origin, "xyz", (0.0, 0.0, 0.0), where)
     return place, rotation(*_numbers(origin, "rpy", (0.0, 0.0, 0.0), where))
 
 
 def _number(element: Element | None, name: str, otherwise: float, where: str) -> float:
-    """The number of an attribute, or another one where there is none."""
+    """Return the number of an attribute, or another one where there is none."""
     return float(_numbers(element, name, (otherwise,), where)[0])
 
 
 def _numbers(
     element: Element | None, name: str, otherwise: tuple[float, ...], where: str
 ) -> Floats:
-    """Numbers of an attribute, as many as it has otherwise. Raises ValueError."""
+    """Return numbers of an attribute, as many as it has otherwise. Raises ValueError."""
     text = None if element is None else element.get(name)
     if element is None or text is None:
         return np.array(otherwise)
@@ -242,7 +245,7 @@ class Robot(NamedTuple):
     joints: list[Joint]
 
     def way(self, link: str) -> list[Joint]:
-        """The joints from the base to a link."""
+        """Return the joints from the base to a link."""
         above = {joint.child: joint for joint in self.joints}
         upward = []
         while joint := above.get(link):
@@ -252,7 +255,7 @@ class Robot(NamedTuple):
 
 
 def read(path: Path, key: str = "plant.arm.path") -> Robot:
-    """The tree of a URDF file.
+    """Return the tree of a URDF file.
 
     Args:
         path: the file.
@@ -281,7 +284,7 @@ def suggest(name: str, known: Iterable[str]) -> str:
 
 
 def _robot(root: Element) -> Robot:
-    """The tree under <robot>. Raises ValueError."""
+    """Return the tree under <robot>. Raises ValueError."""
     if root.tag != "robot":
         raise ValueError("not a URDF: its first element is not <robot>")
     if any("xacro" in element.tag for element in root.iter()):

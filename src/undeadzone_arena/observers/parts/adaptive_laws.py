@@ -33,7 +33,8 @@ class Law(NamedTuple):
 
 
 def gradient(model: System, gain: float, leak: float, size: int) -> Law:
-    """W' = gain zeta'e / (1 + zeta'zeta) - leak |e| W: normalised gradient with e-modification.
+    """Return W' = gain zeta'e / (1 + zeta'zeta) - leak |e| W: normalised gradient with
+    e-modification.
 
     Sampled, with 1 + (1 + gain Ts) zeta'zeta, which is stable for any gain.
 
@@ -59,7 +60,7 @@ def gradient(model: System, gain: float, leak: float, size: int) -> Law:
 
 
 def least_squares(model: System, gain: float, forgetting: float, size: int) -> Law:
-    """W' = P zeta'e, P' = forgetting (P - P^2 / gain) - P zeta'zeta P, P(0) = gain I.
+    """Return W' = P zeta'e, P' = forgetting (P - P^2 / gain) - P zeta'zeta P, P(0) = gain I.
 
     P never exceeds P(0). Recursive least squares whose information fades to the initial one
     (Salgado, Goodwin and Middleton 1988).
@@ -90,7 +91,7 @@ def least_squares(model: System, gain: float, forgetting: float, size: int) -> L
 def least_squares_flow(
     numbers: Any, W: Any, P: Any, zeta: Any, e: Any, used: Any
 ) -> tuple[Any, Any]:
-    """(W', P') in continuous time."""
+    """Return (W', P') in continuous time."""
     rate, gain = numbers[0], numbers[1]
     step = P @ zeta.T
     return step @ e, ca.mmax(used) * rate * (P - P @ P / gain) - step @ step.T

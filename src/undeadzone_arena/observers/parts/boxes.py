@@ -35,7 +35,7 @@ class Boxes(NamedTuple):
 
 
 def each(f: Callable[..., Any], *boxes: Boxes) -> Boxes:
-    """f of every part, f(part of the first, part of the second, ...)."""
+    """Return f of every part, f(part of the first, part of the second, ...)."""
     columns = []
     for box in boxes:
         columns.append([leaf for _, leaf in tree.leaves(box)])
@@ -48,7 +48,7 @@ def meet(a: Bounds, b: Bounds) -> Bounds:
 
 
 def cut(x: Any, radius: Any, frame: Any, c: Any, lo: Any, hi: Any) -> tuple[Any, Any]:
-    """The smallest box that holds what of a box has c x in [lo, hi].
+    """Return the smallest box that holds what of a box has c x in [lo, hi].
 
     Args:
         x: midpoint of the box (n).

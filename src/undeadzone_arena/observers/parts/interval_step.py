@@ -76,7 +76,7 @@ class Setup(NamedTuple):
 
     @property
     def jump(self) -> bool:
-        """Whether the sensor is of the jump kind."""
+        """Return whether the sensor is of the jump kind."""
         return self.kind == "jump"
 
 
@@ -100,7 +100,7 @@ class Sides(NamedTuple):
 
 
 def interval(model: System, pairs: list[int], params: Params, sensor: Zone) -> Observer:
-    """The observer.
+    """Return the observer.
 
     Args:
         model: the linear model, continuous or sampled.
@@ -118,7 +118,7 @@ def interval(model: System, pairs: list[int], params: Params, sensor: Zone) -> O
 
 
 def restarted(q: Params, s: State) -> State:
-    """Boxes that are empty start anew around x^."""
+    """Return boxes that are empty start anew around x^."""
     widths = [edge.hi - edge.lo for edge in (s.boxes.right, s.boxes.left)]
     empty = ca.mmin(ca.vertcat(s.boxes.radius, *widths)) < 0
     fresh = q.start._replace(x=s.boxes.x)
@@ -128,7 +128,7 @@ def restarted(q: Params, s: State) -> State:
 def interval_step(
     setup: Setup, q: Params, s: State, u: Any, reading: Reading
 ) -> tuple[State, Estimate]:
-    """The state's derivative, or its next value when sampled, and the estimate."""
+    """Return the state's derivative, or its next value when sampled, and the estimate."""
     sampled = setup.model.Ts is not None
     phi = turned(setup.pairs, setup.model.n, s.angle)
     frame = q.T @ phi
@@ -147,7 +147,7 @@ def interval_step(
 
 
 def next_boxes(setup: Setup, q: Params, boxes: Boxes, phi: Any, angle: Any, z: Bounds) -> State:
-    """The state at the next sample.
+    """Return the state at the next sample.
 
     Args:
         setup: the observer.
@@ -181,20 +181,22 @@ def boxes_rate(setup: Setup, q: Params, boxes: Boxes, phi: Any, z: Bounds) -> Bo
 
 
 def coupling(pairs: list[int], n: int) -> Floats:
-    """1 at the entries of S through which one mode drives another (n x n): above its blocks."""
+    """Return 1 at the entries of S through which one mode drives another (n x n): above its
+    blocks.
+    """
     mask = np.triu(np.ones((n, n)), 1)
     mask[pairs, np.array(pairs, int) + 1] = 0.0
     return mask
 
 
 def added_radius(q: Params, phi: Any, z: Bounds) -> Any:
-    """The half-widths that disturbance and the uncertainty of z add (n)."""
+    """Return the half-widths that disturbance and the uncertainty of z add (n)."""
     by_disturbance = ca.fabs(phi.T @ q.inverse @ q.model.B) @ q.disturbance
     return by_disturbance + ca.fabs(phi.T @ q.inverse @ q.L) @ (z.hi - z.lo) / 2
 
 
 def output_bounds(q: Params, boxes: Boxes, frame: Any) -> Bounds:
-    """The bounds of z = C x that the box of x gives."""
+    """Return the bounds of z = C x that the box of x gives."""
     z, spread = q.model.C @ boxes.x, ca.fabs(q.model.C @ frame) @ boxes.radius
     return Bounds(z - spread, z + spread)
 
@@ -215,7 +217,7 @@ def sides(setup: Setup, q: Params, reading: Reading) -> Sides:
 def tightened(
     setup: Setup, q: Params, boxes: Boxes, frame: Any, reading: Reading
 ) -> tuple[Boxes, Bounds]:
-    """(the boxes given a reading, bounds of z)."""
+    """Return (the boxes given a reading, bounds of z)."""
     y = reading.y / q.slope
     on = sides(setup, q, reading)
     right, left = width_bounds(setup, q, boxes, output_bounds(q, boxes, frame), y, on)
@@ -230,7 +232,7 @@ def tightened(
 def width_bounds(
     setup: Setup, q: Params, boxes: Boxes, z: Bounds, y: Any, on: Sides
 ) -> tuple[Bounds, Bounds]:
-    """The bounds of d_r and d_l given those of z and a reading.
+    """Return the bounds of d_r and d_l given those of z and a reading.
 
     Args:
         setup: the observer.
@@ -260,7 +262,7 @@ def width_bounds(
 def reading_bounds(
     setup: Setup, q: Params, right: Bounds, left: Bounds, y: Any, on: Sides
 ) -> Bounds:
-    """The bounds of z given those of the widths and a reading."""
+    """Return the bounds of z given those of the widths and a reading."""
     if setup.jump:
         off = Bounds(0.0, 0.0)
     else:  # what the sensor takes off z
@@ -279,14 +281,14 @@ def reading_bounds(
 
 
 def where(holds: Any, bound: Any) -> Any:
-    """A bound where something holds, else one that bounds nothing."""
+    """Return a bound where something holds, else one that bounds nothing."""
     return ca.if_else(holds, bound, FAR)
 
 
 def to_estimate(
     q: Params, boxes: Boxes, frame: Any, reading: Reading, kind: str, e: Any
 ) -> Estimate:
-    """Midpoints, and half-widths / sqrt(3)."""
+    """Return midpoints, and half-widths / sqrt(3)."""
     right, left = boxes.right, boxes.left
     half_right, half_left = (right.hi - right.lo) / 2, (left.hi - left.lo) / 2
     midpoints = estimate(

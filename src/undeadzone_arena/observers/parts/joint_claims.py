@@ -93,7 +93,7 @@ class JointPrior(NamedTuple):
 def joint_prior(
     claims: JointClaims, model: System, sensor: Zone, defaults: Defaults, stride: int = 1
 ) -> JointPrior:
-    """The prior of a joint filter, with defaults where nothing is claimed.
+    """Return the prior of a joint filter, with defaults where nothing is claimed.
 
     Args:
         claims: the options.
@@ -127,7 +127,7 @@ def joint_prior(
 
 
 def read(kind: str, z: Any, right: Any, left: Any) -> Any:
-    """The reading y / m of z by a sensor of that kind, without noise."""
+    """Return the reading y / m of z by a sensor of that kind, without noise."""
     if kind == "jump":
         return sensors.jump(z, right, left)
     return sensors.deadzone(z, right, left)
@@ -143,7 +143,7 @@ def numeric_estimate(
     width_std: Floats,
     e_std: Floats,
 ) -> Estimate:
-    """An `Estimate` of numbers.
+    """Return an `Estimate` of numbers.
 
     Args:
         X: [x; d_r; d_l] (n + 2p).
@@ -177,7 +177,7 @@ def numeric_estimate(
 
 
 def glitch_chance(doubt: Doubt, e: Floats, std: Floats) -> Floats:
-    """The chance that readings with these innovations are glitches (p).
+    """Return the chance that readings with these innovations are glitches (p).
 
     Args:
         doubt: numbers of the doubt.

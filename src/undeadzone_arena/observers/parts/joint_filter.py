@@ -84,7 +84,7 @@ def joint_filter(
     correct: Correct,
     predict: Predict,
 ) -> Observer:
-    """The filter as an observer.
+    """Return the filter as an observer.
 
     Args:
         model: the sampled model.
@@ -146,12 +146,12 @@ def joint_filter(
 
 
 def reading_of(model: System, kind: str, q: Params, i: int, X: Any) -> Any:
-    """The reading y_i / m_i, without noise, of X = [x; d_r; d_l]."""
+    """Return the reading y_i / m_i, without noise, of X = [x; d_r; d_l]."""
     n, p = model.n, model.p
     z = model.output(q.model, X[:n])[i]
     return read(kind, z, X[n + i], X[n + p + i])
 
 
 def seen_from_limit(sight: Sight, y: Any, side: Any, X: Any) -> Any:
-    """`sight` where a reading y_i / m_i at a limit of its range only bounds it."""
+    """Return `sight` where a reading y_i / m_i at a limit of its range only bounds it."""
     return no_further(sight(X), y, side)

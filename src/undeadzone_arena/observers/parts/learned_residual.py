@@ -117,7 +117,8 @@ def learning(
     W0: Floats | None = None,
     limit: Floats | None = None,
 ) -> Observer:
-    """The observer x^' = A x^ + B u + L e, e = z_I - C x^, z_I = y / m + W'psi, of any model.
+    """Return the observer x^' = A x^ + B u + L e, e = z_I - C x^, z_I = y / m + W'psi, of any
+    model.
 
     Filtered, W learns by the sensitivity of e to it, zeta = C Phi - psi with
     Phi' = (A - L C) Phi + L psi', and x^ moves with W by Phi W' (Zhang 2002; the swapping lemma);
@@ -167,7 +168,7 @@ def learning(
 def learning_step(
     setup: Setup, q: Params, s: State, u: Any, reading: Reading
 ) -> tuple[State, Estimate]:
-    """The state's derivative, or its next value when sampled, and the estimate."""
+    """Return the state's derivative, or its next value when sampled, and the estimate."""
     model, reading = setup.model, exact(reading, setup.ends)
     sampled = model.Ts is not None
     z, H = linearise(lambda x: model.output(q.model, x), s.x)
@@ -194,20 +195,22 @@ def learning_step(
 
 
 def functions(setup: Setup, q: Params, y: Any, side: Any, z: Any) -> Any:
-    """psi of every output (p x N p), of y / m and z [z]."""
+    """Return psi of every output (p x N p), of y / m and z [z]."""
     y, z = y / q.scale, z / q.scale
     psi = setup.compensator.psi
     return ca.diagcat(*(psi(q.psi, y[i], side[i], z[i]).T for i in range(setup.model.p)))
 
 
 def learned_width(setup: Setup, q: Params, W: Any, side: float) -> Any:
-    """The width that W'psi stands for (p) [z]: what it takes off z at half the scale on a side."""
+    """Return the width that W'psi stands for (p) [z]: what it takes off z at half the scale on a
+    side.
+    """
     at = side * q.scale / 2
     return side * (functions(setup, q, at, side * ca.SX.ones(setup.model.p), at) @ W)
 
 
 def into_bounds(setup: Setup, q: Params, s: State) -> State:
-    """The state with its weights in [0, limit], and x^ moved with them."""
+    """Return the state with its weights in [0, limit], and x^ moved with them."""
     if not setup.limited:
         return s
     upper = ca.kron(q.limit, ca.SX.ones(setup.compensator.size))
@@ -246,7 +249,7 @@ def by_gradient(
     poles: float,
     gain: float,
 ) -> Observer:
-    """`learning` by the normalised gradient.
+    """Return `learning` by the normalised gradient.
 
     Args:
         model: the model, continuous or sampled.
@@ -268,7 +271,8 @@ def by_gradient(
 def residual(
     model: System, sensor: Zone, options: LearnedOptions, reach: Array, basis: Basis
 ) -> Observer:
-    """`learning` of W'phi(z^ / reach), a function of the estimate, by the normalised gradient.
+    """Return `learning` of W'phi(z^ / reach), a function of the estimate, by the normalised
+    gradient.
 
     Args:
         model: the model, continuous or sampled.

@@ -28,7 +28,7 @@ class Modes(NamedTuple):
 
 
 def modes(F: Floats, unit: Floats, Ts: float | None) -> Modes:
-    """The modes of x' = F x, or x+ = F x when sampled.
+    """Return the modes of x' = F x, or x+ = F x when sampled.
 
     Mazenc and Bernard (2011) turn the Jordan form; the Schur form bounds the same, and exists to
     rounding for every F.
@@ -54,7 +54,9 @@ def modes(F: Floats, unit: Floats, Ts: float | None) -> Modes:
 
 
 def turned(pairs: list[int], n: int, angle: Any) -> Any:
-    """Phi(angle) (n x n, orthogonal): [[cos, sin], [-sin, cos]] at each pair, 1 elsewhere."""
+    """Return phi(angle) (n x n, orthogonal): [[cos, sin], [-sin, cos]] at each pair, 1
+    elsewhere.
+    """
     Phi = ca.SX.eye(n)
     for k, i in enumerate(pairs):
         c, s = ca.cos(angle[k]), ca.sin(angle[k])

@@ -25,7 +25,7 @@ class Tangents(NamedTuple):
 
 
 def model_tangents(model: System) -> Tangents:
-    """The model's straight lines at a point, on numbers."""
+    """Return the model's straight lines at a point, on numbers."""
     if not model.nonlinear:
         A, B, C = model.linear
         return Tangents(lambda x, u: (A @ x + B @ u, A, B), lambda x: (C, np.zeros(model.p)))

@@ -98,7 +98,7 @@ def solver(plugin: str, unknowns: int, rows: int) -> Solver:
 
 
 def size(window: Window) -> tuple[int, int]:
-    """(unknowns, rows) of the programme.
+    """Return (unknowns, rows) of the programme.
 
     The unknowns are X at the oldest node, disturbances and violations; the rows are two edges a
     node, and the widths.
@@ -116,7 +116,7 @@ class Affine(NamedTuple):
 
 
 def estimate(window: Window, weights: Weights, solve: Solver) -> Floats | None:
-    """X (n + 2p) at the newest node; None if the programme was not solved.
+    """Return X (n + 2p) at the newest node; None if the programme was not solved.
 
     Unknown are X = mean + root cov xi at the oldest node, the disturbances w, and how far z is
     outside a silent sensor's zone, s slack; minimised is
@@ -142,7 +142,7 @@ def estimate(window: Window, weights: Weights, solve: Solver) -> Floats | None:
 
 
 def oldest_node(window: Window) -> Affine:
-    """X = mean + root cov xi at the oldest node."""
+    """Return X = mean + root cov xi at the oldest node."""
     unknowns, _ = size(window)
     values, vectors = np.linalg.eigh(window.cov[0])
     known = len(values)
@@ -152,7 +152,7 @@ def oldest_node(window: Window) -> Affine:
 
 
 def trajectory(window: Window, oldest: Affine) -> tuple[Affine, Affine]:
-    """x of every node (nodes x n) from that of the oldest, and x of the newest.
+    """Return x of every node (nodes x n) from that of the oldest, and x of the newest.
 
     The disturbances w of a node stand in v behind X and those of the nodes before it.
     """
@@ -188,7 +188,9 @@ def beyond_edges(window: Window, xs: Affine, d: Affine) -> tuple[Affine, Affine]
 def reading_errors(
     window: Window, weights: Weights, right: Affine, left: Affine
 ) -> tuple[Floats, Floats]:
-    """(M, b): M v - b are the errors of the readings on active sides, in units of their noise."""
+    """Return (M, b): M v - b are the errors of the readings on active sides, in units of their
+    noise.
+    """
     y, side = window.y.ravel(), window.side.ravel()
     noise = np.tile(weights.noise, len(window.y))
     active, rightward = np.abs(side) == 1, (side > 0)[:, None]
@@ -200,7 +202,7 @@ def reading_errors(
 def constraints(
     window: Window, weights: Weights, right: Affine, left: Affine, d: Affine
 ) -> tuple[Floats, Floats, Floats]:
-    """(A, low, high) of the bounds.
+    """Return (A, low, high) of the bounds.
 
     Silent nodes are inside both edges, those at a limit beyond what they read, but for their
     violation; widths are in their ranges.
@@ -222,7 +224,9 @@ def constraints(
 
 
 def reading_row(C: Floats, i: int, side: float) -> Floats:
-    """h of the reading z_i - d_r or z_i + d_l = h [x; d_r; d_l]; of z_i itself with side 0."""
+    """Return h of the reading z_i - d_r or z_i + d_l = h [x; d_r; d_l]; of z_i itself with side
+    0.
+    """
     p = C.shape[0]
     edges = np.zeros(2 * p)
     edges[i] = -1.0 * (side > 0)
@@ -231,12 +235,12 @@ def reading_row(C: Floats, i: int, side: float) -> Floats:
 
 
 def variances(rows: Floats, cov: Floats) -> Floats:
-    """The variance of h X for each row h."""
+    """Return the variance of h X for each row h."""
     return np.asarray(np.einsum("ij,jk,ik->i", rows, cov, rows))
 
 
 def read_covariance(cov: Floats, h: Floats, R: float) -> Floats:
-    """The covariance after a reading h X + v, var v = R (Joseph's form)."""
+    """Return the covariance after a reading h X + v, var v = R (Joseph's form)."""
     K = cov @ h / (h @ cov @ h + R)
     half = np.eye(len(h)) - np.outer(K, h)
     return np.asarray(half @ cov @ half.T + R * np.outer(K, K))
