@@ -51,6 +51,7 @@ TOGETHER = {
     "test_json": "paper",
     "test_audit": "paper",
     "test_budget": "source",
+    "test_language": "source",
     "test_layers": "source",
     "test_reading": "source",
 }

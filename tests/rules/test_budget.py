@@ -1,131 +1,89 @@
-"""The house stays small: lines of code a room, files, and pages that say things once."""
+"""The house stays small: syntax nodes of a room, files, and pages that say things once."""
 
 from __future__ import annotations
 
 import ast
-import io
 import re
-import tokenize
-from collections import Counter
 from pathlib import Path
 
+import node_budget
+import pytest
+import source_measures
 from benchmarks.markdown import parted
 
-import once
 import undeadzone
 
 ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[2]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 30_772, 267
-# Lines of code of the packages beside the tool, which are none of it: what leaves a room for one of
-# them is counted there.
-BESIDE = {
-    "undeadzone_arena": 4253,
-    "undeadzone_export": 2483,
-    "undeadzone_identify": 7918,
-    "undeadzone_paper": 1622,
-}
-# Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
-# comments and blank lines are free, so that nobody saves by saying less.
-BUDGET = {
-    "(root)": 386,
-    "analysis": 3358,
-    "cli": 1539,
-    "compensators": 147,
-    "compile": 3782,
-    "controllers": 785,
-    "nonlinearities": 417,
-    "ensemble": 1832,
-    "feedforward": 419,
-    "linalg": 399,
-    "logs": 1206,
-    "numerics": 841,
-    "observers": 3797,
-    "plants": 1608,
-    "report": 2428,
-    "results": 910,
-    "scenario": 1419,
-    "signals": 383,
-    "simulation": 2199,
-    "statistics": 265,
-    "util": 829,
-    "synthesis": 988,
-    "tuning": 835,
-}
-SILENT = {
-    tokenize.COMMENT,
-    tokenize.NL,
-    tokenize.NEWLINE,
-    tokenize.INDENT,
-    tokenize.DEDENT,
-    tokenize.ENCODING,
-    tokenize.ENDMARKER,
-}
-DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+MOST_FILES = 267
+CODE = """'''A file.'''
 
-
-def code_lines(text: str) -> int:
-    """The lines of a text that hold code: no docstrings, comments or blank lines."""
-    held: set[int] = set()
-    for token in tokenize.generate_tokens(io.StringIO(text).readline):
-        if token.type not in SILENT:
-            held.update(range(token.start[0], token.end[0] + 1))
-    for node in once.nodes(text):
-        if isinstance(node, DOCUMENTED) and ast.get_docstring(node, clean=False) is not None:
-            first = node.body[0]
-            held.difference_update(range(first.lineno, (first.end_lineno or first.lineno) + 1))
-    return len(held)
-
-
-TEXT = """'''A file.'''
+import os  # imports are free
 
 # a remark
-x = 1  # [m]
+x: int = 1  # [m]
 
 
-def f():
+def f(a: float) -> float:
     '''Words.
 
     More.
     '''
     return (
-        x
+        a
     )
 """
 
 
-def test_lines_of_code_are_counted_without_words() -> None:
-    assert code_lines(TEXT) == 5
+def test_words_imports_and_annotations_have_no_nodes() -> None:
+    """Module, assignment, x, 1; function, its arguments and a; return and a."""
+    assert source_measures.count_nodes(CODE) == 9
+    assert source_measures.count_nodes("x = 1\ndef f(a): return a") == 9
+    assert source_measures.count_nodes("x, y = 1, 2") > source_measures.count_nodes("x = 1")
 
 
 def test_every_room_keeps_to_its_budget() -> None:
-    """So an idea that is written twice is noticed when it is written."""
-    used: Counter[str] = Counter()
-    for path in FILES:
-        inner = path.relative_to(ROOT).parts
-        used[inner[0] if len(inner) > 1 else "(root)"] += code_lines(
-            path.read_text(encoding="utf-8")
-        )
-    beyond = {
-        room: f"{lines} of {BUDGET.get(room, 0)}"
-        for room, lines in used.items()
-        if lines > BUDGET.get(room, 0)
-    }
-    assert not beyond, f"lines of code beyond the budget: {beyond}"
-    assert used.keys() == BUDGET.keys()
-    assert sum(used.values()) <= MOST_CODE
+    """So an idea that is written twice is noticed when it is written.
+
+    `tests/rules/nodes.toml` holds the budgets. Raising one takes an entry in docs/decisions.md.
+    """
+    budget, nodes = node_budget.read_budget(), node_budget.measure_rooms()
+    assert budget.keys() == {*nodes, node_budget.TOTAL}
+    above, loose = node_budget.compare_budget(budget, nodes)
+    assert not above
+    assert not loose, "run python tests/rules/node_budget.py --lower"
     assert len(FILES) <= MOST_FILES
 
 
-def test_the_packages_beside_the_tool_keep_to_theirs() -> None:
-    used = {}
-    for package in ROOT.parent.glob("undeadzone_*"):
-        texts = [path.read_text(encoding="utf-8") for path in package.rglob("*.py")]
-        used[package.name] = sum(map(code_lines, texts))
-    assert used.keys() == BESIDE.keys()
-    assert not {name: lines for name, lines in used.items() if lines > BESIDE[name]}
+def test_rooms_of_the_tool_and_packages_beside_it_are_told_apart() -> None:
+    assert node_budget.name_room("undeadzone/observers/parts/gain.py") == "observers"
+    assert node_budget.name_room("undeadzone/errors.py") == node_budget.TOP
+    assert node_budget.name_room("undeadzone_identify/logs/grid.py") == "undeadzone_identify"
+
+
+def test_a_budget_falls_and_never_rises() -> None:
+    budget = {"ends": 100, "cli": 200, "gone": 60, node_budget.TOTAL: 360}
+    lowered = node_budget.lower_budget(budget, {"ends": 81, "cli": 210})
+    assert lowered == {"ends": 90, "cli": 200, node_budget.TOTAL: 300}
+    assert node_budget.compare_budget(budget, {"ends": 81, "cli": 210}) == (
+        ["cli: 210 nodes, budget 200"],
+        ["(total): 291 nodes, budget 360"],
+    )
+
+
+def test_a_new_room_takes_the_budget_of_a_removed_one() -> None:
+    budget = {"ends": 100, "cli": 200, node_budget.TOTAL: 300}
+    nodes = {"zones": 61, "limits": 30, "cli": 200}
+    with pytest.raises(ValueError, match="limits, zones: a new room needs a budget"):
+        node_budget.lower_budget(budget, nodes)
+    split = node_budget.rename_rooms(budget, nodes, [("ends", "zones"), ("ends", "limits")])
+    assert split == {"zones": 70, "limits": 30, "cli": 200, node_budget.TOTAL: 300}
+    merged = node_budget.rename_rooms(budget, {"cli": 250}, [("ends", "cli")])
+    assert merged == {"cli": 300, node_budget.TOTAL: 300}
+    with pytest.raises(ValueError, match="still exists"):
+        node_budget.rename_rooms(budget, nodes, [("cli", "zones")])
 
 
 def test_the_page_of_the_house_names_what_is_there() -> None:
