@@ -22,7 +22,7 @@ from undeadzone.observers import Extended
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant, TwoLink
 from undeadzone.plants.robots.arm import torque
-from undeadzone.plants.system import System, sampled
+from undeadzone.plants.system import System, sample_plant
 from undeadzone.scenario.reader import read
 from undeadzone.signals import noise as noises
 from undeadzone.simulation.simulate import simulate
@@ -147,7 +147,9 @@ def observe(case: Case, count: int, seed: int) -> Verdict:
     """The verdict on `count` arms, a lane each: their joints are the problems."""
     rng = np.random.default_rng([seed, CASES.index(case)])
     path = sines(DURATION, case.amplitude, PULSES, STEP)
-    arm = sampled(system(Plant(arm=TwoLink(), parameters={"b1": 0.5, "payload": 1.0})), STEP, 1)
+    arm = sample_plant(
+        system(Plant(arm=TwoLink(), parameters={"b1": 0.5, "payload": 1.0})), STEP, 1
+    )
     where = resolve(Sensor(right=RANGE[1], left=RANGE[1], noise=NOISE), 2, STEP)
     options = Extended(right=RANGE, start=path[0, :4], x_std=START, **case.options)
     watched = watch(options, arm, where)
@@ -156,7 +158,8 @@ def observe(case: Case, count: int, seed: int) -> Verdict:
     params[:, arm.names.index("payload")] += case.payload * rng.normal(size=count)
     w_rms = np.full(2, case.disturbance)
     disturbances = [
-        noises.coloured(seed, len(path), w_rms, CORRELATION, STEP, run) for run in range(count)
+        noises.coloured_noise(seed, len(path), w_rms, CORRELATION, STEP, run)
+        for run in range(count)
     ]
     noise = rng.normal(size=(len(path), 2, count))
     own = np.concatenate([noise, np.stack(disturbances, axis=2)], axis=1)

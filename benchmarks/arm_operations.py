@@ -18,7 +18,7 @@ from undeadzone.observers import Extended
 from undeadzone.plants.build import system
 from undeadzone.plants.options import URDF, Plant
 from undeadzone.plants.robots.arm import acceleration
-from undeadzone.plants.system import System, sampled
+from undeadzone.plants.system import System, sample_plant
 from undeadzone.util import tree
 from undeadzone_arena import GravityPD
 
@@ -40,7 +40,7 @@ def table() -> str:
     """Every count."""
     if importlib.util.find_spec("adam") is None:
         return "## Operations of a six-joint arm\n\nNot counted: adam-robotics is not installed.\n"
-    arm = sampled(system(Plant(arm=URDF(path=str(UR5)))), STEP, 1)
+    arm = sample_plant(system(Plant(arm=URDF(path=str(UR5)))), STEP, 1)
     lines = [
         "## Operations of a six-joint arm\n",
         row("UR5, one sample", "operations"),

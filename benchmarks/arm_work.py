@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.compile import interpret, lanes
-from undeadzone.ensemble.batch import known_params
+from undeadzone.ensemble.batch import constant_params
 from undeadzone.numerics.runge_kutta import rk4
 from undeadzone.plants.robots import urdf
 from undeadzone.plants.robots.arm import acceleration, arm, torque
@@ -65,7 +65,12 @@ def lanes_run(work: Work, *, width: int = lanes.WIDTH, threads: int = 1) -> Call
     """Ours on the lanes engine."""
     step, params, own = _graph(work)
     kernel = lanes.build(
-        step, params=own, record=[], known_params=known_params(params, own), width=width, fused=True
+        step,
+        params=own,
+        record=[],
+        known_params=constant_params(params, own),
+        width=width,
+        fused=True,
     )
     inputs = work.targets.reshape(work.steps, -1)
 

@@ -31,7 +31,7 @@ from undeadzone.nonlinearities.sensor import Sensor, resolve, side
 from undeadzone.observers import Censored, Kalman
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
-from undeadzone.plants.system import pace, sampled
+from undeadzone.plants.system import pace, sample_plant
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
 
@@ -164,7 +164,7 @@ def built_for(options: Any, model: Matrices, sensor: Sensor, step: float) -> Obs
         step: time between readings [s]
     """
     zone = resolve(sensor, 1, step, pace(model))
-    built: Observer = options.build(sampled(system(Plant(**model._asdict())), step), zone)
+    built: Observer = options.build(sample_plant(system(Plant(**model._asdict())), step), zone)
     return built
 
 

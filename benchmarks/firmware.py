@@ -20,7 +20,7 @@ from undeadzone_export import accuracy, compiler, exported_step
 from undeadzone_export.code import Code, code
 from undeadzone_export.exported_step import Step
 from undeadzone_export.selftest_vectors import (
-    chosen,
+    choose_vectors,
     continue_scenario,
     record_inputs,
     reference,
@@ -178,7 +178,7 @@ def tested(name: str, single: bool) -> list[str]:
     simulation = msgspec.structs.replace(scenario.simulation, duration=1.0)
     problem = resolve_scenario(msgspec.structs.replace(scenario, simulation=simulation))
     step = exported_step.build(problem)
-    rows = chosen(record_inputs(problem, step), step.readings)
+    rows = choose_vectors(record_inputs(problem, step), step.readings)
     printed = code(step, single)
     text = source(printed, Labels("o", "benchmark", "observer"))
     files = text.files() | {"o_test.c": selftest(printed, "o", reference(printed, rows))}

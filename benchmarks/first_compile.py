@@ -14,7 +14,7 @@ from undeadzone.ensemble import metrics
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import read
 from undeadzone.scenario.schema import Scenario
-from undeadzone.simulation.simulate import closed
+from undeadzone.simulation.simulate import close_problem
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 NAMES = ("paper_5sin", "pendulum", "third_order", "censored", "ur5")
@@ -53,8 +53,8 @@ def _scenario(name: str) -> Scenario:
 def _rows(name: str) -> list[str]:
     """A loop for an ensemble and for one run."""
     problem = resolve_scenario(_scenario(name))
-    loop = closed(problem)
-    measured = metrics.measured(loop, problem)
+    loop = close_problem(problem)
+    measured = metrics.with_metrics(loop, problem)
     parts = (loop.step, ()) if loop.parts is None else loop.parts
     many = _spent(measured.step, measured.rare, record=[], fused=True)
     one = _spent(*parts, width=1)
@@ -70,7 +70,7 @@ def _rows(name: str) -> list[str]:
 
 def _spent(*parts: object, **options: object) -> Spent:
     """What a kernel takes."""
-    cache.made.cache_clear()
+    cache.compile_or_load.cache_clear()
     began = time.process_time()
     kernel = lanes.build(*parts, **options)
     first = time.process_time() - began

@@ -19,8 +19,8 @@ from undeadzone_identify.logs.grid import to_grid
 from undeadzone_identify.logs.log import Options, log_of_arrays
 from undeadzone_identify.logs.prepare import prepare
 from undeadzone_identify.models.estimates import Spread, quantile, sandwich
-from undeadzone_identify.models.plant import Simulator, delayed
-from undeadzone_identify.models.zone_fit import Fit, fit_zone, polished, refit
+from undeadzone_identify.models.plant import Simulator, delay_inputs
+from undeadzone_identify.models.zone_fit import Fit, fit_zone, polish_fit, refit
 
 FAMILIES = ("white", "coloured", "strong", "sines", "one", "drift", "heavy", "late")
 FIRST = 700  # seed
@@ -43,11 +43,11 @@ def stages(family: str, seed: int) -> tuple[list[Held], Floats]:
     prepared = prepare(to_grid([log_of_arrays(made.step, made.u, made.y)]), Options())
     data = prepared.data
     if family == "late":
-        data = delayed(data, lateness(seed))
+        data = delay_inputs(data, lateness(seed))
     singles = fit_zone(Simulator(data, made.n), "singles", prepared.limits)
     pairs = refit(singles, "pairs")
     truth = np.array([made.right, made.left, made.right + made.left]) / data.y_scale
-    held = [of_fit(polished(fit), truth) for fit in (singles, pairs)]
+    held = [of_fit(polish_fit(fit), truth) for fit in (singles, pairs)]
     error = np.array([pairs.right, pairs.left]) - truth[:2]
     return held, np.abs(error) * data.y_scale
 

@@ -89,13 +89,13 @@ def as_machine(other: Machine) -> Iterator[None]:
     with tempfile.TemporaryDirectory() as folder, variable("UNDEADZONE_CACHE", folder):
         for room in rooms:
             room.here = lambda: other
-        cache.made.cache_clear()
+        cache.compile_or_load.cache_clear()
         try:
             yield
         finally:
             for room in rooms:
                 room.here = here
-            cache.made.cache_clear()
+            cache.compile_or_load.cache_clear()
 
 
 def _forms(loops: Sequence[Loop], forms: Sequence[Form], rounds: int) -> list[str]:

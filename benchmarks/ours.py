@@ -11,9 +11,9 @@ import numpy as np
 
 from benchmarks.workload import Result, Work, draw
 from undeadzone.compile import lanes
-from undeadzone.ensemble.batch import known_inputs, known_params
+from undeadzone.ensemble.batch import constant_params, constant_zero_inputs
 from undeadzone.simulation.loop import Loop
-from undeadzone.simulation.simulate import closed
+from undeadzone.simulation.simulate import close_problem
 from undeadzone.simulation.simulate import prepare as prepare_run
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
@@ -78,7 +78,7 @@ def prepare(work: Work, *, threads: int = 1, **options: Any) -> Callable[[], Res
 
 def instructions(work: Work, step: str) -> int:
     """Instructions of the step that every run takes."""
-    return _summed(closed(_with(work, step, 4).problem))[0].n_instructions()
+    return _summed(close_problem(_with(work, step, 4).problem))[0].n_instructions()
 
 
 def truth(work: Work) -> Result:
@@ -101,7 +101,7 @@ def _kernel(
     exogenous = np.column_stack([shared, counted])
     params, names = tree.pack(loop.params), tree.names(loop.params)
     indices = tuple(names.index(name) for name in WIDTHS)
-    constants = known_params(params, indices)
+    constants = constant_params(params, indices)
     if not known:
         units = [i for i in constants if names[i].startswith(UNITS)]
         constants = {i: constants[i] for i in units}
@@ -111,7 +111,7 @@ def _kernel(
         rare,
         params=indices,
         record=[],
-        known_exogenous=known_inputs(shared, ()),
+        known_exogenous=constant_zero_inputs(shared, ()),
         known_params=constants,
         width=width,
         fused=True,

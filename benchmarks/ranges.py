@@ -18,7 +18,7 @@ from benchmarks.random_loops import Loops, random_plant, run_loops
 from benchmarks.random_problems import RANGE, STEP, WORLDS, Problems, problems
 from undeadzone.compile import lanes
 from undeadzone.controllers import StateFeedback
-from undeadzone.interfaces import Observer, received
+from undeadzone.interfaces import Observer, receive_reading
 from undeadzone.nonlinearities.limits import Limits
 from undeadzone.nonlinearities.sensor import Sensor, deadzone
 from undeadzone.observers import Censored, Certified, Kalman
@@ -185,7 +185,7 @@ def _step(observer: Observer) -> ca.Function:
     p, params = tree.symbols(observer.params, "p")
     s, state = tree.symbols(observer.init(observer.params), "s")
     w = ca.SX.sym("w", 3)
-    reading = received(w[0], 0.0, Limits(-w[2], w[2]))
+    reading = receive_reading(w[0], 0.0, Limits(-w[2], w[2]))
     after, estimate = observer.step(params, state, w[1], reading)
     stds = (estimate.right_std, estimate.left_std, estimate.width_std, estimate.x_std[0])
     record = ca.vertcat(estimate.right, estimate.left, estimate.z, *stds)

@@ -87,7 +87,7 @@ def outcome_of(log: Recorded) -> Outcome:
         half=half,
         few=found is None or found.reversals < REVERSALS,
         reason="" if given else _reason(found),
-        heard_loop=found is not None and found.log.closed,
+        heard_loop=found is not None and found.log.has_feedback,
         seconds=spent,
     )
 

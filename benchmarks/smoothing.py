@@ -21,7 +21,7 @@ from undeadzone.interfaces import Estimate, graph_of
 from undeadzone.nonlinearities.sensor import Sensor
 from undeadzone.plants.options import Plant
 from undeadzone.simulation.estimate import smooth
-from undeadzone.simulation.online import Online, built_for
+from undeadzone.simulation.online import Online, build_observer
 from undeadzone.util.arrays import Floats
 
 ORDERS = (1, 2, 3)
@@ -59,7 +59,7 @@ def of_problem(claims: Callable[[Problems, int], Any], posed: Problems, k: int) 
     right, left = posed.ranges[k, :, 1]
     sensor = Sensor(right=right, left=left, noise=posed.noise[k])
     parts = (claims(posed, k), Plant(**posed.models[k]._asdict()), sensor, posed.step[k], 10)
-    model, zone, observer = built_for(*parts)
+    model, zone, observer = build_observer(*parts)
     y, u = posed.y[:, k : k + 1], posed.u[:, k : k + 1]
     causal, _ = Online(*parts).update_many(y, u)
     smoothed = smooth(model, graph_of(observer), zone, y, u)

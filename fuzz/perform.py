@@ -21,7 +21,7 @@ from tests.traps import COMMAND
 
 from fuzz.case import Case, End
 from undeadzone.cli import group
-from undeadzone.cli.ending import ended
+from undeadzone.cli.ending import run_to_exit_code
 from undeadzone.errors import UndeadzoneError
 from undeadzone.util.text import printable
 
@@ -103,7 +103,7 @@ def _commanded(case: Case) -> End:
     before = sys.stdin, sys.stdout, sys.stderr
     sys.stdin, sys.stdout, sys.stderr = io.TextIOWrapper(io.BytesIO(case.stdin)), out, err
     try:
-        code = ended(
+        code = run_to_exit_code(
             functools.partial(
                 group.main, list(case.command or ()), "undeadzone", standalone_mode=False
             )

@@ -37,7 +37,7 @@ def case(draw: random.Random) -> Case:
 
 def _read(build: bool, folder: Path) -> None:
     """A file read, and made a plant."""
-    robot = urdf_elements.read(folder / NAME)
+    robot = urdf_elements.read_urdf(folder / NAME)
     for link in robot.links:
         robot.way(link)
     if build:

@@ -64,7 +64,7 @@ def sector(
     def family(q: Floats) -> Inequality:
         T = q[groups:]  # the multipliers of the components
         terms = [(0, 0, h.T * T @ h), (2, 2, -np.diag(T))]
-        return scaled.extended(errors.groups @ q[:groups], E, terms)
+        return scaled.extend_inequality(errors.groups @ q[:groups], E, terms)
 
     def normalised(P: Floats, q: Floats) -> list[Floats]:
         return [q - LEAST, groups + k - q.sum(keepdims=True)]

@@ -47,6 +47,6 @@ def __getattr__(name: str) -> Any:
         return _own(current)
     if name in __all__ or name.startswith("_"):
         return _own(name)
-    from undeadzone.registry import named
+    from undeadzone.registry import registered_name
 
-    return named(name)
+    return registered_name(name)

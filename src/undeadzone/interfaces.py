@@ -38,7 +38,7 @@ class Reading(NamedTuple):
     motion: Any = None
 
 
-def received(y: Any, threshold: Any, limits: Limits | None) -> Reading:
+def receive_reading(y: Any, threshold: Any, limits: Limits | None) -> Reading:
     """Return a reading as it comes from outside (p): one that is no number is missing.
 
     Args:
@@ -54,7 +54,7 @@ def received(y: Any, threshold: Any, limits: Limits | None) -> Reading:
     return Reading(ca.if_else(beyond(y, limits), np.inf, seen), side_read)
 
 
-def known_side(reading: Reading, estimate: Any) -> Any:
+def side_of_sample(reading: Reading, estimate: Any) -> Any:
     """Return the side that a sample tells (p): of a play what its observer made out, else of the
     reading.
 

@@ -95,7 +95,7 @@ class Registry(NamedTuple):
 
     def tags(self) -> list[str]:
         """Return every method's name, the tool's own first."""
-        return [*self.own, *_registered(self.group)]
+        return [*self.own, *_registered_places(self.group)]
 
     def options(self, tag: str) -> type[Options] | None:
         """Return the options of a method; None where there is none of this name.
@@ -103,15 +103,15 @@ class Registry(NamedTuple):
         Raises:
             InputError: the package that registered it cannot be imported.
         """
-        place = self.own.get(tag) or _registered(self.group).get(tag)
-        return None if place is None else _loaded(f"{self.group}: {tag!r}", place)
+        place = self.own.get(tag) or _registered_places(self.group).get(tag)
+        return None if place is None else _load_object(f"{self.group}: {tag!r}", place)
 
     def has(self, options: type) -> bool:
         """Return whether options of this class are of this kind."""
         place = f"{options.__module__}:{options.__name__}"
         if options.__module__.startswith("undeadzone."):  # no package registers those
             return place in self.own.values()
-        return place in _registered(self.group).values()
+        return place in _registered_places(self.group).values()
 
     def every(self) -> list[type[Options]]:
         """Return the options of every method, but of those whose package cannot be imported."""
@@ -128,7 +128,7 @@ class Registry(NamedTuple):
             tag: the method.
             options: what is not as it is by default.
         """
-        return _loaded(tag, self.own[tag])(**options)
+        return _load_object(tag, self.own[tag])(**options)
 
     def decode_options(self, table: Any) -> Any:
         """Return options from a table of a scenario, by its key `method`; a struct stays as it is.
@@ -202,7 +202,7 @@ def decode(kind: type, value: Any) -> Any:
     return arrays.decode(kind, value) if catalogue is None else catalogue.decode_options(value)
 
 
-def attached(package: str, file: str, *catalogues: Registry) -> tuple[Any, Any, list[str]]:
+def attach_package(package: str, file: str, *catalogues: Registry) -> tuple[Any, Any, list[str]]:
     """Return `__getattr__`, `__dir__` and `__all__` of a package whose names stand in its stub.
 
     Args:
@@ -220,7 +220,7 @@ def attached(package: str, file: str, *catalogues: Registry) -> tuple[Any, Any, 
     return get, listed, names
 
 
-def named(name: str) -> Any:
+def registered_name(name: str) -> Any:
     """What a package registers under `undeadzone.names`, or the options of a method.
 
     Args:
@@ -230,8 +230,8 @@ def named(name: str) -> Any:
         AttributeError: there is none.
         InputError: the package that registered it cannot be imported.
     """
-    place = _registered("undeadzone.names").get(name)
-    return options_named(name) if place is None else _loaded(f"undeadzone.{name}", place)
+    place = _registered_places("undeadzone.names").get(name)
+    return options_named(name) if place is None else _load_object(f"undeadzone.{name}", place)
 
 
 def options_named(name: str, *catalogues: Registry) -> type[Options]:
@@ -245,27 +245,29 @@ def options_named(name: str, *catalogues: Registry) -> type[Options]:
         AttributeError: there are none.
     """
     for catalogue in catalogues or CATALOGUES.values():
-        for place in [*catalogue.own.values(), *_registered(catalogue.group).values()]:
+        for place in [*catalogue.own.values(), *_registered_places(catalogue.group).values()]:
             if place.rpartition(":")[2] == name:
-                return _loaded(f"{catalogue.group}: {name}", place)
+                return _load_object(f"{catalogue.group}: {name}", place)
     raise AttributeError(f"undeadzone has no {name!r}, and no package registers such options")
 
 
-def _registered(group: str) -> dict[str, str]:
+def _registered_places(group: str) -> dict[str, str]:
     """Where other packages' options stand, by method; read again once a package is installed."""
     folders = filter(os.path.isdir, map(os.path.abspath, sys.path))
-    return _read(group, tuple((folder, os.stat(folder).st_mtime_ns) for folder in folders))
+    return _places_of_group(
+        group, tuple((folder, os.stat(folder).st_mtime_ns) for folder in folders)
+    )
 
 
 @functools.lru_cache
-def _read(group: str, searched: tuple[tuple[str, int], ...]) -> dict[str, str]:
+def _places_of_group(group: str, searched: tuple[tuple[str, int], ...]) -> dict[str, str]:
     """Where options stand, by method, while the folders searched are as old as they were."""
     from importlib.metadata import entry_points
 
     return {point.name: point.value for point in entry_points(group=group)}
 
 
-def _loaded(what: str, place: str) -> Any:
+def _load_object(what: str, place: str) -> Any:
     """What stands at `module:Class`. Raises InputError."""
     module, _, name = place.partition(":")
     try:

@@ -76,7 +76,7 @@ def gaussians(key: str, reach: Floats, count: int, overlap: float, normalised: b
         return reduce(ca.kron, axes)
 
     grid = Grid(reach, np.linspace(-1, 1, count), np.float64(overlap))
-    return _checked(key, Basis(grid, phi, count**reach.size))
+    return _require_size(key, Basis(grid, phi, count**reach.size))
 
 
 def monomials(key: str, reach: Floats, degree: int) -> Basis:
@@ -101,7 +101,7 @@ def monomials(key: str, reach: Floats, degree: int) -> Basis:
         scaled = ca.vertsplit(_in_box(v / reach))
         return ca.vertcat(*(_monomial(scaled, power) for power in powers))
 
-    return _checked(key, Basis(reach, phi, len(powers)))
+    return _require_size(key, Basis(reach, phi, len(powers)))
 
 
 def jumps(key: str, count: int) -> Basis:
@@ -124,7 +124,7 @@ def jumps(key: str, count: int) -> Basis:
         one_side = ca.vertcat(*(rise**k for k in range(count)))
         return ca.vertcat((v[1] > 0) * one_side, -(v[1] < 0) * one_side)
 
-    return _checked(key, Basis(None, phi, 2 * count))
+    return _require_size(key, Basis(None, phi, 2 * count))
 
 
 def _in_box(v: Any) -> Any:
@@ -140,7 +140,7 @@ def _monomial(v: list[Any], powers: tuple[int, ...]) -> Any:
     return value
 
 
-def _checked(key: str, basis: Basis) -> Basis:
+def _require_size(key: str, basis: Basis) -> Basis:
     """Return the basis, if it is not too large to compute at every step."""
     if basis.size > LARGEST:
         raise InputError(

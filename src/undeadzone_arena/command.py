@@ -11,15 +11,15 @@ from click.core import ParameterSource
 
 from undeadzone.cli.common import (
     PATH,
+    add_guards,
     force_option,
-    guarded,
     origin,
     print_blocks,
     print_json,
     say,
     writable,
 )
-from undeadzone.cli.output import named_files, prepare_figures, tell_anew
+from undeadzone.cli.output import line_of_files, prepare_figures, tell_anew
 from undeadzone.util.progress import on_terminal as progress
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ FOLDER = Path("arena-results")
     help="Continue what was stopped, from DIR/results.json.partial or tuned.toml.partial.",
 )
 @force_option
-@guarded
+@add_guards
 def arena(
     scenarios: tuple[Path, ...],
     methods: str | None,
@@ -150,10 +150,10 @@ def arena(
         tell_anew(keep)
     grounds = own or built_in(held_out)
     try:
-        contest = _held(names, grounds, tuple(range(seeds)), tuned, processes, keep, resume)
+        contest = _hold_contest(names, grounds, tuple(range(seeds)), tuned, processes, keep, resume)
         if writes:
             prepare_figures()
-        written = _written(contest, folder, bool(own)) if writes else []
+        written = _write_contest(contest, folder, bool(own)) if writes else []
         if keep is not None:
             keep.unlink(missing_ok=True)
     finally:
@@ -209,7 +209,7 @@ def _names(methods: str) -> list[str]:
     return named
 
 
-def _held(
+def _hold_contest(
     names: list[str] | None,
     grounds: dict[str, Scenario],
     seeds: tuple[int, ...],
@@ -272,7 +272,7 @@ def _tune(
     return 0
 
 
-def _written(contest: Contest, folder: Path, own: bool) -> list[Path]:
+def _write_contest(contest: Contest, folder: Path, own: bool) -> list[Path]:
     """Return results, figures and page; of scenarios of one's own also each with the best method in
     it.
     """
@@ -297,7 +297,7 @@ def _written(contest: Contest, folder: Path, own: bool) -> list[Path]:
 
 def _print(contest: Contest, written: list[Path]) -> None:
     """Print the leaderboard."""
-    print_blocks(contest.blocks(), named_files(written))
+    print_blocks(contest.blocks(), line_of_files(written))
 
 
 def _print_tuned(tuned: Tuned, path: Path) -> None:
@@ -307,4 +307,4 @@ def _print_tuned(tuned: Tuned, path: Path) -> None:
         regret = f"{found.before:.3f} -> {found.regret:.3f}"
         knobs = [f"{address} {value:.3g}" for address, value in found.knobs.items()]
         rows.append((name, regret, str(found.candidates), ", ".join(knobs)))
-    print_blocks([rows], named_files([path]))
+    print_blocks([rows], line_of_files([path]))

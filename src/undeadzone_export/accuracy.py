@@ -13,10 +13,10 @@ import numpy as np
 from undeadzone.compile import interpret
 from undeadzone.util.arrays import Floats, finite
 from undeadzone_export.code import Code
-from undeadzone_export.compiler import shared_library, stack_bytes, written
+from undeadzone_export.compiler import shared_library, stack_bytes, write_sources
 from undeadzone_export.exported_step import Field, places_of, total
 from undeadzone_export.source import Labels, Source, source
-from undeadzone_export.template import called, filled
+from undeadzone_export.template import call_words, fill_template
 
 CHUNK = 500  # steps between two looks at the memory
 MACHINE_STEPS = 2000  # of the comparison with CasADi's virtual machine
@@ -70,8 +70,8 @@ class Compiled:
     ) -> None:
         text = text or source(code, Labels(f"run_{code.kind}", "accuracy", "replica"))
         prefix, files, given = text.prefix, text.files(), bool(code.step.params)
-        files[f"{prefix}_run.c"] = filled("templates/runner.c", called(prefix, given))
-        library = shared_library(written(files, folder), folder / f"{prefix}.so", options)
+        files[f"{prefix}_run.c"] = fill_template("templates/runner.c", call_words(prefix, given))
+        library = shared_library(write_sources(files, folder), folder / f"{prefix}.so", options)
         self._functions = ctypes.CDLL(str(library))
         self.stack = stack_bytes(folder, prefix)
         self.real = code.kind
@@ -159,7 +159,7 @@ def _beside(
         error, most = float(gap[:, place].max()), float(size[:, place].max())
         table[field] = {"error": error, "size": most}
     least = np.min(np.array(pairs, float), axis=0)  # NaN where there is no covariance
-    refusals = plain.refusals + _refused_widths(places, gap, size)
+    refusals = plain.refusals + _describe_refused_widths(places, gap, size)
     for eigenvalue, real, bar in zip(least, ("double", "float"), (SMALLEST, 0.0), strict=True):
         if eigenvalue < bar:
             refusals.append(
@@ -189,7 +189,7 @@ def _size(values: Floats) -> Floats:
     return np.nan_to_num(np.abs(values))
 
 
-def _refused_widths(places: dict[str, slice], gap: Floats, size: Floats) -> list[str]:
+def _describe_refused_widths(places: dict[str, slice], gap: Floats, size: Floats) -> list[str]:
     """Return the widths whose errors are too large, in words.
 
     Args:

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Iterable
 from typing import Final, NamedTuple
 
-from undeadzone.compile.graph import LANES, Node, Nodes, Results, condition, needed
+from undeadzone.compile.graph import LANES, Node, Nodes, Results, condition, required_nodes
 from undeadzone.compile.lower import portable
 from undeadzone.compile.print_c import TYPES
 from undeadzone_export.exported_step import Field, Step
@@ -60,7 +60,7 @@ class Code(NamedTuple):
         return TYPES[self.kind]
 
     @property
-    def carried(self) -> int:
+    def number_carried(self) -> int:
         """How many numbers pass from one phase to the other."""
         return 0 if self.phases is None else self.phases.carried
 
@@ -68,14 +68,14 @@ class Code(NamedTuple):
     def structs(self) -> dict[str, list[Field]]:
         """Return the fields of each struct, by the end of its name."""
         step, meaning = self.step, "from estimate to advance; not part of the memory"
-        carry = [Field("carry", self.carried, meaning)] if self.carried else []
+        carry = [Field("carry", self.number_carried, meaning)] if self.number_carried else []
         fields = {"state": [*step.state, *carry], "in": step.inputs, "out": step.outputs}
         return fields | ({"params": step.params} if step.params else {})
 
     @property
     def hash(self) -> str:
         """Of the nodes, their numbers and the precision, 16 hexadecimal digits."""
-        order = needed(itertools.chain(*self.results))
+        order = required_nodes(itertools.chain(*self.results))
         nodes = [(n.op, [arg.number for arg in n.args], n.text, n.kind, n.number) for n in order]
         fields = (self.step.state, self.step.inputs, self.step.outputs, self.step.params)
         numbers = (self.step.start.tolist(), self.step.defaults.tolist(), self.step.Ts)
@@ -95,11 +95,11 @@ def code(step: Step, single: bool) -> Code:
         InputError: an instruction that the export cannot print.
     """
     results = portable(step.function, "float32" if single else "float64")
-    phases = split(results, {f"w{k}" for k in step.acting}) if step.acting else None
+    phases = split_results(results, {f"w{k}" for k in step.acting}) if step.acting else None
     return Code(step, single, results, phases)
 
 
-def split(results: Results, acting: Iterable[str]) -> Phases:
+def split_results(results: Results, acting: Iterable[str]) -> Phases:
     """Return results (next, out) in two: before the inputs are known, and after.
 
     Args:
@@ -107,7 +107,7 @@ def split(results: Results, acting: Iterable[str]) -> Phases:
         acting: names of the inputs that are known late; `out` must not depend on them.
     """
     following, out = results
-    order = needed(following)
+    order = required_nodes(following)
     late: set[Node] = set()
     used: list[Node] = []
     for node in order:
@@ -123,7 +123,7 @@ def split(results: Results, acting: Iterable[str]) -> Phases:
     copies: dict[Node, Node] = {}
     for node, entry in carried.items():
         copies[node] = nodes.input(f"c{entry}", LANES, node.kind)
-    for node in needed(following, carried):
+    for node in required_nodes(following, carried):
         args = [copies[arg] for arg in node.args]
         copies[node] = nodes.intern(node.op, *args, text=node.text, kind=node.kind)
     return Phases([out, list(carried)], [[copies[node] for node in following]], len(carried))
@@ -139,7 +139,7 @@ def _is_computed(node: Node) -> bool:
 def operations(results: Results) -> dict[str, int]:
     """How many operations of each kind one evaluation takes, by their names."""
     counts: Counter[str] = Counter()
-    for node in needed(itertools.chain(*results)):
+    for node in required_nodes(itertools.chain(*results)):
         if node.args and condition(node) is None:  # a truth as a number is the truth itself
             counts[node.text or _COUNTED[node.op]] += 1
     return dict(sorted(counts.items()))

@@ -11,17 +11,17 @@ import click
 
 from undeadzone.cli.common import (
     PATH,
+    add_guards,
     cmd,
     flag,
     force_option,
-    guarded,
     option,
     print_blocks,
     print_json,
     say,
 )
 from undeadzone.util.progress import on_terminal as progress
-from undeadzone.util.text import counted
+from undeadzone.util.text import count_noun
 
 if TYPE_CHECKING:
     from undeadzone.util.shown import Block
@@ -54,7 +54,7 @@ if TYPE_CHECKING:
 )
 @force_option
 @flag("--json", "Print the report as one JSON object.", "as_json")
-@guarded
+@add_guards
 def export(
     scenario: Path,
     to: str,
@@ -103,7 +103,7 @@ def export(
         if check and result.report["accuracy"] is not None:
             blocks.append(_table(result.report["accuracy"]))
         print_blocks(blocks)
-    return 0 if result.passed else 1
+    return 0 if result.has_passed else 1
 
 
 def _in_words(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
@@ -118,7 +118,9 @@ def _in_words(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
     }
     if "structured_text" in report:
         size = report["structured_text"]
-        pairs["text"] = f"{counted(size['blocks'], 'block')}, {counted(size['lines'], 'line')}"
+        pairs["text"] = (
+            f"{count_noun(size['blocks'], 'block')}, {count_noun(size['lines'], 'line')}"
+        )
     if "self_test" in report:
         pairs["self-test"] = report["self_test"]
     if report["refusals"]:

@@ -31,7 +31,7 @@ def require_compiler() -> str:
     return command
 
 
-def written(files: dict[str, str], folder: Path) -> list[Path]:
+def write_sources(files: dict[str, str], folder: Path) -> list[Path]:
     """Return the paths of the C files among some that are written into a folder.
 
     Args:
@@ -60,7 +60,7 @@ def shared_library(sources: list[Path], out: Path, options: tuple[str, ...] = ("
     every = [*FLAGS, *options, "-fPIC", "-shared", "-o", str(out.absolute())]
     for extra in (["-fstack-usage"], []):  # a compiler that does not know the first gets none
         line = [command, *extra, *every, *files, "-lm"]
-        finish = _called(line, folder)
+        finish = _call_compiler(line, folder)
         if finish.returncode == 0:
             break
     if finish.returncode:
@@ -68,7 +68,7 @@ def shared_library(sources: list[Path], out: Path, options: tuple[str, ...] = ("
     return out
 
 
-def _called(line: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
+def _call_compiler(line: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
     """Return a compiler, run in a folder. Raises InputError where it cannot be run at all."""
     try:
         return subprocess.run(line, capture_output=True, text=True, cwd=folder)
@@ -109,9 +109,9 @@ def self_tested(files: dict[str, str]) -> tuple[bool, str]:
     if command is None:
         return False, "no C compiler: expected cc, gcc or clang in PATH, or the variable CC"
     with tempfile.TemporaryDirectory() as name:
-        sources = [path.name for path in written(files, Path(name))]
+        sources = [path.name for path in write_sources(files, Path(name))]
         make = [command, *FLAGS, "-O2", "-o", "tested", *sources, "-lm"]
-        built = _called(make, Path(name))
+        built = _call_compiler(make, Path(name))
         if built.returncode:
             return False, built.stderr.strip()[:500]
         done = subprocess.run([str(Path(name, "tested"))], capture_output=True, text=True)

@@ -15,7 +15,14 @@ import numpy as np
 
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
-from undeadzone.interfaces import QUANTITIES, Estimate, Observer, graph_of, known_side, received
+from undeadzone.interfaces import (
+    QUANTITIES,
+    Estimate,
+    Observer,
+    graph_of,
+    receive_reading,
+    side_of_sample,
+)
 from undeadzone.nonlinearities.limits import Limits
 from undeadzone.nonlinearities.sensor import present
 from undeadzone.scenario.problem import Problem
@@ -115,7 +122,7 @@ def estimate_meanings(units: Units) -> dict[str, str]:
     return meanings
 
 
-def _named_fields(parts: Any, meanings: dict[str, str]) -> list[Field]:
+def _filled_fields(parts: Any, meanings: dict[str, str]) -> list[Field]:
     """Return the fields of a named tuple of arrays that are not empty."""
     named = zip(parts._fields, map(np.size, parts), strict=True)
     return [Field(name, int(size), meanings[name]) for name, size in named if size]
@@ -253,7 +260,7 @@ def build(problem: Problem, part: str = "observer", tunable: tuple[str, ...] = (
         problem.controller.params if closed else None,
         problem.compensator.params if closed and problem.compensator else None,
     )
-    column, params, defaults = folded(numbers, tunable)
+    column, params, defaults = fold_constants(numbers, tunable)
     traced = _loop if closed else _observer
     step = traced(problem, observer, tree.unpack(numbers, column))
     following, out = tree.stack(step.following), tree.stack(step.out)
@@ -304,10 +311,10 @@ def _observer(problem: Problem, observer: Observer, params: _Numbers) -> _Traced
     column, s = tree.symbols(memory, "s")
     y, u = ca.SX.sym("y", model.p), ca.SX.sym("u", model.m)
     used = ca.if_else(present(u), u, s.held)
-    reading = received(y, *params.sensor)
+    reading = receive_reading(y, *params.sensor)
     after, estimate = observer.step(params.observer, s.observer, used, reading)
-    following, out = _ObserverMemory(after, used), (estimate, known_side(reading, estimate))
-    shown = _estimated(problem, estimate)
+    following, out = _ObserverMemory(after, used), (estimate, side_of_sample(reading, estimate))
+    shown = _estimate_fields(problem, estimate)
     return _Traced(memory, column, [y, u], following, out, [_u_field(problem)], shown)
 
 
@@ -323,13 +330,13 @@ def _loop(problem: Problem, observer: Observer, params: Any) -> _Traced:
     y = ca.SX.sym("y", model.p)
     like = no_target(problem)
     t_column, target = tree.symbols(like, "target")
-    reading = received(y, *params.sensor)
+    reading = receive_reading(y, *params.sensor)
     own = observer, controller, params, compensator
     following, u, estimate = Wiring(problem.plant, problem.sensor.kind, *own).answer(
         s, reading, target
     )
-    out = u, estimate, known_side(reading, estimate)
-    shown = [_u_field(problem), *_estimated(problem, estimate)]
+    out = u, estimate, side_of_sample(reading, estimate)
+    shown = [_u_field(problem), *_estimate_fields(problem, estimate)]
     fields = _target_fields(like, problem.scenario.units)
     return _Traced(memory, column, [y, t_column], following, out, fields, shown)
 
@@ -352,15 +359,15 @@ def _target_fields(like: Target, units: Units) -> list[Field]:
         "u_ff": f"input that belongs to it [{units.input}]",
         "plan": "numbers that the controller computed ahead",
     }
-    return _named_fields(like, meanings)
+    return _filled_fields(like, meanings)
 
 
-def _estimated(problem: Problem, estimate: Estimate) -> list[Field]:
+def _estimate_fields(problem: Problem, estimate: Estimate) -> list[Field]:
     """Return the fields of an estimate and of the measured side."""
     sizes = Estimate(*(np.zeros(ca.SX(part).numel()) for part in estimate))
     limits = "" if problem.sensor.limits is None else "; +2, -2 at a limit of the range"
     side = Field("side", problem.model.p, f"measured side: +1, -1, 0{limits}")
-    return [*_named_fields(sizes, estimate_meanings(problem.scenario.units)), side]
+    return [*_filled_fields(sizes, estimate_meanings(problem.scenario.units)), side]
 
 
 # --- The numbers of a step that stay parameters; all others are folded in
@@ -373,7 +380,7 @@ class Params(NamedTuple):
     fields: list[Field]
 
 
-def folded(numbers: Any, tunable: tuple[str, ...]) -> tuple[ca.SX, Params, Floats]:
+def fold_constants(numbers: Any, tunable: tuple[str, ...]) -> tuple[ca.SX, Params, Floats]:
     """Return (all numbers as one column of constants and symbols, the tunable ones, their
     values).
     """

@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 import undeadzone
-from undeadzone.compile.graph import needed
+from undeadzone.compile.graph import required_nodes
 from undeadzone.compile.print_c import literal
 from undeadzone.errors import InputError
 from undeadzone.registry import OBSERVERS
@@ -29,7 +29,12 @@ from undeadzone_export.code import Code, code, operations
 from undeadzone_export.exported_step import Field, identifier, total
 from undeadzone_export.fmu.package import require_buildable
 from undeadzone_export.page.build import write_page
-from undeadzone_export.selftest_vectors import chosen, continue_scenario, record_inputs, reference
+from undeadzone_export.selftest_vectors import (
+    choose_vectors,
+    continue_scenario,
+    record_inputs,
+    reference,
+)
 from undeadzone_export.source import Labels, Source, source
 from undeadzone_export.targets import Material
 
@@ -57,7 +62,7 @@ class Exported(NamedTuple):
     code: Code | None = None
 
     @property
-    def passed(self) -> bool:
+    def has_passed(self) -> bool:
         """Return whether nothing was refused."""
         return not self.report["refusals"]
 
@@ -123,8 +128,8 @@ def export(
     text = source(printed, labels)
     rows = record_inputs(continue_scenario(scenario, STEPS), step)
     report = _report(printed, text, labels, tunable)
-    report["replaced_constants"] = replaced_constants(double) if printed.single else []
-    report |= _measured(double, printed, text, rows)
+    report["replaced_constants"] = replacements_for_float(double) if printed.single else []
+    report |= _measure_accuracy(double, printed, text, rows)
     if to in FIRMWARE:
         found = fits(report)
         report["boards"] = [fit._asdict() for fit in found]
@@ -132,7 +137,7 @@ def export(
             report["leaner"], leaner = _leaner(scenario, part, printed.single)
             everyone = {scenario.observer.__struct_config__.tag: scenario} | leaner
             report["runs"] = {tag: _along(other) for tag, other in everyone.items()}
-    vectors = reference(printed, chosen(rows[: problem.steps + 1], step.readings))
+    vectors = reference(printed, choose_vectors(rows[: problem.steps + 1], step.readings))
     material = Material(printed, labels, text, vectors, scenario.units, report)
     files = targets.files(to, material)
     written = targets.write_folder(files, Path(out), force)
@@ -267,17 +272,17 @@ def _sizes(printed: Code) -> dict[str, int]:
     return {name: each * total(structs[name]) for name in ("state", "in", "out", "params")}
 
 
-def replaced_constants(double: Code) -> list[str]:
+def replacements_for_float(double: Code) -> list[str]:
     """Return the numbers of the code in double that float cannot hold, and what stands for them."""
     limits, texts = np.finfo(np.float32), set()
-    for node in needed(itertools.chain(*double.results)):
+    for node in required_nodes(itertools.chain(*double.results)):
         size = abs(node.value or 0.0)
         if size > float(limits.max) or 0 < size < float(limits.tiny):
             texts.add(f"{node.text}: {literal(float(node.text), 'float32')}")
     return sorted(texts)
 
 
-def _measured(double: Code, printed: Code, text: Source, rows: Floats) -> dict[str, Any]:
+def _measure_accuracy(double: Code, printed: Code, text: Source, rows: Floats) -> dict[str, Any]:
     """Return the accuracy, and what it refuses."""
     if compiler.compiler() is None:
         message = "accuracy was not measured: no C compiler (cc, gcc or clang in PATH, or $CC)"

@@ -17,9 +17,9 @@ from undeadzone.compile.print_c import (
     Style,
     lines_of,
     locals_of,
-    wrapped,
+    wrap_statement,
 )
-from undeadzone.compile.print_st import ST, TYPES, assigned, initial, reads
+from undeadzone.compile.print_st import ST, TYPES, assign_number, initial, reads
 from undeadzone.util.arrays import Floats
 from undeadzone.util.text import one_line
 from undeadzone_export.code import Code
@@ -102,7 +102,7 @@ def export_plc(code: Code, labels: Labels, vectors: Vectors) -> Exported:
     """
     style = Style(code.kind, labels.prefix, ST)
     block = _Block(code, labels, style)
-    names = elementary.needed(block.called, code.kind, portable_maths.OWN)
+    names = elementary.required_functions(block.called_blocks, code.kind, portable_maths.OWN)
     functions = [function_unit(name, style) for name in names]
     blocks = block.units()
     return Exported([*functions, *blocks], _test(code, labels, vectors, blocks[-1]))
@@ -119,9 +119,9 @@ def function_unit(name: str, style: Style) -> Unit:
     expressions = Expressions(style, {text: text for text in shape.inputs})
     found = locals_of([[shape.result]], expressions, {})
     called = f"{style.prefix}_{name}"
-    result = wrapped(f"{called} := {expressions.text(shape.result).text};")
+    result = wrap_statement(f"{called} := {expressions.text(shape.result).text};")
     given = [Variable(text, style.real) for text in shape.inputs]
-    variables = {INPUTS: given, LOCALS: list(map(_declared, found))}
+    variables = {INPUTS: given, LOCALS: list(map(_declare_variable, found))}
     meaning = str(portable_maths.OWN.functions[name].__doc__).strip()
     return Unit("FUNCTION", called, meaning, variables, [*lines_of(found), *result], style.real)
 
@@ -162,7 +162,7 @@ class _Block:
         self.real = real
 
     @property
-    def called(self) -> set[str]:
+    def called_blocks(self) -> set[str]:
         """Return the functions that it calls."""
         return self._expressions.functions
 
@@ -206,25 +206,25 @@ class _Block:
             variables[INPUTS].append(Variable(name, TYPES[node.kind]))
         for local in part:
             section = OUTPUTS if local.node in shared else LOCALS
-            variables[section].append(_declared(local))
+            variables[section].append(_declare_variable(local))
         return variables
 
     def _whole(self, name: str, own: list[Local], parts: list[Unit], lines: list[str]) -> Unit:
         """Return the block that is called."""
         shown, step = set(self.outputs), self.code.step
-        held = [_declared(local) for local in own if local.name not in shown]
+        held = [_declare_variable(local) for local in own if local.name not in shown]
         held += [Variable(f"part_{k + 1}", part.name) for k, part in enumerate(parts)]
         read = [Variable(text, self.real) for text in self.read]
-        copied, stored = self._stored()
+        copied, stored = self._store_states()
         held += [Variable(text, self.real) for text in copied]
         variables = {
             INPUTS: self._inputs(),
             OUTPUTS: self._fields(self.outputs, step.outputs),
-            LOCALS: [*self._started(self.states, step.state, step.start), *read, *held],
+            LOCALS: [*self._initial_variables(self.states, step.state, step.start), *read, *held],
         }
         states = zip(self.states, step.start.tolist(), strict=True)
-        start = itertools.chain(*[assigned(*each, self.code.kind) for each in states])
-        text = [*_if("reset", start), *self._readings(), *lines, *self._shown()]
+        start = itertools.chain(*[assign_number(*each, self.code.kind) for each in states])
+        text = [*_if("reset", start), *self._readings(), *lines, *self._assign_outputs()]
         text += [f"{INDENT}{each} := {source};" for each, source in copied.items()]
         text += _if("NOT hold", stored)
         meaning = f"{one_line(self.labels.title)}: {self.labels.part}, every {step.Ts:g} s."
@@ -242,7 +242,7 @@ class _Block:
             Variable("hold", "BOOL", "TRUE: show the estimate, remember nothing; call again"),
             *self._fields(self.inputs, step.inputs),
             *missing,
-            *self._started(self.params, step.params, step.defaults),
+            *self._initial_variables(self.params, step.params, step.defaults),
         ]
 
     def _fields(self, names: list[str], fields: list[Field]) -> list[Variable]:
@@ -250,7 +250,9 @@ class _Block:
         each = zip(names, numbers_of(fields), strict=True)
         return [Variable(name, self.real, field.meaning) for name, (field, _) in each]
 
-    def _started(self, names: list[str], fields: list[Field], values: Floats) -> list[Variable]:
+    def _initial_variables(
+        self, names: list[str], fields: list[Field], values: Floats
+    ) -> list[Variable]:
         """Return variables of the numbers of fields, with their values at first."""
         starts = [(initial(value, self.code.kind),) for value in values.tolist()]
         known = zip(self._fields(names, fields), starts, strict=True)
@@ -261,19 +263,19 @@ class _Block:
         lines = []
         for missing, read, y in zip(self.missing, self.read, self.inputs, strict=False):
             lines += [f"{INDENT}{read} := {y};"]
-            lines += _if(missing, assigned(read, np.inf, self.code.kind))
+            lines += _if(missing, assign_number(read, np.inf, self.code.kind))
         return lines
 
-    def _shown(self) -> list[str]:
+    def _assign_outputs(self) -> list[str]:
         """Return assignments to outputs that no local of their name fills."""
         lines = []
         for node, name in zip(self.code.results[1], self.outputs, strict=True):
             text = self._expressions.text(node).text
             if text != name:
-                lines += wrapped(f"{name} := {text};")
+                lines += wrap_statement(f"{name} := {text};")
         return lines
 
-    def _stored(self) -> tuple[dict[str, str], list[str]]:
+    def _store_states(self) -> tuple[dict[str, str], list[str]]:
         """Return (copies of states that others take over, assignments to the memory)."""
         copied, stored = {}, []
         for node, state, name in zip(
@@ -287,7 +289,7 @@ class _Block:
         return copied, stored
 
 
-def _declared(local: Local) -> Variable:
+def _declare_variable(local: Local) -> Variable:
     """Return the variable of a local."""
     return Variable(local.name, TYPES[local.node.kind])
 
@@ -296,14 +298,14 @@ def _call(part: Unit) -> list[str]:
     """Return a call of a part, and what it gives."""
     instance = part.name[part.name.rindex("part_") :]
     given = ", ".join(f"{each.name} := {each.name}" for each in part.variables[INPUTS])
-    lines = wrapped(f"{instance}({given});")
+    lines = wrap_statement(f"{instance}({given});")
     lines += [f"{INDENT}{each.name} := {instance}.{each.name};" for each in part.variables[OUTPUTS]]
     return lines
 
 
 def _if(truth: str, statements: Iterable[str]) -> list[str]:
     """Return statements under a truth."""
-    inner = [wrapped(statement, 2 * INDENT) for statement in statements]
+    inner = [wrap_statement(statement, 2 * INDENT) for statement in statements]
     return [f"{INDENT}IF {truth} THEN", *itertools.chain(*inner), f"{INDENT}END_IF;"]
 
 

@@ -8,13 +8,13 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 import undeadzone
-from undeadzone.compile.print_c import wrapped
+from undeadzone.compile.print_c import wrap_statement
 from undeadzone.compile.print_st import TYPES
 from undeadzone.util.text import one_line
 from undeadzone_export.code import Code
 from undeadzone_export.plc import Unit, Variable
 from undeadzone_export.source import Labels
-from undeadzone_export.template import filled
+from undeadzone_export.template import fill_template
 
 _XHTML: Final = "http://www.w3.org/1999/xhtml"
 _SECTIONS: Final = {"VAR_INPUT": "inputVars", "VAR_OUTPUT": "outputVars", "VAR": "localVars"}
@@ -46,13 +46,13 @@ def _unit(unit: Unit) -> list[str]:
     lines = [f"{unit.keyword} {unit.name}{returned}"]
     for section, variables in unit.variables.items():
         if variables:
-            alike = itertools.groupby(variables, _declared)
+            alike = itertools.groupby(variables, _declare_entry)
             declared = [_declaration(list(group), text) for text, group in alike]
             lines += [section, *itertools.chain(*declared), "END_VAR"]
     return [*lines, *unit.lines, f"END_{unit.keyword}"]
 
 
-def _declared(variable: Variable) -> tuple[str, str]:
+def _declare_entry(variable: Variable) -> tuple[str, str]:
     """Return type and value at first of a variable, and its meaning as a comment."""
     start = ", ".join(variable.start)
     given = f" := [{start}]" if variable.is_array else f" := {start}"
@@ -63,7 +63,7 @@ def _declared(variable: Variable) -> tuple[str, str]:
 def _declaration(variables: list[Variable], declared: tuple[str, str]) -> list[str]:
     """Return the lines of a declaration of variables that differ by their names."""
     kind, remark = declared
-    *lines, last = wrapped(f"{', '.join(each.name for each in variables)} : {kind}")
+    *lines, last = wrap_statement(f"{', '.join(each.name for each in variables)} : {kind}")
     return [*lines, last + remark]
 
 
@@ -101,7 +101,7 @@ def xml_of(units: list[Unit], labels: Labels, code: Code) -> str:
         "hash": code.hash,
         "pous": ElementTree.tostring(pous, "unicode"),
     }
-    return filled("templates/plcopen.xml", words)
+    return fill_template("templates/plcopen.xml", words)
 
 
 def _pou(pous: Element, unit: Unit) -> None:

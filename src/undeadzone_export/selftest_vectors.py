@@ -13,12 +13,12 @@ from undeadzone.compile.numpy_reference import replica
 from undeadzone.errors import InputError
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
-from undeadzone.simulation.simulate import named, prepare
+from undeadzone.simulation.simulate import name_outputs, prepare
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
 from undeadzone_export.code import Code
 from undeadzone_export.exported_step import Step, entries, members
-from undeadzone_export.template import called, filled
+from undeadzone_export.template import call_words, fill_template
 
 DIVERGED = 1e6  # size of a signal beyond which a run has nothing to say
 SAMPLES = 96  # of a run, in the self-test
@@ -67,7 +67,7 @@ def record_inputs(problem: Problem, step: Step) -> Floats:
     Raises:
         InputError: it diverges at once.
     """
-    rows = _recorded(problem, step)
+    rows = _record_step(problem, step)
     missing = np.isnan(rows[:, step.readings :]).any(axis=1)
     diverged = np.asarray((np.abs(rows) > DIVERGED).any(axis=1) | missing)
     if diverged[0]:
@@ -78,18 +78,18 @@ def record_inputs(problem: Problem, step: Step) -> Floats:
     return rows[: int(diverged.argmax())] if diverged.any() else rows
 
 
-def _recorded(problem: Problem, step: Step) -> Floats:
+def _record_step(problem: Problem, step: Step) -> Floats:
     """Return the inputs of a step along a run."""
     loop, state, exogenous = prepare(problem)
     outputs, _ = interpret.run(loop.step, state, exogenous, tree.pack(loop.params))
-    signals = named(loop, outputs)
+    signals = name_outputs(loop, outputs)
     if step.acting:
         return np.hstack([signals.y, signals.u])
     places = tree.slices(loop.instant).target
     return np.hstack([signals.y, *[exogenous[:, place] for place in places]])
 
 
-def chosen(rows: Floats, readings: int) -> Floats:
+def choose_vectors(rows: Floats, readings: int) -> Floats:
     """Samples for the self-test: some of a run, missing values, and readings far outside.
 
     Args:
@@ -155,7 +155,7 @@ def selftest(code: Code, prefix: str, vectors: Vectors) -> str:
         vectors: the reference vectors.
     """
     digits, ending = (8, "u") if code.single else (16, "ull")
-    words = called(prefix, bool(code.step.params)) | {
+    words = call_words(prefix, bool(code.step.params)) | {
         "version": undeadzone.__version__,
         "samples": len(vectors.states),
         "inputs": vectors.inputs.shape[1],
@@ -172,17 +172,17 @@ def selftest(code: Code, prefix: str, vectors: Vectors) -> str:
         "phased": code.phases is not None,
         "input_words": _rows(vectors.inputs.tolist(), digits, ending),
         "output_words": _rows(vectors.outputs.tolist(), digits, ending),
-        "state_words": _listed(vectors.states, 8, "u"),
+        "state_words": _list_words(vectors.states, 8, "u"),
     }
-    return filled("templates/selftest.c", words)
+    return fill_template("templates/selftest.c", words)
 
 
 def _rows(rows: list[list[int]], digits: int, ending: str) -> str:
     """Return rows of words in braces."""
-    return ",\n".join("{\n" + _listed(row, digits, ending) + "\n}" for row in rows)
+    return ",\n".join("{\n" + _list_words(row, digits, ending) + "\n}" for row in rows)
 
 
-def _listed(numbers: list[int], digits: int, ending: str) -> str:
+def _list_words(numbers: list[int], digits: int, ending: str) -> str:
     """Return words in lines of up to eight."""
     texts = [f"0x{number:0{digits}x}{ending}" for number in numbers]
     count = 64 // digits

@@ -7,14 +7,14 @@ from typing import Any, NamedTuple
 
 import undeadzone
 from undeadzone.compile import elementary, print_c
-from undeadzone.compile.graph import Node, Results, condition, needed
+from undeadzone.compile.graph import Node, Results, condition, required_nodes
 from undeadzone.compile.print_c import INDENT, Body, Names, Style, body, literal
 from undeadzone.compile.simplify import round_to_type
 from undeadzone.interfaces import CLAIMS
 from undeadzone.util.text import one_line
 from undeadzone_export.code import Code
 from undeadzone_export.exported_step import Field, Step, entries, members
-from undeadzone_export.template import filled
+from undeadzone_export.template import fill_template
 
 
 class Labels(NamedTuple):
@@ -59,7 +59,7 @@ def source(code: Code, labels: Labels) -> Source:
     style = Style(code.kind, labels.prefix)
     bodies = _bodies(code, style)
     used = set().union(*[part.functions for part in bodies.values()])
-    functions = elementary.needed(used, code.kind)
+    functions = elementary.required_functions(used, code.kind)
     step, name = code.step, labels.prefix
     words = labels._asdict() | {
         "name": name,
@@ -73,9 +73,11 @@ def source(code: Code, labels: Labels) -> Source:
     }
     return Source(
         name,
-        filled("templates/header.h", words | _declared(code, name, style)),
-        filled("templates/code.c", words | _defined(code, name, style, bodies)),
-        filled("templates/math.h", words | _elementary(functions, used, style)) if used else "",
+        fill_template("templates/header.h", words | _declarations(code, name, style)),
+        fill_template("templates/code.c", words | _definitions(code, name, style, bodies)),
+        fill_template("templates/math.h", words | _elementary(functions, used, style))
+        if used
+        else "",
         functions,
     )
 
@@ -93,8 +95,8 @@ def _bodies(code: Code, style: Style) -> dict[str, Body]:
     names = Names(inputs, [stored, out], [following, shown], known, kept)
     bodies = {"step": body(code.results, style, names)}
     if code.phases is not None:
-        carry = [f"state->carry[{k}]" for k in range(code.carried)]
-        local = [f"carry_{k}" for k in range(code.carried)]
+        carry = [f"state->carry[{k}]" for k in range(code.number_carried)]
+        local = [f"carry_{k}" for k in range(code.number_carried)]
         first, second = code.phases.estimate, code.phases.advance
         names = Names(inputs, [out, carry], [shown, local], meanings(first, step, 0), kept)
         bodies["estimate"] = body(first, style, names)
@@ -110,7 +112,7 @@ def _inputs(code: Code) -> dict[str, str]:
         s=[f"{name}_was_{k}" for name, k in members(step.state)],
         w=[f"in->{name}[{k}]" for name, k in members(step.inputs)],
         p=[f"params->{name}[{k}]" for name, k in members(step.params)],
-        c=[f"state->carry[{k}]" for k in range(code.carried)],
+        c=[f"state->carry[{k}]" for k in range(code.number_carried)],
     )
 
 
@@ -126,7 +128,7 @@ def _elementary(names: list[str], used: set[str], style: Style) -> dict[str, Any
     return {"functions": texts, "with_bits": "memcpy" in texts}
 
 
-def _declared(code: Code, name: str, style: Style) -> dict[str, Any]:
+def _declarations(code: Code, name: str, style: Style) -> dict[str, Any]:
     """Return the words of the header: structs and prototypes, each with its meaning."""
     structs = []
     for struct, fields in code.structs.items():
@@ -202,14 +204,14 @@ _MEANINGS = {
 }
 
 
-def _defined(code: Code, name: str, style: Style, bodies: dict[str, Body]) -> dict[str, Any]:
+def _definitions(code: Code, name: str, style: Style, bodies: dict[str, Body]) -> dict[str, Any]:
     """Return the words of the code: what it includes, and its functions."""
-    step, values = code.step, [*code.step.start.tolist(), *[0.0] * code.carried]
+    step, values = code.step, [*code.step.start.tolist(), *[0.0] * code.number_carried]
     start = _assignments("state", code.structs["state"], values, style)
     defaults = _assignments("params", step.params, step.defaults.tolist(), style)
     parts = {"params_default": defaults, "init": start}
     for part, made in bodies.items():
-        parts[part] = [*_unread(made, bool(step.params)), *made.lines]
+        parts[part] = [*_unused_arguments(made, bool(step.params)), *made.lines]
     functions = []
     for part, signature in signatures(code, name).items():
         functions.append("\n".join([signature, "{", *parts[part], "}"]))
@@ -222,7 +224,7 @@ def _defined(code: Code, name: str, style: Style, bodies: dict[str, Body]) -> di
     }
 
 
-def _unread(part: Body, params: bool) -> list[str]:
+def _unused_arguments(part: Body, params: bool) -> list[str]:
     """Return statements for arguments that a body happens not to read."""
     text = "\n".join(part.lines)
     arguments = ["in->", "params->"] if params else ["in->"]
@@ -251,7 +253,7 @@ def meanings(results: Results, step: Step, out: int | None) -> dict[Node, str]:
         step: the step, for the names of its inputs and outputs.
         out: which of the results is the output; None: none of them.
     """
-    order = needed(itertools.chain(*results))
+    order = required_nodes(itertools.chain(*results))
     names = _present(order, step)
     if out is not None:
         for (name, k), node in zip(members(step.outputs), results[out], strict=True):
@@ -277,14 +279,14 @@ def _present(order: list[Node], step: Step) -> dict[Node, str]:
     for node in order:
         if node.op != "and":
             continue
-        compared = {_bounded_input(arg) for arg in node.args}
+        compared = {_input_of_bound(arg) for arg in node.args}
         text = compared.pop()
         if not compared and text in inputs:
             names[node] = f"has_{inputs[text]}"
     return names
 
 
-def _bounded_input(node: Node) -> str:
+def _input_of_bound(node: Node) -> str:
     """Return the name of the input of w < huge or -huge < w; empty: a node is neither."""
     if node.op != "lt":
         return ""

@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 from undeadzone.errors import FileError
 from undeadzone.scenario.schema import Units
 from undeadzone.util.files import read_text, require_folder, writing
-from undeadzone.util.own_files import CURE, digest, edited
+from undeadzone.util.own_files import CURE, digest, edited_files
 from undeadzone.util.text import one_line, printable
 from undeadzone_export import plc, plcopen
 from undeadzone_export.code import Code
@@ -19,7 +19,7 @@ from undeadzone_export.exported_step import Field
 from undeadzone_export.fmu import package
 from undeadzone_export.selftest_vectors import Vectors, selftest
 from undeadzone_export.source import Labels, Source
-from undeadzone_export.template import called, filled
+from undeadzone_export.template import call_words, fill_template
 
 Files = dict[str, str | bytes]
 GENERATOR = "undeadzone export"
@@ -46,18 +46,18 @@ def require_replaceable(out: Path, force: bool = False) -> None:
         return
     if force or all(path.name.startswith(".") for path in out.iterdir()):
         return
-    written = _written(out)
+    written = _written_digests(out)
     if not written:
         raise FileError(
             f"{out}: holds no {MANIFEST} of `{GENERATOR}` as it was written, so it is not "
             f"replaced; {CURE}"
         )
-    changed = edited(out, written)
+    changed = edited_files(out, written)
     if changed:
         raise FileError(f"{out / changed[0]}: someone edited it; {CURE}")
 
 
-def _written(out: Path) -> dict[str, str]:
+def _written_digests(out: Path) -> dict[str, str]:
     """Return the digests of an export's files by path; none where its manifest is not as
     written.
     """
@@ -74,7 +74,7 @@ def _written(out: Path) -> dict[str, str]:
     return {path: value for path, value in written.items() if path != MANIFEST}
 
 
-def _signed(files: Files) -> Files:
+def _sign_manifest(files: Files) -> Files:
     """Return the files with the digest of each in the manifest, its own with nothing in that
     place.
     """
@@ -110,8 +110,8 @@ def write_folder(files: Files, out: Path, force: bool = False) -> list[Path]:
         FileError: it cannot be written, or `out` or a file there is something else.
     """
     require_replaceable(out, force)
-    before = _written(out)
-    own = {MANIFEST, *before} - set(edited(out, before))
+    before = _written_digests(out)
+    own = {MANIFEST, *before} - set(edited_files(out, before))
     for path in files:
         if (out / path).parent.resolve() != out.resolve() / Path(path).parent:
             raise FileError(f"{out / path}: a link leads elsewhere; give another folder")
@@ -121,7 +121,7 @@ def write_folder(files: Files, out: Path, force: bool = False) -> list[Path]:
         out.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=out, prefix=".fresh-") as name:
             fresh = Path(name)
-            for path, content in _signed(files).items():
+            for path, content in _sign_manifest(files).items():
                 (fresh / path).parent.mkdir(parents=True, exist_ok=True)
                 (fresh / path).write_bytes(_bytes(content))
             for path in own - files.keys():
@@ -196,12 +196,14 @@ def files(to: str, material: Material) -> Files:
         content, around = _st_files(material)
     elif to == "python":
         content[f"{name}.py"] = _module(material.printed, report)
-        around = {"README.md": _installed("python", {"name": name}, report)}
+        around = {"README.md": _installation_text("python", {"name": name}, report)}
     else:
         version = VERSIONS[to]
         unit = package.package(material.printed, code, report, material.units, version)
         content = {f"{name}.fmu": unit}
-        around = {"README.md": _installed("fmu", {"name": name, "version": version}, report)}
+        around = {
+            "README.md": _installation_text("fmu", {"name": name, "version": version}, report)
+        }
     report["files"] = sorted({*content, *around, MANIFEST})
     return content | around | {MANIFEST: manifest(report)}
 
@@ -210,7 +212,7 @@ def _readme(report: dict[str, Any], build: str = "") -> str:
     """Return the README; of what is built, how: by default by make, with the self-test."""
     by_make = f"Run `make && ./{report['name']}_test`: exit code 0 means that every bit agrees."
     words = {"build": build or by_make, "by_make": not build}
-    return filled("templates/README.md", _words(report) | words)
+    return fill_template("templates/README.md", _words(report) | words)
 
 
 def _words(report: dict[str, Any]) -> dict[str, Any]:
@@ -219,7 +221,7 @@ def _words(report: dict[str, Any]) -> dict[str, Any]:
     shown = {"shown_title": printable(report["title"]), "seconds": f"{report['step']:g}"}
     shown |= {"counts": counts, "upper": report["name"].upper()}
     shown |= {f"{struct}_bytes": size for struct, size in report["sizes"].items()}
-    return report | called(report["name"], bool(report["tunable"])) | shown
+    return report | call_words(report["name"], bool(report["tunable"])) | shown
 
 
 def _build_files(report: dict[str, Any], math: bool) -> dict[str, str]:
@@ -227,8 +229,8 @@ def _build_files(report: dict[str, Any], math: bool) -> dict[str, str]:
     words = _words(report)
     words["math"] = f"{report['name']}_math.h " if math else ""
     return {
-        "Makefile": filled("templates/Makefile", words),
-        "CMakeLists.txt": filled("templates/CMakeLists.txt", words),
+        "Makefile": fill_template("templates/Makefile", words),
+        "CMakeLists.txt": fill_template("templates/CMakeLists.txt", words),
         "README.md": _readme(report),
     }
 
@@ -242,9 +244,11 @@ def _arduino_files(report: dict[str, Any]) -> dict[str, str]:
         f"{name}_test runs the self-test on the board and prints its verdict."
     )
     return {
-        "library.properties": filled("templates/library.properties", words),
-        f"examples/{name}_example/{name}_example.ino": filled("templates/example.ino", words),
-        f"examples/{name}_test/{name}_test.ino": filled("templates/selftest.ino", words),
+        "library.properties": fill_template("templates/library.properties", words),
+        f"examples/{name}_example/{name}_example.ino": fill_template(
+            "templates/example.ino", words
+        ),
+        f"examples/{name}_test/{name}_test.ino": fill_template("templates/selftest.ino", words),
         "README.md": _readme(report, build),
     }
 
@@ -269,12 +273,12 @@ def _st_files(material: Material) -> tuple[Files, dict[str, str]]:
         "single": printed.single,
         "double": not printed.single,
     }
-    return content, {"README.md": filled("templates/st.md", words)}
+    return content, {"README.md": fill_template("templates/st.md", words)}
 
 
-def _installed(kind: str, words: dict[str, Any], report: dict[str, Any]) -> str:
+def _installation_text(kind: str, words: dict[str, Any], report: dict[str, Any]) -> str:
     """Return the README of what takes more than the C."""
-    return _readme(report, filled(f"templates/{kind}.md", words).rstrip("\n"))
+    return _readme(report, fill_template(f"templates/{kind}.md", words).rstrip("\n"))
 
 
 # --- `--to python`: a module that compiles the exported C and calls it, without undeadzone
@@ -294,13 +298,13 @@ def _module(printed: Code, report: dict[str, Any]) -> str:
         "step": repr(report["step"]),
         "seconds": f"{report['step']:g}",
         "arguments": ", ".join(field.name for field in structs["in"]),
-        "inputs": _listed(structs["in"]),
-        "outputs": _listed(structs["out"]),
+        "inputs": _list_fields(structs["in"]),
+        "outputs": _list_fields(structs["out"]),
         "real": f"c_{printed.real}",
     }
     for name in ("state", "in", "out", "params"):
         words[f"fields_of_{name}"] = _sizes(structs.get(name, []))
-    return filled("templates/python_module.txt", words)
+    return fill_template("templates/python_module.txt", words)
 
 
 def _sizes(fields: list[Field]) -> list[tuple[str, int]]:
@@ -308,7 +312,7 @@ def _sizes(fields: list[Field]) -> list[tuple[str, int]]:
     return [(field.name, field.size) for field in fields]
 
 
-def _listed(fields: list[Field]) -> str:
+def _list_fields(fields: list[Field]) -> str:
     """Return fields in words, a line each."""
     return "".join(
         f"\n    {field.name} ({field.size}): {_plain(field.meaning)}" for field in fields

@@ -17,17 +17,17 @@ def text_of(path: str) -> str:
     return files("undeadzone_export").joinpath(path).read_text(encoding="utf-8")
 
 
-def filled(path: str, words: dict[str, Any]) -> str:
+def fill_template(path: str, words: dict[str, Any]) -> str:
     """Return a file of this room with its words filled in, as `support.text.filled` does.
 
     Args:
         path: as seen from here.
         words: what stands for each word, as text.
     """
-    return text.filled(text_of(path), words)
+    return text.fill_words(text_of(path), words)
 
 
-def called(name: str, tunable: bool) -> dict[str, Any]:
+def call_words(name: str, tunable: bool) -> dict[str, Any]:
     """Return the words of texts that call an export.
 
     Args:

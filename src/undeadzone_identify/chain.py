@@ -34,7 +34,7 @@ class Chain(NamedTuple):
     passed: bool
 
 
-def chained(path: Path, log: Path, folder: Path, columns: str | None, strict: bool) -> Chain:
+def run_chain(path: Path, log: Path, folder: Path, columns: str | None, strict: bool) -> Chain:
     """Check a scenario, follow its log with it, export it to C, and let the C follow the log.
 
     The C is in float, or in double where float is refused.
@@ -62,10 +62,10 @@ def chained(path: Path, log: Path, folder: Path, columns: str | None, strict: bo
     kept = found.save(writable(folder) / "estimate.npz")
     for precision in PRECISIONS:
         firmware = export(scenario, "c", folder / "firmware", precision, check=True)
-        if firmware.passed:
+        if firmware.has_passed:
             break
     assert firmware.code is not None
-    hidden, left = followed(scenario, found, firmware.code)
+    hidden, left = compare_with_firmware(scenario, found, firmware.code)
     numbers = {
         "identifiable": [one.right and one.left for one in known],
         "consistent": found.consistent,
@@ -84,10 +84,10 @@ def chained(path: Path, log: Path, folder: Path, columns: str | None, strict: bo
         "reading off": f"rms y - z {with_unit(f'{hidden:.3g}', unit)} along the log",
         "firmware off": f"rms z^ - z {with_unit(f'{left:.3g}', unit)}, z^ by the C there{own}",
     }
-    return Chain(words, finite(numbers), [kept, *firmware.files], firmware.passed)
+    return Chain(words, finite(numbers), [kept, *firmware.files], firmware.has_passed)
 
 
-def followed(scenario: Scenario, found: Estimation, code: Code) -> tuple[float, float]:
+def compare_with_firmware(scenario: Scenario, found: Estimation, code: Code) -> tuple[float, float]:
     """What the reading hides of z, and what the exported C, run along the log, leaves of it.
 
     The truth is nobody's: z is what the whole log says of it, or the filter where none smooths.

@@ -22,7 +22,7 @@ from undeadzone.cli.common import (
     untrusted,
     writable,
 )
-from undeadzone.cli.output import Output, common, named_files, partial_file
+from undeadzone.cli.output import Output, common, line_of_files, partial_file
 from undeadzone.errors import InputError
 from undeadzone.util.files import write_text
 from undeadzone.util.progress import on_terminal as progress
@@ -88,7 +88,7 @@ def identify(
     """
     from undeadzone.logs.names import require_table
     from undeadzone.util.own_files import require_own
-    from undeadzone_identify.chain import chained
+    from undeadzone_identify.chain import run_chain
     from undeadzone_identify.pipeline import identify as identified
     from undeadzone_identify.results.result import WRITTEN
 
@@ -112,7 +112,7 @@ def identify(
         if is_found or answer.verdict in (*WRITTEN, "jump"):
             scenario, reason = _scenario(answer, path, force)
             written = scenario + written
-        best, why = (None, {}) if further is None else _asked_next(answer)
+        best, why = (None, {}) if further is None else _propose_next_log(answer)
         if further is not None and best is not None:
             written.append(write_text(best.table, further))
         if folder is not None and output.figures:
@@ -126,7 +126,7 @@ def identify(
     is_done, more = is_found or is_written, {}
     if chain is not None and is_written:
         with progress("going on to firmware", None):
-            reached = chained(path, first, chain, options["columns"], options["strict"])
+            reached = run_chain(path, first, chain, options["columns"], options["strict"])
         written, is_done = written + reached.files, reached.passed
         why, more = why | reached.words, {"chain": reached.numbers}
         follow = {"next": f"{cmd('make', '-C', chain / 'firmware')} builds the self-test"}
@@ -136,7 +136,7 @@ def identify(
         lambda: answer.numbers() | more,
         answer.blocks,
         written,
-        why | named_files(written) | follow,
+        why | line_of_files(written) | follow,
     )
     return 0 if is_done else 1
 
@@ -155,7 +155,7 @@ def _next(scenario: Path, logs: tuple[Path, ...], options: dict[str, Any], drive
     return f"{words}, or {cmd('undeadzone', 'export', scenario)}" if driven else words
 
 
-def _asked_next(answer: Answers) -> tuple[Next | None, dict[str, str]]:
+def _propose_next_log(answer: Answers) -> tuple[Next | None, dict[str, str]]:
     """What to record next, and its words; or why nothing is."""
     from undeadzone_identify.results.result import Identified
 

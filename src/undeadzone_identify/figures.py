@@ -12,11 +12,11 @@ from undeadzone.report.style import finish, label, plain, sheet
 from undeadzone.util.text import HALF_95
 from undeadzone_identify.models.kalman_fit import innovations as filtered
 from undeadzone_identify.models.plant import MANY
-from undeadzone_identify.models.zone_fit import expected_reading
+from undeadzone_identify.models.zone_fit import mean_reading
 from undeadzone_identify.results.next_log import Next
 from undeadzone_identify.results.result import Identified
 from undeadzone_identify.results.words import crossing_columns
-from undeadzone_identify.selection.orders import correlation, innovations, trained_part
+from undeadzone_identify.selection.orders import correlation, innovations, training_samples
 from undeadzone_identify.selection.widths import profile
 
 if TYPE_CHECKING:
@@ -78,14 +78,14 @@ def _of_answer(found_log: Identified) -> dict[str, Figure]:
         "residual": _residual(found_log),
     }
     if found_log.right is not None:
-        drawn["hidden"] = _hidden(found_log)
+        drawn["hidden"] = _hidden_output_panel(found_log)
         short = found_log.answer.fit.objective.data.y.size <= MANY
         if found_log.verdict == "dead_zone" and short:  # each point of a profile is a fit
             drawn["profiles"] = _profiles(found_log)
     return drawn
 
 
-def _shown(found_log: Identified, most: int = MOST) -> slice:
+def _figure_window(found_log: Identified, most: int = MOST) -> slice:
     """Return the samples of a figure over time."""
     size = found_log.answer.case.grid.t.size
     return slice(max(0, size - most), size)
@@ -102,7 +102,7 @@ def _time(found_log: Identified) -> str:
 
 def overview(found_log: Identified) -> Figure:
     """Return z^, y and zone over time, the held-out part shaded; sides below."""
-    data, part = found_log.answer.fit.objective.data, _shown(found_log)
+    data, part = found_log.answer.fit.objective.data, _figure_window(found_log)
     figure, panels = sheet([["signals"], ["signals"], ["sides"]], "The log and its fit", height=1.9)
     signals(panels["signals"], found_log)
     _shade_held_out(panels["sides"], found_log)
@@ -126,8 +126,8 @@ def signals(axes: Axes, found_log: Identified, of: str = "") -> None:
     """z^, y and zone over time, the held-out part shaded; of: name of the output."""
     if found_log.answer.element is None:
         _zone_bands(axes, found_log)
-    _output(axes, found_log, _shown(found_log))
-    _reading(axes, found_log, _shown(found_log))
+    _output(axes, found_log, _figure_window(found_log))
+    _reading(axes, found_log, _figure_window(found_log))
     _shade_held_out(axes, found_log)
     title = f"Output{of} and reading; shaded: held out"
     finish(axes, title, label("z, y", _unit(found_log)), "")
@@ -162,8 +162,8 @@ def first(axes: Axes, result: IdentifiedOutputs) -> None:
 
 def _shade_held_out(axes: Axes, found_log: Identified) -> None:
     """Shade what had no part in the fit that checks."""
-    answer, part = found_log.answer, _shown(found_log)
-    held_out = ~trained_part(answer.fit.objective.data, answer.case.options.held_out)
+    answer, part = found_log.answer, _figure_window(found_log)
+    held_out = ~training_samples(answer.fit.objective.data, answer.case.options.held_out)
     axes.fill_between(
         answer.case.grid.t[part], 0, 1, where=held_out[part], color=ink.ZONE, alpha=0.12,
         linewidth=0, transform=axes.get_xaxis_transform(),
@@ -184,10 +184,10 @@ def _zone_bands(axes: Axes, found_log: Identified) -> None:
         words = None
 
 
-def _hidden(found_log: Identified) -> Figure:
+def _hidden_output_panel(found_log: Identified) -> Figure:
     """Return the hidden output with its band against the reading, of the last part of the log."""
     states = found_log.states()
-    part = _shown(found_log, MOST_AT_END)
+    part = _figure_window(found_log, MOST_AT_END)
     figure, panels = sheet([["z"]], "The hidden output", height=3.2)
     axes = panels["z"]
     t, z, band = states.t[part], states.z[part], HALF_95 * states.z_std[part]
@@ -208,7 +208,7 @@ def _residual_map(found_log: Identified) -> Figure:
     figure, panels = sheet([["map", "static"]], "What the zone leaves", height=3.4)
     axes = panels["map"]
     ok = fit.objective.readings.ok
-    left = (fit.objective.readings.y - expected_reading(fit)) * scale
+    left = (fit.objective.readings.y - mean_reading(fit)) * scale
     _dots(axes, (fit.z * scale)[ok], left[ok], ink.ZONE)
     x, curve = residuals.centres * scale, residuals.curve * scale
     band = HALF_95 * residuals.std * scale
@@ -230,7 +230,7 @@ def _sensor_map(found_log: Identified) -> tuple[Floats, Floats]:
     fit, jumps = answer.chosen.singles, answer.case.jumps
     z = np.sort(fit.z) * answer.scale
     if jumps is None:
-        return z, np.sort(expected_reading(fit)) * answer.scale
+        return z, np.sort(mean_reading(fit)) * answer.scale
     right, left = (edge.value * answer.scale for edge in jumps)
     return z, np.where((z > right) | (z < -left), z, 0.0)
 
@@ -289,7 +289,7 @@ def _profiles(found_log: Identified) -> Figure:
 
 def _over_time(found_log: Identified, element: Element) -> Figure:
     """Return z^, what is read of it, and the readings; contacts or sides below."""
-    grid, part = found_log.answer.case.grid, _shown(found_log, MOST_AT_END)
+    grid, part = found_log.answer.case.grid, _figure_window(found_log, MOST_AT_END)
     figure, panels = sheet([["signals"], ["signals"], ["sides"]], "The log and its fit", height=1.9)
     axes, t = panels["signals"], grid.t[part]
     _output(axes, found_log, part)
@@ -315,7 +315,7 @@ def _by_output(found_log: Identified, element: Element) -> Figure:
     x, x_label, of_input = z, label("ẑ", unit), element.kind == "input_zone"
     _dots(axes, z[grid.ok], grid.y[grid.ok], ink.READING, "readings")
     if not of_input:
-        part, title = _shown(found_log, MOST_AT_END), f"{title}, and its path"
+        part, title = _figure_window(found_log, MOST_AT_END), f"{title}, and its path"
         path, name = (element.readings * scale)[part], f"path of {NAMES[element.kind]}"
         axes.plot(z[part], path, color=ink.ESTIMATE, linewidth=1.0, label=name)
     finish(axes, title, label("y", unit), x_label)

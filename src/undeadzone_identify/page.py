@@ -69,11 +69,11 @@ def write_identified(
         FileError: a file cannot be written.
     """
 
-    text = partial(identified_page, found_log, source=source, origin=origin)
+    text = partial(identify_page, found_log, source=source, origin=origin)
     return html.write_page(figures(found_log, further), folder, text)
 
 
-def identified_page(
+def identify_page(
     found_log: Identified,
     images: Mapping[str, bytes],
     source: str,

@@ -18,24 +18,24 @@ import numpy as np
 from undeadzone.errors import InputError
 from undeadzone.util.answers import Answers
 from undeadzone.util.progress import in_notebook
-from undeadzone_identify.logs.grid import Grid, shortened, to_grid
+from undeadzone_identify.logs.grid import Grid, shorten_log, to_grid
 from undeadzone_identify.logs.log import Log, Options, log_of_arrays, read_log
 from undeadzone_identify.logs.prepare import Prepared, prepare
 from undeadzone_identify.models.elements import best_densities, static_rivals
 from undeadzone_identify.models.estimates import KeptClimbs, digest
 from undeadzone_identify.models.kalman_fit import fit_kalman
 from undeadzone_identify.models.likelihood import zone_offset
-from undeadzone_identify.models.zone_fit import Fit, longest_record, polished, reduced
+from undeadzone_identify.models.zone_fit import Fit, longest_record, polish_fit, reduce_record
 from undeadzone_identify.results.assemble import to_answer
 from undeadzone_identify.results.result import Identified, IdentifiedOutputs
 from undeadzone_identify.selection import orders
 from undeadzone_identify.selection.alternatives import Found, at_input, with_gap, with_play
-from undeadzone_identify.selection.decision import MEMORY, Case, decide, unmodelled
+from undeadzone_identify.selection.decision import MEMORY, Case, decide, name_missing_model
 from undeadzone_identify.selection.delays import drop_unvisited_edges, fit_with_delay
 from undeadzone_identify.selection.location import find_places
 from undeadzone_identify.selection.servo import (
     may_be_servo,
-    named_servo,
+    name_servo,
     servo_of_ticks,
     with_servo,
     with_servo_options,
@@ -121,17 +121,17 @@ def identify(
         threshold=threshold,
         resample=resample,
         integrators=int(integrators),
-    ).checked()
+    ).require_options()
     logs = [
         one._replace(y=one.y - options.zero) for one in _logs(log, (t, u, y, r), columns, strict)
     ]
     with in_notebook(progress, "identifying", None) as advance:
         if keep is None:
-            return _identified(logs, options, advance)
-        return _kept(logs, options, advance, keep, resume)
+            return _identify_outputs(logs, options, advance)
+        return _identify_and_store(logs, options, advance, keep, resume)
 
 
-def _kept(
+def _identify_and_store(
     logs: list[Log],
     options: Options,
     advance: Callable[[int], None],
@@ -143,7 +143,7 @@ def _kept(
     climbs = KeptClimbs(answers)
     with answers.hold_file():
         try:
-            return _identified(logs, options, advance, climbs)
+            return _identify_outputs(logs, options, advance, climbs)
         except InputError as error:  # nothing was stopped
             refused = error
         finally:
@@ -158,7 +158,7 @@ def _problem(logs: list[Log], options: Options) -> dict[str, Any]:
     return {"logs": digests, "options": msgspec.to_builtins(options)}
 
 
-def _identified(
+def _identify_outputs(
     logs: list[Log],
     options: Options,
     advance: Callable[[int], None],
@@ -225,9 +225,9 @@ def identify_output(grid: Grid, options: Options, advance: Callable[[int], None]
     if servo is not None and servo.is_given:
         advance(1)
         return _of_servo(grid, options, advance, servo)
-    case = _fitted(shortened(grid, options.integrators), options, advance)
+    case = _fit_log(shorten_log(grid, options.integrators), options, advance)
     case = case._replace(servo=servo)
-    found = Found(decide("unclear"), case.fitted.delay, (), {}).judged(case, case.rivals)
+    found = Found(decide("unclear"), case.fitted.delay, (), {}).judge_again(case, case.rivals)
     if found.verdict.word == "jump" and _shows_edges(case):
         as_jump = msgspec.structs.replace(options, kind="jump")
         return identify_output(case.grid, as_jump, advance)
@@ -242,17 +242,17 @@ def _of_servo(
     grid: Grid, options: Options, advance: Callable[[int], None], servo: ServoGap
 ) -> Identified:
     """Return the answer of a servo behind a play, beside a fit of its order. Raises InputError."""
-    case = _fitted(grid, with_servo_options(options, servo), advance)
+    case = _fit_log(grid, with_servo_options(options, servo), advance)
     case = case._replace(options=options)
-    found = Found(decide("unclear"), case.fitted.delay, (), {}).judged(case, case.rivals)
-    return Identified(to_answer(case, named_servo(case, servo, found)))
+    found = Found(decide("unclear"), case.fitted.delay, (), {}).judge_again(case, case.rivals)
+    return Identified(to_answer(case, name_servo(case, servo, found)))
 
 
-def _fitted(grid: Grid, options: Options, advance: Callable[[int], None]) -> Case:
+def _fit_log(grid: Grid, options: Options, advance: Callable[[int], None]) -> Case:
     """Return the log, fitted with a zone of the sensor and with static maps. Raises InputError."""
     prepared, unreached = drop_unvisited_edges(prepare(grid, options))
     fitted = fit_with_delay(prepared, advance)
-    chosen = _polished(orders.order_to_write(fitted.fits))
+    chosen = _polish_order(orders.order_to_write(fitted.fits))
     no_zone = orders.judge_no_zone(chosen.pairs)
     if no_zone.fit is not chosen.pairs:
         chosen = chosen._replace(singles=no_zone.fit, pairs=no_zone.fit)
@@ -260,7 +260,7 @@ def _fitted(grid: Grid, options: Options, advance: Callable[[int], None]) -> Cas
     fits = {one.n: one for one in fitted.fits} | {chosen.n: chosen}
     rivals = {}  # behind plants of each order, on the readings as they are
     for n, one in fits.items():
-        rivals[n] = static_rivals(_of_readings(fitted.prepared, reduced(one.singles)))
+        rivals[n] = static_rivals(_of_readings(fitted.prepared, reduce_record(one.singles)))
     suited = min(rivals, key=lambda n: min(one.bic for one in rivals[n].values()))
     advance(1)
     return Case(
@@ -278,10 +278,10 @@ def _fitted(grid: Grid, options: Options, advance: Callable[[int], None]) -> Cas
     )
 
 
-def _polished(chosen: orders.OrderFit) -> orders.OrderFit:
+def _polish_order(chosen: orders.OrderFit) -> orders.OrderFit:
     """Return the chosen order at the very top of both likelihoods."""
-    pairs = polished(chosen.pairs)
-    singles = pairs if chosen.pairs is chosen.singles else polished(chosen.singles)
+    pairs = polish_fit(chosen.pairs)
+    singles = pairs if chosen.pairs is chosen.singles else polish_fit(chosen.singles)
     return chosen._replace(singles=singles, pairs=pairs)
 
 
@@ -332,7 +332,7 @@ def _with_place(case: Case, found: Found) -> Found:
     models = {word: one.density for word, one in places.items()}
     if "none" not in models:  # no plant alone settles within the record: nothing to compare with
         return found
-    return found._replace(places=places).judged(case, models)
+    return found._replace(places=places).judge_again(case, models)
 
 
 def _is_a_play(case: Case, found: Found) -> bool:
@@ -347,7 +347,7 @@ def _may_lack_something(case: Case, found: Found) -> bool:
 
 def _with_remainder(case: Case, found: Found) -> Found:
     """What a linear plant and a zone do not hold, by name."""
-    return found._replace(verdict=unmodelled(found.verdict, case.chosen.pairs))
+    return found._replace(verdict=name_missing_model(found.verdict, case.chosen.pairs))
 
 
 def _is_at_input(case: Case, found: Found) -> bool:

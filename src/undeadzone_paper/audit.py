@@ -47,10 +47,10 @@ class Paper(NamedTuple):
         five, two = self.evidence.repaired
         texts = [claim.text for claim in self.claims]
         return {
-            "printed": _printed(self.evidence.printed[RESTING][0]),
-            "repaired": _repaired(five),
-            "repaired_2sin": _repaired(two),
-            "repaired_sampled": _repaired(self.evidence.sampled),
+            "printed": _numbers_as_printed(self.evidence.printed[RESTING][0]),
+            "repaired": _numbers_of_repair(five),
+            "repaired_2sin": _numbers_of_repair(two),
+            "repaired_sampled": _numbers_of_repair(self.evidence.sampled),
             "variants": {
                 "definition": DEFINITION,
                 "counts": [item._asdict() for item in self.counts],
@@ -78,7 +78,7 @@ def audit(progress: Progress | None = None) -> Paper:
 SHOWN: Final = ("rms_tracking", "rms_estimation", "d_right", "d_left", "integration_error")
 
 
-def _printed(run: Run) -> dict[str, Any]:
+def _numbers_as_printed(run: Run) -> dict[str, Any]:
     """Return the numbers of a run as printed."""
     steady = run.t >= run.t[-1] - LAST
     numbers = {
@@ -89,6 +89,6 @@ def _printed(run: Run) -> dict[str, Any]:
     return numbers | {name: value for name, value in run.summary().items() if name in SHOWN}
 
 
-def _repaired(run: Run) -> dict[str, Any]:
+def _numbers_of_repair(run: Run) -> dict[str, Any]:
     """Return the numbers of a repaired run."""
     return {**run.summary(), "rate": rate(run)}

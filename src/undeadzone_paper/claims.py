@@ -78,14 +78,15 @@ class Claim(NamedTuple):
         return "holds after repair" if _within(self.repaired, self.text.limit) else "does not hold"
 
     @property
-    def measured(self) -> str:
+    def measured_in_words(self) -> str:
         """Return the numbers in words."""
-        cases = [f"{said(value)} {case}".strip() for case, value in self.printed.items()]
+        cases = [f"{value_in_words(value)} {case}".strip() for case, value in self.printed.items()]
         first = ", ".join(cases) or "in no equation"
         limit = f"limit {self.text.limit:g}"
         if self.repaired is None:
             return f"{self.text.quantity}: {first}; {limit}"
-        return f"{self.text.quantity}: as printed {first}; repaired {said(self.repaired)}; {limit}"
+        repaired = value_in_words(self.repaired)
+        return f"{self.text.quantity}: as printed {first}; repaired {repaired}; {limit}"
 
     def summary(self) -> dict[str, Any]:
         """Return the claim ready for JSON; values that are not finite, or not there, become
@@ -95,7 +96,7 @@ class Claim(NamedTuple):
             **self.text._asdict(),
             "printed": None if self.worst is None else finite(self.worst),
             "repaired": None if self.repaired is None else finite(self.repaired),
-            "measured": self.measured,
+            "measured": self.measured_in_words,
             "verdict": self.verdict,
         }
 
@@ -106,7 +107,7 @@ HOW: Final = (
 )
 
 
-def counted(claims: Iterable[Claim]) -> str:
+def count_verdicts(claims: Iterable[Claim]) -> str:
     """How many claims hold, as a sentence."""
     counts = Counter(claim.verdict for claim in claims)
     return (
@@ -116,7 +117,7 @@ def counted(claims: Iterable[Claim]) -> str:
     )
 
 
-def said(value: float) -> str:
+def value_in_words(value: float) -> str:
     """Return a value in words."""
     if not np.isfinite(value):
         return "diverges"

@@ -49,11 +49,11 @@ def _print(claims: list[Claim], summary: dict[str, Any], written: list[Path]) ->
     """Print the claims and what was measured."""
     from rich.console import Console
 
-    from undeadzone_paper.claims import counted
+    from undeadzone_paper.claims import count_verdicts
 
     console = Console()
     console.print(_table(claims))
-    console.print(counted(claims), highlight=False)
+    console.print(count_verdicts(claims), highlight=False)
     printed, repaired = summary["printed"], summary["repaired"]
     console.print(
         f"As printed: max |z| = {printed['max_abs_z']:.4g} over the last 4 s, max |y| = "
@@ -77,14 +77,14 @@ def _table(claims: list[Claim]) -> Table:
         table.add_column(column, justify="right" if column in NUMBERS else "left")
     for claim in claims:
         text, verdict = claim.text, claim.verdict
-        numbers = [_shown(value) for value in (claim.worst, claim.repaired, text.limit)]
+        numbers = [_format_number(value) for value in (claim.worst, claim.repaired, text.limit)]
         colour = COLOURS.get(verdict, "red")
         table.add_row(text.claim, text.quantity, *numbers, f"[{colour}]{verdict}[/]")
     return table
 
 
-def _shown(value: float | None) -> str:
+def _format_number(value: float | None) -> str:
     """Return a number; empty where there is none."""
-    from undeadzone_paper.claims import said
+    from undeadzone_paper.claims import value_in_words
 
-    return "" if value is None else said(value)
+    return "" if value is None else value_in_words(value)

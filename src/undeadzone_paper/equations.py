@@ -49,7 +49,7 @@ _TABLE: Final[tuple[tuple[int, str, str | None, Status, str], ...]] = (
     (
         2,
         "bound on the width",
-        "nonlinearities.sensor.bound",
+        "nonlinearities.sensor.saturation_bound",
         "corrected",
         "d_r + d_l <= d_M",
     ),
@@ -102,7 +102,7 @@ _TABLE: Final[tuple[tuple[int, str, str | None, Status, str], ...]] = (
     (
         13,
         "|Sat| = |chi_bar d| <= d_M",
-        "nonlinearities.sensor.bound",
+        "nonlinearities.sensor.saturation_bound",
         "corrected",
         "with d_M >= d_r + d_l",
     ),
@@ -265,11 +265,17 @@ _TABLE: Final[tuple[tuple[int, str, str | None, Status, str], ...]] = (
     (
         38,
         "the same as a state equation",
-        "undeadzone_paper.example.printed",
+        "undeadzone_paper.example.printed_example",
         "as printed",
         "omega_n = 1, though the text says 2 pi",
     ),
-    (39, "its A, B, C", "undeadzone_paper.example.printed", "as printed", "the default plant"),
+    (
+        39,
+        "its A, B, C",
+        "undeadzone_paper.example.printed_example",
+        "as printed",
+        "the default plant",
+    ),
     (
         40,
         "observer gain",

@@ -32,9 +32,9 @@ from undeadzone_paper.example import (
     L_REPAIRED,
     STARTED,
     D,
-    printed,
+    printed_example,
     reference,
-    repaired,
+    repaired_example,
 )
 from undeadzone_paper.measures import with_printed_V
 
@@ -126,7 +126,7 @@ class Runner(NamedTuple):
 
     def pair(self, *variations: dict[str, Any]) -> Pair:
         """Return the example under the same conditions, as printed and repaired."""
-        begun, nominal = printed(5.0, x1=STARTED), repaired(5.0)
+        begun, nominal = printed_example(5.0, x1=STARTED), repaired_example(5.0)
         return Pair(
             tuple(self.run(begun, **variation) for variation in variations),
             tuple(self.run(nominal, **variation) for variation in variations),
@@ -140,7 +140,7 @@ def gather(progress: Callable[[int], None] | None = None) -> Evidence:
         progress: called with the number of steps just done
     """
     runner = Runner(progress)
-    nominal = repaired(5.0)
+    nominal = repaired_example(5.0)
     noisy = Sensor(right=D, left=D, noise=NOISE)
     gust = Sine(amplitude=DISTURBANCE, frequency=0.3)
     within = reference(0.5)  # z never leaves the zone
@@ -149,7 +149,7 @@ def gather(progress: Callable[[int], None] | None = None) -> Evidence:
     logged = runner.run(nominal, sensor=noisy, simulation=SAMPLED, model=_mismatches()[-1])
     return Evidence(
         printed=_as_printed(runner),
-        repaired=tuple(runner.run(repaired(each), check_step=True) for each in AMPLITUDES),
+        repaired=tuple(runner.run(repaired_example(each), check_step=True) for each in AMPLITUDES),
         sampled=runner.run(nominal, simulation=SAMPLED),
         noisy=runner.pair({"sensor": noisy}),
         mismatched=runner.pair(*({"model": model} for model in _mismatches())),
@@ -164,21 +164,21 @@ def gather(progress: Callable[[int], None] | None = None) -> Evidence:
         far=_far(runner),
         blind=runner.run(nominal, observer=Luenberger(L=L_REPAIRED)),
         slow=runner.run(nominal, observer=paper_poles, simulation=Simulation(duration=100.0)),
-        held=_held(runner),
+        held=_without_adaptation(runner),
         filtered=(
             runner.run(nominal, observer=_filter(0.0), simulation=SAMPLED, sensor=noisy),
             runner.run(nominal, observer=_filter(None), simulation=SAMPLED, disturbance=gust),
         ),
         logged=logged,
-        identified=_identified(logged),
+        identified=_identify_widths(logged),
     )
 
 
 def _as_printed(runner: Runner) -> dict[str, tuple[Run, ...]]:
     """Return the nominal runs as printed, by how they start."""
-    resting = [runner.run(printed(amplitude), check_step=True) for amplitude in AMPLITUDES]
-    outside = [runner.run(printed(amplitude, x1=STARTED)) for amplitude in AMPLITUDES]
-    signed = [runner.run(printed(5.0, x1=STARTED, signed_left=True))]
+    resting = [runner.run(printed_example(amplitude), check_step=True) for amplitude in AMPLITUDES]
+    outside = [runner.run(printed_example(amplitude, x1=STARTED)) for amplitude in AMPLITUDES]
+    signed = [runner.run(printed_example(5.0, x1=STARTED, signed_left=True))]
     starts = {RESTING: resting, BEGUN: outside, SIGNED: signed}
     return {start: tuple(with_printed_V(run) for run in runs) for start, runs in starts.items()}
 
@@ -190,7 +190,7 @@ def _observer(scenario: Scenario, **changes: Any) -> Any:
 
 def _unaware(runner: Runner) -> dict[str, Run]:
     """As printed with a wrong d^(0), by how it starts."""
-    starts = {RESTING: printed(5.0), BEGUN: printed(5.0, x1=STARTED)}
+    starts = {RESTING: printed_example(5.0), BEGUN: printed_example(5.0, x1=STARTED)}
     return {
         start: runner.run(scenario, observer=_observer(scenario, widths0=UNAWARE))
         for start, scenario in starts.items()
@@ -202,14 +202,14 @@ def _far(runner: Runner) -> Pair:
     starts = []
     for radius, angle in product(RADII, DIRECTIONS):
         place = radius * np.exp(1j * np.pi * angle)
-        plant = msgspec.structs.replace(repaired(5.0).plant, x0=[place.real, place.imag])
+        plant = msgspec.structs.replace(repaired_example(5.0).plant, x0=[place.real, place.imag])
         starts.append({"plant": plant, "simulation": Simulation(step=5e-3)})
     return runner.pair(*starts)
 
 
-def _held(runner: Runner) -> tuple[Run, Run]:
+def _without_adaptation(runner: Runner) -> tuple[Run, Run]:
     """Return repaired with wrong widths that are not adapted, without a tanh term and with one."""
-    nominal = repaired(5.0)
+    nominal = repaired_example(5.0)
     held = _observer(nominal, gamma=1e-9, widths0=[HELD, HELD])
     robust = StateFeedback(alpha=ALPHA, robust=Robust(gain=5.0, width=0.05))
     return (
@@ -225,7 +225,7 @@ def _filter(disturbance: float | None) -> Kalman:
     return Kalman(right=[0.1, 3.0], left=[0.1, 3.0], disturbance=disturbance)
 
 
-def _identified(run: Run) -> tuple[float, float]:
+def _identify_widths(run: Run) -> tuple[float, float]:
     """Return (d_r, d_l) that `identify` finds in u and y of a run."""
     found = identify(t=run.info.step, u=run.u, y=run.y, order=2, place="sensor")
     if isinstance(found, IdentifiedOutputs) or found.right is None or found.left is None:

@@ -52,7 +52,7 @@ def reference(amplitude: float) -> Sine:
     return Sine(amplitude=amplitude, frequency=1.0)
 
 
-def printed(amplitude: float, x1: float = 0.0, signed_left: bool = False) -> Scenario:
+def printed_example(amplitude: float, x1: float = 0.0, signed_left: bool = False) -> Scenario:
     """Return the example as printed: (16), (41) without B u, (25), (42), plant (39), d^(0) = d
     (A2).
 
@@ -73,13 +73,13 @@ def printed(amplitude: float, x1: float = 0.0, signed_left: bool = False) -> Sce
     )
 
 
-def repaired(amplitude: float) -> Scenario:
+def repaired_example(amplitude: float) -> Scenario:
     """Return the example repaired, r = amplitude sin 2 pi t.
 
     The observer knows u and the measured side, and feedforward makes z follow r.
     """
     return msgspec.structs.replace(
-        printed(amplitude),
+        printed_example(amplitude),
         title=f"Repaired, r = {amplitude:g} sin 2πt",
         plant=Plant(A=[[0.0, 1.0], [-1.0, -2.0]], B=[[0.0], [1.0]], C=[[1.0, 0.0]], x0=[0.5, 0.0]),
         observer=Certified(L=L_REPAIRED, gamma=10.0, widths0=[0.2, 0.2], width_max=3.0),

@@ -23,7 +23,7 @@ from undeadzone_paper.example import (
     OMEGA,
     POLES,
     READINGS,
-    printed,
+    printed_example,
 )
 from undeadzone_paper.trials import rightmost, unstable_from
 
@@ -150,13 +150,13 @@ def _certificate(linear: Matrices) -> list[Fact]:
     ]
 
 
-def forced(amplitude: float) -> tuple[Floats, dict[str, Floats]]:
+def response_to_force(amplitude: float) -> tuple[Floats, dict[str, Floats]]:
     """Return the answer from rest to r as a force: u = amplitude sin 2 pi t, k_p = k_d = 0.
 
     Returns:
         Instants t [s], and z at them by reading of the plant.
     """
-    problem = resolve_scenario(printed(amplitude))
+    problem = resolve_scenario(printed_example(amplitude))
     start = prepare(problem)
     loop = start.loop
     law: Any = loop.params.controller
@@ -171,7 +171,7 @@ def forced(amplitude: float) -> tuple[Floats, dict[str, Floats]]:
 def _responses(amplitude: float) -> list[Fact]:
     """Return steady amplitude (and peak from rest where both poles are equal) with u = r."""
     rows = []
-    t, outputs = forced(amplitude)
+    t, outputs = response_to_force(amplitude)
     for name, z in outputs.items():
         A, B, _ = matrices(READINGS[name].plant)
         a0, a1 = -A[1]  # of the plant's polynomial s^2 + a1 s + a0

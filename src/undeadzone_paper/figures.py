@@ -14,7 +14,7 @@ from undeadzone.results.run import Run
 from undeadzone.util.arrays import Floats
 from undeadzone_paper.equations import FIGURES
 from undeadzone_paper.example import D
-from undeadzone_paper.measures import predicted_reading
+from undeadzone_paper.measures import reading_of_estimate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -51,9 +51,9 @@ class Line(NamedTuple):
 _LINES: Final = {
     3: (
         Line("$y$", ink.TRUTH, lambda run: run.y[:, 0]),
-        Line(r"$\hat y$", ink.ESTIMATE, predicted_reading),
+        Line(r"$\hat y$", ink.ESTIMATE, reading_of_estimate),
     ),
-    4: (Line(r"$\hat y - y$", ink.ESTIMATE, lambda run: predicted_reading(run) - run.y[:, 0]),),
+    4: (Line(r"$\hat y - y$", ink.ESTIMATE, lambda run: reading_of_estimate(run) - run.y[:, 0]),),
     5: (
         Line("$x_1$", ink.TRUTH, lambda run: run.x[:, 0]),
         Line(r"$\hat x_1$", ink.ESTIMATE, lambda run: run.x_hat[:, 0]),

@@ -10,10 +10,10 @@ from undeadzone.plants.build import matrices
 from undeadzone.results.run import LAST, Run
 from undeadzone.results.scales import LIMIT
 from undeadzone.util.arrays import Floats
-from undeadzone_paper.example import ALPHA, L_PRINTED, printed
+from undeadzone_paper.example import ALPHA, L_PRINTED, printed_example
 
 
-def predicted_reading(run: Run) -> Floats:
+def reading_of_estimate(run: Run) -> Floats:
     """Return y^ = C x^ - Sat(C x^) of (17), with the estimated widths (N)."""
     return np.asarray(deadzone(run.z_hat[:, 0], run.d_hat[:, 0], run.d_hat[:, 1]))
 
@@ -28,7 +28,7 @@ def with_printed_V(run: Run) -> Run:
 
     The scalar C P C' stands for the n x n matrix P beside the scalar y~.
     """
-    A, B, C = matrices(printed(1.0).plant)
+    A, B, C = matrices(printed_example(1.0).plant)
     P = paper_riccati(A - np.array([L_PRINTED]).T @ C, B, ALPHA, np.eye(2)).P
     of_reading = run.innovation[:, 0] ** 2 * float((C @ P @ C.T)[0, 0])
     of_widths = (width_errors(run) ** 2).sum(axis=1) / 2
@@ -44,7 +44,7 @@ def rms(values: Floats) -> float:
 
 def reading_error(run: Run) -> float:
     """Return rms of y^ - y over the last 2 s."""
-    return rms((predicted_reading(run) - run.y[:, 0])[run.last])
+    return rms((reading_of_estimate(run) - run.y[:, 0])[run.last])
 
 
 def state_error(run: Run, index: int) -> float:
@@ -62,7 +62,7 @@ def growth_of_widths(run: Run) -> float:
 
     Infinite if the run diverges.
     """
-    if run.diverged_at is not None:
+    if run.divergence_time is not None:
         return np.inf
     half = run.t.size // 2
     return _largest(run.d_hat[half:]) / _largest(run.d_hat[:half])
@@ -113,7 +113,7 @@ def steep_share(run: Run, slope: float = 0.1) -> float:
 
     Infinite if the run diverges.
     """
-    if run.diverged_at is not None:
+    if run.divergence_time is not None:
         return np.inf
     error = (run.x_hat - run.x)[-round(5.0 / run.info.step) :, 0]
     return float((np.abs(np.gradient(error, run.info.step)) > slope).mean())
@@ -124,7 +124,7 @@ def rise(run: Run) -> float:
 
     Infinite if the run diverges.
     """
-    if run.diverged_at is not None or run.largest_rise_of_V is None:
+    if run.divergence_time is not None or run.largest_rise_of_V is None:
         return np.inf
     return run.largest_rise_of_V
 

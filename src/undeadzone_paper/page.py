@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 from undeadzone.report.html import (
     Html,
     Origin,
-    folded,
+    fold_section,
     page,
     paragraph,
     picture,
@@ -19,11 +19,11 @@ from undeadzone.report.html import (
 )
 from undeadzone.report.style import write
 from undeadzone.util.files import write_text
-from undeadzone_paper.claims import HOW, counted
+from undeadzone_paper.claims import HOW, count_verdicts
 from undeadzone_paper.equations import FIGURES
 from undeadzone_paper.evidence import BEGUN, RESTING
 from undeadzone_paper.example import AMPLITUDES, READINGS
-from undeadzone_paper.facts import forced
+from undeadzone_paper.facts import response_to_force
 from undeadzone_paper.figures import Trio, figure, silence
 from undeadzone_paper.observer import STAND_INS
 from undeadzone_paper.printed import DEFINITION
@@ -53,7 +53,7 @@ def write_figures(
         silence.svg; figure_3.svg ... figure_8.svg for r = 5 sin; figure_3_2sin.svg ... for 2 sin.
     """
     evidence = paper.evidence
-    written = [write(silence(*forced(AMPLITUDES[0])), folder / "silence.svg")]
+    written = [write(silence(*response_to_force(AMPLITUDES[0])), folder / "silence.svg")]
     trios = zip(evidence.printed[RESTING], evidence.printed[BEGUN], evidence.repaired, strict=True)
     for amplitude, trio in zip(AMPLITUDES, trios, strict=True):
         suffix = "" if amplitude == AMPLITUDES[0] else f"_{amplitude:g}sin"
@@ -84,7 +84,7 @@ def write_report(
     caption = "Each reading of the plant with the reference acting as a force, from rest."
     text = page(
         "Output deadzone: the paper's example, as printed and repaired",
-        paragraph(counted(paper.claims)),
+        paragraph(count_verdicts(paper.claims)),
         paragraph(intro, "note"),
         _outcome(paper),
         section("The paper's claims", *_claims(paper)),
@@ -136,7 +136,7 @@ def _claims(paper: Paper) -> list[Html]:
         text = claim.text
         verdict = tag("span", claim.verdict, _COLOURS[claim.verdict])
         quoted = f"\u201c{text.words}\u201d, {text.where}"
-        rows.append((text.claim, quoted, claim.measured, verdict, text.why))
+        rows.append((text.claim, quoted, claim.measured_in_words, verdict, text.why))
     return [
         paragraph(HOW),
         table(("claim", "in the paper", "measured", "verdict", "why"), rows),
@@ -183,7 +183,7 @@ def _as_printed(paper: Paper) -> list[Html]:
         paragraph(f"Variants {DEFINITION}. {_BRINK}", "note"),
         paragraph("The least that makes the printed equations agree in shape:"),
         table(("equation", "stand-in"), stand_ins),
-        folded(
+        fold_section(
             f"The {len(leaving)} variants that leave the zone from rest", table(_VARIANT, leaving)
         ),
     ]
@@ -199,7 +199,7 @@ def _figures(images: list[Path]) -> list[Html]:
     shown = []
     for image, caption in zip(images, captions * 2, strict=True):
         shown.append(picture(image.read_bytes(), caption))
-    return [*shown[:half], folded("The same for the reference 2 sin 2πt", *shown[half:])]
+    return [*shown[:half], fold_section("The same for the reference 2 sin 2πt", *shown[half:])]
 
 
 def _facts(paper: Paper) -> Html:

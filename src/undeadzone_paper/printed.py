@@ -24,7 +24,7 @@ from undeadzone.simulation.loop import Loop, Outputs
 from undeadzone.simulation.simulate import Start, engine_for, outputs_of, prepare
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
-from undeadzone_paper.example import ALPHA, L_PRINTED, POLES, READINGS, STARTED, D, printed
+from undeadzone_paper.example import ALPHA, L_PRINTED, POLES, READINGS, STARTED, D, printed_example
 from undeadzone_paper.observer import Printed
 
 STEP: Final = 5e-3  # [s]
@@ -108,7 +108,7 @@ def run_variants(progress: Callable[[int], None] | None = None) -> list[Outcome]
         progress: called with the number of steps just done
     """
     simulation = Simulation(duration=DURATION, step=STEP)
-    problem = resolve_scenario(msgspec.structs.replace(printed(5.0), simulation=simulation))
+    problem = resolve_scenario(msgspec.structs.replace(printed_example(5.0), simulation=simulation))
     loop, _, exogenous = prepare(problem)
     run = engine_for(loop, "auto", len(exogenous))
     outcomes = []

@@ -15,7 +15,14 @@ from undeadzone.linalg.hold import zoh
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.linalg.poles import observer_gain
 from undeadzone.linalg.riccati import paper_riccati
-from undeadzone.nonlinearities.sensor import bound, deadzone, offset, resolve, saturation, zone
+from undeadzone.nonlinearities.sensor import (
+    deadzone,
+    offset,
+    resolve,
+    saturation,
+    saturation_bound,
+    zone,
+)
 from undeadzone.plants.build import matrices, system
 from undeadzone.registry import OBSERVERS
 from undeadzone.results.run import Run
@@ -25,7 +32,7 @@ from undeadzone.util.arrays import Floats
 from undeadzone_paper import measures as m
 from undeadzone_paper.equations import EQUATIONS, FIGURES
 from undeadzone_paper.evidence import BEGUN, CONDITIONS, RESTING, SLOPE, Evidence, Pair
-from undeadzone_paper.example import L_POLES, L_PRINTED, POLES, D, printed, repaired
+from undeadzone_paper.example import L_POLES, L_PRINTED, POLES, D, printed_example, repaired_example
 
 Measure: TypeAlias = Callable[[Run], float]
 
@@ -56,7 +63,7 @@ def measure(evidence: Evidence) -> Numbers:
     return {
         **_sensor(evidence),
         **_slope(evidence),
-        **_gains(matrices(printed(1.0).plant)),
+        **_gains(matrices(printed_example(1.0).plant)),
         **_observer(evidence),
         **_robust(evidence),
         **_remedies(evidence),
@@ -106,7 +113,7 @@ def _sensor(e: Evidence) -> Numbers:
     }
     return {
         "decomposition": Measured(decomposition, _largest(y - corrected)),
-        "width-bound": Measured(widths, max(0.0, taken_off - bound(D, D))),
+        "width-bound": Measured(widths, max(0.0, taken_off - saturation_bound(D, D))),
         "figure-1": Measured(figure_1, _worst(_apart_from_output, e.repaired)),
         "indicators": Measured(_one(smooth), _worst(m.side_error, e.repaired)),
     }
@@ -145,9 +152,9 @@ def _smooth_indicator_error(run: Run) -> float:
 def _gains(linear: Matrices) -> Numbers:
     """Return claims on the gains (40) and (42)."""
     placed = observer_gain(linear, POLES, None).ravel()
-    poles = np.sort(np.linalg.eigvals(_closed(linear, L_PRINTED)).real)
+    poles = np.sort(np.linalg.eigvals(_closed_matrix(linear, L_PRINTED)).real)
     where = {"leftmost": float(poles[0]), "rightmost": float(poles[-1])}
-    printed_drift, placed_drift = _closed(linear, L_PRINTED), _closed(linear, L_POLES)
+    printed_drift, placed_drift = _closed_matrix(linear, L_PRINTED), _closed_matrix(linear, L_POLES)
     brink = {"brink": unstable_from(linear, placed_drift)}
     return {
         "observer-poles": Measured(
@@ -161,14 +168,14 @@ def _gains(linear: Matrices) -> Numbers:
     }
 
 
-def _closed(linear: Matrices, L: Iterable[float]) -> Floats:
+def _closed_matrix(linear: Matrices, L: Iterable[float]) -> Floats:
     """Return A - L C of a plant of order 2."""
     return linear.A - np.reshape(np.asarray(L), (2, 1)) @ linear.C
 
 
 def pole_error(linear: Matrices, L: Iterable[float]) -> float:
     """Return the largest distance [1/s] of a pole of A - L C from where the paper wants it."""
-    poles = np.sort(np.linalg.eigvals(_closed(linear, L)))
+    poles = np.sort(np.linalg.eigvals(_closed_matrix(linear, L)))
     return float(np.abs(poles - np.sort(POLES)).max())
 
 
@@ -271,7 +278,7 @@ def _robust(e: Evidence) -> Numbers:
 
 def _diverges(run: Run) -> float:
     """Return 1 where a run diverges, else 0."""
-    return float(run.diverged_at is not None)
+    return float(run.divergence_time is not None)
 
 
 def _remedies(e: Evidence) -> Numbers:
@@ -293,7 +300,9 @@ def _remedies(e: Evidence) -> Numbers:
 def _paper(e: Evidence) -> Numbers:
     """Return claims on cost and on what the paper says it compared."""
     return {
-        "practical": Measured(_one(operations(printed(5.0))), operations(repaired(5.0))),
+        "practical": Measured(
+            _one(operations(printed_example(5.0))), operations(repaired_example(5.0))
+        ),
         "too-slow": Measured(_one(m.rate(e.slow)), m.rate(e.repaired[0])),
         "beta": _missing("beta"),
         "compared": _missing("fuzzy", "neural", "sliding mode"),
@@ -320,7 +329,7 @@ SIMPLE: Final = 1000.0  # operations that a practical step may take
 
 def _others() -> Numbers:
     """Return claims on what others do: how much a step of theirs takes, and whether it chatters."""
-    example = repaired(5.0)
+    example = repaired_example(5.0)
     steps = {}
     for name, table in OTHERS.items():
         observer = OBSERVERS.decode_options(table)
@@ -345,7 +354,7 @@ def calm_share(switch: Callable[[float], float], gain: float = 5.0, step: float 
         gain: of the switched part
         step: of sampling [s]
     """
-    Ad, Bd, _ = zoh(matrices(printed(1.0).plant), step)
+    Ad, Bd, _ = zoh(matrices(printed_example(1.0).plant), step)
     x, inputs = np.array([1.0, 0.0]), []
     for _ in range(round(5.0 / step)):
         inputs.append(x[0] - gain * float(switch(2.0 * x[0] + x[1])))

@@ -49,7 +49,7 @@ def test_every_example_is_tested() -> None:
 @pytest.mark.parametrize("name", sorted(path.stem for path in FOLDER.glob("*.toml")))
 def test_runs_to_the_end(name: str) -> None:
     result = run(name)
-    assert result.diverged_at is None
+    assert result.divergence_time is None
     assert np.isfinite(result.rms_tracking)
 
 

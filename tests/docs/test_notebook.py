@@ -140,7 +140,7 @@ def test_a_bar_counts_and_says_how_fast(monkeypatch: pytest.MonkeyPatch) -> None
             drawn.append(())
 
     monkeypatch.setattr(progress, "PATIENCE", 0.0)
-    with progress._shown(Place(), "running", 10, "runs") as advance:
+    with progress._show_bar(Place(), "running", 10, "runs") as advance:
         advance(3)
         advance(4)
     assert drawn.pop() == ()
@@ -152,5 +152,5 @@ def test_a_bar_counts_and_says_how_fast(monkeypatch: pytest.MonkeyPatch) -> None
 
 def test_no_bar_before_patience_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(progress, "PATIENCE", 1e9)
-    with progress._shown(progress._Page(), "running", 10, None) as advance:
+    with progress._show_bar(progress._Page(), "running", 10, None) as advance:
         advance(10)

@@ -22,7 +22,7 @@ from undeadzone.analysis.convergence.falsify import falsify
 from undeadzone.analysis.dissipation import _lyapunov
 from undeadzone.analysis.identifiability.disturbance import unknown_bias
 from undeadzone.analysis.identifiability.linear import reaching
-from undeadzone.analysis.identifiability.linearised_run import _run
+from undeadzone.analysis.identifiability.linearised_run import _simulate_derivatives
 from undeadzone.errors import InputError
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.linalg.riccati import riccati
@@ -31,11 +31,11 @@ from undeadzone.nonlinearities.sensor import Sensor, resolve
 from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.numerics.optimise import evolve, pareto
 from undeadzone.observers import Certified
-from undeadzone.observers.adaptive.adaptation_laws import bounded_widths
+from undeadzone.observers.adaptive.adaptation_laws import initial_widths_and_bound
 from undeadzone.observers.filtering.consistency import log_density
-from undeadzone.observers.filtering.gaussian_filter import FAR, clipped
+from undeadzone.observers.filtering.gaussian_filter import FAR, clip_widths
 from undeadzone.observers.filtering.prior import Assumptions, build_prior
-from undeadzone.plants.system import sampled
+from undeadzone.plants.system import sample_plant
 from undeadzone.signals.exosystem import Random
 from undeadzone_arena.observers.parts import interval_step
 
@@ -70,7 +70,7 @@ def test_a_width_beyond_its_range_refutes_the_claims_and_gains_variance(
 ) -> None:
     q: Any = SimpleNamespace(ranges=np.array([[0.0, 3.0]]))
     belief = Gaussian(ca.SX([0.0, 3.0 + excess]), ca.SX(np.diag([1.0, 1 / FAR**2])))
-    shown, consistent = clipped(1, q, belief, doubts=True)
+    shown, consistent = clip_widths(1, q, belief, doubts=True)
     variance = 1 / FAR**2 + (excess**2 if refuted else 0.0)
     np.testing.assert_allclose(ca.DM(shown.mean).full().ravel(), [0.0, 3.0])
     np.testing.assert_allclose(np.diag(ca.DM(shown.cov).full()), [1.0, variance])
@@ -79,7 +79,7 @@ def test_a_width_beyond_its_range_refutes_the_claims_and_gains_variance(
 
 def test_a_bound_of_widths_must_be_positive_for_each_output() -> None:
     with pytest.raises(InputError, match="must be positive, found -1"):
-        bounded_widths(0.0, [3.0, -1.0], 2)
+        initial_widths_and_bound(0.0, [3.0, -1.0], 2)
 
 
 @pytest.mark.parametrize("unit", [1e-9, 1e-3, 1e3, 1e9])
@@ -112,7 +112,7 @@ def test_a_gain_to_three_times_the_output_is_three_times_the_gain() -> None:
 def test_a_run_ends_where_one_entry_of_a_derivative_is_not_finite(part: str) -> None:
     steps, outputs = np.zeros((5, 2, 4)), np.zeros((5, 1, 4))
     {"steps": steps, "outputs": outputs}[part][3, 0, 1] = np.nan
-    cut = _run(steps, outputs, np.arange(5), 1e-9)
+    cut = _simulate_derivatives(steps, outputs, np.arange(5), 1e-9)
     assert len(cut.steps) == len(cut.outputs) == 3
 
 
@@ -176,7 +176,7 @@ def test_newton_refines_a_riccati_solution() -> None:
 
 
 def test_the_least_noise_is_a_share_of_the_wider_range() -> None:
-    model = sampled(PAPER_PLANT, 0.01)
+    model = sample_plant(PAPER_PLANT, 0.01)
     sensor = resolve(Sensor(right=0.5, left=0.5), 1, 0.01)
     for right, left in (([0.0, 1.0], [0.0, 3.0]), ([0.0, 3.0], [0.0, 1.0])):
         claimed = build_prior(

@@ -12,7 +12,7 @@ from scipy.stats import norm
 from test_identifiability import visiting
 
 from scenes import PAPER_PLANT, linear
-from undeadzone.analysis.branch_schedule import arriving, recorded
+from undeadzone.analysis.branch_schedule import arriving, schedule_of_record
 from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.analysis.convergence import trajectories
 from undeadzone.analysis.convergence.floquet import spans
@@ -34,12 +34,12 @@ from undeadzone.observers.adaptive.adaptation_laws import e_modification_move
 from undeadzone.observers.adaptive.branch_observer import correct_jump
 from undeadzone.observers.filtering.augmented_state import agitation
 from undeadzone.observers.filtering.consistency import LOST, widen_intervals
-from undeadzone.observers.filtering.constant_states import against_friction, informed
+from undeadzone.observers.filtering.constant_states import against_friction, width_correlation
 from undeadzone.observers.filtering.innovation_tests import start_scores
 from undeadzone.observers.filtering.measurement_update import downweight_outliers
-from undeadzone.observers.filtering.prior import _claimed_noise as claimed_noise
+from undeadzone.observers.filtering.prior import _require_noise as claimed_noise
 from undeadzone.observers.filtering.unknown_inputs import span
-from undeadzone.plants.system import sampled
+from undeadzone.plants.system import sample_plant
 from undeadzone_arena.observers.parts import learned_residual
 from undeadzone_arena.observers.parts.boxes import cut
 from undeadzone_arena.observers.parts.joint_claims import (
@@ -81,7 +81,7 @@ def test_readings_without_noise_are_as_exact_as_the_larger_edge(larger: int) -> 
 def test_a_recorded_side_changes_half_way_between_two_samples() -> None:
     sensor = resolve(Sensor(right=1.0, left=1.0), 1, 0.1)
     z = np.array([0.0, 0.0, 0.0, 3.0, 3.0, -3.0, -3.0])[:, None]
-    schedule = recorded(z, sensor, 0.1, None)
+    schedule = schedule_of_record(z, sensor, 0.1, None)
     np.testing.assert_allclose(schedule.sides[:, 0], [0.0, 1.0, -1.0])
     np.testing.assert_allclose(schedule.spans, [0.25, 0.2, 0.15], rtol=1e-12)
 
@@ -168,7 +168,7 @@ def test_unknowns_behind_gaps_are_taken_for_told() -> None:
     zones = SimpleNamespace(middle=np.zeros(2))
     doubt = SimpleNamespace(std=np.ones(3))
     q: Any = SimpleNamespace(doubt=doubt, gaps=SimpleNamespace(std=np.ones(1)), zones=zones)
-    told = ca.DM(informed(q, model, cov)).full()[:, 0]
+    told = ca.DM(width_correlation(q, model, cov)).full()[:, 0]
     np.testing.assert_allclose(told, [1.0, 0.5, 0.0, 1.0, np.sqrt(0.5), 1.0, 1.0])
 
 
@@ -236,7 +236,7 @@ def test_a_reading_beyond_all_numbers_is_trusted_in_nothing() -> None:
 
 def test_no_edge_lies_below_0() -> None:
     with pytest.raises(InputError, match=r"observer\.right: a range \[lo, hi\] must have 0 <= lo"):
-        Kalman(right=[-1.0, 2.0], left=[0.0, 2.0]).build(sampled(PAPER_PLANT, 0.01), ZONE)
+        Kalman(right=[-1.0, 2.0], left=[0.0, 2.0]).build(sample_plant(PAPER_PLANT, 0.01), ZONE)
 
 
 @pytest.mark.parametrize("window", [2, 4])
@@ -326,7 +326,7 @@ def test_one_stable_pole_does_not_make_the_sampled_gain_of_34_stable() -> None:
 def test_the_noise_of_crowded_readings_grows_with_their_root(times: int) -> None:
     """`times` CROWD readings in a quarter period of the paper's plant, pi / 2 s."""
     plant = linear([[0.0, 1.0], [-1.0, -2.0]], [[0.0], [1.0]], [[1.0, 0.0]])
-    model = sampled(plant, np.pi / 2 / (times * CROWD))
+    model = sample_plant(plant, np.pi / 2 / (times * CROWD))
     sensor = resolve(Sensor(right=1.0, left=1.0), 1, 1e-2)
     claims, defaults = JointClaims(right=[0.0, 2.0]), Defaults(0.1, 0.0, 1.0)
     found = joint_prior(claims, model, sensor, defaults)
@@ -337,7 +337,7 @@ def test_the_default_disturbance_is_that_of_the_output_that_it_moves_most() -> N
     both = []
     for C in ([[1.0, 0.0], [0.0, 0.1]], [[2.0, 0.0], [0.0, 0.1]], [[1.0, 0.0], [0.0, 0.05]]):
         plant = linear([[-1.0, 0.0], [0.0, -1.0]], [[1.0], [1.0]], C)
-        both.append(float(agitation(sampled(plant, 0.01), 1.0)[0]))
+        both.append(float(agitation(sample_plant(plant, 0.01), 1.0)[0]))
     assert both[1] == pytest.approx(both[0] / 2)
     assert both[2] == pytest.approx(both[0])
 

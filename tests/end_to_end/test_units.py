@@ -13,12 +13,12 @@ from scipy.linalg import expm
 
 import undeadzone as uz
 from undeadzone.ensemble.metrics import Tally, rows
-from undeadzone.linalg.hold import sampled_noise, zoh, zoh_slopes
+from undeadzone.linalg.hold import discrete_noise_covariance, zoh, zoh_slopes
 from undeadzone.linalg.matrices import Matrices, companion
 from undeadzone.nonlinearities.sensor import resolve
 from undeadzone.observers.filtering.prior import Assumptions, build_prior
 from undeadzone.plants.build import system
-from undeadzone.plants.system import pace, rates_of_motion, sampled, state_units, time_scale
+from undeadzone.plants.system import pace, rates_of_motion, sample_plant, state_units, time_scale
 from undeadzone.results.scales import plant_scales
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
@@ -140,8 +140,8 @@ def test_sampling_does_not_depend_on_units(seed: int, n: int, decades: float, st
             zoh_slopes(np.hstack(other[:2]), [direction * both / time], Ts * time),
         ),
         (
-            sampled_noise(usual.A, W, Ts)[1] / np.outer(states, states),
-            sampled_noise(other.A, W / np.outer(states, states) / time, Ts * time)[1],
+            discrete_noise_covariance(usual.A, W, Ts)[1] / np.outer(states, states),
+            discrete_noise_covariance(other.A, W / np.outer(states, states) / time, Ts * time)[1],
         ),
     ]
     scales = [square, across, both, 1 / np.outer(states, states)]
@@ -213,7 +213,7 @@ def test_a_chain_of_integrators_has_the_time_of_its_samples(time: float) -> None
     built = []
     for unit in (1.0, time):
         plant = uz.Plant(A=chain.A, B=chain.B / unit**2, C=chain.C)
-        model = sampled(system(plant), 0.01 * unit)
+        model = sample_plant(system(plant), 0.01 * unit)
         sensor = resolve(uz.Sensor(right=1.0, left=1.0, noise=0.1), 1, 0.01 * unit)
         prior = build_prior(Assumptions(right=[0.0, 2.0]), model, sensor, wear=0.1)
         built.append(prior)

@@ -17,31 +17,40 @@ from undeadzone.analysis.branch_schedule import reading
 from undeadzone.analysis.certificate.nearest import _resolvent
 from undeadzone.analysis.dissipation import _definite
 from undeadzone.analysis.error_dynamics import adaptation
-from undeadzone.analysis.identifiability.flanks import visited
+from undeadzone.analysis.identifiability.flanks import visited_flanks
 from undeadzone.analysis.identifiability.information import Readings
 from undeadzone.analysis.identifiability.linear import invisible
-from undeadzone.analysis.identifiability.play_and_zone import _unturned, beforehand_of_gaps
+from undeadzone.analysis.identifiability.play_and_zone import (
+    _single_contact_reason,
+    beforehand_of_gaps,
+)
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Reading
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.nonlinearities.sensor import Sensor, resolve
-from undeadzone.numerics.gaussian import Bound, Gaussian, cut
+from undeadzone.numerics.gaussian import Bound, Gaussian, truncate_belief
 from undeadzone.observers.adaptive.adaptation_laws import LeastSquares
-from undeadzone.observers.adaptive.output_error import adapted
-from undeadzone.observers.contact_filter.drive import _moved, _span, drive_of, posture, together
+from undeadzone.observers.adaptive.output_error import require_widths_and_gain
+from undeadzone.observers.contact_filter.drive import (
+    _link_accelerations,
+    _span,
+    drive_of,
+    posture,
+    together,
+)
 from undeadzone.observers.contact_filter.modes import Layout, Posterior, condition_on_impact
 from undeadzone.observers.filtering.constant_states import with_friction
-from undeadzone.observers.filtering.gaussian_filter import FAR, clipped, excess_alone
+from undeadzone.observers.filtering.gaussian_filter import FAR, clip_widths, excess_alone
 from undeadzone.observers.filtering.innovation_tests import (
     FORETOLD,
     squares,
     start_scores,
     update_scores,
 )
-from undeadzone.observers.filtering.motion_detection import followed
+from undeadzone.observers.filtering.motion_detection import follow_level
 from undeadzone.observers.filtering.prior import _ranges
 from undeadzone.plants.robots.build import two_link
-from undeadzone.plants.robots.geared import Gears, geared_motion
+from undeadzone.plants.robots.geared import Gears, motion_of_geared_arm
 
 
 def test_a_range_below_0_of_one_output_is_refused() -> None:
@@ -90,7 +99,7 @@ def test_a_width_far_beyond_its_range_refutes_its_claim(
     q: Any = SimpleNamespace(ranges=np.array([[0.0, 2.0]]))
     excess = times * FAR * std
     belief = Gaussian(ca.SX([0.0, 2.0 + excess]), ca.diag(ca.SX([1.0, std**2])))
-    after, _ = clipped(1, q, belief, doubts=True)
+    after, _ = clip_widths(1, q, belief, doubts=True)
     assert float(after.mean[1]) == 2.0
     assert float(after.cov[1, 1]) == pytest.approx(std**2 + gained * excess**2)
 
@@ -99,7 +108,7 @@ def test_a_bound_that_is_no_fake_cuts_as_a_truncated_normal() -> None:
     mean, std, end = 0.3, 0.8, 0.5
     belief = Gaussian(ca.SX([mean]), ca.SX([[std**2]]))
     bound = Bound(ca.SX([[1.0]]), mean - end, 1.0)
-    after = cut(belief, [bound], 0.0, 10.0).belief
+    after = truncate_belief(belief, [bound], 0.0, 10.0).belief
     exact = truncnorm(-np.inf, (end - mean) / std, mean, std)
     assert float(after.mean) == pytest.approx(exact.mean(), rel=1e-9)
     assert float(after.cov) == pytest.approx(exact.var(), rel=1e-9)
@@ -111,7 +120,7 @@ def test_a_line_goes_through_the_first_two_readings() -> None:
     level, slope, known = ca.SX(1, 1), ca.SX(1, 1), ca.SX(1, 1)
     for y in (2.0, 5.0, 8.0):
         state: Any = SimpleNamespace(level=level, slope=slope, known=known)
-        level, slope, known = followed(sensor, q, state, ca.SX(y), ca.SX(1.0))
+        level, slope, known = follow_level(sensor, q, state, ca.SX(y), ca.SX(1.0))
         assert float(level) == pytest.approx(y)
     assert float(slope) == pytest.approx(3.0)
     assert float(known) == 3.0
@@ -121,7 +130,7 @@ def test_a_line_rests_on_one_reading_less_where_one_is_missing() -> None:
     sensor: Any = SimpleNamespace(noise=np.array([0.1]))
     q: Any = SimpleNamespace(gains=(0.01, 0.0001), window=50.0)
     state: Any = SimpleNamespace(level=ca.SX(8.0), slope=ca.SX(3.0), known=ca.SX(3.0))
-    level, slope, known = followed(sensor, q, state, ca.SX(0.0), ca.SX(0.0))
+    level, slope, known = follow_level(sensor, q, state, ca.SX(0.0), ca.SX(0.0))
     assert [float(level), float(slope), float(known)] == [11.0, 3.0, 2.0]
 
 
@@ -129,7 +138,7 @@ def test_a_jump_sensor_adapts_no_width_of_any_output() -> None:
     model: Any = SimpleNamespace(p=2)
     sensor: Any = SimpleNamespace(kind="jump")
     with pytest.raises(InputError, match="leave gamma out"):
-        adapted([1.0, 0.0], 0.0, None, model, sensor)
+        require_widths_and_gain([1.0, 0.0], 0.0, None, model, sensor)
 
 
 def test_least_squares_are_never_set_back_unless_asked() -> None:
@@ -148,13 +157,13 @@ def test_friction_of_one_of_two_loads_that_is_not_known_becomes_an_unknown() -> 
     assert np.diag(found["cov"]) == pytest.approx([0.09, 0.0])
 
 
-GEARS = geared_motion(two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
+GEARS = motion_of_geared_arm(two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
 
 
 def test_a_link_moves_the_motors_that_others_touch() -> None:
     mean = ca.DM([0.3, 0.8, 0.3, 0.8, *[0.0] * 17])
     arm = posture(GEARS, GEARS.values, mean, ca.DM.zeros(2))
-    moved = np.asarray(ca.evalf(_moved(arm, ca.SX([0.5, 1.0]))))
+    moved = np.asarray(ca.evalf(_link_accelerations(arm, ca.SX([0.5, 1.0]))))
     mass = np.asarray(ca.evalf(ca.SX(arm.mass)))
     first = np.linalg.inv(mass + np.diag([0.0, 0.03]))[0]
     second = np.linalg.inv(mass + np.diag([0.5 * 0.08, 0.0]))[1]
@@ -209,7 +218,7 @@ def test_scores_of_small_inputs_are_normal_numbers_too() -> None:
 def test_a_bound_that_is_not_heard_is_as_likely_as_not() -> None:
     belief = Gaussian(ca.SX([0.0]), ca.SX([[1.0]]))
     silent = Bound(ca.SX([[1.0]]), 0.0, 0.0)
-    assert float(cut(belief, [silent], 0.0, 10.0, fake=ca.SX(-3.0)).likely) == 1.0
+    assert float(truncate_belief(belief, [silent], 0.0, 10.0, fake=ca.SX(-3.0)).likely) == 1.0
 
 
 @pytest.mark.parametrize(("side", "seen"), [(0, "right"), (1, "left")])
@@ -218,7 +227,7 @@ def test_an_output_that_is_read_in_one_contact_alone_is_told_so(side: int, seen:
     schedule: Any = None
     read = np.zeros((2, 2), bool)
     read[side, 1] = True
-    (words,) = _unturned(schedule, read, 0)
+    (words,) = _single_contact_reason(schedule, read, 0)
     assert f"while it moves {seen} alone" in words
 
 
@@ -247,7 +256,7 @@ def test_readings_of_a_play_end_at_both_ends_of_their_range() -> None:
 
 def test_a_load_of_one_sign_presses_on_one_flank() -> None:
     tau = np.concatenate([np.zeros(500), np.ones(500), np.zeros(500)])[:, None]
-    (found,) = visited(tau, 0.01, np.array([0.1]))
+    (found,) = visited_flanks(tau, 0.01, np.array([0.1]))
     assert found == (True, False, 0)
 
 
@@ -265,7 +274,7 @@ def test_a_jump_tells_nothing_of_widths_by_its_readings() -> None:
     hidden = invisible(PAPER_PLANT.linear, np.array([[True, True]]), jump=True)
     assert not hidden.width(0, "right")
     assert not hidden.width(0, "left")
-    seen = invisible(PAPER_PLANT.linear, visiting([True], [True]).visited(2), jump=False)
+    seen = invisible(PAPER_PLANT.linear, visiting([True], [True]).visited_sides(2), jump=False)
     assert seen.width(0, "right")
 
 

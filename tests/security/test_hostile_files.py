@@ -25,7 +25,7 @@ from undeadzone.plants.robots import urdf_elements
 from undeadzone.report.html import page, table
 from undeadzone.report.style import plain
 from undeadzone.results.run import Run
-from undeadzone.scenario.reader import confined, parse, read
+from undeadzone.scenario.reader import confine_files, parse, read
 from undeadzone.signals.exosystem import read_csv
 from undeadzone.simulation.simulate import compare, simulate
 from undeadzone.util import files
@@ -185,11 +185,11 @@ def special(folder: Path) -> dict[Path, str]:
 READERS = {
     "scenario": read,
     "signal": lambda path: read_csv("reference", str(path), 1),
-    "urdf": urdf_elements.read,
+    "urdf": urdf_elements.read_urdf,
     "design": Design.load,
     "run": Run.load,
     "log": read_log,
-    "ensemble": saved.read,
+    "ensemble": saved.read_ensemble,
     "journal": lambda path: journal.start(path, Layout(10, ("a",), 10, {})),
 }
 
@@ -294,7 +294,7 @@ def test_a_confined_scenario_keeps_the_files_inside(tmp_path: Path) -> None:
     (tmp_path / "link.csv").symlink_to("r.csv")
     mine = scenario(tmp_path, names("link.csv")["reference.path"])
     assert read(mine, tmp_path).reference.path == str((tmp_path / "r.csv").resolve())
-    assert confined(parse(SCENARIO.replace("'", '"').replace("\x1b", "")), tmp_path)
+    assert confine_files(parse(SCENARIO.replace("'", '"').replace("\x1b", "")), tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ import pytest
 from scipy.io import savemat
 from tests.traps import COMMAND, SHORT, TRAP, TRAPS
 
-from undeadzone.cli.ending import ended
+from undeadzone.cli.ending import run_to_exit_code
 from undeadzone.errors import FileError, InputError
 from undeadzone.logs import whole
 from undeadzone.scenario.reader import parse, read
@@ -174,5 +174,5 @@ def test_memory_that_runs_out_later_is_bad_input(
     def command() -> None:
         raise error
 
-    assert ended(command) == 2
+    assert run_to_exit_code(command) == 2
     assert "memory ran out" in capsys.readouterr().err

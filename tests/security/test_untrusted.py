@@ -17,7 +17,7 @@ from test_hostile_folder import ran
 from tests.traps import SHORT, TRAP, TRAPS
 
 from commands import forked
-from undeadzone.cli.untrusted import _landlocked
+from undeadzone.cli.untrusted import _restrict_files
 from undeadzone.errors import InputError
 from undeadzone.scenario.reader import read
 
@@ -185,7 +185,7 @@ def test_files_with_further_names_are_refused_by_confine_too(folder: Path) -> No
 
 def test_a_system_without_landlock_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "platform", "darwin")
-    assert not _landlocked([Path.cwd()], [])
+    assert not _restrict_files([Path.cwd()], [])
 
 
 def test_a_page_and_a_state_are_written_beside_themselves(folder: Path, tmp_path: Path) -> None:

@@ -10,11 +10,11 @@ import undeadzone as uz
 from scenes import PAPER_PLANT
 from undeadzone.interfaces import COLUMNS, Estimate, Observer, Reading
 from undeadzone.nonlinearities.sensor import Zone, resolve
-from undeadzone.plants.system import System, sampled
+from undeadzone.plants.system import System, sample_plant
 from undeadzone.util import tree
 
 CONTINUOUS = PAPER_PLANT
-SAMPLED = sampled(PAPER_PLANT, 0.01)
+SAMPLED = sample_plant(PAPER_PLANT, 0.01)
 
 
 def zone(model: System) -> Zone:

@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 
 from scenes import scene, slopes
 from undeadzone.cli import group
-from undeadzone.ensemble.binding import bind, drawn
+from undeadzone.ensemble.binding import bind, draw_values
 from undeadzone.errors import FileError, InputError
 from undeadzone.observers.luenberger import Luenberger
 from undeadzone.registry import OBSERVERS
@@ -30,14 +30,14 @@ from undeadzone.scenario.reader import read
 from undeadzone.scenario.schema import Scenario
 from undeadzone.signals import noise
 from undeadzone.simulation import exogenous as inputs
-from undeadzone.simulation.simulate import closed, simulate
+from undeadzone.simulation.simulate import close_problem, simulate
 from undeadzone.util import toml
 from undeadzone_arena.contest import leaderboard
 from undeadzone_arena.contest import tune as tuning
 from undeadzone_arena.contest import tuned_file as tuned
 from undeadzone_arena.contest.contest import arena, run_contest
-from undeadzone_arena.contest.entry import entered, numbers
-from undeadzone_arena.contest.leaderboard import CAP, bounded, intervals, regrets
+from undeadzone_arena.contest.entry import enter_method, numbers
+from undeadzone_arena.contest.leaderboard import CAP, bound_regret, intervals, regrets
 from undeadzone_arena.contest.methods import METHODS, catalogue, fitting, middle
 from undeadzone_arena.contest.metric import Result, Worth
 from undeadzone_arena.contest.page import arena_page, figures
@@ -168,8 +168,8 @@ def test_an_ensemble_draws_lost_readings_and_wear_as_single_runs_do() -> None:
         small(sensor={"noise": 0.02, "dropout": 0.3, "drift": 0.1}), ensemble=Vary(runs=4)
     )
     problem = resolve_scenario(scenario)
-    loop = closed(problem)
-    own = drawn(problem, loop, bind(problem, loop))
+    loop = close_problem(problem)
+    own = draw_values(problem, loop, bind(problem, loop))
     runs = np.array([3, 0])
     supply = own.supply(runs)
     assert supply is not None
@@ -286,7 +286,7 @@ def test_no_contestant_is_told_the_truth(name: str) -> None:
     """Other widths and another plant behind the same model leave its options as they are."""
 
     def options(scenario: Scenario) -> str:
-        found = entered(METHODS[name], situation(scenario))
+        found = enter_method(METHODS[name], situation(scenario))
         return repr(
             [
                 msgspec.to_builtins(part, enc_hook=lambda number: number.tolist())
@@ -369,7 +369,7 @@ def test_a_run_is_worth_what_its_signals_say() -> None:
         )
     )
     worth = trial("ekf", METHODS["ekf"], "small", ground, [5])[0].worth
-    scenario = entered(METHODS["ekf"], ground)
+    scenario = enter_method(METHODS["ekf"], ground)
     run = simulate(
         msgspec.structs.replace(
             scenario, simulation=msgspec.structs.replace(scenario.simulation, seed=5)
@@ -495,7 +495,7 @@ def test_the_smaller_error_ranks_ahead_whatever_the_lines_do(
 
 def test_regrets_are_themselves_while_they_are_small() -> None:
     values = np.array([-7.0, -5.0, 0.0, 0.3, 5.0, 5.001, 50.0, np.inf])
-    found = bounded(values)
+    found = bound_regret(values)
     assert np.array_equal(found[1:5], values[1:5])
     assert (np.diff(found) > 0).all()
     assert found[-1] == CAP

@@ -26,7 +26,7 @@ from undeadzone.linalg.matrices import Matrices
 from undeadzone.linalg.riccati import fast_gain
 from undeadzone.nonlinearities import sensor
 from undeadzone.nonlinearities.sensor import Sensor, Zone, resolve
-from undeadzone.plants.system import System, fastest_pole, sampled
+from undeadzone.plants.system import System, fastest_pole, sample_plant
 from undeadzone.results.run import Run
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.simulation.simulate import prepare, simulate
@@ -169,7 +169,7 @@ def test_a_speed_moves_every_pole_left_of_half_of_it(
     seed: int, n: int, p: int, stable: bool, in_samples: bool
 ) -> None:
     flow = random_plant(np.random.default_rng(seed), n, 1, p, stable)
-    model = sampled(flow, 0.01) if in_samples else flow
+    model = sample_plant(flow, 0.01) if in_samples else flow
     speed = 10 * fastest_pole(model)
     A, _, C = model.linear
     poles = np.linalg.eigvals(A - fast_gain(model.linear, speed, model.Ts) @ C)
@@ -179,7 +179,7 @@ def test_a_speed_moves_every_pole_left_of_half_of_it(
 
 def test_slow_poles_are_mirrored() -> None:
     """A - L C of the least gain: -1, -1 become -speed + 1, twice."""
-    for model in (PAPER_PLANT, sampled(PAPER_PLANT, 1e-3)):
+    for model in (PAPER_PLANT, sample_plant(PAPER_PLANT, 1e-3)):
         A, _, C = model.linear
         polynomial = np.poly(A - fast_gain(model.linear, 20.0, model.Ts) @ C)
         pole = -19.0 if model.Ts is None else np.exp(-0.019)
@@ -188,7 +188,7 @@ def test_slow_poles_are_mirrored() -> None:
 
 def test_one_of_L_poles_speed() -> None:
     L = np.array([1.0, 2.0])
-    assert injection(sampled(PAPER_PLANT, 0.1), L, None, None, 1.0).ravel() == pytest.approx(
+    assert injection(sample_plant(PAPER_PLANT, 0.1), L, None, None, 1.0).ravel() == pytest.approx(
         L * 0.1
     )
     assert injection(PAPER_PLANT, None, [-4.0, -10.0], None, 1.0).ravel() == pytest.approx([12, 15])
@@ -251,7 +251,7 @@ def test_adaptive_inverse_is_the_augmented_error_gradient(
     """
     rng = np.random.default_rng(seed)
     Ts, gain = 0.1, 7.0
-    model = sampled(random_plant(rng, n, 1, p), Ts)
+    model = sample_plant(random_plant(rng, n, 1, p), Ts)
     where = zone(p, right=0.3, left=0.2)
     L = fast_gain(model.linear, 5.0, Ts)
     readings = recorded(rng, model, where, 30)
@@ -292,7 +292,7 @@ def test_least_squares_is_the_batch_solution(seed: int, n: int, p: int) -> None:
     """min Ts sum |eta - zeta d|^2 + |d - d(0)|^2 / gain, without forgetting."""
     rng = np.random.default_rng(seed)
     Ts, gain = 0.1, 30.0
-    model, where = sampled(random_plant(rng, n, 1, p), Ts), zone(p, right=0.3, left=0.2)
+    model, where = sample_plant(random_plant(rng, n, 1, p), Ts), zone(p, right=0.3, left=0.2)
     L = fast_gain(model.linear, 5.0, Ts)
     readings = recorded(rng, model, where, 40)
     numbers = Numbers(
@@ -314,7 +314,7 @@ def test_least_squares_is_the_batch_solution(seed: int, n: int, p: int) -> None:
 
 
 def test_forgetting_leads_back_to_the_first_spread_and_not_beyond() -> None:
-    model = sampled(PAPER_PLANT, 0.01)
+    model = sample_plant(PAPER_PLANT, 0.01)
     numbers = Numbers(
         AdaptiveInverse(law="least_squares", gain=40.0, forgetting=5.0).build(model, zone()), model
     )
@@ -327,7 +327,7 @@ def test_forgetting_leads_back_to_the_first_spread_and_not_beyond() -> None:
 
 def test_one_jump_function_is_the_adaptive_inverse() -> None:
     common: dict[str, Any] = {"poles": [-5.0, -6.0], "gain": 9.0}
-    for model in (PAPER_PLANT, sampled(PAPER_PLANT, 0.02)):
+    for model in (PAPER_PLANT, sample_plant(PAPER_PLANT, 0.02)):
         inverse, network = (
             Numbers(o.build(model, zone()), model)
             for o in (AdaptiveInverse(**common), InverseNetwork(scale=1.0, functions=1, **common))
@@ -367,7 +367,7 @@ def test_true_widths_that_do_not_move_are_the_oracle() -> None:
 @pytest.mark.parametrize("name", RIVALS)
 @pytest.mark.parametrize(
     "model",
-    [PAPER_PLANT, sampled(PAPER_PLANT, 0.01), TWO, sampled(TWO, 0.01)],
+    [PAPER_PLANT, sample_plant(PAPER_PLANT, 0.01), TWO, sample_plant(TWO, 0.01)],
     ids=["flow", "sampled", "two", "two sampled"],
 )
 def test_a_missing_sample_is_a_pure_prediction(name: str, model: System) -> None:
@@ -385,7 +385,7 @@ def test_a_missing_sample_is_a_pure_prediction(name: str, model: System) -> None
 
 @pytest.mark.parametrize("name", RIVALS)
 def test_estimates_do_not_depend_on_the_input_of_the_moment(name: str) -> None:
-    for model in (PAPER_PLANT, sampled(PAPER_PLANT, 0.01)):
+    for model in (PAPER_PLANT, sample_plant(PAPER_PLANT, 0.01)):
         one, other = (Numbers(RIVALS[name].build(model, zone()), model) for _ in range(2))
         one.state = other.state = np.linspace(0.1, 1, one.state.size)
         assert (
@@ -401,7 +401,7 @@ def test_sampled_steps_tend_to_the_derivative(name: str) -> None:
     start = np.abs(np.random.default_rng(2).normal(size=flow.state.size))
     gaps = []
     for Ts in (1e-3, 1e-4):
-        model = sampled(PAPER_PLANT, Ts)
+        model = sample_plant(PAPER_PLANT, Ts)
         numbers = Numbers(RIVALS[name].build(model, zone()), model)
         flow.state, numbers.state = start, start
         flow(2.0, 0.8, 1.0)
@@ -646,7 +646,7 @@ def test_relative_degree_counts_derivatives(seed: int, n: int) -> None:
 def test_output_feedback_law_on_numbers(Ts: float | None) -> None:
     """b u = r'' - W'phi - L_2 e - c^2 E_1 - 2 c E_2, W' = gain phi (c E_1 + E_2) - leak W."""
     model = linear([[0.0, 1.0], [-3.0, -2.0]], [[0.0], [2.0]], [[1.0, 0.0]])
-    model = model if Ts is None else sampled(model, Ts)
+    model = model if Ts is None else sample_plant(model, Ts)
     reach, c, speed, gain, leak = np.array([2.0, 4.0]), 3.0, 10.0, 5.0, 0.1
     controller = TaylorFeedback(
         reach=reach, degree=2, speed=speed, bandwidth=c, gain=gain, leak=leak
@@ -760,7 +760,7 @@ def test_output_feedback_says_where_it_does_not_apply(
 )
 def test_wrong_options(options: Any, error: type[Exception], words: str) -> None:
     with pytest.raises(error, match=words):
-        options.build(sampled(PAPER_PLANT, 0.01), zone())
+        options.build(sample_plant(PAPER_PLANT, 0.01), zone())
 
 
 def test_a_robust_term_needs_inputs_that_move_the_outputs() -> None:

@@ -33,7 +33,7 @@ from undeadzone.observers import HighGain
 from undeadzone.observers.full_state import FullState
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
-from undeadzone.plants.system import System, sampled
+from undeadzone.plants.system import System, sample_plant
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.simulate import outputs_of, prepare, simulate
@@ -107,7 +107,7 @@ def test_interval_holds_the_truth_of_any_plant(
     rng = np.random.default_rng(seed)
     p, Ts, m = min(n, p), 0.02, 1.7
     flow = random_plant(rng, n, 1, p, stable)
-    model = sampled(flow, Ts)
+    model = sample_plant(flow, Ts)
     K = np.zeros((1, n)) if stable else state_gain(model.linear, -np.linspace(1, 2, n), Ts)
     right, left, x = rng.uniform(0.3, 2, p), rng.uniform(0.3, 2, p), rng.uniform(-3, 3, n)
     kind = "jump" if jump else "deadzone"
@@ -186,7 +186,7 @@ def test_interval_without_disturbance_finds_the_widths(time: str) -> None:
 
 
 def test_interval_starts_anew_where_declared_bounds_contradict_each_other() -> None:
-    model = sampled(PAPER_PLANT, 0.01)
+    model = sample_plant(PAPER_PLANT, 0.01)
     built = Interval(right=[0.3, 2.0], x_max=1.0).build(model, zone())
     state, step = stepper(built, model)
     for _ in range(500):
@@ -201,7 +201,7 @@ def test_interval_starts_anew_where_declared_bounds_contradict_each_other() -> N
 def test_interval_is_as_wide_as_the_worst_disturbance_makes_it() -> None:
     """Of first order and unread, the bound is met: |x - x^| = w (1 - e^(-a t)) / a."""
     a, Ts, bound = 0.7, 0.1, 0.3
-    model = sampled(linear([[-a]], [[1.0]], [[1.0]]), Ts)
+    model = sample_plant(linear([[-a]], [[1.0]], [[1.0]]), Ts)
     state, step = stepper(
         Interval(right=[0.3, 2.0], x_max=0.0, disturbance=bound).build(model, zone()), model
     )
@@ -218,7 +218,7 @@ def test_interval_is_as_wide_as_the_worst_disturbance_makes_it() -> None:
 def test_interval_of_an_oscillator_decays_as_it_does(Ts: float | None) -> None:
     """A box in fixed coordinates would grow: |a| - |w| < 0 here."""
     flow = linear([[0.0, 1.0], [-25.0, -0.4]], [[0.0], [1.0]], [[1.0, 0.0]])
-    model = flow if Ts is None else sampled(flow, Ts)
+    model = flow if Ts is None else sample_plant(flow, Ts)
     state, step = stepper(Interval(right=[0.3, 2.0], x_max=[0.2, 1.0]).build(model, zone()), model)
     h = 0.01 if Ts is None else Ts
     first = step(state, 0.0, np.nan, 0.0)[1].x_std
@@ -310,7 +310,7 @@ def test_super_twisting_converges_in_finite_time_with_the_order_of_its_theory(
     errors = []
     steps = [4e-3, 2e-3, 1e-3]
     for Ts in steps:
-        model = sampled(flow, Ts)
+        model = sample_plant(flow, Ts)
         state, step = stepper(
             SuperTwisting(lipschitz=20.0).build(model, zone(right=0.0, left=0.0)), model
         )
@@ -330,7 +330,7 @@ def test_super_twisting_converges_in_finite_time_with_the_order_of_its_theory(
 def test_super_twisting_of_two_outputs_and_its_linear_part() -> None:
     rng = np.random.default_rng(5)
     flow = random_plant(rng, 4, 1, 2)
-    model = sampled(flow, 1e-3)
+    model = sample_plant(flow, 1e-3)
     for options in ({}, {"speed": 3.0}):
         state, step = stepper(
             SuperTwisting(lipschitz=[400.0, 400.0], **options).build(
@@ -352,7 +352,7 @@ def test_on_the_sliding_mode_errors_decay(seed: int, n: int, p: int, in_samples:
     rng = np.random.default_rng(seed)
     p = min(p, n - 1)
     flow = random_plant(rng, n, 1, p)
-    model = sampled(flow, 1e-3) if in_samples else flow
+    model = sample_plant(flow, 1e-3) if in_samples else flow
     rates = np.abs(np.linalg.eigvals(flow.linear.A)).max() * np.linspace(1.5, 2.5, n)
     try:
         law = WalcottZak(poles=-rates).build(model, zone(p)).params
@@ -432,7 +432,7 @@ def test_high_gain_poles_of_the_papers_plant() -> None:
     assert np.poly(PAPER_PLANT.linear.A - L @ PAPER_PLANT.linear.C) == pytest.approx(
         np.poly([-1e4, -1e4]), rel=1e-3
     )
-    assert HighGain().build(sampled(PAPER_PLANT, 0.1), zone()).params.L[0] == pytest.approx(
+    assert HighGain().build(sample_plant(PAPER_PLANT, 0.1), zone()).params.L[0] == pytest.approx(
         2 / 0.4 * 0.1
     )  # no faster than four samples
 
@@ -547,7 +547,7 @@ def test_sliding_mode_is_slotine_and_lis_law() -> None:
 @pytest.mark.parametrize(("n", "m"), [(1, 1), (3, 1), (3, 2), (4, 2)])
 def test_on_the_plane_errors_have_the_poles(n: int, m: int, Ts: float | None) -> None:
     flow = random_plant(np.random.default_rng(n + m), n, m, 1, stable=False)
-    model = flow if Ts is None else sampled(flow, Ts)
+    model = flow if Ts is None else sample_plant(flow, Ts)
     poles = -np.linspace(2, 4, n - m)
     G = SlidingMode(gain=1.0, poles=poles).build(model).params.G
     A, B, _ = model.linear
@@ -564,7 +564,7 @@ def test_sliding_mode_suppresses_a_disturbance_below_its_gain(n: int) -> None:
     Above the gain it leaves the layer.
     """
     model, d, rate = (
-        sampled(random_plant(np.random.default_rng(n), n, stable=False), 1e-3),
+        sample_plant(random_plant(np.random.default_rng(n), n, stable=False), 1e-3),
         2.0,
         5.0,
     )
@@ -621,7 +621,7 @@ def test_full_state_is_the_truth_and_needs_it() -> None:
         built.step(built.params, None, ca.SX(0.0), Reading(ca.SX(0.7), ca.SX(1.0)))
 
 
-SAMPLED = sampled(PAPER_PLANT, 0.01)
+SAMPLED = sample_plant(PAPER_PLANT, 0.01)
 PENDULUM = system(Plant(states=["a", "b"], inputs=["u"], f=["b", "-sin(a) + u"], h=["a"]))
 
 

@@ -28,7 +28,7 @@ from undeadzone.observers import Kalman
 from undeadzone.observers.filtering.augmented_state import agitation, even_units, quarter_period
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
-from undeadzone.plants.system import System, sampled
+from undeadzone.plants.system import System, sample_plant
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.simulation import exogenous as inputs
 from undeadzone.simulation import sample_by_sample as live
@@ -44,7 +44,7 @@ from undeadzone_arena.observers.parts.window import Affine, Weights, Window
 
 seeds = st.integers(0, 2**32 - 1)
 TS = 0.05
-MODEL = sampled(PAPER_PLANT, TS)
+MODEL = sample_plant(PAPER_PLANT, TS)
 ALL = [EKF, UKF, Tobit, ParticleFilter, MovingHorizon]
 PENDULUM = {
     "states": ["angle", "rate"],
@@ -100,7 +100,7 @@ def same_belief(ours: Any, kalmans: Any, tolerance: float) -> None:
 @settings(max_examples=15)
 def test_the_measured_ekf_is_kalmans_filter_far_from_the_zone(seed: int, n: int, p: int) -> None:
     rng = np.random.default_rng(seed)
-    model, where = sampled(random_plant(rng, n, 1, p), TS), zone(p, slope=2.0)
+    model, where = sample_plant(random_plant(rng, n, 1, p), TS), zone(p, slope=2.0)
     claims: dict[str, Any] = {
         "right": [0.5, 2.0],
         "noise": 0.1,
@@ -136,7 +136,7 @@ def test_filters_on_the_dead_zone_are_kalmans_filter_while_belief_and_readings_s
     options: EKF | Tobit | UKF, seed: int
 ) -> None:
     rng = np.random.default_rng(seed)
-    model, where = sampled(random_plant(rng, 2, 1, 2), 0.01), zone(2)
+    model, where = sample_plant(random_plant(rng, 2, 1, 2), 0.01), zone(2)
     claims: dict[str, Any] = {
         "right": [0.5, 2.0],
         "noise": 0.1,
@@ -170,7 +170,7 @@ def test_filters_on_the_dead_zone_are_kalmans_filter_while_belief_and_readings_s
 def test_tobit_foretells_the_mean_of_the_reading_over_both_branches(z: float) -> None:
     """Beside a million draws of z, the edges and the noise; the covariance loses S K K'."""
     claims: dict[str, Any] = {"right": [0.5, 1.5], "noise": 0.2, "x_std": 0.7, "drift": 0.0}
-    model = sampled(system(Plant(A=[[-1.0]], B=[[1.0]], C=[[1.0]])), TS)
+    model = sample_plant(system(Plant(A=[[-1.0]], B=[[1.0]], C=[[1.0]])), TS)
     observer = Tobit(**claims, disturbance=0.0, glitches=0.0).build(model, zone())
     units = even_units(model)
     s = observer.init(observer.params)
@@ -203,7 +203,7 @@ def test_tobit_foretells_the_mean_of_the_reading_over_both_branches(z: float) ->
 )
 def test_the_ukf_agrees_with_filterpy(plant: System) -> None:
     kalman = pytest.importorskip("filterpy.kalman")
-    rng, model = np.random.default_rng(3), sampled(plant, TS)
+    rng, model = np.random.default_rng(3), sample_plant(plant, TS)
     observer = UKF(
         right=[0.5, 2.0],
         noise=0.1,
@@ -381,7 +381,7 @@ def test_without_active_constraints_moving_horizon_is_least_squares_over_all_of_
 ) -> None:
     """A window of 4 intervals over 9: what has left it is in its arrival cost."""
     rng = np.random.default_rng(seed)
-    model = sampled(random_plant(rng, n), TS)
+    model = sample_plant(random_plant(rng, n), TS)
     options = MovingHorizon(
         right=[20.0, 40.0],
         noise=0.3,
@@ -659,7 +659,7 @@ def test_any_plant_runs_and_its_estimates_are_finite_with_their_standard_deviati
         )
     )
     assert run.info.method == method.__struct_config__.tag
-    assert run.diverged_at is None
+    assert run.divergence_time is None
     for name in ("x_std", "d_std", "width_std", "innovation_std"):
         assert (getattr(run, name) >= 0).all(), name
     assert run.rms_estimation < 1.0
@@ -668,7 +668,7 @@ def test_any_plant_runs_and_its_estimates_are_finite_with_their_standard_deviati
 
 def test_the_default_disturbance_moves_z_as_far_as_it_says() -> None:
     for plant in (PAPER_PLANT, system(Plant(**CHAIN)), system(Plant(integrators=2))):
-        model = sampled(plant, 0.002)
+        model = sample_plant(plant, 0.002)
         A, B, C = model.linear
         at, reached = B, 0.0
         for _ in range(round(quarter_period(model) / 0.002)):

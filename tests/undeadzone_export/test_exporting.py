@@ -23,7 +23,7 @@ import undeadzone as uz
 from scenes import scene
 from tools import require
 from undeadzone.compile import elementary, lanes, scalar_step
-from undeadzone.compile.graph import needed
+from undeadzone.compile.graph import required_nodes
 from undeadzone.errors import FileError, InputError
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
@@ -86,7 +86,7 @@ def test_the_options_of_deploy_md_are_those_of_the_function(
         "joint.h", "joint.c", "joint_test.c", "Makefile", "CMakeLists.txt", "README.md",
         "manifest.json",
     }  # fmt: skip
-    assert done.passed
+    assert done.has_passed
     assert 0 < done.report["stack"] < 500
     manifest = json.loads((tmp_path / "fw" / "manifest.json").read_text())
     assert sorted(manifest["files"]) == sorted(path.name for path in done.files)
@@ -239,7 +239,7 @@ def test_tunable_numbers_are_parameters(tmp_path: Path) -> None:
     assert "float observer_gamma[1];" in text
     assert "float sensor_threshold[1];" in text
     assert "leaves what was proved" in text
-    assert done.passed
+    assert done.has_passed
     problem = resolve_scenario(certified(sensor={"threshold": 0.3}))
     step = exported_step.build(resolve_scenario(certified()), tunable=("sensor.threshold",))
     rows = selftest_vectors.record_inputs(problem, step)
@@ -335,12 +335,12 @@ def test_nothing_is_undefined(tmp_path: Path) -> None:
 def test_no_constant_overflows_or_vanishes(tmp_path: Path) -> None:
     scenario = small("sampled", observer={"method": "censored"} | OBSERVERS["censored"][1])
     step = exported_step.build(resolve_scenario(scenario))
-    assert exporting.replaced_constants(code(step, False)) == [
+    assert exporting.replacements_for_float(code(step, False)) == [
         "-1e+300: -3.3572615e+38f",
         "1e+100: 2.2533617e+38f",
         "1e+300: 3.3572615e+38f",
     ]
-    texts = {node.text for node in needed(itertools.chain(*code(step, True).results))}
+    texts = {node.text for node in required_nodes(itertools.chain(*code(step, True).results))}
     assert "nan" not in texts
 
 
@@ -374,7 +374,7 @@ def test_a_refusal_keeps_the_files_and_exits_with_1(
 ) -> None:
     monkeypatch.setattr(accuracy, "SHARE_OF_WIDTH", 0.0)
     done = uz.export(certified(), out=tmp_path / "fw", name="joint")
-    assert not done.passed
+    assert not done.has_passed
     assert "float is not enough: right" in done.report["refusals"][0]
     assert (tmp_path / "fw" / "joint.c").exists()
 
@@ -384,10 +384,10 @@ def test_without_a_compiler_float_counts_as_unmeasured(
 ) -> None:
     monkeypatch.setattr(compiler, "compiler", lambda: None)
     done = uz.export(certified(), out=tmp_path / "fw", name="joint")
-    assert not done.passed
+    assert not done.has_passed
     assert "was not measured" in done.report["refusals"][0]
     assert (tmp_path / "fw" / "joint_test.c").exists()
-    assert uz.export(certified(), out=tmp_path / "fw", name="joint", precision="double").passed
+    assert uz.export(certified(), out=tmp_path / "fw", name="joint", precision="double").has_passed
 
 
 def test_two_uncoupled_groups_have_a_smaller_triangle() -> None:
@@ -562,7 +562,7 @@ def test_exported_C_has_the_bits_of_lanes_and_of_a_live_step(observer: str, tmp_
     in_lanes, _ = lanes.run(kernel, states, rows, step.defaults)
     for lane in in_lanes:
         np.testing.assert_array_equal(lane, in_c)
-    if not elementary.called(printed.results) & OWN:
+    if not elementary.called_functions(printed.results) & OWN:
         stepper = scalar_step.CompiledStepper(function, step.start, step.defaults)
         np.testing.assert_array_equal(stepper.run(rows), in_c)
 

@@ -412,7 +412,7 @@ def test_the_command_writes_one_file_and_replaces_its_own_only(tmp_path: Path) -
     scenario, out = scene(simulation=SAMPLED), tmp_path / "new" / "page.html"
     exported = uz.export(scenario, to="page", out=out)
     assert exported.files == [out]
-    assert exported.passed
+    assert exported.has_passed
     assert exported.report["sizes"]["page"] == out.stat().st_size
     uz.export(scenario, to="page", out=out)
     foreign = tmp_path / "mine.html"

@@ -24,13 +24,18 @@ from tools import require
 from undeadzone.compile import elementary, portable_maths
 from undeadzone.compile.graph import Nodes
 from undeadzone.compile.print_c import Expressions, Style, functions
-from undeadzone.compile.print_st import ST, assigned
+from undeadzone.compile.print_st import ST, assign_number
 from undeadzone.errors import InputError
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone_export import exported_step, exporting, plc, plcopen
 from undeadzone_export.code import Code, code
-from undeadzone_export.selftest_vectors import chosen, continue_scenario, record_inputs, reference
+from undeadzone_export.selftest_vectors import (
+    choose_vectors,
+    continue_scenario,
+    record_inputs,
+    reference,
+)
 from undeadzone_export.source import Labels, source
 
 SAMPLES = 10_000
@@ -69,7 +74,9 @@ def made(scenario: Scenario, single: bool, part: str = "observer", **options: An
     step = exported_step.build(problem, part, **options)
     printed = code(step, single)
     rows = record_inputs(problem, step)
-    exported = plc.export_plc(printed, LABELS, reference(printed, chosen(rows, step.readings)))
+    exported = plc.export_plc(
+        printed, LABELS, reference(printed, choose_vectors(rows, step.readings))
+    )
     return Made(
         printed,
         source(printed, LABELS).files(),
@@ -300,7 +307,7 @@ def selftested(text: str, folder: Path, cycles: int) -> tuple[int, ...]:
 @PRECISIONS
 def test_the_self_test_passes_and_notices_every_sign(single: bool, tmp_path: Path) -> None:
     each = made(observer("certified"), single)
-    samples = len(chosen(np.zeros((200, 2)), 1))
+    samples = len(choose_vectors(np.zeros((200, 2)), 1))
     assert selftested(each.blocks + each.test, tmp_path, samples - 1)[:2] == (0, 0)
     assert selftested(each.blocks + each.test, tmp_path, samples + 5) == (1, 1, 0)
     signs = [match.start() + 1 for match in re.finditer(r" [+-] ", each.blocks)]
@@ -392,7 +399,7 @@ def test_elementary_functions_have_the_bits_of_the_c(single: bool, tmp_path: Pat
 
 def test_the_folder_has_text_xml_and_a_self_test(tmp_path: Path) -> None:
     done = uz.export(observer("certified"), "st", tmp_path / "plc", name="left", check=True)
-    assert done.passed
+    assert done.has_passed
     assert done.report["precision"] == "single"
     assert done.report["structured_text"]["blocks"] == 1
     assert {path.name for path in done.files} == {
@@ -477,11 +484,11 @@ def test_numbers_mean_their_bits() -> None:
     values = [0.1, -0.0, 1e-300, 1e300, 5e-324, 1.7976931348623157e308, 123456789.0, 3.5e38]
     for value in values:
         found = None
-        for line in assigned("v", value, "float64"):
+        for line in assign_number("v", value, "float64"):
             numbers = [float(text) for text in re.findall(r"LREAL#([-\d.E+]+)", line)]
             assert all(1.1e-38 < number < 3.5e38 for number in numbers if number)
             found = numbers[0] if found is None else found * numbers[0]
-        sign = -1.0 if "= -" in assigned("v", value, "float64")[0] else 1.0
+        sign = -1.0 if "= -" in assign_number("v", value, "float64")[0] else 1.0
         assert found is not None
         assert np.float64(sign * found).tobytes() == np.float64(value).tobytes()
 

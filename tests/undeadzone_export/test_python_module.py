@@ -65,7 +65,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         tunable=("observer.gamma",),
         check=True,
     )
-    assert done.passed
+    assert done.has_passed
     assert "every bit agrees" in done.report["self_test"]
     return tmp_path / "joint"
 

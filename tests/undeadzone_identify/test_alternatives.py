@@ -28,8 +28,8 @@ from undeadzone_identify.models.motion import (
     Sensing,
     classes,
     four_offsets,
-    moved_before,
-    named,
+    name_of_widths,
+    previous_motion,
     sensing,
     sides,
     white_noise,
@@ -117,8 +117,8 @@ def test_offsets_make_widths() -> None:
     beta = np.array([-c[0] - d[0], c[1] - d[0], -c[0] + d[1], c[1] + d[1]])  # (O1)
     assert WIDTHS @ beta == pytest.approx([c.sum(), d.sum(), 0.0])
     assert WIDTHS @ (beta + 0.7) == pytest.approx([c.sum(), d.sum(), 0.0])  # an offset is no width
-    assert named(np.array([0.5, 0.01]), np.array([0.2, 0.001]), 1.0) == "neither"
-    assert named(np.array([0.5, 0.3]), np.array([0.01, 0.01]), 1.0) == "both"
+    assert name_of_widths(np.array([0.5, 0.01]), np.array([0.2, 0.001]), 1.0) == "neither"
+    assert name_of_widths(np.array([0.5, 0.3]), np.array([0.01, 0.01]), 1.0) == "both"
 
 
 def test_noise_alone_moves_to_no_side() -> None:
@@ -136,13 +136,13 @@ def test_noise_alone_moves_to_no_side() -> None:
 def test_motion_is_that_of_the_readings_before() -> None:
     y = np.concatenate([np.zeros(10), np.arange(10.0), np.full(10, 9.0)])
     whole = np.ones(30, bool)
-    moved = moved_before(y, whole, START, 4)
+    moved = previous_motion(y, whole, START, 4)
     assert moved[14:21] == pytest.approx(np.full(7, 4.0))  # readings 10 to 19 rise by 1 each
     assert not moved[:11].any()
     assert not moved[24:].any()
-    assert not moved_before(y, whole, np.array([0, 15]), 4)[15:19].any()  # a record begins anew
+    assert not previous_motion(y, whole, np.array([0, 15]), 4)[15:19].any()  # a record begins anew
     whole[16] = False
-    assert not moved_before(y, whole, START, 4)[17:21].any()
+    assert not previous_motion(y, whole, START, 4)[17:21].any()
 
 
 def test_how_readings_show_motion() -> None:

@@ -9,9 +9,9 @@ import pytest
 from scipy.signal import lfilter
 
 from undeadzone.nonlinearities.sensor import DIRECTIONS
-from undeadzone_identify.models.plant import Data, delayed
+from undeadzone_identify.models.plant import Data, delay_inputs
 from undeadzone_identify.models.zone import Limits
-from undeadzone_identify.selection.delays import _late, alike, better_delay, refined_delay
+from undeadzone_identify.selection.delays import _late, alike, better_delay, refine_delay
 from undeadzone_identify.selection.orders import OrderFit, fit_orders, order_to_write
 from undeadzone_identify.selection.widths import find_widths
 
@@ -32,7 +32,7 @@ def data() -> Data:
 
 
 def fitted(data: Data, samples: int, orders: list[int]) -> list[OrderFit]:
-    return fit_orders(delayed(data, samples), orders, Limits(), 0.3, lambda _: None)
+    return fit_orders(delay_inputs(data, samples), orders, Limits(), 0.3, lambda _: None)
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,7 @@ def test_of_orders_that_predict_alike_one_that_can_be_written_is_chosen() -> Non
 @pytest.mark.parametrize("off", [2, -2])
 def test_a_delay_is_refined_to_where_the_input_acts(data: Data, off: int) -> None:
     late = fitted(data, LATE + off, [2, 3])
-    assert abs(refined_delay(late, LATE + off) - LATE) <= 1  # a zero may take a sample
+    assert abs(refine_delay(late, LATE + off) - LATE) <= 1  # a zero may take a sample
 
 
 @pytest.mark.parametrize("samples", [-2, -1, 1])

@@ -17,7 +17,7 @@ import undeadzone as uz
 from undeadzone.cli import group
 from undeadzone.errors import FileError, InputError
 from undeadzone.scenario.reader import read
-from undeadzone_identify.logs.grid import find_quantum, shortened, to_grid
+from undeadzone_identify.logs.grid import find_quantum, shorten_log, to_grid
 from undeadzone_identify.logs.log import log_of_arrays, read_log
 
 ROWS = np.column_stack([0.5 * np.arange(5), [1, 2, 3, 4, 5.5], [0, 0, -0.25, 1, 2]])
@@ -217,7 +217,7 @@ def test_quantum_and_long_logs() -> None:
     assert find_quantum(y) == pytest.approx(0.1)
     assert find_quantum(np.random.default_rng(0).standard_normal(4000)) == 0.0
     grid = to_grid([log_of_arrays(0.1, np.arange(250000.0), np.arange(250000.0))])
-    short = shortened(grid)
+    short = shorten_log(grid)
     assert short.t.size == 100_000
     assert short.start.tolist() == [0, 20_000, 40_000, 60_000, 80_000]
     assert (np.diff(short.t)[19_999::20_000] > 1000).all()
@@ -273,7 +273,7 @@ def test_the_command_writes_a_scenario_that_runs(
     assert problem.simulation.step == 0.05
     assert problem.units.output == "mm"
     run = uz.simulate(problem)
-    assert run.diverged_at is None
+    assert run.divergence_time is None
     assert abs(run.d_hat[-1, 0] - answer["right"][0]) < 0.1
     assert uz.estimate(tmp_path / "log.toml", written).consistent
 
@@ -293,7 +293,7 @@ def test_two_records_become_certified_gains_and_a_run(written: Path, tmp_path: P
     observer = uz.Certified(L=proved.L, gamma=proved.gamma)
     simulation = msgspec.structs.replace(problem.simulation, duration=20.0)
     run = uz.simulate(msgspec.structs.replace(problem, observer=observer, simulation=simulation))
-    assert run.diverged_at is None
+    assert run.divergence_time is None
     assert abs(run.d_hat[-1] - [answer.right.value, answer.left.value]).max() < 0.1
 
 

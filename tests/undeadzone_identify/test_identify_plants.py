@@ -17,7 +17,7 @@ from undeadzone.cli import group
 from undeadzone.errors import InputError
 from undeadzone.linalg.hold import zoh
 from undeadzone_identify.logs.prepare import edge_of
-from undeadzone_identify.models.plant import Data, Simulator, delayed
+from undeadzone_identify.models.plant import Data, Simulator, delay_inputs
 from undeadzone_identify.models.zone import Limits, Objective
 from undeadzone_identify.results.to_continuous import continuous
 
@@ -146,10 +146,10 @@ def test_an_integrator_in_continuous_time_is_exact() -> None:
 
 def test_a_delay_moves_the_input_within_each_record() -> None:
     data = small_data()
-    late = delayed(data, 3)
+    late = delay_inputs(data, 3)
     assert np.array_equal(late.u[3:90], data.u[:87])
     assert np.array_equal(late.u[90:94, 0], np.repeat(data.u[90], 4))
-    assert np.array_equal(delayed(late, -3).u[3:80], data.u[3:80])
+    assert np.array_equal(delay_inputs(late, -3).u[3:80], data.u[3:80])
 
 
 def test_a_late_input_is_found_and_its_scenario_says_it() -> None:

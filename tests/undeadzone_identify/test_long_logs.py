@@ -13,8 +13,8 @@ from undeadzone_identify.models.zone import Limits
 from undeadzone_identify.models.zone_fit import (
     fit_zone,
     longest_record,
-    moved,
-    reduced,
+    move_records,
+    reduce_record,
     refit,
 )
 
@@ -71,10 +71,10 @@ def test_a_fit_that_was_moved_to_all_ends_where_one_from_scratch_does(short: Non
     part = part_of(data)
     small = refit(fit_zone(Simulator(part, 2), "singles", Limits()), "pairs")
     all_ = refit(fit_zone(Simulator(data, 2), "singles", Limits()), "pairs")
-    carried = moved(small, data)
+    carried = move_records(small, data)
     assert carried.value == pytest.approx(all_.value, abs=1e-2)
     assert (carried.right, carried.left) == pytest.approx((all_.right, all_.left), abs=1e-4)
-    back = reduced(all_)
+    back = reduce_record(all_)
     assert back.value == pytest.approx(small.value, abs=1e-2)
     assert longest_record(all_).objective.data.y.size == 800
 
@@ -86,7 +86,7 @@ def test_the_longest_of_several_records_is_taken_alone() -> None:
     one = longest_record(fit)
     assert np.array_equal(one.objective.data.y, y[620:])
     alone = select_samples(data, [slice(620, 1600)])
-    assert one.value == pytest.approx(moved(fit, alone).value)
+    assert one.value == pytest.approx(move_records(fit, alone).value)
 
 
 def test_an_answer_from_a_part_is_that_of_all(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -27,12 +27,12 @@ from undeadzone_identify.models.place import Shape, fit_place
 from undeadzone_identify.models.plant import Data, Simulator
 from undeadzone_identify.models.zone import Limits
 from undeadzone_identify.models.zone_fit import fit_linear, fit_zone
-from undeadzone_identify.page import identified_page
+from undeadzone_identify.page import identify_page
 from undeadzone_identify.results.assemble import _of_reference, to_answer
 from undeadzone_identify.selection import servo
-from undeadzone_identify.selection.decision import _claimed, detect_feedback
+from undeadzone_identify.selection.decision import _likeliest_word, detect_feedback
 from undeadzone_identify.selection.odds import behind, odds_of
-from undeadzone_identify.selection.orders import answered, trained_part
+from undeadzone_identify.selection.orders import explained_by_readings, training_samples
 from undeadzone_identify.selection.servo import observations_of, servo_of_ticks
 from undeadzone_identify.servo.gap import ServoGap, servo_gap
 from undeadzone_identify.servo.observations import Observations, read_observations
@@ -217,7 +217,7 @@ def test_a_zone_at_both_ends_is_not_sold_as_the_sensors() -> None:
             assert low <= width <= high
             assert abs(value - width) < 0.03
     assert "b_right" in str(answer.summary())
-    first = identified_page(answer, {}, "log.csv").split("How it was decided</h2>")[0]
+    first = identify_page(answer, {}, "log.csv").split("How it was decided</h2>")[0]
     assert [
         name for name in answer.summary() if name.startswith(("d_", "b_")) and name in first
     ] == ["d_right", "d_left", "b_right", "b_left"]
@@ -486,7 +486,7 @@ def test_one_hold_at_an_extreme_is_no_end_of_the_range() -> None:
 def test_held_out_samples_are_blocks_over_every_record() -> None:
     _, u, z = driven(10, 1000)
     data = logged(u, z)._replace(start=np.array([0, 800]))
-    held = ~trained_part(data, 0.3)
+    held = ~training_samples(data, 0.3)
     assert np.count_nonzero(np.diff(held[:800].astype(int)) > 0) == 5
     assert held[:800].mean() == pytest.approx(0.3, abs=0.01)
     assert held[800:].mean() == pytest.approx(0.3, abs=0.01)
@@ -535,7 +535,7 @@ def loop() -> loop_logs.LoopLog:
 
 def said(u: Floats, y: Floats, r: Floats) -> float:
     start = np.array([0])
-    return answered(u[:, None], y, np.ones(y.size, bool), r[:, None], start)[0]
+    return explained_by_readings(u[:, None], y, np.ones(y.size, bool), r[:, None], start)[0]
 
 
 def test_beside_its_reference_readings_make_all_of_a_loops_input(loop: loop_logs.LoopLog) -> None:
@@ -584,11 +584,11 @@ def test_the_gradient_of_a_plant_behind_an_inputs_zone_is_right(loop: loop_logs.
 
 def test_a_larger_model_that_leads_keeps_its_word() -> None:
     """Its widths are others; friction beside a zone, or a small play, leaves its place to it."""
-    assert _claimed({"two_zones": 0.6, "dead_zone": 0.4}) == "two_zones"
-    assert _claimed({"dead_zone": 0.6, "two_zones": 0.4}) == "dead_zone"
-    assert _claimed({"zone_and_friction": 0.6, "dead_zone": 0.4}) == "dead_zone"
-    assert _claimed({"both": 0.75, "dead_zone": 0.25}) == "dead_zone"
-    assert _claimed({"zone_and_friction": 0.5, "none": 0.5}) == "zone_and_friction"
+    assert _likeliest_word({"two_zones": 0.6, "dead_zone": 0.4}) == "two_zones"
+    assert _likeliest_word({"dead_zone": 0.6, "two_zones": 0.4}) == "dead_zone"
+    assert _likeliest_word({"zone_and_friction": 0.6, "dead_zone": 0.4}) == "dead_zone"
+    assert _likeliest_word({"both": 0.75, "dead_zone": 0.25}) == "dead_zone"
+    assert _likeliest_word({"zone_and_friction": 0.5, "none": 0.5}) == "zone_and_friction"
 
 
 def test_a_column_with_the_reference_is_told(loop: loop_logs.LoopLog) -> None:
@@ -623,7 +623,7 @@ def test_a_glitch_or_a_second_record_hides_no_loop(loop: loop_logs.LoopLog) -> N
     without = to_grid([logs[0], logs[1]._replace(r=logs[1].r[:, :0])])
     assert without.r.shape[1] == 0
     assert "not every log has a reference: it is not used" in without.remarks
-    assert answered(grid.u, grid.y, ok, grid.r, grid.start)[0] > 0.999
+    assert explained_by_readings(grid.u, grid.y, ok, grid.r, grid.start)[0] > 0.999
 
 
 def test_a_log_with_a_setpoint_ends_in_a_scenario(

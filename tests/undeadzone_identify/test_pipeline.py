@@ -35,7 +35,7 @@ from undeadzone_identify.models.likelihood import (
 from undeadzone_identify.models.place import simulate
 from undeadzone_identify.models.plant import Data, Layout, Simulator
 from undeadzone_identify.models.zone import Limits, Objective
-from undeadzone_identify.models.zone_fit import Fit, fit_zone, less_odd, polished, refit
+from undeadzone_identify.models.zone_fit import Fit, fit_zone, less_odd, polish_fit, refit
 from undeadzone_identify.selection.widths import profile
 
 A, B = np.array([-1.6, 0.68]), np.array([0.05, 0.03])
@@ -216,7 +216,7 @@ def test_score_of_all_numbers_of_two_records() -> None:
 def fitted() -> Fit:
     _, u, y, _ = record(noise=0.05)
     singles_fit = fit_zone(Simulator(data_of(u, y), 2), "singles", Limits())
-    return polished(refit(singles_fit, "pairs"))
+    return polish_fit(refit(singles_fit, "pairs"))
 
 
 def test_the_fit_ends_at_a_top(fitted: Fit) -> None:

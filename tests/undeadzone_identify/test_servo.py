@@ -26,13 +26,7 @@ from undeadzone_identify.logs.grid import spacing_of
 from undeadzone_identify.servo import predictor
 from undeadzone_identify.servo.crossings import Crossings, crossings_of
 from undeadzone_identify.servo.gap import ServoGap, odd_errors, servo_gap
-from undeadzone_identify.servo.likelihood import (
-    At,
-    Likelihood,
-    Slopes,
-    Structure,
-    discretised,
-)
+from undeadzone_identify.servo.likelihood import At, Likelihood, Slopes, Structure, discretise_servo
 from undeadzone_identify.servo.likelihood import Servo as Fitted
 from undeadzone_identify.servo.observations import (
     CHANCE,
@@ -119,7 +113,7 @@ def test_the_gap_of_a_servo(reading: str, spring: float, closed: bool) -> None:
     assert not found.reasons
     assert abs(found.gap.value - 0.03) < (0.002 if reading == "noise" else 0.001)
     assert found.gap.low - 2e-4 <= 0.03 <= found.gap.high + 2e-4
-    assert found.log.closed == closed
+    assert found.log.has_feedback == closed
     assert "friction" in found.servo.structure.parts or "slow" in found.servo.structure.parts
 
 
@@ -214,7 +208,7 @@ def test_a_part_that_is_added_never_costs_likelihood(
         if one.structure.parts > found.servo.structure.parts:
             larger.append(one)
     tops: dict[frozenset[str], float] = {}
-    for top in likelihood.climbed(larger, 40):
+    for top in likelihood.climb_starts(larger, 40):
         parts = top.structure.parts
         tops[parts] = max(top.value, tops.get(parts, -math.inf))
     assert tops
@@ -358,7 +352,7 @@ def test_a_fast_damping_may_be_a_pole_and_the_pole_the_damping() -> None:
     fewer = [one for one in neighbours(Fitted(fast, theta, 0.0), STEP) if one.structure == slow]
 
     def response(one: Fitted) -> Floats:
-        A, B, _ = discretised(one.theta[None], STEP, False)
+        A, B, _ = discretise_servo(one.theta[None], STEP, False)
         x, z = np.zeros(4), np.empty(300)
         for k in range(z.size):
             x = A[0] @ x + B[0, :, 0]
@@ -385,7 +379,7 @@ def test_errors_of_noisy_readings_that_follow_others_are_no_servos(
     """A gap four times the noise was told 2.8 times too wide, +- 29 %, beside such errors."""
     u, y = logged(MOTOR, noise=0.002)
     log, rng = listened(u, y), np.random.default_rng(8)
-    white = rng.standard_normal(np.count_nonzero(log.counted(False)))
+    white = rng.standard_normal(np.count_nonzero(log.counted_samples(False)))
     coloured = lfilter([1.0], [1.0, *np.zeros(lag - 1), -follows], white)
     reasons = odd_errors(log, with_errors(coloured))
     assert sum("follow" in reason for reason in reasons) == named
@@ -422,6 +416,6 @@ def test_motors_and_lags_climb_side_by_side(with_friction: tuple[Observations, S
     lag = Fitted(
         found.servo.structure._replace(parts=frozenset(), lag=True), found.servo.theta, 0.0
     )
-    tops = Likelihood(log).climbed([lag, found.servo], 2)
+    tops = Likelihood(log).climb_starts([lag, found.servo], 2)
     assert [top.structure.lag for top in tops] == [True, False]
     assert tops[1].value >= found.servo.value - 1e-6

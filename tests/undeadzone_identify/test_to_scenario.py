@@ -21,7 +21,7 @@ from undeadzone.util.arrays import Floats
 from undeadzone_export import exporting
 from undeadzone_identify.command import _next
 from undeadzone_identify.models.estimates import positive
-from undeadzone_identify.models.plant import roots, stabilised
+from undeadzone_identify.models.plant import roots, stabilise
 from undeadzone_identify.results.to_scenario import scenario_text
 
 STEP = 0.01
@@ -192,7 +192,7 @@ def test_what_is_not_finite_is_refused_before_its_eigenvalues() -> None:
         positive(np.array([[1.0, np.nan], [np.nan, 1.0]]))
     wild = np.array([np.nan, 1.0])
     assert np.isinf(roots(wild)).all()
-    assert not stabilised(wild).any()
+    assert not stabilise(wild).any()
 
 
 def test_what_to_type_next_is_taken_as_it_is_printed(

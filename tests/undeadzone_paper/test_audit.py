@@ -29,7 +29,7 @@ from undeadzone.scenario.reader import read
 from undeadzone.scenario.schema import Scenario, Simulation
 from undeadzone.simulation.simulate import simulate
 from undeadzone_paper import Paper, measures, write
-from undeadzone_paper.claims import Claim, Text, about, counted, texts
+from undeadzone_paper.claims import Claim, Text, about, count_verdicts, texts
 from undeadzone_paper.equations import EQUATIONS, FIGURES
 from undeadzone_paper.evidence import BEGUN, CONDITIONS, RESTING, SIGNED
 from undeadzone_paper.example import (
@@ -38,8 +38,8 @@ from undeadzone_paper.example import (
     L_PRINTED,
     READINGS,
     D,
-    printed,
-    repaired,
+    printed_example,
+    repaired_example,
 )
 from undeadzone_paper.figures import mathtext
 from undeadzone_paper.observer import Printed
@@ -115,10 +115,10 @@ def test_as_printed_but_started_outside_the_widths_run_off_or_the_loop_diverges(
     paper: Paper,
 ) -> None:
     begun, signed = paper.evidence.printed[BEGUN][0], paper.evidence.printed[SIGNED][0]
-    assert begun.diverged_at is None
+    assert begun.divergence_time is None
     assert measures.width_error(begun) > D
     assert (begun.V[-1] - begun.V.min()) > 0.1 * begun.V[0]  # V of (30) rises
-    assert signed.diverged_at is not None
+    assert signed.divergence_time is not None
 
 
 def test_repaired_tracks_estimates_and_finds_the_widths(paper: Paper) -> None:
@@ -203,7 +203,7 @@ def _alone(outcome: Outcome) -> Scenario:
     L = gain(v.L, model)
     law = PD(L=L, alpha=ALPHA).build(model).params
     return msgspec.structs.replace(
-        printed(5.0),
+        printed_example(5.0),
         plant=msgspec.structs.replace(READINGS[v.plant].plant, x0=[x1, 0.0]),
         observer=Printed(
             L=L,
@@ -270,7 +270,7 @@ def test_pages_say_what_the_audit_found(paper: Paper) -> None:
 
 def test_claims_are_counted_in_a_sentence(paper: Paper) -> None:
     verdicts = paper.summary()["verdicts"]
-    assert counted(paper.claims).startswith(
+    assert count_verdicts(paper.claims).startswith(
         f"Of {len(paper.claims)} claims {verdicts['holds']} hold as printed"
     )
 
@@ -298,7 +298,9 @@ def test_verdict_follows_from_numbers_and_limit(
     text = texts()[0]._replace(limit=1.0)
     claim = Claim(text, {f"case {i}": value for i, value in enumerate(values)}, repaired_value)
     assert claim.verdict == verdict == claim.summary()["verdict"]
-    assert ("diverges" in claim.measured) == bool(np.isinf([*values, repaired_value]).any())
+    assert ("diverges" in claim.measured_in_words) == bool(
+        np.isinf([*values, repaired_value]).any()
+    )
     json.dumps(claim.summary(), allow_nan=False)
 
 
@@ -325,7 +327,7 @@ def test_the_authors_own_doubt_is_quoted(paper: Paper) -> None:
 
 
 def test_with_40_every_alpha_stabilises_and_with_the_wanted_poles_only_those_below_nine() -> None:
-    plant = matrices(printed(1.0).plant)
+    plant = matrices(printed_example(1.0).plant)
     drifts = [plant.A - np.reshape(L, (2, 1)) @ plant.C for L in (L_PRINTED, L_POLES)]
     for alpha in np.geomspace(CONDITIONS["least_alpha"], CONDITIONS["most_alpha"], 31):
         assert rightmost(plant, drifts[0], alpha) < 0.0
@@ -339,7 +341,7 @@ def test_a_sliding_mode_chatters_by_its_sign_alone() -> None:
 
 
 def test_the_printed_riccati_gain_stabilises_and_that_of_the_poles_does_not() -> None:
-    plant = matrices(printed(1.0).plant)
+    plant = matrices(printed_example(1.0).plant)
     for L, pole in ((L_PRINTED, -2.44), (L_POLES, 0.024)):
         K = paper_riccati(plant.A - np.reshape(L, (2, 1)) @ plant.C, plant.B, ALPHA, np.eye(2)).K
         poles = np.linalg.eigvals(plant.A - plant.B @ K).real
@@ -380,14 +382,14 @@ def test_measures_see_what_they_should(five: Run) -> None:
 
 
 def test_the_gains_that_place_the_poles_have_no_pole_error() -> None:
-    linear = matrices(printed(1.0).plant)
+    linear = matrices(printed_example(1.0).plant)
     assert pole_error(linear, L_POLES) < 1e-12
     assert pole_error(linear, L_PRINTED) > 1.0
 
 
 def test_operations_of_observers_are_counted() -> None:
-    assert 0 < operations(printed(5.0)) < 1000
-    assert 0 < operations(repaired(5.0)) < 1000
+    assert 0 < operations(printed_example(5.0)) < 1000
+    assert 0 < operations(repaired_example(5.0)) < 1000
 
 
 @pytest.mark.parametrize(

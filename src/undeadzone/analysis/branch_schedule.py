@@ -59,7 +59,7 @@ class Schedule(NamedTuple):
         """Of the whole [s]."""
         return float(self.spans.sum()) * (1.0 if self.Ts is None else self.Ts)
 
-    def visited(self, samples: int = 0) -> np.ndarray:
+    def visited_sides(self, samples: int = 0) -> np.ndarray:
         """Return whether the [right, left] side of each output is visited (p x 2).
 
         Args:
@@ -71,7 +71,7 @@ class Schedule(NamedTuple):
         return np.stack([right, left], axis=1)
 
 
-def planned(
+def plan_schedule(
     model: System, reference: Exosystem, tracked: list[int], sensor: Zone, horizon: float
 ) -> Schedule:
     """Return the schedule of a reference that is followed exactly, over its period if it has one.
@@ -93,7 +93,7 @@ def planned(
     rows = output_map(model, reference, tracked)
     levels = reading_levels(sensor)
     if model.Ts is not None:
-        return _planned_samples(rows, reference, sensor, model.Ts, horizon)
+        return _plan_samples(rows, reference, sensor, model.Ts, horizon)
     periodic = reference.period is not None
     end = horizon if reference.period is None else reference.period
     inner = (reference.corners > 0) & (reference.corners < end)
@@ -109,7 +109,7 @@ def planned(
     return Schedule(read.side, spans, None, periodic, 0.0, low, mean, high, levels, exact)
 
 
-def _planned_samples(
+def _plan_samples(
     rows: Floats, reference: Exosystem, sensor: Zone, Ts: float, horizon: float
 ) -> Schedule:
     """Return `planned` at samples of Ts [s]; rows (p x k): z = rows w."""
@@ -142,7 +142,7 @@ def _changes(reference: Exosystem, rows: Floats, every: list[Floats], ends: Floa
     return np.asarray(unique[apart])
 
 
-def recorded(
+def schedule_of_record(
     z: Floats, sensor: Zone, step: float, Ts: float | None, arrived: np.ndarray | None = None
 ) -> Schedule:
     """Return the schedule of a record of outputs.
@@ -186,7 +186,7 @@ def arriving(schedule: Schedule, dropout: Floats, step: float, duration: float, 
     return schedule._replace(sides=sides)
 
 
-def merged(schedule: Schedule) -> Schedule:
+def merge_equal_neighbours(schedule: Schedule) -> Schedule:
     """Return the same schedule with neighbours of equal sides put together."""
     first = np.concatenate([[True], (np.diff(schedule.sides, axis=0) != 0).any(axis=1)])
     spans = np.add.reduceat(schedule.spans, np.flatnonzero(first))

@@ -58,7 +58,7 @@ class Inequality(NamedTuple):
                 magnitudes.append(np.abs(sums))
         return magnitudes
 
-    def transformed(self, T: Floats, inverse: Floats) -> Inequality:
+    def transform(self, T: Floats, inverse: Floats) -> Inequality:
         """Return the same inequality in coordinates x = T xi.
 
         Args:
@@ -199,7 +199,7 @@ def _pass(
     root = np.sqrt(np.maximum(values, 1e-14 * values[-1]))
     T, inverse = vectors / root, (vectors * root).T
     units = (np.zeros(cost.size), *np.eye(cost.size))
-    at = _affine([family(unit).transformed(T, inverse) for unit in units])
+    at = _affine([family(unit).transform(T, inverse) for unit in units])
     scales = _unit_diagonals(at(q), np.eye(n))
     entries = n * (n + 1) // 2  # of P; then come the multipliers, and the depth if it is sought
     part = at(q).supply[0].shape[0]

@@ -65,9 +65,9 @@ class Dynamics(NamedTuple):
         Args:
             W: weights of the outputs (p).
         """
-        return self.extended(W, np.zeros((self.L.shape[0], 0)), [])
+        return self.extend_inequality(W, np.zeros((self.L.shape[0], 0)), [])
 
-    def extended(
+    def extend_inequality(
         self, W: Floats, E: Floats, terms: list[tuple[int, int, Floats]], decay: float = 0.0
     ) -> Inequality:
         """Return `inequality` of x~' = A x~ - L e + E w with more terms in (x~, e, w).
@@ -117,7 +117,7 @@ class Storage(NamedTuple):
         return np.asarray(np.repeat(self.W, 2)[:, None] * R)
 
     @property
-    def seen(self) -> tuple[np.ndarray, Floats]:
+    def visible_errors(self) -> tuple[np.ndarray, Floats]:
         """Return (which of [x~; d~] V sees, M with V = e'M e on these)."""
         R, n = self.R, len(self.P)
         widths = np.diag(R) > 0

@@ -17,7 +17,7 @@ import undeadzone
 from undeadzone.cli.arm import arm
 from undeadzone.cli.check import check
 from undeadzone.cli.design import design
-from undeadzone.cli.ending import ended, failed
+from undeadzone.cli.ending import report_failure, run_to_exit_code
 from undeadzone.cli.ensemble import ensemble
 from undeadzone.cli.estimate import estimate
 from undeadzone.cli.init import init
@@ -67,18 +67,18 @@ class Commands(click.Group):
         try:
             return super().invoke(ctx)
         except BrokenPipeError as error:
-            return failed(error)
+            return report_failure(error)
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of all commands, those of other packages last."""
-        return [*super().list_commands(ctx), *_registered()]
+        return [*super().list_commands(ctx), *_registered_commands()]
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
         """Return a command by its name; None where there is none."""
         own = super().get_command(ctx, name)
         if own is not None:
             return own
-        point = _registered().get(name)
+        point = _registered_commands().get(name)
         return None if point is None else point.load()
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -103,7 +103,7 @@ class Commands(click.Group):
 
 
 @functools.cache
-def _registered() -> dict[str, EntryPoint]:
+def _registered_commands() -> dict[str, EntryPoint]:
     """Return the commands that installed packages register under `undeadzone.commands`, by name.
 
     `--help` asks for each; what is installed is read once, as a process is one command.
@@ -152,4 +152,4 @@ def main() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     gc.set_threshold(100_000)
     _keep_memory()
-    sys.exit(ended(lambda: group.main(standalone_mode=False)))
+    sys.exit(run_to_exit_code(lambda: group.main(standalone_mode=False)))

@@ -53,7 +53,7 @@ def arm(
     folder = None if output.out is None else writable(output.out)
     names = None if joints is None else [name.strip() for name in joints.split(",")]
     found = survey(robot, names, tip, None if at is None else _numbers(at))
-    written = [] if folder is None else [_started(found, robot, folder, gears, force)]
+    written = [] if folder is None else [_write_scenario(found, robot, folder, gears, force)]
     weak = _weak(found)
     next_ = _advice(found, weak, written, robot)
     blocks: list[Block] = [_in_words(found, robot), [HEAD, *_rows(found)], next_]
@@ -71,7 +71,7 @@ def _numbers(text: str) -> list[float]:
         ) from None
 
 
-def _started(found: Survey, robot: Path, folder: Path, gears: bool, force: bool) -> Path:
+def _write_scenario(found: Survey, robot: Path, folder: Path, gears: bool, force: bool) -> Path:
     """Return the scenario that was written. Raises FileError where there is one already."""
     from undeadzone.scenario.urdf_start import starting_scenario
     from undeadzone.util.own_files import require_own
@@ -91,7 +91,7 @@ def _weak(found: Survey) -> list[str]:
 
 def _in_words(found: Survey, robot: Path) -> dict[str, Any]:
     """What the file says, a line each."""
-    from undeadzone.util.arrays import listed
+    from undeadzone.util.arrays import list_numbers
 
     tree = found.robot
     reach = "no limit: a sliding joint has none"
@@ -100,8 +100,8 @@ def _in_words(found: Survey, robot: Path) -> dict[str, Any]:
     shown: dict[str, Any] = {
         "file": f"{robot}: {len(tree.links)} links, {len(tree.joints)} joints",
         "arm": f"{len(found.joints)} joints move, from {found.base} to {found.tip}",
-        "posture": f"q = ({listed(found.q)}) [rad or m]",
-        "tip": f"({listed(found.place)}) m there, seen from the base",
+        "posture": f"q = ({list_numbers(found.q)}) [rad or m]",
+        "tip": f"({list_numbers(found.place)}) m there, seen from the base",
         "reach": reach,
     }
     if found.fixed:

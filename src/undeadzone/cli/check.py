@@ -8,7 +8,7 @@ import click
 
 import undeadzone as uz
 from undeadzone.cli.common import cmd, json_text, origin, with_schema
-from undeadzone.cli.output import Output, export_of, named_files, on_scenario, to_type
+from undeadzone.cli.output import Output, export_of, line_of_files, on_scenario, to_type
 from undeadzone.util.files import write_text
 from undeadzone.util.progress import on_terminal as progress
 
@@ -45,7 +45,7 @@ def check(scenario: Path, output: Output, confine: Path | None) -> int:
             again = origin(scenario, judged.simulation.seed)
             advance(1)
             written += write_gains(result.assessment, attempts, folder, origin=again)
-    last = named_files(written) | _next(scenario, judged, result.summary()["certified"])
+    last = line_of_files(written) | _next(scenario, judged, result.summary()["certified"])
     output.show(result.summary, result.blocks, written, last)
     return 0 if result.affirmed else 1
 

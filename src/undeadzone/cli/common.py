@@ -117,7 +117,7 @@ def untrusted(command: Command) -> Command:
 
         if options.get("out", untrusted) is None and not options.get("no_figures"):
             raise InputError("--untrusted: say --out too, the only folder that is written")
-        for word in hold_apart(untrusted, _written_folder(options)):
+        for word in hold_apart(untrusted, _folder_to_write(options)):
             say(f"untrusted: {word}", err=True)
         if "confine" in options:
             options["confine"] = untrusted
@@ -131,7 +131,7 @@ def untrusted(command: Command) -> Command:
     )(held)
 
 
-def guarded(command: Command) -> Command:
+def add_guards(command: Command) -> Command:
     """Add --untrusted and --confine: a scenario names files, and may be a stranger's."""
     return untrusted(_confined(naming(command)))
 
@@ -165,7 +165,7 @@ def _with_file(message: str, options: Mapping[str, Any]) -> str:
     return message
 
 
-def _written_folder(options: Mapping[str, Any]) -> Path | None:
+def _folder_to_write(options: Mapping[str, Any]) -> Path | None:
     """Return the folder that a command may write: --out, or where the one file lies that it
     makes.
     """
@@ -249,10 +249,10 @@ def print_blocks(
         click.echo(text_of(blocks), err=err)
         return
     text = text_of(blocks, shutil.get_terminal_size().columns)
-    click.echo(painted(text) if _coloured() else text, err=err)
+    click.echo(paint_verdicts(text) if _wants_colour() else text, err=err)
 
 
-def painted(text: str) -> str:
+def paint_verdicts(text: str) -> str:
     """Return a text whose verdicts are coloured; the lines that name a scenario stay as they
     are.
     """
@@ -267,7 +267,7 @@ def _paint(found: re.Match[str]) -> str:
     return click.style(found[0], fg=COLOURS.get(found[0], "red"), bold=True)
 
 
-def _coloured() -> bool:
+def _wants_colour() -> bool:
     """Return whether colours are wanted (no-color.org)."""
     return not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
 

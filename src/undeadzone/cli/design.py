@@ -9,7 +9,7 @@ import click
 
 import undeadzone as uz
 from undeadzone.cli.common import cmd, force_option, option, origin
-from undeadzone.cli.output import Output, named_files, on_scenario
+from undeadzone.cli.output import Output, line_of_files, on_scenario
 from undeadzone.util.progress import on_terminal as progress
 from undeadzone.util.shown import Block
 
@@ -114,7 +114,7 @@ def design(
         lambda: _numbers(result, judged),
         lambda: _words(result, judged),
         written,
-        named_files(written) | _next(folder),
+        line_of_files(written) | _next(folder),
     )
     return 0
 

@@ -36,14 +36,16 @@ PRINTERS: Final = ("click", "rich")  # the packages that print
 LONGEST: Final = 200  # characters of an unexpected exception's message that are shown
 
 
-def ended(command: Callable[[], Any]) -> int:
+def run_to_exit_code(command: Callable[[], Any]) -> int:
     """Run a command; its exit code. Whatever it raises becomes one line on stderr."""
     try:
         if _open_streams():
-            return _refused("stdout is closed, and the results would be lost; use > /dev/null")
+            return _report_refusal(
+                "stdout is closed, and the results would be lost; use > /dev/null"
+            )
         hindrance = _hindrance()
         if hindrance:
-            return _refused(hindrance)
+            return _report_refusal(hindrance)
         _catch_terminate()
         with warnings.catch_warnings():
             if not os.environ.get(DEBUG):  # NumPy's remarks are no message to a user
@@ -54,24 +56,24 @@ def ended(command: Callable[[], Any]) -> int:
     except click.exceptions.Exit as error:
         return error.exit_code
     except click.ClickException as error:
-        return _refused(error.format_message(), _where(error))
+        return _report_refusal(error.format_message(), _where(error))
     except UndeadzoneError as error:
-        return _refused(str(error))
+        return _report_refusal(str(error))
     except (KeyboardInterrupt, click.Abort) as error:  # click makes the latter of the former
-        return _stopped("interrupted", str(error.__cause__ or error), INTERRUPTED)
+        return _report_interruption("interrupted", str(error.__cause__ or error), INTERRUPTED)
     except Terminated as error:
-        return _stopped("terminated", str(error), TERMINATED)
+        return _report_interruption("terminated", str(error), TERMINATED)
     except Exception as error:
-        return failed(error)
+        return report_failure(error)
 
 
-def failed(error: Exception) -> int:
+def report_failure(error: Exception) -> int:
     """What the system denied, or a mistake of the program's own."""
     if _memory_ran_out(error):
-        return _refused("memory ran out; allow more, or ask for less at once")
+        return _report_refusal("memory ran out; allow more, or ask for less at once")
     if isinstance(error, OSError) and _stdout_fails(error):
         return _stdout_failed(error)
-    return _unexpected(error)
+    return _report_internal_error(error)
 
 
 def _open_streams() -> bool:
@@ -123,19 +125,19 @@ def _terminate(number: int, frame: FrameType | None) -> None:
     raise Terminated
 
 
-def _refused(message: str, where: str = "undeadzone") -> int:
+def _report_refusal(message: str, where: str = "undeadzone") -> int:
     """What is wrong with the input."""
     say(f"{where}: {message}", err=True)
     return BAD_INPUT
 
 
-def _stopped(how: str, kept: str, code: int) -> int:
+def _report_interruption(how: str, kept: str, code: int) -> int:
     """That a command was stopped, and what is kept."""
     say(": ".join(filter(None, (f"undeadzone: {how}", kept))), err=True)
     return code
 
 
-def _unexpected(error: Exception) -> int:
+def _report_internal_error(error: Exception) -> int:
     """Return a mistake of the program's own."""
     if os.environ.get(DEBUG):
         traceback.print_exc()
@@ -180,7 +182,7 @@ def _stdout_failed(error: OSError) -> int:
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     if isinstance(error, BrokenPipeError):
         return DONE
-    return _refused(f"stdout: cannot write: {error.strerror}")
+    return _report_refusal(f"stdout: cannot write: {error.strerror}")
 
 
 def _where(error: click.ClickException) -> str:

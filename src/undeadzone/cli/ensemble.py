@@ -52,7 +52,7 @@ def ensemble(
     Every block of runs is kept on disk as it is done: after Ctrl-C, kill or a crash --resume
     computes the rest. docs/ensemble.md says what the numbers mean, docs/scenario.md what can vary.
     """
-    varied = _sized(uz.read(scenario, confine), runs)
+    varied = _with_number_of_runs(uz.read(scenario, confine), runs)
     total = varied.ensemble.runs if varied.ensemble else None
     folder = writable(output.out or Path(f"{scenario.stem}-ensemble"))
     path = folder / ("runs.parquet" if parquet else "runs.npz")
@@ -72,7 +72,7 @@ def ensemble(
     return 1 if summary["diverged"]["value"] else 0
 
 
-def _sized(scenario: uz.Scenario, runs: int | None) -> uz.Scenario:
+def _with_number_of_runs(scenario: uz.Scenario, runs: int | None) -> uz.Scenario:
     """Return the scenario with that many runs. Raises InputError."""
     import msgspec
 

@@ -19,10 +19,10 @@ from undeadzone.cli.common import (
 from undeadzone.cli.output import (
     Output,
     csv_option,
-    named_files,
+    decide_table,
+    line_of_files,
     on_scenario,
     to_type,
-    wanted_table,
 )
 from undeadzone.util.progress import on_terminal as progress
 
@@ -71,10 +71,10 @@ def estimate(
         with progress("trying what would fit", None, of=watched.observer):
             cure = what_would_fit(watched, result)
     written: list[Path] = []
-    tables, left_out = wanted_table(as_csv, result.table_size, "estimate.csv")
+    tables, left_out = decide_table(as_csv, result.table_size, "estimate.csv")
     if folder is not None:
         written = write_estimation(result, folder, output.figures, tables, origin(scenario))
-    files = named_files(written) | left_out if written else {}
+    files = line_of_files(written) | left_out if written else {}
     told = {} if cure is None else {"would fit": cure}
     last = told | files | ({} if cure else _next(scenario, log, columns, result))
     output.show(lambda: result.summary() | {"would_fit": cure}, result.blocks, written, last)

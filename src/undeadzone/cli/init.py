@@ -60,7 +60,7 @@ def init(
     from undeadzone.util.own_files import require_own
 
     if as_list:
-        return _listed(output.as_json)
+        return _print_examples(output.as_json)
     texts = _texts(file, example, full, output.out or Path())
     for path in texts:
         require_own(path, force)
@@ -74,7 +74,7 @@ def init(
     return 0
 
 
-def _listed(as_json: bool) -> int:
+def _print_examples(as_json: bool) -> int:
     """Print names and titles of the examples."""
 
     found = titles()

@@ -14,9 +14,9 @@ import click
 import undeadzone as uz
 from undeadzone.cli.common import (
     PATH,
+    add_guards,
     cmd,
     flag,
-    guarded,
     option,
     print_blocks,
     print_json,
@@ -89,7 +89,7 @@ class Output(NamedTuple):
         if self.as_json:
             print_json(numbers(), written)
         else:
-            print_blocks(blocks(), named_files(written) if last is None else last)
+            print_blocks(blocks(), line_of_files(written) if last is None else last)
 
 
 def common(command: Callable[..., int]) -> Callable[..., int]:
@@ -105,10 +105,10 @@ def common(command: Callable[..., int]) -> Callable[..., int]:
 def on_scenario(command: Callable[..., int]) -> Callable[..., int]:
     """Add SCENARIO.toml, --untrusted and --confine, and what `common` adds."""
     argument = click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
-    return argument(guarded(common(command)))
+    return argument(add_guards(common(command)))
 
 
-def wanted_table(as_csv: bool, size: float, name: str) -> tuple[bool, dict[str, str]]:
+def decide_table(as_csv: bool, size: float, name: str) -> tuple[bool, dict[str, str]]:
     """Return whether a table of signals is written, and else the line that says so.
 
     Args:
@@ -196,7 +196,7 @@ def export_of(path: Path, scenario: uz.Scenario) -> list[str]:
     return [cmd("undeadzone", "export", path) + first]
 
 
-def named_files(written: Sequence[Path]) -> dict[str, Any]:
+def line_of_files(written: Sequence[Path]) -> dict[str, Any]:
     """Return the line that names the files written, for `print_blocks`; nothing where there are
     none.
     """

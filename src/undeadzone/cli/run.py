@@ -12,12 +12,12 @@ from undeadzone.cli.common import PATH, cmd, option, origin, writable
 from undeadzone.cli.output import (
     Output,
     csv_option,
+    decide_table,
     export_of,
-    named_files,
+    line_of_files,
     on_scenario,
     prepare_figures,
     to_type,
-    wanted_table,
 )
 from undeadzone.errors import InputError
 from undeadzone.util.progress import on_terminal as progress
@@ -74,15 +74,15 @@ def run(
     name = scenario.stem if replay is None else f"run-{replay}"
     folder = output.folder(f"{name}-results", as_csv)
     if replay is None:
-        wanted = _read(scenario, animation is not None, confine)
-        result, rival = _simulated(wanted)
+        wanted = _read_scenario(scenario, animation is not None, confine)
+        result, rival = _simulate_and_compare(wanted)
         follow = _next(scenario, wanted, result)
     else:
         with progress("replaying", None):
-            result, deviation = _replayed(scenario, replay, confine)
+            result, deviation = _replay_and_compare(scenario, replay, confine)
     given = origin(scenario if replay is None else None, result.info.seed)
     again = given if given.scenario else given._replace(scenario=result.info.scenario)
-    tables, left_out = wanted_table(as_csv, result.table_size, "run.csv")
+    tables, left_out = decide_table(as_csv, result.table_size, "run.csv")
     written: list[Path] = []
     if folder is not None:
         from undeadzone.report.run_page import write_run
@@ -94,12 +94,12 @@ def run(
             written += mjcf.write(mjcf.of_run(result), folder)
     if animation is not None:
         written.append(_film(result, rival, animation))
-    files = named_files(written) | (left_out if folder is not None else {})
+    files = line_of_files(written) | (left_out if folder is not None else {})
     output.show(
         lambda: _numbers(result, rival, replay, deviation),
         result.blocks,
         written,
-        _compared(rival) | _replay_in_words(deviation) | files | follow,
+        _rival_numbers(rival) | _replay_in_words(deviation) | files | follow,
     )
     return 0 if _is_good(result) else 1
 
@@ -107,7 +107,7 @@ def run(
 def _is_good(run: uz.Run) -> bool:
     """Return whether a run is what was hoped for: exit code 0."""
     known = run.fully_identifiable or not run.adapts
-    return run.diverged_at is None and not run.inexact and known
+    return run.divergence_time is None and not run.inexact and known
 
 
 def _next(path: Path, scenario: uz.Scenario, run: uz.Run) -> dict[str, str]:
@@ -125,7 +125,7 @@ def _next(path: Path, scenario: uz.Scenario, run: uz.Run) -> dict[str, str]:
     return to_type(*[narrower] * bool(open_claims), check)
 
 
-def _read(path: Path, animated: bool, confine: Path | None) -> uz.Scenario:
+def _read_scenario(path: Path, animated: bool, confine: Path | None) -> uz.Scenario:
     """Return the scenario that is to run. Raises InputError.
 
     Args:
@@ -144,7 +144,7 @@ def _read(path: Path, animated: bool, confine: Path | None) -> uz.Scenario:
     return scenario
 
 
-def _simulated(scenario: uz.Scenario) -> tuple[uz.Run, uz.Run | None]:
+def _simulate_and_compare(scenario: uz.Scenario) -> tuple[uz.Run, uz.Run | None]:
     """Return the run of a scenario, and that of the observer that it is to be compared with."""
     from undeadzone.simulation.feedback import measure_feedback
     from undeadzone.simulation.simulate import beside
@@ -166,7 +166,7 @@ def _steps(scenario: uz.Scenario) -> int:
     return observers * steps(scenario) + steps(scenario, check_step=False)
 
 
-def _replayed(path: Path, number: int, confine: Path | None) -> tuple[uz.Run, float]:
+def _replay_and_compare(path: Path, number: int, confine: Path | None) -> tuple[uz.Run, float]:
     """Return a run of an ensemble, and how far it lies from what it was there.
 
     Args:
@@ -178,7 +178,7 @@ def _replayed(path: Path, number: int, confine: Path | None) -> tuple[uz.Run, fl
 
     ensemble = uz.Ensemble.load(path)
     if confine is not None:
-        from undeadzone.scenario.reader import confined as kept_inside
+        from undeadzone.scenario.reader import confine_files as kept_inside
         from undeadzone.scenario.reader import parse
 
         kept_inside(parse(ensemble.info.scenario), confine)
@@ -214,12 +214,12 @@ def _replay_in_words(deviation: float | None) -> dict[str, str]:
     return {"replayed": f"off by {deviation:.1g} of the ensemble: another processor or version"}
 
 
-def _compared(rival: uz.Run | None) -> dict[str, str]:
+def _rival_numbers(rival: uz.Run | None) -> dict[str, str]:
     """What a rival's run came to."""
     if rival is None:
         return {}
-    if rival.diverged_at is not None:
-        return {"compared": f"{rival.name} diverges at {rival.diverged_at:g} s"}
+    if rival.divergence_time is not None:
+        return {"compared": f"{rival.name} diverges at {rival.divergence_time:g} s"}
     tip = "" if rival.rms_tip is None else f", tip {rival.rms_tip:.4g} m"
     rms = with_unit(f"{rival.rms_tracking:.4g}", rival.info.units.output)
     return {"compared": f"{rival.name}: rms z - r {rms}{tip}"}

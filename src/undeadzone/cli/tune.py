@@ -9,7 +9,7 @@ import click
 
 import undeadzone as uz
 from undeadzone.cli.common import cmd, flag, force_option, option, origin
-from undeadzone.cli.output import Output, named_files, on_scenario, partial_file, to_type
+from undeadzone.cli.output import Output, line_of_files, on_scenario, partial_file, to_type
 from undeadzone.errors import InputError
 from undeadzone.util.progress import on_terminal as progress
 
@@ -69,7 +69,7 @@ def tune(
     folder = output.folder(f"{scenario.stem}-tune")
     if folder is not None:
         require_own(folder / "tuned.toml", force)
-    wanted = _wanted(tuned, over, changes)
+    wanted = _tuning_task(tuned, over, changes)
     keep = partial_file(folder, "tuned.toml", resume)
     with progress("tuning", wanted.budget, "candidates", of=tuned.observer) as advance:
         result = uz.tune(tuned, wanted, progress=advance, keep=keep, resume=resume)
@@ -80,14 +80,14 @@ def tune(
         from undeadzone.report.tune_page import write_tuned
 
         written += write_tuned(result, folder, origin(scenario, result.seed))
-    last = named_files(written)
+    last = line_of_files(written)
     if written:
         last |= to_type(cmd("undeadzone", "run", written[0]))
     output.show(result.summary, result.blocks, written, last)
     return 0 if result.improved and result.certified else 1
 
 
-def _wanted(scenario: uz.Scenario, over: tuple[str, ...], changes: dict[str, Any]) -> uz.Tune:
+def _tuning_task(scenario: uz.Scenario, over: tuple[str, ...], changes: dict[str, Any]) -> uz.Tune:
     """Return the [tune] of a scenario with what the options say. Raises InputError."""
     import msgspec
 

@@ -64,7 +64,7 @@ def hold_apart(folder: Path, out: Path | None) -> list[str]:
     lacking = []
     if not _limit():
         lacking.append("no limits of memory and time on this system")
-    if not _landlocked([here, *_libraries()], written):
+    if not _restrict_files([here, *_libraries()], written):
         lacking.append("no Landlock on this system: paths are checked, nothing more")
     return lacking
 
@@ -84,9 +84,9 @@ def _keep_scratch(out: Path) -> None:
 
 def _cache() -> Path | None:
     """Where kernels are kept, made if missing; None where that cannot be."""
-    from undeadzone.compile.cache_folder import chosen
+    from undeadzone.compile.cache_folder import choose_folder
 
-    place = chosen()
+    place = choose_folder()
     try:
         if place is not None:
             place.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -125,7 +125,7 @@ def _out_of_time(number: int, frame: FrameType | None) -> None:
     raise Terminated(f"{CPU_TIME} s of CPU time ran out, which --untrusted allows")
 
 
-def _landlocked(read: Iterable[Path], written: Iterable[Path]) -> bool:
+def _restrict_files(read: Iterable[Path], written: Iterable[Path]) -> bool:
     """Take every other right on files away; whether the kernel can."""
     if sys.platform != "linux":
         return False

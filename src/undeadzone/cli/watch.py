@@ -18,10 +18,10 @@ import undeadzone as uz
 from undeadzone.cli.common import (
     PATH,
     SCHEMA,
+    add_guards,
     columns_option,
     exit_code,
     flag,
-    guarded,
     option,
     print_blocks,
     say,
@@ -42,7 +42,9 @@ BLOCK = 1 << 20  # bytes that are read at once, if as many have come
 TIME = click.FloatRange(min=0, min_open=True, max=threading.TIMEOUT_MAX)  # [s]
 
 
-def _told(ctx: click.Context, param: click.Parameter, seconds: float | None) -> float | None:
+def _check_seconds(
+    ctx: click.Context, param: click.Parameter, seconds: float | None
+) -> float | None:
     """Return a time that can be waited for. Raises BadParameter."""
     if seconds is not None and math.isnan(seconds):
         raise click.BadParameter("nan is no time [s]", ctx, param)
@@ -59,12 +61,21 @@ def _told(ctx: click.Context, param: click.Parameter, seconds: float | None) -> 
 @strict_option
 @option("--state", "FILE", "Keep the observer's state there, and go on from it.", type=PATH)
 @option(
-    "--every", "SECONDS", "How often the state is saved.", type=TIME, default=10.0, callback=_told
+    "--every",
+    "SECONDS",
+    "How often the state is saved.",
+    type=TIME,
+    default=10.0,
+    callback=_check_seconds,
 )
 @option(
-    "--heartbeat", "SECONDS", "Say on stderr so often how far it is.", type=TIME, callback=_told
+    "--heartbeat",
+    "SECONDS",
+    "Say on stderr so often how far it is.",
+    type=TIME,
+    callback=_check_seconds,
 )
-@guarded
+@add_guards
 def watch(
     scenario: Path,
     as_json: bool,

@@ -6,7 +6,7 @@ from typing import Any
 
 import casadi as ca
 
-from undeadzone.compensators.parts.coasting import Coasts, coasted, coasting
+from undeadzone.compensators.parts.coasting import Coasts, coast_input, coasting
 from undeadzone.interfaces import Compensator, Estimate, Reading
 from undeadzone.nonlinearities.actuator import Belief
 from undeadzone.plants.system import System
@@ -20,6 +20,6 @@ class NoInverse(Coasts, frozen=True, kw_only=True, tag="none"):
         numbers, first = coasting(self, model)
 
         def step(q: Any, s: Any, v: Any, estimate: Estimate, reading: Reading) -> tuple[Any, Any]:
-            return coasted(q, s, ca.SX(v), estimate, reading)
+            return coast_input(q, s, ca.SX(v), estimate, reading)
 
         return Compensator(numbers, lambda q: first, step)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from undeadzone.compensators.parts.coasting import Coasts, inverting, known_drive
+from undeadzone.compensators.parts.coasting import Coasts, inverting, require_believed_drive
 from undeadzone.interfaces import Compensator
 from undeadzone.nonlinearities.actuator import Belief
 from undeadzone.plants.system import System
@@ -27,7 +27,7 @@ class SmoothZoneInverse(
 
     def build(self, model: System, belief: Belief | None) -> Compensator:
         """Return the compensator for a model."""
-        drive = known_drive(belief)
+        drive = require_believed_drive(belief)
         usual = SOFT * np.maximum((drive.right + drive.left) / 2, 1e-12)
         given = usual if self.soft is None else self.soft
         soft = positive("compensator.soft", given, model.m, "one per input")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from undeadzone.compensators.parts.coasting import Coasts, inverting, known_drive
+from undeadzone.compensators.parts.coasting import Coasts, inverting, require_believed_drive
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Compensator
 from undeadzone.nonlinearities.actuator import Belief
@@ -22,4 +22,4 @@ class ZoneInverse(Coasts, frozen=True, kw_only=True, tag="inverse"):
                 "compensator.method: the jump of 'inverse' slides in continuous time; use "
                 "'smooth_inverse', or sampled time"
             )
-        return inverting(self, model, known_drive(belief))
+        return inverting(self, model, require_believed_drive(belief))

@@ -55,7 +55,7 @@ class Promise(NamedTuple):
         return self.low.param is not None or self.high.param is not None
 
 
-def read(numbers: list[list[tuple[int | None, float]]]) -> tuple[Promise, ...]:
+def read_promises(numbers: list[list[tuple[int | None, float]]]) -> tuple[Promise, ...]:
     """Return promises that were kept as lists."""
     return tuple(Promise(Edge(*low), Edge(*high)) for low, high in numbers)
 

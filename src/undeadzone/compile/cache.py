@@ -23,7 +23,15 @@ import numpy as np
 
 import undeadzone
 from undeadzone.compile import cache_folder
-from undeadzone.compile.machine import MOST, Compiled, Linked, compiled, here, linked, stack
+from undeadzone.compile.machine import (
+    MOST,
+    Compiled,
+    Linked,
+    compile_module,
+    here,
+    link_block,
+    stack,
+)
 
 LONG: Final = 6000  # lines of a text whose code of no effort is worth while
 IN_PIECES: Final = 100_000  # lines of a text in whose many loads and stores schedulers get lost
@@ -145,7 +153,7 @@ class Trial:
             with suppress(RuntimeError):  # where no thread can be had, nothing is measured
                 threading.Thread(target=self._compile, name="compile").start()
         elif len(self.codes) > 1 and all(len(self.rates[each]) == CALLS for each in self.codes):
-            best = min(self.codes, key=self._weighed)
+            best = min(self.codes, key=self._least_time)
             self.codes, self.is_done = {best: self.codes[best]}, True
             self._keep(self.codes[best])
 
@@ -159,7 +167,7 @@ class Trial:
         if threading.main_thread().is_alive():
             self.codes = codes
 
-    def _weighed(self, block: Block) -> float:
+    def _least_time(self, block: Block) -> float:
         """Return the least time of a code, where another one has to be faster than the assumed
         one.
         """
@@ -174,11 +182,11 @@ def load(text: str, kinds: tuple[str, ...]) -> Block:
         kinds: of its arguments, each NumPy's name of a type of numbers, followed by * for an array,
             which arrives as a pointer.
     """
-    return made(Recipe(text, lambda: (text, "")), kinds)
+    return compile_or_load(Recipe(text, lambda: (text, "")), kinds)
 
 
 @functools.lru_cache(maxsize=64)
-def made(recipe: Recipe, kinds: tuple[str, ...], hurry: bool = False) -> Block:
+def compile_or_load(recipe: Recipe, kinds: tuple[str, ...], hurry: bool = False) -> Block:
     """Return the function `block` of a recipe, compiled now or taken from disk.
 
     Where the folder cannot be used or trusted, or what it holds is damaged, the function is
@@ -198,21 +206,21 @@ def made(recipe: Recipe, kinds: tuple[str, ...], hurry: bool = False) -> Block:
     longest = max(part.count("\n") for part in text.split("\n}\n"))  # of its functions
     if not hurry or lines < LONG or longest * FRAME > stack() // 4:
         return Block(_best(recipe, kinds, text, note), kinds, note, text)
-    block = Block(_sure(linked(compiled(text, 0), kinds)), kinds, note, text)
+    block = Block(_sure(link_block(compile_module(text, 0), kinds)), kinds, note, text)
     block.improve(lambda: _best(recipe, kinds, text, note))
     return block
 
 
 def cached_block(recipe: Recipe, kinds: tuple[str, ...]) -> Block | None:
     """Return the function `block` of a recipe, if it is on disk."""
-    found = _read(recipe.key, kinds)
-    code = None if found is None else linked(found[1], kinds)
+    found = _read_entry(recipe.key, kinds)
+    code = None if found is None else link_block(found[1], kinds)
     return None if found is None or code is None else Block(code, kinds, found[0])
 
 
 def answer(question: str) -> str | None:
     """What `keep_answer` kept on this machine, if it is on disk."""
-    found = _read(question, ())
+    found = _read_entry(question, ())
     return None if found is None else found[0]
 
 
@@ -223,22 +231,22 @@ def keep_answer(question: str, text: str) -> None:
 
 def _best(recipe: Recipe, kinds: tuple[str, ...], text: str, note: str) -> Linked:
     """Return a text compiled with all effort, linked and kept."""
-    code = compiled(text, LESS if text.count("\n") > IN_PIECES else MOST)
+    code = compile_module(text, LESS if text.count("\n") > IN_PIECES else MOST)
     _keep(recipe.key, kinds, note, code)
-    return _sure(linked(code, kinds))
+    return _sure(link_block(code, kinds))
 
 
-def _read(key: str, kinds: tuple[str, ...]) -> tuple[str, Compiled] | None:
+def _read_entry(key: str, kinds: tuple[str, ...]) -> tuple[str, Compiled] | None:
     """Note and machine code of a key, if they are on disk."""
-    folder = cache_folder.chosen()
+    folder = cache_folder.choose_folder()
     if folder is None or not any(folder.glob(f"{_title(key, kinds)}-*")):
         return None  # without asking LLVM for the processor
-    return _parsed(cache_folder.read(folder, _name(key, kinds)))
+    return _parse_entry(cache_folder.read(folder, _name(key, kinds)))
 
 
 def _keep(key: str, kinds: tuple[str, ...], note: str, code: Compiled) -> None:
     """Write a key's file, where there is a folder for it."""
-    folder = cache_folder.chosen()
+    folder = cache_folder.choose_folder()
     if folder is not None:
         cache_folder.keep(folder, _name(key, kinds), _content(note, code))
 
@@ -286,7 +294,7 @@ def _engine() -> str:
     return hashlib.sha256(b"".join([path.read_bytes() for path in files])).hexdigest()
 
 
-def _parsed(content: bytes | None) -> tuple[str, Compiled] | None:
+def _parse_entry(content: bytes | None) -> tuple[str, Compiled] | None:
     """What a file holds, if it is there and whole."""
     digest, _, rest = (content or b"").partition(b"\n")
     if digest != _digest(rest):

@@ -37,7 +37,7 @@ class Entry(NamedTuple):
     name: str
 
 
-def chosen() -> Path | None:
+def choose_folder() -> Path | None:
     """Where kernels are kept; None where there is no such place.
 
     $UNDEADZONE_CACHE, or `undeadzone` in $XDG_CACHE_HOME or ~/.cache. Relative paths are ignored:
@@ -54,8 +54,8 @@ def chosen() -> Path | None:
 def read(folder: Path, name: str) -> bytes | None:
     """What a file of the folder holds; None where it is missing or others could have written it."""
     try:
-        with _opened(folder) as directory:
-            return _read(directory, name)
+        with _open_folder(folder) as directory:
+            return _read_file(directory, name)
     except OSError:
         return None
 
@@ -64,7 +64,7 @@ def keep(folder: Path, name: str, content: bytes) -> None:
     """Write a file of the folder where that is possible, and delete what is old or too much."""
     try:
         _make(folder)
-        with _opened(folder) as directory:
+        with _open_folder(folder) as directory:
             _write(directory, name, content)
             trim(directory, name)
     except OSError:
@@ -141,7 +141,7 @@ else:
     # folder or a link in its place between the check and the use.
 
     @contextmanager
-    def _opened(folder: Path) -> Iterator[int]:
+    def _open_folder(folder: Path) -> Iterator[int]:
         """Provide a descriptor of the folder. Raises OSError where others could write it."""
         directory = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
         try:
@@ -160,11 +160,11 @@ else:
         folder.parent.mkdir(parents=True, exist_ok=True)
         with suppress(FileExistsError):
             os.mkdir(folder, 0o700)
-        with _opened(folder) as directory:
+        with _open_folder(folder) as directory:
             if os.fstat(directory).st_mode & 0o077:
                 os.fchmod(directory, 0o700)
 
-    def _read(directory: int, name: str) -> bytes:
+    def _read_file(directory: int, name: str) -> bytes:
         """What a file holds; its time is set to now. Raises OSError where others could write it."""
         # Not blocking: a named pipe must not keep the command waiting.
         flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK

@@ -80,7 +80,7 @@ def program(function: ca.Function) -> Program:
     return Program(function.name(), lines, results)
 
 
-def evaluated(
+def evaluate_program(
     of: Program,
     read: Callable[[str, int], Any],
     constant: Callable[[float], Any],
@@ -118,7 +118,7 @@ class Rules(Protocol):
         """Return a number that is written down."""
 
 
-def listed(function: ca.Function, rules: Rules) -> Results:
+def list_results(function: ca.Function, rules: Rules) -> Results:
     """Return the results of a function as nodes, whether lanes share its inputs or not.
 
     Args:
@@ -151,4 +151,4 @@ def listed(function: ca.Function, rules: Rules) -> Results:
             return rules.made("div", rules.constant(1.0), args[0])
         return rules.made("pow" if word == "constpow" else word, *args)
 
-    return evaluated(lines, read, rules.constant, apply)
+    return evaluate_program(lines, read, rules.constant, apply)

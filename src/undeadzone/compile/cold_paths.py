@@ -5,10 +5,18 @@ from __future__ import annotations
 import itertools
 from typing import Final
 
-from undeadzone.compile.graph import SHARED, STEADY, STILL, Node, needed, still, used
+from undeadzone.compile.graph import (
+    SHARED,
+    STEADY,
+    STILL,
+    Node,
+    directly_used,
+    required_nodes,
+    still,
+)
 from undeadzone.compile.machine import LARGE, Form, Shape
 from undeadzone.compile.print_llvm import TYPES, Names, Text, entries_of, in_lanes, once, plain
-from undeadzone.compile.schedule import of_graph, ordered
+from undeadzone.compile.schedule import of_graph, order_instructions
 
 _POINTERS: Final = ("before", "next", "flag", "row", "own", "w", "rare")
 
@@ -29,7 +37,7 @@ class RareParts:
         self._results = [[*following, *flag] for following, flag in parts]
         self._orders = [_order(results, form) for results in self._results]
         self._written = len(parts[0][0]) if parts else 0
-        everything = needed(itertools.chain(*self._results))
+        everything = required_nodes(itertools.chain(*self._results))
         inputs = [node.text for node in everything if node.op == "input"]
         self._read = sorted(int(text[1:]) for text in inputs if text[0] == "s")
         self._uses = [self._steady(part) for part in range(len(parts))]
@@ -43,10 +51,14 @@ class RareParts:
     def _steady(self, part: int) -> list[Node]:
         """Return the steady values that a part uses."""
         order, results = self._orders[part], self._results[part]
-        shared = [node for node in needed(used(order, results, SHARED)) if node.level == SHARED]
-        return [*used(order, results, STEADY), *used(shared, [], STEADY)]
+        shared = [
+            node
+            for node in required_nodes(directly_used(order, results, SHARED))
+            if node.level == SHARED
+        ]
+        return [*directly_used(order, results, STEADY), *directly_used(shared, [], STEADY)]
 
-    def called(
+    def print_call(
         self, text: Text, following: list[list[str]], flags: list[str]
     ) -> tuple[str, list[list[str]]]:
         """Print the call for groups in which a flag is set.
@@ -112,7 +124,7 @@ class RareParts:
         for place, node in enumerate(self.steady):
             if node in self._uses[part]:
                 have[node] = plain(text, node, text.load(text.at("%rare", place)))
-        once(text, used(order, results, SHARED), have, entries_of(text, "w"))
+        once(text, directly_used(order, results, SHARED), have, entries_of(text, "w"))
         (names,) = in_lanes(text, order, [self._source(text, have)], False)
         old = text.load("%flag", vector=True)
         flagged = text.add(f"fcmp une {vector} {old}, {text.zero()}")
@@ -157,5 +169,5 @@ class RareParts:
 def _order(results: list[Node], form: Form) -> list[Node]:
     """Return the instructions of a part; one group goes alone, so that it has all registers."""
     small = len(of_graph(results)) <= LARGE
-    order = ordered(results, form.registers * form.streams if small else 0)
+    order = order_instructions(results, form.registers * form.streams if small else 0)
     return [*still(order, results), *order]

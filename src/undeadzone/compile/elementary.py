@@ -74,7 +74,7 @@ class Maths:
 # --- Steps of the functions
 
 
-def turned(m: Maths, x: Any) -> Any:
+def reduce_angle(m: Maths, x: Any) -> Any:
     """Return sine and cosine of r, |x| = n pi/2 + r, |r| <= pi/4, and bits that end with n, or n
     itself.
 
@@ -110,7 +110,7 @@ def power(m: Maths, shifted: Any, less: Any = None) -> Any:
     return m.number((bits << m.c.mantissa) + m.c.one)
 
 
-def raised(m: Maths, x: Any) -> Any:
+def reduce_exponent(m: Maths, x: Any) -> Any:
     """Return n, n + shift and e^r - 1 of x = n log 2 + r, |r| <= log(2) / 2."""
     c = m.c
     shifted = m.fma(x, 1 / math.log(2), c.shift)
@@ -119,7 +119,7 @@ def raised(m: Maths, x: Any) -> Any:
     return n, shifted, m.fma(r * r, m.polynomial(r, c.exp), r)
 
 
-def limited(m: Maths, x: Any) -> Any:
+def limit_exponent(m: Maths, x: Any) -> Any:
     """Return an argument of exp, not beyond what makes it infinite or 0."""
     x = m.select(x > m.c.most, m.c.most, x)
     return m.select(x < m.c.least, m.c.least, x)
@@ -127,7 +127,7 @@ def limited(m: Maths, x: Any) -> Any:
 
 def lost(m: Maths, g: Any) -> Any:
     """Return 1 - e^-g of a g that is not negative nor so large that e^-g is not normal."""
-    _, shifted, part = raised(m, -g)
+    _, shifted, part = reduce_exponent(m, -g)
     scale = power(m, shifted)
     return m.fma(-scale, part, 1.0 - scale)
 
@@ -166,7 +166,7 @@ def exp(m: Maths, x: Any) -> Any:
     """Return exponential; 2^n in two factors, so that the largest numbers and subnormal ones come
     out.
     """
-    n, shifted, part = raised(m, limited(m, x))
+    n, shifted, part = reduce_exponent(m, limit_exponent(m, x))
     half = m.fma(n, 0.5, m.c.shift)
     scale = power(m, half)
     return m.fma(scale, part, scale) * power(m, shifted, half)
@@ -175,12 +175,12 @@ def exp(m: Maths, x: Any) -> Any:
 def expm1(m: Maths, x: Any) -> Any:
     """Return e^x - 1, from half of it."""
     most = (m.c.bias + 1.25) * math.log(2)  # infinite, by the largest n that has a power
-    n, _, part = raised(m, m.select(x < -50.0, -50.0, m.select(x > most, most, x)))
+    n, _, part = reduce_exponent(m, m.select(x < -50.0, -50.0, m.select(x > most, most, x)))
     half = power(m, n + (m.c.shift - 1.0))
     return 2.0 * m.fma(half, part, half - 0.5)
 
 
-def parted(m: Maths, x: Any) -> Any:
+def split_mantissa(m: Maths, x: Any) -> Any:
     """Return n and f of x = 2^n (1 + f), sqrt(1/2) <= 1 + f < sqrt(2)."""
     if m.bitless:
         return m.call("exponent", x), m.call("fraction", x) - 1.0
@@ -196,7 +196,7 @@ def parted(m: Maths, x: Any) -> Any:
 def log(m: Maths, x: Any) -> Any:
     """Return natural logarithm n log 2 + log(1 + f); -infinity of 0, NaN of negative numbers."""
     c = m.c
-    n, f = parted(m, x)
+    n, f = split_mantissa(m, x)
     s = f / (2.0 + f)
     z = s * s
     whole = n * c.log2_short[0]
@@ -225,21 +225,21 @@ def erf(m: Maths, x: Any) -> Any:
 
 def sin(m: Maths, x: Any) -> Any:
     """Return sine; 0 of |x| above 8000 (float) or 1e5 (double)."""
-    sine, cosine, n = turned(m, x)
+    sine, cosine, n = reduce_angle(m, x)
     value = m.select((n & 1) != 0, cosine, sine)
     return m.number(m.bits(value) ^ ((n & 2) << (m.c.bits - 2)) ^ (m.bits(x) & m.c.sign))
 
 
 def cos(m: Maths, x: Any) -> Any:
     """Return cosine; 1 of |x| above 8000 (float) or 1e5 (double)."""
-    sine, cosine, n = turned(m, x)
+    sine, cosine, n = reduce_angle(m, x)
     value = m.select((n & 1) != 0, sine, cosine)
     return m.number(m.bits(value) ^ (((n + 1) & 2) << (m.c.bits - 2)))
 
 
 def tan(m: Maths, x: Any) -> Any:
     """Return tangent; 0 of |x| above 8000 (float) or 1e5 (double)."""
-    sine, cosine, n = turned(m, x)
+    sine, cosine, n = reduce_angle(m, x)
     odd = (n & 1) != 0
     value = m.select(odd, cosine, sine) / m.select(odd, sine, cosine)
     return m.number(m.bits(value) ^ (n << (m.c.bits - 1)) ^ (m.bits(x) & m.c.sign))
@@ -321,7 +321,7 @@ def atanh(m: Maths, x: Any) -> Any:
     return m.call("copysign", 0.5 * m.call("log1p", 2.0 * a / (1.0 - a)), x)
 
 
-def raised_to(m: Maths, x: Any, y: Any) -> Any:
+def power_by_logarithm(m: Maths, x: Any, y: Any) -> Any:
     """Return x^y as e^(y log x): its relative error grows with |y log x|."""
     half = y * 0.5
     size = m.call("exp", y * m.call("log", abs(x)))
@@ -349,7 +349,7 @@ FUNCTIONS: Final[dict[str, Callable[..., Any]]] = {
     "fmin": smaller,
     "fmax": larger,
     **{function.__name__: function for function in _OWN},
-    "pow": raised_to,
+    "pow": power_by_logarithm,
 }
 """By C's names, in an order in which each calls earlier ones only."""
 
@@ -395,15 +395,17 @@ def formula(name: str, kind: str, own: Own = OF_WORDS) -> Formula:
     arguments = [Value(nodes, nodes.input(text, LANES, kind)) for text in inputs]
     numbers = SINGLE if kind == SINGLE.kind else DOUBLE
     result: Node = function(Maths(nodes, numbers, bitless=own.bitless), *arguments).node
-    return Formula(inputs, result, called([[result]]) & own.functions.keys())
+    return Formula(inputs, result, called_functions([[result]]) & own.functions.keys())
 
 
-def called(results: Results) -> set[str]:
+def called_functions(results: Results) -> set[str]:
     """Return the functions that results call, those of the C library among them."""
     return {node.text for node in uses(results) if node.op == "call"}
 
 
-def inlined(nodes: Nodes, numbers: Numbers, names: Iterable[str]) -> dict[str, Callable[..., Node]]:
+def inline_functions(
+    nodes: Nodes, numbers: Numbers, names: Iterable[str]
+) -> dict[str, Callable[..., Node]]:
     """What writes functions down where they are called, by name."""
     maths = Maths(nodes, numbers, inline=True)
 
@@ -413,7 +415,7 @@ def inlined(nodes: Nodes, numbers: Numbers, names: Iterable[str]) -> dict[str, C
     return {name: written(name) for name in names}
 
 
-def needed(names: set[str], kind: str = DOUBLE.kind, own: Own = OF_WORDS) -> list[str]:
+def required_functions(names: set[str], kind: str = DOUBLE.kind, own: Own = OF_WORDS) -> list[str]:
     """Return the functions and those that they call, each after those that it calls."""
     found = set(names)
     for name in reversed(own.functions):

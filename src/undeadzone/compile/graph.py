@@ -93,7 +93,7 @@ class Nodes:
         return self.intern("input", text=name, kind=kind, level=level)
 
 
-def needed(results: Iterable[Node], known: Collection[Node] = ()) -> list[Node]:
+def required_nodes(results: Iterable[Node], known: Collection[Node] = ()) -> list[Node]:
     """What results need beyond what is known, in the order in which it was made."""
     seen = set(known)
     new = set(results) - seen
@@ -103,7 +103,7 @@ def needed(results: Iterable[Node], known: Collection[Node] = ()) -> list[Node]:
     return sorted(seen.difference(known), key=_number)
 
 
-def used(order: Iterable[Node], results: Iterable[Node], level: int) -> list[Node]:
+def directly_used(order: Iterable[Node], results: Iterable[Node], level: int) -> list[Node]:
     """Return the values of a level that some instructions or results use directly."""
     found = set(results).union(*[node.args for node in order])
     return sorted((node for node in found if node.level == level), key=_number)
@@ -111,14 +111,14 @@ def used(order: Iterable[Node], results: Iterable[Node], level: int) -> list[Nod
 
 def still(order: Iterable[Node], results: Iterable[Node]) -> list[Node]:
     """Return the instructions of lanes that some instructions or results need once a call."""
-    nodes = needed(used(order, results, STILL))
+    nodes = required_nodes(directly_used(order, results, STILL))
     return [node for node in nodes if node.level == STILL and node.op != "input"]
 
 
 def uses(results: Results) -> Counter[Node]:
     """How often each node is used by results and by nodes that these need."""
     counts = Counter(itertools.chain(*results))
-    for node in needed(counts):
+    for node in required_nodes(counts):
         counts.update(node.args)
     return counts
 

@@ -68,7 +68,7 @@ def stateless(inputs: list[ca.SX], value: ca.SX) -> ca.Function:
     return ca.Function("stateless", [nothing, *inputs], [nothing, value])
 
 
-def mapped(step: ca.Function, rows: Floats, params: Floats) -> Floats:
+def evaluate_rows(step: ca.Function, rows: Floats, params: Floats) -> Floats:
     """Return the outputs of a step without a state at many rows (N x inputs), a row each."""
     return run(step, np.empty(0), rows, params)[0]
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.compile.casadi_reader import Program, evaluated, program
+from undeadzone.compile.casadi_reader import Program, evaluate_program, program
 from undeadzone.errors import InputError
 from undeadzone.util.arrays import Floats
 
@@ -46,7 +46,7 @@ def _outward(low: Floats, high: Floats) -> Interval:
     )
 
 
-def _bounded_where(condition: np.ndarray, a: Interval) -> Interval:
+def _bound_if(condition: np.ndarray, a: Interval) -> Interval:
     """Return the interval where the condition holds, no bound elsewhere."""
     return Interval(np.where(condition, a.low, -np.inf), np.where(condition, a.high, np.inf))
 
@@ -111,7 +111,7 @@ def quotient(a: Interval, b: Interval) -> Interval:
 def inverse(a: Interval) -> Interval:
     """Return 1 / a; no bound where a may be 0."""
     away = (a.low > 0) | (a.high < 0)
-    return _bounded_where(away, _outward(1 / a.high, 1 / a.low))
+    return _bound_if(away, _outward(1 / a.high, 1 / a.low))
 
 
 def square(a: Interval) -> Interval:
@@ -158,7 +158,7 @@ def rising(
     low, high = function(a.low), function(a.high)
     inside = (a.low >= least) & (a.high <= greatest)
     padded = _outward(low - PAD * np.abs(low), high + PAD * np.abs(high))
-    return _bounded_where(inside, padded)
+    return _bound_if(inside, padded)
 
 
 exp = partial(rising, np.exp)
@@ -214,7 +214,7 @@ cos = partial(_wave, np.cos, 0.0)
 # Conditions (1 where they hold, 0 where they do not) and kinks
 
 
-def _decided(yes: np.ndarray, no: np.ndarray) -> Interval:
+def _decide(yes: np.ndarray, no: np.ndarray) -> Interval:
     """Return 1 where yes, 0 where no. Raises InputError where neither."""
     if not np.all(yes | no):
         raise InputError(SMOOTH)
@@ -223,22 +223,22 @@ def _decided(yes: np.ndarray, no: np.ndarray) -> Interval:
 
 def less(a: Interval, b: Interval) -> Interval:
     """Return a < b."""
-    return _decided(a.high < b.low, a.low >= b.high)
+    return _decide(a.high < b.low, a.low >= b.high)
 
 
 def at_most(a: Interval, b: Interval) -> Interval:
     """Return a <= b."""
-    return _decided(a.high <= b.low, a.low > b.high)
+    return _decide(a.high <= b.low, a.low > b.high)
 
 
 def equal(a: Interval, b: Interval) -> Interval:
     """Return a == b."""
-    return _decided(_coincide(a, b), _apart(a, b))
+    return _decide(_coincide(a, b), _apart(a, b))
 
 
 def unequal(a: Interval, b: Interval) -> Interval:
     """Return a != b."""
-    return _decided(_apart(a, b), _coincide(a, b))
+    return _decide(_apart(a, b), _coincide(a, b))
 
 
 def _coincide(a: Interval, b: Interval) -> np.ndarray:
@@ -253,7 +253,7 @@ def _apart(a: Interval, b: Interval) -> np.ndarray:
 
 def negation(a: Interval) -> Interval:
     """Not a."""
-    return _decided(a.high == 0, a.low != 0)
+    return _decide(a.high == 0, a.low != 0)
 
 
 def both(a: Interval, b: Interval) -> Interval:
@@ -263,7 +263,7 @@ def both(a: Interval, b: Interval) -> Interval:
 
 def sign(a: Interval) -> Interval:
     """Return the sign of a, where it is decided."""
-    positive = _decided(a.low > 0, a.high < 0).low
+    positive = _decide(a.low > 0, a.high < 0).low
     return Interval(2 * positive - 1, 2 * positive - 1)
 
 
@@ -277,7 +277,7 @@ def maximum(a: Interval, b: Interval) -> Interval:
     return Interval(np.maximum(a.low, b.low), np.maximum(a.high, b.high))
 
 
-def gated(condition: Interval, value: Interval) -> Interval:
+def gate_value(condition: Interval, value: Interval) -> Interval:
     """Return the value where the condition holds, else 0."""
     return _zero_where(condition.low == 0, value)
 
@@ -291,7 +291,7 @@ _BOUNDS: dict[str, Callable[..., Interval]] = {
     **{"sin": sin, "cos": cos, "tan": tan, "asin": asin, "acos": acos, "cosh": cosh},
     **{word: partial(rising, of) for word, of in _RISING.items()},
     **{"fmin": minimum, "fmax": maximum, "lt": less, "le": at_most, "eq": equal, "ne": unequal},
-    **{"not": negation, "and": both, "or": maximum, "if_else_zero": gated},
+    **{"not": negation, "and": both, "or": maximum, "if_else_zero": gate_value},
 }
 
 
@@ -312,10 +312,12 @@ def enclosure(function: ca.Function) -> Callable[[Sequence[Interval]], list[Inte
     for line in lines.lines:
         if line.word not in (*_BOUNDS, "input", "const"):
             raise InputError(f"no bounds are known for the function {line.word}")
-    return partial(_enclosed, lines, function.name_in())
+    return partial(_enclose_outputs, lines, function.name_in())
 
 
-def _enclosed(lines: Program, names: Sequence[str], boxes: Sequence[Interval]) -> list[Interval]:
+def _enclose_outputs(
+    lines: Program, names: Sequence[str], boxes: Sequence[Interval]
+) -> list[Interval]:
     """Bounds on the outputs of a function, given its inputs' names and boxes."""
     shape = np.broadcast_shapes(*(box.low.shape[1:] for box in boxes))
 
@@ -327,11 +329,11 @@ def _enclosed(lines: Program, names: Sequence[str], boxes: Sequence[Interval]) -
         return Interval(np.array(value), np.array(value))
 
     with np.errstate(all="ignore"):
-        results = evaluated(lines, read, constant, lambda word, *of: _BOUNDS[word](*of))
-    return [_stacked(entries, shape) for entries in results]
+        results = evaluate_program(lines, read, constant, lambda word, *of: _BOUNDS[word](*of))
+    return [_stack_intervals(entries, shape) for entries in results]
 
 
-def _stacked(entries: list[Interval], shape: tuple[int, ...]) -> Interval:
+def _stack_intervals(entries: list[Interval], shape: tuple[int, ...]) -> Interval:
     """Return several intervals in one (entries x boxes)."""
     low = np.stack([np.broadcast_to(entry.low, shape) for entry in entries])
     high = np.stack([np.broadcast_to(entry.high, shape) for entry in entries])

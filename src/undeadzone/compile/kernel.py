@@ -23,11 +23,11 @@ from undeadzone.compile.graph import (
     Node,
     Nodes,
     condition,
-    needed,
+    directly_used,
+    required_nodes,
     still,
-    used,
 )
-from undeadzone.compile.lower import Arithmetic, lowered
+from undeadzone.compile.lower import Arithmetic, lower_function
 from undeadzone.compile.machine import ONE, Form, Machine, Shape
 from undeadzone.compile.outline import Pieces
 from undeadzone.compile.print_llvm import (
@@ -39,7 +39,7 @@ from undeadzone.compile.print_llvm import (
     plain,
     store_value,
 )
-from undeadzone.compile.schedule import Branch, gathered, of_graph, ordered
+from undeadzone.compile.schedule import Branch, gather_branches, of_graph, order_instructions
 
 _ARGUMENTS: Final = ("work", "exogenous", "params", "own", "outputs")
 _PAGE: Final = 4096  # bytes
@@ -101,22 +101,22 @@ class Block:
         self.steady, self.shared = _Table(self.slots), _Table(self.slots)
         self.groups = range(form.streams)
         self.results = [*self.following, *self.out, *([self.flag] if self.flag else [])]
-        self.order = ordered(self.results, form.registers)
+        self.order = order_instructions(self.results, form.registers)
         self.body: list[Node | Branch] = list(self.order)
         if form.branches and form.streams == 1:
-            self.body = gathered(self.order, self.results, form.branches)
+            self.body = gather_branches(self.order, self.results, form.branches)
         is_cut = form.is_cut(len(self.order))
         self.pieces = Pieces(self.body, self.results, form) if is_cut else None
         self.still = still(self.order, self.results)
         self.have: dict[Node, str] = {}  # steady values, plain
         self.own: list[Names] = []  # of values that lanes compute once
 
-    def printed(self, name: str) -> str:
+    def print_module(self, name: str) -> str:
         """Return the text of the module, with a function of that name."""
         entry = self._text("e")
         self._steady_values(entry)
         group, body = self._group(), self._body()
-        functions = self.pieces.functions(self.declared, self._tabled) if self.pieces else []
+        functions = self.pieces.functions(self.declared, self._name_tables) if self.pieces else []
         steps = max(_FEWEST, min(_STEPS, _TABLE // max(1, len(self.shared.entries))))
         steps = steps if self.shared.entries else _FOR_EVER
         tables = self._tables(entry, steps)
@@ -154,8 +154,11 @@ class Block:
 
     def _steady_values(self, text: Text) -> None:
         """Print what is steady, once."""
-        wanted = [*used([*self.still, *self.order], self.results, STEADY), *self.rare.steady]
-        for node in needed(used(self.order, self.results, SHARED)):
+        wanted = [
+            *directly_used([*self.still, *self.order], self.results, STEADY),
+            *self.rare.steady,
+        ]
+        for node in required_nodes(directly_used(self.order, self.results, SHARED)):
             if node.level == SHARED:
                 wanted += [arg for arg in node.args if arg.level == STEADY]
         once(text, wanted, self.have, entries_of(text, "params"))
@@ -164,18 +167,18 @@ class Block:
         """Print where tables are, and fill those that are steady; the numbers of all of them."""
         lanes, streams = self.form.lanes, self.form.streams
         text.line("%steady = getelementptr double, ptr %scratch, i64 0")
-        at = _rounded(len(self.steady.entries))
+        at = _round_to_lines(len(self.steady.entries))
         text.line(f"%table = getelementptr double, ptr %scratch, i64 {at}")
-        at += _rounded(len(self.shared.entries) * steps if self.shared.entries else 0)
+        at += _round_to_lines(len(self.shared.entries) * steps if self.shared.entries else 0)
         text.line(f"%rare = getelementptr double, ptr %scratch, i64 {at}")
-        at += _rounded(len(self.rare.steady))
+        at += _round_to_lines(len(self.rare.steady))
         if self.pieces:
             text.line(f"%frame = getelementptr double, ptr %scratch, i64 {at}")
-            at += _rounded(self.pieces.numbers)
+            at += _round_to_lines(self.pieces.numbers)
         for u in range(streams if self.flag else 0):
             for name, count in self.rare.arrays:
                 text.line(f"%{name}{u} = getelementptr double, ptr %scratch, i64 {at}")
-                at += _rounded(count * lanes)
+                at += _round_to_lines(count * lanes)
         self.steady.fill(text, "%steady", self.have)
         for place, node in enumerate(self.rare.steady):
             text.store(store_value(text, node, self.have[node]), text.at("%rare", place))
@@ -235,7 +238,7 @@ class Block:
                 return f"%p{u}_{self.shape.params.index(int(node.text[1:]))}"
             if self.form.lanes == 1:
                 return self.have[node]
-            return self._tabled(text, "%steady")(node)
+            return self._name_tables(text, "%steady")(node)
 
         return source
 
@@ -274,7 +277,7 @@ class Block:
         text.block = "time"
         sources = [self._source(text, u) for u in self.groups]
         if self.pieces:
-            sources = [self.pieces.called(text, sources[0])]
+            sources = [self.pieces.print_calls(text, sources[0])]
         names = in_lanes(text, [] if self.pieces else self.body, sources, self.slots)
         vector = text.type("double")
         for u in self.groups:
@@ -283,7 +286,7 @@ class Block:
         merged = [[[names[u](node) for node in self.following] for u in self.groups]]
         came = [text.block]
         if self.flag:
-            last, changed = self.rare.called(text, merged[0], self._flags(text, names))
+            last, changed = self.rare.print_call(text, merged[0], self._flags(text, names))
             came.append(last)
             merged.append(changed)
         else:
@@ -314,7 +317,7 @@ class Block:
             if node.level == STILL:
                 return self.own[u](node)
             if node.level < LANES:
-                return self._tabled(text)(node)
+                return self._name_tables(text)(node)
             place = int(node.text[1:])
             if node.text[0] == "s":
                 return f"%s{u}_{place}"
@@ -325,7 +328,7 @@ class Block:
 
         return source
 
-    def _tabled(self, text: Text, steady: str = "%sp") -> Names:
+    def _name_tables(self, text: Text, steady: str = "%sp") -> Names:
         """What names values of tables, which stand at `steady` and at %sq, in all lanes."""
 
         def tabled(node: Node) -> str:
@@ -362,7 +365,7 @@ def _rows(text: Text, base: str, first: str, name: str, count: int) -> None:
         before = f"ptr %{name}{i}, i64 %lanes"
 
 
-def _rounded(numbers: int) -> int:
+def _round_to_lines(numbers: int) -> int:
     """So many numbers, as whole lines of the cache."""
     return -(-numbers // 8) * 8
 
@@ -412,7 +415,7 @@ def graphs(
         w, p: what is known of these inputs.
     """
     columns = [ca.SX.sym(name, size) for name, size in zip("swp", shape.sizes, strict=True)]
-    inputs = [columns[0], _substituted(columns[1], w), _substituted(columns[2], p)]
+    inputs = [columns[0], _substitute_known(columns[1], w), _substitute_known(columns[2], p)]
     following, out, *flag = (ca.densify(ca.SX(value)) for value in step(*inputs))
     usual = _graph(columns, [following, out[list(shape.record)], *flag])
     results = ([ca.densify(ca.SX(value)) for value in part(*inputs)] for part in rare)
@@ -452,16 +455,16 @@ def source(
         return LANES if one or name[0] == "s" or place in shape.exogenous else SHARED
 
     promises: dict[Promise, None] = {}
-    usual = lowered(functions.usual, nodes, level, arithmetic, promises)
-    parts = [lowered(part, nodes, level, arithmetic, promises) for part in functions.rare]
+    usual = lower_function(functions.usual, nodes, level, arithmetic, promises)
+    parts = [lower_function(part, nodes, level, arithmetic, promises) for part in functions.rare]
     if form is None:
         results = [*itertools.chain(*usual)]
         form = machine.form(len(of_graph(results)), width)
     block = Block(shape, form, usual, parts)
-    return Source(block.printed(name), form, tuple(promises))
+    return Source(block.print_module(name), form, tuple(promises))
 
 
-def _substituted(column: ca.SX, known: Mapping[int, float]) -> ca.SX:
+def _substitute_known(column: ca.SX, known: Mapping[int, float]) -> ca.SX:
     """Return a column with the entries that are known in their places."""
     return ca.vertcat(*(known.get(i, column[i]) for i in range(column.numel())))
 

@@ -23,7 +23,7 @@ from undeadzone.compile import assumptions, cache
 from undeadzone.compile.assumptions import Promise
 from undeadzone.compile.kernel import KINDS, Graphs, graphs, source
 from undeadzone.compile.lower import Arithmetic
-from undeadzone.compile.machine import Form, Shape, here, told_form
+from undeadzone.compile.machine import Form, Shape, form_from_environment, here
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.util.arrays import Floats, Integers, shape_text
 
@@ -112,13 +112,15 @@ def build(
             that is none.
     """
     if form is None and width != 1:
-        form = told_form()
+        form = form_from_environment()
     known = known_exogenous, known_params
     own = tuple(exogenous), tuple(params), record
     plan = _plan(step, rare, width, Arithmetic(fused, portable), own, known)
     measured = plan.size() if form is None and width != 1 else ""
     answer = cache.answer(measured) if measured else None
-    block = cache.made(plan.recipe(Form(*json.loads(answer)) if answer else form), KINDS, hurry)
+    block = cache.compile_or_load(
+        plan.recipe(Form(*json.loads(answer)) if answer else form), KINDS, hurry
+    )
     if measured and answer is None and block.trial is None:
         block.trial = _trial(plan, block, measured)
     return plan.kernel(block)
@@ -160,7 +162,9 @@ class _Plan(NamedTuple):
     def kernel(self, block: cache.Block) -> Kernel:
         """It, with its note."""
         form, granted = json.loads(block.note)
-        return Kernel(block, self.shape, Form(*form), self.width, assumptions.read(granted))
+        return Kernel(
+            block, self.shape, Form(*form), self.width, assumptions.read_promises(granted)
+        )
 
     def size(self) -> str:
         """Return the class of kernels for which one form is the fastest; "" where none is
@@ -200,7 +204,9 @@ def _trial(plan: _Plan, block: cache.Block, question: str) -> cache.Trial:
     assumed = plan.kernel(block).form
     forms = here().others(assumed)
     group = math.lcm(*(form.lanes * form.streams for form in (assumed, *forms)))
-    others = {json.dumps(form): partial(cache.made, plan.recipe(form), KINDS) for form in forms}
+    others = {
+        json.dumps(form): partial(cache.compile_or_load, plan.recipe(form), KINDS) for form in forms
+    }
     return cache.Trial(block, others, group, partial(cache.keep_answer, question))
 
 
@@ -238,7 +244,7 @@ def run(
         InputError: fused, and the edges of a zone cross.
     """
     shape = kernel.shape
-    inputs = checked(shape, states, exogenous, params, lane_exogenous, lane_params)
+    inputs = check_arguments(shape, states, exogenous, params, lane_exogenous, lane_params)
     assumptions.require(kernel.promises, inputs.params, shape.params, inputs.own_params)
     total, lanes = len(inputs.exogenous), len(inputs.states)
     outputs = np.empty((lanes, -(-total // every), len(shape.record)))
@@ -312,7 +318,7 @@ def _arrays(kernel: Kernel, width: int, steps: int) -> _Arrays:
     shape = kernel.shape
     rows = shape.sizes[0] + len(shape.params)
     buffer = np.empty((steps, len(shape.record), width))
-    return _Arrays(_aligned(rows * width).reshape(rows, width), buffer)
+    return _Arrays(_aligned_array(rows * width).reshape(rows, width), buffer)
 
 
 def _run_block(
@@ -354,7 +360,7 @@ def _run_block(
     spare.append(arrays)
 
 
-def _aligned(numbers: int) -> Floats:
+def _aligned_array(numbers: int) -> Floats:
     """Return an array that begins with a line of the cache: no vector lies across two lines."""
     raw = np.empty(numbers + LINE)
     start = -(raw.ctypes.data // raw.itemsize) % LINE
@@ -384,7 +390,7 @@ class Inputs(NamedTuple):
     supply: Supply
 
 
-def checked(
+def check_arguments(
     shape: Shape,
     states: Floats,
     exogenous: Floats,
@@ -400,21 +406,21 @@ def checked(
     total = len(exogenous)
     states_each, entries_w, entries_p = shape.sizes
     expected = (lanes, states_each) if np.ndim(states) > 1 else (states_each,)
-    states = np.broadcast_to(_shaped("states", states, *expected), (lanes, states_each))
-    exogenous = np.ascontiguousarray(_shaped("exogenous", exogenous, total, entries_w))
-    params = np.ascontiguousarray(_shaped("params", params, entries_p))
+    states = np.broadcast_to(_require_shape("states", states, *expected), (lanes, states_each))
+    exogenous = np.ascontiguousarray(_require_shape("exogenous", exogenous, total, entries_w))
+    params = np.ascontiguousarray(_require_shape("params", params, entries_p))
     if lane_params is None:
         lane_params = np.empty((lanes, 0))
-    own_params = _shaped("lane_params", lane_params, lanes, len(shape.params))
+    own_params = _require_shape("lane_params", lane_params, lanes, len(shape.params))
     if callable(lane_exogenous):
         return Inputs(states, exogenous, params, own_params, lane_exogenous)
     if own is None:
         own = np.empty((total, 0, lanes))
-    own = _shaped("lane_exogenous", own, total, len(shape.exogenous), lanes)
-    return Inputs(states, exogenous, params, own_params, _held(own))
+    own = _require_shape("lane_exogenous", own, total, len(shape.exogenous), lanes)
+    return Inputs(states, exogenous, params, own_params, _supply_array(own))
 
 
-def _held(inputs: Floats) -> Supply:
+def _supply_array(inputs: Floats) -> Supply:
     """Return a supply from an array (N x own inputs x lanes)."""
     return lambda lanes: lambda first, count: inputs[first : first + count, :, lanes]
 
@@ -435,7 +441,7 @@ def _lanes(*sources: tuple[str, Any, int, int]) -> int:
     return next(iter(counts.values()), 1)
 
 
-def _shaped(name: str, value: Floats, *shape: int) -> Floats:
+def _require_shape(name: str, value: Floats, *shape: int) -> Floats:
     """Return an array of a given shape. Raises ShapeError for another one."""
     numbers = np.asarray(value, float)
     if numbers.shape != shape:

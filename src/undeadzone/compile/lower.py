@@ -16,7 +16,7 @@ import casadi as ca
 
 from undeadzone.compile import elementary
 from undeadzone.compile.assumptions import Promise
-from undeadzone.compile.casadi_reader import listed
+from undeadzone.compile.casadi_reader import list_results
 from undeadzone.compile.coefficients import DOUBLE, FUSED
 from undeadzone.compile.graph import SHARED, Node, Nodes, Results, condition, uses
 from undeadzone.compile.simplify import Exact, Gathered, Plain
@@ -39,7 +39,7 @@ class Arithmetic(NamedTuple):
     portable: bool = False
 
 
-def lowered(
+def lower_function(
     function: ca.Function,
     nodes: Nodes,
     levels: Levels,
@@ -60,10 +60,10 @@ def lowered(
     """
     fused = arithmetic.fused
     rules = Gathered(Nodes(), granted) if fused else Exact(Nodes())
-    results = listed(function, rules)
+    results = list_results(function, rules)
     counts = uses(results)
     order = sorted(counts, key=lambda node: node.number)
-    taken = _taken_in(order, counts) if fused else set()
+    taken = _absorbed_nodes(order, counts) if fused else set()
     lowering = _Lowering(nodes, levels, taken, fused, _own(nodes, arithmetic), {})
     for node in order:
         if node not in taken:
@@ -74,9 +74,9 @@ def lowered(
 def _own(nodes: Nodes, arithmetic: Arithmetic) -> dict[str, Callable[..., Node]]:
     """Return the functions that take the C library's place."""
     if arithmetic.fused:
-        return elementary.inlined(nodes, FUSED, (*elementary.LANES_OWN, "sign"))
+        return elementary.inline_functions(nodes, FUSED, (*elementary.LANES_OWN, "sign"))
     names = elementary.FUNCTIONS if arithmetic.portable else ("sign",)
-    return elementary.inlined(nodes, DOUBLE, names)
+    return elementary.inline_functions(nodes, DOUBLE, names)
 
 
 def portable(function: ca.Function, kind: str) -> Results:
@@ -89,7 +89,7 @@ def portable(function: ca.Function, kind: str) -> Results:
     Raises:
         InputError: an instruction that no code can be made of; it names it.
     """
-    return listed(function, Plain(Nodes(), kind))
+    return list_results(function, Plain(Nodes(), kind))
 
 
 class Term(NamedTuple):
@@ -126,7 +126,7 @@ def _is_gate(node: Node) -> bool:
     return node.op == "select" and node.args[2].value == 0.0 and condition(node) is None
 
 
-def _taken_in(order: list[Node], counts: Counter[Node]) -> set[Node]:
+def _absorbed_nodes(order: list[Node], counts: Counter[Node]) -> set[Node]:
     """Return the nodes that are a part of the one sum that uses them."""
     taken: set[Node] = set()
     for node in reversed(order):
@@ -220,7 +220,7 @@ class _Lowering(NamedTuple):
         waiting = sorted(_terms(self.taken, node, False), key=Term.order)
         first = min(waiting[:2], key=Term.effort)
         waiting.remove(first)
-        total = self._signed(first)
+        total = self._signed_value(first)
         if first.factor is not None:
             total = made("mul", self.values[first.factor], total)
         if first.truth is not None:
@@ -233,7 +233,7 @@ class _Lowering(NamedTuple):
             total = more
         return total
 
-    def _signed(self, term: Term) -> Node:
+    def _signed_value(self, term: Term) -> Node:
         """Return the value of a term with its sign."""
         value = self.values[term.value]
         return self.nodes.intern("neg", value) if term.minus else value
@@ -241,7 +241,7 @@ class _Lowering(NamedTuple):
     def _plus(self, total: Node, term: Term) -> Node:
         """Return a sum and one term more."""
         if term.factor is not None:
-            factors = self.values[term.factor], self._signed(term)
+            factors = self.values[term.factor], self._signed_value(term)
             return self.nodes.intern("call", *factors, total, text="fma")
         return self.nodes.intern("sub" if term.minus else "add", total, self.values[term.value])
 

@@ -119,7 +119,7 @@ class Machine(NamedTuple):
         """Return a compiler for it, of LLVM's effort 0 to 3."""
         from llvmlite import binding
 
-        _initialized()
+        _initialize_llvm()
         found = binding.Target.from_triple(self.triple)
         reloc = "static" if found.name.startswith("x86") else "default"
         return found.create_target_machine(
@@ -132,7 +132,7 @@ class Machine(NamedTuple):
         )
 
 
-def told_form() -> Form | None:
+def form_from_environment() -> Form | None:
     """Return the form that the environment fixes, such as 8,2,0,20: lanes, streams, slots and
     registers.
 
@@ -159,13 +159,13 @@ def here() -> Machine:
     """This one."""
     from llvmlite import binding
 
-    _initialized()
+    _initialize_llvm()
     features = binding.get_host_cpu_features().flatten()
     return Machine(binding.get_process_triple(), binding.get_host_cpu_name(), features)
 
 
 @functools.cache
-def _initialized() -> None:
+def _initialize_llvm() -> None:
     """Tell LLVM to use what it has for this processor."""
     from llvmlite import binding
 
@@ -211,7 +211,7 @@ class Linked(NamedTuple):
     engine: Any
 
 
-def compiled(text: str, effort: int = MOST) -> Compiled:
+def compile_module(text: str, effort: int = MOST) -> Compiled:
     """Return the machine code of a module, with LLVM's effort 0 (four times sooner, half as fast)
     to 3.
     """
@@ -220,10 +220,10 @@ def compiled(text: str, effort: int = MOST) -> Compiled:
     target = here().target(effort)
     module = binding.parse_assembly(text)
     declared = [part.name for part in module.functions if part.is_declaration]
-    return Compiled(_called(declared), target.emit_object(module))
+    return Compiled(_callable_functions(declared), target.emit_object(module))
 
 
-def linked(made: Compiled, kinds: tuple[str, ...]) -> Linked | None:
+def link_block(made: Compiled, kinds: tuple[str, ...]) -> Linked | None:
     """Return the function `block` of machine code, ready to be called; `kinds` as of `cache.load`.
 
     None if something that it calls is missing from this process, at which LLVM would abort.
@@ -252,7 +252,7 @@ def _c_type(kind: str) -> Any:
     return ctypes.c_void_p if kind.endswith("*") else np.ctypeslib.as_ctypes_type(np.dtype(kind))
 
 
-def _called(declared: list[str]) -> list[str]:
+def _callable_functions(declared: list[str]) -> list[str]:
     """Return the C functions that may be called, from the names that LLVM declares.
 
     An intrinsic function such as llvm.floor.v2f64 may become a call of floor.

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.compile import cache, lanes, philox
-from undeadzone.compile.graph import LANES, SHARED, STEADY, Node, Nodes, used
+from undeadzone.compile.graph import LANES, SHARED, STEADY, Node, Nodes, directly_used
 from undeadzone.compile.machine import Form, here
 from undeadzone.compile.print_llvm import TYPES, Names, Text, in_lanes, once
 from undeadzone.compile.schedule import of_graph
@@ -122,7 +122,7 @@ def fill_text(group: int) -> str:
     results = _numbers()
     text, order = Text(1, {}), of_graph(results)
     text.block = "entry"
-    below = [*used(order, results, STEADY), *used(order, results, SHARED)]
+    below = [*directly_used(order, results, STEADY), *directly_used(order, results, SHARED)]
     last = text.add("add i64 %first, %steps")
     text.line(f"%whole = and i64 %lanes, -{group}")
     row = text.add("mul i64 %channels, %lanes")

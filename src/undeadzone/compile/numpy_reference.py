@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from undeadzone.compile.elementary import FUNCTIONS, formula
-from undeadzone.compile.graph import Results, needed
+from undeadzone.compile.graph import Results, required_nodes
 
 Evaluate = Callable[[dict[str, Any]], list[list[Any]]]
 
@@ -54,7 +54,7 @@ def _evaluator(results: Results, functions: dict[str, Callable[..., Any]]) -> Ev
 
     The graph is read once, since it is computed many times: operands are places in a list.
     """
-    order = needed(itertools.chain(*results))
+    order = required_nodes(itertools.chain(*results))
     places = {node: place for place, node in enumerate(order)}
     begun: list[Any] = [None] * len(order)
     inputs, steps = [], []

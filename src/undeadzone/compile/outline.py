@@ -32,13 +32,13 @@ class Pieces:
     """
 
     def __init__(self, order: Order, results: list[Node], form: Form) -> None:
-        self._orders, self._lanes = list(_cut(order, form.piece)), form.lanes
+        self._orders, self._lanes = list(_cut_parts(order, form.piece)), form.lanes
         self._made: dict[Node, int] = {}
         for at, piece in enumerate(self._orders):
             self._made.update(dict.fromkeys(_instructions(piece), at))
         self._last = self._last_uses(results)
         self._places: dict[Node, int] = {}
-        self.numbers = self._placed() * form.lanes  # that the frame holds
+        self.numbers = self._assign_places() * form.lanes  # that the frame holds
 
     def _last_uses(self, results: list[Node]) -> dict[Node, int]:
         """Return the last function that is given a value; the end of the step counts as one
@@ -51,7 +51,7 @@ class Pieces:
                     last[node] = at
         return last | {node: len(self._orders) for node in results if node in self._made}
 
-    def _placed(self) -> int:
+    def _assign_places(self) -> int:
         """Find a place in the frame for each value that needs one; how many places there are."""
         begin: dict[int, list[Node]] = defaultdict(list)
         end: dict[int, list[Node]] = defaultdict(list)
@@ -67,7 +67,7 @@ class Pieces:
                 heapq.heappush(free, self._places[node])
         return next(fresh)
 
-    def called(self, text: Text, source: Names) -> Names:
+    def print_calls(self, text: Text, source: Names) -> Names:
         """Print the calls; what names the results.
 
         Args:
@@ -147,7 +147,7 @@ def _operands(order: Order) -> Iterator[Node]:
         yield from node.args
 
 
-def _cut(order: Order, piece: int) -> Iterator[Order]:
+def _cut_parts(order: Order, piece: int) -> Iterator[Order]:
     """Yield the instructions in parts of about so many."""
     part: Order = []
     length = 0

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import Any, Final
 
-from undeadzone.compile.elementary import FUNCTIONS, Maths, Own, turned
+from undeadzone.compile.elementary import FUNCTIONS, Maths, Own, reduce_angle
 
 
 def positive(m: Maths, x: Any) -> Any:
@@ -40,7 +40,7 @@ def two_to(m: Maths, x: Any) -> Any:
     return m.select(x < 0.0, 1.0 / value, value)
 
 
-def scaled(m: Maths, x: Any) -> Any:
+def scale_to_edge(m: Maths, x: Any) -> Any:
     """Return n and 2^-n x, which lies in [edge, 2 edge), edge^2 = 1/2."""
     edge = math.sqrt(0.5)
     n: Any = 0.0
@@ -55,12 +55,12 @@ def scaled(m: Maths, x: Any) -> Any:
 
 def exponent(m: Maths, x: Any) -> Any:
     """Return n of x = 2^n f, sqrt(1/2) <= f < sqrt(2)."""
-    return scaled(m, x)[0]
+    return scale_to_edge(m, x)[0]
 
 
 def fraction(m: Maths, x: Any) -> Any:
     """Return f of x = 2^n f, sqrt(1/2) <= f < sqrt(2)."""
-    return scaled(m, x)[1]
+    return scale_to_edge(m, x)[1]
 
 
 def quarter(m: Maths, n: Any) -> Any:
@@ -75,7 +75,7 @@ def odd(m: Maths, value: Any, x: Any) -> Any:
 
 def sine(m: Maths, x: Any) -> Any:
     """Return sine; 0 of |x| above 8000 (float) or 1e5 (double)."""
-    along, across, n = turned(m, x)
+    along, across, n = reduce_angle(m, x)
     q = quarter(m, n)
     value = m.select((q == 1.0) | (q == 3.0), across, along)
     return odd(m, m.select(q > 1.5, -value, value), x)
@@ -83,7 +83,7 @@ def sine(m: Maths, x: Any) -> Any:
 
 def cosine(m: Maths, x: Any) -> Any:
     """Return cosine; 1 of |x| above 8000 (float) or 1e5 (double)."""
-    along, across, n = turned(m, x)
+    along, across, n = reduce_angle(m, x)
     q = quarter(m, n)
     value = m.select((q == 1.0) | (q == 3.0), along, across)
     return m.select((q > 0.5) & (q < 2.5), -value, value)
@@ -91,7 +91,7 @@ def cosine(m: Maths, x: Any) -> Any:
 
 def tangent(m: Maths, x: Any) -> Any:
     """Return tangent; 0 of |x| above 8000 (float) or 1e5 (double)."""
-    along, across, n = turned(m, x)
+    along, across, n = reduce_angle(m, x)
     q = quarter(m, n)
     crossed = (q == 1.0) | (q == 3.0)
     value = m.select(crossed, across, along) / m.select(crossed, along, across)

@@ -14,8 +14,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from undeadzone.compile.elementary import FUNCTIONS, OF_WORDS, Own, formula
-from undeadzone.compile.graph import Node, Results, needed, uses
-from undeadzone.compile.schedule import nested
+from undeadzone.compile.graph import Node, Results, required_nodes, uses
+from undeadzone.compile.schedule import order_depth_first
 from undeadzone.compile.simplify import round_to_type
 
 WIDTH: Final = 100  # columns of a line
@@ -146,9 +146,9 @@ class Expressions:
             return Text(self.inputs[node.text])
         if node.op == "const":
             return self.style.language.constant(node)
-        return self._composed(node, [self.text(arg) for arg in node.args])
+        return self._compose(node, [self.text(arg) for arg in node.args])
 
-    def _composed(self, node: Node, args: list[Text]) -> Text:
+    def _compose(self, node: Node, args: list[Text]) -> Text:
         """Return an instruction on its operands."""
         if node.op == "select":
             truth, yes, no = (arg.inside for arg in args)
@@ -232,19 +232,19 @@ def body(results: Results, style: Style, names: Names) -> Body:
     found = locals_of(results, expressions, names.meanings | labels)
     end, used = len(found), _uses_of_inputs(found, results)
     number = {local.node: k for k, local in enumerate(found)}
-    short = len(needed(itertools.chain(*results))) <= SMALL
+    short = len(required_nodes(itertools.chain(*results))) <= SMALL
     ahead, behind = defaultdict[int, list[str]](list), defaultdict[int, list[str]](list)
     for place, name in names.kept.items():
         if name in used:
             first = 0 if short else min(used[name])
-            ahead[first] += wrapped(f"const {style.real} {names.inputs[name]} = {place};")
+            ahead[first] += wrap_statement(f"const {style.real} {names.inputs[name]} = {place};")
     if short and ahead[0]:
         ahead[0].append("")
     for nodes, targets in zip(results, names.results, strict=True):
         for node, target in zip(nodes, targets, strict=True):
             last = max(used.get(names.kept.get(target, ""), [0]))
             at = end if short else max(number.get(node, end), last)
-            behind[at] += wrapped(f"{target} = {expressions.text(node).text};")
+            behind[at] += wrap_statement(f"{target} = {expressions.text(node).text};")
     lines: list[str] = []
     for k, local in enumerate(found):
         lines += [*ahead[k], *local.lines, *behind[k]]
@@ -257,7 +257,7 @@ def _uses_of_inputs(found: list[Local], results: Results) -> dict[str, list[int]
     does.
     """
     at, used = {local.node: k for k, local in enumerate(found)}, defaultdict[str, list[int]](list)
-    for node in reversed(needed(itertools.chain(*results))):
+    for node in reversed(required_nodes(itertools.chain(*results))):
         for arg in node.args:
             at.setdefault(arg, at[node])  # a part of the expression that uses it
             if arg.op == "input":
@@ -296,7 +296,7 @@ def locals_of(results: Results, expressions: Expressions, labels: dict[Node, str
     order = sorted(counts, key=lambda node: node.number)
     apart = language.apart(order) | labels.keys()
     if len(order) > SMALL:
-        order = nested(order, list(itertools.chain(*results)))
+        order = order_depth_first(order, list(itertools.chain(*results)))
     found: list[Local] = []
     for node in order:
         often = bool(node.args) and counts[node] > 1
@@ -312,9 +312,9 @@ def lines_of(found: list[Local]) -> list[str]:
     return list(itertools.chain(*[local.lines for local in found]))
 
 
-def _declared(name: str, node: Node, expressions: Expressions) -> list[str]:
+def _declare_local(name: str, node: Node, expressions: Expressions) -> list[str]:
     """Return a local of C."""
-    return wrapped(f"const {TYPES[node.kind]} {name} = {expressions.text(node).text};")
+    return wrap_statement(f"const {TYPES[node.kind]} {name} = {expressions.text(node).text};")
 
 
 def _apart(order: list[Node]) -> set[Node]:
@@ -328,7 +328,7 @@ def _apart(order: list[Node]) -> set[Node]:
     return apart
 
 
-def wrapped(statement: str, indent: str = INDENT) -> list[str]:
+def wrap_statement(statement: str, indent: str = INDENT) -> list[str]:
     """Return a statement in lines of at most `WIDTH` columns, broken before operators and after
     commas.
     """
@@ -357,7 +357,15 @@ def _library(name: str, kind: str) -> str:
 
 
 C: Final = Grammar(
-    TYPES, _SIGNS, _OF_TRUTHS, "!", OF_WORDS, _constant, _library, apart=_apart, statement=_declared
+    TYPES,
+    _SIGNS,
+    _OF_TRUTHS,
+    "!",
+    OF_WORDS,
+    _constant,
+    _library,
+    apart=_apart,
+    statement=_declare_local,
 )
 
 
@@ -405,10 +413,10 @@ def functions(names: Iterable[str], used: set[str], style: Style) -> list[str]:
         shape = formula(name, style.kind)
         expressions = Expressions(style, {text: text for text in shape.inputs})
         lines = lines_of(locals_of([[shape.result]], expressions, {}))
-        lines += wrapped(f"return {expressions.text(shape.result).text};")
+        lines += wrap_statement(f"return {expressions.text(shape.result).text};")
         arguments = ", ".join(f"{style.real} {text}" for text in shape.inputs)
         head = f"static {style.real} {style.prefix}_{name}({arguments})"
-        texts.append("\n".join([_commented(name), head, "{", *lines, "}"]))
+        texts.append("\n".join([_comment_lines(name), head, "{", *lines, "}"]))
         called |= expressions.functions
     word = TYPES["uint32" if style.kind == "float32" else "uint64"]
     heads = []
@@ -422,6 +430,6 @@ def functions(names: Iterable[str], used: set[str], style: Style) -> list[str]:
     return heads + texts
 
 
-def _commented(name: str) -> str:
+def _comment_lines(name: str) -> str:
     """Return the comment of a function."""
     return f"/** {str(FUNCTIONS[name].__doc__).strip()} */"

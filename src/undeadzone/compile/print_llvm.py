@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from undeadzone.compile.graph import CONSTANT, STILL, Node, needed
+from undeadzone.compile.graph import CONSTANT, STILL, Node, required_nodes
 from undeadzone.compile.schedule import Branch
 
 _INTRINSICS: Final = ("fma", "sqrt", "fabs", "floor", "ceil", "copysign")
@@ -139,7 +139,7 @@ class Text:
                 return self._intrinsic(node, args, vector)
             return self._call(node.text, args, vector)
         if node.op in ("convert", "view"):
-            return self._converted(node, args[0], vector)
+            return self._convert(node, args[0], vector)
         if node.op == "not":
             return self.add(f"xor {value} {args[0]}, {self.every('true', 'i1', vector)}")
         words = _OF_TRUTHS if last.kind == "bool" else _OF_WORDS
@@ -151,7 +151,7 @@ class Text:
         truth = self.type("i1", vector)
         return self.add(f"select {truth} {condition}, {value} {yes}, {value} {no}")
 
-    def _converted(self, node: Node, name: str, vector: bool) -> str:
+    def _convert(self, node: Node, name: str, vector: bool) -> str:
         """Return a number as one of another type."""
         source = node.args[0]
         old, new = TYPES[source.kind], TYPES[node.kind]
@@ -167,22 +167,22 @@ class Text:
         lanes = f"v{self.lanes}" if vector and self.lanes > 1 else ""
         name = f"llvm.{node.text}.{lanes}{_SHORT[of_one]}"
         self.declared[name] = f"declare {value} @{name}({', '.join([value] * len(args))})"
-        return self._called(name, value, args)
+        return self._print_call(name, value, args)
 
     def _call(self, function: str, args: list[str], vector: bool) -> str:
         """Calls of a C function, lane by lane."""
         numbers = ", ".join(["double"] * len(args))
         self.declared[function] = f"declare double @{function}({numbers})"
         if not vector or self.lanes == 1:
-            return self._called(function, "double", args)
+            return self._print_call(function, "double", args)
         value, whole = self.type("double"), "poison"
         for lane in range(self.lanes):
             parts = [self.add(f"extractelement {value} {arg}, i64 {lane}") for arg in args]
-            one = self._called(function, "double", parts)
+            one = self._print_call(function, "double", parts)
             whole = self.add(f"insertelement {value} {whole}, double {one}, i64 {lane}")
         return whole
 
-    def _called(self, function: str, kind: str, args: list[str]) -> str:
+    def _print_call(self, function: str, kind: str, args: list[str]) -> str:
         """Return a call of a function of numbers of a kind."""
         given = ", ".join([f"{kind} {arg}" for arg in args])
         return self.add(f"call {kind} @{function}({given})")
@@ -200,7 +200,7 @@ class Text:
         self.label(name)
         head = len(self.lines)
         self.line(f"%{name}.more = icmp ult i64 {count}, {end}")
-        self._entered(f"%{name}.more", name)
+        self._begin_branch(f"%{name}.more", name)
         yield count
         self.line(f"%{name}.next = add i64 {count}, {stride}")
         self.line(f"br label %{name}")
@@ -216,12 +216,12 @@ class Text:
             truth: the name of the truth.
             name: of its blocks.
         """
-        self._entered(truth, name)
+        self._begin_branch(truth, name)
         yield
         self.line(f"br label %{name}.past")
         self.label(f"{name}.past")
 
-    def _entered(self, truth: str, name: str) -> None:
+    def _begin_branch(self, truth: str, name: str) -> None:
         """Begin what is done where a truth holds; without it the way goes past."""
         self.line(f"br i1 {truth}, label %{name}.do, label %{name}.past")
         self.label(f"{name}.do")
@@ -247,7 +247,7 @@ def once(text: Text, wanted: Iterable[Node], have: dict[Node, str], source: Name
     def name(node: Node) -> str:
         return text.literal(node, False) if node.level == CONSTANT else have[node]
 
-    for node in needed(wanted, have):
+    for node in required_nodes(wanted, have):
         if node.op == "const":
             continue
         have[node] = source(node) if node.op == "input" else text.print(node, name, False)

@@ -15,7 +15,15 @@ import numpy as np
 
 from undeadzone.compile.graph import Node
 from undeadzone.compile.portable_maths import OWN
-from undeadzone.compile.print_c import INDENT, WIDTH, Expressions, Grammar, Local, Text, wrapped
+from undeadzone.compile.print_c import (
+    INDENT,
+    WIDTH,
+    Expressions,
+    Grammar,
+    Local,
+    Text,
+    wrap_statement,
+)
 from undeadzone.errors import InputError
 
 TYPES: Final = {"float64": "LREAL", "float32": "REAL", "bool": "BOOL"}
@@ -34,14 +42,14 @@ def literal(value: float, kind: str) -> str:
 
     Of infinity, and of NaN, it is the largest number.
     """
-    size = _held(value, kind)
+    size = _storable_number(value, kind)
     text = f"{TYPES[kind]}#{_digits(abs(size), kind)}"
     return f"-{text}" if math.copysign(1.0, size) < 0 else text
 
 
-def assigned(name: str, value: float, kind: str) -> list[str]:
+def assign_number(name: str, value: float, kind: str) -> list[str]:
     """Return statements that store a number; beyond the range of REAL they are exact products."""
-    size, factor = _held(value, kind), 1.0
+    size, factor = _storable_number(value, kind), 1.0
     count = 0
     while kind == "float64" and abs(size) > float(_LIMITS.max):
         size, factor, count = size / _SCALE, _SCALE, count + 1
@@ -53,11 +61,11 @@ def assigned(name: str, value: float, kind: str) -> list[str]:
 
 def initial(value: float, kind: str) -> str:
     """Return a number in a declaration, without its type, which stands beside it."""
-    size = _held(value, kind)
+    size = _storable_number(value, kind)
     return ("-" if math.copysign(1.0, size) < 0 else "") + _digits(abs(size), kind)
 
 
-def _held(value: float, kind: str) -> float:
+def _storable_number(value: float, kind: str) -> float:
     """Return a number that can be written down."""
     largest = float(np.finfo(kind).max)
     return largest if math.isnan(value) else max(-largest, min(value, largest))
@@ -92,17 +100,17 @@ def _apart(order: list[Node]) -> set[Node]:
     """
     apart: set[Node] = set()
     for node in order:
-        if node.op == "select" or len(_stored(node)) > 1:
+        if node.op == "select" or len(_store_constant(node)) > 1:
             apart.add(node)
         if node.op != "select":
             apart.update(arg for arg in node.args if _rounds(arg))
     return apart
 
 
-def _stored(node: Node) -> list[str]:
+def _store_constant(node: Node) -> list[str]:
     """Return the statements that store a constant; none for other nodes."""
     is_number = node.op == "const" and node.is_real
-    return assigned("", float(node.text), node.kind) if is_number else []
+    return assign_number("", float(node.text), node.kind) if is_number else []
 
 
 def _rounds(node: Node) -> bool:
@@ -113,9 +121,9 @@ def _rounds(node: Node) -> bool:
 def _statement(name: str, node: Node, expressions: Expressions) -> list[str]:
     """What fills a local: an assignment, or one in each branch of an IF."""
     if node.op == "const":
-        return [INDENT + line for line in assigned(name, float(node.text), node.kind)]
+        return [INDENT + line for line in assign_number(name, float(node.text), node.kind)]
     if node.op != "select":
-        return wrapped(f"{name} := {expressions.text(node).text};")
+        return wrap_statement(f"{name} := {expressions.text(node).text};")
     truth, yes, no = (expressions.text(arg).text for arg in node.args)
     heads = (f"IF {truth} THEN", f"{name} := {yes};", "ELSE", f"{name} := {no};", "END_IF;")
     line = INDENT + " ".join(heads)
@@ -123,7 +131,7 @@ def _statement(name: str, node: Node, expressions: Expressions) -> list[str]:
         return [line]
     indents = (INDENT, 2 * INDENT, INDENT, 2 * INDENT, INDENT)
     pairs = zip(heads, indents, strict=True)
-    return list(itertools.chain(*[wrapped(head, indent) for head, indent in pairs]))
+    return list(itertools.chain(*[wrap_statement(head, indent) for head, indent in pairs]))
 
 
 ST: Final = Grammar(

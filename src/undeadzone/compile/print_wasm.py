@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from undeadzone.compile import elementary
-from undeadzone.compile.graph import Node, Results, condition, needed, uses
+from undeadzone.compile.graph import Node, Results, condition, required_nodes, uses
 from undeadzone.errors import InputError
 
 KIND: Final = "float64"
@@ -67,17 +67,17 @@ def module(functions: Sequence[Function], size: int) -> bytes:
     own = _own(functions)
     calls = {name: len(functions) + k for k, name in enumerate(own)}
     shapes = [elementary.formula(name, KIND) for name in own]
-    bodies = [_stored(function, calls) for function in functions]
-    bodies += [_returned(shape, calls) for shape in shapes]
+    bodies = [_function_body(function, calls) for function in functions]
+    bodies += [_elementary_body(shape, calls) for shape in shapes]
     kinds = [0] * len(functions) + [len(shape.inputs) for shape in shapes]
-    exports = [_name(each.name) + b"\0" + _unsigned(k) for k, each in enumerate(functions)]
+    exports = [_name(each.name) + b"\0" + _unsigned_leb128(k) for k, each in enumerate(functions)]
     exports.append(_name("memory") + b"\x02\0")
     sections = [
         _section(1, [_type(0, 0), _type(1, 1), _type(2, 1)]),
-        _section(3, [_unsigned(kind) for kind in kinds]),
-        _section(5, [b"\0" + _unsigned(-(-size // PAGE))]),
+        _section(3, [_unsigned_leb128(kind) for kind in kinds]),
+        _section(5, [b"\0" + _unsigned_leb128(-(-size // PAGE))]),
         _section(7, exports),
-        _section(10, [_unsigned(len(body)) + body for body in bodies]),
+        _section(10, [_unsigned_leb128(len(body)) + body for body in bodies]),
     ]
     return _MAGIC + b"".join(sections)
 
@@ -87,28 +87,28 @@ def _own(functions: Sequence[Function]) -> list[str]:
 
     Raises InputError.
     """
-    names = set().union(*[elementary.called(function.results) for function in functions])
+    names = set().union(*[elementary.called_functions(function.results) for function in functions])
     if names & {"fmod", "remainder"}:
         raise InputError("export: a remainder of a division has no WebAssembly instruction")
-    return [name for name in elementary.needed(names) if name not in _BUILT_IN]
+    return [name for name in elementary.required_functions(names) if name not in _BUILT_IN]
 
 
-def _stored(function: Function, calls: dict[str, int]) -> bytes:
+def _function_body(function: Function, calls: dict[str, int]) -> bytes:
     """Return the body of a function between places in memory."""
     writer = _Writer(function.results, function.inputs, {}, calls)
-    code = writer.filled()
+    code = writer.fill_locals()
     for nodes, targets in zip(function.results, function.targets, strict=True):
         for node, target in zip(nodes, targets, strict=True):
-            code += b"\x41\0" + writer.code(node) + b"\x39\x03" + _unsigned(target)
-    return writer.declared() + code + b"\x0b"
+            code += b"\x41\0" + writer.code(node) + b"\x39\x03" + _unsigned_leb128(target)
+    return writer.declare_locals() + code + b"\x0b"
 
 
-def _returned(shape: elementary.Formula, calls: dict[str, int]) -> bytes:
+def _elementary_body(shape: elementary.Formula, calls: dict[str, int]) -> bytes:
     """Return the body of an elementary function."""
     arguments = {text: k for k, text in enumerate(shape.inputs)}
     writer = _Writer([[shape.result]], {}, arguments, calls)
-    code = writer.filled() + writer.code(shape.result)
-    return writer.declared() + code + b"\x0b"
+    code = writer.fill_locals() + writer.code(shape.result)
+    return writer.declare_locals() + code + b"\x0b"
 
 
 class _Writer:
@@ -130,12 +130,12 @@ class _Writer:
     ) -> None:
         self._inputs, self._calls, self._first = inputs, calls, len(arguments)
         self._locals: dict[Node, int] = {}
-        for node in needed(itertools.chain(*results)):
+        for node in required_nodes(itertools.chain(*results)):
             if node.op == "input" and node.text in arguments:
                 self._locals[node] = arguments[node.text]
-        self._kept = self._kept_of(results)
+        self._kept = self._local_nodes(results)
 
-    def _kept_of(self, results: Results) -> dict[str, list[Node]]:
+    def _local_nodes(self, results: Results) -> dict[str, list[Node]]:
         """Return the nodes that a local holds, by their types."""
         counts = uses(results)
         depths: dict[Node, int] = {}
@@ -150,30 +150,30 @@ class _Writer:
                 kept[node.kind].append(node)
         return kept
 
-    def declared(self) -> bytes:
+    def declare_locals(self) -> bytes:
         """Return the declaration of the locals."""
         held = {_TYPES[kind]: len(nodes) for kind, nodes in self._kept.items() if nodes}
-        groups = [_unsigned(count) + bytes([kind]) for kind, count in held.items()]
-        return _unsigned(len(groups)) + b"".join(groups)
+        groups = [_unsigned_leb128(count) + bytes([kind]) for kind, count in held.items()]
+        return _unsigned_leb128(len(groups)) + b"".join(groups)
 
-    def filled(self) -> bytes:
+    def fill_locals(self) -> bytes:
         """Return the instructions that fill the locals, each after those that it needs."""
         kept = itertools.chain(*self._kept.values())
         numbers = {node: self._first + k for k, node in enumerate(kept)}
         code = b""
         for node in sorted(numbers, key=lambda node: node.number):
-            code += self.code(node) + b"\x21" + _unsigned(numbers[node])
+            code += self.code(node) + b"\x21" + _unsigned_leb128(numbers[node])
             self._locals[node] = numbers[node]
         return code
 
     def code(self, node: Node) -> bytes:
         """Return the instructions of a node."""
         if node in self._locals:
-            return b"\x20" + _unsigned(self._locals[node])
+            return b"\x20" + _unsigned_leb128(self._locals[node])
         if node.op == "const":
             return _constant(node)
         if node.op == "input":
-            return b"\x41\0\x2b\x03" + _unsigned(self._inputs[node.text])
+            return b"\x41\0\x2b\x03" + _unsigned_leb128(self._inputs[node.text])
         truth = condition(node)
         if truth is not None:
             return self.code(truth) + _AS_NUMBER
@@ -185,7 +185,7 @@ class _Writer:
             return values + _CODES[node.args[0].kind][node.op]
         if node.text in _BUILT_IN:
             return values + _BUILT_IN[node.text]
-        return values + b"\x10" + _unsigned(self._calls[node.text])
+        return values + b"\x10" + _unsigned_leb128(self._calls[node.text])
 
 
 def _is_short(node: Node) -> bool:
@@ -196,21 +196,21 @@ def _is_short(node: Node) -> bool:
 def _constant(node: Node) -> bytes:
     """What is written down; a small whole number is converted: three bytes in place of nine."""
     if node.kind == "bool":
-        return b"\x41" + _signed(int(node.text))
+        return b"\x41" + _signed_leb128(int(node.text))
     if not node.is_real:
         word = int(node.text)
-        return b"\x42" + _signed(word - (1 << 64) if word >> 63 else word)
+        return b"\x42" + _signed_leb128(word - (1 << 64) if word >> 63 else word)
     value = float(node.text)
     bits = struct.pack("<d", value)
     if abs(value) < 64 and bits == struct.pack("<d", int(value)):
-        return b"\x41" + _signed(int(value)) + _AS_NUMBER
+        return b"\x41" + _signed_leb128(int(value)) + _AS_NUMBER
     return b"\x44" + bits
 
 
 # --- The smallest parts of a module
 
 
-def _signed(value: int) -> bytes:
+def _signed_leb128(value: int) -> bytes:
     """Return a signed integer in LEB128."""
     code = bytearray()
     while True:
@@ -221,7 +221,7 @@ def _signed(value: int) -> bytes:
         code.append(low | 0x80)
 
 
-def _unsigned(value: int) -> bytes:
+def _unsigned_leb128(value: int) -> bytes:
     """Return an unsigned integer in LEB128."""
     code = bytearray()
     while value > 0x7F:
@@ -232,16 +232,22 @@ def _unsigned(value: int) -> bytes:
 
 def _name(text: str) -> bytes:
     """Return a name, its length first."""
-    return _unsigned(len(text)) + text.encode()
+    return _unsigned_leb128(len(text)) + text.encode()
 
 
 def _type(arguments: int, results: int) -> bytes:
     """Return the type of a function of numbers."""
     reals = bytes([_TYPES[KIND]])
-    return b"\x60" + _unsigned(arguments) + reals * arguments + _unsigned(results) + reals * results
+    return (
+        b"\x60"
+        + _unsigned_leb128(arguments)
+        + reals * arguments
+        + _unsigned_leb128(results)
+        + reals * results
+    )
 
 
 def _section(number: int, entries: list[bytes]) -> bytes:
     """Return a section of the module."""
-    content = _unsigned(len(entries)) + b"".join(entries)
-    return bytes([number]) + _unsigned(len(content)) + content
+    content = _unsigned_leb128(len(entries)) + b"".join(entries)
+    return bytes([number]) + _unsigned_leb128(len(content)) + content

@@ -57,7 +57,7 @@ class CompiledStepper:
         self._rows = self._memory[starts[3] : starts[4]].reshape(ROWS, -1)
         self._outs = self._memory[starts[4] : starts[5]].reshape(ROWS, -1)
         self.w, self.out = self._rows[0], self._outs[0]
-        self._block = cache.made(_recipe(step, starts), ("float64*",))
+        self._block = cache.compile_or_load(_recipe(step, starts), ("float64*",))
         function = ctypes.cast(self._block.function, ctypes.c_void_p).value
         assert function is not None
         # It holds the interpreter's lock, as a change of threads takes longer than a sample.

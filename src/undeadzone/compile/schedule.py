@@ -13,7 +13,7 @@ from collections.abc import Iterable
 from graphlib import TopologicalSorter
 from typing import Final, NamedTuple
 
-from undeadzone.compile.graph import LANES, Node, needed
+from undeadzone.compile.graph import LANES, Node, required_nodes
 
 # Cycles until a result is there, by instruction or function; 4 where nothing stands.
 _LATENCY: Final = {
@@ -26,7 +26,7 @@ Users = dict[Node, list[Node]]
 
 def of_graph(results: Iterable[Node]) -> list[Node]:
     """Return the lanes' instructions in the order in which they were made."""
-    return [node for node in needed(results) if node.level == LANES and node.op != "input"]
+    return [node for node in required_nodes(results) if node.level == LANES and node.op != "input"]
 
 
 def _users(order: list[Node]) -> Users:
@@ -38,7 +38,7 @@ def _users(order: list[Node]) -> Users:
     return users
 
 
-def ordered(results: list[Node], registers: int) -> list[Node]:
+def order_instructions(results: list[Node], registers: int) -> list[Node]:
     """Return the lanes' instructions, by list scheduling if registers are counted.
 
     First comes what is farthest from the end, until that many numbers are waiting for their use;
@@ -46,8 +46,8 @@ def ordered(results: list[Node], registers: int) -> list[Node]:
     """
     made = of_graph(results)
     if not registers:
-        return nested(made, results)
-    state = _started(made, results)
+        return order_depth_first(made, results)
+    state = _start_schedule(made, results)
     order: list[Node] = []
     while state.ready:
         best = state.best(len(order), registers)
@@ -56,7 +56,7 @@ def ordered(results: list[Node], registers: int) -> list[Node]:
     return order
 
 
-def nested(made: list[Node], results: list[Node]) -> list[Node]:
+def order_depth_first(made: list[Node], results: list[Node]) -> list[Node]:
     """Return each instruction right behind what it needs, of which the longest chain comes first.
 
     Args:
@@ -130,7 +130,7 @@ class _State(NamedTuple):
         return ended - (node.kind != "bool")
 
 
-def _started(order: list[Node], results: list[Node]) -> _State:
+def _start_schedule(order: list[Node], results: list[Node]) -> _State:
     """Return a schedule in which nothing is placed."""
     inside, users = set(order), _users(order)
     waiting = {node: len(inside.intersection(node.args)) for node in order}
@@ -169,7 +169,7 @@ class Branch(NamedTuple):
 Guard = tuple[Node, bool]  # a truth, and its value on which an instruction counts
 
 
-def gathered(order: list[Node], results: list[Node], least: int) -> list[Node | Branch]:
+def gather_branches(order: list[Node], results: list[Node], least: int) -> list[Node | Branch]:
     """Return the same instructions with branches.
 
     Args:
@@ -178,11 +178,13 @@ def gathered(order: list[Node], results: list[Node], least: int) -> list[Node | 
         least: instructions that are worth a branch.
     """
     users = _users(order)
-    kept = _kept(order, set(results), users, least)
+    kept = _guards_of_branch(order, set(results), users, least)
     return _Gathering(order, set(results), users, kept).all() if kept else list(order)
 
 
-def _kept(order: list[Node], results: set[Node], users: Users, least: int) -> dict[Node, Guard]:
+def _guards_of_branch(
+    order: list[Node], results: set[Node], users: Users, least: int
+) -> dict[Node, Guard]:
     """Return the guard of each instruction of a branch."""
     nothing: frozenset[Guard] = frozenset()
     guards: dict[Node, frozenset[Guard]] = {}

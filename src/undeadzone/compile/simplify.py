@@ -105,10 +105,10 @@ class Exact:
         Each pair is asked once: truths share their parts, and have more paths than nodes.
         """
         if (one, other) not in self._implied:
-            self._implied[one, other] = self._shown(one, other)
+            self._implied[one, other] = self._implies_parts(one, other)
         return self._implied[one, other]
 
-    def _shown(self, one: Node, other: Node) -> bool:
+    def _implies_parts(self, one: Node, other: Node) -> bool:
         """Return `implies`, from the parts of two truths."""
         if one is other or other.value == 1.0:
             return True
@@ -215,9 +215,11 @@ class Plain:
         if all(each is self.exact.yes for each in there):
             return self._made(word, *numbers)
         if word in ("not", "and", "or"):
-            return self._made(word, *map(self._known_truth, args))
+            return self._made(word, *map(self._truth_of_number, args))
         if word == "if_else_zero":
-            return self._gated(self.exact.truth(self._known_truth(args[0])), *self._parts(args[1]))
+            return self._gated(
+                self.exact.truth(self._truth_of_number(args[0])), *self._parts(args[1])
+            )
         if word in ("fmin", "fmax"):
             return self._lesser(self._made(word, *numbers), *zip(numbers, there, strict=True))
         both = there[0] if len(there) == 1 else self.exact.both(*there)
@@ -248,7 +250,7 @@ class Plain:
         """Return a number where a truth holds, else NaN."""
         return self.exact.selected(truth, number, self.nan)
 
-    def _known_truth(self, node: Node) -> Node:
+    def _truth_of_number(self, node: Node) -> Node:
         """That a number is not 0, as 1 or 0; NaN is not."""
         number, there = self._parts(node)
         absent = self.exact.negated(there)

@@ -26,7 +26,7 @@ def _operator(op: str, kind: str = "") -> Callable[[Value, Any], Value]:
     return lambda a, other: Value(a.nodes, a.nodes.intern(op, a.node, a.lifted(other), kind=kind))
 
 
-def _swapped(op: str, kind: str = "") -> Callable[[Value, Any], Value]:
+def _swap_operands(op: str, kind: str = "") -> Callable[[Value, Any], Value]:
     """Return an operator with a value on the right, whose result is of a kind."""
     return lambda b, other: Value(b.nodes, b.nodes.intern(op, b.lifted(other), b.node, kind=kind))
 
@@ -63,13 +63,13 @@ class Value:
         return Value(self.nodes, self.nodes.intern("call", self.node, text="fabs"))
 
     __add__ = _operator("add")
-    __radd__ = _swapped("add")
+    __radd__ = _swap_operands("add")
     __sub__ = _operator("sub")
-    __rsub__ = _swapped("sub")
+    __rsub__ = _swap_operands("sub")
     __mul__ = _operator("mul")
-    __rmul__ = _swapped("mul")
+    __rmul__ = _swap_operands("mul")
     __truediv__ = _operator("div")
-    __rtruediv__ = _swapped("div")
+    __rtruediv__ = _swap_operands("div")
     __and__ = _operator("and")
     __or__ = _operator("or")
     __xor__ = _operator("xor")
@@ -77,8 +77,8 @@ class Value:
     __rshift__ = _operator("shr")
     __lt__ = _operator("lt", "bool")
     __le__ = _operator("le", "bool")
-    __gt__ = _swapped("lt", "bool")
-    __ge__ = _swapped("le", "bool")
+    __gt__ = _swap_operands("lt", "bool")
+    __ge__ = _swap_operands("le", "bool")
     __eq__ = _operator("eq", "bool")  # type: ignore[assignment]
     __ne__ = _operator("ne", "bool")  # type: ignore[assignment]
 

@@ -3,6 +3,6 @@
 The names stand in `__init__.pyi`; controllers that other packages register are found here too.
 """
 
-from undeadzone.registry import CONTROLLERS, attached
+from undeadzone.registry import CONTROLLERS, attach_package
 
-__getattr__, __dir__, __all__ = attached(__name__, __file__, CONTROLLERS)
+__getattr__, __dir__, __all__ = attach_package(__name__, __file__, CONTROLLERS)

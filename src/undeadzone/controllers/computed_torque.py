@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.errors import InputError, StepError
-from undeadzone.feedforward.flank_path import LEAD, doubly_integrated, led, turned
+from undeadzone.feedforward.flank_path import LEAD, choose_flank, doubly_integrated, step_filters
 from undeadzone.feedforward.targets import Target, along_targets
 from undeadzone.interfaces import Controller, Estimate, Plan
 from undeadzone.nonlinearities.sensor import deadzone
@@ -73,11 +73,11 @@ class ComputedTorque(Options, frozen=True, kw_only=True, tag="computed_torque"):
         if model.Ts is not None:
             _require_fine_step(k_p, k_d, model.Ts)
         if model.gears is not None:
-            return geared_torque(model, k_p, k_d, self.crossing, self.reject)
+            return build_geared_torque(model, k_p, k_d, self.crossing, self.reject)
 
         def step(p: Params, s: Any, estimate: Estimate, target: Target) -> tuple[Any, Any]:
             q, v = estimate.x[:N], estimate.x[N:]
-            drift, push = self._left_out(estimate, N)
+            drift, push = self._unmodelled_rates(estimate, N)
             speed_error = target.x_ref[N:] - v - drift
             error = target.x_ref[:N] - q
             wanted = target.plan + p.k_d * speed_error + p.k_p * error
@@ -86,7 +86,7 @@ class ComputedTorque(Options, frozen=True, kw_only=True, tag="computed_torque"):
         plan = Plan(N, model.params, lambda params, target: accelerations(arm, params, target))
         return Controller(Params(model.params, k_p, k_d), lambda p: None, step, plan)
 
-    def _left_out(self, estimate: Estimate, N: int) -> tuple[Any, Any]:
+    def _unmodelled_rates(self, estimate: Estimate, N: int) -> tuple[Any, Any]:
         """What the model leaves out of q' and q'' (N each), 0 where that is not to be rejected."""
         if self.reject and estimate.w.shape[0] > 0:
             return estimate.w[:N], estimate.w[N:]
@@ -167,7 +167,7 @@ class State(NamedTuple):
     towards: Any
 
 
-def geared_torque(
+def build_geared_torque(
     model: System, k_p: Floats, k_d: Floats, crossing: float, reject: bool
 ) -> Controller:
     """Return the controller for the sampled model of an arm with gears.
@@ -200,7 +200,7 @@ def geared_torque(
         back = swung + p.k_p / 4 * deadzone(astray, FLOATS * half, FLOATS * half)
         towards = carrying(gears, p.model, (*later, back), s.towards)
         moved = ca.reshape(s.moved, N, 2).T
-        push, following = led(p.crossing, moved, (towards * half).T)
+        push, following = step_filters(p.crossing, moved, (towards * half).T)
         place, turning = q - gears.number(p.model, "centre") + moved[0, :].T, v + moved[1, :].T
         correction = p.k_p * (place - motor) + p.k_d * (turning - spin)
         links = torque(gears.arm, gears.links(p.model), q, v, a + correction)
@@ -211,7 +211,7 @@ def geared_torque(
 
     def along(params: Any, target: Target) -> Floats:
         path = np.hstack([target.x_ref[:, N : 2 * N], target.x_ref[:, 3 * N :]])
-        a = geared_accelerations(gears, params, target)
+        a = accelerations_of_gears(gears, params, target)
         later = np.minimum(np.arange(len(a)) + ahead, len(a) - 1)
         return np.hstack([a, path[later], a[later]])
 
@@ -230,10 +230,10 @@ def carrying(gears: Geared, params: Any, path: Any, before: Any) -> Any:
         before: the flank before (N).
     """
     load = torque(gears.arm, gears.links(params), *path)
-    return turned(ca.sign(load) * (ca.fabs(load) > ROUNDING), before)
+    return choose_flank(ca.sign(load) * (ca.fabs(load) > ROUNDING), before)
 
 
-def geared_accelerations(gears: Geared, params: Floats, target: Target) -> Floats:
+def accelerations_of_gears(gears: Geared, params: Floats, target: Target) -> Floats:
     """Return the links' acceleration on the path (instants x N), their motors turning with them.
 
     Args:

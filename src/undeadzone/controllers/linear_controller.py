@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from undeadzone.controllers.parts.tracked_error import require_square, tracked_output
+from undeadzone.controllers.parts.tracked_error import require_square, select_tracked_output
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
@@ -61,7 +61,7 @@ class LinearController(Options, frozen=True, tag="linear"):
             return State(np.zeros(params.A.shape[0]))
 
         def step(p: Params, s: State, estimate: Estimate, target: Target) -> tuple[State, Any]:
-            e = target.r - tracked_output("linear", estimate, target)
+            e = target.r - select_tracked_output("linear", estimate, target)
             u = p.C @ s.x + p.D @ e
             if self.feedforward:
                 u = u + target.u_ff
@@ -79,7 +79,7 @@ class LinearController(Options, frozen=True, tag="linear"):
                 f"found {', '.join(by_matrices)} and a transfer function"
             )
         if by_function:
-            return self._realised()
+            return self._realise()
         m, p = model.m, model.p
         D: Floats = np.zeros((m, p))
         if self.D is not None:
@@ -101,7 +101,7 @@ class LinearController(Options, frozen=True, tag="linear"):
         C = matrix("controller.C", self.C, m, k, "inputs x controller's states")
         return Params(A, B, C, D)
 
-    def _realised(self) -> Params:
+    def _realise(self) -> Params:
         """Return a realisation of the transfer function. Raises InputError."""
         from scipy.signal import tf2ss
 

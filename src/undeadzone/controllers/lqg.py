@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from undeadzone.controllers.parts.tracked_error import tracked_output
+from undeadzone.controllers.parts.tracked_error import select_tracked_output
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
@@ -48,7 +48,7 @@ class LQG(Options, frozen=True, kw_only=True, tag="lqg"):
             return State(np.zeros(model.p))
 
         def step(p: Params, s: State, estimate: Estimate, target: Target) -> tuple[State, Any]:
-            error = tracked_output("lqg", estimate, target) - target.r
+            error = select_tracked_output("lqg", estimate, target) - target.r
             _, u = _feedback(p, None, estimate, target)
             return State(model.keep * s.integral + p.grown * error), u - p.K_i @ s.integral
 

@@ -84,12 +84,12 @@ def gains(model: System, params: Params, target: Target) -> Floats:
     if not model.nonlinear:
         K = riccati(model.linear, Q, R, model.Ts).K
         return np.broadcast_to(K, (len(target.u_ff), model.m, model.n))
-    A, B = linearised(model, target, stride)
+    A, B = linearise_trajectory(model, target, stride)
     last = riccati(Matrices(A[-1], B[-1], model.linear.C), Q, R, model.Ts)
     return riccati_along(A, B, Q, R, last.P)
 
 
-def linearised(model: System, target: Target, stride: int) -> tuple[Floats, Floats]:
+def linearise_trajectory(model: System, target: Target, stride: int) -> tuple[Floats, Floats]:
     """Return A (instants x n x n), B (instants x n x m) of a model along a trajectory.
 
     Between every `stride`-th instant they are straight lines.

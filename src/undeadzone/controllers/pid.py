@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.controllers.parts.tracked_error import require_square, tracked_output
+from undeadzone.controllers.parts.tracked_error import require_square, select_tracked_output
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
@@ -52,7 +52,7 @@ class PID(Options, frozen=True, kw_only=True, tag="pid"):
             return State(np.zeros(model.p), np.zeros(model.p))
 
         def step(p: Params, s: State, estimate: Estimate, target: Target) -> tuple[State, Any]:
-            z = tracked_output("pid", estimate, target)
+            z = select_tracked_output("pid", estimate, target)
             lag = p.c * target.r - z - s.filtered
             wanted = p.k_p * (p.b * target.r - z) + s.integral + p.k_d / p.tau * lag
             if self.feedforward:

@@ -10,7 +10,7 @@ import numpy as np
 
 from undeadzone.compile import lanes
 from undeadzone.ensemble import metrics
-from undeadzone.ensemble.binding import Binding, Lanes, RunNoise, bind, drawn
+from undeadzone.ensemble.binding import Binding, Lanes, RunNoise, bind, draw_values
 from undeadzone.ensemble.job import Layout
 from undeadzone.ensemble.metrics import Measured, Tally
 from undeadzone.results.run import last_samples
@@ -20,7 +20,7 @@ from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.exogenous import exogenous as exogenous_inputs
 from undeadzone.simulation.loop import Loop
-from undeadzone.simulation.simulate import closed
+from undeadzone.simulation.simulate import close_problem
 from undeadzone.util import toml, tree
 from undeadzone.util.arrays import Floats, Integers
 
@@ -112,26 +112,26 @@ def prepare(scenario: Scenario, moved: Iterable[int] = ()) -> Batch:
         InputError or a subclass
     """
     problem = resolve_scenario(scenario)
-    loop = closed(problem)
+    loop = close_problem(problem)
     binding = bind(problem, loop)
     binding = binding._replace(indices=tuple(sorted({*binding.indices, *moved})))
     vary = problem.scenario.ensemble or Vary()
-    measured = metrics.measured(loop, problem)
+    measured = metrics.with_metrics(loop, problem)
     shared = exogenous_inputs(problem, run=None)
     t = np.arange(len(shared)) * scenario.simulation.step
     tail = np.zeros(t.size)
     tail[last_samples(t)] = 1.0
     largest = np.abs(problem.reference.value(t)).max()
     params = np.append(binding.params, vary.tolerance * largest)
-    own = drawn(problem, loop, binding)
+    own = draw_values(problem, loop, binding)
     kernel = lanes.build(
         measured.step,
         measured.rare,
         exogenous=own.entries,
         params=binding.indices,
         record=[],
-        known_exogenous=known_inputs(shared, own.entries),
-        known_params=known_params(params, binding.indices),
+        known_exogenous=constant_zero_inputs(shared, own.entries),
+        known_params=constant_params(params, binding.indices),
         fused=True,
     )
     names = (*binding.names, *metrics.columns(problem.plant, problem.sensor.kind))
@@ -143,7 +143,7 @@ def prepare(scenario: Scenario, moved: Iterable[int] = ()) -> Batch:
     )
 
 
-def known_inputs(shared: Floats, own: tuple[int, ...]) -> dict[int, float]:
+def constant_zero_inputs(shared: Floats, own: tuple[int, ...]) -> dict[int, float]:
     """Return the exogenous inputs that are 0 throughout and for all runs.
 
     A kernel that knows them is shorter.
@@ -156,7 +156,7 @@ def known_inputs(shared: Floats, own: tuple[int, ...]) -> dict[int, float]:
     return {i: 0.0 for i, column in columns if i not in own and not column.any()}
 
 
-def known_params(params: Floats, varied: tuple[int, ...]) -> dict[int, float]:
+def constant_params(params: Floats, varied: tuple[int, ...]) -> dict[int, float]:
     """Return the zeros and ones among the packed params that do not vary, which shorten a kernel
     too.
     """

@@ -18,7 +18,7 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.signals import noise
 from undeadzone.simulation import exogenous
 from undeadzone.simulation.loop import RUNGE_KUTTA, Loop
-from undeadzone.simulation.simulate import closed
+from undeadzone.simulation.simulate import close_problem
 from undeadzone.statistics import sampling
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats, Integers, scalar, seed_of
@@ -138,7 +138,7 @@ class Binding(NamedTuple):
             params[:, k] = own.get(i, self.params[i])
         return Lanes(states, params)
 
-    def packed(self, values: Floats) -> tuple[Floats, Floats]:
+    def pack_run(self, values: Floats) -> tuple[Floats, Floats]:
         """Return (initial state, params), packed, of one run with these values (columns).
 
         They are the numbers of its lane, for any engine.
@@ -165,8 +165,8 @@ def bind(problem: Problem, loop: Loop) -> Binding:
             "ensemble: missing; add a table [ensemble] with what varies, such as "
             '"sensor.right" = { uniform = [0.3, 2.0] }'
         )
-    seed = _checked(vary, problem)
-    params, held = tree.pack(loop.params), _sampled(problem, loop)
+    seed = _require_seed(vary, problem)
+    params, held = tree.pack(loop.params), _sampled_plants(problem, loop)
     nominal = params.copy()
     for system in held:
         nominal[list(system.slots)] = system.AB.ravel(order="F")
@@ -188,10 +188,10 @@ def require_bound(scenario: Scenario) -> None:
         return
     problem = resolve_scenario(scenario)
     if problem.observer.python is None:
-        bind(problem, closed(problem))
+        bind(problem, close_problem(problem))
 
 
-def _checked(vary: Vary, problem: Problem) -> int:
+def _require_seed(vary: Vary, problem: Problem) -> int:
     """Return the seed. Raises InputError."""
     seed = problem.scenario.simulation.seed if vary.seed is None else vary.seed
     if vary.runs < 1:
@@ -200,7 +200,7 @@ def _checked(vary: Vary, problem: Problem) -> int:
     return seed_of("ensemble.seed", seed)
 
 
-def _sampled(problem: Problem, loop: Loop) -> list[Sampled]:
+def _sampled_plants(problem: Problem, loop: Loop) -> list[Sampled]:
     """Return the linear plants that the loop holds in sampled form."""
     names = tree.names(loop.params)
     systems = {"plant.A[0,0]": problem.plant, "observer.model.A[0,0]": problem.model}
@@ -267,7 +267,7 @@ class RunNoise(NamedTuple):
         return lambda lanes: _source(self, runs[lanes])
 
 
-def drawn(problem: Problem, loop: Loop, binding: Binding) -> RunNoise:
+def draw_values(problem: Problem, loop: Loop, binding: Binding) -> RunNoise:
     """What the runs of a bound ensemble draw."""
     places = {name: i for i, name in enumerate(tree.names(loop.instant))}
     streams = _noise_streams(problem, loop, binding) | _sensor_streams(problem)
@@ -382,7 +382,7 @@ def _source_of_words(own: RunNoise, runs: Integers) -> Source:
             moves[0] += walk
             moves = np.cumsum(moves, axis=0)
             walk[:] = moves[-1]
-            numbers[:, wear] = exogenous.worn(moves)
+            numbers[:, wear] = exogenous.width_drift(moves)
         if losses:
             normals = numbers[:, lost].swapaxes(1, 2)
             numbers[:, lost] = exogenous.lost(normals, own.dropout).swapaxes(1, 2)

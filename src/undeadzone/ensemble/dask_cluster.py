@@ -58,11 +58,11 @@ def _compute(
     payload: bytes, expected: dict[str, str], blocks: Sequence[int]
 ) -> tuple[float, list[Floats]]:
     """On a worker: the seconds that blocks took, and their rows."""
-    return compute(_prepared(payload, tuple(expected.items())), blocks)
+    return compute(_prepare_once(payload, tuple(expected.items())), blocks)
 
 
 @functools.lru_cache(maxsize=2)
-def _prepared(payload: bytes, expected: tuple[tuple[str, str], ...]) -> Job:
+def _prepare_once(payload: bytes, expected: tuple[tuple[str, str], ...]) -> Job:
     """On a worker: the job, prepared once. Raises ClusterError where versions differ."""
     installed = versions()
     differences = []

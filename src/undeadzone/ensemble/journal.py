@@ -22,7 +22,7 @@ from undeadzone.ensemble.job import Layout
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.util.answers import problem_there
 from undeadzone.util.arrays import Floats
-from undeadzone.util.files import kept_file, put, writing
+from undeadzone.util.files import lock_file, write_all, writing
 from undeadzone.util.versions import versions
 
 PAGE = 4096  # [bytes] the columns begin at a multiple of it
@@ -71,9 +71,9 @@ class Store(NamedTuple):
             raise ShapeError(f"block {block}: expected {count} x {width}, found {shape}")
         columns = np.ascontiguousarray(rows.T, "<f8")
         for column, offset in zip(columns, self._offsets(block), strict=True):
-            put(self.path, self.file, column.tobytes(), offset)
+            write_all(self.path, self.file, column.tobytes(), offset)
         checksum = _checksum(block, columns.tobytes())
-        put(self.path, self.file, checksum, self._checksums + block * NUMBER)
+        write_all(self.path, self.file, checksum, self._checksums + block * NUMBER)
         self.done[block] = True
 
     def columns(self) -> dict[str, Floats]:
@@ -94,15 +94,15 @@ class Store(NamedTuple):
         """Return its bytes in all."""
         return self._checksums + self.layout.blocks * NUMBER
 
-    def looked_through(self) -> Store:
+    def verify_blocks(self) -> Store:
         """Return the store that knows which blocks it holds: those whose rows have their
         checksum.
         """
-        checksums = _read(self.file, self._checksums, self.layout.blocks * NUMBER)
+        checksums = _read_bytes(self.file, self._checksums, self.layout.blocks * NUMBER)
         done = np.zeros(self.layout.blocks, bool)
         for block in np.flatnonzero(np.frombuffer(checksums, "<u8")).tolist():
             size = len(self.layout.within(block)) * NUMBER
-            rows = b"".join(_read(self.file, offset, size) for offset in self._offsets(block))
+            rows = b"".join(_read_bytes(self.file, offset, size) for offset in self._offsets(block))
             kept = checksums[block * NUMBER : (block + 1) * NUMBER]
             done[block] = _checksum(block, rows) == kept
         return self._replace(done=done)
@@ -142,8 +142,8 @@ def start(path: Path, layout: Layout, resume: bool = False) -> Store:
         InputError: where it holds another problem
     """
     header = _header(layout)
-    with kept_file(path, "r+") as file:
-        there = _read(file, 0, len(header) + OTHER_HEADER)
+    with lock_file(path, "r+") as file:
+        there = _read_bytes(file, 0, len(header) + OTHER_HEADER)
         fresh = not there.strip(b"\0")
         if not fresh:
             problem = problem_there(path, _line_of(there), "ensemble", WORDS, resume)
@@ -152,8 +152,8 @@ def start(path: Path, layout: Layout, resume: bool = False) -> Store:
         with writing(path):
             _allocate(path, file, store.size, fresh)
             if fresh:
-                put(path, file, header, 0)
-            return store.looked_through()
+                write_all(path, file, header, 0)
+            return store.verify_blocks()
 
 
 def _header(layout: Layout) -> bytes:
@@ -212,7 +212,7 @@ def _allocate(path: Path, file: io.FileIO, size: int, fresh: bool) -> None:
         raise
 
 
-def _read(file: io.FileIO, offset: int, size: int) -> bytes:
+def _read_bytes(file: io.FileIO, offset: int, size: int) -> bytes:
     """Return some bytes, or as many as there are."""
     file.seek(offset)
     return file.read(size)

@@ -72,7 +72,7 @@ def pool(prepare: Callable[[], Job], workers: int) -> Iterator[Pool]:
             _hire(crew)
         yield Pool(
             threads=lambda: workers,
-            submit=lambda batch: waiting.submit(_computed, crew, workers, batch),
+            submit=lambda batch: waiting.submit(_await_result, crew, workers, batch),
             failures=nullcontext,
             require_work=lambda: None,  # a death ends the batch's future
         )
@@ -83,14 +83,14 @@ def pool(prepare: Callable[[], Job], workers: int) -> Iterator[Pool]:
             _end(worker)
 
 
-def _computed(crew: _Crew, workers: int, blocks: Sequence[int]) -> tuple[float, list[Floats]]:
+def _await_result(crew: _Crew, workers: int, blocks: Sequence[int]) -> tuple[float, list[Floats]]:
     """What `job.compute` returns on a worker. Raises what it raises there, or ClusterError."""
     for _ in range(DEATHS):
         worker = crew.idle.get()
         if worker is None:
             raise ClusterError(STOPPED)
         try:
-            answer = _asked(worker, blocks)
+            answer = _ask_worker(worker, blocks)
         except (OSError, EOFError, pickle.UnpicklingError):
             _bury(crew, worker)
             _hire(crew)
@@ -105,7 +105,7 @@ def _computed(crew: _Crew, workers: int, blocks: Sequence[int]) -> tuple[float, 
     )
 
 
-def _asked(worker: subprocess.Popen[bytes], blocks: Sequence[int]) -> Any:
+def _ask_worker(worker: subprocess.Popen[bytes], blocks: Sequence[int]) -> Any:
     """Return a worker's answer. Raises OSError, EOFError or UnpicklingError where it died."""
     assert worker.stdout is not None
     _tell(worker, list(blocks))
@@ -117,7 +117,7 @@ def _hire(crew: _Crew) -> None:
     with crew.lock:
         if crew.closed.is_set():
             raise ClusterError(STOPPED)
-        worker = _started()
+        worker = _start_worker()
         crew.every.append(worker)
     with suppress(OSError):  # one that died already is noticed when it is asked
         _tell(worker, sys.path, crew.payload)  # where to import from, and its job
@@ -132,7 +132,7 @@ def _tell(worker: subprocess.Popen[bytes], *parts: Any) -> None:
     worker.stdin.flush()
 
 
-def _started() -> subprocess.Popen[bytes]:
+def _start_worker() -> subprocess.Popen[bytes]:
     """Return a new process, deaf to Ctrl-C: that is for this process, which then stops its
     workers.
     """
@@ -212,10 +212,10 @@ def _answer(prepared: Callable[[], Job], blocks: list[int]) -> bytes:
     try:
         return pickle.dumps(compute(prepared(), blocks))
     except BaseException as error:
-        return _pickled(error)
+        return _pickle_error(error)
 
 
-def _pickled(error: BaseException) -> bytes:
+def _pickle_error(error: BaseException) -> bytes:
     """Return an exception as bytes; in other words where it cannot be read back."""
     try:
         content = pickle.dumps(error)

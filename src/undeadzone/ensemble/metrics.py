@@ -64,7 +64,7 @@ class Measured(NamedTuple):
     tally: Tally
 
 
-def measured(loop: Loop, problem: Problem) -> Measured:
+def with_metrics(loop: Loop, problem: Problem) -> Measured:
     """Return the loop of a problem with its metrics."""
     step, rare = (loop.step, ()) if loop.parts is None else loop.parts
     zero = _nothing(problem.plant, problem.sensor.kind)
@@ -220,10 +220,10 @@ def true_width(
     right, left = widths[2 * int(index) : 2 * int(index) + 2]
     sign, nominal = (1, right) if edge == "right" else (-1, left)
     if not geared:
-        return _drawn(f"sensor.{name}", nominal, varied)
+        return _value_of_runs(f"sensor.{name}", nominal, varied)
     joint, half, centre = int(index) + 1, (right + left) / 2, (right - left) / 2
-    wider = _drawn(f"plant.parameters.half{joint}", half, varied) - half
-    moved = _drawn(f"plant.parameters.centre{joint}", centre, varied) - centre
+    wider = _value_of_runs(f"plant.parameters.half{joint}", half, varied) - half
+    moved = _value_of_runs(f"plant.parameters.centre{joint}", centre, varied) - centre
     return nominal + wider + sign * moved
 
 
@@ -250,7 +250,7 @@ def widths_in_turn(sensor: Zone) -> list[float]:
     return list(np.stack([sensor.right, sensor.left], axis=1).ravel().tolist())
 
 
-def _drawn(name: str, nominal: float, varied: Mapping[str, Floats]) -> Floats:
+def _value_of_runs(name: str, nominal: float, varied: Mapping[str, Floats]) -> Floats:
     """Return a number of the scenario in each run: itself, or a column (runs) where it varies."""
     for words, column in varied.items():
         address = words.removesuffix(" (relative)")

@@ -202,7 +202,7 @@ class Ensemble:
         values = np.where(self.diverged, np.nan, self.column(metric))
         kept = np.flatnonzero(np.isfinite(values[self.independent]))[:JUDGED]
         entries = np.column_stack([column[kept] for column in self.varied.values()])
-        by_entry = sensitivity.given(entries, values[kept])
+        by_entry = sensitivity.sensitivities_of_runs(entries, values[kept])
         if self.info.sampling == "saltelli":
             blocks = values.reshape(len(self.varied) + 2, -1)[:, :JUDGED]
             by_entry = [
@@ -299,7 +299,7 @@ class Ensemble:
             FileError: where it cannot be read or is no ensemble
             InputError: where pyarrow is missing
         """
-        return cls(*saved.read(path))
+        return cls(*saved.read_ensemble(path))
 
 
 def _share(runs: npt.NDArray[np.bool_]) -> Interval:

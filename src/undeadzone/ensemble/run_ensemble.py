@@ -28,11 +28,11 @@ from undeadzone.results.run import Run
 from undeadzone.scenario.encoders import with_gaps
 from undeadzone.scenario.ensemble_table import Vary
 from undeadzone.scenario.problem import Problem
-from undeadzone.scenario.reader import anchored, parse
+from undeadzone.scenario.reader import anchor_files, parse
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.collect import collect
 from undeadzone.simulation.loop import Params
-from undeadzone.simulation.simulate import named
+from undeadzone.simulation.simulate import name_outputs
 from undeadzone.util import toml, tree
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone.util.progress import in_notebook
@@ -73,7 +73,7 @@ def run_ensemble(
     """
     if path is not None:
         path = saved.require(path)
-    scenario = anchored(scenario, Path.cwd())  # for workers, and for replays from elsewhere
+    scenario = anchor_files(scenario, Path.cwd())  # for workers, and for replays from elsewhere
     batch = prepare(scenario)
     is_here = workers is None and cluster is None  # where it need not be prepared again
     make = (lambda: batch) if is_here else functools.partial(prepare, scenario)
@@ -90,7 +90,7 @@ def _on_disk(batch: Batch, compute: Callable[..., Store], path: Path, resume: bo
     """Return the ensemble whose blocks `compute` keeps beside the file that it becomes."""
     partial = path.with_name(f"{path.name}.partial")
     if resume and not partial.exists():
-        finished = _finished(path, batch)
+        finished = _read_finished(path, batch)
         if finished is not None:
             return finished
     store = compute(partial, resume=resume)
@@ -154,7 +154,7 @@ def _in_memory(batch: Batch, compute: Callable[[Path], Store]) -> Ensemble:
     return dataclasses.replace(result, varied=varied, metrics=metrics)
 
 
-def _finished(path: Path, batch: Batch) -> Ensemble | None:
+def _read_finished(path: Path, batch: Batch) -> Ensemble | None:
     """What a file holds; None where it cannot be read. Raises InputError for another problem."""
     try:
         saved = Ensemble.load(path)
@@ -170,7 +170,7 @@ def _result(batch: Batch, store: Store) -> Ensemble:
     columns = store.columns()
     info = _info(batch)
     varied = {name: columns.pop(name) for name in batch.binding.names}
-    return Ensemble(varied, columns, info, recorded_bands(batch, info.recorded))
+    return Ensemble(varied, columns, info, compute_bands(batch, info.recorded))
 
 
 def _info(batch: Batch) -> Info:
@@ -207,12 +207,12 @@ def replay(batch: Batch, run: int) -> Run:
     began = time.perf_counter()
     values = batch.binding.draw(run, 1, runs)
     everything = list(range(tree.size(batch.loop.outputs)))
-    outputs = _recorded(batch, np.array([run]), values, everything, every=1)
+    outputs = _record_outputs(batch, np.array([run]), values, everything, every=1)
     problem = _problem_of_run(batch, values[0], f"run {run}")
-    return collect(problem, named(batch.loop, outputs[0]), None, began)
+    return collect(problem, name_outputs(batch.loop, outputs[0]), None, began)
 
 
-def recorded_bands(batch: Batch, runs: int) -> Bands:
+def compute_bands(batch: Batch, runs: int) -> Bands:
     """Return the bands of the first `runs` runs."""
     p = batch.problem.plant.p
     positions = [f"z[{i}]" for i in range(p)]
@@ -222,10 +222,10 @@ def recorded_bands(batch: Batch, runs: int) -> Bands:
     wanted = [places[name] for name in (*positions, *estimates)]
     values = batch.binding.draw(0, runs, batch.layout.runs)
     every = max(1, len(batch.exogenous) // POINTS)
-    outputs = _recorded(batch, np.arange(runs), values, wanted, every)
+    outputs = _record_outputs(batch, np.arange(runs), values, wanted, every)
     z, d_hat = outputs[:, :, :p], outputs[:, :, p:]
     t = batch.exogenous[::every, -2]
-    params = np.array([batch.binding.packed(row)[1] for row in values])
+    params = np.array([batch.binding.pack_run(row)[1] for row in values])
     varied = dict(zip(batch.binding.names, values.T, strict=True))
     nominal = widths_in_turn(batch.problem.sensor)
     geared = batch.problem.sensor.kind == "gears"
@@ -236,7 +236,7 @@ def recorded_bands(batch: Batch, runs: int) -> Bands:
     return bands(t, z, r, d_hat, widths, batch.problem.tracked)
 
 
-def _recorded(
+def _record_outputs(
     batch: Batch, runs: Integers, values: Floats, outputs: list[int], every: int
 ) -> Floats:
     """Return some outputs of runs along their states (runs x N x chosen), on CasADi's virtual
@@ -250,7 +250,7 @@ def _recorded(
         every: steps between two records
     """
     own = batch.binding.lanes(values)
-    trails, finals = batch.run(_watched(batch.kernel, every), runs, own, every=every)
+    trails, finals = batch.run(_with_progress(batch.kernel, every), runs, own, every=every)
     instants = batch.exogenous[::every, :-2].copy()
     params = batch.binding.params.copy()
     step = batch.loop.step
@@ -261,11 +261,11 @@ def _recorded(
         states, _, drawn = np.split(trail, [s.numel(), finals.shape[1]], axis=1)
         instants[:, batch.own.entries] = drawn
         params[list(batch.binding.indices)] = own.params[lane]
-        shown[lane] = interpret.mapped(show, np.hstack([states, instants]), params)
+        shown[lane] = interpret.evaluate_rows(show, np.hstack([states, instants]), params)
     return shown
 
 
-def _watched(kernel: lanes.Kernel, every: int) -> lanes.Kernel:
+def _with_progress(kernel: lanes.Kernel, every: int) -> lanes.Kernel:
     """Return the kernel called for `every` steps at a time.
 
     It records its states and own inputs before each call.
@@ -287,8 +287,8 @@ def _watched(kernel: lanes.Kernel, every: int) -> lanes.Kernel:
 
 def _problem_of_run(batch: Batch, values: Floats, what: str) -> Problem:
     """Return the problem as one run had it: its plant, its sensor and the size of its reference."""
-    _, packed = batch.binding.packed(values)
-    params: Params = tree.rebuild(batch.loop.params, _unpacked(batch.loop.params, packed))
+    _, packed = batch.binding.pack_run(values)
+    params: Params = tree.rebuild(batch.loop.params, _unpack_leaves(batch.loop.params, packed))
     problem = batch.problem
     reference = problem.reference
     title = f"{problem.scenario.title}, {what}"
@@ -317,7 +317,7 @@ def _sensor_of_run(sensor: Zone, params: Params) -> Zone:
     return msgspec.structs.replace(sensor, **changes)
 
 
-def _unpacked(like: Any, numbers: Floats) -> Iterator[Floats]:
+def _unpack_leaves(like: Any, numbers: Floats) -> Iterator[Floats]:
     """Yield the parts of packed numbers in the shapes of a tree's leaves."""
     start = 0
     for _, leaf in tree.leaves(like):

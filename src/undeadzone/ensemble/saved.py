@@ -67,12 +67,14 @@ def _read_npz(path: Path) -> tuple[str, Columns, Columns]:
         if torn is not None:
             raise ValueError(f"{torn} is damaged")
         for entry in archive.infolist():
-            arrays[entry.filename.removesuffix(".npy")] = _mapped(path, file, entry.header_offset)
+            arrays[entry.filename.removesuffix(".npy")] = _map_member(
+                path, file, entry.header_offset
+            )
     header = arrays[HEADER].tobytes().decode()
     return header, _below(COLUMNS, arrays), _below(ATTACHED, arrays)
 
 
-def _mapped(path: Path, file: BinaryIO, offset: int) -> Any:
+def _map_member(path: Path, file: BinaryIO, offset: int) -> Any:
     """Return the array of an uncompressed member of a zip file, as a map; offset: of its local
     header.
     """
@@ -233,7 +235,7 @@ def write(path: Name, varied: Columns, metrics: Columns, info: Info, bands: Band
     return path
 
 
-def read(path: Name) -> tuple[Columns, Columns, Info, Bands | None]:
+def read_ensemble(path: Name) -> tuple[Columns, Columns, Info, Bands | None]:
     """Return the fields of an ensemble. Raises FileError; InputError where pyarrow is missing."""
     path = path_of(path)
     try:
@@ -249,10 +251,10 @@ def read(path: Name) -> tuple[Columns, Columns, Info, Bands | None]:
     except _DAMAGE as error:
         raise FileError(f"{path}: not an ensemble saved by undeadzone ({error})") from None
     metrics = {name: column for name, column in columns.items() if name not in varied}
-    return varied, metrics, header.info, _attached_bands(attached)
+    return varied, metrics, header.info, _read_bands(attached)
 
 
-def _attached_bands(attached: Mapping[str, Floats]) -> Bands | None:
+def _read_bands(attached: Mapping[str, Floats]) -> Bands | None:
     """Return the bands among the other arrays of a file, if it has some."""
     if "t" not in attached:
         return None

@@ -14,11 +14,11 @@ import numpy as np
 import numpy.typing as npt
 
 from undeadzone.errors import InputError
-from undeadzone.observers.filtering.actuator import built
+from undeadzone.observers.filtering.actuator import build_behind_actuator
 from undeadzone.plants.robots.arm import signless
 from undeadzone.plants.system import pace
 from undeadzone.scenario.address import entries_there, index_of, matching, similar, stem
-from undeadzone.scenario.encoders import sensed
+from undeadzone.scenario.encoders import resolve_sensor
 from undeadzone.scenario.ensemble_table import (
     POSITIVE,
     TABLE,
@@ -26,10 +26,10 @@ from undeadzone.scenario.ensemble_table import (
     Distribution,
     spread,
 )
-from undeadzone.scenario.problem import Problem, known_sensor
+from undeadzone.scenario.problem import Problem, sensor_of_model
 from undeadzone.signals.exosystem import Random, Signal, Sine, Step, Trapezoid
 from undeadzone.simulation.loop import Loop
-from undeadzone.simulation.packed import packed
+from undeadzone.simulation.packed import pack_problem
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
 
@@ -122,11 +122,13 @@ def _places_of_sensor(problem: Problem, loop: Loop) -> dict[str, tuple[int, ...]
     others = _other_numbers(problem)
     scenario, model = problem.scenario, problem.model
     sensor = msgspec.structs.replace(scenario.sensor, **others)
-    told = known_sensor(msgspec.structs.replace(scenario, sensor=sensor))
+    told = sensor_of_model(msgspec.structs.replace(scenario, sensor=sensor))
     read = problem.flow, scenario.simulation.step, pace(problem.flow.linear)
-    observer = built(scenario.observer, model, sensed(told, *read), problem.belief)
-    changed = problem._replace(sensor=sensed(sensor, *read), observer=observer)
-    _, params = packed(changed, loop)
+    observer = build_behind_actuator(
+        scenario.observer, model, resolve_sensor(told, *read), problem.belief
+    )
+    changed = problem._replace(sensor=resolve_sensor(sensor, *read), observer=observer)
+    _, params = pack_problem(changed, loop)
     places = {}
     for key, numbers in others.items():
         for index, number in np.ndenumerate(numbers):
@@ -260,7 +262,7 @@ def _numbers_of_entry(
     parts = re.sub(r"\s+", "", address).split("+")
     names: list[str] = []
     for part in parts:
-        names += _named(address, part, known, problem)
+        names += _quantities_of_part(address, part, known, problem)
     suffix = ""
     if distribution.relative:
         names, suffix = _with_factors(address, parts, names, known), " (relative)"
@@ -308,7 +310,9 @@ def _with_factors(
     return changed
 
 
-def _named(address: str, part: str, known: dict[str, Quantity], problem: Problem) -> list[str]:
+def _quantities_of_part(
+    address: str, part: str, known: dict[str, Quantity], problem: Problem
+) -> list[str]:
     """Return the quantities that one part of an address stands for. Raises InputError."""
     if names := matching(part, known):
         return names

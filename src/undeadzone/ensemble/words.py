@@ -8,7 +8,7 @@ from undeadzone.ensemble.saved import Info, unit_of_column
 from undeadzone.results.run import ERRORS, LAST
 from undeadzone.results.sheet import number, within
 from undeadzone.util.shown import Block
-from undeadzone.util.text import counted, label
+from undeadzone.util.text import count_noun, label
 
 
 class Metric(NamedTuple):
@@ -47,7 +47,7 @@ def in_words(info: Info, summary: dict[str, Any], diverged: int) -> list[Block]:
     """
     sampling = info.sampling.replace("_", " ")
     blocks: list[Block] = [
-        f"{info.title}: {counted(info.runs, 'run')} of {info.duration:g} s, "
+        f"{info.title}: {count_noun(info.runs, 'run')} of {info.duration:g} s, "
         f"{sampling} sampling, seed {info.seed}",
         _shares(info, summary, diverged),
     ]
@@ -66,7 +66,7 @@ def _shares(info: Info, summary: dict[str, Any], lost: int) -> dict[str, str]:
     lasts = f"for the last {LAST:g} s" if info.duration > LAST else "at the end"
     which = ""
     if diverged["runs"]:
-        runs = _listed(diverged["runs"], lost)
+        runs = _list_runs(diverged["runs"], lost)
         which = f": {runs}; left out of what follows"
     return {
         "settled": (
@@ -91,7 +91,7 @@ def _quantiles(info: Info, metrics: dict[str, Any]) -> list[tuple[str, ...]]:
     return rows
 
 
-def _listed(runs: list[int], total: int) -> str:
+def _list_runs(runs: list[int], total: int) -> str:
     """Return the first runs of a list."""
     names = ", ".join(map(str, runs[:SHOWN]))
     return f"run{'s' * (total > 1)} {names}{', ...' * (total > SHOWN)}"

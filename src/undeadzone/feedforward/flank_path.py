@@ -68,7 +68,7 @@ def doubly_integrated(w: float, Ts: float, key: str) -> Crossing:
     return crossing(Matrices(A, B, np.eye(1, 2)), w, Ts, key)
 
 
-def turned(sign: Any, before: Any) -> Any:
+def choose_flank(sign: Any, before: Any) -> Any:
     """Return the flank that is wanted (...): where nothing turns, the one before.
 
     Args:
@@ -78,7 +78,7 @@ def turned(sign: Any, before: Any) -> Any:
     return ca.if_else(sign != 0, sign, before)
 
 
-def led(numbers: Crossing, moved: Any, wanted: Any) -> tuple[Any, Any]:
+def step_filters(numbers: Crossing, moved: Any, wanted: Any) -> tuple[Any, Any]:
     """Return (input (1 x k), the next state (n x k)) of k equal filters.
 
     Args:

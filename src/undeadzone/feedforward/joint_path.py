@@ -16,7 +16,7 @@ from undeadzone.plants.robots.arm import Arm, Chain
 from undeadzone.plants.system import System
 from undeadzone.signals.exosystem import Exosystem, exosystem, piecewise
 from undeadzone.signals.paths import Quintic, Swing
-from undeadzone.util.arrays import Floats, listed, matrix, series
+from undeadzone.util.arrays import Floats, list_numbers, matrix, series
 
 JUMP = 0.3  # [rad] from where the speed leads within one step: another solution
 SHORT = 1e-6  # of the arm's reach: a tip farther than this from its goal does not get there
@@ -57,7 +57,7 @@ def joint_path(
 
     equations = equations_of(arm, params, start)
     t = np.arange(int(np.ceil(duration / step)) + 2) * step
-    q, v = _checked_nodes(equations, task, t, start)
+    q, v = _interpolate_nodes(equations, task, t, start)
     require_range(arm.chain, t, q, v)
     nearby = CubicHermiteSpline(t, q, v)
 
@@ -68,7 +68,7 @@ def joint_path(
             raise TrackingError(
                 f"reference: the joints' path is known up to t = {t[-1]:g} s, not at {at.max():g} s"
             )
-        return _refined(equations, task, at, nearby(at))
+        return _refine_path(equations, task, at, nearby(at))
 
     path = piecewise(derivatives, arm.size)._replace(corners=task.corners)
     period = task.period if _closes(path, task.period, t[-1]) else None
@@ -108,7 +108,7 @@ def after_swing(path: Exosystem, swing: Swing) -> Exosystem:
     return piecewise(derivatives, joints)._replace(corners=np.unique(corners))
 
 
-def _checked_nodes(
+def _interpolate_nodes(
     equations: Equations, task: Exosystem, t: Floats, start: Floats
 ) -> tuple[Floats, Floats]:
     """Return positions and speeds (N x joints) at times t [s].
@@ -116,37 +116,37 @@ def _checked_nodes(
     Raises TrackingError where the tip cannot get, and where the arm is singular or its joints jump.
     """
     goals = equations.goals(task.value(t))
-    q = followed(equations, goals, start)
-    places, J = mapped(equations.place, q)
+    q = follow_path(equations, goals, start)
+    places, J = evaluate_at_inputs(equations.place, q)
     missed = ~(np.abs(places[:, :, 0] - goals).max(axis=1) < REACHED)
     stops = np.flatnonzero(missed | singular(np.nan_to_num(J)))
     if stops.size:
         stop = stops[0]
         before = q[max(stop - 1, 0)]
-        raise _blocked(equations, task, t[stop:], before, bool(missed[stop]))
-    v = solved(J, equations.goals(task.value(t, 1)))
+        raise _blocking_reason(equations, task, t[stop:], before, bool(missed[stop]))
+    v = solve_jacobians(J, equations.goals(task.value(t, 1)))
     step = t[1] - t[0]
     expected = step / 2 * (v[:-1] + v[1:])
     jumps = np.flatnonzero(np.abs(np.diff(q, axis=0) - expected).max(axis=1) > JUMP)
     if jumps.size:
         jump = jumps[0]
-        raise _blocked(equations, task, t[jump:], q[jump], False)
+        raise _blocking_reason(equations, task, t[jump:], q[jump], False)
     return q, v
 
 
-def _refined(equations: Equations, task: Exosystem, t: Floats, nearby: Floats) -> Floats:
+def _refine_path(equations: Equations, task: Exosystem, t: Floats, nearby: Floats) -> Floats:
     """Return exact positions, speeds and accelerations (N x 3 x joints) at times t [s].
 
     By Newton's method from positions nearby (N x joints).
     """
     q, goals = nearby, equations.goals(task.value(t))
     for _ in range(NEWTON):
-        places, J = mapped(equations.place, q)
-        q = q - solved(J, places[:, :, 0] - goals)
-    _, J = mapped(equations.place, q)
-    v = solved(J, equations.goals(task.value(t, 1)))
-    (swing,) = mapped(equations.swing, q, v)
-    a = solved(J, equations.goals(task.value(t, 2)) - swing[:, :, 0])
+        places, J = evaluate_at_inputs(equations.place, q)
+        q = q - solve_jacobians(J, places[:, :, 0] - goals)
+    _, J = evaluate_at_inputs(equations.place, q)
+    v = solve_jacobians(J, equations.goals(task.value(t, 1)))
+    (swing,) = evaluate_at_inputs(equations.swing, q, v)
+    a = solve_jacobians(J, equations.goals(task.value(t, 2)) - swing[:, :, 0])
     return np.stack([q, v, a], axis=1)
 
 
@@ -190,7 +190,7 @@ def require_torque(model: System, path: Exosystem, t: Floats) -> None:
     _require_within(torques, model.arm.chain.joints, t, needed, np.outer(model.limit, [-1, 1]))
 
 
-def _blocked(
+def _blocking_reason(
     equations: Equations, task: Exosystem, t: Floats, before: Floats, missed: bool
 ) -> TrackingError:
     """Why the tip cannot follow the path.
@@ -208,19 +208,20 @@ def _blocked(
     worst = int(short.argmax())
     if short[worst] > SHORT * equations.reach:
         return TrackingError(
-            f"reference: the tip cannot get to ({listed(positions[worst])}) m at "
+            f"reference: the tip cannot get to ({list_numbers(positions[worst])}) m at "
             f"t = {looks[worst]:.4g} s, it comes no nearer than {short[worst]:.3g} m; "
             f"the path leaves the arm's reach at about t = {looks[0]:.4g} s"
         )
     if missed and equations.place.size1_out(0) > equations.tip.size1_out(0):
         return TrackingError(
-            f"reference: the arm cannot follow beyond t = {t[0]:.4g} s, near q = {listed(before)}, "
+            f"reference: the arm cannot follow beyond t = {t[0]:.4g} s, "
+            f"near q = {list_numbers(before)}, "
             "while it keeps the tip's orientation, or its joints to spare, as where it starts; "
             f"{OTHER_START}"
         )
     return TrackingError(
         f"reference: the path meets a singular configuration at about t = {t[0]:.4g} s, "
-        f"near q = {listed(before)}, where the joints' speeds have no bound, "
+        f"near q = {list_numbers(before)}, where the joints' speeds have no bound, "
         "or it is too fast for steps as long as simulation.step; move it or slow it down"
     )
 
@@ -300,10 +301,11 @@ def equations_of(arm: Arm, params: Floats, start: Floats) -> Equations:
         turned = 2 / (1 + ca.trace(W)) * ca.inv_skew(W - W.T)
         place = ca.vertcat(place, turned)
     free = arm.size - place.numel()  # joints to spare
-    _, J = mapped(_with_jacobian(q, place), start[None])
+    _, J = evaluate_at_inputs(_with_jacobian(q, place), start[None])
     if singular(J).any():
         raise TrackingError(
-            f"reference: the arm is singular where the path starts from, q = {listed(start)}: "
+            f"reference: the arm is singular where the path starts from, "
+            f"q = {list_numbers(start)}: "
             "its tip cannot move in every direction there; "
             "let it start from another configuration (plant.x0)"
         )
@@ -323,7 +325,7 @@ def _with_jacobian(q: ca.SX, value: ca.SX) -> ca.Function:
     return ca.Function("place", [q], [value, ca.densify(ca.jacobian(value, q))], {"cse": True})
 
 
-def mapped(function: ca.Function, *columns: Floats) -> list[Floats]:
+def evaluate_at_inputs(function: ca.Function, *columns: Floats) -> list[Floats]:
     """Return the function's values (N x rows x columns each) at N inputs (N x size each)."""
     count = len(columns[0])
     values = function.map(count)(*[column.T for column in columns])
@@ -332,7 +334,7 @@ def mapped(function: ca.Function, *columns: Floats) -> list[Floats]:
     return [value.full().reshape(value.shape[0], count, -1).swapaxes(0, 1) for value in values]
 
 
-def solved(J: Floats, goals: Floats) -> Floats:
+def solve_jacobians(J: Floats, goals: Floats) -> Floats:
     """Return J^-1 goal for each of N Jacobians and goals (N x joints)."""
     return np.linalg.solve(J, goals[:, :, None])[:, :, 0]
 
@@ -349,7 +351,7 @@ def singular(J: Floats) -> np.ndarray:
     return near | (np.linalg.det(J) * np.linalg.det(J[:1]) < 0)
 
 
-def followed(equations: Equations, goals: Floats, start: Floats) -> Floats:
+def follow_path(equations: Equations, goals: Floats, start: Floats) -> Floats:
     """Return positions (N x joints) at which the equations meet their goals, the first from
     `start`.
 

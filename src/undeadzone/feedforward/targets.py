@@ -15,7 +15,7 @@ from undeadzone.errors import TrackingError
 from undeadzone.linalg.matrices import Matrices, delta, sizes
 from undeadzone.plants.system import System
 from undeadzone.signals.exosystem import Exosystem
-from undeadzone.util.arrays import Floats, listed
+from undeadzone.util.arrays import Floats, list_numbers
 
 SOLVED = 1e-8  # largest relative residual of the regulator equations
 INVERTED = 1e-9  # largest relative gap between the reference and what Newton's method finds
@@ -142,7 +142,7 @@ def steady_state(model: System, exo: Exosystem, tracked: list[int]) -> tuple[Flo
         s = _blocking(linear, S)
         if model.Ts is not None:
             s = np.log(1 + s * model.Ts) / model.Ts
-        where = listed([complex(round(s.real, 9), round(s.imag, 9))])
+        where = list_numbers([complex(round(s.real, 9), round(s.imag, 9))])
         raise TrackingError(
             f"reference: the plant cannot follow it: a zero of the plant at s = {where} lies on "
             f"the reference's spectrum (regulator equations, residual {residual:.1g}); "
@@ -185,7 +185,7 @@ class _Derivative(NamedTuple):
     order: int
 
 
-def inverted_targets(
+def invert_targets(
     model: System, exo: Exosystem, tracked: list[int], t: Floats, x_eq: Floats
 ) -> Target:
     """Return targets for a nonlinear model without zero dynamics.

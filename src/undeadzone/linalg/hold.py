@@ -56,7 +56,7 @@ def zoh_slopes(AB: Floats, directions: Sequence[Floats], Ts: float) -> Floats:
     return np.concatenate(slopes)
 
 
-def sampled_noise(A: Floats, W: Floats, Ts: float) -> tuple[Floats, Floats]:
+def discrete_noise_covariance(A: Floats, W: Floats, Ts: float) -> tuple[Floats, Floats]:
     """What white noise w adds to the state of x' = A x + w over a step, van Loan (1978).
 
     His matrix holds e^(-A t), so that it is taken of a short part of the step, which is doubled.

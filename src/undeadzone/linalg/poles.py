@@ -6,7 +6,7 @@ import numpy as np
 
 from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.linalg.matrices import Matrices
-from undeadzone.util.arrays import Array, Floats, array, listed, shape_text
+from undeadzone.util.arrays import Array, Floats, array, list_numbers, shape_text
 
 ACCURATE = 1e-6  # error of the characteristic polynomial, relative to its largest coefficient
 
@@ -40,7 +40,7 @@ def parse_poles(key: str, poles: Array, n: int) -> np.ndarray:
         )
     if not np.allclose(np.sort_complex(parsed), np.sort_complex(parsed.conj())):
         raise InputError(
-            f"{key}: complex poles must come in conjugate pairs, found {listed(parsed)}"
+            f"{key}: complex poles must come in conjugate pairs, found {list_numbers(parsed)}"
         )
     return parsed
 
@@ -132,7 +132,7 @@ def state_gain(
     continuous = parse_poles(key, poles, linear.A.shape[0])
     if (continuous.real >= 0).any():
         raise InputError(
-            f"{key}: every pole must have a negative real part, found {listed(continuous)}"
+            f"{key}: every pole must have a negative real part, found {list_numbers(continuous)}"
         )
     wanted = continuous if Ts is None else np.exp(continuous * Ts)
     return place(linear.A, linear.B, wanted, key)

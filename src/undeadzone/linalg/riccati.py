@@ -13,7 +13,7 @@ import numpy as np
 from undeadzone.errors import InputError, StructureError
 from undeadzone.linalg.matrices import Matrices, delta, sizes
 from undeadzone.linalg.poles import slowest
-from undeadzone.util.arrays import Array, Floats, array, listed, matrix
+from undeadzone.util.arrays import Array, Floats, array, list_numbers, matrix
 
 NEWTON = 10  # iterations of Newton's method, at most
 
@@ -218,7 +218,9 @@ def lyapunov(linear: Matrices, K: Floats, Q: Floats, Ts: float | None) -> Floats
     closed = linear.A - linear.B @ K
     poles = np.linalg.eigvals(closed)
     if not slowest(poles, Ts) < 0:
-        raise StructureError(f"controller: A - BK is not stable, its poles are {listed(poles)}")
+        raise StructureError(
+            f"controller: A - BK is not stable, its poles are {list_numbers(poles)}"
+        )
     return storage_of(closed, Q, Ts)
 
 
@@ -253,7 +255,7 @@ def fast_gain(linear: Matrices, speed: float, Ts: float | None) -> Floats:
     # the unit of each state, so that the equations below are near 1
     unit = 1 / (speed * sizes(flow.T, C.T, speed))
     A, C = A * unit / unit[:, None], C * unit
-    L = _shifted_riccati_gain(A, C, speed, Ts)
+    L = _riccati_gain_with_shift(A, C, speed, Ts)
     if not slowest(np.linalg.eigvals(A - L @ C), Ts) < -speed / 4:
         raise StructureError(
             f"observer.speed: {speed:.4g} 1/s cannot be reached, the outputs hardly show some "
@@ -282,7 +284,7 @@ def fast_feedback(linear: Matrices, speed: float, Ts: float | None) -> Floats:
         ) from None
 
 
-def _shifted_riccati_gain(A: Floats, C: Floats, speed: float, Ts: float | None) -> Floats:
+def _riccati_gain_with_shift(A: Floats, C: Floats, speed: float, Ts: float | None) -> Floats:
     """Return the Riccati gain of A shifted right by speed / 2 (n x p); 0 where there is no
     solution.
     """

@@ -8,7 +8,7 @@ import numpy as np
 
 from undeadzone.errors import StructureError
 from undeadzone.linalg.matrices import Matrices, sizes
-from undeadzone.util.arrays import LARGEST, Floats, listed
+from undeadzone.util.arrays import LARGEST, Floats, list_numbers
 
 TOLERANCE = 1e-9
 
@@ -121,4 +121,4 @@ def _unit_rows(C: Floats) -> Floats:
 
 def _modes_text(modes: list[complex]) -> str:
     """Return one mode or several, as text."""
-    return f"mode{'s' * (len(modes) > 1)} {listed(modes)}"
+    return f"mode{'s' * (len(modes) > 1)} {list_numbers(modes)}"

@@ -26,8 +26,8 @@ from undeadzone.logs.samples import (
     Faults,
     Regular,
     Samples,
-    filled,
-    joined,
+    fill_gaps,
+    join_samples,
     require_step,
     usual_step,
     whole_steps,
@@ -120,12 +120,12 @@ class Clock:
             faults += [Fault(k, "no_time", "it has no time") for k in without if k not in known]
         if self._strict and faults:
             before = samples.lines < min(faults).line
-            yield from self._placed(samples.part(before), timed, last=False)
+            yield from self._place_counted(samples.part(before), timed, last=False)
         for fault in sorted(faults):
             self.faults.add(fault)
-        yield from self._placed(samples, timed, last)
+        yield from self._place_counted(samples, timed, last)
 
-    def _placed(self, samples: Samples, timed: bool, last: bool) -> Iterator[Piece]:
+    def _place_counted(self, samples: Samples, timed: bool, last: bool) -> Iterator[Piece]:
         """Yield the same of lines whose faults are counted already."""
         if not timed:
             t = (self._count + np.arange(len(samples.t))) * self._step
@@ -136,12 +136,12 @@ class Clock:
         ends = [count - self._first.size for count in TESTS]
         inner = [end for end in ends if 0 < end < len(samples.t)]
         for part in np.split(np.arange(len(samples.t)), inner):
-            yield from self._judged(samples.part(part), last=False)
+            yield from self._judge_times(samples.part(part), last=False)
             self._test(samples.t[part])
         if last:
             if np.isnan(self.last) and self._first.size > 1:
                 require_step(self.measured, self._step, TOLERANCE, self._source)
-            yield from self._judged(samples.part(slice(0)), last=True)
+            yield from self._judge_times(samples.part(slice(0)), last=True)
 
     def _test(self, t: Floats) -> None:
         """Compare the usual step of the first lines. Raises FileError where it is another one."""
@@ -150,10 +150,10 @@ class Clock:
         if t.size and room and self._first.size in TESTS:
             require_step(self.measured, self._step, TESTS[self._first.size], self._source)
 
-    def _judged(self, samples: Samples, last: bool) -> Iterator[Piece]:
+    def _judge_times(self, samples: Samples, last: bool) -> Iterator[Piece]:
         """Yield the samples among lines with times, so far as they can be told."""
         if self._waiting is not None:
-            samples = joined([self._waiting, samples])
+            samples = join_samples([self._waiting, samples])
             self._waiting = None
         runs: list[Run] = []
         missing = 0.0
@@ -219,7 +219,7 @@ class Clock:
         steps[np.cumsum([0, *lengths[:-1]])] = [run.steps for run in runs]
         self.gaps += int(steps.sum()) - rows.size
         regular = samples.part(rows).regular
-        return Piece(runs[0].kind == "jump", filled(regular, steps, self._step))
+        return Piece(runs[0].kind == "jump", fill_gaps(regular, steps, self._step))
 
     def _fault(self, samples: Samples, run: Run) -> Fault:
         """What is wrong with the time of a line."""

@@ -123,7 +123,7 @@ class Layout(NamedTuple):
         return first + self.readings + self.driving
 
     @property
-    def timed(self) -> bool:
+    def has_times(self) -> bool:
         """Return whether it has times in seconds."""
         return self.time is not None and self.seconds is not None
 
@@ -220,7 +220,7 @@ class _Header(NamedTuple):
         used = readings + inputs + ([] if time is None else [time])
         for column in used:
             if used.count(column) > 1:
-                raise self.used_twice(column)
+                raise self.require_distinct(column)
         seconds: float | None = 1.0
         date, roles = None, []
         if time is not None:
@@ -237,16 +237,16 @@ class _Header(NamedTuple):
         """Return the layout with the reference: a column that is nothing else. Raises FileError."""
         same = [self.same(name) for name in REFERENCES]
         if "r" in self.chosen:
-            same = [[self.named("r")]]
+            same = [[self.column_of_name("r")]]
             if same[0][0] in layout.columns:
-                raise self.used_twice(same[0][0])
+                raise self.require_distinct(same[0][0])
         for one in same:
             if len(one) == 1 and one[0] not in layout.columns:
                 said = f"{layout.said}, r from {self.titles[one[0]].name!r}"
                 return layout._replace(reference=one[0], said=said)
         return layout
 
-    def used_twice(self, column: int) -> FileError:
+    def require_distinct(self, column: int) -> FileError:
         """That one column would have two parts."""
         name = self.titles[column].name
         return FileError(f"{self.source}: column {name!r} would be used twice")
@@ -254,7 +254,7 @@ class _Header(NamedTuple):
     def time(self) -> int | None:
         """Return the number of the column of times; None where there is none. Raises FileError."""
         if "t" in self.chosen:
-            return self.named("t")
+            return self.column_of_name("t")
         for name in TIMES:
             same = self.same(name)
             if len(same) > 1:
@@ -274,7 +274,7 @@ class _Header(NamedTuple):
             missing = next(key for key in wanted if key not in self.chosen)
             raise InputError(f"--columns: {missing} is missing; expected {count} of {signal}")
         if named:
-            return [self.named(key) for key in wanted]
+            return [self.column_of_name(key) for key in wanted]
         for name in usual:
             columns = self.usual(name, count)
             if len(columns) == count:
@@ -282,13 +282,14 @@ class _Header(NamedTuple):
             if columns:
                 raise FileError(
                     f"{self.source}: expected {count} of {signal}, the log has {len(columns)}: "
-                    f"{_listed([self.titles[k] for k in columns])}; say which by --columns "
+                    f"{_list_columns([self.titles[k] for k in columns])}; say which by --columns "
                     f"{wanted[0]}=NAME"
                 )
         require_table(self.source)
         raise FileError(
             f"{self.source}: no name says which column holds {signal}; there are "
-            f"{_listed(self.titles)}{self.near(usual)}; say which by --columns {self.to_be_named()}"
+            f"{_list_columns(self.titles)}{self.near(usual)}; say which "
+            f"by --columns {self.to_be_named()}"
         )
 
     def to_be_named(self) -> str:
@@ -327,7 +328,7 @@ class _Header(NamedTuple):
         """Return the columns of that name, be they written large or small."""
         return [k for k, title in enumerate(self.titles) if title.name.lower() == name.lower()]
 
-    def named(self, key: str) -> int:
+    def column_of_name(self, key: str) -> int:
         """Return the column of a chosen name or number (from 1).
 
         Raises FileError with the nearest.
@@ -341,7 +342,8 @@ class _Header(NamedTuple):
             return int(name) - 1
         how = "several columns are named" if same else "no column"
         raise FileError(
-            f"{self.source}: --columns {key}: {how} {name!r}; there are {_listed(self.titles)}"
+            f"{self.source}: --columns {key}: {how} {name!r}; "
+            f"there are {_list_columns(self.titles)}"
             f"{self.near([name])}"
         )
 
@@ -390,7 +392,7 @@ def _of_signal(chosen: Mapping[str, str], signal: str) -> list[str]:
     return [key for key in chosen if key.startswith(signal + "[")]
 
 
-def _listed(titles: Sequence[Title]) -> str:
+def _list_columns(titles: Sequence[Title]) -> str:
     """Return the names of columns, for a message."""
     shown = ", ".join(repr(title.name) for title in titles[:_SHOWN])
     return shown + (", ..." if len(titles) > _SHOWN else "")

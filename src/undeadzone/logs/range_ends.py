@@ -31,7 +31,7 @@ class RangeEnds(NamedTuple):
     number: int
 
     @property
-    def found(self) -> bool:
+    def has_ends(self) -> bool:
         """Return whether readings stick at either end."""
         return self.number > 0
 

@@ -178,7 +178,7 @@ class LogReader:
                 `strict` is set.
         """
         self.latest = []
-        numbered = self._first + self._numbered(self._text.feed(data, last))
+        numbered = self._first + self._number_lines(self._text.feed(data, last))
         self._first = []
         if self._dialect is None and numbered:
             lines = self._telling([line for _, line in numbered[:FIRST]])
@@ -200,7 +200,7 @@ class LogReader:
             return lines
         return lines[:2] if dialect_of(lines[:1]).heads else lines[:1]
 
-    def _numbered(self, lines: Sequence[str]) -> Numbered:
+    def _number_lines(self, lines: Sequence[str]) -> Numbered:
         """Return the lines with content, with their numbers."""
         first = self._count + 1
         self._count += len(lines)
@@ -334,10 +334,10 @@ def samples_of_text(reader: LogReader, path: Path, largest: int, most: float) ->
         if count > most:
             break
     held = [block for block in blocks if block.t.size] or blocks[-1:]
-    return oldest_first(joined(held))
+    return oldest_first(join_samples(held))
 
 
-def joined(blocks: Iterable[Samples]) -> Samples:
+def join_samples(blocks: Iterable[Samples]) -> Samples:
     """Samples of blocks, one after another."""
     return Samples(*[np.concatenate(parts) for parts in zip(*blocks, strict=True)])
 
@@ -350,7 +350,7 @@ def oldest_first(samples: Samples) -> Samples:
     return samples.part(slice(None, None, -1))
 
 
-def counted_lines(count: int) -> str:
+def count_in_words(count: int) -> str:
     """Return a number of lines, in words."""
     return "1 line" if count == 1 else f"{count} lines"
 
@@ -404,7 +404,7 @@ class Placed(NamedTuple):
     measured: float | None = None
 
 
-def placed(samples: Samples, timed: bool, step: float, source: str) -> Placed:
+def place_on_steps(samples: Samples, timed: bool, step: float, source: str) -> Placed:
     """Return the samples of a whole log, put on the steps of a scenario.
 
     Args:
@@ -428,7 +428,7 @@ def placed(samples: Samples, timed: bool, step: float, source: str) -> Placed:
     measured = usual_step((intervals[1:] / lines_between)[:WATCHED])
     require_step(measured, step, TOLERANCE, source)
     steps = _placeable(intervals, step, read, source)
-    return Placed(filled(read.regular, steps, step), int(steps.sum()) - read.t.size, measured)
+    return Placed(fill_gaps(read.regular, steps, step), int(steps.sum()) - read.t.size, measured)
 
 
 def _require_order(intervals: Floats, samples: Samples, source: str) -> None:
@@ -480,7 +480,7 @@ def _placeable(intervals: Floats, step: float, samples: Samples, source: str) ->
     return steps
 
 
-def filled(samples: Regular, steps: Floats, step: float) -> Regular:
+def fill_gaps(samples: Regular, steps: Floats, step: float) -> Regular:
     """Samples with missing ones in the gaps between them.
 
     Args:

@@ -79,7 +79,7 @@ class Text:
         Raises:
             FileError: this is no text: the first line with content is none (`flaw`).
         """
-        text = self._rest + self._decoded(data, last)
+        text = self._rest + self._decode(data, last)
         if last:
             text += "\n"
         held_back = "\r" if text.endswith("\r") else ""
@@ -101,7 +101,7 @@ class Text:
             self._is_text = k < len(lines)
             return
 
-    def _decoded(self, data: bytes, last: bool) -> str:
+    def _decode(self, data: bytes, last: bool) -> str:
         """Return the text of the bytes that came in."""
         if self._decoder is None:
             data = self._mark + data
@@ -157,7 +157,7 @@ class Dialect(NamedTuple):
         """Return the cells of a line, without what surrounds them; one separator may end the
         line.
         """
-        cells = split(line, self.separator)
+        cells = split_cells(line, self.separator)
         if len(cells) == self.width + 1 and not cells[-1]:
             cells.pop()
         return cells
@@ -180,13 +180,13 @@ def dialect_of(lines: Sequence[str]) -> Dialect:
         lines: its first lines with content, at least one.
     """
     separator = _separator(lines)
-    first = split(lines[0], separator)
+    first = split_cells(lines[0], separator)
     heads = _heads(lines, separator)
     if heads == 0:
         return Dialect(separator, len(first), None, 0)
     titles = [split_unit(cell) for cell in first]
     if heads == 2:
-        units = split(lines[1], separator)
+        units = split_cells(lines[1], separator)
         titles = [
             Title(title.name, title.unit or unit.strip("[]() "))
             for title, unit in zip(titles, units, strict=True)
@@ -196,7 +196,7 @@ def dialect_of(lines: Sequence[str]) -> Dialect:
     return Dialect(separator, len(titles), tuple(titles), heads)
 
 
-def split(line: str, separator: str) -> list[str]:
+def split_cells(line: str, separator: str) -> list[str]:
     """Return the cells of a line, without blanks and quotes around them."""
     if separator == " ":
         return line.split()
@@ -238,13 +238,13 @@ def _separator(lines: Sequence[str]) -> str:
 
 def _heads(lines: Sequence[str], separator: str) -> int:
     """How many lines come before the numbers: 0, 1 (names) or 2 (names, units)."""
-    first = split(lines[0], separator)
+    first = split_cells(lines[0], separator)
     if any(number(cell, separator != ",") is not None for cell in first if cell):
         return 0
     if not any(first):
         return 0
     if len(lines) > 1:
-        second = split(lines[1], separator)
+        second = split_cells(lines[1], separator)
         named = [cell for cell in second if cell]
         bracketed = all(BRACKETED.match(cell) for cell in named)
         if named and bracketed and len(second) == len(first):

@@ -184,13 +184,13 @@ def _require_small(content: bytes) -> None:
         kind = int.from_bytes(content[at : at + 4], order)
         length = int.from_bytes(content[at + 4 : at + 8], order)
         if kind == COMPRESSED:
-            left -= _unpacked(content[at + 8 : at + 8 + length], left)
+            left -= _unpacked_size(content[at + 8 : at + 8 + length], left)
         at += 8 + length
         if left <= 0:
             raise ValueError(f"it would unpack to more than {LARGEST_MATRICES / 1e6:,.0f} MB")
 
 
-def _unpacked(packed: bytes, most: int) -> int:
+def _unpacked_size(packed: bytes, most: int) -> int:
     """How many bytes a stream unpacks to; counting ends at `most`."""
     reader, count = zlib.decompressobj(), 0
     while packed and count < most and not reader.eof:

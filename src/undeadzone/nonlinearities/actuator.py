@@ -80,7 +80,7 @@ class Drive(NamedTuple):
     rise: Any
 
     @property
-    def rated(self) -> bool:
+    def has_rate_limit(self) -> bool:
         """Return whether the rate of the command has a limit."""
         return bool((np.minimum(self.fall, self.rise) < LARGEST).any())
 
@@ -144,8 +144,8 @@ def resolve_actuator(actuator: Actuator | ActuatorModel, m: int, key: str = "act
         InputError: or a subclass, that names the key.
     """
     why = f"one per input, the plant has {m}"
-    right = nonnegative(f"{key}.right", _known(actuator.right), m, why)
-    left = nonnegative(f"{key}.left", _known(actuator.left), m, why)
+    right = nonnegative(f"{key}.right", _width_or_zero(actuator.right), m, why)
+    left = nonnegative(f"{key}.left", _width_or_zero(actuator.left), m, why)
     slopes = pairs(f"{key}.slope", actuator.slope, m, [1.0, 1.0], "[m_r, m_l]", "input")
     if not (slopes > 0).all():
         raise InputError(f"{key}.slope: must be positive, found {slopes.min():g}")
@@ -163,7 +163,7 @@ def resolve_actuator(actuator: Actuator | ActuatorModel, m: int, key: str = "act
     return Drive(right, left, *slopes.T, *limits.T, *rates.T)
 
 
-def believed(told: ActuatorModel | None, m: int) -> Belief | None:
+def believe_actuator(told: ActuatorModel | None, m: int) -> Belief | None:
     """What is known of the actuator; None where there is none.
 
     Args:
@@ -178,7 +178,7 @@ def believed(told: ActuatorModel | None, m: int) -> Belief | None:
     key = "model.actuator"
     ranges = {}
     for side in SIDES:
-        interval = _range(f"{key}.{side}", _known(getattr(told, side)), m)
+        interval = _range(f"{key}.{side}", _width_or_zero(getattr(told, side)), m)
         if interval is not None:
             ranges[side] = interval
     if not ranges:
@@ -197,7 +197,7 @@ def believed(told: ActuatorModel | None, m: int) -> Belief | None:
 SIDES = ("right", "left")
 
 
-def _known(width: Any) -> Any:
+def _width_or_zero(width: Any) -> Any:
     """Return a width; 0 where none is given."""
     return 0.0 if width is None else width
 

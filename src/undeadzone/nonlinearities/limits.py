@@ -43,7 +43,7 @@ def beyond(y: Any, limits: Limits) -> Any:
     return 1.0 * (y > high) * (y < np.inf) + 1.0 * (y < low) * (y > -np.inf)
 
 
-def checked_range(key: str, value: Any, p: int) -> tuple[Floats, Floats]:
+def require_range(key: str, value: Any, p: int) -> tuple[Floats, Floats]:
     """Return (least, largest) readings (p each), -inf and inf where there is no limit.
 
     Args:
@@ -83,11 +83,11 @@ def pairs(key: str, value: Any, count: int, default: list[float], what: str, eac
         given = np.asarray(default if value is None else value, float)
     except (TypeError, ValueError):
         raise InputError(f"{key}: expected {what}, found {value!r:.60}") from None
-    given = paired(key, given, count, what, f"such pair per {each}")
+    given = require_pairs(key, given, count, what, f"such pair per {each}")
     return np.broadcast_to(given, (count, 2)).copy()
 
 
-def paired(key: str, given: Floats, count: int, what: str, each: str) -> Floats:
+def require_pairs(key: str, given: Floats, count: int, what: str, each: str) -> Floats:
     """Return the numbers, if they are one pair (2) or one for each of several things (count x 2).
 
     Args:

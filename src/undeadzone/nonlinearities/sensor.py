@@ -17,8 +17,8 @@ from undeadzone.nonlinearities import play
 from undeadzone.nonlinearities.limits import (
     Limits,
     at_limit,
-    checked_range,
     limits_of,
+    require_range,
     require_readings,
 )
 from undeadzone.nonlinearities.play import KEY, Ahead, gaps_of
@@ -90,7 +90,7 @@ def indicators(y: Any, sharpness: Any) -> tuple[Any, Any]:
     return (1.0 + sign) / 2.0, (1.0 - sign) / 2.0
 
 
-def quantised(y: Any, quantum: Any) -> Any:
+def quantise(y: Any, quantum: Any) -> Any:
     """Return the reading rounded to a multiple of its quantum (an encoder's), itself where that is
     0.
     """
@@ -179,7 +179,7 @@ def _edge(own: Any, other: Any, margin: Any, kind: str) -> Any:
     return outer * (margin >= 0) + inner * (margin < 0)
 
 
-def bound(right: Any, left: Any) -> Any:
+def saturation_bound(right: Any, left: Any) -> Any:
     """Return the least d_M of (2) as corrected, d_r + d_l <= d_M; it bounds |Sat z| too, as (13)
     asks.
     """
@@ -373,7 +373,7 @@ def resolve(sensor: Sensor, p: int, step: float, pace: float = 1.0) -> Zone:
         threshold = _motion(noise, quantum, window, step, rate)
     else:
         threshold = np.asarray(noise_threshold(noise, step, rate) + quantum / 2, float)
-    low, high = checked_range("sensor.range", sensor.range, p)
+    low, high = require_range("sensor.range", sensor.range, p)
     require_readings(low, high, threshold)
     numbers = (slope, noise, before, threshold, drift, dropout, quantum, low, high)
     load = _load(sensor, p)

@@ -111,7 +111,7 @@ def taylor(
         rest = 1.0 - begin
         along = ca.jtimes(rate(x, w, mode), ca.vertcat(x, w), ca.vertcat(dx, dw))
         follow = ca.Function("follow", [x, w, dx, dw], [along], {"allow_free": True})
-        own = inputs if isinstance(begin, float) else _moved(inputs, begin, rest)
+        own = inputs if isinstance(begin, float) else _shift_inputs(inputs, begin, rest)
         terms = [start, h * rest * rate(start, own[0], mode)]
         for k in range(1, len(inputs)):
             terms.append(h * rest / (k + 1) * follow(start, own[0], terms[k], own[k]))
@@ -125,7 +125,7 @@ def taylor(
     return arc
 
 
-def _moved(inputs: list[ca.SX], begin: Any, rest: Any) -> list[ca.SX]:
+def _shift_inputs(inputs: list[ca.SX], begin: Any, rest: Any) -> list[ca.SX]:
     """Return the coefficients of the inputs over the rest of a step after the fraction `begin`."""
     moved = []
     for k in range(len(inputs)):
@@ -226,7 +226,7 @@ class _Course(NamedTuple):
     peak: ca.SX
 
 
-def located_step(
+def step_with_events(
     arc: Callable[[ca.SX, Any, Any], DenseStep],
     levels: Levels,
     first: Branch,
@@ -325,7 +325,10 @@ def _crossing(z: ca.SX, levels: Levels, side: ca.SX) -> Crossing:
     one.
     """
     outermost = len(levels.above)
-    up, down = met(levels, side, ca.SX(1.0)), met(levels, side, ca.SX(0.0))
+    up, down = (
+        first_crossed_level(levels, side, ca.SX(1.0)),
+        first_crossed_level(levels, side, ca.SX(0.0)),
+    )
     rises = ca.logic_and(side < outermost, z > up)
     falls = ca.logic_and(side > -outermost, z < down)
     way = 1.0 * rises - 1.0 * falls
@@ -335,7 +338,7 @@ def _crossing(z: ca.SX, levels: Levels, side: ca.SX) -> Crossing:
     return Crossing(changed, side + way + skipped * way, ca.if_else(rises, up, down), rises)
 
 
-def met(levels: Levels, side: ca.SX, rising: ca.SX) -> ca.SX:
+def first_crossed_level(levels: Levels, side: ca.SX, rising: ca.SX) -> ca.SX:
     """Return the level that z meets first when it leaves a side (p).
 
     Args:

@@ -92,7 +92,7 @@ def predict(
     if bend is None:
         G, (shift, excess) = ca.SX.eye(X.shape[0]), bent(belief, change(X), X)
     else:
-        G, (shift, excess) = bend(X).G, multiplied(belief.cov, bend(X), X)
+        G, (shift, excess) = bend(X).G, covariance_of_product(belief.cov, bend(X), X)
         G = ca.vertcat(G, ca.SX(X.shape[0] - G.shape[0], G.shape[1]))
     mean = belief.mean + (moved + G @ shift)
     return Gaussian(mean, spread(belief.cov, E, Q + G @ (lasting * excess) @ G.T))
@@ -111,7 +111,7 @@ def bent(belief: Gaussian, b: Any, X: Any) -> tuple[Any, Any]:
     return shift, excess
 
 
-def multiplied(P: Any, of: Products, X: Any) -> tuple[Any, Any]:
+def covariance_of_product(P: Any, of: Products, X: Any) -> tuple[Any, Any]:
     """Return the same of Z (l r), which has no others, if P is the covariance of X."""
     left, right = ca.jacobian(of.left, X), ca.jacobian(of.right, X)
     across = left @ P @ right.T
@@ -166,7 +166,7 @@ def update(belief: Gaussian, h: Any, e: Any, R: Any, use: Any) -> tuple[Gaussian
     return Gaussian(mean + K * e, from_upper(cov)), S
 
 
-def mixed(shares: Sequence[Any], beliefs: Sequence[Gaussian]) -> Gaussian:
+def mix_gaussians(shares: Sequence[Any], beliefs: Sequence[Gaussian]) -> Gaussian:
     """Return the mean and the covariance of a mixture.
 
     Args:
@@ -181,7 +181,7 @@ def mixed(shares: Sequence[Any], beliefs: Sequence[Gaussian]) -> Gaussian:
     return Gaussian(mean, from_upper(cov))
 
 
-def cut_to(mean: Any, variance: Any, low: Any, high: Any) -> tuple[Any, Any, Any]:
+def truncate_scalar(mean: Any, variance: Any, low: Any, high: Any) -> tuple[Any, Any, Any]:
     """What is known given low <= x <= high, by matching mean and variance.
 
     Nothing changes where the probability of that is below `UNLIKELY`: it is not believed.
@@ -312,19 +312,19 @@ def settle(
     """
     std = ca.sqrt(S)
     if odds is None:
-        return Weighed(_moved(belief, K, e, S, 0.0, R, use, moved), e, std, ca.SX(1.0), 1.0)
+        return Weighed(_shift_belief(belief, K, e, S, 0.0, R, use, moved), e, std, ca.SX(1.0), 1.0)
     r = ca.fmax(ca.fmin(e / std, CLIP), -CLIP)
     near = r * std
     wrong = ca.exp(odds) / (reach + TAIL * std)
     right = ca.exp(surprise - (r**2) / 2) / (math.sqrt(2 * math.pi) * std)
     trust = right / (right + wrong)
     weight = trust * use
-    after = _moved(belief, K, near, S, (1 - weight) * near**2, R, weight, moved)
+    after = _shift_belief(belief, K, near, S, (1 - weight) * near**2, R, weight, moved)
     likely = ca.if_else(use, right + wrong, 1.0)
     return Weighed(after, near, std, ca.if_else(use, trust, 1.0), likely)
 
 
-def _moved(
+def _shift_belief(
     belief: Gaussian, K: Any, e: Any, S: Any, between: Any, R: Any, weight: Any, moved: Any = None
 ) -> Gaussian:
     """Return the belief moved by a share of K e.
@@ -411,7 +411,7 @@ class Cut(NamedTuple):
     likely: Any
 
 
-def cut(
+def truncate_belief(
     belief: Gaussian,
     bounds: Sequence[Bound],
     R: Any,

@@ -116,7 +116,7 @@ def deadzone_update(
     Raises:
         InputError, ShapeError: unless shapes agree and noise is there.
     """
-    shape, belief = np.shape(mean), _checked(mean, cov)
+    shape, belief = np.shape(mean), _require_belief(mean, cov)
     if not slope > 0:
         raise InputError(f"slope: must be positive, found {slope:g}")
     rms = float(np.hypot(noise / slope, noise_before))
@@ -142,7 +142,7 @@ def deadzone_update(
     if side:
         edge = edges[0] if side > 0 else edges[1]
         e = float(y / slope + side * edge.known - (z - side * edge.row) @ belief.mean)
-        belief, std = _corrected(belief, z - side * edge.row, e, rms**2)
+        belief, std = _correct_linear(belief, z - side * edge.row, e, rms**2)
     if abs(y) <= gate:
         belief, heard = _within(belief, z, edges, gate / slope, rms**2, waits == 0)
         later = np.where(heard, rest, later)
@@ -156,7 +156,7 @@ def deadzone_update(
     )
 
 
-def _checked(mean: Array, cov: Array) -> Gauss:
+def _require_belief(mean: Array, cov: Array) -> Gauss:
     """Return mean (N) and covariance (N x N) as new arrays. Raises ShapeError."""
     m, P = np.array(mean, float).ravel(), np.array(cov, float)
     if P.shape != (m.size, m.size):
@@ -192,7 +192,7 @@ def _sure(y: float, last: float, previous: float, gate: float) -> int:
     return int(y > 2 * gate or (announced and y > 0))
 
 
-def _corrected(belief: Gauss, h: Floats, e: float, R: float) -> tuple[Gauss, float]:
+def _correct_linear(belief: Gauss, h: Floats, e: float, R: float) -> tuple[Gauss, float]:
     """Return the belief after a linear reading, by Joseph's form, and the innovation's
     deviation.
     """

@@ -114,7 +114,7 @@ def pareto(
         points = np.where(better, children[best], points)
         values = np.where(better, offered[best], values)
         tick()
-    kept = np.flatnonzero(undominated(values) & np.isfinite(values).all(axis=1))
+    kept = np.flatnonzero(find_undominated(values) & np.isfinite(values).all(axis=1))
     _, firsts = np.unique(values[kept].round(9), axis=0, return_index=True)
     distinct = kept[np.sort(firsts)]
     return points[distinct], values[distinct]
@@ -134,7 +134,7 @@ def scalar(values: Floats, least: Floats, greatest: Floats, weights: Floats) -> 
     return np.asarray(loss.max(axis=2) + TILT * loss.sum(axis=2))
 
 
-def undominated(values: Floats) -> np.ndarray:
+def find_undominated(values: Floats) -> np.ndarray:
     """Which of b points, given by their costs (b, k), no other one beats in all costs."""
     no_better = (values[:, None] >= values).all(axis=2)
     worse = no_better & (values[:, None] > values).any(axis=2)
@@ -190,7 +190,7 @@ def _frame(values: Floats) -> tuple[Floats, Floats]:
     k).
     """
     admitted = values[np.isfinite(values).all(axis=1)]
-    front = admitted[undominated(admitted)]
+    front = admitted[find_undominated(admitted)]
     return front.min(axis=0), front.max(axis=0)
 
 

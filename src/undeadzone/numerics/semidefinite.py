@@ -27,8 +27,8 @@ def minimise(cost: Floats, blocks: Callable[[Floats], list[Floats]]) -> Floats |
 
     size = cost.size
     constant = blocks(np.zeros(size))
-    right = _stacked(constant)
-    columns = [right - _stacked(blocks(unit)) for unit in np.eye(size)]
+    right = _stack_blocks(constant)
+    columns = [right - _stack_blocks(blocks(unit)) for unit in np.eye(size)]
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     solver = clarabel.DefaultSolver(
@@ -66,7 +66,7 @@ def _cone(block: Floats) -> Any:
     return clarabel.PSDTriangleConeT(block.shape[0])
 
 
-def _stacked(blocks: list[Floats]) -> Floats:
+def _stack_blocks(blocks: list[Floats]) -> Floats:
     """Return all blocks in one vector."""
     return np.concatenate([_vector(block) for block in blocks])
 

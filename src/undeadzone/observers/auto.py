@@ -24,7 +24,7 @@ class Auto(Assumptions, frozen=True, kw_only=True, tag_field="method", tag="auto
     to be 0 and the model is linear and stable, so that there is a proof; else `high_gain`.
     """
 
-    def chosen(self, model: System, sensor: Zone) -> Censored | Certified | HighGain:
+    def choose_observer(self, model: System, sensor: Zone) -> Censored | Certified | HighGain:
         """Return the options of the chosen observer. Raises InputError, ShapeError."""
         if model.Ts is not None:
             return Censored(**self.claims())
@@ -50,4 +50,4 @@ class Auto(Assumptions, frozen=True, kw_only=True, tag_field="method", tag="auto
 
     def build(self, model: System, sensor: Zone) -> Observer:
         """Return the chosen observer for a model, continuous or sampled."""
-        return self.chosen(model, sensor).build(model, sensor)
+        return self.choose_observer(model, sensor).build(model, sensor)

@@ -6,16 +6,16 @@ from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
 from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.observers.filtering.augmented_state import default_disturbance, even_units
-from undeadzone.observers.filtering.measured_kalman import measured_filter
+from undeadzone.observers.filtering.measured_kalman import build_gaussian_filter
 from undeadzone.observers.filtering.prior import (
     Assumptions,
     build_prior,
-    claimed_traits,
     glitch_share,
+    traits_of_prior,
 )
 from undeadzone.observers.filtering.unknown_inputs import (
     OFFSET,
-    coloured,
+    coloured_noise_model,
     correlation_time,
     per_input,
     span,
@@ -66,7 +66,7 @@ class Censored(Assumptions, frozen=True, kw_only=True, tag_field="method", tag="
         usual = default_disturbance(model, prior.largest, correlation)
         rms = per_input("disturbance", self.disturbance, usual)
         bias = per_input("bias", self.bias, OFFSET * usual)
-        colour = coloured(correlation, washout, Ts)
+        colour = coloured_noise_model(correlation, washout, Ts)
         units = even_units(model)
         tolerance = tolerances(model, self.tolerance, units)
         glitches = glitch_share(self.glitches)
@@ -75,14 +75,14 @@ class Censored(Assumptions, frozen=True, kw_only=True, tag_field="method", tag="
         augmentation = unknowns(
             even, colour, rms, bias, calibrated, tolerance, careful and self.bias is None
         )
-        return measured_filter(
+        return build_gaussian_filter(
             model,
             units,
             sensor,
             prior,
             augmentation,
             glitches,
-            claimed_traits(prior, self.x_std),
+            traits_of_prior(prior, self.x_std),
             lasting=max(1.0, correlation / Ts),
             bounds=self.silence,
             claimed=self.disturbance is not None,

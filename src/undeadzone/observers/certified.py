@@ -8,8 +8,12 @@ from __future__ import annotations
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
 from undeadzone.nonlinearities.sensor import Zone
-from undeadzone.observers.adaptive.adaptation_laws import Adaptation, Gradient, bounded_widths
-from undeadzone.observers.adaptive.branch_observer import measured_side
+from undeadzone.observers.adaptive.adaptation_laws import (
+    Adaptation,
+    Gradient,
+    initial_widths_and_bound,
+)
+from undeadzone.observers.adaptive.branch_observer import build_branch_observer
 from undeadzone.observers.adaptive.gain import default_adaptation, gains
 from undeadzone.plants.system import System
 from undeadzone.registry import Options
@@ -51,10 +55,10 @@ class Certified(Options, frozen=True, kw_only=True, tag="certified"):
         p = model.p
         L, gain = self._gains(model)
         gamma = nonnegative("observer.gamma", gain, p, "one per output")
-        widths, limit = bounded_widths(self.widths0, self.width_max, p)
+        widths, limit = initial_widths_and_bound(self.widths0, self.width_max, p)
         start = vector("observer.start", self.start, model.n, "one per state")
         law = self.adaptation.law(model.Ts)
-        return measured_side(
+        return build_branch_observer(
             model, sensor, gains(L, model), gamma, start, widths, limit, self.silence, law
         )
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate, Observer, Reading, Traits, estimate
-from undeadzone.nonlinearities.limits import paired
+from undeadzone.nonlinearities.limits import require_pairs
 from undeadzone.nonlinearities.sensor import Zone, present
 from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.observers.contact_filter.drive import (
@@ -40,10 +40,10 @@ from undeadzone.observers.contact_filter.modes import (
     Modes,
     Numbers,
     Posterior,
-    corrected,
+    correct_modes,
     pack_modes,
-    predicted,
-    renewed,
+    predict_modes,
+    replace_diverged_filter,
     start,
 )
 from undeadzone.observers.filtering.consistency import BEYOND, Sums, accumulate
@@ -144,7 +144,9 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         each = product(FRICTION, range(1, gears.size + 1))
         traits = Traits(uncertain=("payload", *(f"{name}{joint}" for name, joint in each)))
         setup = Setup(drives, ones, model, gears, sensor.kind)
-        return Observer(params, partial(_started, setup), partial(_step, setup), traits=traits)
+        return Observer(
+            params, partial(_initial_state, setup), partial(_step, setup), traits=traits
+        )
 
     def _numbers(
         self, model: System, gears: Geared, drives: tuple[Drive, ...], sensor: Zone
@@ -277,7 +279,7 @@ def fading(Ts: float, time: float) -> Floats:
 
 def _ranges(key: str, claimed: Array, N: int) -> Floats:
     """Return claimed ranges [lo, hi] (N x 2). Raises InputError."""
-    value = paired(key, array(key, claimed), N, "a range [lo, hi]", "per joint")
+    value = require_pairs(key, array(key, claimed), N, "a range [lo, hi]", "per joint")
     if (value[..., 0] > value[..., 1]).any() or (value < 0).any():
         raise InputError(f"{key}: a range needs 0 <= lo <= hi, found {value.tolist()}")
     return np.broadcast_to(value, (N, 2))
@@ -304,7 +306,7 @@ def unknown_torques(model: System, gears: Geared, payload: float) -> tuple[Float
     return np.maximum(0.3 * motors, 0.6 * least), np.maximum(0.75 * own, least), inertia
 
 
-def _started(setup: Setup, q: Params) -> State:
+def _initial_state(setup: Setup, q: Params) -> State:
     """Return the state before the first reading."""
     none = np.zeros(setup.model.p)
     odds = tuple(np.zeros(len(begins)) for begins in q.start)
@@ -319,17 +321,17 @@ def _step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> tuple[
     readings = [y[joint::count] for joint in range(count)]
     each = []
     for drive, part, modes, read in zip(drives, parts, s.modes, readings, strict=True):
-        each.append([corrected(drive, part, one, read) for one in modes])
-    odds, shares = _weighed(s.odds, each)
-    each = list(map(renewed, each))
+        each.append([correct_modes(drive, part, one, read) for one in modes])
+    odds, shares = _update_log_odds(s.odds, each)
+    each = list(map(replace_diverged_filter, each))
     ones = list(map(either, each, shares))
     whole = together(layout, ones)
     started = ca.repmat(ca.vertcat(*(modes[0].begun for modes in s.modes)), y.shape[0] // count)
     seen = ca.logic_and(present(y), started > 0.5)
     sums = accumulate(s.sums, ca.if_else(seen, whole.e / whole.std, 0.0), seen, q.fade, q.keep)
     ratios = {"gust": ca.mmax(sums.ratio) / CHANCE}
-    ratios["range"] = BEYOND * (_bound(layout, q.modes, whole.whole) > 0)
-    shown = _shown(setup, q, ones, whole, reading)._replace(**verdict(ratios))
+    ratios["range"] = BEYOND * (_count_pressed_bounds(layout, q.modes, whole.whole) > 0)
+    shown = _summarise_filters(setup, q, ones, whole, reading)._replace(**verdict(ratios))
     if setup.ones:
         arm = posture(setup.gears, q.modes.model, whole.whole.mean, u)
         heard = [combine_joints(told, whole.news, arm) for told in zip(*each, strict=True)]
@@ -340,13 +342,13 @@ def _step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> tuple[
     for joint, (drive, part, modes) in enumerate(zip(drives, parts, s.modes, strict=True)):
         later = []
         for one, before in zip(each[joint], modes, strict=True):
-            moved = predicted(drive, part, one, u[joint::count])
+            moved = predict_modes(drive, part, one, u[joint::count])
             later.append(pack_modes(drive, moved, before, readings[joint]))
         after.append(tuple(later))
     return State(tuple(after), odds, sums), shown
 
 
-def _weighed(
+def _update_log_odds(
     odds: Sequence[Any], each: Sequence[Sequence[Posterior]]
 ) -> tuple[tuple[Any, ...], list[tuple[Any, Any]]]:
     """Return (log odds after a sample; shares before and after it) of the filters of each joint.
@@ -364,7 +366,7 @@ def _weighed(
     return tuple(after), shares
 
 
-def _bound(layout: Layout, q: Numbers, belief: Gaussian) -> Any:
+def _count_pressed_bounds(layout: Layout, q: Numbers, belief: Gaussian) -> Any:
     """How many gaps, payloads and firmnesses are pressed against an end of their claimed range."""
     bound = ca.SX(0.0)
     for name in ("half", "payload", "firmness"):
@@ -373,7 +375,7 @@ def _bound(layout: Layout, q: Numbers, belief: Gaussian) -> Any:
     return bound
 
 
-def _shown(
+def _summarise_filters(
     setup: Setup, q: Params, each: Sequence[Posterior], told: Posterior, reading: Reading
 ) -> Estimate:
     """What the readings so far tell, of each filter and of all joints."""

@@ -19,20 +19,20 @@ from undeadzone.interfaces import Observer
 from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.observers.filtering.augmented_state import default_disturbance, even_units
 from undeadzone.observers.filtering.gaussian_filter import Augmentation, Params
-from undeadzone.observers.filtering.measured_kalman import measured_filter
+from undeadzone.observers.filtering.measured_kalman import build_gaussian_filter
 from undeadzone.observers.filtering.prior import (
     GLITCHES,
     Prior,
     build_prior,
-    claimed_traits,
     glitch_share,
+    traits_of_prior,
 )
 from undeadzone.observers.filtering.unknown_inputs import (
     OFFSET,
     Colour,
-    coloured,
+    coloured_noise_model,
     correlation_time,
-    named,
+    named_parameters,
     per_input,
     unknowns,
 )
@@ -112,10 +112,10 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
         bias = per_input("bias", self.bias, OFFSET * usual * doubts)
         # Joints that are filtered each for itself need [q; q'] as it is.
         units = np.ones(model.n) if self.joints == "separate" else even_units(model)
-        colour = coloured(correlation, None, Ts)
+        colour = coloured_noise_model(correlation, None, Ts)
         default = LEVELS if doubts else 1
-        traits = claimed_traits(prior, self.x_std)
-        return measured_filter(
+        traits = traits_of_prior(prior, self.x_std)
+        return build_gaussian_filter(
             model,
             units,
             sensor,
@@ -154,7 +154,9 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
                     f'observer.{key} binds the joints together; take joints = "coupled"'
                 )
             return separate(model, colour, rms)
-        augmentation = unknowns(model, colour, rms, bias, 0.0, named(model, self.uncertain))
+        augmentation = unknowns(
+            model, colour, rms, bias, 0.0, named_parameters(model, self.uncertain)
+        )
         places = tuple(model.names.index(name) for name in self.uncertain)
         return augmentation._replace(parameters=places)
 

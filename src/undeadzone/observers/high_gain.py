@@ -10,7 +10,7 @@ from undeadzone.errors import StepError
 from undeadzone.interfaces import Observer
 from undeadzone.linalg.structure import output_chains
 from undeadzone.nonlinearities.sensor import Zone
-from undeadzone.observers.adaptive.output_error import adapted, output_error
+from undeadzone.observers.adaptive.output_error import output_error, require_widths_and_gain
 from undeadzone.plants.system import System, fastest_pole
 from undeadzone.registry import Options
 from undeadzone.util.arrays import Array, Floats, scalar
@@ -40,7 +40,7 @@ class HighGain(Options, frozen=True, kw_only=True, tag="high_gain"):
 
     def build(self, model: System, sensor: Zone) -> Observer:
         """Return the observer for a model, continuous or sampled."""
-        widths = adapted(self.gamma, self.widths0, self.width_max, model, sensor)
+        widths = require_widths_and_gain(self.gamma, self.widths0, self.width_max, model, sensor)
         epsilon = self._epsilon(model)
         L = high_gain(model, epsilon)
         if model.Ts is not None:

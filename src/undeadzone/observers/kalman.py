@@ -10,8 +10,13 @@ from undeadzone.interfaces import Observer
 from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.observers.filtering.augmented_state import agitation, even_units
 from undeadzone.observers.filtering.gaussian_filter import white
-from undeadzone.observers.filtering.measured_kalman import measured_filter
-from undeadzone.observers.filtering.prior import GLITCHES, build_prior, claimed_traits, glitch_share
+from undeadzone.observers.filtering.measured_kalman import build_gaussian_filter
+from undeadzone.observers.filtering.prior import (
+    GLITCHES,
+    build_prior,
+    glitch_share,
+    traits_of_prior,
+)
 from undeadzone.observers.filtering.unknown_inputs import per_input
 from undeadzone.plants.system import System, in_units
 from undeadzone.registry import Options
@@ -60,13 +65,13 @@ class Kalman(Options, frozen=True, kw_only=True, tag="kalman"):
         prior = build_prior(self, model, sensor, centre=self.centre)
         rms = per_input("disturbance", self.disturbance, agitation(model, SWING * prior.largest))
         units = even_units(model)
-        return measured_filter(
+        return build_gaussian_filter(
             model,
             units,
             sensor,
             prior,
             white(in_units(model, units), rms**2),
             glitch_share(self.glitches),
-            claimed_traits(prior, self.x_std),
+            traits_of_prior(prior, self.x_std),
             recovers=False,
         )

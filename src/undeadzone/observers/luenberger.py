@@ -39,7 +39,7 @@ class Luenberger(Options, frozen=True, kw_only=True, tag="luenberger"):
             z = model.output(p.model, s.x)
             e = ca.if_else(present(reading.y), reading.y / p.slope - z, 0.0)
             none = ca.SX.zeros(model.p)
-            after = State(model.pushed(p.model, s.x, u, p.L @ e))
+            after = State(model.move_with_correction(p.model, s.x, u, p.L @ e))
             return after, estimate(s.x, z, none, none, reading, p.slope, sensor.kind, e)
 
         params = Params(model.params, L, sensor.slope)

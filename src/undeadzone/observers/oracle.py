@@ -6,7 +6,7 @@ import numpy as np
 
 from undeadzone.interfaces import Observer
 from undeadzone.nonlinearities.sensor import Zone
-from undeadzone.observers.adaptive.branch_observer import measured_side
+from undeadzone.observers.adaptive.branch_observer import build_branch_observer
 from undeadzone.observers.adaptive.gain import gains
 from undeadzone.plants.system import System
 from undeadzone.registry import Options
@@ -29,4 +29,4 @@ class Oracle(Options, frozen=True, kw_only=True, tag="oracle"):
         widths = np.stack([sensor.right, sensor.left], axis=1)
         gain, gamma = gains(self.L, model), np.zeros(model.p)
         start, limit = np.zeros(model.n), np.full(model.p, np.inf)
-        return measured_side(model, sensor, gain, gamma, start, widths, limit, self.silence)
+        return build_branch_observer(model, sensor, gain, gamma, start, widths, limit, self.silence)

@@ -21,7 +21,7 @@ import numpy as np
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.linalg.matrices import Matrices, companion
 from undeadzone.plants.options import Plant, SecondOrder, TransferFunction
-from undeadzone.plants.system import System, linearised
+from undeadzone.plants.system import System, with_linearisation
 from undeadzone.util.arrays import LARGEST, Array, Floats, matrix, scalar, series, vector
 
 # Each form by its leading key, and the keys that belong to it.
@@ -73,7 +73,7 @@ def matrices(plant: Plant, key: str = "plant") -> Matrices:
         return _transfer_function(f"{key}.transfer_function", plant.transfer_function)
     if plant.f is not None or plant.arm is not None:
         raise InputError(f"{key}: is nonlinear; matrices A, B, C exist for a linear plant only")
-    return _written_out(plant, key)
+    return _given_matrices(plant, key)
 
 
 def system(plant: Plant, key: str = "plant") -> System:
@@ -139,7 +139,7 @@ def _form(plant: Plant, key: str) -> str:
     return form
 
 
-def _written_out(plant: Plant, key: str) -> Matrices:
+def _given_matrices(plant: Plant, key: str) -> Matrices:
     """Return the matrices A, B, C that a plant gives itself."""
     for name in "ABC":
         if getattr(plant, name) is None:
@@ -208,7 +208,7 @@ def _nonlinear(plant: Plant, key: str) -> System:
     )
     x_eq = _vector_or_zeros(f"{key}.x_eq", plant.x_eq, n, "one per state")
     u_eq = _vector_or_zeros(f"{key}.u_eq", plant.u_eq, m, "one per input")
-    return linearised(key, params, move, output, x_eq, u_eq)._replace(names=tuple(names))
+    return with_linearisation(key, params, move, output, x_eq, u_eq)._replace(names=tuple(names))
 
 
 def _callables(plant: Plant, key: str) -> _Functions:
@@ -313,11 +313,11 @@ def evaluate(key: str, text: str, names: Mapping[str, Any]) -> Any:
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         if isinstance(error, InputError):
             raise
-        raise _refused(formula, "cannot be read") from None
+        raise _formula_error(formula, "cannot be read") from None
     except (NotImplementedError, TypeError):  # of CasADi
-        raise _refused(formula, "a function does not take these arguments") from None
+        raise _formula_error(formula, "a function does not take these arguments") from None
     except (ZeroDivisionError, OverflowError):
-        raise _refused(formula, "a constant part is not a finite real number") from None
+        raise _formula_error(formula, "a constant part is not a finite real number") from None
 
 
 def _value(formula: _Formula, node: ast.expr) -> Any:
@@ -337,7 +337,7 @@ def _compute(formula: _Formula, node: ast.expr) -> Any:
         case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
             return float(number)
         case ast.Name(id=name):
-            return _named(formula, name)
+            return _lookup_name(formula, name)
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
             return _BINARY[type(op)](_value(formula, left), _value(formula, right))
         case ast.UnaryOp(op=op, operand=operand) if type(op) in _UNARY:
@@ -346,16 +346,16 @@ def _compute(formula: _Formula, node: ast.expr) -> Any:
             if name not in _FUNCTIONS:
                 raise _unknown(formula, name, list(_FUNCTIONS))
             if len(args) != (2 if name in _OF_TWO else 1):  # CasADi does not always refuse them
-                raise _refused(formula, "a function has the wrong number of arguments")
+                raise _formula_error(formula, "a function has the wrong number of arguments")
             return _FUNCTIONS[name](*[_value(formula, arg) for arg in args])
-    raise _refused(
+    raise _formula_error(
         formula,
         f"found {ast.unparse(node)!r:.80}",
         "; only numbers, names, + - * / ** and elementary functions are allowed",
     )
 
 
-def _named(formula: _Formula, name: str) -> Any:
+def _lookup_name(formula: _Formula, name: str) -> Any:
     """What a name stands for; the plant's own names hide the constants."""
     if name in formula.names:
         return formula.names[name]
@@ -368,9 +368,9 @@ def _unknown(formula: _Formula, name: str, known: list[str]) -> InputError:
     """Return an unknown name, with the nearest known one."""
     near = difflib.get_close_matches(name, known, 1)
     advice = f"did you mean {near[0]!r}?" if near else f"known names: {', '.join(known)}"
-    return _refused(formula, f"unknown name {name!r}", f"; {advice}")
+    return _formula_error(formula, f"unknown name {name!r}", f"; {advice}")
 
 
-def _refused(formula: _Formula, what: str, advice: str = "") -> InputError:
+def _formula_error(formula: _Formula, what: str, advice: str = "") -> InputError:
     """What is wrong with a formula."""
     return InputError(f"{formula.key}: {what} in formula {formula.text!r:.80}{advice}")

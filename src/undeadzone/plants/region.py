@@ -34,7 +34,7 @@ class Box(NamedTuple):
     low: Floats
     high: Floats
 
-    def left(self, x: Floats, x_hat: Floats, u: Floats) -> np.ndarray:
+    def is_outside(self, x: Floats, x_hat: Floats, u: Floats) -> np.ndarray:
         """Return whether state, estimate (N x n) or input (N x m) lie outside, or are no numbers
         (N).
         """

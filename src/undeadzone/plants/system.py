@@ -128,7 +128,7 @@ class System(NamedTuple):
             return params, x[:N]
         return self.gears.links(params), x[N : 2 * N]
 
-    def pushed(self, params: Any, x: Any, u: Any, push: Any) -> Any:
+    def move_with_correction(self, params: Any, x: Any, u: Any, push: Any) -> Any:
         """Return `move` and what a correction adds to it (n); of a sampled plant one increment of
         x.
         """
@@ -137,7 +137,7 @@ class System(NamedTuple):
         return x + (self.change(params, x, u) + push)
 
 
-def linearised(
+def with_linearisation(
     key: str, params: Floats, move: Any, output: Any, x_eq: Floats, u_eq: Floats
 ) -> System:
     """Return a continuous nonlinear plant with its linearisation.
@@ -172,7 +172,7 @@ def linearised(
     return System(params, move, output, linear, nonlinear=True)
 
 
-def sampled(plant: System, Ts: float, substeps: int = 10) -> System:
+def sample_plant(plant: System, Ts: float, substeps: int = 10) -> System:
     """Return the plant seen every Ts [s] with u held, as x plus its change in a sample.
 
     An exact zero-order hold if the plant is linear, else RK4 with `substeps` steps.
@@ -246,12 +246,12 @@ def in_units(system: System, units: Floats) -> System:
         output=lambda params, x: output(params, of(params) * x),
         change=counted(change),
         rate=None if rate is None else counted(rate),
-        linear=_counted_matrices(system.linear, units),
-        flow=_counted_matrices(system.continuous, units),
+        linear=_matrices_in_units(system.linear, units),
+        flow=_matrices_in_units(system.continuous, units),
     )
 
 
-def _counted_matrices(linear: Matrices, units: Floats) -> Matrices:
+def _matrices_in_units(linear: Matrices, units: Floats) -> Matrices:
     """Return the matrices for states that are counted in these units (n)."""
     A, B, C = linear
     return Matrices(similar(A, units), B / units[:, None], C * units)

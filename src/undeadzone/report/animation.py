@@ -69,7 +69,7 @@ class Arm(NamedTuple):
         return f"{self.name}: tip {size} off at the end"
 
 
-def animated(run: Run, rival: Run | None = None) -> Html:
+def animation_canvas(run: Run, rival: Run | None = None) -> Html:
     """Return a canvas that plays the arm on the tip's path, and a rival's in another colour.
 
     Arms in space turn under the mouse.
@@ -90,8 +90,10 @@ def _script_data(run: Run, arms: list[Arm], grid: float) -> str:
     spatial = _spatial(run)
     data = {
         "rate": FRAMES,
-        "arms": [{"colour": arm.colour, "frames": _rounded(arm.poses)} for arm in arms],
-        "path": _rounded(_path(run)),
+        "arms": [
+            {"colour": arm.colour, "frames": _tenths_of_millimetre(arm.poses)} for arm in arms
+        ],
+        "path": _tenths_of_millimetre(_path(run)),
         "pathColour": ink.REFERENCE,
         "spatial": spatial,
         "turn": _turn(run),
@@ -301,8 +303,8 @@ def _arm(run: Run, colour: str) -> Arm:
     """Return the arm of a run, up to where it diverged."""
     assert run.poses is not None
     end = len(run.poses)
-    if run.diverged_at is not None:
-        end = max(1, int(run.diverged_at * FRAMES))
+    if run.divergence_time is not None:
+        end = max(1, int(run.divergence_time * FRAMES))
     return Arm(run.name, colour, run.poses[:end], run.rms_tip or 0.0)
 
 
@@ -349,6 +351,6 @@ def _spacing(size: float) -> float:
     return float(power * max(fitting))
 
 
-def _rounded(values: Floats) -> list[object]:
+def _tenths_of_millimetre(values: Floats) -> list[object]:
     """Return tenths of a millimetre: what a screen can show."""
     return list(np.round(values, 4).tolist())

@@ -54,7 +54,7 @@ def distributions(result: Ensemble) -> Figure:
     """
     from matplotlib.ticker import NullFormatter
 
-    names = _distributed(result)
+    names = _metrics_to_show(result)
     rows = [[f"above {name}" for name in names], [f"below {name}" for name in names]]
     title = f"{result.info.title}: {_runs(result)}"
     figure, panels = sheet(rows, title, width=13.0, height=3.0)
@@ -93,7 +93,7 @@ def distribution(axes: Axes, result: Ensemble) -> None:
     finish(axes, _runs(result), "share of runs in each bin [%]", quantity, legend=2)
 
 
-def _distributed(result: Ensemble) -> list[str]:
+def _metrics_to_show(result: Ensemble) -> list[str]:
     """Return the metrics whose distributions are shown; settling times only if some run settled."""
     names = ["rms_tracking", "peak_tracking"]
     for name in ("rms_behind_play", "rms_tip"):
@@ -180,7 +180,7 @@ def over_time(result: Ensemble) -> Figure | None:
     for name, axes in panels.items():
         quantity, _, output = name.rstrip("]").partition("[")
         of = f" of output {output}" if outputs > 1 else ""
-        q = _bounded(quantiles[name])
+        q = _bound_infinite(quantiles[name])
         if quantity == "tracking":
             axes.set_yscale("log")
             _band(axes, t, np.maximum(q, floor_of(q[:, 1])))
@@ -194,7 +194,7 @@ def over_time(result: Ensemble) -> Figure | None:
     return figure
 
 
-def _bounded(q: Floats) -> Floats:
+def _bound_infinite(q: Floats) -> Floats:
     """Return infinite quantiles, of runs that diverged, out of sight above all others."""
     largest = float(np.abs(q[np.isfinite(q)]).max(initial=1e-12))
     return np.clip(q, -1.05 * largest, 1.05 * largest)
@@ -317,7 +317,7 @@ def influence(result: Ensemble, sensitivities: Sensitivities) -> Figure | None:
     width = 13.0 if two else 6.5
     figure, panels = sheet(rows, "The most influential entries", width=width, height=4.4)
     values = np.where(result.diverged, np.nan, result.column(MAIN))
-    runs = _marked(result, values)
+    runs = _runs_to_mark(result, values)
     scale = _scale(values[runs.shown])
     quantity = axis_label(words(MAIN, result.info.duration), result.unit(MAIN))
     labels = [axis_label(plain(name), result.unit(name)) for name in names]
@@ -333,7 +333,7 @@ def influence(result: Ensemble, sensitivities: Sensitivities) -> Figure | None:
     return figure
 
 
-def _marked(result: Ensemble, values: Floats) -> Marked:
+def _runs_to_mark(result: Ensemble, values: Floats) -> Marked:
     """Return the runs that are shown and marked; values: of the main metric, nan where one
     diverged.
     """

@@ -83,7 +83,7 @@ def ensemble_page(
         decisive = [*_sensitivities(summary), *html.pick(shown, "tornado", "influence")]
         parts.append(html.section("What decides", *decisive))
     parts.append(html.section("The worst runs", *_worst(result, summary)))
-    parts.append(html.section("What was asked", *_asked(result)))
+    parts.append(html.section("What was asked", *_scenario_section(result)))
     own = html.Origin(scenario=result.info.scenario, seed=result.info.seed)
     title = f"Ensemble: {result.info.title}"
     return html.page(title, _verdict(result, summary), *parts, origin=origin or own)
@@ -94,7 +94,7 @@ def _verdict(result: Ensemble, summary: Mapping[str, Any]) -> html.Html:
     settled, diverged = summary["settled"], summary["diverged"]
     parts = [
         (f"{result.info.runs:,} runs", ""),
-        (f"{_percent(settled)} settle", _settled_style(settled["value"])),
+        (f"{_percent(settled)} settle", _style_of_share(settled["value"])),
     ]
     if diverged["value"]:
         parts.append((f"{_percent(diverged)} diverge", "no"))
@@ -108,7 +108,7 @@ def _verdict(result: Ensemble, summary: Mapping[str, Any]) -> html.Html:
     return html.verdict_line(*parts)
 
 
-def _settled_style(share: float) -> str:
+def _style_of_share(share: float) -> str:
     """Return the class of a share of runs that settle."""
     if share == 1:
         return "yes"
@@ -143,12 +143,12 @@ def _distribution(
     name: str, values: Mapping[str, Any], unit: str, duration: float
 ) -> tuple[Any, ...]:
     """Return the row of a metric of runs of some duration [s]."""
-    cells = [_bounded(name, values[column], _interval(values[column])) for column in COLUMNS]
-    largest = _bounded(name, values["max"], values["max"]["value"])
+    cells = [_bounded_cell(name, values[column], _interval(values[column])) for column in COLUMNS]
+    largest = _bounded_cell(name, values["max"], values["max"]["value"])
     return (label(words(name, duration), unit), *cells, largest)
 
 
-def _bounded(name: str, value: Mapping[str, float | None], cell: Any) -> Any:
+def _bounded_cell(name: str, value: Mapping[str, float | None], cell: Any) -> Any:
     """Return the cell of a value; of a settling time without a bound, words."""
     if name == "settling_time" and value["value"] is None:
         return "never"
@@ -207,7 +207,7 @@ def _run_row(run: Mapping[str, Any]) -> tuple[Any, ...]:
     return (run["run"], outcome, *run["varied"].values())
 
 
-def _asked(result: Ensemble) -> list[html.Html]:
+def _scenario_section(result: Ensemble) -> list[html.Html]:
     """What was run, over which values, and the scenario."""
     info = result.info
     lasts = f"for the last {LAST:g} s" if info.duration > LAST else "at the end"

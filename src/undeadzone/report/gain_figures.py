@@ -62,7 +62,7 @@ def _locus_panel(axes: Axes, dynamics: Dynamics, name: str) -> Any:
     bar.
     """
     Ts = dynamics.Ts
-    poles = np.stack([_poles(dynamics, _scaled(dynamics, name, factor)) for factor in FACTORS])
+    poles = np.stack([_poles(dynamics, _scale_gain(dynamics, name, factor)) for factor in FACTORS])
     silent = np.linalg.eigvals(dynamics.A[0])
     dots = _locus(axes, poles, silent, name)
     _forbid_unstable(axes, np.concatenate([poles.ravel(), silent]), Ts)
@@ -112,7 +112,7 @@ def _enlarge_slow(
     axes.indicate_inset_zoom(inset, edgecolor=ink.ZONE)
 
 
-def _scaled(dynamics: Dynamics, name: str, factor: float) -> Dynamics:
+def _scale_gain(dynamics: Dynamics, name: str, factor: float) -> Dynamics:
     """Return the dynamics with one gain, gamma or L, scaled."""
     return dynamics._replace(**{name: factor * getattr(dynamics, name)})
 
@@ -150,7 +150,9 @@ def _rates(axes: Axes, of: Assessment, gains: Gains, scaled: list[str]) -> None:
         first = EVERY if name == "gamma" else 0  # with gamma = 0 the error holds no widths
         factors = FACTORS[first::EVERY]
         rate = np.array([_rate(of, gains, name, factor) for factor in factors])
-        proved = np.array([_proved(gains.certificate, name, factor) for factor in factors])
+        proved = np.array(
+            [_is_proved_with_scaled_gain(gains.certificate, name, factor) for factor in factors]
+        )
         certified = np.where(proved, rate, np.nan)
         axes.plot(factors, rate, ":", color=colour, linewidth=1.4)
         axes.plot(factors, certified, color=colour, linewidth=2.0, label=f"{NAMES[name]} alone")
@@ -166,11 +168,11 @@ def _rate(of: Assessment, gains: Gains, name: str, factor: float) -> float:
     return rates(of.problem.model.linear, scaled.L, scaled.gamma, of.schedule, jump == "jump").rate
 
 
-def _proved(proof: Certificate, name: str, factor: float) -> bool:
+def _is_proved_with_scaled_gain(proof: Certificate, name: str, factor: float) -> bool:
     """Return whether the weights of a certificate prove it with one gain scaled, too."""
     if not proof.margin > -np.inf:
         return False
-    return margin(_scaled(proof.dynamics, name, factor), proof.W)[0] > 0
+    return margin(_scale_gain(proof.dynamics, name, factor), proof.W)[0] > 0
 
 
 def front(design: Design) -> Figure:

@@ -20,8 +20,8 @@ from undeadzone.report import html
 from undeadzone.report.gain_figures import ellipses, front, root_locus
 from undeadzone.report.proof_figures import courses, positive_realness
 from undeadzone.synthesis.assessment import Assessment, Attacks, Gains
-from undeadzone.util.arrays import listed
-from undeadzone.util.text import HALF_95, counted, label
+from undeadzone.util.arrays import list_numbers
+from undeadzone.util.text import HALF_95, count_noun, label
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -123,7 +123,7 @@ def gains_page(
     sections.append(html.section("What can be known", *knowledge))
     if design is not None:
         sections.append(html.section("The trade", *trade_section(design)))
-    sections.append(html.section("What was asked", _asked(of, design)))
+    sections.append(html.section("What was asked", _problem_section(of, design)))
     kind = "Check" if design is None else "Design"
     title = f"{kind}: {of.problem.scenario.title}"
     return html.page(title, verdict(of), *sections, origin=origin)
@@ -143,26 +143,27 @@ def _answer(of: Assessment) -> html.Html:
     """Return gains, how fast they are, what can be known, and how strongly readings are heard."""
     rows: list[tuple[str, Any]] = []
     if of.gains is not None:
-        L, speed = listed(np.ravel(of.gains.L)), of.gains.rates
-        rows = [("L, row by row [1/s]", L), ("γ [1/s]", listed(of.gains.gamma))]
+        L, speed = list_numbers(np.ravel(of.gains.L)), of.gains.rates
+        rows = [("L, row by row [1/s]", L), ("γ [1/s]", list_numbers(of.gains.gamma))]
         rows.append(("rate; time constant", f"{speed.rate:.4g} 1/s; {speed.time_constant:.4g} s"))
     for i, known in enumerate(of.known[:2]):
-        edges = html.join([_known(known, "right"), "and", _known(known, "left")])
+        edges = html.join(
+            [_describe_direction(known, "right"), "and", _describe_direction(known, "left")]
+        )
         rows.append((label(f"d_r, d_l of output {i}", of.problem.scenario.units.output), edges))
     return html.table(("what", "value"), [*rows, ("readings move z^", html.trust(of.listens))])
 
 
-def _asked(of: Assessment, design: Design | None) -> html.Html:
+def _problem_section(of: Assessment, design: Design | None) -> html.Html:
     """Return the plant, the sensor, the reference and what was wanted."""
     scenario, model = of.problem.scenario, of.problem.model
     unit = scenario.units.output
-    sizes = (
-        f"{counted(model.n, 'state')}, {counted(model.m, 'input')}, {counted(model.p, 'output')}"
-    )
+    counts = ((model.n, "state"), (model.m, "input"), (model.p, "output"))
+    sizes = ", ".join(count_noun(number, noun) for number, noun in counts)
     poles = np.linalg.eigvals(of.problem.flow.linear.A) + 0.0
     simulation = scenario.simulation
     rows: list[tuple[str, Any]] = [
-        ("plant", f"{sizes}; poles {listed(poles.tolist())} 1/s"),
+        ("plant", f"{sizes}; poles {list_numbers(poles.tolist())} 1/s"),
         ("time", "continuous" if model.Ts is None else f"sampled every {model.Ts:g} s"),
         *_sensor_rows(of, unit),
         ("reference", label(_reference(of), unit)),
@@ -177,9 +178,10 @@ def _asked(of: Assessment, design: Design | None) -> html.Html:
 def _sensor_rows(of: Assessment, unit: str) -> list[tuple[str, str]]:
     """Return the sensor and its noise."""
     sensor = of.problem.sensor
-    widths = f"d_r = {listed(sensor.right)}, d_l = {listed(sensor.left)}"
-    silent = f"silent below |y| = {listed(sensor.threshold)}"
-    noise = f"{listed(sensor.noise)} after the zone, {listed(sensor.noise_before)} before it"
+    widths = f"d_r = {list_numbers(sensor.right)}, d_l = {list_numbers(sensor.left)}"
+    silent = f"silent below |y| = {list_numbers(sensor.threshold)}"
+    before = list_numbers(sensor.noise_before)
+    noise = f"{list_numbers(sensor.noise)} after the zone, {before} before it"
     return [
         (label("sensor", unit), f"{sensor.kind}: {widths}, {silent}"),
         ("noise, rms", noise),
@@ -198,7 +200,7 @@ def _schedule(of: Assessment) -> str:
     """How many spans the schedule of sides has, in what time."""
     schedule = of.schedule
     again = ", then the same again" if schedule.periodic else ""
-    return f"{counted(len(schedule.spans), 'span')} in {schedule.duration:.4g} s{again}"
+    return f"{count_noun(len(schedule.spans), 'span')} in {schedule.duration:.4g} s{again}"
 
 
 def verdict(of: Assessment) -> html.Html:
@@ -259,8 +261,8 @@ def guarantee_section(gains: Gains, tried: Attacks | None) -> list[html.Html]:
     return [
         html.paragraph(guarantee + attempts),
         html.table(head, rows),
-        html.paragraph(f"W = {listed(proof.W)}. {checked}"),
-        html.table(("what", "value"), _checked(proof)),
+        html.paragraph(f"W = {list_numbers(proof.W)}. {checked}"),
+        html.table(("what", "value"), _certificate_rows(proof)),
     ]
 
 
@@ -277,7 +279,7 @@ def _no_guarantee(proof: Certificate, tried: Attacks | None) -> list[html.Html]:
     return parts
 
 
-def _checked(proof: Certificate) -> list[tuple[str, Any]]:
+def _certificate_rows(proof: Certificate) -> list[tuple[str, Any]]:
     """Return the numbers by which a certificate was checked."""
     inequality = proof.dynamics.inequality(proof.W)
     matrices = inequality.matrices(proof.P)
@@ -285,8 +287,8 @@ def _checked(proof: Certificate) -> list[tuple[str, Any]]:
     step = "" if proof.dynamics.Ts is None else " − Ts γ/2"
     at_infinity = proof.frequency is None or np.isinf(proof.frequency)
     return [
-        ("eigenvalues of P, all positive", listed(np.linalg.eigvalsh(proof.P))),
-        ("eigenvalues of the inequality, all negative", listed(np.sort(values))),
+        ("eigenvalues of P, all positive", list_numbers(np.linalg.eigvalsh(proof.P))),
+        ("eigenvalues of the inequality, all negative", list_numbers(np.sort(values))),
         ("greatest of them, scaled to a diagonal of −1", proof.check.lmi),
         ("bound on the rounding of the scaled ones", proof.check.rounding),
         (f"margin: least eigenvalue of the Hermitian part of 1 + G{step}", proof.margin),
@@ -322,7 +324,7 @@ def knowledge_section(of: Assessment) -> list[html.Html]:
     unit, duration = of.problem.scenario.units.output, of.problem.scenario.simulation.duration
     rows = []
     for i, known in enumerate(of.known):
-        rows.append((i, *(_known(known, name) for name in DIRECTIONS)))
+        rows.append((i, *(_describe_direction(known, name) for name in DIRECTIONS)))
     question = (
         "Whether an optimal estimator can know it, and its "
         f"{label('95 % interval', unit)} after {duration:g} s at the scenario's noise:"
@@ -338,7 +340,7 @@ def knowledge_section(of: Assessment) -> list[html.Html]:
     return parts
 
 
-def _known(known: Knowledge, name: str) -> html.Html:
+def _describe_direction(known: Knowledge, name: str) -> html.Html:
     """Return whether a direction can be known, with half of its interval if that is."""
     yes = f"± {HALF_95 * known.std[name]:.2g}" if name in known.std else "yes"
     return html.tag("span", *html.yes_no(getattr(known, name), yes))
@@ -366,6 +368,6 @@ def _front_table(design: Design) -> html.Html:
     rows = []
     for point in design.front:
         scores = [getattr(point, name) for name in SCORES]
-        rows.append((listed(np.ravel(point.L)), listed(point.gamma), *scores))
+        rows.append((list_numbers(np.ravel(point.L)), list_numbers(point.gamma), *scores))
     title = f"The {len(design.front)} gains of the front"
-    return html.folded(title, html.table(("L", "γ", *SCORES), rows))
+    return html.fold_section(title, html.table(("L", "γ", *SCORES), rows))

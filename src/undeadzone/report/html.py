@@ -52,10 +52,10 @@ def html(value: Any) -> str:
         return "yes" if value else "no"
     if isinstance(value, float):
         return escape(f"{value:.4g}")
-    return symbols(escaped(str(value)))
+    return symbols(escape_html(str(value)))
 
 
-def escaped(text: str) -> str:
+def escape_html(text: str) -> str:
     """Return a text of several lines as HTML, nothing in it changed."""
     return escape("\n".join(map(printable, text.split("\n"))))
 
@@ -106,7 +106,7 @@ def _anchor(title: str) -> str:
     return re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")
 
 
-def folded(title: str, *parts: Any) -> Html:
+def fold_section(title: str, *parts: Any) -> Html:
     """Return a part that opens on a click."""
     return tag("details", join([tag("summary", title), *parts]))
 
@@ -204,7 +204,7 @@ def _is_number(cell: Any) -> bool:
 
 def source(text: str) -> Html:
     """Return a text as it is, such as a scenario."""
-    return Html(f"<pre>{escaped(text)}</pre>")
+    return Html(f"<pre>{escape_html(text)}</pre>")
 
 
 def picture(image: bytes, caption: str) -> Html:
@@ -251,7 +251,7 @@ def page(title: str, *parts: Any, origin: Origin | None = None) -> str:
     head = (
         '<meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escaped(title)}</title><style>\n{_style()}</style>"
+        f"<title>{escape_html(title)}</title><style>\n{_style()}</style>"
     )
     again = [] if origin is None else [_again(origin)]
     below = join([*parts, *again, _LEGEND])
@@ -278,13 +278,13 @@ def _again(origin: Origin) -> Html:
     """How to get the same again."""
     rows: list[tuple[str, Any]] = []
     if origin.command:
-        rows.append(("command", Html(f"<code>{escaped(origin.command)}</code>")))
+        rows.append(("command", Html(f"<code>{escape_html(origin.command)}</code>")))
     rows.append(("undeadzone", __version__))
     if origin.seed is not None:
         rows.append(("seed", str(origin.seed)))
     parts = [table(("what", "value"), rows)]
     if origin.scenario:
-        parts.append(folded("The scenario", source(origin.scenario)))
+        parts.append(fold_section("The scenario", source(origin.scenario)))
     return section("The same again", *parts)
 
 

@@ -151,14 +151,14 @@ def log_overview(result: Estimation) -> Figure:
     return figure
 
 
-def _shown(result: Estimation) -> slice:
+def _drawn_window(result: Estimation) -> slice:
     """Return the samples that are drawn."""
     return slice(None, None, max(1, result.t.size // POINTS))
 
 
 def output(axes: Axes, result: Estimation, i: int = 0, of: str = "") -> None:
     """Reading and estimates of output i over its estimated dead zone; of: its name."""
-    shown = _shown(result)
+    shown = _drawn_window(result)
     t = result.t[shown]
     right, left = result.info.d_right[i], result.info.d_left[i]
     if result.info.sensor == "play":
@@ -187,7 +187,7 @@ def _mark_missing(axes: Axes, result: Estimation, i: int) -> None:
 
 def _draw_widths(axes: Axes, result: Estimation, i: int, of: str) -> None:
     """The estimated widths of output i, with 95 % intervals."""
-    shown = _shown(result)
+    shown = _drawn_window(result)
     t, columns = result.t[shown], slice(2 * i, 2 * i + 2)
     widths = result.d_hat[shown, columns]
     std = None if result.d_std is None else result.d_std[shown, columns]
@@ -206,7 +206,7 @@ def _draw_widths(axes: Axes, result: Estimation, i: int, of: str) -> None:
 
 def _innovations(axes: Axes, result: Estimation, i: int, of: str) -> None:
     """The normalised innovations of output i and the statistic of the test; else innovations."""
-    shown = _shown(result)
+    shown = _drawn_window(result)
     t, innovation = result.t[shown], result.innovation[shown, i]
     used = innovation != 0
     if result.innovation_std is None or result.B is None:

@@ -117,8 +117,8 @@ def output(axes: Axes, run: Run, i: int = 0, of: str = "") -> None:
     estimate = run.z_hat[shown, i]
     axes.plot(t, estimate, color=ink.ESTIMATE, linestyle=DASHED, label="estimate ẑ")
     title = f"Output{of} and what is known of it"
-    if run.diverged_at is not None:
-        title += f", diverged at {run.diverged_at:.4g} s"
+    if run.divergence_time is not None:
+        title += f", diverged at {run.divergence_time:.4g} s"
     finish(axes, title, axis_label("z, y", run.unit("z")), legend=5)
 
 
@@ -254,12 +254,12 @@ def _plane(axes: Axes, run: Run, rival: Run | None, plane: tuple[int, int], wher
     """The tip seen along one direction, equally scaled."""
     assert run.tip_r is not None
     axes.margins(0.05)
-    first = run.t.size // 2 if run.diverged_at is None else 0
+    first = run.t.size // 2 if run.divergence_time is None else 0
     path = run.tip_r[first:, plane]
     axes.plot(*path.T, color=ink.REFERENCE, linewidth=4.0, alpha=0.4, label="path")
     for one, colour in reversed(_both(run, rival)):
         assert one.tip is not None
-        first = one.t.size // 2 if one.diverged_at is None else 0
+        first = one.t.size // 2 if one.divergence_time is None else 0
         points = one.tip[first : one.plot_window.stop, plane]
         axes.plot(*points.T, color=colour, linewidth=1.1, label=plain(one.name))
     to_the_right, upwards = (axis_label("xyz"[coordinate], "m") for coordinate in plane)

@@ -73,15 +73,15 @@ def _animation(run: Run, rival: Run | None, images: Mapping[str, bytes]) -> list
     """Return an arm in motion, above its own figures."""
     if "tip" not in images:
         return []
-    from undeadzone.report.animation import animated
+    from undeadzone.report.animation import animation_canvas
 
-    return [animated(run, rival)]
+    return [animation_canvas(run, rival)]
 
 
 def _verdict(run: Run) -> html.Html:
     """Return one line: diverged or not, the error, whether every width can be known."""
-    if run.diverged_at is not None:
-        return html.tag("p", html.tag("span", f"Diverged at {run.diverged_at:.4g} s.", "no"))
+    if run.divergence_time is not None:
+        return html.tag("p", html.tag("span", f"Diverged at {run.divergence_time:.4g} s.", "no"))
     rms = with_unit(f"rms of z − r {run.rms_tracking:.4g}", run.info.units.output)
     parts = [
         (f"{rms} over the last {run.lasting:g} s", ""),
@@ -117,7 +117,7 @@ def _numbers(run: Run) -> dict[str, Any]:
         "certificate found for these gains": run.info.certified,
         rise: _magnitude(run.largest_rise_of_V),
         "integration error (against half the step)": _magnitude(run.info.integration_error),
-        "diverged at [s]": run.diverged_at,
+        "diverged at [s]": run.divergence_time,
         "observer": run.name,
         "time": f"{run.info.time}, step {run.info.step:g} s, {run.t[-1]:g} s",
     }

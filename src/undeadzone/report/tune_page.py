@@ -17,7 +17,7 @@ from undeadzone.tuning.result import HeldOut, Tuned
 from undeadzone.tuning.tune import Sweep, sweep
 from undeadzone.util import toml
 from undeadzone.util.arrays import Floats
-from undeadzone.util.text import bracketed, counted
+from undeadzone.util.text import bracket_interval, count_noun
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -52,10 +52,10 @@ def write_tuned(result: Tuned, folder: Path, origin: html.Origin | None = None) 
         The paths of the files.
     """
     drawn = {"history": history(result), "around": around(result, slices(result))}
-    return html.write_page(drawn, folder, lambda images: tuned_page(result, images, origin))
+    return html.write_page(drawn, folder, lambda images: tune_page(result, images, origin))
 
 
-def tuned_page(result: Tuned, images: dict[str, bytes], origin: html.Origin | None = None) -> str:
+def tune_page(result: Tuned, images: dict[str, bytes], origin: html.Origin | None = None) -> str:
     """Return the page; images: SVGs by name; else see `write_tuned`."""
     shown = html.pictures(images, CAPTIONS)
     what = result.what
@@ -72,7 +72,7 @@ def tuned_page(result: Tuned, images: dict[str, bytes], origin: html.Origin | No
         html.section("Around what was found", *html.pick(shown, "around")),
         html.section(
             "The tuned scenario",
-            html.folded("tuned.toml", html.source(toml.dumps(result.scenario))),
+            html.fold_section("tuned.toml", html.source(toml.dumps(result.scenario))),
         ),
         origin=origin,
     )
@@ -103,23 +103,23 @@ def _worth(result: Tuned) -> html.Html:
     """Return before and after, on the runs tuned on and on held-out ones of each scenario."""
     rows: list[tuple[Any, ...]] = [("runs tuned on", *map(float, result.cost), None, None)]
     for scenario, held_out in zip(result.scenarios, result.held_out, strict=True):
-        rows.append(_held_out(scenario.title, held_out))
+        rows.append(_held_out_row(scenario.title, held_out))
     rows.append(("change on held-out runs", None, _interval(result.change), None, None))
     return html.table(("", "before", "after", "diverged before", "after"), rows)
 
 
-def _held_out(title: str, held_out: HeldOut) -> tuple[Any, ...]:
+def _held_out_row(title: str, held_out: HeldOut) -> tuple[Any, ...]:
     """Return the row of a scenario's held-out runs."""
     before, after = held_out.before, held_out.after
     lost = [f"{100 * worth.diverged.value:.3g} %" for worth in (before, after)]
-    name = f"{title}: {counted(held_out.runs, 'held-out run')}"
+    name = f"{title}: {count_noun(held_out.runs, 'held-out run')}"
     return (name, _interval(before.value), _interval(after.value), *lost)
 
 
 def _interval(interval: Interval) -> str:
     """Return a value with its interval."""
     alone = interval.low == interval.high
-    return f"{interval.value:.4g}" if alone else bracketed(*interval, ".4g")
+    return f"{interval.value:.4g}" if alone else bracket_interval(*interval, ".4g")
 
 
 def slices(result: Tuned) -> dict[str, Sweep]:
@@ -162,7 +162,7 @@ def candidates(axes: Axes, result: Tuned) -> None:
         small: Any = {"markersize": 3.5, "alpha": 0.6}
         axes.plot(lost, shown[lost], "x", color=ink.PRINTED, label="not certified", **small)
     axes.plot(best, color=ink.ESTIMATE, drawstyle="steps-post", label="best so far")
-    _scaled(axes, known)
+    _use_log_axis(axes, known)
     finish(axes, "Candidates, on the runs tuned on", _words(result), "candidate", legend=3)
 
 
@@ -196,7 +196,7 @@ def _curve(axes: Axes, parameter: Parameter, value: float, curve: Sweep, margin:
     axes.axvline(value, color=ink.REFERENCE, label=f"tuned {value:.4g}")
     axes.axvline(start, color=ink.ZONE, linestyle=DASHED, label=f"start {start:.4g}")
     axes.set_xlim(parameter.low, parameter.high)
-    _scaled(axes, cost[shown])
+    _use_log_axis(axes, cost[shown])
 
 
 def _words(result: Tuned) -> str:
@@ -228,7 +228,7 @@ def _reach(end: float, value: float) -> float:
     return abs(end - value) if np.isfinite(end) else 0.0
 
 
-def _scaled(axes: Axes, shown: Floats) -> None:
+def _use_log_axis(axes: Axes, shown: Floats) -> None:
     """A logarithmic axis where values span more than a decade."""
     if shown.size and shown.min() > 0 and shown.max() > 10 * shown.min():
         axes.set_yscale("log")

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Final
 
 import msgspec
 
-from undeadzone.logs.samples import counted_lines
+from undeadzone.logs.samples import count_in_words
 from undeadzone.results import files, sheet
 from undeadzone.results.info import LogInfo
 from undeadzone.results.sheet import Row
@@ -129,7 +129,7 @@ class Estimation:
         Raises:
             FileError: it cannot be read, or holds no estimates of a log.
         """
-        return cls(*files.read(path, LOG, LogInfo))
+        return cls(*files.read_result(path, LOG, LogInfo))
 
 
 FAULTS: Final = {  # by kind, after a number
@@ -154,7 +154,7 @@ def in_words(info: LogInfo) -> list[Block]:
     if info.columns:
         shown["columns"] = info.columns
     if info.unreadable:
-        lines = counted_lines(info.unreadable)
+        lines = count_in_words(info.unreadable)
         shown["unreadable"] = f"{lines}, counted as missing; {info.why_unreadable}"
     if info.faults:
         shown["faults"] = ", ".join(f"{n} {FAULTS[kind]}" for kind, n in info.faults.items())
@@ -181,7 +181,7 @@ def _rows(info: LogInfo) -> Rows:
         (what, label("d_right", unit), label("d_left", unit), "readings"),
     ]
     for i, (name, edges) in enumerate(zip(names, widths(info), strict=True)):
-        rows.append((name, *(row.found for row in edges), _sides(info, i)))
+        rows.append((name, *(row.value_with_interval for row in edges), _sides(info, i)))
     return rows
 
 

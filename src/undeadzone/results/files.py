@@ -74,7 +74,7 @@ def save(result: Any, path: Name) -> Path:
         FileError: it cannot be written.
         InputError: the name ends otherwise.
     """
-    path, info = path_of(path), untimed(result.info)
+    path, info = path_of(path), without_times(result.info)
     if path.suffix == ".npz":
         _write_npz(path, info, result.signals.arrays)
     elif path.suffix == ".csv":
@@ -84,12 +84,12 @@ def save(result: Any, path: Name) -> Path:
     return path
 
 
-def untimed(info: Any) -> Any:
+def without_times(info: Any) -> Any:
     """Return an info without the time that it took, so that equal runs have equal files."""
     return msgspec.structs.replace(info, seconds=0.0) if hasattr(info, "seconds") else info
 
 
-def read(path: Name, layout: Layout, kind: type[msgspec.Struct]) -> tuple[Any, Signals]:
+def read_result(path: Name, layout: Layout, kind: type[msgspec.Struct]) -> tuple[Any, Signals]:
     """Return the info and the signals of a result. Raises FileError.
 
     Args:

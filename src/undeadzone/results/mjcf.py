@@ -55,7 +55,7 @@ def of_run(run: Run) -> list[Joint]:
         run: with its scenario.
     """
     gears = systems(parse(run.info.scenario))[1].gears
-    if gears is None or run.d_std is None or run.diverged_at is not None:
+    if gears is None or run.d_std is None or run.divergence_time is not None:
         return []
     found = dict(zip(gears.names, gears.values.tolist(), strict=True))
     found |= {name: one["estimate"] for name, one in run.parameters.items()}
@@ -63,7 +63,8 @@ def of_run(run: Run) -> list[Joint]:
     for i, (name, (right, left)) in enumerate(zip(run.info.joints, widths(run), strict=False)):
         joint = Joint(
             name,
-            f"the link may be {right.found} rad ahead of its motor, {left.found} rad behind",
+            f"the link may be {right.value_with_interval} rad ahead of its motor, "
+            f"{left.value_with_interval} rad behind",
             behind=left.value or 0.0,
             ahead=right.value or 0.0,
             inertia=found[f"inertia{i + 1}"],

@@ -121,7 +121,7 @@ class Run:
         return min(LAST, float(self.t[-1] - self.t[0]))
 
     @property
-    def diverged_at(self) -> float | None:
+    def divergence_time(self) -> float | None:
         """Return the time [s] at which a signal left 1e12 times its scale or was no number, or
         None.
 
@@ -148,7 +148,7 @@ class Run:
         """Return the samples that a figure shows: those up to where the run diverged, two at
         least.
         """
-        diverged = self.diverged_at
+        diverged = self.divergence_time
         if diverged is None:
             return slice(0, self.t.size)
         return slice(0, max(2, int(np.searchsorted(self.t, diverged))))
@@ -265,7 +265,7 @@ class Run:
             "integration_error": self.info.integration_error,
             "inexact": self.inexact,
             "identifiable": one_or_list(verdicts),
-            "diverged_at": self.diverged_at,
+            "diverged_at": self.divergence_time,
             "seconds": self.info.seconds,
         }
         return finite(numbers)
@@ -296,7 +296,7 @@ class Run:
         Raises:
             FileError: it cannot be read, or is no run.
         """
-        return cls(*files.read(path, RUN, Info))
+        return cls(*files.read_result(path, RUN, Info))
 
 
 def last_samples(t: Floats) -> slice:
@@ -335,20 +335,20 @@ def parameters(run: Run) -> list[Row]:
 
 def widths(run: Run) -> list[list[Row]]:
     """Return the widths of each output."""
-    return sheet.of_each(_found(run), "d", run.info.units.output, run.info.widths)
+    return sheet.of_each(_last_widths(run), "d", run.info.units.output, run.info.widths)
 
 
 def actuators(run: Run) -> list[list[Row]]:
     """Return the widths of each actuator; nothing where none are estimated."""
-    return sheet.of_each(_found(run), "b", run.info.units.input, run.info.actuator)
+    return sheet.of_each(_last_widths(run), "b", run.info.units.input, run.info.actuator)
 
 
 def gaps(run: Run) -> list[list[Row]]:
     """Return the gaps of the play ahead of each dead zone; nothing where none are estimated."""
-    return sheet.of_each(_found(run), "gap", run.info.units.output, run.info.gaps)
+    return sheet.of_each(_last_widths(run), "gap", run.info.units.output, run.info.gaps)
 
 
-def _found(run: Run) -> dict[str, Any]:
+def _last_widths(run: Run) -> dict[str, Any]:
     """Return the last widths and gaps, and their deviations where known, by name."""
     names = "d_hat", "d_std", "b_hat", "b_std", "c_hat", "c_std", "gap_std"
     return final(run.signals.arrays, *names)
@@ -374,8 +374,8 @@ def in_words(run: Run) -> list[Block]:
     if info.sensor != "gears":  # whose encoders are never silent
         quiet = "holding" if info.sensor == "play" else "silent"
         shown[quiet] = f"{100 * run.silent_fraction:.1f} % of the time"
-    if run.diverged_at is not None:  # what readings would tell is no use of these
-        shown["DIVERGED"] = f"at {run.diverged_at:g} s"
+    if run.divergence_time is not None:  # what readings would tell is no use of these
+        shown["DIVERGED"] = f"at {run.divergence_time:g} s"
         return [shown] if single else [shown, _rows(run)]
     if refuted := claims_at_end(run.signals.arrays).get("claims"):
         shown["claims"] = "NOT as told: " + "; ".join(claims_in_words(refuted))
@@ -405,7 +405,7 @@ def _rows(run: Run) -> Rows:
             tracking = f"{_rms(missed[run.last]):.4g}"
         cells = [tracking, f"{_rms((run.z - run.z_hat)[run.last, i]):.4g}"]
         for row in edges:
-            cells += [row.found, f"{row.true:.6g}"]
+            cells += [row.value_with_interval, f"{row.true:.6g}"]
         verdict = info.identifiable[i]
         told = "yes" if all(verdict[each] for each in DIRECTIONS) else yes_no(verdict)
         rows.append((name, *cells, told))

@@ -41,7 +41,7 @@ class Row(NamedTuple):
     note: str = ""
 
     @property
-    def found(self) -> str:
+    def value_with_interval(self) -> str:
         """Return the value, with its 95 % interval where that is known; nan where there is none."""
         if self.std is None:
             return number(finite(self.value), self.form)
@@ -51,7 +51,7 @@ class Row(NamedTuple):
     def words(self) -> str:
         """Return the value with all that is known of it."""
         truth = "" if self.true is None else f" (true {self.true:.6g})"
-        return f"{with_unit(self.found, self.unit)}{truth}{self.note}"
+        return f"{with_unit(self.value_with_interval, self.unit)}{truth}{self.note}"
 
     @property
     def cell(self) -> Any:

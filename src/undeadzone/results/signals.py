@@ -29,7 +29,7 @@ class Signal(NamedTuple):
     final: type | None = None
 
 
-def _estimated() -> dict[str, Signal]:
+def _estimated_signals() -> dict[str, Signal]:
     """Return the signals that observers give; a run calls b what an estimate calls actuator."""
     found: dict[str, Signal] = {}
     for field, quantity in QUANTITIES.items():
@@ -43,7 +43,7 @@ def _estimated() -> dict[str, Signal]:
     return found
 
 
-ESTIMATED: Final = _estimated()
+ESTIMATED: Final = _estimated_signals()
 SIGNALS: Final = {
     "t": Signal("s"),
     **dict.fromkeys(("x", "x_smooth", "x_smooth_std"), Signal("state")),

@@ -219,10 +219,10 @@ def with_tables(scenario: S, changes: Mapping[str, Any]) -> S:
         elif name == LAST and isinstance(change, Mapping) and "like" in change:
             observer: Any = fields.get("observer", child(scenario, "observer"))
             whole = alike(change, tables(observer))
-            fields[name] = _converted(None, name, whole, hints[name], type(scenario))
+            fields[name] = _merge_and_check(None, name, whole, hints[name], type(scenario))
         else:
             before = child(scenario, name)
-            fields[name] = _converted(before, name, change, hints[name], type(scenario))
+            fields[name] = _merge_and_check(before, name, change, hints[name], type(scenario))
     return msgspec.structs.replace(scenario, **fields)
 
 
@@ -258,7 +258,7 @@ def with_entries(data: Mapping[str, Any]) -> dict[str, Any]:
     Raises:
         InputError: a key there is neither known nor an address, or an entry cannot be read.
     """
-    read = {each.name: each.decoded(data[each.name]) for each in TABLES if each.name in data}
+    read = {each.name: each.decode_table(data[each.name]) for each in TABLES if each.name in data}
     return {**data, **read}
 
 
@@ -278,7 +278,7 @@ def require_finite(value: Any, key: str) -> None:
         raise InputError(f"{key}: the whole number is too large")
 
 
-def _converted(before: Any, name: str, change: Any, annotation: Any, kind: type) -> Any:
+def _merge_and_check(before: Any, name: str, change: Any, annotation: Any, kind: type) -> Any:
     """Return a top-level table merged with a change and checked.
 
     Args:
@@ -291,7 +291,7 @@ def _converted(before: Any, name: str, change: Any, annotation: Any, kind: type)
     Raises:
         InputError: a key or a value that it cannot have.
     """
-    after = _merged(before, change)
+    after = _merge_tables(before, change)
     require_finite(after, name)
     try:
         after = with_entries({name: after})[name]
@@ -301,7 +301,7 @@ def _converted(before: Any, name: str, change: Any, annotation: Any, kind: type)
         raise InputError(explain(message, {name: after}, kind)) from None
 
 
-def _merged(before: Any, change: Any) -> Any:
+def _merge_tables(before: Any, change: Any) -> Any:
     """Return a value as TOML would give it: tables merged key by key, anything else replaced."""
     if isinstance(change, msgspec.Struct):
         return tables(change)
@@ -314,7 +314,7 @@ def _merged(before: Any, change: Any) -> Any:
         present = {}
     merged = dict(present)
     for name, value in change.items():
-        merged[name] = _merged(merged.get(name), value)
+        merged[name] = _merge_tables(merged.get(name), value)
     return merged
 
 

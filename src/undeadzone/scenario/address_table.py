@@ -32,7 +32,7 @@ class Table(NamedTuple):
         """How messages name an entry."""
         return f'{self.name}."{address}"'
 
-    def decoded(self, table: Any) -> Any:
+    def decode_table(self, table: Any) -> Any:
         """Return the table as TOML gives it, with the keys that are addresses moved to `entries`.
 
         Anything but a table is handed back as it is.

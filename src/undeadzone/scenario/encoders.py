@@ -19,7 +19,7 @@ from undeadzone.plants.system import System
 ZONE = ("right", "left", "noise_before", "drift", "play", "load_friction", "load_inertia")
 
 
-def sensed(sensor: Sensor, system: System, step: float, rate: float) -> Zone:
+def resolve_sensor(sensor: Sensor, system: System, step: float, rate: float) -> Zone:
     """Return the checked sensor of a plant; of an arm with gears its encoders, with the gaps for
     widths.
 

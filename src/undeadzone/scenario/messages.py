@@ -169,7 +169,7 @@ def _choices(root: type[msgspec.Struct], key: str, data: dict[str, Any]) -> list
     if tags:
         return tags
     words = []
-    for struct in _chosen(root, parent, data):
+    for struct in _chosen_variants(root, parent, data):
         annotation = typing.get_type_hints(struct).get(name)
         words += [str(word) for word in _literals(annotation)]
     return words
@@ -259,7 +259,7 @@ def _tags(root: type[msgspec.Struct], key: str) -> list[str]:
     return [str(tag) for tag in tags if tag is not None]
 
 
-def _chosen(root: type[msgspec.Struct], key: str, data: dict[str, Any]) -> _Structs:
+def _chosen_variants(root: type[msgspec.Struct], key: str, data: dict[str, Any]) -> _Structs:
     """Return the variant at a dotted key that the data choose, or all that may stand there."""
     table, structs = _walk(key, data), _at(root, key)
     if not isinstance(table, dict):
@@ -274,7 +274,7 @@ def _fields(root: type[msgspec.Struct], key: str, data: dict[str, Any]) -> list[
     """
     names: list[str] = []
     choosers: list[str] = []
-    for struct in _chosen(root, key, data):
+    for struct in _chosen_variants(root, key, data):
         names += struct.__struct_fields__
         config = struct.__struct_config__
         if config.tag is not None:

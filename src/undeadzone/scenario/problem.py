@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 
 from undeadzone.compensators import SmoothZoneInverse
-from undeadzone.controllers.parts.behind_play import led_across
+from undeadzone.controllers.parts.behind_play import with_gap_compensation
 from undeadzone.controllers.parts.estimated import with_estimates
 from undeadzone.controllers.parts.predicted import predicting
 from undeadzone.errors import InputError
@@ -24,28 +24,28 @@ from undeadzone.nonlinearities.actuator import (
     ActuatorModel,
     Belief,
     Drive,
-    believed,
+    believe_actuator,
     resolve_actuator,
 )
 from undeadzone.nonlinearities.play import gaps_of
 from undeadzone.nonlinearities.sensor import Sensor, Zone
-from undeadzone.observers.filtering.actuator import built
+from undeadzone.observers.filtering.actuator import build_behind_actuator
 from undeadzone.observers.filtering.motion_detection import require_branch_observer
 from undeadzone.plants import build as plants
 from undeadzone.plants.options import Plant
 from undeadzone.plants.region import box
 from undeadzone.plants.system import System, pace
 from undeadzone.registry import ObserverOptions
-from undeadzone.scenario.encoders import require_gears, sensed
+from undeadzone.scenario.encoders import require_gears, resolve_sensor
 from undeadzone.scenario.messages import require_words
 from undeadzone.scenario.overrun import require_contact
 from undeadzone.scenario.schema import Model, Scenario, Simulation, Units
 from undeadzone.scenario.time_step import (
-    checked_time,
     require_bounded_error,
     require_fine_step,
     require_resolved,
-    sampled_within_limits,
+    require_steps,
+    sample_within_limits,
 )
 from undeadzone.signals import exosystem as signals
 from undeadzone.signals.exosystem import Exosystem
@@ -100,11 +100,11 @@ def resolve_scenario(scenario: Scenario) -> Problem:
         InputError: or a subclass, naming the key, what was found and what to do.
     """
     true, flow, x0 = systems(scenario)
-    step, steps = checked_time(scenario, true)
+    step, steps = require_steps(scenario, true)
     rate = pace(flow.linear)
-    sensor = sensed(scenario.sensor, true, step, rate)
+    sensor = resolve_sensor(scenario.sensor, true, step, rate)
     _require_numbers(sensor)
-    tracked = _tracked(scenario, true)
+    tracked = _tracked_outputs(scenario, true)
     reference, path = _reference(scenario, flow, tracked, x0, step)
     disturbance = _disturbance(scenario, true.m)
     if disturbance is not None:
@@ -114,21 +114,21 @@ def resolve_scenario(scenario: Scenario) -> Problem:
         substeps = scenario.simulation.substeps
         if not 1 <= substeps <= 1000:
             raise InputError(f"simulation.substeps: expected 1 to 1000, found {substeps}")
-        plant = sampled_within_limits("plant", true, step, substeps)
-        model = sampled_within_limits("model", flow, step, substeps)
+        plant = sample_within_limits("plant", true, step, substeps)
+        model = sample_within_limits("model", flow, step, substeps)
     else:
         _require_no_samples(true, flow, sensor)
     require_contact(sensor, reference, tracked, steps * step, step)
     actuator, belief = _actuator(scenario, true.m)
     if scenario.model is not None and scenario.model.play is not None:
         _require_play(scenario.model.play, sensor)
-    told = sensed(known_sensor(scenario), flow, step, rate)
+    told = resolve_sensor(sensor_of_model(scenario), flow, step, rate)
     require_branch_observer(scenario.observer, sensor)
     observer = watching(scenario.observer, model, told, belief, step)
     _require_room(sensor, observer)
     require_gears("controller", scenario.controller, model)
     controller = with_estimates(scenario.controller.build(model), model, observer.traits.uncertain)
-    controller = led_across(controller, model, sensor, tracked, scenario.behind_play)
+    controller = with_gap_compensation(controller, model, sensor, tracked, scenario.behind_play)
     controller = predicting(controller, model, belief)
     if model.Ts is None:
         require_fine_step(plant, model, observer, controller, step)
@@ -185,27 +185,27 @@ def watching(
     """
     require_branch_observer(options, told)
     require_gears("observer", options, model)
-    observer = built(options, model, told, belief)
+    observer = build_behind_actuator(options, model, told, belief)
     require_bounded_error(model, observer, step)
     return observer
 
 
-def known_actuator(scenario: Scenario) -> ActuatorModel | None:
+def describe_actuator(scenario: Scenario) -> ActuatorModel | None:
     """What is known of the actuator, in a user's words; None where there is none."""
     told = None if scenario.model is None else scenario.model.actuator
     if scenario.actuator is None:
         return told
     keys = ActuatorModel.__struct_fields__
-    return ActuatorModel(**_given(scenario.actuator, keys) | _given(told, keys))
+    return ActuatorModel(**_given_keys(scenario.actuator, keys) | _given_keys(told, keys))
 
 
-def known_sensor(scenario: Scenario) -> Sensor:
+def sensor_of_model(scenario: Scenario) -> Sensor:
     """Return the sensor as observers know it, in a user's words: with what [model] says of it."""
-    told = _given(scenario.model, ("load_friction", "play"))
+    told = _given_keys(scenario.model, ("load_friction", "play"))
     return msgspec.structs.replace(scenario.sensor, **told)
 
 
-def _given(table: msgspec.Struct | None, keys: Iterable[str]) -> dict[str, Any]:
+def _given_keys(table: msgspec.Struct | None, keys: Iterable[str]) -> dict[str, Any]:
     """Those of some keys that a table gives; nothing of a table that there is not."""
     values = {key: getattr(table, key, None) for key in keys}
     return {key: value for key, value in values.items() if value is not None}
@@ -236,11 +236,11 @@ def _require_play(told: Array, sensor: Zone) -> None:
 
 def _actuator(scenario: Scenario, inputs: int) -> tuple[Drive | None, Belief | None]:
     """Return the actuator and what is known of it; None where there is none. Raises InputError."""
-    belief = believed(known_actuator(scenario), inputs)
+    belief = believe_actuator(describe_actuator(scenario), inputs)
     if scenario.actuator is None:
         return None, belief
     drive = resolve_actuator(scenario.actuator, inputs)
-    if drive.rated and scenario.simulation.time != "sampled":
+    if drive.has_rate_limit and scenario.simulation.time != "sampled":
         raise InputError('actuator.rate: needs samples; set simulation.time = "sampled"')
     return drive, belief
 
@@ -285,7 +285,7 @@ def systems(scenario: Scenario) -> tuple[System, System, Floats]:
     require_visible(plant, "plant")
     model = plant
     if scenario.model is not None:
-        model = plants.system(modelled_plant(scenario), "model")
+        model = plants.system(plant_of_model(scenario), "model")
         require_visible(model, "model")
         if (model.n, model.m, model.p) != (plant.n, plant.m, plant.p):
             raise InputError(
@@ -304,7 +304,7 @@ def require_visible(system: System, key: str) -> None:
         require_structure(system.linear, key)
 
 
-def modelled_plant(scenario: Scenario) -> Plant:
+def plant_of_model(scenario: Scenario) -> Plant:
     """Return the plant as observer and controller know it: [model] over [plant].
 
     Raises InputError.
@@ -315,13 +315,13 @@ def modelled_plant(scenario: Scenario) -> Plant:
     if model.delay is not None:
         plant = msgspec.structs.replace(plant, delay=model.delay)
     if plant.f is not None or plant.arm is not None:
-        return _with_parameters(model, plant, _given(model, "ABC"))
+        return _with_parameters(model, plant, _given_keys(model, "ABC"))
     if model.parameters:
         raise InputError(
             "model.parameters: only a plant given by formulas or an arm has parameters; use A, B, C"
         )
     linear = plants.matrices(plant)
-    return Plant(**{**linear._asdict(), **_given(model, "ABC")}, delay=plant.delay)
+    return Plant(**{**linear._asdict(), **_given_keys(model, "ABC")}, delay=plant.delay)
 
 
 def _with_parameters(model: Model, plant: Plant, matrices: dict[str, object]) -> Plant:
@@ -343,7 +343,7 @@ def _with_parameters(model: Model, plant: Plant, matrices: dict[str, object]) ->
     return msgspec.structs.replace(plant, parameters=plant.parameters | model.parameters)
 
 
-def _tracked(scenario: Scenario, plant: System) -> list[int]:
+def _tracked_outputs(scenario: Scenario, plant: System) -> list[int]:
     """Return the numbers of the outputs that follow the reference. Raises InputError."""
     if scenario.tracked is None:
         return list(range(min(plant.m, plant.p)))
@@ -367,7 +367,7 @@ def _reference(
         reference = signals.exosystem("reference", scenario.reference, len(tracked))
         require_resolved("reference", reference, step)
         return reference, None
-    path = followed(scenario, flow, x0, step)
+    path = flat_path(scenario, flow, x0, step)
     size = len(tracked)
     reference = Exosystem(
         np.zeros((size, size)), np.eye(size), lambda t: flat_targets(flow, path, tracked, t).r
@@ -396,7 +396,7 @@ def constant_gains(observer: Observer, model: System) -> tuple[Floats, Floats] |
     return traits.L / model.per_step, traits.gamma / model.per_step
 
 
-def followed(scenario: Scenario, model: System, start: Floats, step: float) -> Exosystem:
+def flat_path(scenario: Scenario, model: System, start: Floats, step: float) -> Exosystem:
     """Return the path of the flat coordinates: of the joints, or of an elastic joint's link.
 
     The reference gives it as such, or for the tip.

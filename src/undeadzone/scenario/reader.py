@@ -61,7 +61,7 @@ def read(path: str | os.PathLike[str], confine: str | os.PathLike[str] | None = 
     path = path_of(path)
     with _naming(path):
         scenario = parse(_text(path), path.parent)
-    return scenario if confine is None else confined(scenario, Path(confine))
+    return scenario if confine is None else confine_files(scenario, Path(confine))
 
 
 def read_for_logs(
@@ -82,11 +82,11 @@ def read_for_logs(
     """
     path = path_of(path)
     with _naming(path):
-        scenario = convert(_completed(_tables(_text(path))), path.parent)
-    return scenario if confine is None else confined(scenario, Path(confine))
+        scenario = convert(_complete_tables(_tables(_text(path))), path.parent)
+    return scenario if confine is None else confine_files(scenario, Path(confine))
 
 
-def _completed(data: dict[str, Any]) -> dict[str, Any]:
+def _complete_tables(data: dict[str, Any]) -> dict[str, Any]:
     """Return the tables with what a scenario for logs may leave out. Raises InputError."""
     for name, table in _STAND_INS.items():
         data.setdefault(name, table)
@@ -189,15 +189,15 @@ def convert(data: dict[str, Any], folder: Path = Path()) -> Scenario:
         raise InputError("the tables are nested too deeply for a scenario") from None
     except msgspec.ValidationError as error:
         raise InputError(explain(str(error), data, Scenario)) from None
-    return anchored(scenario, folder)
+    return anchor_files(scenario, folder)
 
 
-def anchored(scenario: Scenario, folder: Path) -> Scenario:
+def anchor_files(scenario: Scenario, folder: Path) -> Scenario:
     """Return the scenario with the files that it names taken from `folder`."""
     return _with_files(scenario, lambda key, path: str(folder / path))
 
 
-def confined(scenario: Scenario, folder: Path) -> Scenario:
+def confine_files(scenario: Scenario, folder: Path) -> Scenario:
     """Return the scenario with the real paths of the files that it names, links followed.
 
     Args:

@@ -9,7 +9,7 @@ import numpy as np
 from undeadzone.errors import InputError, ShapeError, StepError, StructureError
 from undeadzone.interfaces import Controller, Observer
 from undeadzone.linalg.poles import slowest
-from undeadzone.plants.system import System, sampled
+from undeadzone.plants.system import System, sample_plant
 from undeadzone.scenario.schema import Scenario, Simulation
 from undeadzone.signals.exosystem import Exosystem
 from undeadzone.util.arrays import scalar, seed_of
@@ -19,7 +19,7 @@ MEMORY: Final = 4e9  # [bytes] of signals that one run may hold
 GROWTH: Final = 10  # largest exponent by which a plant may grow within one sample
 
 
-def checked_time(scenario: Scenario, plant: System) -> tuple[float, int]:
+def require_steps(scenario: Scenario, plant: System) -> tuple[float, int]:
     """Return the step [s] and the number of steps of a simulation.
 
     Raises:
@@ -76,7 +76,7 @@ def require_resolved(key: str, signal: Exosystem, step: float) -> None:
         )
 
 
-def sampled_within_limits(key: str, system: System, step: float, substeps: int) -> System:
+def sample_within_limits(key: str, system: System, step: float, substeps: int) -> System:
     """Return the sampled system.
 
     It is observable where the continuous one is, since no two poles fall on one (Kalman, Ho,
@@ -112,7 +112,7 @@ def sampled_within_limits(key: str, system: System, step: float, substeps: int) 
             f"has a mode at {fastest:.4g} 1/s where it is linearised (an arm's Coulomb friction is "
             f"steep near rest); use simulation.substeps = {needed} or more"
         )
-    result = sampled(system, step, substeps)
+    result = sample_plant(system, step, substeps)
     if not all(np.isfinite(part).all() for part in result.linear):
         raise StepError(f"{too_coarse}: the {key} cannot be sampled (its matrices overflow)")
     return result

@@ -15,7 +15,7 @@ from undeadzone.observers.contact import MOST_COUPLED
 from undeadzone.plants.robots.survey import Survey
 from undeadzone.plants.robots.urdf_elements import Joint
 from undeadzone.util.arrays import Floats
-from undeadzone.util.text import filled, json_line
+from undeadzone.util.text import fill_words, json_line
 
 SWING = {"revolute": 0.3, "continuous": 0.3, "prismatic": 0.05}  # [rad or m] to each side
 SHARE = 0.8  # of the way to a limit, and of the greatest speed
@@ -50,22 +50,22 @@ def starting_scenario(found: Survey, path: str, gears: bool = False) -> str:
         "path": _text(path),
         "joints": _texts(found.body.chain.joints),
         "tip": _text(found.tip),
-        "posture": _listed(found.q),
-        "start": _listed(np.r_[found.q, np.zeros(found.q.size)]),
-        "right": 0.0 if gears else _listed(widths),
-        "left": 0.0 if gears else _listed(widths / 2),
-        "noise": _listed(widths / 50),
-        "points": ", ".join(map(_listed, points)),
+        "posture": _toml_numbers(found.q),
+        "start": _toml_numbers(np.r_[found.q, np.zeros(found.q.size)]),
+        "right": 0.0 if gears else _toml_numbers(widths),
+        "left": 0.0 if gears else _toml_numbers(widths / 2),
+        "noise": _toml_numbers(widths / 50),
+        "points": ", ".join(map(_toml_numbers, points)),
         "times": [0.0, PERIOD / 4, 3 * PERIOD / 4, PERIOD],
         "ranges": ", ".join(map(_range, widths)),
-        "x_std": _listed(np.r_[widths / 5, widths]),
-        "disturbance": _listed(LEFT_OUT * torque),
+        "x_std": _toml_numbers(np.r_[widths / 5, widths]),
+        "disturbance": _toml_numbers(LEFT_OUT * torque),
         "most": f"{WIDER * widths.max():.3g}",
         "duration": 2 * PERIOD,
     }
     template = files("undeadzone.scenario").joinpath("urdf_start.toml").read_text(encoding="utf-8")
     words |= _units(found.joints, bodies=1 + gears)
-    return filled(template, words | (_gears(found, widths) if gears else {}))
+    return fill_words(template, words | (_gears(found, widths) if gears else {}))
 
 
 def _gears(found: Survey, widths: Floats) -> dict[str, str]:
@@ -73,7 +73,7 @@ def _gears(found: Survey, widths: Floats) -> dict[str, str]:
     torque = found.body.chain.torque
     friction = FRICTION * np.where(np.isfinite(torque), torque, np.abs(found.holding))
     guessed = {"half": GAP * widths, "inertia": _links(found), "friction": friction}
-    return {name: _listed(numbers) for name, numbers in guessed.items()}
+    return {name: _toml_numbers(numbers) for name, numbers in guessed.items()}
 
 
 def _links(found: Survey) -> Floats:
@@ -120,6 +120,6 @@ def _range(width: float) -> str:
     return f"[0.0, {3 * width:.3g}]"
 
 
-def _listed(values: Floats) -> str:
+def _toml_numbers(values: Floats) -> str:
     """Return numbers as a list in TOML, to six digits."""
     return str([float(f"{value:.6g}") for value in values])

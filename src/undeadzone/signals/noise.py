@@ -66,7 +66,7 @@ def colour(correlation: float, step: float) -> Colour:
     return Colour(memory, math.sqrt(1 - memory**2))
 
 
-def coloured(
+def coloured_noise(
     seed: int, samples: int, rms: Floats, correlation: float, step: float, run: int = 0
 ) -> Floats:
     """Return first-order Gaussian noise, stationary from the start.

@@ -20,7 +20,7 @@ from undeadzone.nonlinearities.actuator import (
 )
 from undeadzone.nonlinearities.limits import at_limit
 from undeadzone.nonlinearities.play import apply_backlash, contact
-from undeadzone.nonlinearities.sensor import branch, edges, quantised, side, zone
+from undeadzone.nonlinearities.sensor import branch, edges, quantise, side, zone
 from undeadzone.numerics import dense_output
 from undeadzone.numerics.dense_output import Levels
 from undeadzone.numerics.runge_kutta import rk4
@@ -128,10 +128,10 @@ class Wiring(NamedTuple):
             mode = Mode(mode.zone, contact(level, s.sensor))
         elif self.p.sensor.gap_right.numel():
             level = self.ahead_of_zone(s, w)
-        reading = self._read(self.ahead_of_zone(s, w), level, s, w, mode)
+        reading = self._sensor_reading(self.ahead_of_zone(s, w), level, s, w, mode)
         driven, u, estimate = self.answer(s, reading, w.target)
         line, acting = through_line(s.line, u)
-        actuator, entering = self._actuated(s, acting)
+        actuator, entering = self._actuate(s, acting)
         if self.p.sensor.friction.numel():  # of the load, while it is pushed
             entering = entering - self.p.sensor.friction * contact(level, s.sensor)
         plant = self.plant.move(self.p.plant, s.plant, entering + w.w)
@@ -161,9 +161,13 @@ class Wiring(NamedTuple):
             compensator, u = self.compensator.step(*parts)
         if self.plant.limit is not None:
             u = ca.fmax(ca.fmin(u, self.plant.limit), -self.plant.limit)
-        return Driven(tree.substituted(observer, unused, u), controller, compensator), u, estimate
+        return (
+            Driven(tree.substitute_symbol(observer, unused, u), controller, compensator),
+            u,
+            estimate,
+        )
 
-    def _actuated(self, s: State, u: ca.SX) -> tuple[Any, ca.SX]:
+    def _actuate(self, s: State, u: ca.SX) -> tuple[Any, ca.SX]:
         """Return (the command within its rate, what enters the plant) of a command u (m)."""
         drive = self.p.actuator
         if drive is None:
@@ -174,7 +178,9 @@ class Wiring(NamedTuple):
             last = passed
         return last, through_zone(ca, passed, drive)
 
-    def _read(self, z: ca.SX, level: ca.SX, s: State, w: Exogenous, mode: Mode) -> Reading:
+    def _sensor_reading(
+        self, z: ca.SX, level: ca.SX, s: State, w: Exogenous, mode: Mode
+    ) -> Reading:
         """What the sensor gives of `ahead_of_zone` (p) on a given branch; level: of a play."""
         sensor, limits, read = self.p.sensor, self.p.sensor.limits, mode.side
         if self.kind == "play":
@@ -185,7 +191,7 @@ class Wiring(NamedTuple):
             y = ca.if_else(read > 1, limits.high, y)
             return Reading(ca.if_else(read < -1, limits.low, y), read, s.plant)
         rounded = sensor.quantum.numel() > 0
-        y = self._within_range(quantised(y, sensor.quantum) if rounded else y)
+        y = self._within_range(quantise(y, sensor.quantum) if rounded else y)
         if self.kind == "play" and limits is not None:
             end = at_limit(y, limits)
             read = ca.if_else(end != 0, 2 * end, read)
@@ -244,12 +250,12 @@ def close(problem: Problem) -> loop.Loop:
     elif simulation.switching != "located":
         following = _plain(step)
     else:
-        attempts = _located(step, simulation.order)
+        attempts = _located_attempts(step, simulation.order)
         following = _first_that_suffices(attempts)
     # At once: to look for what is computed twice takes longest of all.
     following, out, *ends = ca.cse([following, out, *itertools.chain(*attempts)])
     parts = _in_parts(ends, inputs, out) if attempts else None
-    shapes = tree.mapped(lambda leaf: np.zeros(leaf.shape[0]), outputs)
+    shapes = tree.map_leaves(lambda leaf: np.zeros(leaf.shape[0]), outputs)
     whole = _function("step", inputs, next=following, out=out)
     return loop.Loop(whole, state, params, shapes, instant, parts)
 
@@ -291,7 +297,7 @@ def _state(problem: Problem) -> loop.State:
         controller=controller.init(controller.params),
         sensor=sensor.start if sensor.moves else np.zeros(0),
         compensator=None if undoing is None else undoing.init(undoing.params),
-        actuator=np.zeros(plant.m if drive is not None and drive.rated else 0),
+        actuator=np.zeros(plant.m if drive is not None and drive.has_rate_limit else 0),
         line=np.zeros(plant.delay * plant.m),
     )
 
@@ -389,7 +395,7 @@ def exogenous_at(columns: list[ca.SX], c: Any, p: int) -> ca.SX:
     return ca.vertcat(first + c * (slope + c * curvature), held)
 
 
-def _located(step: _Step, order: int) -> list[dense_output.StepAttempt]:
+def _located_attempts(step: _Step, order: int) -> list[dense_output.StepAttempt]:
     """Return attempts at a step with its changes of side located (`event_location.located_step`).
 
     A change of zone that leaves the side as it is (noise beyond the threshold) is not located.
@@ -409,15 +415,15 @@ def _located(step: _Step, order: int) -> list[dense_output.StepAttempt]:
     edges = wiring.levels(noise)
 
     def after(mode: Mode, crossing: dense_output.Crossing) -> Mode:
-        edge = dense_output.met(edges, mode.side, crossing.rising)
-        return entered(mode, crossing, edge, right, left)
+        edge = dense_output.first_crossed_level(edges, mode.side, crossing.rising)
+        return branch_after_crossing(mode, crossing, edge, right, left)
 
     levels = dense_output.Levels(*(tuple(edge - noise.before for edge in part) for part in edges))
-    attempts = dense_output.located_step(arc, levels, before, after, step.start)
+    attempts = dense_output.step_with_events(arc, levels, before, after, step.start)
     return [attempt._replace(end=wiring.admissible(like, attempt.end)) for attempt in attempts]
 
 
-def entered(
+def branch_after_crossing(
     mode: Mode, crossing: dense_output.Crossing, edge: ca.SX, right: ca.SX, left: ca.SX
 ) -> Mode:
     """Return the branch after a crossing.

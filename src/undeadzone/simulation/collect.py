@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 import undeadzone
-from undeadzone.analysis.branch_schedule import Schedule, recorded
+from undeadzone.analysis.branch_schedule import Schedule, schedule_of_record
 from undeadzone.analysis.certificate.passivity import Certificate, certify
 from undeadzone.analysis.identifiability.disturbance import unknown_constants
 from undeadzone.analysis.identifiability.linear import Verdict
@@ -31,7 +31,7 @@ from undeadzone.simulation.identifiability import (
     by_claims,
     late_inputs,
     linear_verdicts,
-    told_at_both_ends,
+    widths_with_unknown_actuator,
     with_cures,
     with_false_claims,
     withdrawn,
@@ -58,7 +58,7 @@ def verdicts_of_run(problem: Problem, signal: Outputs) -> list[Verdict]:
     if problem.plant.nonlinear:
         return with_false_claims(problem, _verdicts_along(problem, signal))
     step, arrived = problem.scenario.simulation.step, np.isfinite(signal.y)
-    schedule = recorded(signal.z, problem.sensor, step, problem.model.Ts, arrived)
+    schedule = schedule_of_record(signal.z, problem.sensor, step, problem.model.Ts, arrived)
     if actuator_unknown(problem):
         found = _both_ends(problem, signal, schedule)
     else:
@@ -87,7 +87,7 @@ def _both_ends(problem: Problem, signal: Outputs, schedule: Schedule) -> list[Ve
 
     The deviations are those that the filter claims in the end.
     """
-    outputs = told_at_both_ends(problem, signal, schedule)
+    outputs = widths_with_unknown_actuator(problem, signal, schedule)
     e = signal.estimate
     claimed = zip(e.right_std[-1], e.left_std[-1], e.width_std[-1], strict=True)
     judged = []

@@ -142,7 +142,7 @@ class Consistency:
         return max(MOST_SQUARE, 1 + 5 * math.sqrt(2 / count))
 
     @property
-    def exceeded(self) -> float:
+    def share_beyond_limit(self) -> float:
         """Return the share of the samples at which B was beyond its limit."""
         return self._exceeded / max(1, self._samples)
 
@@ -260,8 +260,8 @@ def _sums_too_large(test: Consistency) -> list[str]:
     """Why the sums of innovations are not what was claimed; empty if they are."""
     if test.B > CHANCE:
         return [f"the innovations' means are too large: B = {test.B:.3g} > {CHANCE:g}"]
-    if test.exceeded > MOST_OF_THE_TIME:
-        return [f"B exceeded {CHANCE:g} during {100 * test.exceeded:.0f} % of the record"]
+    if test.share_beyond_limit > MOST_OF_THE_TIME:
+        return [f"B exceeded {CHANCE:g} during {100 * test.share_beyond_limit:.0f} % of the record"]
     return []
 
 

@@ -22,7 +22,7 @@ from undeadzone.compile import interpret
 from undeadzone.errors import FileError, InputError
 from undeadzone.interfaces import Estimate, Observer
 from undeadzone.logs.names import Layout, parse_columns
-from undeadzone.logs.samples import Faults, LogReader, Placed, placed, samples_of_text
+from undeadzone.logs.samples import Faults, LogReader, Placed, place_on_steps, samples_of_text
 from undeadzone.logs.whole import BINARY, samples_of, samples_of_arrays
 from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.numerics.adjoint import Later, back
@@ -89,11 +89,11 @@ def estimate(
             raise InputError("estimate: expected a file, a DataFrame, or arrays y and u")
         step, model = scenario.simulation.step, follower.model
         samples = samples_of_arrays(t, y, u, model.p, model.m, step)
-        log = _Log("arrays", placed(samples, t is not None, step, "arrays"))
+        log = _Log("arrays", place_on_steps(samples, t is not None, step, "arrays"))
     elif t is not None or y is not None or u is not None:
         raise InputError("estimate: expected a log or arrays, found both")
     else:
-        log = _read(scenario, follower, frame_or_path, chosen, strict)
+        log = _read_any_log(scenario, follower, frame_or_path, chosen, strict)
     regular = log.placed.samples
     if regular.t.size > LARGEST_LOG:
         raise FileError(
@@ -129,7 +129,7 @@ class _Log(NamedTuple):
     faults: Faults | None = None
 
 
-def _read(
+def _read_any_log(
     scenario: Scenario, follower: Follower, log: Any, chosen: Mapping[str, str], strict: bool
 ) -> _Log:
     """Return a log from a file or a DataFrame."""
@@ -148,8 +148,8 @@ def _read(
         samples, layout = samples_of(Path(log) if is_path else log, p, m, chosen, source)
     if layout is not None:
         require_units(layout, scenario.units, source)
-    timed = layout is not None and layout.timed
-    on_steps = placed(samples, timed, scenario.simulation.step, source)
+    timed = layout is not None and layout.has_times
+    on_steps = place_on_steps(samples, timed, scenario.simulation.step, source)
     return _Log(source, on_steps, layout, faults)
 
 
@@ -229,7 +229,7 @@ def smooth(
         pieces.append(rows)
         if progress is not None:
             progress(len(part))
-    return _arranged(model, np.vstack(pieces[::-1]))
+    return _arrange_smoothed(model, np.vstack(pieces[::-1]))
 
 
 def _graphs(model: System, observer: Observer, sensor: Zone) -> _Graphs:
@@ -238,7 +238,7 @@ def _graphs(model: System, observer: Observer, sensor: Zone) -> _Graphs:
     smoothing, inputs = observer.smoothing, [known.s, known.w, known.p]
     following, given = known.step(*inputs)
     every = smoothing.moments(known.params, known.state, known.used, known.reading)
-    like = tree.mapped(lambda leaf: np.zeros(ca.SX(leaf).shape), every)
+    like = tree.map_leaves(lambda leaf: np.zeros(ca.SX(leaf).shape), every)
     init = observer.init(observer.params)
     record = smoothing.record(init)
     beliefs = [Gaussian(np.zeros(one.before.mean.shape), one.before.cov) for one in like]
@@ -274,7 +274,7 @@ def _block(graphs: _Graphs, start: Floats, w: Floats, ahead: _Ahead) -> tuple[Fl
     watched, final = interpret.run(graphs.step, start, w, numbers)
     estimates, before_each = np.split(watched, [-start.size], axis=1)
     states = np.vstack([before_each[1:], final])  # after each sample
-    moments = interpret.mapped(graphs.moments, np.hstack([before_each, w]), numbers)
+    moments = interpret.evaluate_rows(graphs.moments, np.hstack([before_each, w]), numbers)
     every = _arrays(graphs.like, moments)
     beliefs, before = [], []
     for one, later in zip(every, ahead.later, strict=True):
@@ -284,7 +284,7 @@ def _block(graphs: _Graphs, start: Floats, w: Floats, ahead: _Ahead) -> tuple[Fl
     logs = np.column_stack([one.log for one in every])
     shares, odds = _shares(graphs, states, logs, ahead.odds)
     records, worst = _records(graphs, states, ahead.worst)
-    shown = interpret.mapped(graphs.shown, np.hstack([*beliefs, shares, records]), numbers)
+    shown = interpret.evaluate_rows(graphs.shown, np.hstack([*beliefs, shares, records]), numbers)
     # Where no belief can be smoothed, the filter itself shows.
     lost = ~np.isfinite(shown).all(axis=1)
     shown[lost] = np.hstack([estimates[lost, part] for part in graphs.causal])
@@ -343,7 +343,7 @@ def _records(graphs: _Graphs, states: Floats, worst: Any) -> tuple[Floats, Any]:
     return records, worst
 
 
-def _arranged(model: System, shown: Floats) -> dict[str, Floats]:
+def _arrange_smoothed(model: System, shown: Floats) -> dict[str, Floats]:
     """Return the smoothed signals by name, right and left of each output in turn."""
     n, p = model.n, model.p
     ends = np.cumsum([n, p, p, p, n, p])

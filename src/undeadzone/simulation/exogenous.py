@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from undeadzone.feedforward.targets import Target, flat_targets, inverted_targets, linear_targets
+from undeadzone.feedforward.targets import Target, flat_targets, invert_targets, linear_targets
 from undeadzone.scenario.problem import Problem
 from undeadzone.signals import exosystem as signals
 from undeadzone.signals import noise
@@ -60,7 +60,7 @@ def exogenous(
     seed = simulation.seed if seed is None else seed
     held = np.zeros((rows.size, HELD * plant.p))
     if run is not None:
-        held[:] = np.hstack(_held(problem, seed, run))[rows // refine]
+        held[:] = np.hstack(_held_values(problem, seed, run))[rows // refine]
     grid = _Grid(rows, refine, simulation.step / refine, knots_of(problem, run, seed))
     if plant.Ts is not None:
         return np.hstack(_at_samples(problem, grid, held))
@@ -85,7 +85,7 @@ def knots_of(problem: Problem, run: int | None, seed: int | None = None) -> Floa
     if random is None:
         return np.zeros((problem.steps + 2, problem.plant.m))
     seed = simulation.seed if seed is None else seed
-    return noise.coloured(seed, problem.steps + 2, *random, simulation.step, run or 0)
+    return noise.coloured_noise(seed, problem.steps + 2, *random, simulation.step, run or 0)
 
 
 def _at_samples(problem: Problem, grid: _Grid, held: Floats) -> list[Floats]:
@@ -138,7 +138,7 @@ def _disturbance(problem: Problem, grid: _Grid, t: Floats, fraction: float) -> F
     return between(grid.knots[grid.lower], grid.knots[grid.lower + 1], share)
 
 
-def _held(problem: Problem, seed: int, run: int) -> list[Floats]:
+def _held_values(problem: Problem, seed: int, run: int) -> list[Floats]:
     """What keeps its value within a step, a row each: the last entries of `loop.Exogenous`."""
     sensor, p = problem.sensor, problem.plant.p
 
@@ -147,7 +147,7 @@ def _held(problem: Problem, seed: int, run: int) -> list[Floats]:
         return noise.gaussian(seed, stream, *shape, run) if size.any() else np.zeros(shape)
 
     moves = normal(noise.WEAR, sensor.drift, 2 * p) * strides(problem)
-    walk = worn(np.cumsum(moves, axis=0))
+    walk = width_drift(np.cumsum(moves, axis=0))
     missing = lost(normal(noise.LOSS, sensor.dropout, p), sensor.dropout)
     return [
         normal(noise.BEFORE, sensor.noise_before, p),
@@ -171,7 +171,7 @@ def strides(problem: Problem) -> Floats:
     return np.tile(problem.sensor.drift * np.sqrt(problem.scenario.simulation.step), 2)
 
 
-def worn(walk: Floats) -> Floats:
+def width_drift(walk: Floats) -> Floats:
     """How much wider an edge is, relative, once the logarithm of its width has moved so far."""
     return np.expm1(walk)
 
@@ -217,14 +217,14 @@ def targets(problem: Problem, t: Floats) -> Target:
         problem: what is simulated.
         t: times (N) [s].
     """
-    target, plan = _followed(problem, t), problem.controller.plan
+    target, plan = _targets_at(problem, t), problem.controller.plan
     if problem.model.nonlinear and problem.model.Ts is not None:
-        target = target._replace(u_ff=_followed(problem, t + problem.model.Ts / 2).u_ff)
+        target = target._replace(u_ff=_targets_at(problem, t + problem.model.Ts / 2).u_ff)
     planned = np.empty((t.size, 0)) if plan is None else plan.along(plan.params, target)
     return target._replace(plan=planned)
 
 
-def _followed(problem: Problem, t: Floats) -> Target:
+def _targets_at(problem: Problem, t: Floats) -> Target:
     """Return targets at times t [s], by the method that the model allows."""
     if not problem.model.nonlinear:
         return linear_targets(problem.model, problem.reference, problem.tracked, t)
@@ -232,4 +232,4 @@ def _followed(problem: Problem, t: Floats) -> Target:
         return flat_targets(problem.flow, problem.path, problem.tracked, t)
     n, x_eq = problem.model.n, problem.scenario.plant.x_eq
     start = vector("plant.x_eq", np.zeros(n) if x_eq is None else x_eq, n)
-    return inverted_targets(problem.flow, problem.reference, problem.tracked, t, start)
+    return invert_targets(problem.flow, problem.reference, problem.tracked, t, start)

@@ -61,7 +61,7 @@ def feedback_shares(
     else:
         z, z_hat = run.z, run.z_hat
     other = problem._replace(plant=_larger(problem.plant))
-    larger, _ = signals_of(other, _moved(start, other), progress)
+    larger, _ = signals_of(other, _perturbed_start(start, other), progress)
     half = slice(len(z) // 2, None)
     with np.errstate(all="ignore"):
         left = (larger.z - larger.estimate.z) - (z - z_hat)
@@ -72,7 +72,7 @@ def feedback_shares(
     return told
 
 
-def _moved(start: Start | None, other: Problem) -> Start | None:
+def _perturbed_start(start: Start | None, other: Problem) -> Start | None:
     """What a run starts from whose plant has another output; a linear one has other numbers."""
     if start is None or other.plant.nonlinear:
         return None if start is None else prepare(other)

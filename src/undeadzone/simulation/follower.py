@@ -16,10 +16,15 @@ from undeadzone.logs.samples import MOST_UNREADABLE, Faults, LogReader, Placed, 
 from undeadzone.plants.system import state_units, time_scale
 from undeadzone.results.info import LogInfo
 from undeadzone.results.signals import final, of_estimate
-from undeadzone.scenario.problem import known_actuator, known_sensor, modelled_plant, with_units
+from undeadzone.scenario.problem import (
+    describe_actuator,
+    plant_of_model,
+    sensor_of_model,
+    with_units,
+)
 from undeadzone.scenario.schema import Scenario, Units
 from undeadzone.simulation.consistency import Consistency, Own, verdict_of
-from undeadzone.simulation.online import Online, built_for
+from undeadzone.simulation.online import Online, build_observer
 from undeadzone.simulation.sample_by_sample import numeric_along
 from undeadzone.util.arrays import Floats, scalar
 
@@ -57,11 +62,11 @@ class Follower:
     )
 
     def __init__(self, scenario: Scenario, live: bool = False) -> None:
-        simulation, plant = scenario.simulation, modelled_plant(scenario)
+        simulation, plant = scenario.simulation, plant_of_model(scenario)
         step = scalar("simulation.step", simulation.step, above=0.0)
-        parts = (scenario.observer, plant, known_sensor(scenario), step, simulation.substeps)
-        actuator = known_actuator(scenario)
-        self.model, self.zone, built = built_for(*parts, actuator)
+        parts = (scenario.observer, plant, sensor_of_model(scenario), step, simulation.substeps)
+        actuator = describe_actuator(scenario)
+        self.model, self.zone, built = build_observer(*parts, actuator)
         if live:
             graph_of(built)
         self.observer = built
@@ -243,7 +248,7 @@ class Follower:
         remarks = []
         for i, running in enumerate(self._ends):
             ends = running.ends()
-            if ends.found:
+            if ends.has_ends:
                 remarks.append(
                     f"{ends.number} readings of output {i} stick at an end of their range, where "
                     f"they only bound z: set sensor.range = {ends.text}"
@@ -315,7 +320,7 @@ class LiveLog:
             return
         if not begun:
             require_units(layout, self._units, self._source)
-        for piece in self.clock.place(samples, self.reader.latest, layout.timed, last):
+        for piece in self.clock.place(samples, self.reader.latest, layout.has_times, last):
             if piece.samples.t.size:
                 yield piece
 

@@ -22,7 +22,7 @@ from undeadzone.analysis.identifiability.linear import (
     verdicts,
 )
 from undeadzone.analysis.identifiability.nonlinear import beforehand
-from undeadzone.analysis.identifiability.play_and_zone import told_of_both
+from undeadzone.analysis.identifiability.play_and_zone import gap_and_width_information
 from undeadzone.analysis.identifiability.sensor_and_actuator import both_ends, modes_visited
 from undeadzone.interfaces import Traits
 from undeadzone.nonlinearities.play import gaps_of
@@ -94,7 +94,7 @@ def _of_both(problem: Problem, schedule: Schedule, arrive: Floats) -> list[Verdi
     judged, play = [], problem.sensor.play
     assert play is not None
     readings = readings_of(problem, schedule, arrive)
-    for i, told in enumerate(told_of_both(problem.model.linear, schedule, readings)):
+    for i, told in enumerate(gap_and_width_information(problem.model.linear, schedule, readings)):
         assert told.zone.std is not None
         zone = as_far_as_known(problem, schedule, told.zone, i, told.zone.std)
         gap = float(play.right[i] + play.left[i])
@@ -167,7 +167,9 @@ def actuator_unknown(problem: Problem) -> bool:
     return belief is not None and belief.ranges is not None and not problem.plant.nonlinear
 
 
-def told_at_both_ends(problem: Problem, signal: Outputs, schedule: Schedule) -> list[Verdict]:
+def widths_with_unknown_actuator(
+    problem: Problem, signal: Outputs, schedule: Schedule
+) -> list[Verdict]:
     """Which of the sensor's widths a run's readings determine where the actuator's are not known.
 
     Args:
@@ -251,7 +253,7 @@ def _with_false_gaps(problem: Problem, verdict: Verdict, i: int) -> Verdict:
     if play is None or model is None or model.play is None:
         return verdict
     true = np.stack([play.right, play.left])
-    if _claimed(true, *gaps_of(model.play, problem.model.p, "model.play"))[:, i].all():
+    if _meets_assumptions(true, *gaps_of(model.play, problem.model.p, "model.play"))[:, i].all():
         return verdict
     reason = f"a false claim: model.play excludes the gaps of the sensor, {true[:, i].tolist()}"
     return verdict.because(reason, **NONE)
@@ -266,13 +268,13 @@ def _with_false_actuator(problem: Problem, verdict: Verdict) -> Verdict:
         return verdict
     true = np.stack([actuator.right, actuator.left])
     told = np.stack([belief.drive.right, belief.drive.left])
-    if _claimed(true, told, belief.ranges).all():
+    if _meets_assumptions(true, told, belief.ranges).all():
         return verdict
     reason = f"a false claim: model.actuator excludes the actuator's widths, {true.tolist()}"
     return verdict.because(reason, **NONE)
 
 
-def _claimed(true: Floats, told: Floats, ranges: Floats | None) -> np.ndarray:
+def _meets_assumptions(true: Floats, told: Floats, ranges: Floats | None) -> np.ndarray:
     """Return whether true [right, left] (2 x each) are as told, or in the ranges that are told."""
     low, high = (told, told) if ranges is None else ranges.T.reshape(2, *true.shape)
     slack = ROUNDING * true

@@ -30,13 +30,13 @@ def what_would_fit(scenario: Scenario, found: Estimation) -> str | None:
         found: what it made of it.
     """
     t, y, u = found.t[:SAMPLES], found.y[:SAMPLES], found.u[:SAMPLES]
-    best, words = BETTER * _missed(found.innovation[:SAMPLES], y), None
+    best, words = BETTER * _unexplained_share(found.innovation[:SAMPLES], y), None
     follower = Follower(scenario)
     for name, readings, inputs in _misreadings(y, u, follower.model.delay):
         follower.begin()
         samples = Regular(t, readings, inputs)
         tried, *_ = follower.follow(samples)
-        missed = _missed(tried.innovation, readings)
+        missed = _unexplained_share(tried.innovation, readings)
         if missed < best and follower.info("log", None, Placed(samples)).consistent:
             best, words = missed, name
     return words
@@ -63,7 +63,7 @@ def _misreadings(y: Floats, u: Floats, known: int) -> Iterator[tuple[str, Floats
         yield f"the inputs act {delay} samples earlier: {earlier}", y, early
 
 
-def _missed(innovation: Floats, y: Floats) -> float:
+def _unexplained_share(innovation: Floats, y: Floats) -> float:
     """Return share of the readings that their predictions miss (rms over rms)."""
     with np.errstate(all="ignore"):
         share = np.nanmean(innovation**2) / np.nanmean(y**2)

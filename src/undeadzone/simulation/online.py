@@ -11,19 +11,26 @@ import numpy as np
 
 from undeadzone.compile.interpret import Stepper
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.interfaces import Estimate, Observer, Reading, graph_of, known_side, received
-from undeadzone.nonlinearities.actuator import ActuatorModel, believed
+from undeadzone.interfaces import (
+    Estimate,
+    Observer,
+    Reading,
+    graph_of,
+    receive_reading,
+    side_of_sample,
+)
+from undeadzone.nonlinearities.actuator import ActuatorModel, believe_actuator
 from undeadzone.nonlinearities.sensor import Sensor, Zone, present
 from undeadzone.plants import build as plants
 from undeadzone.plants.options import Plant
-from undeadzone.plants.system import System, pace, sampled
+from undeadzone.plants.system import System, pace, sample_plant
 from undeadzone.registry import ObserverOptions
-from undeadzone.scenario.encoders import sensed
+from undeadzone.scenario.encoders import resolve_sensor
 from undeadzone.scenario.messages import require_kind, require_words
 from undeadzone.scenario.overrun import overrun_along
 from undeadzone.scenario.problem import require_visible, watching
 from undeadzone.util import tree
-from undeadzone.util.arrays import Array, Floats, scalar, unmasked
+from undeadzone.util.arrays import Array, Floats, scalar, unmask
 
 if TYPE_CHECKING:
     from undeadzone.compile.scalar_step import CompiledStepper
@@ -77,12 +84,12 @@ def observer_graph(model: System, observer: Observer, sensor: Zone) -> ObserverG
     s, (state, held) = tree.symbols(start, "s")
     y, u = ca.SX.sym("y", model.p), ca.SX.sym("u", model.m)
     used = ca.if_else(present(u), u, held)
-    w, reading = ca.vertcat(y, u), received(y, *levels)
+    w, reading = ca.vertcat(y, u), receive_reading(y, *levels)
     after, estimate = observer.step(params, state, used, reading)
-    out = Out(estimate, known_side(reading, estimate), ca.mmin(present(y)) == 0)
+    out = Out(estimate, side_of_sample(reading, estimate), ca.mmin(present(y)) == 0)
     results = [tree.stack((after, used)), tree.stack(out)]
     step = ca.Function("live", [s, w, p], results, {"cse": True})
-    shapes: Out = tree.mapped(lambda part: np.zeros(part.shape[0]), out)
+    shapes: Out = tree.map_leaves(lambda part: np.zeros(part.shape[0]), out)
     symbols = (s, w, p, state, params, used, reading)
     return ObserverGraph(step, shapes, *symbols, tree.pack(start), tree.pack(values))
 
@@ -131,7 +138,7 @@ class Online:
         actuator: ActuatorModel | None = None,
     ) -> None:
         self._asked = observer, plant, sensor, step, substeps, compiled, actuator
-        self.model, zone, built = built_for(observer, plant, sensor, step, substeps, actuator)
+        self.model, zone, built = build_observer(observer, plant, sensor, step, substeps, actuator)
         self._graph = observer_graph(self.model, graph_of(built), zone)
         self.samples = 0
         self.missing = 0
@@ -215,8 +222,8 @@ class Online:
             self._entries[1] = u
         else:
             try:
-                self._w[: self._p] = unmasked(y)
-                self._w[self._p :] = unmasked(u)
+                self._w[: self._p] = unmask(y)
+                self._w[self._p :] = unmask(u)
             except (ValueError, TypeError):
                 raise ShapeError(
                     f"sample: expected y and u with {self._p} and {self._w.size - self._p} "
@@ -259,7 +266,7 @@ class Online:
         try:
             columns = self._p, self._w.size - self._p
             pairs = zip((y, u), columns, strict=True)
-            w = np.hstack([np.reshape(unmasked(one), (-1, many)) for one, many in pairs])
+            w = np.hstack([np.reshape(unmask(one), (-1, many)) for one, many in pairs])
         except ValueError:
             raise ShapeError(
                 f"samples: expected y and u with {self._p} and {self._w.size - self._p} columns, "
@@ -300,7 +307,7 @@ def _engine(graph: ObserverGraph, compiled: bool) -> tuple[Stepper | CompiledSte
     return Stepper(*parts), engine
 
 
-def built_for(
+def build_observer(
     observer: ObserverOptions,
     plant: Plant,
     sensor: Sensor,
@@ -328,7 +335,7 @@ def built_for(
     Ts = scalar("step", step, above=0.0)
     system = plants.system(plant)
     require_visible(system, "plant")
-    model = sampled(system, Ts, substeps)
-    zone = sensed(sensor, system, Ts, pace(system.linear))
-    belief = believed(actuator, model.m)
+    model = sample_plant(system, Ts, substeps)
+    zone = resolve_sensor(sensor, system, Ts, pace(system.linear))
+    belief = believe_actuator(actuator, model.m)
     return model, zone, watching(observer, model, zone, belief, Ts)

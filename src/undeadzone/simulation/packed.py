@@ -16,7 +16,7 @@ from undeadzone.util import tree
 from undeadzone.util.arrays import Floats, Integers
 
 
-def packed(problem: Problem, loop: Loop) -> tuple[Floats, Floats]:
+def pack_problem(problem: Problem, loop: Loop) -> tuple[Floats, Floats]:
     """Return (initial state, params), packed, that a problem gives a loop of its graph.
 
     Args:
@@ -35,7 +35,7 @@ def packed(problem: Problem, loop: Loop) -> tuple[Floats, Floats]:
     return tree.pack(state), tree.pack(numbers(problem._replace(observer=observer)))
 
 
-def moved(loop: Loop, others: Iterable[Floats]) -> Integers:
+def changed_params(loop: Loop, others: Iterable[Floats]) -> Integers:
     """Where packed params of the loop differ from its own in any of the others."""
     differ: Any = np.any([other != tree.pack(loop.params) for other in others], axis=0)
     return np.flatnonzero(differ)

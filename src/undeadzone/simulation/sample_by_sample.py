@@ -78,7 +78,7 @@ def run_sample_by_sample(
     return by_name
 
 
-def commanded(m: int) -> Controller:
+def placeholder_controller(m: int) -> Controller:
     """What stands for a control law in Python on the graph.
 
     Its state is the input, written from outside before each step.

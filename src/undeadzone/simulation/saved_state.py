@@ -31,7 +31,7 @@ def save(path: Path, parts: Mapping[str, Any], digest: str) -> None:
         FileError: it cannot be written.
     """
     arrays: dict[str, Any] = {}
-    for owner, name, key in _kept(parts):
+    for owner, name, key in _stored_arrays(parts):
         arrays[key] = np.asarray(getattr(owner, name))
     with replacing(path) as temporary, open(temporary, "wb") as file:
         np.savez(file, allow_pickle=False, **{DIGEST: np.array(_whole(digest))}, **arrays)
@@ -54,7 +54,7 @@ def load(path: Path, parts: Mapping[str, Any], digest: str) -> None:
         arrays = arrays_of(path, LARGEST_TABLE)
         is_of_these = str(arrays[DIGEST]) == _whole(digest)
         if is_of_these:
-            for owner, name, key in _kept(parts):
+            for owner, name, key in _stored_arrays(parts):
                 setattr(owner, name, _like(getattr(owner, name), arrays[key], key))
     except OSError as error:
         raise FileError(f"{path}: cannot read: {reason(error)}") from None
@@ -75,7 +75,7 @@ def _whole(digest: str) -> str:
     return f"{undeadzone.__version__} {digest}"
 
 
-def _kept(parts: Mapping[str, Any]) -> Iterator[tuple[Any, str, str]]:
+def _stored_arrays(parts: Mapping[str, Any]) -> Iterator[tuple[Any, str, str]]:
     """Yield (owner, attribute, dotted name in the file) of all numbers that objects hold."""
     for above, part in parts.items():
         for name in part.KEPT:
@@ -83,7 +83,7 @@ def _kept(parts: Mapping[str, Any]) -> Iterator[tuple[Any, str, str]]:
             inner = _inner(key, value)
             if not inner and value is not None:
                 yield part, name, key
-            yield from _kept(inner)
+            yield from _stored_arrays(inner)
 
 
 def _inner(name: str, value: Any) -> dict[str, Any]:

@@ -101,7 +101,7 @@ def simulate_scenario(
         signal, error = signals_of(problem, start, advance, check_step, engine, controller)
     run = collect(problem, signal, error, began)
     if controller is not None:  # no text says what the function is
-        run = _told(run, scenario="")
+        run = _with_info(run, scenario="")
     return Simulated(run, problem, start)
 
 
@@ -124,7 +124,7 @@ def _under(law: live.ControlLaw, problem: Problem, engine: Engine) -> Problem:
         )
     if engine == "lanes":
         raise InputError("engine: a controller that is a Python function cannot be compiled")
-    return problem._replace(controller=live.commanded(problem.plant.m))
+    return problem._replace(controller=live.placeholder_controller(problem.plant.m))
 
 
 def signals_of(
@@ -193,7 +193,7 @@ def outputs_of(
     if run is None:
         run = engine_for(start.loop, "auto", len(start.exogenous))
     packed, _ = run(start.state, start.exogenous, tree.pack(start.loop.params), progress)
-    return named(start.loop, packed)
+    return name_outputs(start.loop, packed)
 
 
 def _at_half_the_step(
@@ -203,7 +203,7 @@ def _at_half_the_step(
     params = start.loop.params
     halved = start.loop._replace(params=params._replace(h=params.h / 2))
     fine = outputs_of(Start(halved, start.state, inputs.exogenous(problem, 2)), progress, run)
-    outputs: Outputs = tree.mapped(lambda part: part[::2], fine)
+    outputs: Outputs = tree.map_leaves(lambda part: part[::2], fine)
     return outputs
 
 
@@ -223,12 +223,12 @@ class Start(NamedTuple):
 
 def prepare(problem: Problem) -> Start:
     """What a run of a problem starts from."""
-    loop = closed(problem)
+    loop = close_problem(problem)
     state = tree.pack(loop.state._replace(plant=problem.x0))
     return Start(loop, state, inputs.exogenous(problem))
 
 
-def closed(problem: Problem) -> Loop:
+def close_problem(problem: Problem) -> Loop:
     """Return the closed loop of a problem. Raises InputError for an observer that is no graph."""
     return close(problem._replace(observer=graph_of(problem.observer)))
 
@@ -259,7 +259,7 @@ def engine_for(loop: Loop, engine: Engine, steps: int) -> LoopEngine:
     return partial(interpret.run, loop.step)
 
 
-def named(loop: Loop, outputs: Floats) -> Outputs:
+def name_outputs(loop: Loop, outputs: Floats) -> Outputs:
     """Return the columns of recorded outputs (N x all) by name."""
     by_name: Outputs = tree.columns(loop.outputs, outputs)
     return by_name
@@ -320,7 +320,7 @@ def beside(
     rival = msgspec.structs.replace(scenario, observer=scenario.compare)
     second = simulate(rival, progress=progress)
     one, other = labels(scenario.observer, scenario.compare)
-    return _told(run, label=one), _told(second, label=other)
+    return _with_info(run, label=one), _with_info(second, label=other)
 
 
 def labels(first: Any, second: Any) -> tuple[str, str]:
@@ -350,6 +350,6 @@ def _in_words(options: dict[str, Any], name: str) -> str:
     return f"{method}, {name} = {value}"
 
 
-def _told(run: Run, **info: Any) -> Run:
+def _with_info(run: Run, **info: Any) -> Run:
     """Return the run with other words in its info."""
     return dataclasses.replace(run, info=msgspec.structs.replace(run.info, **info))

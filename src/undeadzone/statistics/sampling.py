@@ -40,7 +40,7 @@ def points(sampling: str, seed: int, first: int, count: int, entries: int, runs:
         return _sobol(seed, first, count, entries)
     columns = [_uniform(seed, first, count, column) for column in range(entries)]
     if sampling == "latin_hypercube":
-        columns = [_stratified(u, seed, first, column, runs) for column, u in enumerate(columns)]
+        columns = [_stratify(u, seed, first, column, runs) for column, u in enumerate(columns)]
     return np.stack(columns, axis=1) if columns else np.empty((count, 0))
 
 
@@ -55,14 +55,14 @@ def _uniform(seed: int, first: int, count: int, column: int) -> Floats:
     return ((_words(seed, NUMBERS, column, first, count) >> np.uint64(12)) + 0.5) * 2.0**-52
 
 
-def _stratified(u: Floats, seed: int, first: int, column: int, runs: int) -> Floats:
+def _stratify(u: Floats, seed: int, first: int, column: int, runs: int) -> Floats:
     """Return each run in its own of `runs` equal intervals, at the share u of it."""
     keys = _words(seed, KEYS, column, 0, ROUNDS)
-    interval = permuted(np.arange(first, first + u.size, dtype=np.uint64), runs, keys)
+    interval = permute(np.arange(first, first + u.size, dtype=np.uint64), runs, keys)
     return np.minimum((interval + u) / runs, np.nextafter(1.0, 0.0))
 
 
-def permuted(index: Any, size: int, keys: Any) -> Any:
+def permute(index: Any, size: int, keys: Any) -> Any:
     """Where a permutation of 0 .. size - 1 takes each index: a Feistel cipher.
 
     The cipher permutes the numbers of an even count of bits; it is repeated until the result is
@@ -89,11 +89,11 @@ def _feistel(value: Any, half: Any, keys: Any) -> Any:
     mask = (np.uint64(1) << half) - np.uint64(1)
     left, right = value >> half, value & mask
     for key in keys:
-        left, right = right, left ^ (_mixed(right ^ key) & mask)
+        left, right = right, left ^ (_mix_bits(right ^ key) & mask)
     return left << half | right
 
 
-def _mixed(word: Any) -> Any:
+def _mix_bits(word: Any) -> Any:
     """Return the finaliser of SplitMix64, Steele et al. (2014).
 
     Every bit of the word changes half of the bits.

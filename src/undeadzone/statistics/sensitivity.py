@@ -63,7 +63,7 @@ class Indices(NamedTuple):
     total: Interval
 
 
-def given(X: Floats, y: Floats) -> list[Sensitivity]:
+def sensitivities_of_runs(X: Floats, y: Floats) -> list[Sensitivity]:
     """Return the dependence of y on each entry, from runs as they are.
 
     Args:
@@ -163,7 +163,7 @@ def first_order(X: Floats, y: Floats) -> Floats:
     for i, x in enumerate(X.T):
         if np.ptp(x) > 0:
             order = np.argsort(x, kind="stable")
-            shares[i] = _explained(x[order], y[order])
+            shares[i] = _explained_share(x[order], y[order])
     return shares
 
 
@@ -175,11 +175,11 @@ def chance(y: Floats) -> float:
     """
     random = np.random.default_rng(0)
     x = np.arange(y.size, dtype=float)
-    shares = [_explained(x, random.permutation(y)) for _ in range(PERMUTATIONS)]
+    shares = [_explained_share(x, random.permutation(y)) for _ in range(PERMUTATIONS)]
     return float(np.quantile(shares, LEVEL))
 
 
-def _explained(x: Floats, y: Floats) -> float:
+def _explained_share(x: Floats, y: Floats) -> float:
     """Return 1 - (variance about a line in each bin) / (variance of y), both unbiased.
 
     x ascends; its n^(2/5) bins hold equally many runs.

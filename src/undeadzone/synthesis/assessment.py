@@ -10,7 +10,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from undeadzone.analysis.branch_schedule import Schedule, arriving, planned, recorded
+from undeadzone.analysis.branch_schedule import (
+    Schedule,
+    arriving,
+    plan_schedule,
+    schedule_of_record,
+)
 from undeadzone.analysis.certificate.design_file import Knowledge
 from undeadzone.analysis.certificate.nearest import nearest
 from undeadzone.analysis.certificate.passivity import Certificate, certify
@@ -211,9 +216,9 @@ def plan(problem: Problem, run: Run | None) -> Schedule:
     """Return the sides along a run, or along the reference where there is none."""
     model, sensor = problem.model, problem.sensor
     if run is not None:
-        return recorded(run.z, sensor, run.info.step, model.Ts, np.isfinite(run.y))
+        return schedule_of_record(run.z, sensor, run.info.step, model.Ts, np.isfinite(run.y))
     simulation = problem.scenario.simulation
-    schedule = planned(model, problem.reference, problem.tracked, sensor, simulation.duration)
+    schedule = plan_schedule(model, problem.reference, problem.tracked, sensor, simulation.duration)
     return arriving(schedule, sensor.dropout, simulation.step, simulation.duration, model.n)
 
 
@@ -229,7 +234,7 @@ def knowledge(problem: Problem, schedule: Schedule, run: Run | None) -> list[Kno
         run: of it, where one was needed.
     """
     if run is not None and (problem.model.nonlinear or actuator_unknown(problem)):
-        return _known_from_run(run)
+        return _knowledge_from_run(run)
     linear, jump = problem.model.linear, problem.sensor.kind == "jump"
     if problem.sensor.play is None:
         remedies = cures(linear, schedule, constant_inputs(problem, linear.B), jump)
@@ -249,7 +254,7 @@ def knowledge(problem: Problem, schedule: Schedule, run: Run | None) -> list[Kno
     return known
 
 
-def _known_from_run(run: Run) -> list[Knowledge]:
+def _knowledge_from_run(run: Run) -> list[Knowledge]:
     """What the run of a nonlinear plant tells of each output."""
     unknown = dict.fromkeys(DIRECTIONS, np.inf)
     known = []
@@ -262,7 +267,7 @@ def _known_from_run(run: Run) -> list[Knowledge]:
 def cures_of_both(problem: Problem, schedule: Schedule) -> list[Cure]:
     """What would tell more of a play and a dead zone."""
     model, remedies = problem.model, []
-    visited = schedule.visited(model.n + 2 * model.p)
+    visited = schedule.visited_sides(model.n + 2 * model.p)
     for i in range(problem.model.p):
         if not visited[i].all():
             remedies.append(reaching(schedule, i))
@@ -275,7 +280,7 @@ def cures_of_both(problem: Problem, schedule: Schedule) -> list[Cure]:
     return remedies
 
 
-def determined(problem: Problem, schedule: Schedule) -> list[bool]:
+def determined_states(problem: Problem, schedule: Schedule) -> list[bool]:
     """Which states the readings along a schedule determine (n); none are listed if nonlinear."""
     model, jump = problem.model, problem.sensor.kind == "jump"
     if model.nonlinear:
@@ -284,5 +289,5 @@ def determined(problem: Problem, schedule: Schedule) -> list[bool]:
         readings = readings_of(problem, schedule, np.ones(model.p))
         return states_told(model.linear, schedule, readings)
     bias = constant_inputs(problem, model.linear.B)
-    hidden = invisible(model.linear, schedule.visited(model.n), schedule.Ts, bias, jump)
+    hidden = invisible(model.linear, schedule.visited_sides(model.n), schedule.Ts, bias, jump)
     return [hidden.state(i) for i in range(model.n)]

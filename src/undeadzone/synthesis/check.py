@@ -24,7 +24,7 @@ from undeadzone.results.signals import output_names
 from undeadzone.scenario.overrun import overrun_numbers
 from undeadzone.scenario.problem import Problem, constant_gains, resolve_scenario
 from undeadzone.scenario.schema import Scenario
-from undeadzone.synthesis.assessment import Assessment, Gains, assess, determined
+from undeadzone.synthesis.assessment import Assessment, Gains, assess, determined_states
 from undeadzone.util import shown
 from undeadzone.util.arrays import Floats, finite, one_or_list
 from undeadzone.util.shown import Block, Rows
@@ -196,7 +196,7 @@ def check_assessment(assessment: Assessment) -> Check:
     return Check(
         scenario=problem.scenario,
         **proved,
-        states=tuple(determined(problem, assessment.schedule)),
+        states=tuple(determined_states(problem, assessment.schedule)),
         known=tuple(known),
         listens=assessment.listens,
         overrun=_overrun(problem),
@@ -253,7 +253,7 @@ def _proof_of_linear(problem: Problem, gains: Gains) -> tuple[dict[str, Any], li
         "certified": proof.certified,
         "margin": finite(proof.margin),
         "frequency": finite(proof.frequency),
-        "l2_gain": _bounded(proof, problem) if proof.certified else None,
+        "l2_gain": _bounded_gains(proof, problem) if proof.certified else None,
         "rate": finite(speed.rate),
         "time_constant": finite(speed.time_constant),
         "never": tuple(speed.never),
@@ -273,7 +273,7 @@ def _proof_on_region(
     return {
         "certified": proof.certified,
         "margin": finite(proof.margin),
-        "left_region": _left(assessment.run, ranges),
+        "left_region": _exit_time(assessment.run, ranges),
     }, reasons
 
 
@@ -286,7 +286,7 @@ def _reasons_of_outputs(known: Sequence[Knowledge]) -> list[str]:
     return reasons
 
 
-def _bounded(proof: Certificate, problem: Problem) -> Bounds | None:
+def _bounded_gains(proof: Certificate, problem: Problem) -> Bounds | None:
     """Return the least L2 gains to z - z^, each with the other input absent; None if one has no
     proof.
 
@@ -300,12 +300,12 @@ def _bounded(proof: Certificate, problem: Problem) -> Bounds | None:
     return Bounds(disturbed.disturbance, noisy.noise)
 
 
-def _left(run: Run | None, ranges: Box) -> float | None:
+def _exit_time(run: Run | None, ranges: Box) -> float | None:
     """Return the time [s] at which state, estimate or input of a run first leave a box; None:
     never.
     """
     assert run is not None
-    outside = np.flatnonzero(ranges.left(run.x, run.x_hat, run.u))
+    outside = np.flatnonzero(ranges.is_outside(run.x, run.x_hat, run.u))
     return float(run.t[outside[0]]) if outside.size else None
 
 
@@ -318,7 +318,7 @@ def in_words(found: Check) -> list[Block]:
     shown: dict[str, Any] = {
         "scenario": scenario.title,
         "observer": f"{scenario.observer.__struct_config__.tag}, {scenario.simulation.time} time",
-        **_certified(found),
+        **_describe_certificate(found),
         **_bounds(found),
         **_speed(found),
     }
@@ -327,7 +327,7 @@ def in_words(found: Check) -> list[Block]:
     if found.overrun:
         shown["overrun"] = _coasting(found.overrun)
     if len(names) == 1:
-        shown |= _told(scenario, found.known[0])
+        shown |= _describe_output(scenario, found.known[0])
     if told := in_words_of_truths([one.second for one in found.known]):
         shown["same readings"] = told
     if reasons := [reason for reason in found.reasons if not reason.startswith(REFUSED)]:
@@ -347,11 +347,11 @@ def _rows(found: Check) -> Rows:
     """
     table: list[Sequence[str]] = [("identifiable", *DIRECTIONS)]
     for name, known in zip(found.outputs, found.known, strict=True):
-        table.append((name, *(_known(known, each) for each in DIRECTIONS)))
+        table.append((name, *(_describe_knowledge(known, each) for each in DIRECTIONS)))
     return table
 
 
-def _known(known: Knowledge, name: str) -> str:
+def _describe_knowledge(known: Knowledge, name: str) -> str:
     """Return whether a direction can be known, and how well."""
     if not getattr(known, name):
         return "NO"
@@ -359,7 +359,7 @@ def _known(known: Knowledge, name: str) -> str:
     return "yes" if std is None else f"yes, ± {HALF_95 * std:.2g}"
 
 
-def _certified(found: Check) -> dict[str, str]:
+def _describe_certificate(found: Check) -> dict[str, str]:
     """Return whether the gains are certified, and whether a run stays where they are."""
     shown = {}
     on_region = found.scenario.region is not None
@@ -423,7 +423,7 @@ def _coasting(overrun: Sequence[float | None]) -> str:
     return f"J a / f = {told}: below 1 the load rests against its contact"
 
 
-def _told(scenario: Scenario, one: Knowledge) -> dict[str, str]:
+def _describe_output(scenario: Scenario, one: Knowledge) -> dict[str, str]:
     """What the readings tell of a single output, and how well at best."""
     shown = {"identifiable": yes_no(msgspec.structs.asdict(one))}
     kept = {name: std for name, std in one.std.items() if finite(std) is not None}

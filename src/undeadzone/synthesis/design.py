@@ -18,7 +18,7 @@ from undeadzone.plants.system import System
 from undeadzone.scenario.problem import Problem, constant_gains, resolve_scenario, systems
 from undeadzone.scenario.schema import Scenario
 from undeadzone.synthesis import gain_search
-from undeadzone.synthesis.assessment import determined, knowledge
+from undeadzone.synthesis.assessment import determined_states, knowledge
 from undeadzone.synthesis.task import Candidate, candidate_of, make_task
 from undeadzone.util.arrays import Floats, scalar, seed_of
 from undeadzone.util.progress import in_notebook
@@ -71,7 +71,7 @@ def design(
     before = None if present is None else candidate_of(task, *present)
     with in_notebook(progress, "designing", rounds(maximise)) as advance:
         if maximise == "knee":
-            result = gain_search.balanced(task, before, seed, advance)
+            result = gain_search.find_balanced(task, before, seed, advance)
         else:
             weights = maximise if isinstance(maximise, gain_search.Weights) else gain_search.RATE
             result = gain_search.fastest(task, weights, seed, advance)
@@ -83,7 +83,7 @@ def design(
         Ts=problem.model.Ts,
         **_proof(problem, result),
         never=list(never),
-        states=determined(problem, task.whole),
+        states=determined_states(problem, task.whole),
         remarks=list(result.remarks),
         best=_point(result.best),
         present=None if before is None else _point(before),

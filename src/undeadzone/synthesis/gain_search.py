@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from undeadzone.analysis.certificate.passivity import Certificate, certify
-from undeadzone.numerics.optimise import evolve, pareto, scalar, undominated
+from undeadzone.numerics.optimise import evolve, find_undominated, pareto, scalar
 from undeadzone.synthesis.task import (
     Candidate,
     Scores,
@@ -22,10 +22,10 @@ from undeadzone.synthesis.task import (
     candidate_at,
     candidate_of,
     gains_at,
+    gains_at_limit,
     point_of,
     score,
-    touched,
-    watched,
+    watch_frequencies,
 )
 from undeadzone.util.arrays import Floats
 
@@ -92,13 +92,13 @@ def fastest(task: Task, weights: Weights, seed: int, tick: Tick) -> Synthesis:
         tick: tick(1) is called STARTS times.
     """
     task, start = search(task, weights, seed, tick)
-    best, certificate = proved(task, start, partial(_cost, weights=weights))
+    best, certificate = polish_and_prove(task, start, partial(_cost, weights=weights))
     return Synthesis(best, certificate, [best], at_the_limit(task, best))
 
 
 def at_the_limit(task: Task, best: Candidate) -> tuple[str, ...]:
     """That the step kept a search from larger gains, if it did."""
-    names = touched(task, point_of(task, best))
+    names = gains_at_limit(task, point_of(task, best))
     if not names:
         return ()
     return (
@@ -125,7 +125,7 @@ def search(task: Task, weights: Weights, seed: int, tick: Tick) -> tuple[Task, F
     while True:
         low, high = box(task)
         best = _better(cost, best, evolve(cost, low, high, seed, size, LONG, best, NEAR)[0])
-        if task.room >= MOST or not touched(task, best):
+        if task.room >= MOST or not gains_at_limit(task, best):
             return task, best
         task = task._replace(room=min(2 * task.room, MOST))
 
@@ -152,7 +152,7 @@ def _cost(task: Task, weights: Weights) -> Cost:
     return cost
 
 
-def proved(
+def polish_and_prove(
     task: Task, point: Floats, cost_in: Callable[[Task], Cost]
 ) -> tuple[Candidate, Certificate]:
     """Return the point polished and proved.
@@ -166,20 +166,20 @@ def proved(
     """
     enough = task.margin * (1 - ROUNDING)
     for _ in range(POLISHED):
-        point = _polished(cost_in(task), point, *box(task))
+        point = _polish(cost_in(task), point, *box(task))
         candidate = candidate_at(task, point)
         certificate = certify(task.model, candidate.L, candidate.gamma, task.Ts)
         if certificate.certified and certificate.margin > enough:
             return candidate, certificate
         if certificate.frequency is not None:
-            task = watched(task, np.array([certificate.frequency]))
+            task = watch_frequencies(task, np.array([certificate.frequency]))
     while not (certificate.certified and certificate.margin > enough):
         candidate = candidate_of(task, SHRINK * candidate.L, candidate.gamma)
         certificate = certify(task.model, candidate.L, candidate.gamma, task.Ts)
     return candidate, certificate
 
 
-def _polished(cost: Cost, point: Floats, low: Floats, high: Floats) -> Floats:
+def _polish(cost: Cost, point: Floats, low: Floats, high: Floats) -> Floats:
     """Return a point of less cost between bounds (d each), by Nelder and Mead's method."""
     from scipy.optimize import minimize
 
@@ -197,7 +197,7 @@ def population(task: Task) -> int:
     return 32 if box(task)[0].size < 8 else 64
 
 
-def balanced(task: Task, present: Candidate | None, seed: int, tick: Tick) -> Synthesis:
+def find_balanced(task: Task, present: Candidate | None, seed: int, tick: Tick) -> Synthesis:
     """Return the front of rate, disturbance and noise, and its knee.
 
     The knee is the point whose largest normalised loss is smallest; a loss is a logarithm between
@@ -233,7 +233,7 @@ def balanced(task: Task, present: Candidate | None, seed: int, tick: Tick) -> Sy
     least, greatest = every.min(axis=0), every.max(axis=0)
     loss_in = partial(_loss, limit=limit, least=least, greatest=greatest, bar=bar)
     start = points[np.argmin(loss_in(task)(points))]
-    best, certificate = proved(task, start, loss_in)
+    best, certificate = polish_and_prove(task, start, loss_in)
     remarks = at_the_limit(task, best)
     if present is not None:
         remarks += _remarks(best, present)
@@ -252,7 +252,7 @@ def _loss(task: Task, limit: float, least: Floats, greatest: Floats, bar: Floats
 
     def loss(points: Floats) -> Floats:
         scores = score(task, *gains_at(task, points))
-        costs = _traded(scores, limit)
+        costs = _log_objectives(scores, limit)
         every = np.hstack([np.log(scores.mismatch)[:, None], costs])
         weights = np.array([[FIRST, 1.0, 1.0, 1.0]])
         largest = scalar(every, least, greatest, weights)[0]
@@ -263,10 +263,10 @@ def _loss(task: Task, limit: float, least: Floats, greatest: Floats, bar: Floats
 
 def _costs(task: Task, points: Floats, limit: float) -> Floats:
     """What points (b, d) cost, see `_traded`."""
-    return _traded(score(task, *gains_at(task, points), mismatch=False), limit)
+    return _log_objectives(score(task, *gains_at(task, points), mismatch=False), limit)
 
 
-def _traded(scores: Scores, limit: float) -> Floats:
+def _log_objectives(scores: Scores, limit: float) -> Floats:
     """Return logarithms of 1 / rate, disturbance and noise (b, 3).
 
     They are inf where the rate is not above the limit [1/s].
@@ -308,10 +308,10 @@ def _front(task: Task, points: Floats) -> list[Candidate]:
     for point in points:
         candidate = candidate_at(task, point)
         worst.append(certify(task.model, candidate.L, candidate.gamma, task.Ts).frequency)
-    task = watched(task, np.array([w for w in worst if w is not None and np.isfinite(w)]))
+    task = watch_frequencies(task, np.array([w for w in worst if w is not None and np.isfinite(w)]))
     candidates = [candidate_at(task, point) for point in points]
     candidates.sort(key=lambda one: -one.rate)
-    keep = undominated(np.array([_prices(one) for one in candidates]))
+    keep = find_undominated(np.array([_prices(one) for one in candidates]))
     return [one for one, kept in zip(candidates, keep, strict=True) if kept]
 
 

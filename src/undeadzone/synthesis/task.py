@@ -6,13 +6,13 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from undeadzone.analysis.branch_schedule import Schedule, merged, planned
+from undeadzone.analysis.branch_schedule import Schedule, merge_equal_neighbours, plan_schedule
 from undeadzone.analysis.convergence import floquet
 from undeadzone.analysis.convergence.floquet import TINY
 from undeadzone.analysis.identifiability.linear import cures, invisible
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import moves, steady_state
-from undeadzone.linalg.hold import sampled_noise, zoh
+from undeadzone.linalg.hold import discrete_noise_covariance, zoh
 from undeadzone.linalg.matrices import Matrices, delta, sizes
 from undeadzone.scenario.problem import Problem
 from undeadzone.util.arrays import Floats, scalar
@@ -97,18 +97,21 @@ def make_task(problem: Problem, margin: float) -> Task:
     if not 0 < margin < 1:
         raise InputError(f"margin: must lie between 0 and 1, found {margin:g}")
     units = 1 / sizes(delta(model.linear, Ts).A.T, model.linear.C.T)
-    linear, flow = _balanced(model.linear, units), _balanced(problem.flow.linear, units)
+    linear, flow = (
+        _matrices_in_units(model.linear, units),
+        _matrices_in_units(problem.flow.linear, units),
+    )
     horizon = problem.scenario.simulation.duration
-    whole = planned(model, problem.reference, problem.tracked, problem.sensor, horizon)
-    schedule = merged(whole)
+    whole = plan_schedule(model, problem.reference, problem.tracked, problem.sensor, horizon)
+    schedule = merge_equal_neighbours(whole)
     if not schedule.sides.any():
         cure = cures(model.linear, schedule)[0].text
         raise InputError(
             f"reference: it never leaves the dead zone, so that the sensor says nothing; {cure}"
         )
     times = np.concatenate([[0.0], np.cumsum(whole.spans)[:-1]]) * (1.0 if Ts is None else Ts)
-    S, model_errors, source = _driven(problem, flow, units)
-    hidden = invisible(linear, schedule.visited(), Ts)
+    S, model_errors, source = _storage_inputs(problem, flow, units)
+    hidden = invisible(linear, schedule.visited_sides(), Ts)
     basis = np.linalg.qr(hidden.basis * hidden.scale[:, None])[0]
     task = Task(
         model=model.linear,
@@ -128,10 +131,10 @@ def make_task(problem: Problem, margin: float) -> Task:
         resolvents=np.empty((0, model.p, model.n)),
         margin=margin,
     )
-    return watched(task, _frequencies(task))
+    return watch_frequencies(task, _frequencies(task))
 
 
-def _balanced(linear: Matrices, units: Floats) -> Matrices:
+def _matrices_in_units(linear: Matrices, units: Floats) -> Matrices:
     """Return the matrices for states measured in these units (n)."""
     A, B, C = linear
     return Matrices(A / units[:, None] * units, B / units[:, None], C * units)
@@ -144,7 +147,7 @@ def _frequencies(task: Task) -> Floats:
     return np.abs(np.concatenate([[0.0], *around]))
 
 
-def watched(task: Task, w: Floats) -> Task:
+def watch_frequencies(task: Task, w: Floats) -> Task:
     """Return the task with its margin looked at also at frequencies w [rad/s]."""
     if task.Ts is None:
         s = 1j * w
@@ -155,7 +158,9 @@ def watched(task: Task, w: Floats) -> Task:
     return task._replace(resolvents=np.concatenate([task.resolvents, resolvents]))
 
 
-def _driven(problem: Problem, flow: Matrices, units: Floats) -> tuple[Floats, Floats, Floats]:
+def _storage_inputs(
+    problem: Problem, flow: Matrices, units: Floats
+) -> tuple[Floats, Floats, Floats]:
     """Return (S, model_errors, source) of `Task`.
 
     Args:
@@ -172,7 +177,7 @@ def _driven(problem: Problem, flow: Matrices, units: Floats) -> tuple[Floats, Fl
     spread: Floats = B @ B.T
     if Ts is not None:
         hold = zoh(flow._replace(B=np.eye(n)), Ts).B / Ts
-        _, spread = sampled_noise(A, spread, Ts)
+        _, spread = discrete_noise_covariance(A, spread, Ts)
     both = np.hstack([A, B])
     kinematic = _kinematic(A, B)
     entries = [(i, j) for i, j in np.argwhere(both) if not kinematic[i]]
@@ -259,14 +264,14 @@ def score(
         disturbance, noise = map(np.sqrt, floquet.mean_squares(F, Z, sources, task.schedule))
     if mismatch:
         F, _ = floquet.error_matrices(task.A, task.linear.C, L, Gamma, task.whole.sides)
-        squares = floquet.forced_mean_square(
+        squares = floquet.mean_square_of_forced_error(
             F, Z, task.model_errors, task.S, task.starts, task.whole
         )
         model = np.sqrt(squares)
     return Scores(rate, disturbance, model, noise)
 
 
-def certified(task: Task, L: Floats, gamma: Floats, W: Floats) -> Floats:
+def shrink_to_certified(task: Task, L: Floats, gamma: Floats, W: Floats) -> Floats:
     """Return L shrunk towards 0 as far as the margin asks (b, n, p): docs/rates.md.
 
     1 + G - Ts gamma / 2 >= margin is linear in L, and holds at L = 0 since Ts gamma <= 1.
@@ -357,7 +362,7 @@ def gains_at(task: Task, points: Floats) -> tuple[Floats, Floats]:
     L = task.poles.min() * np.sinh(points[:, : n * p].reshape(-1, n, p))
     gamma = np.exp(points[:, n * p : n * p + p])
     W = np.exp(np.hstack([np.zeros((len(points), 1)), points[:, n * p + p :]]))  # storage weights
-    return certified(task, L, gamma, W), gamma
+    return shrink_to_certified(task, L, gamma, W), gamma
 
 
 def point_of(task: Task, gains: Candidate) -> Floats:
@@ -381,7 +386,7 @@ def box(task: Task) -> tuple[Floats, Floats]:
     return np.repeat([-reach, least, -WEIGHT], sizes), np.repeat([reach, greatest, WEIGHT], sizes)
 
 
-def touched(task: Task, point: Floats) -> str:
+def gains_at_limit(task: Task, point: Floats) -> str:
     """Which gains at a point (d) are the largest that the step allows to try; empty: none."""
     _, greatest = box(task)
     size = task.n * task.p

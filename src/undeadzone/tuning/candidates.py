@@ -29,9 +29,9 @@ from undeadzone.scenario.tune_table import Tune
 from undeadzone.simulation.collect import tips
 from undeadzone.simulation.exogenous import exogenous, random_disturbance
 from undeadzone.simulation.loop import Outputs
-from undeadzone.simulation.packed import graph, moved, packed
+from undeadzone.simulation.packed import changed_params, graph, pack_problem
 from undeadzone.simulation.sample_by_sample import run_sample_by_sample
-from undeadzone.simulation.simulate import closed
+from undeadzone.simulation.simulate import close_problem
 from undeadzone.statistics.intervals import QUANTILES
 from undeadzone.util.arrays import Floats, Integers
 
@@ -71,7 +71,7 @@ class TestRuns(NamedTuple):
         return self.batch.problem
 
     @property
-    def varied(self) -> dict[str, Floats]:
+    def varied_values(self) -> dict[str, Floats]:
         """What [ensemble] varies: its values in the runs, by name."""
         return dict(zip(self.batch.binding.names, self.values.T, strict=True))
 
@@ -108,7 +108,7 @@ class TestRuns(NamedTuple):
         form, binding = graph(candidate), self.batch.binding
         if form == self.graph:
             shared = np.delete(np.arange(binding.params.size), binding.indices)
-            _, params = packed(candidate, self.batch.loop)
+            _, params = pack_problem(candidate, self.batch.loop)
             if np.array_equal(params[shared], binding.params[shared]):
                 return None
         return form
@@ -119,7 +119,7 @@ class TestRuns(NamedTuple):
         """
         parts = []
         for candidate in candidates:
-            state, params = packed(candidate, self.batch.loop)
+            state, params = pack_problem(candidate, self.batch.loop)
             binding = self.batch.binding._replace(state=state, params=params)
             parts.append(binding.lanes(self.values))
         lanes = Lanes(*map(np.concatenate, zip(*parts, strict=True)))
@@ -147,9 +147,9 @@ def prepare_test_runs(
     vary = msgspec.structs.replace(vary, runs=runs, seed=seed, sampling=sampling)
     scenario = msgspec.structs.replace(scenario, ensemble=vary)
     problem = resolve_scenario(scenario)
-    form, loop = graph(problem), closed(problem)
-    alike = [packed(probe, loop)[1] for probe in probes if graph(probe) == form]
-    slots = set(moved(loop, alike).tolist())
+    form, loop = graph(problem), close_problem(problem)
+    alike = [pack_problem(probe, loop)[1] for probe in probes if graph(probe) == form]
+    slots = set(changed_params(loop, alike).tolist())
     for column in bind(problem, loop).columns:
         if slots & {slot for slot, _ in column.slots}:
             raise InputError(
@@ -167,13 +167,13 @@ class OneByOne(NamedTuple):
         problem: of the first candidate
         runs: how many: the first ones of the seed
         seed: of noise and disturbance
-        varied: nothing, see `TestRuns.varied`
+        varied_values: nothing, see `TestRuns.varied_values`
     """
 
     problem: Problem
     runs: int = 0
     seed: int = 0
-    varied: Mapping[str, Floats] = {}
+    varied_values: Mapping[str, Floats] = {}
 
     def redrawn(self, runs: int, seed: int) -> OneByOne:
         """Return other runs: the first `runs` of a seed; one if nothing differs between them."""
@@ -248,7 +248,7 @@ class Objective(NamedTuple):
     threads: int | None = None
     test_runs: tuple[TestRuns | OneByOne, ...] = ()
 
-    def prepared(self, probes: Floats, seed: int) -> Objective:
+    def prepare_runs(self, probes: Floats, seed: int) -> Objective:
         """Return the objective on the first runs of a seed.
 
         Args:
@@ -311,7 +311,7 @@ class Objective(NamedTuple):
             if problems is None:
                 margins[k] = -np.inf
             elif self.what.certified:
-                margins[k] = min(map(certified_margin, problems))
+                margins[k] = min(map(certificate_margin, problems))
         return margins
 
     def costs(self, candidates: Sequence[Problems]) -> Floats:
@@ -375,7 +375,7 @@ def losses(metric: str, runs: TestRuns | OneByOne, rows: Floats) -> Floats:
         size = columns[metric]
     else:
         widths, geared = widths_in_turn(sensor), sensor.kind == "gears"
-        size = np.abs(width_error(metric, columns, widths, runs.varied, geared))
+        size = np.abs(width_error(metric, columns, widths, runs.varied_values, geared))
     rate = _rate_of_divergence(columns, problem.scenario.simulation.step)
     return np.where(
         columns["diverged"] != 0,
@@ -391,7 +391,7 @@ def _rate_of_divergence(columns: Mapping[str, Floats], step: float) -> Floats:
         return np.asarray(growth / np.maximum(columns["settling_time"], step))
 
 
-def certified_margin(problem: Problem) -> float:
+def certificate_margin(problem: Problem) -> float:
     """Return the margin of the certificate; below 0 where the gains have none.
 
     Raises InputError.

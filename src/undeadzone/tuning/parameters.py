@@ -23,7 +23,7 @@ from undeadzone.scenario.address import (
 from undeadzone.scenario.problem import Problem, constant_gains, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.tune_table import TABLE, Range, Tune
-from undeadzone.tuning.candidates import certified_margin
+from undeadzone.tuning.candidates import certificate_margin
 from undeadzone.util.arrays import LARGEST, Floats
 
 GAINS: Final = "observer.L"  # the one array that an observer has by default
@@ -62,7 +62,7 @@ class Parameter(NamedTuple):
         return (value - self.low) / (self.high - self.low)
 
 
-def named(address: str, known: Mapping[str, Number]) -> list[str]:
+def numbers_of_address(address: str, known: Mapping[str, Number]) -> list[str]:
     """Return the numbers that an address stands for.
 
     A list may be indexed as the column that it is, one number as a list.
@@ -113,7 +113,7 @@ def parameters(entries: Mapping[str, Range], scenario: Scenario) -> tuple[Parame
     known = numbers(scenario)
     tuned: dict[str, Parameter] = {}
     for address, bounds in entries.items():
-        for name in named(address, known):
+        for name in numbers_of_address(address, known):
             if name in tuned:
                 place = TABLE.entry_name(name)
                 raise InputError(f"{place}: tuned twice; keep one entry that names it")
@@ -172,12 +172,12 @@ def with_gains(scenario: Scenario, what: Tune) -> Scenario:
     known, moved = numbers(scenario), {}
     for address in of_gains:
         low, high = what.entries[address].between
-        for name in named(address, known):
+        for name in numbers_of_address(address, known):
             moved[name] = min(max(known[name].value or 0.0, low), high)
     return with_numbers(scenario, moved)
 
 
-def checked_parameters(what: Tune, scenarios: tuple[Scenario, ...]) -> tuple[Parameter, ...]:
+def require_parameters(what: Tune, scenarios: tuple[Scenario, ...]) -> tuple[Parameter, ...]:
     """What is tuned, in every scenario, from a start that can be run.
 
     Raises InputError or a subclass.
@@ -202,7 +202,7 @@ def checked_parameters(what: Tune, scenarios: tuple[Scenario, ...]) -> tuple[Par
 
 def _require_certificates(problem: Problem) -> None:
     """Raise InputError or StructureError where no gains of a problem's observer are certified."""
-    certified_margin(problem)
+    certificate_margin(problem)
     model = problem.model
     proof = certify(model.linear, np.zeros((model.n, model.p)), np.ones(model.p), model.Ts)
     if proof.reason:

@@ -13,7 +13,7 @@ import undeadzone
 from undeadzone.results.scales import LIMIT
 from undeadzone.results.sheet import number
 from undeadzone.scenario.problem import resolve_scenario
-from undeadzone.scenario.reader import anchored
+from undeadzone.scenario.reader import anchor_files
 from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.tune_table import Tune
 from undeadzone.statistics import intervals as statistics
@@ -23,7 +23,7 @@ from undeadzone.tuning.parameters import Parameter
 from undeadzone.util import shown, toml
 from undeadzone.util.arrays import Floats, finite
 from undeadzone.util.files import path_of, write_text
-from undeadzone.util.own_files import marked
+from undeadzone.util.own_files import mark_toml
 
 RESAMPLES: Final = 2000  # of the held-out runs, for the interval of the change
 EDGE: Final = 0.01  # share of a range within which a number lies at its end
@@ -163,7 +163,9 @@ class Tuned:
             f"# {len(self.trials)} candidates on {self.what.runs} runs each, seed {self.seed}.\n"
         )
         here = Path(os.path.relpath(Path(), path.parent))  # from the file's folder
-        return write_text(marked(head + toml.dumps(anchored(self.scenarios[index], here))), path)
+        return write_text(
+            mark_toml(head + toml.dumps(anchor_files(self.scenarios[index], here))), path
+        )
 
     def summary(self) -> dict[str, Any]:
         """Return everything found, ready for JSON.
@@ -217,14 +219,14 @@ def in_words(found: Tuned) -> dict[str, Any]:
         if parameter.name in found.at_edge:
             words += ", at the end of its range: a wider one may do better"
         shown[parameter.name] = words
-    shown |= _gained(found)
+    shown |= _improvement(found)
     if finite(found.margin) is not None:
         yes_no = "yes" if found.certified else "NO"
         shown["certified"] = f"{yes_no}, margin {found.margin:.4g}"
     return shown
 
 
-def _gained(found: Tuned) -> dict[str, str]:
+def _improvement(found: Tuned) -> dict[str, str]:
     """What tuning gained, on the runs tuned on and on those held out."""
     before, after, runs = found.held_out[0]
     drawn = f"{runs} runs" if runs > 1 else "one run: nothing differs between them"

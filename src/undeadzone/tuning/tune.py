@@ -23,7 +23,13 @@ from undeadzone.scenario.reader import digests
 from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.tune_table import Tune
 from undeadzone.tuning.candidates import Frame, Objective, Problems
-from undeadzone.tuning.parameters import Parameter, checked_parameters, named, values_at, with_gains
+from undeadzone.tuning.parameters import (
+    Parameter,
+    numbers_of_address,
+    require_parameters,
+    values_at,
+    with_gains,
+)
 from undeadzone.tuning.result import SimulatedCandidate, Tuned, best_of, validate
 from undeadzone.util import toml
 from undeadzone.util.answers import Answers
@@ -78,16 +84,16 @@ def tune(
         InputError or a subclass: by key of [tune]; FileError for `keep`
     """
     scenarios = (scenarios,) if isinstance(scenarios, Scenario) else tuple(scenarios)
-    what = _checked(scenarios, what)
+    what = _require_task(scenarios, what)
     scenarios = tuple([with_gains(scenario, what) for scenario in scenarios])
-    frames = _checked_frames(scenarios, frames)
+    frames = _require_frames(scenarios, frames)
     seed = _seed(scenarios[0], what)
-    tuned = checked_parameters(what, scenarios)
+    tuned = require_parameters(what, scenarios)
     start = np.array([p.share(p.start) for p in tuned])
     together = [np.full(start.size, share) for share in PLACES]
-    probes = [start, *_moved_alone(start, [PLACES] * start.size), *together]
+    probes = [start, *_single_moves(start, [PLACES] * start.size), *together]
     points, names = values_at(tuned, np.stack(probes)), [p.name for p in tuned]
-    on = Objective(what, names, scenarios, frames, threads).prepared(points, seed)
+    on = Objective(what, names, scenarios, frames, threads).prepare_runs(points, seed)
     with (
         in_notebook(progress, "tuning", what.budget, "candidates") as advance,
         _answers(on, keep, resume, seed) as kept,
@@ -115,13 +121,13 @@ def _answers(on: Objective, keep: Path | None, resume: bool, seed: int) -> Itera
         yield kept
 
 
-def _moved_alone(start: Floats, places: Sequence[Sequence[float] | Floats]) -> list[Floats]:
+def _single_moves(start: Floats, places: Sequence[Sequence[float] | Floats]) -> list[Floats]:
     """Return points that move each number of a start alone, to each of its places."""
     moves = chain.from_iterable(product([i], values) for i, values in enumerate(places))
     return [np.where(np.arange(start.size) == i, value, start) for i, value in moves]
 
 
-def _checked(scenarios: tuple[Scenario, ...], what: Tune | None) -> Tune:
+def _require_task(scenarios: tuple[Scenario, ...], what: Tune | None) -> Tune:
     """What is wanted. Raises InputError."""
     if not scenarios:
         raise InputError("tune: expected at least one scenario, found none")
@@ -133,7 +139,7 @@ def _checked(scenarios: tuple[Scenario, ...], what: Tune | None) -> Tune:
     return what
 
 
-def _checked_frames(
+def _require_frames(
     scenarios: tuple[Scenario, ...], frames: Sequence[Frame] | None
 ) -> Sequence[Frame]:
     """Return a frame for each scenario. Raises InputError."""
@@ -348,14 +354,14 @@ def _evolve(evaluate: Evaluate, what: Tune, start: Floats, seed: int, spread: fl
     """
 
     def cost(u: Floats) -> Floats:
-        return _penalised(evaluate(u), what.margin)
+        return _penalise_margin(evaluate(u), what.margin)
 
     size = 4 + int(3 * np.log(start.size))
     low, high, rounds = np.zeros(start.size), np.ones(start.size), PATIENCE * what.budget // size
     evolve(cost, low, high, seed, size, rounds, start, spread)
 
 
-def _penalised(worth: Evaluation, least: float) -> Floats:
+def _penalise_margin(worth: Evaluation, least: float) -> Floats:
     """Return the cost of candidates; beyond FORBIDDEN by the lack of margin, for those that lack
     it.
     """
@@ -408,8 +414,8 @@ def sweep(
     points = np.stack([mesh.ravel() for mesh in meshes], axis=1)
     seed = seed_of("seed", seed if what.seed is None else what.seed)
     places = [axis[[0, axis.size // 2, -1]] for axis in axes.values()]
-    probes = np.stack(_moved_alone(points[0], places))
-    on = Objective(what, list(axes), [scenario], [Frame()], threads).prepared(probes, seed)
+    probes = np.stack(_single_moves(points[0], places))
+    on = Objective(what, list(axes), [scenario], [Frame()], threads).prepare_runs(probes, seed)
     candidates = on.problems(points)
     possible = {k: problems for k, problems in enumerate(candidates) if problems is not None}
     cost = np.full(len(points), np.inf)
@@ -426,7 +432,7 @@ def _axes(scenario: Scenario, grid: Mapping[str, npt.ArrayLike]) -> dict[str, Fl
     known = numbers(scenario)
     axes: dict[str, Floats] = {}
     for address, values in grid.items():
-        axes |= dict.fromkeys(named(address, known), series(address, values))
+        axes |= dict.fromkeys(numbers_of_address(address, known), series(address, values))
     if not axes:
         raise InputError(
             "sweep: nothing to sweep; give values by address, such as "

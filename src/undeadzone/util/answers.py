@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from undeadzone.errors import FileError, InputError, Terminated, UndeadzoneError
-from undeadzone.util.files import LARGEST_TABLE, kept_file, put, writing
+from undeadzone.util.files import LARGEST_TABLE, lock_file, write_all, writing
 from undeadzone.util.versions import versions
 
 
@@ -97,7 +97,7 @@ class Answers:
         self._path, self._unit = path, unit
         self._known: dict[str, Any] = {}
         self._is_first = not path.parent.exists()
-        with kept_file(path, "a+", LARGEST_TABLE) as self._file:
+        with lock_file(path, "a+", LARGEST_TABLE) as self._file:
             self._open({"answers": unit, **problem, **versions()}, resume)
 
     def of(
@@ -113,7 +113,7 @@ class Answers:
         texts = [json.dumps(question) for question in questions]
         missing = [k for k, text in enumerate(texts) if text not in self._known]
         for k, answer in compute(missing) if missing else ():
-            put(self._path, self._file, _line(json.dumps([texts[k], answer])))
+            write_all(self._path, self._file, _line(json.dumps([texts[k], answer])))
             self._known[texts[k]] = answer
         return [self._known[text] for text in texts]
 
@@ -145,12 +145,12 @@ class Answers:
             with writing(self._path):
                 self._file.truncate(0)
             try:
-                put(self._path, self._file, _line(head))
+                write_all(self._path, self._file, _line(head))
             except FileError:  # disk full
                 self.drop()
                 raise
             return
-        lines = [line for line in map(_checked, content.split(b"\n")) if line is not None]
+        lines = [line for line in map(_parse_line, content.split(b"\n")) if line is not None]
         words = f"holds no kept {self._unit}", f"{self._unit} of a stopped run are there"
         there = problem_there(self._path, lines[0] if lines else "", "answers", words, resume)
         here = json.loads(head)
@@ -187,7 +187,7 @@ def _sum(data: bytes) -> bytes:
     return hashlib.blake2b(data, digest_size=SUM // 2).hexdigest().encode()
 
 
-def _checked(line: bytes) -> str | None:
+def _parse_line(line: bytes) -> str | None:
     """What a line says, if its checksum is right."""
     begin, _, rest = line.partition(b" ")
     return rest.decode() if begin == _sum(rest) else None

@@ -44,7 +44,7 @@ def numeric(value: Any) -> Floats:
     if isinstance(value, str):
         value = matlab(value)
     try:
-        array = np.asarray(unmasked(value))
+        array = np.asarray(unmask(value))
     except ValueError:
         raise ValueError(
             "expected numbers in a rectangular list, found rows of different lengths"
@@ -62,7 +62,7 @@ def numeric(value: Any) -> Floats:
     return array
 
 
-def unmasked(value: Any) -> Any:
+def unmask(value: Any) -> Any:
     """Return the value, NaN in place of what an array masks: what is under the mask is no
     number.
     """
@@ -170,7 +170,7 @@ def shape_text(shape: Iterable[int]) -> str:
     return " x ".join(map(str, shape)) or "one number"
 
 
-def listed(numbers: Iterable[complex]) -> str:
+def list_numbers(numbers: Iterable[complex]) -> str:
     """Return numbers, complex ones perhaps, as text: -1, -2+3j."""
     return ", ".join(map(_number_text, numbers))
 

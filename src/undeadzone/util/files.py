@@ -110,7 +110,7 @@ def require_plain(path: Name, largest: int | None = None) -> None:
 
 
 @contextmanager
-def kept_file(path: Path, mode: str, largest: int | None = None) -> Iterator[io.FileIO]:
+def lock_file(path: Path, mode: str, largest: int | None = None) -> Iterator[io.FileIO]:
     """Provide a file that a computation keeps its results in, made where there is none, open and
     locked.
 
@@ -177,7 +177,7 @@ def _lock(path: Path, file: io.FileIO) -> None:
         )
 
 
-def put(path: Path, file: io.FileIO, data: bytes, offset: int | None = None) -> None:
+def write_all(path: Path, file: io.FileIO, data: bytes, offset: int | None = None) -> None:
     """Write all of some bytes, in as many calls as the system asks for.
 
     Args:

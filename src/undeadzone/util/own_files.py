@@ -20,16 +20,16 @@ REMARK: Final = "undeadzone wrote this file, and replaces it until someone edits
 _SIGNED: Final = re.compile(re.escape(REMARK) + "([0-9a-f]{64})")
 
 
-def marked(text: str) -> str:
+def mark_toml(text: str) -> str:
     """Return a text under a remark that says whose it is, in TOML.
 
     Args:
         text: of the file.
     """
-    return signed(f"# {REMARK}\n{text}")
+    return sign_text(f"# {REMARK}\n{text}")
 
 
-def signed(text: str) -> str:
+def sign_text(text: str) -> str:
     """Return a text that holds REMARK, with its digest behind that.
 
     Args:
@@ -63,10 +63,10 @@ def write_own(text: str, path: Path, force: bool = False) -> Path:
         force: whether a file of someone else is replaced.
     """
     require_own(path, force)
-    return write_text(marked(text), path)
+    return write_text(mark_toml(text), path)
 
 
-def edited(folder: Path, digests: Mapping[str, str]) -> list[str]:
+def edited_files(folder: Path, digests: Mapping[str, str]) -> list[str]:
     """Return the files in a folder that are not as undeadzone wrote them; those that are gone are
     none.
 
@@ -89,7 +89,7 @@ def is_own(path: Path) -> bool:
     except (OSError, ValueError):
         return False
     found = _SIGNED.search(text)
-    return found is not None and signed(text.replace(found[1], "", 1)) == text
+    return found is not None and sign_text(text.replace(found[1], "", 1)) == text
 
 
 def _is_as_written(path: Path, written: str) -> bool:

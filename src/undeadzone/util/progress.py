@@ -44,7 +44,7 @@ def in_notebook(
     if progress is not None:
         yield progress
     elif _kernel():
-        with _shown(_Page(), what, total, unit) as advance:
+        with _show_bar(_Page(), what, total, unit) as advance:
             yield advance
     else:
         yield silent
@@ -60,7 +60,7 @@ def on_terminal(what: str, total: int | None, unit: str = "", of: Any = None) ->
         yield silent
         return
     first = SETTING_UP if of is None else f"{SETTING_UP} {of.__struct_config__.tag}"
-    with _shown(_Terminal(), what, total, unit, first) as advance:
+    with _show_bar(_Terminal(), what, total, unit, first) as advance:
         yield advance
 
 
@@ -82,7 +82,7 @@ class _Place(Protocol):
 
 
 @contextmanager
-def _shown(
+def _show_bar(
     place: _Place, what: str, total: int | None, unit: str | None, first: str = SETTING_UP
 ) -> Iterator[Advance]:
     """Provide a bar that appears once PATIENCE has passed; steps may be counted from several

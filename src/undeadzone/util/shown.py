@@ -48,7 +48,7 @@ def html(blocks: Sequence[Block]) -> str:
 
 def source(words: str) -> str:
     """Return a text with its lines as they are, such as a scenario, as HTML for a notebook."""
-    lines = [_escaped(line) for line in words.split("\n")]
+    lines = [_escape_html(line) for line in words.split("\n")]
     return f'<pre style="line-height:1.35">{chr(10).join(lines)}</pre>'
 
 
@@ -86,12 +86,12 @@ def in_notebook(result: Any) -> str:
 def _lines(block: Block, width: int | None) -> list[str]:
     """Return one block as lines."""
     if isinstance(block, str):
-        first, *others = _folded(printable(block), width)
+        first, *others = _fold_line(printable(block), width)
         return [first, *(f"  {line}" for line in others)]  # no line begins with words of others
-    return _aligned(block, width) if isinstance(block, Mapping) else _columns(block, width)
+    return _align_lines(block, width) if isinstance(block, Mapping) else _columns(block, width)
 
 
-def _aligned(pairs: Pairs, width: int | None) -> list[str]:
+def _align_lines(pairs: Pairs, width: int | None) -> list[str]:
     """Return lines `name  value`; a list takes a line for each of its entries."""
     longest = max(len(printable(name)) for name in pairs)
     lines = []
@@ -100,7 +100,7 @@ def _aligned(pairs: Pairs, width: int | None) -> list[str]:
         for entry in _entries(value):
             words = printable(_cell(entry))
             room = None if width is None else max(width - longest - 2, NARROWEST)
-            for part in _folded(words, room):
+            for part in _fold_line(words, room):
                 lines.append(f"{head:<{longest}}  {part}".rstrip())
                 head = ""
     return lines
@@ -127,11 +127,11 @@ def _records(rows: Sequence[Sequence[str]], width: int) -> list[str]:
     lines: list[str] = []
     for row in others:
         cells = {head: cell for head, cell in zip(heads, row, strict=True) if cell}
-        lines += [*([""] if lines else []), *_aligned(cells, width)]
+        lines += [*([""] if lines else []), *_align_lines(cells, width)]
     return lines
 
 
-def _folded(words: str, width: int | None) -> list[str]:
+def _fold_line(words: str, width: int | None) -> list[str]:
     """Return a line as lines of so many characters; words that are longer stay whole."""
     if width is None or len(words) <= width:
         return [words]
@@ -141,25 +141,25 @@ def _folded(words: str, width: int | None) -> list[str]:
 def _html(block: Block) -> str:
     """Return one block as HTML."""
     if isinstance(block, str):
-        return f"<p>{_escaped(block)}</p>"
+        return f"<p>{_escape_html(block)}</p>"
     if isinstance(block, Mapping):
         rows = [_pair(name, value) for name, value in block.items()]
         return f"<table>{''.join(rows)}</table>"
-    head = "".join(f"<th>{_escaped(cell)}</th>" for cell in block[0])
+    head = "".join(f"<th>{_escape_html(cell)}</th>" for cell in block[0])
     body = "".join(f"<tr>{''.join(map(_td, row))}</tr>" for row in block[1:])
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
 def _pair(name: str, value: Any) -> str:
     """Return a row of a table of pairs."""
-    cell = "<br>".join(_escaped(_cell(entry)) for entry in _entries(value))
+    cell = "<br>".join(_escape_html(_cell(entry)) for entry in _entries(value))
     style = ' style="text-align:left"'
-    return f"<tr><th{style}>{_escaped(name)}</th><td{style}>{cell}</td></tr>"
+    return f"<tr><th{style}>{_escape_html(name)}</th><td{style}>{cell}</td></tr>"
 
 
 def _td(cell: str) -> str:
     """Return a cell of a table of rows."""
-    return f"<td>{_escaped(cell)}</td>"
+    return f"<td>{_escape_html(cell)}</td>"
 
 
 def _entries(value: Any) -> list[Any]:
@@ -172,6 +172,6 @@ def _cell(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def _escaped(words: str) -> str:
+def _escape_html(words: str) -> str:
     """Return text of others in HTML."""
     return escape(printable(words))

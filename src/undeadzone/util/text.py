@@ -36,7 +36,7 @@ def with_unit(words: str, unit: str) -> str:
     return words if unit == "1" else f"{words} {unit}"
 
 
-def counted(number: int, what: str) -> str:
+def count_noun(number: int, what: str) -> str:
     """Return a number of things: "1 run", "2 runs"."""
     return f"{number:,} {what}{'s' * (number != 1)}"
 
@@ -55,10 +55,10 @@ def with_interval(value: float | None, std: float | None) -> str:
         return _short(value)
     place = 1 - math.floor(math.log10(std)) if std < math.inf else -1
     form = ".4g" if place < 0 or abs(value) < 1e-4 or place > 12 else f".{place}f"
-    return bracketed(value, value - half, value + half, form)
+    return bracket_interval(value, value - half, value + half, form)
 
 
-def bracketed(value: float, low: float, high: float, form: str) -> str:
+def bracket_interval(value: float, low: float, high: float, form: str) -> str:
     """Return a value and its interval: 0.98 [0.55, 1.41]; `form` as `format` takes it."""
     return f"{value:{form}} [{low:{form}}, {high:{form}}]"
 
@@ -76,7 +76,7 @@ def json_line(text: str) -> str:
     return text if text.isprintable() else "".join(map(_in_json, text))
 
 
-def filled(text: str, words: Mapping[str, Any]) -> str:
+def fill_words(text: str, words: Mapping[str, Any]) -> str:
     """Return a text: each `@word@` is filled in, a line that begins with `@?word@` needs its truth.
 
     Args:

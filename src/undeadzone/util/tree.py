@@ -15,13 +15,13 @@ import numpy as np
 from undeadzone.util.arrays import Floats
 
 
-def joined(tree: Any, name: str, value: Any) -> Any:
+def append_field(tree: Any, name: str, value: Any) -> Any:
     """Return the named tuple, or an empty one, with one more field, the last one."""
     make: Any = namedtuple  # of names that are known at run time
     return make("Joined", [*getattr(tree, "_fields", ()), name])(*tree, value)
 
 
-def parted(tree: Any, kind: Any) -> Any:
+def drop_last_field(tree: Any, kind: Any) -> Any:
     """What `joined` was given: the named tuple of that kind without the last field."""
     return kind(*tree[:-1])
 
@@ -54,7 +54,7 @@ def rebuild(like: Any, values: Iterator[Any]) -> Any:
     return next(values)
 
 
-def mapped(function: Callable[[Any], Any], tree: Any) -> Any:
+def map_leaves(function: Callable[[Any], Any], tree: Any) -> Any:
     """Return the tree of what a function makes of each leaf."""
     return rebuild(tree, (function(leaf) for _, leaf in leaves(tree)))
 
@@ -63,7 +63,7 @@ def columns(like: Any, rows: Floats) -> Any:
     """Return the columns of packed rows (N x all) as a tree of the shape of the NumPy tree
     `like`.
     """
-    return mapped(lambda part: rows[:, part], slices(like))
+    return map_leaves(lambda part: rows[:, part], slices(like))
 
 
 def pack(tree: Any) -> Floats:
@@ -79,7 +79,7 @@ def stack(tree: Any) -> ca.SX:
     return ca.densify(ca.veccat(ca.SX(0, 1), *(leaf for _, leaf in leaves(tree))))
 
 
-def substituted(tree: Any, symbol: ca.SX, value: ca.SX) -> Any:
+def substitute_symbol(tree: Any, symbol: ca.SX, value: ca.SX) -> Any:
     """Return a CasADi tree with an expression in the place of a symbol."""
     leaves_now = [leaf for _, leaf in leaves(tree)]
     return rebuild(tree, iter(ca.substitute(leaves_now, [symbol], [value])))

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.compensators.parts.coasting import Coasts, coasted, coasting, inverted
+from undeadzone.compensators.parts.coasting import Coasts, coast_input, coasting, invert_zone
 from undeadzone.errors import InputError, StructureError
 from undeadzone.interfaces import Compensator, Estimate, Reading
 from undeadzone.nonlinearities.actuator import Actuator as Plain
@@ -117,8 +117,8 @@ def adaptive_step(
     change = q.gain * zeta.T @ error / (1 + q.gain * ca.sumsqr(zeta))
     widths = ca.fmax(ca.fmin(s.widths + change, q.most), 0.0)
     drive = q.drive
-    u = inverted(drive, v, widths[:m], widths[m:])
-    coasts, u = coasted(q.coasts, s.coasts, u, estimate, reading)
+    u = invert_zone(drive, v, widths[:m], widths[m:])
+    coasts, u = coast_input(q.coasts, s.coasts, u, estimate, reading)
     slope = ca.if_else(u > 0, drive.slope_right, drive.slope_left)
     right, left = slope * (u > 0), slope * (u < 0)
     xi = q.A @ s.xi + q.B @ (slope * u)

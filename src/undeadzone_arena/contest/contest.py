@@ -23,7 +23,7 @@ from undeadzone.util.arrays import finite
 from undeadzone.util.files import write_text
 from undeadzone.util.progress import in_notebook
 from undeadzone.util.shown import Block
-from undeadzone_arena.contest.entry import entered, numbers
+from undeadzone_arena.contest.entry import enter_method, numbers
 from undeadzone_arena.contest.leaderboard import (
     CAP,
     NAIVE,
@@ -103,7 +103,7 @@ class Contest(NamedTuple):
         """
         numbers = self.numbers.get(method, NOTHING)
         known = {**catalogue(), **self.own}
-        return entered(known[method], situation(self.scenarios[title]), numbers)
+        return enter_method(known[method], situation(self.scenarios[title]), numbers)
 
     def replay(self, method: str, title: str) -> tuple[Problem, Outputs]:
         """Return a run again, with the first seed, and all its signals.

@@ -45,9 +45,9 @@ def in_words(
     work = sum(HEAVY.get(name, USUAL) for name in names) * runs
     minutes = work * sum(map(_naive, situations(grounds).values())) / at_once / 60
     return (
-        f"{_counted(len(names), 'method')} x {_counted(len(grounds), 'scenario')} x "
-        f"{_counted(runs, what)} = {_counted(total, 'run')}; {_about(minutes)} on "
-        f"{_counted(at_once, 'process', 'processes')}"
+        f"{_count_runs(len(names), 'method')} x {_count_runs(len(grounds), 'scenario')} x "
+        f"{_count_runs(runs, what)} = {_count_runs(total, 'run')}; {_about(minutes)} on "
+        f"{_count_runs(at_once, 'process', 'processes')}"
     )
 
 
@@ -66,6 +66,6 @@ def _about(minutes: float) -> str:
     return f"about {float(f'{number:.1g}'):g} {unit}"
 
 
-def _counted(number: int, one: str, many: str = "") -> str:
+def _count_runs(number: int, one: str, many: str = "") -> str:
     """Return 1 run, 2 runs."""
     return f"{number:,} {one if number == 1 else many or f'{one}s'}"

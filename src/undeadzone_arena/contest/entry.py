@@ -14,7 +14,7 @@ from undeadzone.errors import InputError
 from undeadzone.nonlinearities.actuator import SIDES, Belief
 from undeadzone.observers import FullState
 from undeadzone.observers.filtering.actuator import ESTIMATORS
-from undeadzone.scenario.problem import known_actuator
+from undeadzone.scenario.problem import describe_actuator
 from undeadzone.scenario.schema import Model, Scenario
 from undeadzone_arena.contest.methods import NOTHING, Knobs, Method, Numbers, Options, middle
 from undeadzone_arena.contest.prior_knowledge import UNITS, PriorKnowledge, Setting, situation
@@ -41,7 +41,7 @@ def numbers(path: Path | None = None) -> Numbers:
     return {name: entry.knobs for name, entry in load(path).methods.items()}
 
 
-def entered(method: Method, ground: Setting, numbers: Knobs = NOTHING) -> Scenario:
+def enter_method(method: Method, ground: Setting, numbers: Knobs = NOTHING) -> Scenario:
     """Return the scenario with a method in the place of its observer.
 
     The method takes the place of the controller too if it has its own.
@@ -92,7 +92,7 @@ def _model(method: Method, scenario: Scenario, prior: PriorKnowledge) -> Model |
     A line to compare with knows it. A method that estimates widths gets their ranges, another one
     the middle of these.
     """
-    model, told = scenario.model, known_actuator(scenario)
+    model, told = scenario.model, describe_actuator(scenario)
     if method.reference:
         return None if model is None else msgspec.structs.replace(model, actuator=None)
     estimates = method.observer.__struct_config__.tag in ESTIMATORS

@@ -97,10 +97,10 @@ def regrets(results: Sequence[Result]) -> dict[str, Floats]:
             J[result.method][place] = np.inf if result.worth.diverged else result.worth.tracking
             zone[place] = result.worth.zone
     least = np.where(np.isfinite(J[ZERO]), J[ZERO], 0.0)
-    return {name: bounded((own - least) / zone) for name, own in J.items()}
+    return {name: bound_regret((own - least) / zone) for name, own in J.items()}
 
 
-def bounded(regret: Floats) -> Floats:
+def bound_regret(regret: Floats) -> Floats:
     """Return a regret as it is up to half of `CAP` on either side, beyond rising ever more slowly
     to it.
 

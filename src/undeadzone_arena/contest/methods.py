@@ -127,7 +127,7 @@ def _readable(prior: PriorKnowledge, knobs: Knobs) -> Options:
     return {"observer.gamma": 0.0} if prior.kind == "jump" else {}
 
 
-def _bounded(prior: PriorKnowledge, knobs: Knobs) -> Options:
+def _disturbance_bound(prior: PriorKnowledge, knobs: Knobs) -> Options:
     """Return a bound of the disturbance."""
     return {"observer.disturbance": SURELY * math.hypot(prior.disturbance_rms, prior.bias)}
 
@@ -209,7 +209,9 @@ METHODS: Final[Mapping[str, Method]] = MappingProxyType(
         ),
         "particle_filter": Method(ParticleFilter, BLURRED),
         "moving_horizon": Method(MovingHorizon, CLAIMS),
-        "interval": Method(Interval, {"observer.speed": Knob(0.1, 30.0, "1/s")}, derived=_bounded),
+        "interval": Method(
+            Interval, {"observer.speed": Knob(0.1, 30.0, "1/s")}, derived=_disturbance_bound
+        ),
         "high_gain": Method(
             HighGain,
             {"observer.epsilon": Knob(0.01, 1.0, "s"), "observer.gamma": GAIN},

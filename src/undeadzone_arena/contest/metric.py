@@ -7,14 +7,14 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from undeadzone.analysis.branch_schedule import recorded
+from undeadzone.analysis.branch_schedule import schedule_of_record
 from undeadzone.analysis.identifiability.linear import verdicts
 from undeadzone.results.scales import LIMIT, plant_scales, shares
 from undeadzone.scenario.problem import Problem
 from undeadzone.simulation.identifiability import (
     actuator_unknown,
     constant_inputs,
-    told_at_both_ends,
+    widths_with_unknown_actuator,
 )
 from undeadzone.simulation.loop import Outputs
 from undeadzone.util.arrays import Floats
@@ -89,7 +89,7 @@ def worth(problem: Problem, out: Outputs, truth: Floats, cost: float) -> Worth:
     r = problem.reference.value(t)
     error = out.z[:, problem.tracked] - r
     with np.errstate(invalid="ignore", over="ignore"):
-        diverged = _diverged(problem, out)
+        diverged = _has_diverged(problem, out)
         width, centre = (None, None) if diverged else _widths(problem, out, truth)
         return Worth(
             tracking=rms(error[tail]),
@@ -111,7 +111,7 @@ def rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _diverged(problem: Problem, out: Outputs) -> bool:
+def _has_diverged(problem: Problem, out: Outputs) -> bool:
     """Return whether a signal left `LIMIT` times its scale or was no number."""
     estimate = out.estimate
     outputs = [out.z, estimate.z, estimate.right, estimate.left]
@@ -136,9 +136,9 @@ def _widths(problem: Problem, out: Outputs, truth: Floats) -> tuple[float | None
     if not (estimated != estimated[0]).any():
         return None, None
     sensor, linear = problem.sensor, problem.model.linear
-    schedule = recorded(out.z, sensor, problem.scenario.simulation.step, problem.model.Ts)
+    schedule = schedule_of_record(out.z, sensor, problem.scenario.simulation.step, problem.model.Ts)
     if actuator_unknown(problem):
-        judged = told_at_both_ends(problem, out, schedule)
+        judged = widths_with_unknown_actuator(problem, out, schedule)
     else:
         bias = constant_inputs(problem, linear.B)
         judged = verdicts(linear, schedule, bias, sensor.kind == "jump")

@@ -10,7 +10,7 @@ from undeadzone.report.html import (
     MOST,
     Html,
     Origin,
-    folded,
+    fold_section,
     page,
     paragraph,
     pick,
@@ -19,7 +19,7 @@ from undeadzone.report.html import (
     table,
     write_page,
 )
-from undeadzone.util.text import counted
+from undeadzone.util.text import count_noun
 from undeadzone_arena.contest.contest import Contest
 from undeadzone_arena.contest.figures import costs, heat, leaderboard, places, traces
 from undeadzone_arena.contest.leaderboard import CAP, NAIVE, ZERO, Row, regrets
@@ -125,7 +125,9 @@ def panel(axes: Axes, contest: Contest) -> None:
 def arena_page(contest: Contest, images: Mapping[str, bytes], origin: Origin | None = None) -> str:
     """Return the page; images: SVGs by the names of `figures`; else see `write_arena`."""
     shown = pictures(images, CAPTIONS)
-    every = folded("All numbers", table(HEAD, map(_cells, contest.rows)), paragraph(NOTE, "note"))
+    every = fold_section(
+        "All numbers", table(HEAD, map(_cells, contest.rows)), paragraph(NOTE, "note")
+    )
     ranked = [_first(contest), *pick(shown, "leaderboard"), every]
     rules = [*map(paragraph, RULES), _refusals(contest), _tuned_numbers(contest)]
     return page(
@@ -175,9 +177,9 @@ def _rounded(value: float | None) -> float | None:
 def size_in_words(contest: Contest) -> str:
     """How many methods, scenarios and runs there are."""
     parts = [
-        counted(len(contest.rows), "method"),
-        counted(len(contest.scenarios), "scenario"),
-        counted(len(contest.seeds), "run"),
+        count_noun(len(contest.rows), "method"),
+        count_noun(len(contest.scenarios), "scenario"),
+        count_noun(len(contest.seeds), "run"),
     ]
     return ", ".join(parts) + " each"
 
@@ -208,7 +210,7 @@ def _settings(contest: Contest) -> Html:
         widths = (str(sensor.right), str(sensor.left))
         step = f"{scenario.simulation.step:g} s"
         rows.append((name, scenario.title, *widths, str(sensor.noise), step))
-    return folded("The scenarios", table(("", "", "d_r", "d_l", "noise", "step"), rows))
+    return fold_section("The scenarios", table(("", "", "d_r", "d_l", "noise", "step"), rows))
 
 
 def _refusals(contest: Contest) -> Html:
@@ -217,7 +219,7 @@ def _refusals(contest: Contest) -> Html:
     reasons = [(result.method, result.scenario, result.reason) for result in refused]
     rows = list(dict.fromkeys(reasons))
     title = f"Not applicable: {len(rows)} of {len(contest.rows) * len(contest.scenarios)}"
-    return folded(title, table(("method", "scenario", "why"), rows))
+    return fold_section(title, table(("method", "scenario", "why"), rows))
 
 
 def _tuned_numbers(contest: Contest) -> Html:
@@ -228,4 +230,4 @@ def _tuned_numbers(contest: Contest) -> Html:
         if knobs:
             words = [f"{address} {value:.4g}" for address, value in knobs.items()]
             rows.append((row.method, ", ".join(words)))
-    return folded("Tuned numbers", table(("method", "knobs"), rows))
+    return fold_section("Tuned numbers", table(("method", "knobs"), rows))

@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.linalg.hold import sampled_noise
+from undeadzone.linalg.hold import discrete_noise_covariance
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.linalg.riccati import fast_gain
 from undeadzone.nonlinearities.actuator import Belief
@@ -94,7 +94,9 @@ class PriorKnowledge(NamedTuple):
         if self.declared.disturbance is not None:
             return float(np.max(self.declared.disturbance))
         A, B, C = self.flow
-        reached = float(np.diag(C @ sampled_noise(A, B @ B.T, self.quarter)[1] @ C.T).max())
+        reached = float(
+            np.diag(C @ discrete_noise_covariance(A, B @ B.T, self.quarter)[1] @ C.T).max()
+        )
         return SWING * self.width / math.sqrt(2 * self.correlation * reached)
 
     @property

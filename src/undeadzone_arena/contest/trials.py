@@ -18,11 +18,11 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation import exogenous as inputs
 from undeadzone.simulation import sample_by_sample as live
 from undeadzone.simulation.loop import Loop, Outputs
-from undeadzone.simulation.simulate import closed, named
+from undeadzone.simulation.simulate import close_problem, name_outputs
 from undeadzone.util import toml, tree
 from undeadzone.util.answers import Answers
 from undeadzone.util.arrays import Floats
-from undeadzone_arena.contest.entry import entered
+from undeadzone_arena.contest.entry import enter_method
 from undeadzone_arena.contest.entry import numbers as built_in
 from undeadzone_arena.contest.leaderboard import FRAME
 from undeadzone_arena.contest.methods import NOTHING, Method, Numbers, catalogue, fitting, require
@@ -61,7 +61,7 @@ def trial(
         numbers: of the method's knobs, by address.
     """
     try:
-        problem = resolve_scenario(entered(method, ground, numbers))
+        problem = resolve_scenario(enter_method(method, ground, numbers))
     except (UndeadzoneError, np.linalg.LinAlgError) as error:
         reason = str(error)
         return [
@@ -83,7 +83,7 @@ def signals(problem: Problem, seed: int) -> Outputs:
 def _runs(problem: Problem, seeds: Sequence[int]) -> Iterator[_TrialRun]:
     """Yield the runs of a problem."""
     observer = problem.observer
-    loop = None if observer.python is not None else closed(problem)
+    loop = None if observer.python is not None else close_problem(problem)
     for seed in seeds:
         exogenous = inputs.exogenous(problem, seed=seed)
         began = time.perf_counter()
@@ -107,7 +107,7 @@ def _interpreted(loop: Loop, problem: Problem, exogenous: Floats) -> Outputs:
     """Return the outputs of a loop on CasADi's virtual machine."""
     state = tree.pack(loop.state._replace(plant=problem.x0))
     outputs, _ = interpret.run(loop.step, state, exogenous, tree.pack(loop.params))
-    return named(loop, outputs)
+    return name_outputs(loop, outputs)
 
 
 class Job(NamedTuple):

@@ -9,7 +9,7 @@ import msgspec
 from undeadzone.errors import FileError
 from undeadzone.util import toml
 from undeadzone.util.files import read_bytes, reason, write_text
-from undeadzone.util.own_files import is_own, marked
+from undeadzone.util.own_files import is_own, mark_toml
 
 HEAD = (
     "# Written by undeadzone arena --tune. Knobs are counted in the units that "
@@ -59,7 +59,7 @@ def save(tuned: Tuned, path: Path) -> Path:
     kept = load(path).methods if is_own(path) else {}
     methods = dict(sorted((kept | tuned.methods).items()))
     text = HEAD + toml.dumps(msgspec.structs.replace(tuned, methods=methods))
-    return write_text(marked(text), path)
+    return write_text(mark_toml(text), path)
 
 
 def load(path: Path) -> Tuned:

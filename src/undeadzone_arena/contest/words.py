@@ -7,7 +7,7 @@ from typing import Final
 
 from undeadzone.results.sheet import number
 from undeadzone.util.shown import Block
-from undeadzone.util.text import counted
+from undeadzone.util.text import count_noun
 from undeadzone_arena.contest.leaderboard import Row, contestants
 
 FEW: Final = 3  # methods whose refusal is told in full
@@ -47,7 +47,7 @@ def in_words(
         blocks += [f"not applicable: {name}: {reasons[name]}" for name in refused]
     else:
         blocks.append(f"not applicable (--json says why): {', '.join(refused)}")
-    on = f"{counted(scenarios, 'scenario')}, {counted(seeds, 'run')} each"
+    on = f"{count_noun(scenarios, 'scenario')}, {count_noun(seeds, 'run')} each"
     blocks.append(f"{on}; - : line to compare with; 95 % intervals in []")
     return blocks
 

@@ -20,7 +20,7 @@ from undeadzone.linalg.matrices import Matrices, companion
 from undeadzone.linalg.poles import observer_gain
 from undeadzone.plants.system import System, fastest_pole
 from undeadzone.registry import Options
-from undeadzone.util.arrays import Array, Floats, listed, positive
+from undeadzone.util.arrays import Array, Floats, list_numbers, positive
 from undeadzone_arena.approximators import Basis
 from undeadzone_arena.gain_defaults import in_poles
 
@@ -142,7 +142,7 @@ def relative_degree(linear: Matrices) -> int:
         zeros = np.linalg.eigvals(hidden.T @ (A - B @ rows[-1] @ A / b) @ hidden)
         if zeros.real.max() >= 0:
             raise StructureError(
-                f"controller.method: the plant has zeros {listed(zeros)}, and what an output "
+                f"controller.method: the plant has zeros {list_numbers(zeros)}, and what an output "
                 "feedback without a model cannot see must be stable"
             )
     return len(rows)

@@ -12,7 +12,7 @@ import numpy as np
 
 from undeadzone.interfaces import Observer
 from undeadzone.nonlinearities.sensor import Zone
-from undeadzone.observers.adaptive.adaptation_laws import bounded_widths
+from undeadzone.observers.adaptive.adaptation_laws import initial_widths_and_bound
 from undeadzone.observers.filtering.motion_detection import with_motion_detection
 from undeadzone.plants.system import System
 from undeadzone.registry import Options
@@ -55,7 +55,7 @@ class AdaptiveInverse(Options, frozen=True, kw_only=True, tag="adaptive_inverse"
     def build(self, model: System, sensor: Zone) -> Observer:
         """Return the observer for a model, continuous or sampled."""
         p = model.p
-        widths, limit = bounded_widths(self.widths0, self.width_max, p)
+        widths, limit = initial_widths_and_bound(self.widths0, self.width_max, p)
         L = injection(model, self.L, self.poles, self.speed, width_hiding_speed(model, 30.0))
         gain = in_poles(model, "observer.gain", self.gain, 300.0)
         if self.law == "gradient":

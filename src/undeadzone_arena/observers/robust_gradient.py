@@ -13,7 +13,7 @@ import numpy as np
 from undeadzone.errors import InputError, StructureError
 from undeadzone.interfaces import Observer, Reading
 from undeadzone.nonlinearities.sensor import Zone, indicators
-from undeadzone.observers.adaptive.output_error import State, adapted, output_error
+from undeadzone.observers.adaptive.output_error import State, output_error, require_widths_and_gain
 from undeadzone.plants.system import System, fastest_pole
 from undeadzone.registry import Options
 from undeadzone.util.arrays import Array, Floats, scalar
@@ -58,7 +58,7 @@ class RobustGradient(Options, frozen=True, kw_only=True, tag="robust_gradient"):
                 "has not; use 'certified' or 'censored'"
             )
         gamma = 3 * fastest_pole(model) if self.gamma is None else self.gamma
-        widths = adapted(gamma, self.widths0, self.width_max, model, sensor)
+        widths = require_widths_and_gain(gamma, self.widths0, self.width_max, model, sensor)
         L = injection(model, self.L, self.poles, self.speed, width_hiding_speed(model, 8.0))
         rho = scalar("observer.rho", self.rho, least=0.0)
         width = scalar("observer.width", self.width, above=0.0)

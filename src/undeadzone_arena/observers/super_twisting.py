@@ -15,7 +15,7 @@ from undeadzone.errors import InputError, StructureError
 from undeadzone.interfaces import Observer
 from undeadzone.linalg.structure import output_chains
 from undeadzone.nonlinearities.sensor import Zone
-from undeadzone.observers.adaptive.output_error import adapted, output_error
+from undeadzone.observers.adaptive.output_error import output_error, require_widths_and_gain
 from undeadzone.plants.system import System, fastest_pole
 from undeadzone.registry import Options
 from undeadzone.util.arrays import Array, Floats, vector
@@ -56,7 +56,7 @@ class SuperTwisting(Options, frozen=True, kw_only=True, tag="super_twisting"):
 
     def build(self, model: System, sensor: Zone) -> Observer:
         """Return the observer for a model, continuous or sampled."""
-        widths = adapted(self.gamma, self.widths0, self.width_max, model, sensor)
+        widths = require_widths_and_gain(self.gamma, self.widths0, self.width_max, model, sensor)
         L = self._linear_gain(model)
         flow = model.continuous
         chains = output_chains(flow.A, flow.C)

@@ -12,10 +12,10 @@ from undeadzone.interfaces import Observer
 from undeadzone.linalg.matrices import Matrices, sizes
 from undeadzone.linalg.riccati import lyapunov, weight
 from undeadzone.nonlinearities.sensor import Zone
-from undeadzone.observers.adaptive.output_error import adapted, output_error
+from undeadzone.observers.adaptive.output_error import output_error, require_widths_and_gain
 from undeadzone.plants.system import System, fastest_pole
 from undeadzone.registry import Options
-from undeadzone.util.arrays import Array, Floats, listed, nonnegative, vector
+from undeadzone.util.arrays import Array, Floats, list_numbers, nonnegative, vector
 from undeadzone_arena.gain_defaults import injection
 
 
@@ -60,7 +60,7 @@ class WalcottZak(Options, frozen=True, kw_only=True, tag="walcott_zak"):
         law = Law(direction(model, L, self.Q), rho, boundary)
         if model.Ts is not None:
             _require_fine_step(model, L, law)
-        widths = adapted(self.gamma, self.widths0, self.width_max, model, sensor)
+        widths = require_widths_and_gain(self.gamma, self.widths0, self.width_max, model, sensor)
         return output_error(model, sensor, L, widths, law, sliding)
 
     def _layer(self, model: System) -> tuple[Floats, Floats]:
@@ -146,6 +146,7 @@ def _require_stable(A: Floats, Ts: float | None, what: str) -> None:
     unstable = poles.real.max() >= 0 if Ts is None else np.abs(poles).max() >= 1
     if unstable:
         raise StructureError(
-            f"observer.L: {what} is not stable, its poles are {listed(poles)}; choose another L, "
+            f"observer.L: {what} is not stable, its poles are {list_numbers(poles)}; "
+            "choose another L, "
             "or slower poles"
         )

@@ -21,7 +21,7 @@ from undeadzone.util.text import one_line
 from undeadzone_export import compiler
 from undeadzone_export.code import Code
 from undeadzone_export.exported_step import Field, Step, numbers_of, total
-from undeadzone_export.template import filled, text_of
+from undeadzone_export.template import fill_template, text_of
 
 _NO_XML: Final = str.maketrans("\ufffe\uffff", "??")  # characters that no XML may hold
 
@@ -291,7 +291,7 @@ def package(
     if version == 3:
         contents["sources/buildDescription.xml"] = build_description(prefix, compiled)
     contents |= {f"sources/{name}": text for name, text in sorted(sources.items())}
-    return _zipped(contents)
+    return _zip_files(contents)
 
 
 def _model(printed: Code, report: dict[str, Any], version: int) -> str:
@@ -307,18 +307,18 @@ def _model(printed: Code, report: dict[str, Any], version: int) -> str:
         "params": total(step.params),
         "real": printed.real,
     }
-    return filled("templates/fmu_model.h", words)
+    return fill_template("templates/fmu_model.h", words)
 
 
 def _binary(sources: dict[str, str]) -> bytes:
     """Return the shared library."""
     with tempfile.TemporaryDirectory() as name:
-        files = compiler.written(sources, Path(name))
+        files = compiler.write_sources(sources, Path(name))
         options = ("-O2", "-fvisibility=hidden")
         return compiler.shared_library(sorted(files), Path(name, "model.so"), options).read_bytes()
 
 
-def _zipped(contents: dict[str, str | bytes]) -> bytes:
+def _zip_files(contents: dict[str, str | bytes]) -> bytes:
     """Return a zip file of the same bytes each time."""
     memory = io.BytesIO()
     with zipfile.ZipFile(memory, "w", zipfile.ZIP_DEFLATED) as archive:

@@ -15,7 +15,7 @@ import numpy as np
 
 import undeadzone
 from undeadzone.compile import print_wasm
-from undeadzone.compile.graph import Results, needed
+from undeadzone.compile.graph import Results, required_nodes
 from undeadzone.compile.lower import portable
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import steady_state
@@ -25,16 +25,16 @@ from undeadzone.signals.exosystem import Exosystem, Sine, Sines, Step, Trapezoid
 from undeadzone.simulation import exogenous
 from undeadzone.simulation.exogenous import targets
 from undeadzone.simulation.loop import RUNGE_KUTTA, Loop
-from undeadzone.simulation.simulate import closed
+from undeadzone.simulation.simulate import close_problem
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
 from undeadzone.util.files import write_text
-from undeadzone.util.own_files import REMARK, require_own, signed
+from undeadzone.util.own_files import REMARK, require_own, sign_text
 from undeadzone.util.text import printable
 from undeadzone_export.code import operations
 from undeadzone_export.exported_step import entries
 from undeadzone_export.page import sliders
-from undeadzone_export.template import filled, text_of
+from undeadzone_export.template import fill_template, text_of
 
 SAMPLES = 512  # of a period, for a Fourier series
 NEGLIGIBLE = 1e-16  # share of a harmonic in the signal below which it is left out
@@ -195,12 +195,12 @@ def build(scenario: Scenario) -> Page:
     """
     problem = resolve_scenario(scenario)
     _require_shown(problem)
-    loop = closed(problem)
-    _require_quick(problem, len(needed(itertools.chain(*_results(loop)))))
+    loop = close_problem(problem)
+    _require_quick(problem, len(required_nodes(itertools.chain(*_results(loop)))))
     code, memory = _code(loop)
     data = _data(problem, loop, memory)
     data["wasm"] = base64.b64encode(code).decode()
-    text = signed(framed(scenario.title, data | {"remark": REMARK}))
+    text = sign_text(frame_page(scenario.title, data | {"remark": REMARK}))
     report = {
         "title": scenario.title,
         "version": undeadzone.__version__,
@@ -368,7 +368,7 @@ def _note(problem: Problem) -> str:
 # --- The HTML around the data: its own script and style, and a policy that allows nothing else
 
 
-def framed(title: str, data: dict[str, Any]) -> str:
+def frame_page(title: str, data: dict[str, Any]) -> str:
     """Return the page.
 
     Args:
@@ -390,7 +390,7 @@ def framed(title: str, data: dict[str, Any]) -> str:
         "legend": data["words"]["legend"],
         "data": content.replace("<", "\\u003c"),
     }
-    return filled("page/page.html", words)
+    return fill_template("page/page.html", words)
 
 
 def _digest(text: str) -> str:

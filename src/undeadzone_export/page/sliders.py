@@ -19,7 +19,7 @@ from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.signals.exosystem import Sine, Sines, Step
 from undeadzone.simulation.loop import Loop
-from undeadzone.simulation.packed import graph, moved, packed
+from undeadzone.simulation.packed import changed_params, graph, pack_problem
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
 
@@ -90,7 +90,7 @@ def sliders(problem: Problem, loop: Loop, sizes: Floats) -> list[Slider]:
         most = nice(max(4 * noise, 0.05 * float(sizes.max())))
         wanted = Slider("noise", "noise of the reading", _unit(scenario), noise, 0.0, most)
         noisy = functools.partial(scenario.replace, "sensor.noise")
-        made += _varied(problem, loop, wanted, noisy)
+        made += _slider_of_key(problem, loop, wanted, noisy)
     made += _mismatch(problem, loop)
     return _apart(made)
 
@@ -179,7 +179,7 @@ def _learning(problem: Problem, loop: Loop) -> list[Slider]:
         return msgspec.structs.replace(problem.scenario, observer=observer)
 
     wanted = Slider("gamma", "learning gain", unit, own, 0.0, nice(4 * own))
-    return _varied(problem, loop, wanted, change)
+    return _slider_of_key(problem, loop, wanted, change)
 
 
 def _mismatch(problem: Problem, loop: Loop) -> list[Slider]:
@@ -196,7 +196,7 @@ def _mismatch(problem: Problem, loop: Loop) -> list[Slider]:
     return [slider_of(wanted, moves)] if moves else []
 
 
-def _varied(problem: Problem, loop: Loop, wanted: Slider, change: Change) -> list[Slider]:
+def _slider_of_key(problem: Problem, loop: Loop, wanted: Slider, change: Change) -> list[Slider]:
     """Return the slider of a key, its range cut to where the scenario is accepted; none if it fits
     none.
 
@@ -207,14 +207,14 @@ def _varied(problem: Problem, loop: Loop, wanted: Slider, change: Change) -> lis
         change: gives the scenario with a value of the key.
     """
     for least in (wanted.least, wanted.most / TICKS):  # 0 may be another kind of scenario
-        accepted = _accepted(wanted._replace(least=least), change)
+        accepted = _accepted_range(wanted._replace(least=least), change)
         moves = _moves(problem, loop, accepted, change)
         if moves is not None:
             return [slider_of(accepted, moves)]
     return []
 
 
-def _accepted(wanted: Slider, change: Change) -> Slider:
+def _accepted_range(wanted: Slider, change: Change) -> Slider:
     """Return the range with its upper end brought down to where the scenario is accepted."""
     for _ in range(HALVINGS):
         if _possible(change, wanted.most) is not None:
@@ -245,10 +245,13 @@ def _moves(problem: Problem, loop: Loop, wanted: Slider, change: Change) -> Move
     same = all(graph(other) == graph(problem) for other in others)
     if not same or len(others) < len(points) or wanted.most <= wanted.value:
         return None
-    own, known = tree.pack(loop.params), np.stack([packed(other, loop)[1] for other in others])
+    own, known = (
+        tree.pack(loop.params),
+        np.stack([pack_problem(other, loop)[1] for other in others]),
+    )
     moves = []
     matrix = np.vander(points, 3, increasing=True)
-    for place in moved(loop, known).tolist():
+    for place in changed_params(loop, known).tolist():
         a, b, c = np.linalg.solve(matrix, known[:, place])
         size = float(np.abs(known[:, place]).max())
         if abs(a + b * wanted.value + c * wanted.value**2 - own[place]) > EXACT * size:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.errors import FileError, InputError
-from undeadzone.logs.samples import Regular, filled
+from undeadzone.logs.samples import Regular, fill_gaps
 from undeadzone.util.arrays import Flags, Floats, Integers
 from undeadzone_identify.logs.log import Log, where
 from undeadzone_identify.models.estimates import KeptClimbs
@@ -84,7 +84,7 @@ def to_grid(logs: list[Log], resample: float | None = None) -> Grid:
                 f"{log.source}: has {log.u.shape[1]} inputs, others have another number"
             )
         steps.append(find_step(log) if resample is None else resample)
-        on_grid = _regular if resample is None else _resampled
+        on_grid = _regular if resample is None else _resample
         pieces.append(on_grid(log, steps[-1], remarks))
     if max(steps) > min(steps) * (1 + JITTER):
         raise InputError(
@@ -131,7 +131,7 @@ def spikes(values: Floats, known: Flags) -> Flags:
     return found & bool(usual > 0 and found.sum() <= max(1, RARE * known.sum()))
 
 
-def shortened(grid: Grid, integrators: int = 0) -> Grid:
+def shorten_log(grid: Grid, integrators: int = 0) -> Grid:
     """Return stretches of a very long log, evenly spread over it, with a remark; others as they
     are.
 
@@ -190,7 +190,7 @@ def find_step(log: Log) -> float:
     count = np.maximum(np.rint(spacing / step), 1.0)
     step = float((log.t[-1] - log.t[0]) / count.sum())
     off = np.abs(spacing - count * step)
-    allowed = JITTER * step * np.sqrt(count) + _printed(log.t)
+    allowed = JITTER * step * np.sqrt(count) + _time_resolution(log.t)
     bad = np.flatnonzero(off > allowed)
     if bad.size:
         worst = int(bad[np.argmax(off[bad])])
@@ -202,7 +202,7 @@ def find_step(log: Log) -> float:
     return step
 
 
-def _printed(t: Floats) -> float:
+def _time_resolution(t: Floats) -> float:
     """By how much printed times may be off [s]: their last decimal, if they have few; else 0."""
     for digits in range(7):
         if np.abs(t - np.round(t, digits)).max() < 1e-9 * max(1.0, float(np.abs(t).max())):
@@ -219,7 +219,7 @@ def _regular(log: Log, step: float, remarks: list[str]) -> _Piece:
     steps[breaks] = 1.0
     start = np.flatnonzero(breaks)
     place = np.cumsum(steps).astype(int) - 1
-    whole = filled(Regular(log.t, log.y, np.hstack([log.u, log.r])), steps, step)
+    whole = fill_gaps(Regular(log.t, log.y, np.hstack([log.u, log.r])), steps, step)
     held = np.maximum.accumulate(np.where(np.isfinite(whole.u[:, 0]), np.arange(whole.t.size), 0))
     missing = whole.t.size - log.t.size
     if missing:
@@ -234,7 +234,7 @@ def _regular(log: Log, step: float, remarks: list[str]) -> _Piece:
     return _Piece(whole.t, whole.u[held], whole.y[:, 0], np.append(0, place[start]))
 
 
-def _resampled(log: Log, step: float, remarks: list[str]) -> _Piece:
+def _resample(log: Log, step: float, remarks: list[str]) -> _Piece:
     """Return a log on a grid of its own: inputs held, readings kept only where they lie near the
     grid.
     """

@@ -20,7 +20,7 @@ from undeadzone.logs.samples import (
     MOST_UNREADABLE,
     LogReader,
     Samples,
-    counted_lines,
+    count_in_words,
     samples_of_text,
 )
 from undeadzone.logs.whole import BINARY, samples_of
@@ -115,7 +115,7 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
             )
         return (ends[0], ends[-1])
 
-    def checked(self) -> Options:
+    def require_options(self) -> Options:
         """These options, every one of them usable. Raises InputError."""
         for name in ("noise", "place", "kind"):
             words = get_args(get_type_hints(Options)[name])
@@ -194,7 +194,7 @@ class Log(NamedTuple):
         )
 
 
-def checked_log(samples: Samples, layout: Layout, source: str) -> Log:
+def require_log(samples: Samples, layout: Layout, source: str) -> Log:
     """Return a log from samples, fit for identification.
 
     Args:
@@ -305,7 +305,7 @@ def read_log(source: Any, columns: str | None = None, strict: bool = False) -> L
         raise FileError(
             f"{name}: no name says which column holds the times; say which by --columns t=NAME"
         )
-    log = checked_log(samples, layout, name)
+    log = require_log(samples, layout, name)
     return log._replace(remarks=(*log.remarks, *remarks))
 
 
@@ -320,7 +320,7 @@ def _of_text(
     if reader.faults.unreadable:
         samples = _readable(samples, reader, path)
         remarks.append(
-            f"{path}: {counted_lines(reader.faults.unreadable)} cannot be read and count as "
+            f"{path}: {count_in_words(reader.faults.unreadable)} cannot be read and count as "
             f"missing; {reader.faults.why}"
         )
     return samples, reader.layout
@@ -330,7 +330,7 @@ def _readable(samples: Samples, reader: LogReader, path: Path) -> Samples:
     """Return the samples of which something could be read. Raises FileError if those are few."""
     if reader.faults.unreadable > MOST_UNREADABLE * samples.t.size:
         raise FileError(
-            f"{path}: {counted_lines(reader.faults.unreadable)} of {samples.t.size} cannot be "
+            f"{path}: {count_in_words(reader.faults.unreadable)} of {samples.t.size} cannot be "
             f"read; {reader.faults.why}"
         )
     some = np.isfinite(np.column_stack([samples.t, samples.y, samples.u])).any(axis=1)
@@ -365,7 +365,7 @@ def log_of_arrays(t: Any, u: Any, y: Any, r: Any = None) -> Log:
         raise InputError(f"t, u, y, r: expected as many rows in each, one r, found {shapes}")
     layout = _layout(readings.shape[1], moved.shape[1])
     samples = Samples(times, readings, np.hstack([moved, wanted]), np.empty(0, np.int64))
-    return checked_log(samples, layout, "arrays")
+    return require_log(samples, layout, "arrays")
 
 
 def _layout(p: int, m: int) -> Layout:

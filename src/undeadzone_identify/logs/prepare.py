@@ -48,7 +48,7 @@ def usable(grid: Grid, remarks: list[str]) -> tuple[Flags, RangeEnds]:
     ends = range_ends(grid.y, ok, grid.quantum)
     at = ends.at(grid.y, ok)
     visits = [runs(at & side)[0].size for side in (grid.y > 0, grid.y < 0)]
-    if not ends.found or max(visits) < VISITS:
+    if not ends.has_ends or max(visits) < VISITS:
         return ok, RangeEnds(-np.inf, np.inf, 0)
     remarks.append(
         f"{ends.number} readings stick at the ends of the range {ends.text}: there they "
@@ -210,7 +210,7 @@ def prepare(grid: Grid, options: Options) -> Prepared:
     u_scale, y_scale = grid.u.std(axis=0), float(np.sqrt(np.mean(y[ok] ** 2)))
     u, y = grid.u / u_scale, y / y_scale
     data = Data(u, y, ok, start, side, ahead, u_scale, y_scale, grid.climbs)
-    stuck, quantum = ends.text if ends.found else "", grid.quantum / y_scale
+    stuck, quantum = ends.text if ends.has_ends else "", grid.quantum / y_scale
     if options.kind == "jump":
         data, limits, jumps = as_dead_zone(data, options)
         return Prepared(options, data, limits, orders, quantum, remarks, stuck, jumps)

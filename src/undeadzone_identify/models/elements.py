@@ -89,10 +89,10 @@ class PlayModel:
     def level(self, z: Floats, theta: Floats) -> tuple[Floats, Floats]:
         """What the play passes on, and where it last moved: +1 right, -1 left, 0 not yet (N, N)."""
         gap = theta[self.base : self.base + 2]
-        return self._dragged(np.append(gap, z))
+        return self._dragged_level(np.append(gap, z))
 
     @latest
-    def _dragged(self, numbers: Floats) -> tuple[Floats, Floats]:
+    def _dragged_level(self, numbers: Floats) -> tuple[Floats, Floats]:
         """Return `level` of c_r, c_l and z in one column."""
         right, left, z = numbers[:1], numbers[1:2], numbers[2:, None]
         parts = zip(self.data.records(), self.begun, strict=True)
@@ -176,10 +176,12 @@ def _gaps(model: PlayModel) -> list[Floats]:
     """Return gaps of several sizes behind a plant somewhat louder than a linear fit's."""
     linear = fit_linear(model.simulator, model.data.ok)
     begun = [[*about_level(linear, half), 0.0, 0.0] for half in HALVES]
-    return [_begun(model, linear, LOUDER, numbers) for numbers in begun]
+    return [_start_of_climb(model, linear, LOUDER, numbers) for numbers in begun]
 
 
-def _begun(model: PlayModel | MapModel, plant: Fit, gain: float, p: Sequence[float]) -> Floats:
+def _start_of_climb(
+    model: PlayModel | MapModel, plant: Fit, gain: float, p: Sequence[float]
+) -> Floats:
     """Where a climb starts: a plant, the factor of its gain, the element's numbers."""
     theta = np.append(plant.theta[: model.base], p)
     theta[model.simulator.layout.b] *= gain
@@ -204,7 +206,7 @@ def linear(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
     return z, np.ones(z.size), np.zeros((z.size, 2))
 
 
-def shifted(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
+def shift_beyond(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
     """Return z beyond -p_1 and p_0, less the width: a dead zone."""
     above, below = z > p[0], z < -p[1]
     return dead_zone(z, *p), 1.0 * (above | below), np.column_stack([-1.0 * above, 1.0 * below])
@@ -229,14 +231,14 @@ def cubic(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
     return z + p[0] * z**2 + p[1] * z**3, slope, np.column_stack([z**2, z**3])
 
 
-def blurred_zone(blur: float, z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
+def zone_with_noise(blur: float, z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
     """Return the mean reading of a dead zone whose noise of that rms acts ahead of it."""
     a, b, above, below = _edges(blur, z, p)
     value = blur * (np.exp(-0.5 * a**2) / ROOT + a * above - np.exp(-0.5 * b**2) / ROOT - b * below)
     return value, above + below, np.column_stack([-above, below])
 
 
-def blurred_jump(blur: float, z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
+def jump_with_noise(blur: float, z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
     """Return z beyond -p_1 and p_0, else 0; its corners blurred by noise of that rms ahead of
     it.
     """
@@ -315,7 +317,7 @@ def static_rivals(fit: Fit) -> dict[str, Density]:
     densities = []
     for name, shape, starts in _maps(fit):
         squares = LeastSquares(MapModel(fit.objective.simulator, name, shape))
-        fitted = squares.best([_begun(squares.model, *start) for start in starts])
+        fitted = squares.best([_start_of_climb(squares.model, *start) for start in starts])
         density = _nothing(squares) if fitted is None else fitted.density
         breaks = BREAKS if name in ("jump", "saturation") else 0
         densities.append(density._replace(numbers=density.numbers + breaks))
@@ -356,7 +358,7 @@ def _maps(fit: Fit) -> list[Begun]:
     zones = [(fit, 1.0, own), (plain, 1.0, [0.0, 0.0])]
     maps: list[Begun] = [
         ("none", linear, [(plain, 1.0, [0.0, 0.0])]),
-        ("dead_zone", shifted, zones),
+        ("dead_zone", shift_beyond, zones),
         ("saturation", saturation, [(plain, 1.2, ends), (plain, 2.0, ends)]),
         ("other", absolute, [(plain, 3.0, [0.0, 0.0]), (fit, 1.0, across)]),
         ("other", cubic, [(plain, 1.0, [0.0, 0.0])]),
@@ -364,9 +366,9 @@ def _maps(fit: Fit) -> list[Begun]:
     jumps = [(plain, 1.0, own), (plain, 1.1, mean), (fit, 0.8, own)]
     blurs = [max(part * fit.s, LEAST_BLUR) for part in BLURS]
     for blur in [BLUR_BEHIND] if is_behind else blurs:
-        maps.append(("jump", partial(blurred_jump, blur), jumps))
+        maps.append(("jump", partial(jump_with_noise, blur), jumps))
         if not is_behind:
-            maps.append(("dead_zone", partial(blurred_zone, blur), [(fit, 1.0, own)]))
+            maps.append(("dead_zone", partial(zone_with_noise, blur), [(fit, 1.0, own)]))
     return maps
 
 

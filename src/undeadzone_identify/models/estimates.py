@@ -117,11 +117,11 @@ def climb(target: Target, start: Floats, steps: int, gain: float | None = None) 
     theta = target.project(start.copy())
     if not math.isfinite(target.value(theta)):
         return Top(theta, -math.inf)
-    compute = partial(_climbed, target, theta, steps, target.gain if gain is None else gain)
+    compute = partial(_climb, target, theta, steps, target.gain if gain is None else gain)
     return compute() if target.climbs is None else target.climbs.top(theta, compute)
 
 
-def _climbed(target: Target, theta: Floats, steps: int, gain: float) -> Top:
+def _climb(target: Target, theta: Floats, steps: int, gain: float) -> Top:
     """Return the top above theta, which makes sense."""
     top, best = theta, target.quadratic(theta)
     damping, small = 1e-2, 0
@@ -260,11 +260,11 @@ class Interval(NamedTuple):
         """Return an interval that reaches as far to both sides."""
         return Interval(value, value - half, value + half)
 
-    def scaled(self, factor: float) -> Interval:
+    def scale_interval(self, factor: float) -> Interval:
         """Return the interval in other units."""
         return Interval(self.value * factor, self.low * factor, self.high * factor)
 
-    def grown(self, factor: float) -> Interval:
+    def grow_interval(self, factor: float) -> Interval:
         """Return an interval whose halves are so many times as long."""
         below, above = self.value - self.low, self.high - self.value
         return Interval(self.value, self.value - factor * below, self.value + factor * above)

@@ -58,7 +58,9 @@ def log_mass(a: Any, b: Any) -> Any:
     return ca.if_else(upper - lower < 1e-5, point, top + ca.log(1 - ca.exp(gap)))
 
 
-def corrected(y: Any, side: Any, mean: Any, s: Any, right: Any, left: Any) -> tuple[Any, Any, Any]:
+def correct_state(
+    y: Any, side: Any, mean: Any, s: Any, right: Any, left: Any
+) -> tuple[Any, Any, Any]:
     """Return a reading's log density, and g and k of x += P H' g / s, P -= P H' H P k / s^2.
 
     Without a side z lies in the dead zone.
@@ -113,7 +115,7 @@ def kernel(n: int, m: int, model: int, moments: bool = False) -> lanes.Kernel:
     S = H @ PH + r2
     lost = ca.logic_not(ca.logic_and(S < 1e12, ca.fabs(mean) < 1e9))
     s = ca.sqrt(ca.fmax(ca.if_else(lost, 1.0, S), 1e-12))
-    density, g, k = corrected(y, side, ca.if_else(lost, 0.0, mean), s, right, left)
+    density, g, k = correct_state(y, side, ca.if_else(lost, 0.0, mean), s, right, left)
     g, k = ok * g, ok * k
     before = ca.vertcat(x, ca.project(P, upper).nz[:])
     x = x + PH * g / s

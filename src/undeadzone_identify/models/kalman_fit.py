@@ -204,7 +204,7 @@ def _back(fit: KalmanFit, p: Floats, forth: _Pass) -> _Back:
     return _Back(x, gains, H[0])
 
 
-def smoothed_with_spread(fit: KalmanFit) -> tuple[Smoothed, Floats]:
+def smooth_with_spread(fit: KalmanFit) -> tuple[Smoothed, Floats]:
     """Return the smoothed states and the standard deviation of z, the spread of the numbers
     included.
 

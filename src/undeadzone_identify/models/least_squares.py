@@ -131,7 +131,7 @@ class LeastSquares(Generic[M]):
         """
         if not self.model.simulator.admissible(theta):
             return -math.inf
-        return self._value_of(self._whitened(self.residual(theta)))
+        return self._value_of(self._whiten(self.residual(theta)))
 
     def _value_of(self, e: Floats) -> float:
         """Return the value of an admissible plant with these residuals (N)."""
@@ -144,11 +144,11 @@ class LeastSquares(Generic[M]):
         """Return (value, score, Gauss-Newton Hessian) of the free numbers of an admissible
         plant.
         """
-        e, rows = (self._whitened(one) for one in self.rows(theta))
+        e, rows = (self._whiten(one) for one in self.rows(theta))
         variance, hessian = self._gauss_newton(e, rows)
         return self._value_of(e), rows.T @ e / variance, hessian
 
-    def _whitened(self, columns: Floats) -> Floats:
+    def _whiten(self, columns: Floats) -> Floats:
         """Return less what the samples before say of them."""
         if not self.past.size:
             return columns
@@ -171,7 +171,7 @@ class LeastSquares(Generic[M]):
 
     def spread(self, theta: Floats) -> estimates.Spread:
         """Return (I1) of the free numbers."""
-        e, rows = (self._whitened(one) for one in self.rows(theta))
+        e, rows = (self._whiten(one) for one in self.rows(theta))
         variance, hessian = self._gauss_newton(e, rows)
         return estimates.sandwich(rows * e[:, None] / variance, hessian)
 
@@ -180,7 +180,7 @@ class LeastSquares(Generic[M]):
         top = estimates.best_top(self, starts, self.model.first, self.model.last)
         return None if top is None else Fitted(self, top.theta, self.best_density(top.theta))
 
-    def predicted(self, theta: Floats) -> tuple[LeastSquares[M], Floats]:
+    def fit_predictions(self, theta: Floats) -> tuple[LeastSquares[M], Floats]:
         """Return least squares of prediction errors, and the numbers where they are least, near
         theta.
 
@@ -199,12 +199,12 @@ class LeastSquares(Generic[M]):
         ok, e, z = self.data.ok, self.residual(theta), self.model.output(theta)
         strange = first.rms > LEAST_ODD and is_strange(*curve_over(z[ok], e[ok]))
         for _ in range(ROUNDS):
-            theta = estimates.climb(self._coloured(theta), theta, STEPS).theta
+            theta = estimates.climb(self._fit_coloured(theta), theta, STEPS).theta
             best = min(best, self.density(theta), key=lambda one: one.bic)
         return best._replace(rms=first.rms, strange=strange)
 
     @estimates.latest
-    def _coloured(self, theta: Floats) -> LeastSquares[M]:
+    def _fit_coloured(self, theta: Floats) -> LeastSquares[M]:
         """Return the same, with residuals that as many before them foretell as BIC takes."""
         e = self.residual(theta)
         every = [LeastSquares(self.model, past) for past in self._pasts(e)]
@@ -212,7 +212,7 @@ class LeastSquares(Generic[M]):
 
     def _cost(self, e: Floats) -> float:
         """Return BIC of what foretells residuals."""
-        return -2 * self._value_of(self._whitened(e)) + self.past.size * math.log(self._count)
+        return -2 * self._value_of(self._whiten(e)) + self.past.size * math.log(self._count)
 
     def _pasts(self, e: Floats) -> list[Floats]:
         """What foretells a residual from 1, 2, ... residuals before it (lags each)."""
@@ -225,8 +225,8 @@ class LeastSquares(Generic[M]):
         noise.
         """
         e = self.residual(theta)
-        coloured = self._coloured(theta)
-        innovation = coloured._whitened(e)
+        coloured = self._fit_coloured(theta)
+        innovation = coloured._whiten(e)
         variance = float(np.mean(innovation**2)) + 1e-12
         value = -0.5 * innovation**2 / variance - 0.5 * math.log(2 * math.pi * variance)
         numbers = self.free.size + self.model.has_level + coloured.past.size + 1
@@ -248,7 +248,7 @@ class Fitted(NamedTuple, Generic[M]):
     @property
     def predicting(self) -> Fitted[M]:
         """Return the same model where its prediction errors are least."""
-        squares, theta = self.squares.predicted(self.theta)
+        squares, theta = self.squares.fit_predictions(self.theta)
         return self._replace(squares=squares, theta=theta)
 
     @property
@@ -279,7 +279,7 @@ def curve_over(z: Floats, residual: Floats) -> tuple[float, float]:
         Share and p.
     """
     centres = np.unique(np.quantile(z, np.linspace(0.01, 0.99, HATS)))
-    _, _, share, chance = explained(hats(z, centres), residual)
+    _, _, share, chance = explain_residual(hats(z, centres), residual)
     return share, chance
 
 
@@ -288,12 +288,12 @@ def hats(z: Floats, centres: Floats) -> Floats:
     return np.column_stack([np.interp(z, centres, row) for row in np.eye(centres.size)])
 
 
-def left_by(columns: Floats, target: Floats) -> Floats:
+def unexplained_by(columns: Floats, target: Floats) -> Floats:
     """What columns leave of a target (n), or of several (n x k)."""
     return np.asarray(target - columns @ np.linalg.lstsq(columns, target, rcond=1e-10)[0])
 
 
-def explained(columns: Floats, residual: Floats) -> tuple[Floats, Floats, float, float]:
+def explain_residual(columns: Floats, residual: Floats) -> tuple[Floats, Floats, float, float]:
     """Return a residual by functions, by least squares.
 
     Args:

@@ -99,7 +99,7 @@ def sides(y: Floats, ok: Flags, start: Integers, how: Sensing) -> Integers:
         how: the rule.
     """
     if how.noise:
-        moved = moved_before(y, ok, start, how.window)
+        moved = previous_motion(y, ok, start, how.window)
         least = SURE * how.noise * np.sqrt(12 / how.window)
     else:
         change, known = changes(y, ok, start)
@@ -108,7 +108,7 @@ def sides(y: Floats, ok: Flags, start: Integers, how: Sensing) -> Integers:
     return ok * (1 * (moved > least) - 1 * (moved < -least))
 
 
-def moved_before(y: Floats, ok: Flags, start: Integers, window: int) -> Floats:
+def previous_motion(y: Floats, ok: Flags, start: Integers, window: int) -> Floats:
     """Return slope of the `window` readings before each one times the window (N); 0 where
     unknown.
     """
@@ -215,10 +215,10 @@ class Offsets(NamedTuple):
     @property
     def name(self) -> str:
         """Return neither, dead_zone, play or both."""
-        return named(self.widths, self.std, self.rms)
+        return name_of_widths(self.widths, self.std, self.rms)
 
 
-def named(widths: Floats, std: Floats, rms: float) -> str:
+def name_of_widths(widths: Floats, std: Floats, rms: float) -> str:
     """What widths of play and dead zone are called: each is there from 5 deviations on.
 
     Args:

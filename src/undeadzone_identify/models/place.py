@@ -18,7 +18,7 @@ import numpy as np
 
 from undeadzone.compile import lanes
 from undeadzone.util.arrays import Floats, Integers
-from undeadzone_identify.models.elements import MapModel, linear, shifted
+from undeadzone_identify.models.elements import MapModel, linear, shift_beyond
 from undeadzone_identify.models.estimates import (
     around,
     best_top,
@@ -192,7 +192,7 @@ class PlaceModel:
 
     def output(self, theta: Floats) -> Floats:
         """Return z, the output of the plant (N)."""
-        return self._run(theta)[0]
+        return self._simulate_neighbours(theta)[0]
 
     def readings(self, z: Floats, theta: Floats) -> Floats:
         """Return the reading that z makes, of one set or of several: through the sensor's zone if
@@ -203,11 +203,11 @@ class PlaceModel:
     def slopes(self, theta: Floats) -> tuple[Floats, Floats]:
         """Return the readings (N), and their derivatives by the free numbers (N x free)."""
         steps = self._steps(theta)
-        read = self.readings(self._run(theta), around(theta, self.free, steps))
+        read = self.readings(self._simulate_neighbours(theta), around(theta, self.free, steps))
         return read[0], differences(read[1:], steps).T
 
     @latest
-    def _run(self, theta: Floats) -> Floats:
+    def _simulate_neighbours(self, theta: Floats) -> Floats:
         """Return z of the numbers, and of those around them ((1 + 2 free) x N)."""
         points = around(theta, self.free, self._steps(theta))
         plant, tail = points[:, : self.base], points[:, self.base + 2 : self.base + WIDTHS]
@@ -399,7 +399,7 @@ def fit_at_input(fits: Sequence[Fit]) -> Zoned | None:
     best = min(filter(None, tops), key=lambda one: one.bic, default=None)
     if best is None:
         return None
-    last = best.squares.predicted(best.theta)
+    last = best.squares.fit_predictions(best.theta)
     return Zoned(best._replace(theta=last[1]), [(best.squares, best.theta), last])
 
 
@@ -422,8 +422,8 @@ def fit_both_ends(fits: Sequence[Fit], known: PlaceFit) -> Zoned | None:
     if not ends:
         return None
     best = min(ends, key=lambda one: one.bic)
-    squares = LeastSquares(MapModel(best.objective.simulator, "two_zones", shifted))
-    last: tuple[ZonedTarget, Floats] = squares.predicted(best.theta[: squares.model.base + 2])
+    squares = LeastSquares(MapModel(best.objective.simulator, "two_zones", shift_beyond))
+    last: tuple[ZonedTarget, Floats] = squares.fit_predictions(best.theta[: squares.model.base + 2])
     if best.objective.kind != "behind":
         pairs = refit(best, "pairs")
         best = refit(pairs, "singles")  # once more: kinks of the edges stop a climb early

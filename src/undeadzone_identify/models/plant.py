@@ -71,7 +71,7 @@ class Data(NamedTuple):
         return [slice(int(a), int(b)) for a, b in zip(self.start, ends, strict=True)]
 
 
-def delayed(data: Data, samples: int) -> Data:
+def delay_inputs(data: Data, samples: int) -> Data:
     """Return the records with their inputs later; what is not known is held.
 
     Args:
@@ -93,7 +93,7 @@ def part_of(data: Data, longest: int = STRETCH) -> Data:
         return data
     stretches = []
     for record in data.records():
-        stretches += _cut(record, longest)
+        stretches += _cut_record(record, longest)
     stretches.sort(key=lambda one: _passages(data, one), reverse=True)
     kept, count = stretches[:1], stretches[0].stop - stretches[0].start
     for one in stretches[1:]:
@@ -104,7 +104,7 @@ def part_of(data: Data, longest: int = STRETCH) -> Data:
     return select_samples(data, sorted(kept, key=lambda one: one.start))
 
 
-def _cut(record: slice, longest: int) -> list[slice]:
+def _cut_record(record: slice, longest: int) -> list[slice]:
     """Return a record in stretches of equal length, nearly."""
     size = record.stop - record.start
     ends = np.linspace(record.start, record.stop, -(-size // longest) + 1).astype(int)
@@ -248,7 +248,7 @@ class Simulator:
         """Return the same plant along other records."""
         return Simulator(data, self.layout.n, self.layout.integrators, self.layout.zoned)
 
-    def passed(self, theta: Floats) -> Floats:
+    def pass_zone(self, theta: Floats) -> Floats:
         """Return the inputs, as they come through the zone (N x m)."""
         u, zone = self.data.u, theta[self.layout.input]
         return dead_zone(u, *zone) if self.layout.zoned else u
@@ -257,14 +257,14 @@ class Simulator:
         """Return z (N) for parameters theta, of which those of the plant come first; not to be
         changed.
         """
-        return self._simulated(theta[: self.layout.right])
+        return self._simulate(theta[: self.layout.right])
 
     @latest
-    def _simulated(self, theta: Floats) -> Floats:
+    def _simulate(self, theta: Floats) -> Floats:
         layout = self.layout
         denominator = layout.denominator(theta[layout.a])
         x0 = theta[layout.x0].reshape(layout.records, layout.n)
-        lagged = self._behind(self.passed(theta)) if layout.zoned else self.lagged
+        lagged = self._behind(self.pass_zone(theta)) if layout.zoned else self.lagged
         z = lagged @ theta[layout.b]  # what drives it, at first
         for part, state in zip(self.records, x0, strict=True):
             own = z[part]
@@ -277,7 +277,7 @@ class Simulator:
         """Return dz/dtheta (N x P), exact: one filter for a, one for x(0), one for each input."""
         layout = self.layout
         n = layout.n
-        whole, u = layout.denominator(theta[layout.a]), self.passed(theta)
+        whole, u = layout.denominator(theta[layout.a]), self.pass_zone(theta)
         slopes = np.zeros((z.size, layout.size))
         for r, part in enumerate(self.records):
             size = part.stop - part.start
@@ -344,7 +344,7 @@ def roots(a: Floats) -> Any:
     return np.full(a.size, np.inf) if failed else found
 
 
-def stabilised(a: Floats, radius: float = 0.98) -> Floats:
+def stabilise(a: Floats, radius: float = 0.98) -> Floats:
     """Return denominator coefficients a_1.. with poles beyond `radius` moved onto it, for
     starts.
     """
@@ -389,7 +389,7 @@ def disturbance_ahead(layout: Layout, plant: Floats, residual: Floats, ok: Flags
     seen = correlations(residual, ok, lags)[1:]
     best, error = Ahead(0.0, 0.0, 0.0), math.inf
     for phi in COLOURS:
-        w = shaped(layout, plant, white(1, LENGTH, phi))[0]
+        w = shape_noise(layout, plant, white(1, LENGTH, phi))[0]
         shape = correlations(w, np.ones(w.size, bool), lags)
         power = max(float(shape[1:] @ seen) / max(float(shape[1:] @ shape[1:]), 1e-300), 0.0)
         left = float(np.sum((seen - power * shape[1:]) ** 2))
@@ -418,7 +418,7 @@ def white(runs: int, size: int, phi: float) -> Floats:
     return np.asarray(lfilter([math.sqrt(1 - phi**2)], [1.0, -phi], draws, axis=1))
 
 
-def shaped(layout: Layout, plant: Floats, noise: Floats) -> Floats:
+def shape_noise(layout: Layout, plant: Floats, noise: Floats) -> Floats:
     """What the plant makes of noise at its first input (runs x size), settled."""
     numerator = np.append(0.0, plant[layout.b][: layout.n])
     denominator = layout.denominator(plant[layout.a])

@@ -20,7 +20,7 @@ from undeadzone_identify.models import motion
 from undeadzone_identify.models.elements import PlayFit, PlayModel
 from undeadzone_identify.models.estimates import Interval, climb, quantile
 from undeadzone_identify.models.least_squares import LeastSquares
-from undeadzone_identify.models.plant import Ahead, Data, disturbance_ahead, shaped, white
+from undeadzone_identify.models.plant import Ahead, Data, disturbance_ahead, shape_noise, white
 
 RUNS = 24
 ROUNDS = 3
@@ -78,7 +78,7 @@ def find_gap(fit: PlayFit, quantum: float, in_loop: bool = False) -> Gap:
     how = motion.sensing(data.y, data.ok, data.start, quantum)
     if fit.model.simulator.layout.integrators:
         return _as_fitted(fit, _noise(data, how, quantum))
-    return _corrected(fit, _noise(data, how, quantum), quantum, in_loop)
+    return _correct_bias(fit, _noise(data, how, quantum), quantum, in_loop)
 
 
 def _noise(data: Data, how: motion.Sensing, quantum: float) -> float:
@@ -115,12 +115,12 @@ def _as_fitted(fit: PlayFit, noise: float) -> Gap:
 # --- By least squares and simulated logs
 
 
-def _corrected(fit: PlayFit, noise: float, quantum: float, in_loop: bool) -> Gap:
+def _correct_bias(fit: PlayFit, noise: float, quantum: float, in_loop: bool) -> Gap:
     """Return the numbers of the fit, moved to where simulated logs are fitted as the log was."""
     simulated, fit = fit, fit.predicting if in_loop else fit
     model, theta = fit.model, fit.theta
     halves, wider = _own_halves(fit), _own_halves(simulated)
-    moved, fits, ahead = _matched(fit, noise, quantum)
+    moved, fits, ahead = _match_simulations(fit, noise, quantum)
     scatter = np.cov(fits.T)
     for name, row in ROWS.items():
         weights = np.zeros(model.size)
@@ -141,7 +141,7 @@ def ahead_of(fit: PlayFit) -> Ahead:
     return disturbance_ahead(layout, fit.theta, squares.residual(fit.theta), squares.data.ok)
 
 
-def _matched(fit: PlayFit, noise: float, quantum: float) -> tuple[Floats, Floats, Ahead]:
+def _match_simulations(fit: PlayFit, noise: float, quantum: float) -> tuple[Floats, Floats, Ahead]:
     """Return numbers whose simulated logs are fitted as the log was, those fits, and the
     disturbance.
     """
@@ -149,20 +149,20 @@ def _matched(fit: PlayFit, noise: float, quantum: float) -> tuple[Floats, Floats
     ahead = ahead_of(fit)
     colour = white(RUNS, size, ahead.phi)
     behind = noise * np.random.default_rng(1).standard_normal((RUNS, size))
-    left = _unexplained(fit.squares.rms(fit.theta), noise)
+    left = _coloured_share(fit.squares.rms(fit.theta), noise)
     theta, rms = fit.theta, ahead.rms
     for _ in range(ROUNDS):
-        w = shaped(layout, theta, colour)
+        w = shape_noise(layout, theta, colour)
         w *= rms / max(float(w.std()), 1e-300)
-        fits, residuals = _refitted(fit, theta, w, behind, quantum)
-        remains = _unexplained(float(np.sqrt(np.mean(residuals**2))), noise)
+        fits, residuals = _refit_simulations(fit, theta, w, behind, quantum)
+        remains = _coloured_share(float(np.sqrt(np.mean(residuals**2))), noise)
         rms *= min(math.sqrt(left / remains), MOST)
-        theta = _moved(fit, theta, fit.theta - fits.mean(axis=0))
+        theta = _move_theta(fit, theta, fit.theta - fits.mean(axis=0))
     gain = ahead.at_input / max(ahead.rms, 1e-300)
     return theta, fits, Ahead(rms, ahead.phi, rms * gain)
 
 
-def _moved(fit: PlayFit, theta: Floats, step: Floats) -> Floats:
+def _move_theta(fit: PlayFit, theta: Floats, step: Floats) -> Floats:
     """Return theta moved by a step; the widths alone where the plant would leave what is
     admissible.
     """
@@ -173,12 +173,12 @@ def _moved(fit: PlayFit, theta: Floats, step: Floats) -> Floats:
     return fit.model.project(theta + of_widths)
 
 
-def _unexplained(rms: float, noise: float) -> float:
+def _coloured_share(rms: float, noise: float) -> float:
     """Return the mean square of a residual besides white noise."""
     return max(rms**2 - noise**2, 1e-8)
 
 
-def _refitted(
+def _refit_simulations(
     fit: PlayFit, theta: Floats, ahead: Floats, behind: Floats, quantum: float
 ) -> tuple[Floats, Floats]:
     """Fits of logs simulated with theta (RUNS x P), and the rms of what each leaves (RUNS)."""
@@ -186,13 +186,13 @@ def _refitted(
     z = model.output(theta)
     fits, residuals = [], []
     for w, e in zip(ahead, behind, strict=True):
-        y = _rounded(model.readings(z + w, theta) + e, quantum)
+        y = _round_readings(model.readings(z + w, theta) + e, quantum)
         squares = LeastSquares(model.of_readings(y), fit.squares.past)
         fits.append(climb(squares, theta, STEPS, 1e-3).theta)
         residuals.append(squares.rms(fits[-1]))
     return np.array(fits), np.array(residuals)
 
 
-def _rounded(y: Floats, quantum: float) -> Floats:
+def _round_readings(y: Floats, quantum: float) -> Floats:
     """Return readings as they are recorded."""
     return quantum * np.round(y / quantum) if quantum else y

@@ -66,13 +66,13 @@ class Objective:
         self.readings = self.data.readings(use)
         rms = float(np.sqrt(np.mean(self.data.y[self.data.ok] ** 2)))
         self.x0_weight = 1 / (3 * rms + 1e-12) ** 2
-        self.free: Integers = np.flatnonzero(~self._fixed())
+        self.free: Integers = np.flatnonzero(~self._fixed_numbers())
 
     def along(self, data: Data) -> Objective:
         """Return the same likelihood of other records."""
         return Objective(self.simulator.along(data), self.kind, self.limits)
 
-    def _fixed(self) -> Flags:
+    def _fixed_numbers(self) -> Flags:
         """Which numbers of theta stay where they are (P)."""
         right = self.layout.right
         fixed = np.zeros(self.layout.size, bool)
@@ -224,15 +224,15 @@ class Objective:
         rows = np.empty_like(approximate)
         for place, index in enumerate(self.free):
             step = 1e-2 * scale[place]
-            ahead = self._moved(theta, int(index), step)
-            back = self._moved(theta, int(index), -step)
+            ahead = self._move_number(theta, int(index), step)
+            back = self._move_number(theta, int(index), -step)
             rows[place] = approximate[place]
             if self.admissible(ahead) and self.admissible(back):
                 difference = self.score(ahead) - self.score(back)
                 rows[place] = -difference[self.free] / (2 * step)
         return estimates.positive(rows)
 
-    def _moved(self, theta: Floats, index: int, step: float) -> Floats:
+    def _move_number(self, theta: Floats, index: int, step: float) -> Floats:
         """Return theta with one number changed, and what is tied to it."""
         moved = theta.copy()
         moved[index] += step

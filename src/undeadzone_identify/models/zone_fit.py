@@ -11,14 +11,7 @@ from scipy.special import ndtr
 from undeadzone.util.arrays import Flags, Floats, Integers, since_start
 from undeadzone_identify.models.estimates import Top, best_top, climb
 from undeadzone_identify.models.likelihood import dead_zone
-from undeadzone_identify.models.plant import (
-    Data,
-    Simulator,
-    longest_of,
-    part_of,
-    roots,
-    stabilised,
-)
+from undeadzone_identify.models.plant import Data, Simulator, longest_of, part_of, roots, stabilise
 from undeadzone_identify.models.zone import Kind, Limits, Objective
 
 SHARES = (0.15, 0.5, 1.2)  # widths tried first, in rms of y
@@ -75,17 +68,17 @@ class Fit(NamedTuple):
         return -2 * self.value + self.objective.free.size * math.log(count)
 
 
-def expected_reading(fit: Fit) -> Floats:
+def mean_reading(fit: Fit) -> Floats:
     """Return E[y | z] (N): of the zone, rounded by noise ahead of it."""
     z, right, left, s = fit.z, fit.right, fit.left, fit.s
     if not fit.objective.limits.zone:
         return z - right
     if fit.objective.kind == "behind":
         return dead_zone(z, right, left)
-    return s * (_rounded((z - right) / s) - _rounded((-left - z) / s))
+    return s * (_mean_of_maximum((z - right) / s) - _mean_of_maximum((-left - z) / s))
 
 
-def _rounded(x: Floats) -> Floats:
+def _mean_of_maximum(x: Floats) -> Floats:
     """Return E max(x + e, 0) of a unit Gaussian e."""
     return np.exp(-0.5 * x**2) / math.sqrt(2 * math.pi) + x * ndtr(x)
 
@@ -106,7 +99,7 @@ def fit_zone(simulator: Simulator, kind: Kind, limits: Limits) -> Fit:
     clearly = 0.02 * objective.readings.ok.sum()
     top = best_top(objective, begun, 10, 50, clearly)
     best = Fit(objective, *(top or Top(objective.project(begun[0]), -math.inf)))
-    return better(best, _centred(objective, best.theta)) if limits.zone else best
+    return better(best, _with_equal_widths(objective, best.theta)) if limits.zone else best
 
 
 def refit(fit: Fit, kind: Kind, use: Flags | None = None, steps: int = 60) -> Fit:
@@ -157,7 +150,7 @@ def nearest(fit: Fit, simulator: Simulator, a: Floats) -> Floats:
     return theta
 
 
-def polished(fit: Fit) -> Fit:
+def polish_fit(fit: Fit) -> Fit:
     """Return a fit after up to three Newton steps with the numerical Hessian, to the very top."""
     objective, theta, value = fit.objective, fit.theta, fit.value
     if objective.kind == "behind":
@@ -183,7 +176,7 @@ def fit_linear(simulator: Simulator, use: Flags | None = None) -> Fit:
     objective = Objective(simulator, "behind", Limits(right=level, zone=False), use)
     theta = np.zeros(objective.layout.size)
     a, b, _ = arx(simulator, None, use)
-    theta[objective.layout.a] = stabilised(a)
+    theta[objective.layout.a] = stabilise(a)
     theta[objective.layout.b] = b
     above = simulator.z(theta) - simulator.data.y
     theta[objective.layout.right] = np.clip(above[objective.readings.ok].mean(), *level)
@@ -246,7 +239,7 @@ def start_by_side(objective: Objective) -> Floats | None:
     width = np.clip((levels[1] - levels[0]) / total, 0.02, 6.0)
     shift = (levels[1] + levels[0]) / total / 2
     theta = np.zeros(layout.size)
-    theta[layout.a] = stabilised(a)
+    theta[layout.a] = stabilise(a)
     theta[layout.b] = b
     theta[layout.right] = max(width / 2 - shift, 0.02)
     theta[layout.right + 1] = max(width / 2 + shift, 0.02)
@@ -297,7 +290,7 @@ def arx(
     return solution[:free], solution[free : free + simulator.lagged.shape[1]], levels
 
 
-def _centred(objective: Objective, theta: Floats) -> Floats:
+def _with_equal_widths(objective: Objective, theta: Floats) -> Floats:
     """Return the same numbers with both widths equal and the plant at rest at first."""
     layout = objective.layout
     again = theta.copy()
@@ -311,7 +304,7 @@ def _centred(objective: Objective, theta: Floats) -> Floats:
 # --- Other records of the same plant
 
 
-def moved(fit: Fit, data: Data) -> Fit:
+def move_records(fit: Fit, data: Data) -> Fit:
     """Return the fit of other records of the same plant, from where one ended.
 
     Args:
@@ -323,14 +316,14 @@ def moved(fit: Fit, data: Data) -> Fit:
     return refit(Fit(objective, theta, objective.value(theta)), objective.kind)
 
 
-def reduced(fit: Fit) -> Fit:
+def reduce_record(fit: Fit) -> Fit:
     """Return the fit of the busiest part of a long log alone; the same fit where the log is short.
 
     Args:
         fit: of the log.
     """
     part = part_of(fit.objective.data)
-    return fit if part is fit.objective.data else moved(fit, part)
+    return fit if part is fit.objective.data else move_records(fit, part)
 
 
 def longest_record(fit: Fit) -> Fit:
@@ -341,4 +334,4 @@ def longest_record(fit: Fit) -> Fit:
         fit: of one or several records.
     """
     record = longest_of(fit.objective.data)
-    return fit if record is fit.objective.data else moved(fit, record)
+    return fit if record is fit.objective.data else move_records(fit, record)

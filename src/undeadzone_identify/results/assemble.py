@@ -17,15 +17,15 @@ from undeadzone_identify.models.kalman_fit import KalmanFit, innovations
 from undeadzone_identify.models.least_squares import CHANCE
 from undeadzone_identify.models.plant import Layout, Simulator
 from undeadzone_identify.models.zone_fit import Fit
-from undeadzone_identify.selection.alternatives import Element, Found, held_out_of
+from undeadzone_identify.selection.alternatives import Element, Found, held_out_error
 from undeadzone_identify.selection.decision import Case, Loop, decide, detect_feedback
 from undeadzone_identify.selection.orders import (
     OrderFit,
-    answered,
     credible,
+    explained_by_readings,
     is_white,
     reacts_to_input,
-    trained_part,
+    training_samples,
 )
 from undeadzone_identify.selection.widths import (
     FEW_VISITS,
@@ -34,7 +34,7 @@ from undeadzone_identify.selection.widths import (
     excitation,
     find_widths,
     lower_bound,
-    widened,
+    widen_by_profile,
 )
 from undeadzone_identify.servo.gap import ServoGap
 
@@ -215,7 +215,7 @@ def to_answer(case: Case, found: Found) -> Answer:
         loop=Loop(1.0, None),
         case=case,
         found=found,
-        chosen=_checked(case, found),
+        chosen=_check_held_out(case, found),
         excitation=excitation(data.readings(), chosen.pairs.z, *edges, data.silent_zeros),
         widths=widths,
     )
@@ -228,11 +228,11 @@ def to_answer(case: Case, found: Found) -> Answer:
     return answer
 
 
-def _checked(case: Case, found: Found) -> OrderFit:
+def _check_held_out(case: Case, found: Found) -> OrderFit:
     """Return the chosen order with the check on held-out data of what was found in the end."""
     chosen, held_out = case.chosen, case.options.held_out
     if found.element is not None:
-        chosen = chosen._replace(**held_out_of(found.element, held_out)._asdict())
+        chosen = chosen._replace(**held_out_error(found.element, held_out)._asdict())
     if found.kalman:
         chosen = chosen._replace(white=_white_after_filter(found.kalman[0], held_out))
     return chosen
@@ -241,10 +241,10 @@ def _checked(case: Case, found: Found) -> OrderFit:
 def _with_edges(answer: Answer) -> Answer:
     """Return the answer with the edges of a sensor's zone."""
     heard = reacts_to_input(answer.fit)
-    shown = _shown_jump(answer.case) or _shown(answer, 2.0 if heard else 1.0)
+    shown = _jump_edges(answer.case) or _widths_in_units(answer, 2.0 if heard else 1.0)
     remarks = [*_late(answer), *_edge_remarks(answer, shown, heard)]
     remarks += _hardly_passed(answer, shown)
-    doubt = _not_wide(shown) or _unmoved(answer, shown)
+    doubt = _not_wide(shown) or _unfound_widths(answer, shown)
     if doubt:
         return answer._replace(verdict="undecided", reasons=[doubt])
     word = "unreached" if answer.case.unreached else answer.verdict
@@ -259,7 +259,7 @@ def _not_wide(shown: dict[str, Any]) -> str:
     return f"the width's interval holds 0: {width.value:.4g} [{width.low:.4g}, {width.high:.4g}]"
 
 
-def _unmoved(answer: Answer, shown: Shown) -> str:
+def _unfound_widths(answer: Answer, shown: Shown) -> str:
     """That a width was never found; empty where each was, or the user knows of it."""
     for name in ("right", "left"):
         low, high = answer.case.options.bounds(name)
@@ -281,7 +281,7 @@ def _white_after_filter(kalman: KalmanFit, held_out: float) -> bool:
     speaks.
     """
     data = kalman.objective.data
-    use = data.ok & (data.side != 0) & ~trained_part(data, held_out)
+    use = data.ok & (data.side != 0) & ~training_samples(data, held_out)
     return is_white(innovations(kalman), use)
 
 
@@ -302,7 +302,7 @@ def _in_loop(answer: Answer) -> Answer:
     if servo is not None:
         loop = loop._replace(chance=servo.log.loop)
         holds = "The gap holds in it: each error is that of one prediction"
-    is_closed = loop.is_closed or (servo is not None and servo.log.closed)
+    is_closed = loop.is_closed or (servo is not None and servo.log.has_feedback)
     remark = f"the input answers to the readings: the log is of a closed loop. {holds}"
     remarks = [remark] if is_closed else []
     remarks += _of_reference(answer.case.grid, answer.case.data.ok, loop)
@@ -317,7 +317,7 @@ def _of_reference(grid: Grid, ok: Flags, loop: Loop) -> list[str]:
         return ["the reference never moves: it is not used"]
     if loop.answered == 0:
         return ["the reference alone makes the input: no loop is closed"]
-    if answered(grid.r, grid.y, ok, grid.r[:, :0], grid.start)[1] > CHANCE:
+    if explained_by_readings(grid.r, grid.y, ok, grid.r[:, :0], grid.start)[1] > CHANCE:
         return []
     words = "the reference answers to the readings as well: an outer loop makes it, or columns are"
     return [f"{words} exchanged (--columns); then nothing of this holds"]
@@ -337,7 +337,7 @@ def _edge_remarks(answer: Answer, shown: Shown, heard: bool) -> list[str]:
             f"no reading lies beyond the {name} edge: record with a larger input, or say"
             f" --{name} inf if there is none"
         )
-    if _tied(answer):
+    if _edges_are_tied(answer):
         remarks.append(
             "z of an integrating plant has no zero of its own: it counts from the middle of the"
             " zone, so both edges are half of the width; the place of the zone is not asked"
@@ -352,7 +352,7 @@ def _edge_remarks(answer: Answer, shown: Shown, heard: bool) -> list[str]:
     return remarks
 
 
-def _tied(answer: Answer) -> bool:
+def _edges_are_tied(answer: Answer) -> bool:
     """Return whether both edges are one number, of a plant that integrates."""
     return answer.fit.objective.limits.tied
 
@@ -360,13 +360,13 @@ def _tied(answer: Answer) -> bool:
 def _hardly_passed(answer: Answer, shown: Shown) -> list[str]:
     """Return widen the intervals of edges that are hardly passed, and say so."""
     remarks: list[str] = []
-    if answer.case.jumps or _tied(answer):
+    if answer.case.jumps or _edges_are_tied(answer):
         return remarks
     for name, visits in zip(("right", "left"), answer.excitation.visits, strict=True):
         edge = shown[name]
         if not 0 < visits < FEW_VISITS or edge is None or not edge.low < edge.high < math.inf:
             continue
-        wider = widened(answer.fit, name, edge, answer.scale)
+        wider = widen_by_profile(answer.fit, name, edge, answer.scale)
         more = (edge.low - wider.low, wider.high - edge.high)
         shown[name] = wider
         for sum_of_both, further in (("width", more), ("centre", [max(more)] * 2)):
@@ -379,7 +379,7 @@ def _hardly_passed(answer: Answer, shown: Shown) -> list[str]:
     return remarks
 
 
-def _shown_jump(case: Case) -> Shown:
+def _jump_edges(case: Case) -> Shown:
     """Return the edges of a jump sensor in the units of the log; the others are on the safe
     side.
     """
@@ -396,19 +396,19 @@ def _shown_jump(case: Case) -> Shown:
     return {"right": right, "left": left, "width": width, "centre": centre}
 
 
-def _shown(answer: Answer, wider: float) -> Shown:
+def _widths_in_units(answer: Answer, wider: float) -> Shown:
     """Return the widths in the units of the log; an edge never reached has a lower bound alone."""
     case, scale = answer.case, answer.scale
     shown: Shown = {}
     for name in DIRECTIONS:
-        shown[name] = getattr(answer.widths, name).scaled(scale).grown(wider)
+        shown[name] = getattr(answer.widths, name).scale_interval(scale).grow_interval(wider)
     for name in ("right", "left"):
         low, high = case.options.bounds(name)
         if low == high:
             shown[name] = None if low == math.inf else Interval(low, low, high)
         if low == math.inf:
             shown["width"] = shown["centre"] = None
-    if _tied(answer):
+    if _edges_are_tied(answer):
         shown["centre"] = None
     for name in case.unreached:
         bound = lower_bound(case.chosen.singles, name) * scale
@@ -420,7 +420,7 @@ def _shown(answer: Answer, wider: float) -> Shown:
 # --- What an observer is told
 
 
-def told_range(answer: Answer, side: str) -> tuple[float, float]:
+def range_of_width(answer: Answer, side: str) -> tuple[float, float]:
     """Return the 99.9 % interval of a width, within the bounds that the user gave [y].
 
     Each half of the shown interval grows as Student's quantile does for the degrees of freedom that
@@ -440,7 +440,7 @@ def told_range(answer: Answer, side: str) -> tuple[float, float]:
     edge = answer.right if side == "right" else answer.left
     assert isinstance(edge, Interval)
     low, high = answer.case.options.bounds(side)
-    told = _told(answer, side, edge)
+    told = _range_999(answer, side, edge)
     low, high = max(told.low, low, 0.0), min(told.high, high)
     if not math.isfinite(high):
         raise InputError(
@@ -449,9 +449,9 @@ def told_range(answer: Answer, side: str) -> tuple[float, float]:
     return _not_too_narrow(low, high)
 
 
-def told_element(element: Element, interval: Interval) -> tuple[float, float]:
+def range_of_element(element: Element, interval: Interval) -> tuple[float, float]:
     """Return the 99.9 % interval of a width of an element that is no dead zone, not below 0 [y]."""
-    told = interval.grown(_growth(element.degrees))
+    told = interval.grow_interval(_growth(element.degrees))
     return _not_too_narrow(max(told.low, 0.0), told.high)
 
 
@@ -466,12 +466,12 @@ def _growth(degrees: float) -> float:
     return quantile(degrees, SURE) / quantile(degrees)
 
 
-def _told(answer: Answer, side: str, edge: Interval) -> Interval:
+def _range_999(answer: Answer, side: str, edge: Interval) -> Interval:
     """Return the 99.9 % interval of a width [y]."""
     jumps, element = answer.case.jumps, answer.element
     if jumps is not None:
         jump = jumps[0] if side == "right" else jumps[1]
         below = edge.value - edge.low + (jump.low - jump.lowest) * answer.scale
-        return edge.grown(1.0)._replace(low=edge.value - below)
+        return edge.grow_interval(1.0)._replace(low=edge.value - below)
     degrees = answer.widths.degrees[side] if element is None else element.degrees
-    return edge.grown(_growth(degrees))
+    return edge.grow_interval(_growth(degrees))

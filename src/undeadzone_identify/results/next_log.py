@@ -24,7 +24,7 @@ from scipy.signal import chirp, sawtooth
 from undeadzone.errors import InputError
 from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.util.arrays import Floats
-from undeadzone_identify.models.elements import MapModel, PlayModel, linear, shifted
+from undeadzone_identify.models.elements import MapModel, PlayModel, linear, shift_beyond
 from undeadzone_identify.models.estimates import weighing
 from undeadzone_identify.models.least_squares import Fitted
 from undeadzone_identify.models.plant import Data
@@ -128,7 +128,7 @@ def next_log(answer: Answer) -> Next:
     Raises:
         InputError: there is no interval and there are no two names, or no candidate gains anything.
     """
-    own = _measured(answer)
+    own = _least_known_width(answer)
     if own is not None:
         name, account = own
         scored = _narrowing(answer, name, account)
@@ -153,7 +153,7 @@ def _worth(best: Next | None, what: str) -> Next:
 # --- Models
 
 
-def _measured(answer: Answer) -> tuple[str, Account] | None:
+def _least_known_width(answer: Answer) -> tuple[str, Account] | None:
     """Return the width that is known least, and the model that has it; None where there is none."""
     servo, element = answer.case.servo, answer.element
     if element is None and servo is not None and servo.turns_too_seldom:
@@ -177,7 +177,7 @@ def _measured(answer: Answer) -> tuple[str, Account] | None:
 
 def _of_zone(fit: Fit) -> Account:
     """Return a dead zone of the sensor."""
-    model = MapModel(fit.objective.simulator, "dead_zone", shifted)
+    model = MapModel(fit.objective.simulator, "dead_zone", shift_beyond)
     return Account(model, np.append(fit.theta[: model.base], [fit.right, fit.left]))
 
 
@@ -227,7 +227,7 @@ def _narrowing(answer: Answer, name: str, account: Account) -> Iterator[Next]:
     for kind, data in _candidates(answer, account):
         new = account.along(data).rows(begins_at_rest=True)[1] * scale
         after = float(row @ np.linalg.solve(told + new.T @ new, row))
-        yield _proposed(answer, kind, data, name, math.sqrt(after / before), None)
+        yield _candidate_in_units(answer, kind, data, name, math.sqrt(after / before), None)
 
 
 def _parting(answer: Answer, first: str, second: str) -> Iterator[Next]:
@@ -244,10 +244,10 @@ def _parting(answer: Answer, first: str, second: str) -> Iterator[Next]:
         gradient = new.T @ apart
         left = float(apart @ apart - gradient @ np.linalg.solve(told + new.T @ new, gradient))
         nats = max(left, 0.0) / (2 * noise**2)
-        yield _proposed(answer, kind, data, f"{first} from {second}", None, nats)
+        yield _candidate_in_units(answer, kind, data, f"{first} from {second}", None, nats)
 
 
-def _proposed(
+def _candidate_in_units(
     answer: Answer, kind: str, data: Data, what: str, left: float | None, nats: float | None
 ) -> Next:
     """Return a candidate in units of the log."""

@@ -16,11 +16,11 @@ from undeadzone.util.arrays import Floats, finite
 from undeadzone.util.files import write_text
 from undeadzone.util.shown import Block
 from undeadzone_identify.models.estimates import Interval
-from undeadzone_identify.models.kalman_fit import smoothed_with_spread
+from undeadzone_identify.models.kalman_fit import smooth_with_spread
 from undeadzone_identify.models.plant import Simulator
 from undeadzone_identify.results.assemble import Answer
 from undeadzone_identify.results.next_log import Next, next_log
-from undeadzone_identify.results.to_continuous import sampled_matrices
+from undeadzone_identify.results.to_continuous import observer_form
 from undeadzone_identify.results.to_scenario import scenario_text
 from undeadzone_identify.results.words import in_words, numbers
 
@@ -125,7 +125,7 @@ class Identified:
         answer, scale = self.answer, self.answer.scale
         t, kalman = answer.case.grid.t, answer.found.kalman
         if answer.element is None and kalman and kalman[0].model != 0:
-            smoothed, std = smoothed_with_spread(kalman[0])
+            smoothed, std = smooth_with_spread(kalman[0])
             return States(t, smoothed.z * scale, std * scale, smoothed.x[:, : self.order] * scale)
         simulator, theta = answer.plant
         slope = simulator.gradient(theta, answer.z)
@@ -136,7 +136,7 @@ class Identified:
             slope, V = slope[:, : len(answer.element.V)], answer.element.V
             unseen = answer.element.unseen
         variance = np.maximum(np.einsum("tp,pq,tq->t", slope, V, slope), 0.0)
-        x = _simulated_states(simulator, theta)
+        x = _states_of_simulation(simulator, theta)
         return States(t, answer.z * scale, np.sqrt(variance + unseen**2) * scale, x * scale)
 
     def scenario(self, title: str = "Identified log") -> str:
@@ -190,10 +190,10 @@ class Identified:
     save = save_numbers
 
 
-def _simulated_states(simulator: Simulator, theta: Floats) -> Floats:
+def _states_of_simulation(simulator: Simulator, theta: Floats) -> Floats:
     """States of the simulation in observer form (N x n), scaled."""
     layout, data = simulator.layout, simulator.data
-    F, B, _ = sampled_matrices(theta[layout.a], theta[layout.b], layout)
+    F, B, _ = observer_form(theta[layout.a], theta[layout.b], layout)
     drive = data.u @ B.T
     x0 = theta[layout.x0].reshape(layout.records, layout.n)
     x = np.empty((data.y.size, layout.n))

@@ -13,7 +13,7 @@ from undeadzone_identify.models.plant import Layout
 SMALL = 1e-3  # a static gain below this part of the largest makes no good scale
 
 
-def sampled_matrices(a: Floats, b: Floats, layout: Layout) -> Matrices:
+def observer_form(a: Floats, b: Floats, layout: Layout) -> Matrices:
     """Return the sampled plant in observer form: x+ = F x + B u, z = first state.
 
     Args:
@@ -42,7 +42,7 @@ def continuous(a: Floats, b: Floats, layout: Layout, step: float) -> Matrices:
     Raises:
         InputError: a pole that no plant in continuous time has: negative and real, or a delay.
     """
-    sampled = sampled_matrices(a, b, layout)
+    sampled = observer_form(a, b, layout)
     n = layout.n
     poles = np.linalg.eigvals(sampled.A)
     real = np.abs(poles.imag) < 1e-9 * np.maximum(np.abs(poles), 1e-12)

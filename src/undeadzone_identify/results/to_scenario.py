@@ -15,12 +15,12 @@ from scipy.linalg import block_diag
 from undeadzone.errors import InputError
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.util.arrays import Floats
-from undeadzone.util.text import filled, printable
+from undeadzone.util.text import fill_words, printable
 from undeadzone_identify.logs.grid import rounding_of
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.models.kalman import AT_OUTPUT
 from undeadzone_identify.models.plant import input_gain
-from undeadzone_identify.results.assemble import Answer, told_element, told_range
+from undeadzone_identify.results.assemble import Answer, range_of_element, range_of_width
 from undeadzone_identify.results.to_continuous import entry_spread
 from undeadzone_identify.selection.alternatives import Element
 from undeadzone_identify.selection.decision import MEMORY
@@ -49,7 +49,7 @@ def scenario_text(answers: Sequence[Answer], title: str) -> str:
             does not hold z = 0.
     """
     plants, spreads_A, spreads_B = zip(*[_plant(answer) for answer in answers], strict=True)
-    first, plant = answers[0], _joined(plants)
+    first, plant = answers[0], _join_plants(plants)
     step = first.case.grid.step
     driven = plant.B.shape[1] >= len(answers)
     words: dict[str, Any] = {
@@ -77,7 +77,7 @@ def scenario_text(answers: Sequence[Answer], title: str) -> str:
         remarks.append("fewer inputs than outputs: no controller follows references; for logs only")
     words["cautions"] = "".join(f"# {printable(remark)}\n" for remark in remarks)
     template = files("undeadzone_identify.results").joinpath("scenario.toml")
-    return filled(template.read_text(encoding="utf-8"), words)
+    return fill_words(template.read_text(encoding="utf-8"), words)
 
 
 def _zones(answers: Sequence[Answer]) -> dict[str, str]:
@@ -87,12 +87,12 @@ def _zones(answers: Sequence[Answer]) -> dict[str, str]:
         InputError: a width that no scenario has.
     """
     first, none = answers[0], ("", "")
-    own = _widths([_edges(answer) for answer in answers]), _claimed(answers)
+    own = _widths([_edges(answer) for answer in answers]), _widths_for_observer(answers)
     sensor, actuator = (none, own) if first.verdict == "input_zone" else (own, none)
     if first.element is not None and first.element.input:
         right, left = (first.element.input[side] for side in SIDES)
-        told = [[told_element(first.element, edge)] for edge in (right, left)]
-        actuator = _widths([_sound(first, right, left)]), _told(told)
+        told = [[range_of_element(first.element, edge)] for edge in (right, left)]
+        actuator = _widths([_sound(first, right, left)]), _width_ranges(told)
     names = ("sensor", "told_sensor", "actuator", "told_actuator")
     return dict(zip(names, (*sensor, *actuator), strict=True))
 
@@ -105,19 +105,23 @@ def _widths(zones: Sequence[tuple[Interval, Interval]]) -> str:
     return "\n".join(lines)
 
 
-def _claimed(answers: Sequence[Answer]) -> str:
+def _widths_for_observer(answers: Sequence[Answer]) -> str:
     """Return the widths as the observer knows them. Raises InputError."""
     element = answers[0].element
     if element is not None and element.edges is not None:
-        return _told([[told_element(element, edge)] for edge in element.edges], ", if c_r = c_l")
-    return _told([[told_range(one, side) for one in answers] for side in SIDES])
+        return _width_ranges(
+            [[range_of_element(element, edge)] for edge in element.edges], ", if c_r = c_l"
+        )
+    return _width_ranges([[range_of_width(one, side) for one in answers] for side in SIDES])
 
 
-def _told(ranges: Sequence[Sequence[tuple[float, float]]], where: str = "") -> str:
+def _width_ranges(ranges: Sequence[Sequence[tuple[float, float]]], where: str = "") -> str:
     """Return the ranges of the widths of all outputs, right and left."""
     lines = []
     for side, own in zip(SIDES, ranges, strict=True):
-        lines.append(f"{side} = {_listed([_pair(*one) for one in own])}  # 99.9 % interval{where}")
+        lines.append(
+            f"{side} = {_list_texts([_pair(*one) for one in own])}  # 99.9 % interval{where}"
+        )
     return "\n".join(lines)
 
 
@@ -128,7 +132,7 @@ def _gap(answer: Answer) -> dict[str, str]:
         return {"gap": ""}
     if element is None or gap is None:
         raise InputError("scenario: both widths must be known")
-    low, high = told_element(element, gap)
+    low, high = range_of_element(element, gap)
     return {
         "gap": _pair(gap.value / 2, gap.value / 2),
         "gap_interval": _intervals([gap]),
@@ -153,7 +157,7 @@ def _delay(answers: Sequence[Answer]) -> int:
     return late.pop()
 
 
-def _joined(plants: Sequence[Matrices]) -> Matrices:
+def _join_plants(plants: Sequence[Matrices]) -> Matrices:
     """Return plants side by side, with the same inputs."""
     return Matrices(
         block_diag(*[plant.A for plant in plants]),
@@ -164,7 +168,7 @@ def _joined(plants: Sequence[Matrices]) -> Matrices:
 
 def _numbers(values: Iterable[float]) -> str:
     """Return the numbers of all outputs: one, or a list."""
-    return _listed([_number(value) for value in values])
+    return _list_texts([_number(value) for value in values])
 
 
 def _intervals(edges: Sequence[Interval]) -> str:
@@ -177,7 +181,7 @@ def _pair(low: float, high: float) -> str:
     return f"[{_number(low)}, {_number(high)}]"
 
 
-def _listed(texts: Sequence[str]) -> str:
+def _list_texts(texts: Sequence[str]) -> str:
     """Return one text as it is, several as a list in TOML."""
     return texts[0] if len(texts) == 1 else f"[{', '.join(texts)}]"
 
@@ -230,7 +234,7 @@ def _noise(answers: Sequence[Answer]) -> dict[str, str]:
 def _range(answers: Sequence[Answer]) -> str:
     """Where the readings of all outputs end; empty where none sticks at an end."""
     ends = [one.case.fitted.prepared.ends for one in answers]
-    return any(ends) * _listed([one or "[-inf, inf]" for one in ends])
+    return any(ends) * _list_texts([one or "[-inf, inf]" for one in ends])
 
 
 def _rms_of_noise(answer: Answer) -> tuple[float, float]:

@@ -13,7 +13,7 @@ import numpy as np
 from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.results.mjcf import Joint
 from undeadzone.util.arrays import Floats
-from undeadzone.util.text import bracketed
+from undeadzone.util.text import bracket_interval
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.results.assemble import Answer
 from undeadzone_identify.selection.decision import MODELS
@@ -155,15 +155,17 @@ def numbers(answer: Answer) -> dict[str, Any]:
         "zone": answer.zone,
         "verdict": answer.verdict,
         "reasons": answer.reasons,
-        **{name: _listed(getattr(answer, name)) for name in DIRECTIONS},
-        "input_widths": None if not at_input else {k: _listed(one) for k, one in at_input.items()},
+        **{name: _as_triple(getattr(answer, name)) for name in DIRECTIONS},
+        "input_widths": None
+        if not at_input
+        else {k: _as_triple(one) for k, one in at_input.items()},
         "order": answer.order,
         "plant": {
             "poles": [[float(pole.real), float(pole.imag)] for pole in answer.poles],
             "gain": answer.gain.tolist(),
         },
         "disturbance": answer.disturbance._asdict(),
-        "zone_width": None if answer.element is None else _listed(answer.element.zone),
+        "zone_width": None if answer.element is None else _as_triple(answer.element.zone),
         "offsets": _offsets(answer),
         "odds": answer.found.odds,
         "alternatives": behind(answer.found.models),
@@ -206,7 +208,7 @@ def numbers(answer: Answer) -> dict[str, Any]:
     }
 
 
-def _listed(interval: Interval | None) -> list[float] | None:
+def _as_triple(interval: Interval | None) -> list[float] | None:
     """Return [value, low, high]."""
     return None if interval is None else [float(number) for number in interval]
 
@@ -267,7 +269,7 @@ def in_words(answer: Answer) -> dict[str, Any]:
     if crossings:
         lines["crossings"] = crossings
     lines["disturbance"] = _disturbance(answer, unit)
-    lines["held out"] = _held_out(answer, unit)
+    lines["held out"] = _describe_held_out(answer, unit)
     if answer.remarks:
         lines["note"] = answer.remarks
     return lines
@@ -324,7 +326,7 @@ def _in_words(interval: Interval, unit: str) -> str:
     if high == low:
         return f"{value:.6g}{unit}  (given)"
     digits = max(0, int(np.ceil(-np.log10(max(high - low, 1e-300)))) + 2)
-    return f"{bracketed(value, low, high, f'.{min(digits, 12)}f')}{unit}"
+    return f"{bracket_interval(value, low, high, f'.{min(digits, 12)}f')}{unit}"
 
 
 def _record(answer: Answer) -> str:
@@ -405,7 +407,7 @@ def _disturbance(answer: Answer, unit: str) -> str:
     return text
 
 
-def _held_out(answer: Answer, unit: str) -> str:
+def _describe_held_out(answer: Answer, unit: str) -> str:
     """How the fit does on data that had no part in it."""
     chosen = answer.chosen
     share = f"{100 * answer.case.options.held_out:.0f} % in blocks"

@@ -35,7 +35,7 @@ from undeadzone_identify.models.place import (
     fit_both_ends,
 )
 from undeadzone_identify.models.play_gap import RUNS, Gap, find_gap
-from undeadzone_identify.models.zone_fit import Fit, reduced
+from undeadzone_identify.models.zone_fit import Fit, reduce_record
 from undeadzone_identify.selection.decision import (
     MEMORY,
     UNLIKELY,
@@ -46,7 +46,7 @@ from undeadzone_identify.selection.decision import (
 )
 from undeadzone_identify.selection.delays import GLITCH, RARE
 from undeadzone_identify.selection.odds import Family, odds_of
-from undeadzone_identify.selection.orders import HeldOut, judged, one_step, trained_part
+from undeadzone_identify.selection.orders import HeldOut, judge_errors, one_step, training_samples
 from undeadzone_identify.selection.widths import with_offset
 from undeadzone_identify.servo.gap import ServoGap
 
@@ -146,15 +146,15 @@ class Found(NamedTuple):
     element: Element | None = None
     kalman: Sequence[KalmanFit] = ()
 
-    def judged(self, case: Case, *models: Family, without: Collection[str] = ()) -> Found:
+    def judge_again(self, case: Case, *models: Family, without: Collection[str] = ()) -> Found:
         """What is found with more models, and perhaps without some words."""
         every = (*self.models, *models)
-        odds = odds_of(every, {*without, *excluded(case)})
+        odds = odds_of(every, {*without, *excluded_words(case)})
         fits = self.places | ({} if self.plays is None else self.plays.fits)
         return self._replace(models=every, odds=odds, verdict=classify(case, odds, every, fits))
 
 
-def excluded(case: Case) -> Collection[str]:
+def excluded_words(case: Case) -> Collection[str]:
     """Return words that are out of the question: by what the user said, or since noise falls
     silent.
     """
@@ -179,7 +179,7 @@ def with_play(case: Case, found: Found) -> Found:
         case: with static maps.
         found: the odds of these.
     """
-    brief = reduced(case.chosen.pairs)
+    brief = reduce_record(case.chosen.pairs)
     offsets = along(brief.objective.simulator, brief.theta, brief.s, case.quantum)
     found = found._replace(offsets=offsets)
     if not _is_asked(case, found, offsets, brief):
@@ -191,14 +191,16 @@ def with_play(case: Case, found: Found) -> Found:
     if not best.fits:
         return found
     models = {"none": case.rivals["none"]} | {word: fit.density for word, fit in best.fits.items()}
-    return found._replace(plays=best).judged(case, models)
+    return found._replace(plays=best).judge_again(case, models)
 
 
 def _tops(case: Case, data: plant.Data) -> dict[str, PlayFit]:
     """Return the fits of a play, and of a play and a dead zone, by word; none where none is
     stable.
     """
-    begun = [reduced(one.pairs) for one in (case.chosen, *case.fitted.fits) if data is case.data]
+    begun = [
+        reduce_record(one.pairs) for one in (case.chosen, *case.fitted.fits) if data is case.data
+    ]
     play = fit_play(plant.part_of(data), case.fitted.prepared.orders, case.options.integrators)
     if play is None:
         return {}
@@ -218,7 +220,7 @@ def _is_asked(case: Case, found: Found, offsets: Offsets, brief: Fit) -> bool:
         return True
     both = fit_both([brief])  # a lag of the plant may pass for a play
     models = {"none": case.rivals["none"]} | ({} if both is None else {"both": both.density})
-    return odds_of((*found.models, models), excluded(case)).get("both", 0.0) > UNLIKELY
+    return odds_of((*found.models, models), excluded_words(case)).get("both", 0.0) > UNLIKELY
 
 
 def _without_glitches(fit: PlayFit) -> PlayFit:
@@ -246,16 +248,16 @@ def with_gap(case: Case, found: Found) -> Found:
     rms = gap.fit.squares.rms(gap.fit.theta)
     offsets = along(gap.fit.model.simulator, gap.theta, rms, case.quantum)
     found = found._replace(offsets=offsets)
-    if _denied(gap, offsets):
+    if _is_denied(gap, offsets):
         smaller = {"both"} if fit.model.zone else set(MEMORY)
-        found = found.judged(case, without=smaller)
+        found = found.judge_again(case, without=smaller)
         return with_gap(case, found) if found.verdict.word in MEMORY else found
     element = of_play(gap, whole, case.offset)
     delay = case.fitted.delay if whole is case.data else 0
     return found._replace(element=element, delay=delay)
 
 
-def _denied(gap: Gap, offsets: Offsets) -> bool:
+def _is_denied(gap: Gap, offsets: Offsets) -> bool:
     """Return whether a width is not above 0 for certain; the four offsets must not deny both of
     them.
 
@@ -306,7 +308,7 @@ def of_play(gap: Gap, whole: plant.Data, offset: float | None) -> Element:
         remarks=[],
     )
     if gap.ahead is not None and not gap.sure:
-        element = _hidden(element, gap.ahead.rms * whole.y_scale)
+        element = _hide_widths(element, gap.ahead.rms * whole.y_scale)
     elif model.zone:
         element = _with_zone(element, gap, whole.y_scale)
     else:
@@ -327,7 +329,7 @@ def _of_all(gap: Gap, whole: plant.Data) -> tuple[PlayModel, Floats]:
     return model, model.simulator.layout.at_rest(old.simulator.layout, gap.theta)
 
 
-def _hidden(element: Element, strong: float) -> Element:
+def _hide_widths(element: Element, strong: float) -> Element:
     """No widths: a disturbance of that rms [y] hides them."""
     remark = (
         f"a disturbance of rms {strong:.3g} moves z ahead of the play, and turns that no input"
@@ -338,7 +340,7 @@ def _hidden(element: Element, strong: float) -> Element:
 
 def _with_zone(element: Element, gap: Gap, scale: float) -> Element:
     """Return the widths of a play and of the dead zone after it."""
-    shown = {name: interval.scaled(scale) for name, interval in gap.intervals.items()}
+    shown = {name: interval.scale_interval(scale) for name, interval in gap.intervals.items()}
     zone = shown["zone"]
     remark = (
         f"the play's gap is the width above; the dead zone's, d_r + d_l, is {zone.value:.4g}"
@@ -360,7 +362,9 @@ def _sides(gap: Gap, offset: float | None) -> dict[str, Interval | None]:
     for name, row in DIRECTIONS.items():
         interval = gap.intervals[name]
         half = with_offset(interval.half, row, offset)
-        shown[name] = Interval.around(interval.value, half).scaled(gap.fit.model.data.y_scale)
+        shown[name] = Interval.around(interval.value, half).scale_interval(
+            gap.fit.model.data.y_scale
+        )
     if gap.fit.model.tied:
         shown["centre"] = None
     return shown
@@ -435,7 +439,7 @@ def _zone_of(
     for name, row in DIRECTIONS.items():
         value, half, degrees = zoned.width(*before, *row)
         half = with_offset(math.hypot(half, FINEST), row, offset)
-        widths[name] = Interval.around(value, half).scaled(scale)
+        widths[name] = Interval.around(value, half).scale_interval(scale)
         least = min(least, degrees)
     return widths, least
 
@@ -443,7 +447,7 @@ def _zone_of(
 # --- How it does on data that had no part in its fit
 
 
-def held_out_of(element: Element, held_out: float) -> HeldOut:
+def held_out_error(element: Element, held_out: float) -> HeldOut:
     """Return error, share and whiteness on blocks of a log, fitted to the others.
 
     Args:
@@ -451,24 +455,24 @@ def held_out_of(element: Element, held_out: float) -> HeldOut:
         held_out: share of the samples that checks.
     """
     if isinstance(element.fit, ServoGap):
-        return _held_out_of_servo(element, element.fit, held_out)
+        return _held_out_error_of_servo(element, element.fit, held_out)
     fit, data = element.fit, element.fit.squares.data
-    train = trained_part(data, held_out)
+    train = training_samples(data, held_out)
     trained = LeastSquares(fit.model.along(data._replace(ok=data.ok & train, climbs=None)))
     top = best_top(trained, [fit.theta], fit.model.first, LAST[element.kind])
     theta = fit.theta if top is None else top.theta
     test = data.ok & ~train
     e = fit.squares.residual(theta)
-    return judged(e, data, test, one_step(e, test, test, data.start))
+    return judge_errors(e, data, test, one_step(e, test, test, data.start))
 
 
-def _held_out_of_servo(element: Element, gap: ServoGap, held_out: float) -> HeldOut:
+def _held_out_error_of_servo(element: Element, gap: ServoGap, held_out: float) -> HeldOut:
     """Return the same of a servo's predictor, which hears every reading up to the one before."""
     data, log = element.simulator.data, gap.log
-    test = data.ok & ~trained_part(data, held_out)
-    one = gap.trained(~test)
-    readings = gap.expected(one)[1] * (log.y_scale / data.y_scale) + data.y[data.ok][0]
-    counted, ends = log.counted(False), np.zeros(1, int)
+    test = data.ok & ~training_samples(data, held_out)
+    one = gap.fit_training_samples(~test)
+    readings = gap.predict_readings(one)[1] * (log.y_scale / data.y_scale) + data.y[data.ok][0]
+    counted, ends = log.counted_samples(False), np.zeros(1, int)
     r = gap.errors(one)
     errors = one_step(r, test[counted], np.ones(r.size, bool), ends)
-    return judged(readings - data.y, data, test, errors)
+    return judge_errors(readings - data.y, data, test, errors)

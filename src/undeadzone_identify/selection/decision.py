@@ -180,7 +180,7 @@ def detect_feedback(case: Case) -> Loop:
     chance = orders.loop_chance(case.chosen.pairs, case.recorded.u) if case.chosen.white else 1.0
     known = grid.r[np.isfinite(grid.r)]
     if known.size and np.ptp(known) > 0:
-        share = orders.answered(grid.u, grid.y, case.data.ok, grid.r, grid.start)[0]
+        share = orders.explained_by_readings(grid.u, grid.y, case.data.ok, grid.r, grid.start)[0]
     return Loop(chance, share)
 
 
@@ -196,7 +196,7 @@ def classify(case: Case, odds: dict[str, float], models: Sequence[Family], fits:
         models: whose odds they are.
         fits: those that have a plant of their own, by word.
     """
-    word = _claimed(odds)
+    word = _likeliest_word(odds)
     if case.jumps:
         return _by_jump(case, odds, models)
     as_linear = word in AS_LINEAR and sum(odds.get(one, 0.0) for one in AS_LINEAR) >= LIKELY
@@ -210,7 +210,7 @@ def classify(case: Case, odds: dict[str, float], models: Sequence[Family], fits:
     more = list(filter(lambda one: odds.get(one, 0.0) > UNLIKELY, LARGER.get(word, ())))
     sure = sum(odds.get(one, 0.0) for one in (word, *more))
     if sure < LIKELY and not (word == case.options.kind == "play"):
-        return _undecided(odds)
+        return _describe_undecided(odds)
     cautions = [f"{MODELS[one]} is not excluded ({100 * odds[one]:.0f} %)" for one in more]
     if word == "dead_zone":
         return _by_residual(case).with_cautions(*cautions)
@@ -237,7 +237,7 @@ def _by_ends(case: Case, word: str, odds: dict[str, float]) -> Verdict | None:
     return None
 
 
-def _claimed(odds: dict[str, float]) -> str:
+def _likeliest_word(odds: dict[str, float]) -> str:
     """Return the likeliest word; where none is, one that claims less and that larger models hold.
 
     Beside a zone of the input that leads, the sensor's alone has other widths; a small play in
@@ -267,7 +267,7 @@ def best_of(word: str, models: Sequence[Family]) -> Density:
     return min(there, key=lambda one: one.bic / one.value.size)
 
 
-def _undecided(odds: dict[str, float]) -> Verdict:
+def _describe_undecided(odds: dict[str, float]) -> Verdict:
     """That no name is likely enough, with what could be there."""
     likely = list(filter(lambda word: odds[word] >= UNLIKELY, odds))
     apart = f"this record cannot tell {' from '.join(MODELS[word] for word in likely)}"
@@ -338,7 +338,7 @@ def _by_residual(case: Case) -> Verdict:
 # --- By what a linear plant behind a zone does not hold: a spring that bends, an offset
 
 
-def unmodelled(verdict: Verdict, fit: Fit) -> Verdict:
+def name_missing_model(verdict: Verdict, fit: Fit) -> Verdict:
     """Return the verdict, with what the model lacks where that has a name.
 
     Args:
@@ -413,8 +413,8 @@ def cubic_share(fit: Fit) -> tuple[float, float, float]:
     rows = whitened[use]
     if len(rows) < 10 * columns.shape[1]:
         return 0.0, 1.0, 0.0
-    cube = least_squares.left_by(rows[:, :-1], rows[:, -1])
-    coefficients, _, share, chance = least_squares.explained(cube[:, None], value[use])
+    cube = least_squares.unexplained_by(rows[:, :-1], rows[:, -1])
+    coefficients, _, share, chance = least_squares.explain_residual(cube[:, None], value[use])
     return share, chance, float(coefficients[0])
 
 

@@ -16,7 +16,7 @@ from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.logs.log import MOST_LATE
 from undeadzone_identify.logs.prepare import FAR_EDGE, Prepared
 from undeadzone_identify.models.estimates import climb
-from undeadzone_identify.models.plant import Simulator, delayed, part_of
+from undeadzone_identify.models.plant import Simulator, delay_inputs, part_of
 from undeadzone_identify.models.zone_fit import Fit, fit_linear, nearest
 from undeadzone_identify.selection.orders import (
     OrderFit,
@@ -95,46 +95,46 @@ def fit_with_delay(prepared: Prepared, advance: Callable[[int], None]) -> Fitted
     """
     part = part_of(prepared.data)
     if part is prepared.data:
-        return _searched(prepared, advance)
-    begun = _searched(prepared._replace(data=part), advance)
+        return _search_delay(prepared, advance)
+    begun = _search_delay(prepared._replace(data=part), advance)
     if at_limit(best_order(begun.fits).pairs):  # perhaps since the part is short
-        return _searched(prepared, advance)
-    late = prepared._replace(data=delayed(prepared.data, begun.delay))
-    return _fitted(late, advance, begun.fits)._replace(delay=begun.delay)
+        return _search_delay(prepared, advance)
+    late = prepared._replace(data=delay_inputs(prepared.data, begun.delay))
+    return _fit_every_order(late, advance, begun.fits)._replace(delay=begun.delay)
 
 
-def _searched(prepared: Prepared, advance: Callable[[int], None]) -> FittedOrders:
+def _search_delay(prepared: Prepared, advance: Callable[[int], None]) -> FittedOrders:
     """Return `fitted_with_delay` with all samples. Raises InputError."""
     if prepared.options.delay != "auto":
         samples = int(prepared.options.delay)
-        shifted = prepared._replace(data=delayed(prepared.data, samples))
-        return _fitted(shifted, advance)._replace(delay=samples)
-    found = _fitted(prepared, advance)
+        shifted = prepared._replace(data=delay_inputs(prepared.data, samples))
+        return _fit_every_order(shifted, advance)._replace(delay=samples)
+    found = _fit_every_order(prepared, advance)
     samples = likely_delay(found.fits)
     if not samples:
         return found
-    late = _refined(found, samples, advance)
+    late = _refine_delays(found, samples, advance)
     if not better_delay(found.fits, late.fits):
         return found._replace(alike=alike(found.fits, late.fits))
     return late._replace(prepared=late.prepared._replace(orders=prepared.orders))
 
 
-def _refined(found: FittedOrders, first: int, advance: Callable[[int], None]) -> FittedOrders:
+def _refine_delays(found: FittedOrders, first: int, advance: Callable[[int], None]) -> FittedOrders:
     """Fits with the delay near the first one that serves best; a delay takes no more poles."""
     prepared, most = found.prepared, best_order(found.fits).n
     fewer = [n for n in prepared.orders if n <= most]
-    shifted = prepared._replace(data=delayed(prepared.data, first), orders=fewer)
-    late = _fitted(shifted, advance)
-    more = refined_delay(late.fits, first) - first
+    shifted = prepared._replace(data=delay_inputs(prepared.data, first), orders=fewer)
+    late = _fit_every_order(shifted, advance)
+    more = refine_delay(late.fits, first) - first
     if more:
-        shifted = late.prepared._replace(data=delayed(late.prepared.data, more))
-        warm = _fitted(shifted, advance, later(late.fits, more))
-        cold = _fitted(shifted, advance)
+        shifted = late.prepared._replace(data=delay_inputs(late.prepared.data, more))
+        warm = _fit_every_order(shifted, advance, later(late.fits, more))
+        cold = _fit_every_order(shifted, advance)
         late = min((warm, cold), key=lambda one: best_order(one.fits).pairs.bic)
     return late._replace(delay=first + more)
 
 
-def _fitted(
+def _fit_every_order(
     prepared: Prepared, advance: Callable[[int], None], begun: Sequence[OrderFit] = ()
 ) -> FittedOrders:
     """Return every order, fitted; once more where a few readings turn out to be glitches."""
@@ -195,7 +195,7 @@ def likely_delay(fits: list[OrderFit]) -> int:
 
     def scan(samples: int) -> float:
         if samples not in left:
-            fit = fit_linear(Simulator(delayed(data, samples), order, integrators))
+            fit = fit_linear(Simulator(delay_inputs(data, samples), order, integrators))
             left[samples] = fit.s
         return left[samples]
 
@@ -223,7 +223,7 @@ def better_delay(fits: list[OrderFit], late: list[OrderFit]) -> bool:
     return best_order(late).pairs.bic + margin < best.pairs.bic
 
 
-def refined_delay(late: list[OrderFit], samples: int) -> int:
+def refine_delay(late: list[OrderFit], samples: int) -> int:
     """By how many samples the input acts late, by BIC: as far from a delay as it gets better.
 
     Args:
@@ -274,7 +274,7 @@ def _late(fit: Fit, samples: int) -> Fit:
 
     One has the numerators with which z is nearest to what it was, the other the linear plant.
     """
-    objective = fit.objective.along(delayed(fit.objective.data, samples))
+    objective = fit.objective.along(delay_inputs(fit.objective.data, samples))
     poles = fit.theta[objective.layout.a]
     begun = [nearest(fit, objective.simulator, poles), _linear(fit, objective.simulator)]
     tops = [climb(objective, theta, STEPS) for theta in begun]

@@ -37,7 +37,7 @@ def _fit_all(fit: Fit) -> dict[str, PlaceFit]:
     fits: dict[str, PlaceFit] = {}
 
     def enter(shape: Shape, begun: list[Floats]) -> None:
-        fitted = fit_place(starts.simulator, shape, [*begun, *_held(shape, fits)])
+        fitted = fit_place(starts.simulator, shape, [*begun, *_best_smaller_model(shape, fits)])
         if fitted is not None:
             fits[shape.name] = fitted
 
@@ -65,7 +65,7 @@ def _fit_all(fit: Fit) -> dict[str, PlaceFit]:
     return fits
 
 
-def _held(shape: Shape, fits: dict[str, PlaceFit]) -> list[Floats]:
+def _best_smaller_model(shape: Shape, fits: dict[str, PlaceFit]) -> list[Floats]:
     """Return the end of the best of the models that a larger one holds."""
     held = [one for one in fits.values() if shape.holds(one.model.shape)]
     if not held:

@@ -36,7 +36,7 @@ def odds_of(families: Sequence[Family], excluded: Collection[str] = ()) -> dict[
     least = min((family["none"] for family in families), key=lambda one: one.value.size)
     scores: dict[str, Floats] = {}
     for family in families:
-        for word, drawn in zip(family, _drawn(family, least).T, strict=True):
+        for word, drawn in zip(family, _draw_null_odds(family, least).T, strict=True):
             if word not in excluded:
                 scores[word] = np.maximum(scores.get(word, -math.inf), drawn)
     words = list(scores)
@@ -45,7 +45,7 @@ def odds_of(families: Sequence[Family], excluded: Collection[str] = ()) -> dict[
     return {words[k]: float(shares[k]) for k in np.argsort(-shares)}
 
 
-def _drawn(family: Family, least: Density) -> Floats:
+def _draw_null_odds(family: Family, least: Density) -> Floats:
     """Return log odds against no zone in logs of as few readings as the least family has (DRAWS x
     K).
     """

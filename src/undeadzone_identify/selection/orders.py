@@ -14,7 +14,13 @@ from scipy.stats import chi2
 
 from undeadzone.util.arrays import Flags, Floats, Integers, since_start
 from undeadzone_identify.models import zone_fit
-from undeadzone_identify.models.least_squares import CHANCE, HATS, explained, hats, left_by
+from undeadzone_identify.models.least_squares import (
+    CHANCE,
+    HATS,
+    explain_residual,
+    hats,
+    unexplained_by,
+)
 from undeadzone_identify.models.plant import CREDIBLE, Data, Simulator, products
 from undeadzone_identify.models.zone import Limits
 
@@ -80,7 +86,7 @@ def fit_orders(
     Returns:
         One entry an order; those without a stable fit are left out.
     """
-    train = trained_part(data, held_out)
+    train = training_samples(data, held_out)
     known = {one.n: one for one in begun}
     fits: list[OrderFit] = []
     for n in orders:
@@ -101,17 +107,17 @@ def _less_odd(fits: list[OrderFit], train: Flags) -> list[OrderFit]:
         train: samples that are used where the rest checks (N).
     """
     fits, best = list(fits), fits.index(best_order(fits))
-    fits[best] = _climbed_on(fits[best], fits[best].pairs.theta, train)
+    fits[best] = _climb_again(fits[best], fits[best].pairs.theta, train)
     for place in range(best, 0, -1):
         if is_sampled(fits[place].pairs):
             break
         fewer = fits[place - 1]
         begun = zone_fit.less_odd(fits[place].pairs, fewer.pairs.objective.simulator)
-        fits[place - 1] = _climbed_on(fewer, begun, train)
+        fits[place - 1] = _climb_again(fewer, begun, train)
     return fits
 
 
-def _climbed_on(one: OrderFit, theta: Floats, train: Flags) -> OrderFit:
+def _climb_again(one: OrderFit, theta: Floats, train: Flags) -> OrderFit:
     """Return the fits of an order, or those that a climb from other numbers leads to."""
     pairs = zone_fit.better(one.pairs, theta)
     if pairs.value < one.pairs.value + GAINED:
@@ -126,8 +132,8 @@ def _stages(
     """Return the fits of singles and of pairs; one and the same with noise behind the zone."""
     data = simulator.data
     if begun is not None:
-        singles = zone_fit.moved(begun.singles, data)
-        return singles, zone_fit.moved(begun.pairs, data) if data.silent_zeros else singles
+        singles = zone_fit.move_records(begun.singles, data)
+        return singles, zone_fit.move_records(begun.pairs, data) if data.silent_zeros else singles
     singles = zone_fit.fit_zone(simulator, "singles" if data.silent_zeros else "behind", limits)
     paired = data.silent_zeros and math.isfinite(singles.value)
     return singles, zone_fit.refit(singles, "pairs") if paired else singles
@@ -140,7 +146,7 @@ def _says_something(fit: zone_fit.Fit) -> bool:
     return all(np.isfinite(part).all() for part in fit.objective.quadratic(fit.theta))
 
 
-def trained_part(data: Data, held_out: float) -> Flags:
+def training_samples(data: Data, held_out: float) -> Flags:
     """Return the samples that are no held-out ones (N): these are the ends of equal parts of a
     record.
     """
@@ -207,12 +213,12 @@ def validate(fit: zone_fit.Fit, train: Flags) -> HeldOut:
         trained = fit
     data = fit.objective.data
     test = data.ok & ~train
-    return judged(
-        data.y - zone_fit.expected_reading(trained), data, test, innovations(trained, test)
+    return judge_errors(
+        data.y - zone_fit.mean_reading(trained), data, test, innovations(trained, test)
     )
 
 
-def judged(error: Floats, data: Data, test: Flags, one_step: tuple[Floats, Flags]) -> HeldOut:
+def judge_errors(error: Floats, data: Data, test: Flags, one_step: tuple[Floats, Flags]) -> HeldOut:
     """What errors of held-out readings say of a fit.
 
     Args:
@@ -274,11 +280,11 @@ def is_white(value: Floats, use: Flags, lags: int = LAGS) -> bool:
 def reacts_to_input(fit: zone_fit.Fit) -> bool:
     """Return whether past inputs explain one-step residuals: a delay, or too few poles."""
     value, use = innovations(fit, fit.objective.data.ok)
-    lagged = _lagged(fit.objective.data.u)
+    lagged = _lagged_values(fit.objective.data.u)
     use = use & (since_start(fit.objective.data.start, use.size) >= HEARD)
     if use.sum() < 20 * HEARD:
         return False
-    _, _, share, chance = explained(lagged[use], value[use])
+    _, _, share, chance = explain_residual(lagged[use], value[use])
     return (share > 0.03 and chance < 1e-3) or (share > 0.15 and chance < 0.01)
 
 
@@ -293,14 +299,16 @@ def loop_chance(fit: zone_fit.Fit, u: Floats) -> float:
         u: the inputs as they were recorded, or what else may answer (N x m).
     """
     value, use = innovations(fit, fit.objective.data.ok)
-    heard = _lagged(np.where(use, value, 0.0)[:, None], range(ANSWERED))
+    heard = _lagged_values(np.where(use, value, 0.0)[:, None], range(ANSWERED))
     inside = since_start(fit.objective.data.start, value.size) >= HEARD
-    left = [left_by(_lagged(column[:, None])[inside], column[inside]) for column in u.T]
-    chances = [explained(heard[inside], one)[-1] for one in left]
+    left = [
+        unexplained_by(_lagged_values(column[:, None])[inside], column[inside]) for column in u.T
+    ]
+    chances = [explain_residual(heard[inside], one)[-1] for one in left]
     return min(1.0, len(chances) * min(chances))
 
 
-def answered(
+def explained_by_readings(
     moved: Floats, y: Floats, ok: Flags, r: Floats, start: Integers
 ) -> tuple[float, float]:
     """Return the share that readings have of what is left of a signal, and p of it.
@@ -315,20 +323,20 @@ def answered(
         r: what else makes it, now and before (N x k), NaN where it is missing.
         start: first sample of each record (R).
     """
-    wanted, heard = _lagged(r, range(HEARD + 1)), _lagged(y[:, None], range(ANSWERED))
-    own = np.hstack([np.ones((y.size, 1)), _lagged(moved), wanted])
+    wanted, heard = _lagged_values(r, range(HEARD + 1)), _lagged_values(y[:, None], range(ANSWERED))
+    own = np.hstack([np.ones((y.size, 1)), _lagged_values(moved), wanted])
     known = np.isfinite(np.hstack([own, moved])).all(axis=1)
-    known &= _lagged(1.0 * ok[:, None], range(ANSWERED)).all(axis=1)
+    known &= _lagged_values(1.0 * ok[:, None], range(ANSWERED)).all(axis=1)
     known &= since_start(start, y.size) >= HEARD
     found = [(0.0, 1.0)]
     for column in moved[known].T:
-        left, said = left_by(own[known], column), left_by(own[known], heard[known])
+        left, said = unexplained_by(own[known], column), unexplained_by(own[known], heard[known])
         if np.std(left) > ALONE * np.std(column):
-            found.append(explained(said, left)[2:])
+            found.append(explain_residual(said, left)[2:])
     return min(reversed(found), key=lambda one: one[1])
 
 
-def _lagged(columns: Floats, lags: range = range(1, HEARD + 1)) -> Floats:
+def _lagged_values(columns: Floats, lags: range = range(1, HEARD + 1)) -> Floats:
     """Return the last values of each column (N x lags K)."""
     return np.hstack([np.roll(columns, lag, axis=0) for lag in lags])
 
@@ -385,13 +393,13 @@ def residual_map(fit: zone_fit.Fit) -> ResidualMap:
     """
     z = fit.z
     ok = fit.objective.readings.ok
-    residual = fit.objective.readings.y - zone_fit.expected_reading(fit)
+    residual = fit.objective.readings.y - zone_fit.mean_reading(fit)
     centres = np.unique(np.quantile(z[ok], np.linspace(0.01, 0.99, HATS)))
     curves = hats(z, centres)
     speed = np.diff(z, prepend=z[0])
     moving = curves * np.tanh(speed / (speed.std() + 1e-300))[:, None]
-    curve, std, share, chance = explained(curves[ok], residual[ok])
-    _, _, moving_share, moving_chance = explained(moving[ok], residual[ok])
+    curve, std, share, chance = explain_residual(curves[ok], residual[ok])
+    _, _, moving_share, moving_chance = explain_residual(moving[ok], residual[ok])
     return ResidualMap(centres, curve, std, share, chance, moving_share, moving_chance)
 
 

@@ -20,7 +20,7 @@ from undeadzone_identify.logs.log import Options
 from undeadzone_identify.models import plant
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.models.least_squares import Density
-from undeadzone_identify.selection.alternatives import EVEN, Element, Found, excluded
+from undeadzone_identify.selection.alternatives import EVEN, Element, Found, excluded_words
 from undeadzone_identify.selection.decision import (
     LEAST,
     LIKELY,
@@ -32,7 +32,7 @@ from undeadzone_identify.selection.decision import (
 )
 from undeadzone_identify.selection.odds import Family, odds_of
 from undeadzone_identify.servo.gap import ServoGap, centre_of, servo_gap, slopes_of
-from undeadzone_identify.servo.likelihood import At, Servo, discretised
+from undeadzone_identify.servo.likelihood import At, Servo, discretise_servo
 from undeadzone_identify.servo.observations import Observations, noise_of, read_observations
 from undeadzone_identify.servo.predictor import DEGREES
 
@@ -156,30 +156,30 @@ def with_servo(case: Case, found: Found) -> Found:
     explained = word in EXPLAINED and _share(case, found) >= LEAST
     integrates = bool(servo.integrates or case.options.integrators)
     if servo.is_given:
-        return found if explained and not integrates else named_servo(case, servo, found)
+        return found if explained and not integrates else name_servo(case, servo, found)
     denied = servo.integrates and servo.odds > LIKELY and word in DENYING
     if denied or _is_likely(servo, word):
-        return _undecided(servo, found, in_words(servo))
+        return _withhold_servo(servo, found, in_words(servo))
     if explained:
         return found
     if word == "unclear" and case.servo is not None and servo.gap.low <= 0:  # it has no gap
-        return _undecided(servo, found)
+        return _withhold_servo(servo, found)
     of_another = word in NAMELESS or (word in MEMORY and not case.options.integrators)  # plant
-    return found if of_another else _undecided(servo, found)
+    return found if of_another else _withhold_servo(servo, found)
 
 
 def _likelier(case: Case, servo: ServoGap, found: Found) -> Found:
     """What is found of noisy readings: a servo where its density is the largest."""
     models = (*found.models, _family(case, servo))
-    odds = odds_of(models, excluded(case))
+    odds = odds_of(models, excluded_words(case))
     best = best_of("play", models) is models[-1]["play"]
     if not best or min(odds.get("play", 0.0), servo.odds) <= LIKELY:
         return found
     if servo.is_given:
-        return named_servo(case, servo, found)._replace(models=models, odds=odds)
+        return name_servo(case, servo, found)._replace(models=models, odds=odds)
     if found.verdict.word in MEMORY:  # whose gap may be known otherwise
         return found
-    return _undecided(servo, found)._replace(models=models, odds=odds)
+    return _withhold_servo(servo, found)._replace(models=models, odds=odds)
 
 
 def _family(case: Case, servo: ServoGap) -> Family:
@@ -190,7 +190,7 @@ def _family(case: Case, servo: ServoGap) -> Family:
     own = np.full(case.data.y.size, np.nan)
     errors = slopes_of(log, servo.servo)
     each = student.logpdf(errors.e * np.exp(-errors.log_s), DEGREES) - errors.log_s
-    own[log.counted(False)] = each + math.log(case.data.y_scale / log.y_scale)
+    own[log.counted_samples(False)] = each + math.log(case.data.y_scale / log.y_scale)
     compared = plant.part_of(case.data._replace(y=np.arange(own.size, dtype=float)))
     value = own[compared.y.astype(int)]
     there = compared.ok & np.isfinite(value)
@@ -200,7 +200,7 @@ def _family(case: Case, servo: ServoGap) -> Family:
     return {"none": none, "play": Density("play", value, numbers, rms)}
 
 
-def _undecided(servo: ServoGap, found: Found, *named: str) -> Found:
+def _withhold_servo(servo: ServoGap, found: Found, *named: str) -> Found:
     """What is found where a servo's gap is not given, with the reasons of that."""
     verdict = decide("undecided", *named, *servo.reasons)
     return found._replace(verdict=verdict, odds=odds_of_gap(servo), plays=None)
@@ -211,7 +211,7 @@ def odds_of_gap(servo: ServoGap) -> dict[str, float]:
     return {"play": servo.odds, "none": 1 - servo.odds}
 
 
-def named_servo(case: Case, servo: ServoGap, found: Found) -> Found:
+def name_servo(case: Case, servo: ServoGap, found: Found) -> Found:
     """What is found with a servo behind a play.
 
     Args:
@@ -274,8 +274,8 @@ def element_of(case: Case, servo: ServoGap) -> Element:
     count = layout.b.stop
     theta = np.zeros(layout.size)
     scale = float(data.u_scale[0]) / data.y_scale
-    theta[:count] = sampled_plant(servo, one.theta, scale)
-    z, readings, side = servo.expected(one)
+    theta[:count] = plant_without_friction(servo, one.theta, scale)
+    z, readings, side = servo.predict_readings(one)
     of_log, level = servo.log.y_scale / data.y_scale, float(own.y[own.ok][0])
     centre = centre_of(servo, float(grid.y[grid.ok][0]))
     rest = 0.0 if centre is None else centre.value / data.y_scale  # z = 0 at u = 0
@@ -303,7 +303,7 @@ def _widths(case: Case, servo: ServoGap, centre: Interval | None) -> dict[str, I
     """Return the play's widths [y]; what an offset of the output leaves of its sides and its
     centre.
     """
-    width, even = servo.gap, servo.gap.scaled(0.5)
+    width, even = servo.gap, servo.gap.scale_interval(0.5)
     if centre is None:
         return {"right": even, "left": even, "width": width, "centre": None}
     offset = math.inf if case.offset is None else case.offset * case.data.y_scale
@@ -311,10 +311,10 @@ def _widths(case: Case, servo: ServoGap, centre: Interval | None) -> dict[str, I
     half = math.hypot(even.half, centre.half)
     right = Interval.around(even.value + centre.value, half)
     left = Interval.around(even.value - centre.value, half)
-    return {"right": right, "left": left, "width": width, "centre": centre.scaled(2.0)}
+    return {"right": right, "left": left, "width": width, "centre": centre.scale_interval(2.0)}
 
 
-def sampled_plant(servo: ServoGap, theta: Floats, scale: float) -> Floats:
+def plant_without_friction(servo: ServoGap, theta: Floats, scale: float) -> Floats:
     """Return a without its integrators and b of a servo's sampled plant, without friction.
 
     Args:
@@ -323,7 +323,7 @@ def sampled_plant(servo: ServoGap, theta: Floats, scale: float) -> Floats:
         scale: of the units of b: that of u over that of y.
     """
     one, log = servo.servo, servo.log
-    A, B, _ = discretised(theta[None], log.step, one.structure.lag)
+    A, B, _ = discretise_servo(theta[None], log.step, one.structure.lag)
     places = [0] if one.structure.lag else [0, 1]
     places += [3] if "pole" in one.structure.parts else []
     F, b = A[0][np.ix_(places, places)], B[0, places, 0]
@@ -346,7 +346,7 @@ def _covariance(servo: ServoGap, scale: float, count: int) -> Floats:
     for column, place in enumerate(free):
         move = np.zeros(theta.size)
         move[place] = MOVED * max(abs(theta[place]), 1.0 if place != At.GAIN else 0.0)
-        more = sampled_plant(servo, theta + move, scale)
-        less = sampled_plant(servo, theta - move, scale)
+        more = plant_without_friction(servo, theta + move, scale)
+        less = plant_without_friction(servo, theta - move, scale)
         rows[:, column] = (more - less) / (2 * move[place])
     return np.asarray(rows @ servo.covariance @ rows.T)

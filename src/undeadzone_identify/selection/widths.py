@@ -84,7 +84,7 @@ def find_widths(
         apart |= name != "centre" and gap > half > 0
         if half > 0:
             half = max(half, gap, 0.0 if last == "L3" else _gap(stages, row, "L3"))
-            half = math.hypot(half, _hidden(name, others, chosen))
+            half = math.hypot(half, _spread_over_orders(name, others, chosen))
             half = math.hypot(half, 0.5 * quantum)
         half = with_offset(half, row, offset)
         intervals[name] = Interval.around(float(np.dot(row, stages[last])), half)
@@ -132,16 +132,16 @@ class _Stage(NamedTuple):
 
 def _stages(chosen: OrderFit, kalman: KalmanFit | None) -> dict[str, _Stage]:
     """Return the stages that were run, by name."""
-    stages = {"L1": _told(chosen.singles)}
+    stages = {"L1": _assess_widths(chosen.singles)}
     drifts = chosen.pairs.objective.limits.tied and kalman is not None
     if chosen.pairs is not chosen.singles and not drifts:  # what drifts has no correlation
-        stages["L2"] = _told(chosen.pairs)
+        stages["L2"] = _assess_widths(chosen.pairs)
     if kalman is not None:
-        stages["L3"] = _told(kalman)
+        stages["L3"] = _assess_widths(kalman)
     return stages
 
 
-def _told(fit: Fit | KalmanFit) -> _Stage:
+def _assess_widths(fit: Fit | KalmanFit) -> _Stage:
     """What a fit says of the widths."""
     spread, halves, degrees = fit.objective.spread(fit.theta), {}, {}
     for name, weights in DIRECTIONS.items():
@@ -150,7 +150,7 @@ def _told(fit: Fit | KalmanFit) -> _Stage:
     return _Stage((fit.right, fit.left), halves, degrees)
 
 
-def _hidden(name: str, others: list[OrderFit], chosen: OrderFit) -> float:
+def _spread_over_orders(name: str, others: list[OrderFit], chosen: OrderFit) -> float:
     """Return the spread of a width over credible orders, which no score can show."""
     gaps = [_difference(DIRECTIONS[name], other, chosen) for other in others]
     return float(np.sqrt(np.mean(np.square(gaps)))) if gaps else 0.0
@@ -226,7 +226,7 @@ def profile(fit: Fit, side: str, values: Floats, steps: int = 10) -> Floats:
     return out
 
 
-def widened(fit: Fit, side: str, edge: Interval, scale: float) -> Interval:
+def widen_by_profile(fit: Fit, side: str, edge: Interval, scale: float) -> Interval:
     """Return the usual interval, and that of the profile where it reaches further.
 
     2 (L - L(d)) V_naive / V <= F(1, K), with V the robust variance of the edge and V_naive that of

@@ -17,7 +17,13 @@ import numpy as np
 
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.servo.likelihood import At, Likelihood, Servo
-from undeadzone_identify.servo.observations import NORMAL, REACH, Observations, noise_of, triggered
+from undeadzone_identify.servo.observations import (
+    NORMAL,
+    REACH,
+    Observations,
+    noise_of,
+    trigger_ticks,
+)
 
 FEW = 12  # crossings from which a trend is looked for
 CLEAR = 4.0  # standard deviations of a trend that is named
@@ -115,8 +121,8 @@ def crossings_of(log: Observations, one: Servo, free: bool = False) -> Crossings
     """
     ticked, wider = log, 0.0
     if not log.ticks:
-        ticked, wider = triggered(log), 2 * REACH * noise_of(log)
-    theta = one.changed(At.GAP, one.theta[At.GAP] + wider).theta
+        ticked, wider = trigger_ticks(log), 2 * REACH * noise_of(log)
+    theta = one.with_number(At.GAP, one.theta[At.GAP] + wider).theta
     seen = Likelihood(ticked, free).run(theta[None], one.structure.lag)[0]
     at, ticks = np.flatnonzero(ticked.turns), np.flatnonzero(ticked.side)
     before = ticks[np.maximum(np.searchsorted(ticks, at) - 1, 0)]

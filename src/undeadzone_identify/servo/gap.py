@@ -42,9 +42,9 @@ from undeadzone_identify.servo.likelihood import (
     lanes_of,
     newton,
 )
-from undeadzone_identify.servo.observations import Observations, noise_of, sides, triggered
+from undeadzone_identify.servo.observations import Observations, noise_of, sides, trigger_ticks
 from undeadzone_identify.servo.predictor import LATEST, MEAN, NUMBERS
-from undeadzone_identify.servo.search import searched
+from undeadzone_identify.servo.search import search_structures
 
 RUNS = 12
 STEPS = 8  # of a climb from the fit
@@ -61,15 +61,15 @@ def _kernel() -> lanes.Kernel:
     acting = ca.dot(lane.taps, signals[: LATEST + 1])
     contact = predictor.contact_of(lane, state[0], state[1], state[MEAN])
     pushed = lane.offset + torque
-    x = predictor.moved(lane, ca.vertsplit(state[:MEAN]), acting, pushed, contact).x
+    x = predictor.predict_mean(lane, ca.vertsplit(state[:MEAN]), acting, pushed, contact).x
     x = [ca.if_else(starts, first, one) for first, one in zip([begun, 0, 0, 0], x, strict=True)]
-    level = ca.if_else(starts, begun, predictor.pulled(lane, state[MEAN], x[0]))
+    level = ca.if_else(starts, begun, predictor.pulled_level(lane, state[MEAN], x[0]))
     step = ca.Function("simulated", [state, signals, numbers], [ca.vertcat(*x, level), level])
     own = LATEST + 1 + 2
     return lanes.build(step, exogenous=[own], width=16, fused=True)
 
 
-def simulated(log: Observations, one: Servo, runs: int = RUNS) -> list[Observations]:
+def simulate_servo(log: Observations, one: Servo, runs: int = RUNS) -> list[Observations]:
     """Return logs of a servo with the log's input.
 
     Args:
@@ -90,10 +90,10 @@ def simulated(log: Observations, one: Servo, runs: int = RUNS) -> list[Observati
     levels, _ = lanes.run(
         _kernel(), np.zeros(MEAN + 1), signals, rows[0], torque[:, None, :], threads=1
     )
-    return [_recorded(log, theta, level, draw) for level in levels[:, :, 0]]
+    return [_record_levels(log, theta, level, draw) for level in levels[:, :, 0]]
 
 
-def _recorded(
+def _record_levels(
     log: Observations, theta: Floats, level: Floats, draw: np.random.Generator
 ) -> Observations:
     """Return levels as the log's encoder reads them, or with its noise."""
@@ -104,9 +104,9 @@ def _recorded(
     return log._replace(y=y, side=side, boundary=y - side * log.quantum / 2)
 
 
-def refitted(logs: Sequence[Observations], one: Servo) -> Floats:
+def refit_gaps(logs: Sequence[Observations], one: Servo) -> Floats:
     """Return the gaps that climbs from a servo find in logs (runs)."""
-    tops = (Likelihood(log).climbed([one], STEPS)[0] for log in logs)
+    tops = (Likelihood(log).climb_starts([one], STEPS)[0] for log in logs)
     return np.array([top.theta[At.GAP] for top in tops])
 
 
@@ -190,7 +190,7 @@ class ServoGap(NamedTuple):
     @property
     def odds(self) -> float:
         """Of a gap against none, by BIC."""
-        used = max(int(np.count_nonzero(self.log.counted(False))), 2)
+        used = max(int(np.count_nonzero(self.log.counted_samples(False))), 2)
         return float(expit(self.gained - 0.5 * DEAR * math.log(used)))
 
     @property
@@ -213,11 +213,11 @@ class ServoGap(NamedTuple):
         time = (rubs**2 * SHORT * turning + slow**2 * of_slow) / rms**2
         return rms * log.u_scale, max(time, 0.5 * log.seconds)
 
-    def trained(self, among: Flags) -> Servo:
+    def fit_training_samples(self, among: Flags) -> Servo:
         """Return the servo fitted to some samples (N) alone."""
-        return Likelihood(self.log, among=among).climbed([self.servo], STEPS)[0]
+        return Likelihood(self.log, among=among).climb_starts([self.servo], STEPS)[0]
 
-    def expected(self, one: Servo) -> tuple[Floats, Floats, Integers]:
+    def predict_readings(self, one: Servo) -> tuple[Floats, Floats, Integers]:
         """Return z as it is predicted, what is read of it, and the contact then (N each),
         scaled.
         """
@@ -250,7 +250,7 @@ def servo_gap(log: Observations | None) -> ServoGap | None:
     if log is None:
         return None
     part = log.part(LONGEST)
-    tops = searched(part)
+    tops = search_structures(part)
     if not tops:
         return None
     best = tops[0]
@@ -258,14 +258,14 @@ def servo_gap(log: Observations | None) -> ServoGap | None:
     if not all(np.isfinite(column).all() for column in slopes):
         return None
     spread = _Spread(part, best, slopes)
-    logs = simulated(part, best)
-    gaps = refitted(logs, best)
-    gap = _corrected(part, best, spread, gaps, [one.theta[At.GAP] for one in tops])
+    logs = simulate_servo(part, best)
+    gaps = refit_gaps(logs, best)
+    gap = _correct_gap(part, best, spread, gaps, [one.theta[At.GAP] for one in tops])
     found = ServoGap(
         log=log,
         servo=best,
-        gap=gap.scaled(log.y_scale),
-        crossings=_unbiased(crossings_of(log, best), logs, best),
+        gap=gap.scale_interval(log.y_scale),
+        crossings=_unbias_crossings(crossings_of(log, best), logs, best),
         reversals=spread.reversals,
         covariance=spread.covariance,
         gained=best.value - _without(part, best),
@@ -308,7 +308,7 @@ def _rest(one: Servo) -> float:
 
 def _without(log: Observations, one: Servo) -> float:
     """Return the log likelihood of a servo without a gap."""
-    return Likelihood(log).climbed([one.changed(At.GAP, 0.0)], STEPS, (At.GAP,))[0].value
+    return Likelihood(log).climb_starts([one.with_number(At.GAP, 0.0)], STEPS, (At.GAP,))[0].value
 
 
 def slopes_of(log: Observations, one: Servo) -> Slopes:
@@ -324,7 +324,7 @@ class _Spread:
         place = list(one.structure.free(log.ticks, False)).index(At.GAP)
         spread = sandwich(*newton(slopes))
         self.covariance = spread.V
-        turned = np.cumsum((log if log.ticks else triggered(log)).turns)
+        turned = np.cumsum((log if log.ticks else trigger_ticks(log)).turns)
         self.reversals = int(turned[-1])
         used = Likelihood(log).used
         told = spread.scores @ spread.naive[:, place]  # of the gap, by each error
@@ -336,7 +336,7 @@ class _Spread:
         self.error = math.sqrt(max(*variances, 0.0))
 
 
-def _corrected(
+def _correct_gap(
     log: Observations, one: Servo, spread: _Spread, gaps: Floats, others: list[float]
 ) -> Interval:
     """Return the gap less the bias that simulated logs show, with its interval, scaled."""
@@ -359,7 +359,7 @@ def _slow(one: Servo) -> float:
     return math.exp(one.structure.of(one.theta)[At.SLOW])
 
 
-def _unbiased(crossings: Crossings, logs: list[Observations], one: Servo) -> Crossings:
+def _unbias_crossings(crossings: Crossings, logs: list[Observations], one: Servo) -> Crossings:
     """Return crossings less what those of simulated logs are beside the truth."""
     medians = [crossings_of(log, one).median for log in logs[:LOOKED]]
     shift = float(np.nanmedian(medians)) - float(one.theta[At.GAP]) * logs[0].y_scale
@@ -420,7 +420,7 @@ def odd_errors(log: Observations, slopes: Slopes) -> list[str]:
     squares = float(np.sum((seen[1:] / seen[0]) ** 2))
     if squares > CORRELATED and chi2.sf(r.size * squares, FOLLOWING) < CHANCE:
         reasons.append("errors follow from errors before them: the motor is not fully held")
-    used = np.flatnonzero(log.counted(False))
+    used = np.flatnonzero(log.counted_samples(False))
     past = np.column_stack([later(log.u, 1 + j, log.start)[used] for j in range(LAGS)])
     past = past - past.mean(axis=0)
     explained = past @ np.linalg.lstsq(past, r, rcond=1e-8)[0]

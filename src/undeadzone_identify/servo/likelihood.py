@@ -36,7 +36,7 @@ FINEST = 1e-4  # rms of the readings: quantum of exact ones
 AT_FIRST = 2.0  # standard deviation of v at first, in speeds that an input of 1 gives in a while
 
 
-def discretised(theta: Floats, step: float, lag: bool) -> tuple[Floats, Floats, Floats]:
+def discretise_servo(theta: Floats, step: float, lag: bool) -> tuple[Floats, Floats, Floats]:
     """Return transitions of (z, v, d, i), of u and torque, and the covariance of a sample.
 
     Args:
@@ -104,7 +104,7 @@ def lanes_of(
         free: whether z is forgotten at reversals.
         lag: whether the plant is of first order.
     """
-    A, B, Q = discretised(theta, step, lag)
+    A, B, Q = discretise_servo(theta, step, lag)
     rows = np.zeros((len(theta), len(NUMBERS) + LATEST + 1))
     for place, name in enumerate(PLANT):
         letter, at = name[0], name[1:]
@@ -187,7 +187,7 @@ class Servo(NamedTuple):
     theta: Floats
     value: float
 
-    def changed(self, place: int, value: float) -> Servo:
+    def with_number(self, place: int, value: float) -> Servo:
         """Return a servo with another number."""
         theta = self.theta.copy()
         theta[place] = value
@@ -219,16 +219,16 @@ class Likelihood:
 
     def __init__(self, log: Observations, free: bool = False, among: Flags | None = None) -> None:
         self.log, self.free = log, free
-        counted = log.counted(free) if among is None else log.counted(free) & among
+        counted = log.counted_samples(free) if among is None else log.counted_samples(free) & among
         self.used = np.flatnonzero(counted)
         self.signals = log.signals(counted)
         self.kernel = predictor.ticks if log.ticks else predictor.noise
 
     def run(self, theta: Floats, lag: bool) -> Floats:
         """What the predictor sees (L x N x `predictor.SEEN`) with numbers (L x P)."""
-        return self._run(self.kernel(), theta, lag)[0]
+        return self._run_kernel(self.kernel(), theta, lag)[0]
 
-    def _run(self, kernel: lanes.Kernel, theta: Floats, lag: bool) -> tuple[Floats, Floats]:
+    def _run_kernel(self, kernel: lanes.Kernel, theta: Floats, lag: bool) -> tuple[Floats, Floats]:
         """Return outputs and final states of a kernel."""
         log = self.log
         rows = lanes_of(theta, log.step, log.quantum, log.ticks, self.free, lag)
@@ -236,13 +236,13 @@ class Likelihood:
 
     def values(self, theta: Floats, lag: bool) -> Floats:
         """Return the log likelihoods of numbers (L x P)."""
-        return self._run(self.kernel("sums"), theta, lag)[1][:, -1]
+        return self._run_kernel(self.kernel("sums"), theta, lag)[1][:, -1]
 
     def slopes(self, points: Floats, free: Sequence[Integers], lag: bool) -> list[Slopes]:
         """Return errors and derivatives at points (M x P) by the free numbers of each."""
         moves = [steps_of(theta)[own] for theta, own in zip(points, free, strict=True)]
         rows = [around(*one) for one in zip(points, free, moves, strict=True)]
-        seen, _ = self._run(self.kernel("errors"), np.concatenate(rows), lag)
+        seen, _ = self._run_kernel(self.kernel("errors"), np.concatenate(rows), lag)
         found, row = [], 0
         for steps in moves:
             count = steps.size
@@ -254,7 +254,7 @@ class Likelihood:
             row += 1 + 2 * count
         return found
 
-    def climbed(
+    def climb_starts(
         self, starts: Sequence[Servo], steps: int, fixed: Sequence[int] = ()
     ) -> list[Servo]:
         """Where climbs from several starts end, in their order; the lags among them apart.
@@ -268,18 +268,18 @@ class Likelihood:
         for lag in (False, True):
             own = [k for k, one in enumerate(starts) if one.structure.lag == lag]
             if own:
-                tops = self._climbed([starts[k] for k in own], steps, fixed, lag)
+                tops = self._climb_apart([starts[k] for k in own], steps, fixed, lag)
                 for k, top in zip(own, tops, strict=True):
                     found[k] = top
         return found
 
-    def _climbed(
+    def _climb_apart(
         self, starts: list[Servo], steps: int, fixed: Sequence[int], lag: bool
     ) -> list[Servo]:
         """Return `climbed`, of motors alone or of lags alone."""
         ticks = self.log.ticks
         free = [one.structure.free(ticks, self.free, fixed) for one in starts]
-        theta = bounded(np.array([one.structure.of(one.theta) for one in starts]), self.log)
+        theta = bound_numbers(np.array([one.structure.of(one.theta) for one in starts]), self.log)
         values = self.values(theta, lag)
         idle = np.where(np.isfinite(values), 0, PATIENT)
         for _ in range(steps):
@@ -290,7 +290,7 @@ class Likelihood:
             trials = []
             for k, slopes in zip(going, self.slopes(theta[going], places, lag), strict=True):
                 trials.append(self._trials(theta[k], slopes, free[k]))
-            tried = bounded(np.concatenate(trials), self.log)
+            tried = bound_numbers(np.concatenate(trials), self.log)
             reached = self.values(tried, lag).reshape(going.size, -1)
             best = np.argmax(np.nan_to_num(reached, nan=-np.inf), axis=1)
             for row, k in enumerate(going):
@@ -365,7 +365,7 @@ def reach_of(theta: Floats) -> Floats:
     return reach
 
 
-def bounded(theta: Floats, log: Observations) -> Floats:
+def bound_numbers(theta: Floats, log: Observations) -> Floats:
     """Return numbers within bounds (L x P); what is not there stays so."""
     own = theta.T.copy()
     for place, low, high in (
@@ -380,6 +380,8 @@ def bounded(theta: Floats, log: Observations) -> Floats:
         own[place, there] = np.clip(own[place, there], low, high)
     own[RUBS] = np.maximum(own[RUBS], 0.0)
     own[At.GAP] = np.maximum(own[At.GAP], 1e-7)
-    earliest = 0.0 if log.closed else EARLIEST  # in a loop u answers to the reading of its sample
+    earliest = (
+        0.0 if log.has_feedback else EARLIEST
+    )  # in a loop u answers to the reading of its sample
     own[At.DELAY] = np.clip(own[At.DELAY], earliest, predictor.LATEST + EARLIEST - 1e-6)
     return np.ascontiguousarray(own.T)

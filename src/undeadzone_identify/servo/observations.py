@@ -13,7 +13,7 @@ from scipy.stats import f as fisher
 
 from undeadzone.util.arrays import Flags, Floats, Integers, later
 from undeadzone_identify.logs.grid import spacing_of
-from undeadzone_identify.models.least_squares import left_by
+from undeadzone_identify.models.least_squares import unexplained_by
 from undeadzone_identify.models.motion import changes, white_noise
 from undeadzone_identify.servo.predictor import LATEST
 
@@ -48,10 +48,10 @@ def loop_chance(u: Floats, y: Floats) -> float:
     target = du[rows]
     kept = _usual(known, target)
     known, now, target = known[kept], now[kept], target[kept]
-    before = left_by(known, target)
+    before = unexplained_by(known, target)
     if np.std(before) < LEAST * np.std(target):
         return 1.0
-    after = left_by(np.column_stack([known, now]), target)
+    after = unexplained_by(np.column_stack([known, now]), target)
     share = 1 - float(after @ after) / float(before @ before)
     degrees = target.size - known.shape[1] - OWN
     ratio = share / max(1 - share, 1e-12) * degrees / OWN
@@ -110,7 +110,7 @@ class Observations(NamedTuple):
     loop: float
 
     @property
-    def closed(self) -> bool:
+    def has_feedback(self) -> bool:
         """Return whether the input answers to the readings."""
         return self.loop < CHANCE
 
@@ -143,7 +143,7 @@ class Observations(NamedTuple):
         ticks = [self.side, self.boundary, self.turns, self.first]
         return np.column_stack([late, *ticks, starts, counted])
 
-    def counted(self, free: bool) -> Flags:
+    def counted_samples(self, free: bool) -> Flags:
         """Return the samples whose prediction errors count (N)."""
         if not self.ticks:
             counted = self.ok.copy()
@@ -159,7 +159,7 @@ class Observations(NamedTuple):
             most: samples.
             least: reversals; where so many samples have fewer, twice as many are taken, and so on.
         """
-        turned = np.cumsum(np.append(0, (self if self.ticks else triggered(self)).turns))
+        turned = np.cumsum(np.append(0, (self if self.ticks else trigger_ticks(self)).turns))
         while most < self.u.size and np.max(turned[most:] - turned[:-most]) < least:
             most *= 2
         if self.u.size <= most:
@@ -193,7 +193,7 @@ def read_observations(
     if not (u_scale > 0 and y_scale > 0):
         return None
     level = float(y[ok][0])
-    held = filled(np.where(ok, (y - level) / y_scale, 0.0), ok)
+    held = fill_missing(np.where(ok, (y - level) / y_scale, 0.0), ok)
     side = sides(held, ok, start)
     at = np.flatnonzero(side)
     if at.size < FEWEST:
@@ -222,7 +222,7 @@ def read_observations(
     return log._replace(ticks=False, quantum=0.0)
 
 
-def filled(y: Floats, ok: Flags) -> Floats:
+def fill_missing(y: Floats, ok: Flags) -> Floats:
     """Return readings, the last one held where one is missing (N)."""
     last = np.maximum.accumulate(np.where(ok, np.arange(y.size), -1))
     return np.where(last >= 0, y[np.maximum(last, 0)], 0.0)
@@ -239,7 +239,7 @@ def noise_of(log: Observations) -> float:
     return max(white_noise(log.y + 10.0, log.ok, log.start), 1e-5)
 
 
-def triggered(log: Observations) -> Observations:
+def trigger_ticks(log: Observations) -> Observations:
     """Return noisy readings as ticks of a Schmitt trigger, whose gap is wider by 2 REACH of the
     noise.
     """
@@ -258,5 +258,5 @@ def triggered(log: Observations) -> Observations:
 
 def reversals(log: Observations) -> int:
     """How often the readings turn."""
-    ticked = log if log.ticks else triggered(log)
+    ticked = log if log.ticks else trigger_ticks(log)
     return int(math.fsum(ticked.turns))

@@ -81,7 +81,7 @@ class _Motion(NamedTuple):
     brake: Any
 
 
-def moved(lane: Lane, x: list[Any], u: Any, torque: Any, contact: Any) -> _Motion:
+def predict_mean(lane: Lane, x: list[Any], u: Any, torque: Any, contact: Any) -> _Motion:
     """Return the mean a sample later.
 
     Args:
@@ -130,7 +130,7 @@ def contact_of(lane: Lane, z: Any, v: Any, level: Any) -> Any:
     return ca.if_else(v == 0, resting, moving)
 
 
-def pulled(lane: Lane, level: Any, z: Any) -> Any:
+def pulled_level(lane: Lane, level: Any, z: Any) -> Any:
     """Return the level of the load that the motor takes along."""
     return apply_backlash(ca, z, level, lane.gap / 2, lane.gap / 2)
 
@@ -197,7 +197,7 @@ def density(error: Any, log_s: Any) -> Any:
     return ca.if_else(ca.fabs(found) < -WORST, found, WORST)
 
 
-def _compiled(name: str, state: Any, signals: Any, numbers: Any, out: _Out, what: str) -> Any:
+def _compile_kernel(name: str, state: Any, signals: Any, numbers: Any, out: _Out, what: str) -> Any:
     """Return a kernel that tells all, errors, or the sum of their log densities alone."""
     if what != "sums":
         seen = out.seen if what == "all" else out.seen[:2]
@@ -233,7 +233,7 @@ def ticks(what: str = "all") -> lanes.Kernel:
     inputs = signals[: LATEST + 1]
     acting, level = ca.dot(lane.taps, inputs), state[-1]
     contact = contact_of(lane, state[0], state[1], level)
-    motion = moved(lane, ca.vertsplit(state[:MEAN]), acting, lane.offset, contact)
+    motion = predict_mean(lane, ca.vertsplit(state[:MEAN]), acting, lane.offset, contact)
     P, _ = _spread(lane, _symmetric(ca.vertsplit(state[MEAN:-1])), motion)
     x = [ca.if_else(starts, 0.0, one) for one in motion.x]
     P = ca.if_else(starts, _first(lane, 0.0), P)
@@ -260,9 +260,11 @@ def ticks(what: str = "all") -> lanes.Kernel:
     against = ca.logic_and(side != 0, heard[1] * side <= 0)
     against = ca.logic_and(against, ca.logic_not(turned))
     heard[1] = ca.if_else(against, side * SLOWEST, heard[1])
-    level = ca.if_else(side != 0, heard[0] - side * lane.gap / 2, pulled(lane, level, heard[0]))
+    level = ca.if_else(
+        side != 0, heard[0] - side * lane.gap / 2, pulled_level(lane, level, heard[0])
+    )
     following = ca.vertcat(*heard, x[3], *_upper(P), ca.if_else(starts, 0.0, level))
-    return _compiled("ticks", state, signals, numbers, _Out(following, seen, counts), what)
+    return _compile_kernel("ticks", state, signals, numbers, _Out(following, seen, counts), what)
 
 
 @cache
@@ -288,7 +290,7 @@ def noise(what: str = "all") -> lanes.Kernel:
     level, of_level = state[MEAN + len(TRIANGLE)], state[MEAN + len(TRIANGLE) + 1 :]
     contact = contact_of(lane, state[0], state[1], level)
     acting = ca.dot(lane.taps, inputs)
-    motion = moved(lane, ca.vertsplit(state[:MEAN]), acting, lane.offset, contact)
+    motion = predict_mean(lane, ca.vertsplit(state[:MEAN]), acting, lane.offset, contact)
     P, F = _spread(lane, _symmetric(upper), motion)
     with_level, own = F @ of_level[:3], of_level[3]
     R = lane.rms**2
@@ -317,7 +319,7 @@ def noise(what: str = "all") -> lanes.Kernel:
         *after, x[3], *_upper(P), level + gain_own * error,
         with_level - gain * own, own - gain_own * own,
     )  # fmt: skip
-    return _compiled("noise", state, signals, numbers, _Out(following, seen, counts), what)
+    return _compile_kernel("noise", state, signals, numbers, _Out(following, seen, counts), what)
 
 
 def through_play(mean: Any, variance: Any, half: Any) -> tuple[Any, Any, Any]:

@@ -24,9 +24,9 @@ from undeadzone_identify.servo.likelihood import (
     Likelihood,
     Servo,
     Structure,
-    discretised,
+    discretise_servo,
 )
-from undeadzone_identify.servo.observations import REACH, Observations, noise_of, triggered
+from undeadzone_identify.servo.observations import REACH, Observations, noise_of, trigger_ticks
 
 MOST = 3000  # samples of a search
 TURNS = 4  # reversals of a search, at least
@@ -44,7 +44,7 @@ ALTERNATIVES = 6  # structures that are climbed with all samples
 REACHED = 30.0  # of BIC, within which a structure may be the true one
 
 
-def searched(log: Observations) -> list[Servo]:
+def search_structures(log: Observations) -> list[Servo]:
     """Return the likeliest structures within `REACHED` of BIC, best first; of all samples.
 
     Args:
@@ -53,15 +53,17 @@ def searched(log: Observations) -> list[Servo]:
     Returns:
         Servos climbed to their top; nothing where no start leads anywhere.
     """
-    ticked = log if log.ticks else triggered(log)
+    ticked = log if log.ticks else trigger_ticks(log)
     begun = without_gap(ticked.part(MOST, TURNS))
     if not begun:
         return []
-    fits = with_gap(log.part(MOST, TURNS), [_gapped(log, ticked, one) for one in begun])
+    fits = with_gap(
+        log.part(MOST, TURNS), [_start_with_median_gap(log, ticked, one) for one in begun]
+    )
     if not fits:
         return []
     likelihood = Likelihood(log)
-    tops = likelihood.climbed(fits, 3 * LAST)
+    tops = likelihood.climb_starts(fits, 3 * LAST)
     return sorted(filter(lambda one: math.isfinite(one.value), tops), key=likelihood.bic)
 
 
@@ -75,11 +77,11 @@ def without_gap(log: Observations) -> list[Servo]:
         return []
     begun = starts(log)
     families = sorted({one.structure for one in begun}, key=repr)
-    tops = likelihood.climbed(begun, FIRST, (At.TORQUE,))
+    tops = likelihood.climb_starts(begun, FIRST, (At.TORQUE,))
     tops = list(itertools.chain(*(_best(tops, family, KEPT) for family in families)))
-    weaker = [one.changed(At.TORQUE, math.log(TORQUES[-1])) for one in tops]
-    tops += likelihood.climbed(weaker, THEN, (At.TORQUE,))
-    tops = likelihood.climbed(tops, LAST)
+    weaker = [one.with_number(At.TORQUE, math.log(TORQUES[-1])) for one in tops]
+    tops += likelihood.climb_starts(weaker, THEN, (At.TORQUE,))
+    tops = likelihood.climb_starts(tops, LAST)
     tops = list(itertools.chain(*(_best(tops, family, 2) for family in families)))
     return sorted(tops, key=likelihood.bic)
 
@@ -98,13 +100,13 @@ def starts(log: Observations) -> list[Servo]:
     motor, sprung = Structure(frozenset({"friction"})), Structure(frozenset({"friction", "spring"}))
     for rate, late in itertools.product(rates, DELAYS):
         for friction, share in zip(FRICTIONS, SPRINGS, strict=True):
-            found.append(_begun(log, motor, rate, 0.0, friction, late))
-            found.append(_begun(log, sprung, rate, share * rate**2, FRICTIONS[0], late))
+            found.append(_start_with_gain(log, motor, rate, 0.0, friction, late))
+            found.append(_start_with_gain(log, sprung, rate, share * rate**2, FRICTIONS[0], late))
     lagging = Structure(frozenset(), lag=True)
-    return found + [_begun(log, lagging, rate, 0.0, 0.0, DELAYS[0]) for rate in rates]
+    return found + [_start_with_gain(log, lagging, rate, 0.0, 0.0, DELAYS[0]) for rate in rates]
 
 
-def _begun(
+def _start_with_gain(
     log: Observations,
     structure: Structure,
     rate: float,
@@ -129,7 +131,7 @@ def _begun(
 
 def _linear(log: Observations, theta: Floats, lag: bool) -> Floats:
     """Return z of a servo without friction (N)."""
-    A, B, _ = discretised(theta[None], log.step, lag)
+    A, B, _ = discretise_servo(theta[None], log.step, lag)
     F, b = A[0, :2, :2], B[0, :2, 0]
     late = later(log.u, 1 + round(theta[At.DELAY]), log.start)
     denominator = np.array([1.0, -np.trace(F), np.linalg.det(F)])
@@ -140,13 +142,15 @@ def _linear(log: Observations, theta: Floats, lag: bool) -> Floats:
 # --- The gap
 
 
-def _gapped(log: Observations, ticked: Observations, one: Servo) -> Servo:
+def _start_with_median_gap(log: Observations, ticked: Observations, one: Servo) -> Servo:
     """Return a servo with the median of the gaps of its reversals."""
     gap = crossings_of(ticked, one, free=True).median / ticked.y_scale
     if log.ticks:
-        return one.changed(At.GAP, max(gap, MEMORY * log.quantum, 1e-4))
+        return one.with_number(At.GAP, max(gap, MEMORY * log.quantum, 1e-4))
     rms = noise_of(log)
-    return one.changed(At.GAP, max(gap - 2 * REACH * rms, rms)).changed(At.NOISE, math.log(rms))
+    return one.with_number(At.GAP, max(gap - 2 * REACH * rms, rms)).with_number(
+        At.NOISE, math.log(rms)
+    )
 
 
 def with_gap(log: Observations, begun: Sequence[Servo]) -> list[Servo]:
@@ -157,9 +161,11 @@ def with_gap(log: Observations, begun: Sequence[Servo]) -> list[Servo]:
         begun: where climbs begin.
     """
     likelihood = Likelihood(log)
-    first = [one.changed(At.TORQUE, math.log(x)) for one, x in itertools.product(begun, TORQUES)]
-    first = likelihood.climbed(first, THEN, (At.TORQUE,))
-    fits = _kept({}, likelihood, likelihood.climbed(first, LAST))
+    first = [
+        one.with_number(At.TORQUE, math.log(x)) for one, x in itertools.product(begun, TORQUES)
+    ]
+    first = likelihood.climb_starts(first, THEN, (At.TORQUE,))
+    fits = _best_of_structures({}, likelihood, likelihood.climb_starts(first, LAST))
     for _ in range(ROUNDS):
         if not fits:
             return []
@@ -167,8 +173,8 @@ def with_gap(log: Observations, begun: Sequence[Servo]) -> list[Servo]:
         own = best.structure
         trials = neighbours(best, log.step)
         trials = [x for x in trials if x.structure not in fits or x.structure.parts < own.parts]
-        more = likelihood.climbed(trials, THEN, (At.TORQUE,))
-        fits = _kept(fits, likelihood, likelihood.climbed(more, LAST))
+        more = likelihood.climb_starts(trials, THEN, (At.TORQUE,))
+        fits = _best_of_structures(fits, likelihood, likelihood.climb_starts(more, LAST))
         if min(fits.values(), key=likelihood.bic).structure == own:
             break
     ranked = sorted(fits.values(), key=likelihood.bic)
@@ -176,7 +182,7 @@ def with_gap(log: Observations, begun: Sequence[Servo]) -> list[Servo]:
     return [one for one in ranked if likelihood.bic(one) <= most][:ALTERNATIVES]
 
 
-def _kept(
+def _best_of_structures(
     fits: dict[Structure, Servo], likelihood: Likelihood, more: Sequence[Servo]
 ) -> dict[Structure, Servo]:
     """Return the best servo of each structure."""
@@ -199,20 +205,22 @@ def neighbours(one: Servo, step: float) -> list[Servo]:
         if name not in parts:
             found.append(Servo(structure, structure.of(one.theta), -math.inf))
             if name == "pole":
-                found.append(Servo(structure, structure.of(_exchanged(one.theta, step)), -math.inf))
+                found.append(
+                    Servo(structure, structure.of(_exchange_pole(one.theta, step)), -math.inf)
+                )
             continue
         for value in _values(name, one, step):
-            more = one.changed(place, value)
+            more = one.with_number(place, value)
             if name == "load":  # of what rubbed at the motor
-                more = more.changed(At.FRICTION, max(more.theta[At.FRICTION] - value, 0.0))
+                more = more.with_number(At.FRICTION, max(more.theta[At.FRICTION] - value, 0.0))
             if name == "pole":  # what a pole is late
                 late = more.theta[At.DELAY] - math.exp(-value) / step
-                more = more.changed(At.DELAY, max(late, 0.0))
+                more = more.with_number(At.DELAY, max(late, 0.0))
             found.append(more._replace(structure=structure, value=-math.inf))
     return found
 
 
-def _exchanged(theta: Floats, step: float) -> Floats:
+def _exchange_pole(theta: Floats, step: float) -> Floats:
     """Return the numbers of a motor without a pole, whose damping is that pole; the other is a
     delay.
     """

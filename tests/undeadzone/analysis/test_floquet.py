@@ -11,7 +11,13 @@ from hypothesis import strategies as st
 from scipy.linalg import expm, solve_continuous_lyapunov
 
 from scenes import random_plant, scene
-from undeadzone.analysis.branch_schedule import Schedule, merged, planned, recorded, roots
+from undeadzone.analysis.branch_schedule import (
+    Schedule,
+    merge_equal_neighbours,
+    plan_schedule,
+    roots,
+    schedule_of_record,
+)
 from undeadzone.analysis.convergence.floquet import (
     Rates,
     error_matrices,
@@ -51,7 +57,7 @@ COUPLED = {
 
 def schedule_of(scenario: Scenario) -> Schedule:
     problem = resolve_scenario(scenario)
-    return planned(
+    return plan_schedule(
         problem.model,
         problem.reference,
         problem.tracked,
@@ -222,7 +228,7 @@ def test_a_run_that_does_not_repeat_is_predicted_by_its_recorded_sides() -> None
         simulation={"duration": 6.0, **SAMPLED},
     )
     run, problem = simulate(scenario), resolve_scenario(scenario)
-    schedule = recorded(run.z[:-1], problem.sensor, 1e-2, 1e-2)
+    schedule = schedule_of_record(run.z[:-1], problem.sensor, 1e-2, 1e-2)
     error = np.hstack([run.x - run.x_hat, run.info.widths - run.d_hat])
     gains = constant_gains(problem.observer, problem.model)
     assert gains is not None
@@ -243,7 +249,7 @@ def test_a_run_that_does_not_repeat_is_predicted_by_its_recorded_sides() -> None
 def test_recorded_and_planned_rates_agree() -> None:
     scenario = scene(simulation={"duration": 12.0, "step": 1e-3})
     run, problem = simulate(scenario, check_step=False), resolve_scenario(scenario)
-    schedule = recorded(run.z[8000:], problem.sensor, 1e-3, None)
+    schedule = schedule_of_record(run.z[8000:], problem.sensor, 1e-3, None)
     gains = constant_gains(problem.observer, problem.model)
     assert gains is not None
     assert rates(problem.model.linear, *gains, schedule).rate == pytest.approx(
@@ -253,7 +259,7 @@ def test_recorded_and_planned_rates_agree() -> None:
 
 def test_a_long_record_does_not_underflow() -> None:
     scenario = scene(reference={"kind": "sine", "amplitude": 5.0, "frequency": 1.0})
-    problem, once = resolve_scenario(scenario), merged(schedule_of(scenario))
+    problem, once = resolve_scenario(scenario), merge_equal_neighbours(schedule_of(scenario))
     long = once._replace(sides=np.tile(once.sides, (3000, 1)), spans=np.tile(once.spans, 3000))
     gains = constant_gains(problem.observer, problem.model)
     assert gains is not None
@@ -321,7 +327,7 @@ def test_sides_change_where_the_sine_says(amplitude: float) -> None:
 
 
 def test_sides_of_a_trapezoid_and_of_a_touch() -> None:
-    found = merged(
+    found = merge_equal_neighbours(
         schedule_of(
             scene(reference={"kind": "trapezoid", "amplitude": 2.0, "rise": 1.0, "hold": 1.0})
         )
@@ -385,7 +391,7 @@ def test_periods(signal: Any, period: float | None) -> None:
 def test_the_gain_is_the_most_that_one_pass_makes_of_an_error() -> None:
     """By plain exponentials, in the balanced units that it is stated in."""
     scenario = scene()
-    schedule = merged(schedule_of(scenario))
+    schedule = merge_equal_neighbours(schedule_of(scenario))
     problem = resolve_scenario(scenario)
     gains = constant_gains(problem.observer, problem.model)
     assert gains is not None
@@ -397,7 +403,7 @@ def test_the_gain_is_the_most_that_one_pass_makes_of_an_error() -> None:
         adaptation(gains[1], 1),
         schedule.sides,
     )
-    units = invisible(problem.model.linear, schedule.visited()).scale
+    units = invisible(problem.model.linear, schedule.visited_sides()).scale
     M = np.eye(4)
     for matrix, span in zip(F, schedule.spans, strict=True):
         M = expm(matrix * span) @ M

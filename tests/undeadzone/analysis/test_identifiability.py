@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from scenes import PAPER_PLANT, random_plant, scene, table
-from undeadzone.analysis.branch_schedule import Schedule, planned
+from undeadzone.analysis.branch_schedule import Schedule, plan_schedule
 from undeadzone.analysis.error_dynamics import pattern
 from undeadzone.analysis.identifiability.disturbance import first_order
 from undeadzone.analysis.identifiability.information import (
@@ -67,7 +67,7 @@ def visiting(right: list[bool], left: list[bool], Ts: float | None = None) -> Sc
 
 def plan(scenario: Scenario) -> tuple[Matrices, Schedule]:
     problem = resolve_scenario(scenario)
-    return problem.model.linear, planned(
+    return problem.model.linear, plan_schedule(
         problem.model,
         problem.reference,
         problem.tracked,

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from scenes import linear, random_plant
-from undeadzone.analysis.branch_schedule import reading_levels, recorded
+from undeadzone.analysis.branch_schedule import reading_levels, schedule_of_record
 from undeadzone.analysis.convergence.floquet import exponential
 from undeadzone.analysis.identifiability import linearised_run, nonlinear
 from undeadzone.analysis.identifiability.disturbance import unknown_bias
@@ -27,7 +27,7 @@ from undeadzone.analysis.identifiability.nonlinear import (
 from undeadzone.nonlinearities.sensor import Sensor, Zone, deadzone, resolve, zone
 from undeadzone.plants.build import initial_state, system
 from undeadzone.plants.options import ElasticJoint, OneLink, Plant, TwoLink
-from undeadzone.plants.system import System, sampled
+from undeadzone.plants.system import System, sample_plant
 from undeadzone.scenario.reader import convert
 from undeadzone.signals.exosystem import Step
 from undeadzone.simulation.simulate import simulate
@@ -143,7 +143,7 @@ def outputs(model: System, start: Floats, u: Floats) -> tuple[Floats, Floats]:
 @functools.cache
 def swinging(name: str, duration: float = 6.0, step: float = STEP) -> Trial:
     plant, torque = SWINGING[name]
-    model = sampled(system(plant), step, 1)
+    model = sample_plant(system(plant), step, 1)
     x, u = ca.SX.sym("x", model.n), ca.SX.sym("u", model.m)
     move = ca.Function("move", [x, u], [model.move(ca.SX(model.params), x, u)])
     start = now = initial_state(plant, model)
@@ -287,7 +287,7 @@ def test_linear_plants_are_judged_as_by_their_matrices(
     if integrator:
         A, B, C = plant.linear
         plant = linear(np.where(np.arange(n) == 0, 0.0, A), B, C)
-    model = sampled(plant, 0.02)
+    model = sample_plant(plant, 0.02)
     t = np.arange(1500) * 0.02
     u = np.sin(np.outer(t, rng.uniform(1, 3, 4))) @ rng.normal(size=(4, 1))
     x, z = outputs(model, rng.normal(size=n), u)
@@ -297,7 +297,7 @@ def test_linear_plants_are_judged_as_by_their_matrices(
     bias = unknown_bias(Step(amplitude=1.0), np.eye(1)) if biased else None
     expected = verdicts(
         model.linear,
-        recorded(z, sensor, 0.02, model.Ts),
+        schedule_of_record(z, sensor, 0.02, model.Ts),
         None if bias is None else model.linear.B @ bias,
     )
     found = verdicts_along(model, x, u, z, sensor, 0.02, bias=bias)
@@ -313,7 +313,7 @@ def test_growth_and_decay_over_hundreds_of_powers_of_ten(a: float) -> None:
 
     The information on d_r is n - (sum a^k)^2 / sum a^2k, near n - (1 + a)/|1 - a|.
     """
-    model = sampled(linear([[0.0]], [[1.0]], [[1.0]]), 1.0)
+    model = sample_plant(linear([[0.0]], [[1.0]], [[1.0]]), 1.0)
     model = model._replace(
         params=model.params._replace(A=np.array([[a]])),
         linear=model.linear._replace(A=np.array([[a]])),
@@ -371,7 +371,7 @@ def test_what_else_is_unknown_costs_the_centre() -> None:
         inputs=["F"],
         parameters={"k": 2.0, "c": 0.5, "s0": 0.0},
     )
-    model = sampled(system(soft), STEP, 1)
+    model = sample_plant(system(soft), STEP, 1)
     u = 2 * np.sin(1.5 * STEP * np.arange(3000))[:, None]
     x, z = outputs(model, np.zeros(2), u)
     run = Trial(model, x, u, z, run.sensor)

@@ -502,7 +502,7 @@ def test_an_inequality_in_other_coordinates_is_congruent(Ts: float | None) -> No
     L = rng.normal(size=(3, 2))
     plain = dynamics(sampled(linear, Ts), L, np.full(2, 0.5), Ts).inequality(np.ones(2))
     T, P = rng.normal(size=(3, 3)), np.eye(3)
-    other = plain.transformed(T, np.linalg.inv(T))
+    other = plain.transform(T, np.linalg.inv(T))
     for M, M_xi in zip(plain.matrices(P), other.matrices(T.T @ P @ T), strict=True):
         parts = [T, np.eye(2)] if Ts is None else [T, np.eye(2), T]
         both = block_diag(*parts)

@@ -17,8 +17,8 @@ from test_engines import distance, parts
 from test_play import CENSORED, KALMAN, late, slow
 
 import undeadzone as uz
-from undeadzone.analysis.branch_schedule import planned, recorded
-from undeadzone.analysis.identifiability.play_and_zone import Readings, told_of_both
+from undeadzone.analysis.branch_schedule import plan_schedule, schedule_of_record
+from undeadzone.analysis.identifiability.play_and_zone import Readings, gap_and_width_information
 from undeadzone.compile import interpret, lanes
 from undeadzone.ensemble.run_ensemble import deviation, run_ensemble
 from undeadzone.errors import InputError, UndeadzoneError
@@ -341,12 +341,12 @@ def told(scenario: Scenario, gaps_known: bool = False) -> tuple[Any, Floats]:
     problem = resolve_scenario(scenario)
     t = np.arange(problem.steps) * 0.01
     z = problem.reference.value(t)
-    schedule = recorded(z, problem.sensor, 0.01, problem.model.Ts)
+    schedule = schedule_of_record(z, problem.sensor, 0.01, problem.model.Ts)
     span = len(t) * 0.01
     known = np.zeros((0, problem.model.n + 2))
     rest = (np.ones(1), None, None, known, gaps_known)
     readings = Readings(np.array([0.02]), 0.01, span, *rest)
-    (one,) = told_of_both(problem.model.linear, schedule, readings)
+    (one,) = gap_and_width_information(problem.model.linear, schedule, readings)
     return one, brute(problem.model.linear, z[:, 0], BOTH, 0.02)
 
 
@@ -444,7 +444,7 @@ def test_no_verdict_where_none_was_derived() -> None:
 
 def test_a_plan_sees_the_zone_behind_the_gap() -> None:
     problem = resolve_scenario(both({}, KALMAN))
-    schedule = planned(problem.model, problem.reference, [0], problem.sensor, 20.0)
+    schedule = plan_schedule(problem.model, problem.reference, [0], problem.sensor, 20.0)
     t = np.arange(500) * 0.01
     twice = by_hand(np.tile(5 * np.sin(2 * np.pi * 0.2 * t), 2), BOTH)[500:]
     moves = np.diff(twice, prepend=twice[-1])
@@ -474,7 +474,7 @@ def test_identify_writes_the_scenario_that_runs(tmp_path: Path) -> None:
     late_error = (followed.z_hat[:, 0] - z)[len(z) // 2 :]
     assert np.sqrt(np.mean(late_error**2)) < 0.05 * z.std()
     run = simulate(scenario.replace("simulation.duration", 60.0))
-    assert run.diverged_at is None
+    assert run.divergence_time is None
     assert late(run, run.z - run.z_hat) < 0.1 * run.z.std()
 
 
@@ -527,7 +527,7 @@ def test_engines_agree_to_the_last_bit(
 def test_exported_c_passes_its_self_test(tmp_path: Path) -> None:
     scenario = both({"noise": 0.02}, KALMAN, model=RANGES, simulation={"duration": 2.0})
     done = uz.export(scenario, out=tmp_path / "fw", precision="double", name="o")
-    assert done.passed
+    assert done.has_passed
 
 
 @pytest.mark.parametrize("model", [None, RANGES], ids=["known", "unknown"])

@@ -19,7 +19,7 @@ from undeadzone.analysis.certificate.polytopic import (
     certify_on,
     design_on,
     form,
-    halved,
+    halve_boxes,
     slopes_on,
 )
 from undeadzone.analysis.error_dynamics import Dynamics
@@ -28,7 +28,7 @@ from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.plants.build import system
 from undeadzone.plants.options import ElasticJoint, Plant, TwoLink
 from undeadzone.plants.region import Box, Region, box
-from undeadzone.plants.system import System, sampled
+from undeadzone.plants.system import System, sample_plant
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.synthesis.check import check
 from undeadzone.util.arrays import Floats
@@ -115,7 +115,7 @@ def test_bounds_of_an_arms_jacobian_and_of_its_derivatives_hold(Ts: float | None
             arm=TwoLink(), parameters={"b1": 1.0, "f2": 0.3, "payload": 0.5}, x0=[HANGING, 0, 0, 0]
         )
     )
-    arm = arm if Ts is None else sampled(arm, Ts, 1)
+    arm = arm if Ts is None else sample_plant(arm, Ts, 1)
     about, size = np.array([HANGING, 0, 0, 0, 0, 0]), np.array([0.4, 0.4, 1, 1, 3, 3])
     slopes = slopes_on(arm, Box(about - size, about + size))
     rng = np.random.default_rng(0)
@@ -142,9 +142,9 @@ def test_bounds_of_an_arms_jacobian_and_of_its_derivatives_hold(Ts: float | None
 def test_slopes_are_the_linearisation() -> None:
     for model in (
         pendulum(1.0),
-        sampled(pendulum(1.0), 0.01, 10),
+        sample_plant(pendulum(1.0), 0.01, 10),
         PAPER_PLANT,
-        sampled(PAPER_PLANT, 0.01),
+        sample_plant(PAPER_PLANT, 0.01),
     ):
         Ts = model.Ts
         expected = model.linear.A if Ts is None else (model.linear.A - np.eye(2)) / Ts
@@ -238,7 +238,7 @@ def test_v_falls_inside_the_region_for_all_states_sides_and_inputs(Ts: float | N
         (elastic, [[0.4], [0.3], [0.1], [0.2]], Box(about - reach, about + reach)),
     ]
     for k, (model, L, within) in enumerate(cases):
-        plant = model if Ts is None or (k and Ts > 0.01) else sampled(model, Ts, 2)
+        plant = model if Ts is None or (k and Ts > 0.01) else sample_plant(model, Ts, 2)
         found = certify_on(plant, np.array(L), np.array([5.0]), within)
         assert found.certified, found.reason
         assert rises(found, plant, within, k).max() < 1e-9
@@ -248,7 +248,7 @@ def test_v_falls_inside_the_region_for_all_states_sides_and_inputs(Ts: float | N
 
 def test_v_falls_along_trajectories_with_random_sides() -> None:
     """The sampled observer beside its plant, sides drawn at will, while both are in the region."""
-    model, within = sampled(pendulum(1.5), 0.01, 1), ranges(1.1, 5, 10)
+    model, within = sample_plant(pendulum(1.5), 0.01, 1), ranges(1.1, 5, 10)
     found = certify_on(model, np.array([[0.5], [0.3]]), np.array([5.0]), within)
     w = ca.SX.sym("w", 3)
     move = ca.Function("move", [w], [model.move(ca.SX(model.params), w[:2], w[2])])
@@ -262,7 +262,7 @@ def test_v_falls_along_trajectories_with_random_sides() -> None:
         u = rng.normal(0, 3, (200, 1)) if k % 20 == 0 else u
         side = np.where(rng.uniform(size=200) < 0.05, rng.integers(-1, 2, 200), side)
         V = found.V.value(x - guess, d)
-        inside &= ~within.left(x, guess, u)
+        inside &= ~within.is_outside(x, guess, u)
         assert (V[inside] <= np.broadcast_to(last, 200)[inside] * (1 + 1e-12)).all()
         last = V
         S = np.stack([side == 1, -1.0 * (side == -1)], axis=1)
@@ -288,7 +288,7 @@ def test_an_elastic_joint_is_certified_while_its_link_hangs(sampling: float | No
                 x0=[HANGING, HANGING, 0, 0],
             )
         )
-        joint = joint if sampling is None else sampled(joint, sampling, 1)
+        joint = joint if sampling is None else sample_plant(joint, sampling, 1)
         about, size = np.array([HANGING, HANGING, 0, 0, 0]), np.array([2.0, reach, 10, 10, 20])
         return certify_on(joint, np.zeros((4, 1)), ONE, Box(about - size, about + size))
 
@@ -345,7 +345,7 @@ def test_designed_gains_are_certified_and_those_of_a_linear_plant_are_the_passiv
     ):
         design_on(pendulum(1.5, -GRAVITY), ONE, ranges(0.3, 1, 1))
     with pytest.raises(InputError, match="continuous time"):
-        design_on(sampled(pendulum(1.5), 0.01), ONE, ranges(0.3, 1, 1))
+        design_on(sample_plant(pendulum(1.5), 0.01), ONE, ranges(0.3, 1, 1))
 
 
 def test_what_is_not_smooth_or_bends_the_output_is_refused() -> None:
@@ -455,12 +455,12 @@ def test_halves_of_a_box_are_cut_across_the_side_of_most_effect() -> None:
     whole = ranges(2, 1)
     low, high = whole.low[None], whole.high[None]
     effect = np.array([[0.1, 0.3]])
-    lows, highs = halved(low, (low + high) / 2, high, effect, whole)
+    lows, highs = halve_boxes(low, (low + high) / 2, high, effect, whole)
     assert lows.tolist() == [[-2, -1], [-2, 0]]
     assert highs.tolist() == [[2, 0], [2, 1]]
     narrow = Box(np.array([-0.5, -1.0]), np.array([0.5, 1.0]))
     low, high = narrow.low[None], narrow.high[None]
-    lows, _ = halved(low, (low + high) / 2, high, np.array([[np.inf, 0.0]]), whole)
+    lows, _ = halve_boxes(low, (low + high) / 2, high, np.array([[np.inf, 0.0]]), whole)
     assert lows.tolist() == [[-0.5, -1], [-0.5, 0]]  # no bound: the longest against the box
 
 

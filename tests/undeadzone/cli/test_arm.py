@@ -120,7 +120,7 @@ def test_a_started_scenario_runs_and_beats_blindness(tmp_path: Path) -> None:
     assert "exists already" in again.stderr
     own, blind = uz.compare(uz.read(tmp_path / "mine" / "two.toml"))
     assert own.fully_identifiable
-    assert own.diverged_at is None
+    assert own.divergence_time is None
     assert own.rms_tip is not None
     assert blind.rms_tip is not None
     assert own.rms_tip < blind.rms_tip / 3

@@ -13,7 +13,7 @@ import click
 import pytest
 
 from undeadzone.cli import ending, group
-from undeadzone.cli.ending import ended
+from undeadzone.cli.ending import run_to_exit_code
 from undeadzone.errors import InputError, Terminated
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
@@ -66,7 +66,7 @@ def raising(error: BaseException) -> Callable[[], None]:
 def test_every_end_has_its_code_and_its_line(
     capfd: pytest.CaptureFixture[str], error: BaseException, code: int, words: str
 ) -> None:
-    assert ended(raising(error)) == code
+    assert run_to_exit_code(raising(error)) == code
     assert capfd.readouterr().err == words
 
 
@@ -77,7 +77,7 @@ def test_every_end_has_its_code_and_its_line(
 def test_an_unexpected_exception_is_one_line_and_its_own_code(
     capfd: pytest.CaptureFixture[str], error: Exception
 ) -> None:
-    assert ended(raising(error)) == 70
+    assert run_to_exit_code(raising(error)) == 70
     said = capfd.readouterr().err
     assert said.count("\n") == 1
     assert "internal error at test_ending.py:" in said
@@ -88,7 +88,7 @@ def test_an_unexpected_exception_is_one_line_and_its_own_code(
 def test_an_error_of_the_system_is_not_blamed_on_stdout(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    assert ended(raising(OSError(5, "Input/output error"))) == 70
+    assert run_to_exit_code(raising(OSError(5, "Input/output error"))) == 70
     assert "Input/output error" in capfd.readouterr().err
 
 
@@ -96,7 +96,7 @@ def test_the_traceback_is_shown_where_it_is_asked_for(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(ending.DEBUG, "1")
-    assert ended(raising(TypeError("odd"))) == 70
+    assert run_to_exit_code(raising(TypeError("odd"))) == 70
     assert "Traceback (most recent call last)" in capfd.readouterr().err
 
 
@@ -105,7 +105,7 @@ def test_a_reader_who_has_seen_enough_is_no_failure(capfd: pytest.CaptureFixture
     os.close(read)
     with pytest.MonkeyPatch.context() as patch, os.fdopen(write, "w") as unread:
         patch.setattr(sys, "stdout", unread)
-        assert ended(lambda: group.main(["run", "--help"], standalone_mode=False)) == 0
+        assert run_to_exit_code(lambda: group.main(["run", "--help"], standalone_mode=False)) == 0
     assert not capfd.readouterr().err
 
 
@@ -114,7 +114,7 @@ def test_a_broken_pipe_of_another_is_an_error(
 ) -> None:
     work = click.Command("work", callback=raising(BrokenPipeError(32, "Broken pipe")))
     monkeypatch.setitem(group.commands, "work", work)
-    assert ended(lambda: group.main(["work"], standalone_mode=False)) == 70
+    assert run_to_exit_code(lambda: group.main(["work"], standalone_mode=False)) == 70
     assert "BrokenPipeError" in capfd.readouterr().err
 
 
@@ -213,7 +213,7 @@ def test_sigterm_says_what_is_kept(tmp_path: Path, workers: int) -> None:
 
 def test_sigterm_stays_ignored_where_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    assert ended(lambda: os.kill(os.getpid(), signal.SIGTERM)) == 0
+    assert run_to_exit_code(lambda: os.kill(os.getpid(), signal.SIGTERM)) == 0
 
 
 @pytest.mark.parametrize("text", [r"$\\frac$ and $", r"cost $5 a\\$b"])

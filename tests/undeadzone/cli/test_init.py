@@ -106,5 +106,5 @@ def test_every_alternative_runs_when_it_is_taken(choice: Alternative, tmp_path: 
     if scenario.ensemble is not None:
         require_bound(scenario)
     run = uz.simulate(scenario | {"simulation": {"duration": 0.5}, "ensemble": None})
-    assert run.diverged_at is None
+    assert run.divergence_time is None
     assert np.isfinite(run.rms_estimation)

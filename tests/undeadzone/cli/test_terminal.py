@@ -16,8 +16,8 @@ from pathlib import Path
 import pytest
 
 from commands import undeadzone
-from undeadzone.cli.common import painted
-from undeadzone.cli.output import LARGE, wanted_table
+from undeadzone.cli.common import paint_verdicts
+from undeadzone.cli.output import LARGE, decide_table
 from undeadzone.cli.watch import watch
 from undeadzone.util import shown
 from undeadzone_identify.command import identify
@@ -84,7 +84,7 @@ def test_verdicts_have_colours_on_terminals_alone() -> None:
 
 def test_what_is_painted() -> None:
     text = "scenario   NO names\ncertified  NO: why\nmargin     yes, right NO, left yes\nis NO word"
-    lines = painted(text).splitlines()
+    lines = paint_verdicts(text).splitlines()
     assert lines[0] == "scenario   NO names"
     assert lines[1].count("\x1b[31m") == 1
     assert (lines[2].count("\x1b[32m"), lines[2].count("\x1b[31m")) == (2, 1)
@@ -136,9 +136,9 @@ def test_the_page_names_what_shells_are_told(shell: str) -> None:
 
 
 def test_large_tables_are_left_out_and_named() -> None:
-    assert wanted_table(False, LARGE, "run.csv") == (True, {})
-    assert wanted_table(True, 10 * LARGE, "run.csv") == (True, {})
-    wanted, line = wanted_table(False, 2.4e7, "run.csv")
+    assert decide_table(False, LARGE, "run.csv") == (True, {})
+    assert decide_table(True, 10 * LARGE, "run.csv") == (True, {})
+    wanted, line = decide_table(False, 2.4e7, "run.csv")
     assert not wanted
     assert line == {"left out": "run.csv, about 24 MB: --csv writes it"}
 

@@ -27,14 +27,14 @@ PLANTED = -3.0  # what planted code gives, 6 what the source says
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.setenv("UNDEADZONE_CACHE", str(tmp_path / "kernels"))
-    cache.made.cache_clear()
+    cache.compile_or_load.cache_clear()
     yield tmp_path / "kernels"
-    cache.made.cache_clear()
+    cache.compile_or_load.cache_clear()
 
 
 def computed(factor: float = 2.0) -> tuple[float, bool]:
     """(factor * 3 computed by a kernel, whether it was taken from disk)."""
-    cache.made.cache_clear()
+    cache.compile_or_load.cache_clear()
     block = cache.load(SOURCE.format(factor=factor), KINDS)
     result = np.zeros(1)
     block(3.0, result)
@@ -163,7 +163,7 @@ def test_a_relative_folder_is_ignored(
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     monkeypatch.setenv(variable, "here")
     monkeypatch.chdir(tmp_path)
-    kept = cache_folder.chosen()
+    kept = cache_folder.choose_folder()
     assert kept is None or kept.is_relative_to(tmp_path / "home")
     assert (kept is None) == (variable == "HOME")
     assert computed() == (6.0, False)
@@ -172,13 +172,13 @@ def test_a_relative_folder_is_ignored(
 
 def test_where_kernels_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("UNDEADZONE_CACHE", "/here")
-    assert cache_folder.chosen() == Path("/here")
+    assert cache_folder.choose_folder() == Path("/here")
     monkeypatch.delenv("UNDEADZONE_CACHE")
     monkeypatch.setenv("XDG_CACHE_HOME", "/there")
-    assert cache_folder.chosen() == Path("/there/undeadzone")
+    assert cache_folder.choose_folder() == Path("/there/undeadzone")
     monkeypatch.delenv("XDG_CACHE_HOME")
     monkeypatch.setenv("HOME", "/home/someone")
-    assert cache_folder.chosen() == Path("/home/someone/.cache/undeadzone")
+    assert cache_folder.choose_folder() == Path("/home/someone/.cache/undeadzone")
 
 
 def aged(folder: Path, days: dict[str, float]) -> None:

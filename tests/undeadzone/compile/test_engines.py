@@ -549,15 +549,15 @@ def test_misuse_is_named() -> None:
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.setenv("UNDEADZONE_CACHE", str(tmp_path / "kernels"))
-    cache.made.cache_clear()
+    cache.compile_or_load.cache_clear()
     yield tmp_path / "kernels"
-    cache.made.cache_clear()
+    cache.compile_or_load.cache_clear()
 
 
 def doubled(factor: float = 2.0) -> tuple[float, bool]:
     """(factor * 3 computed by a kernel, whether it was taken from disk)."""
     a = ca.SX.sym("a")
-    cache.made.cache_clear()
+    cache.compile_or_load.cache_clear()
     kernel = lanes.build(stateless([a], [a * factor]), width=8)
     outputs, _ = lanes.run(kernel, np.array([3.0]), np.empty((1, 0)), np.empty(0))
     return float(outputs[0, 0, 0]), not kernel.block.text

@@ -37,10 +37,10 @@ from undeadzone.compile.machine import (
     Form,
     Machine,
     Shape,
-    compiled,
+    compile_module,
+    form_from_environment,
     here,
     stack,
-    told_form,
 )
 from undeadzone.errors import InputError
 from undeadzone.scenario.problem import resolve_scenario
@@ -91,9 +91,9 @@ def kept_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
 def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("UNDEADZONE_CACHE", str(tmp_path_factory.mktemp("kernels")))
-        cache.made.cache_clear()
+        cache.compile_or_load.cache_clear()
         yield
-    cache.made.cache_clear()
+    cache.compile_or_load.cache_clear()
 
 
 def every_instruction() -> ca.Function:
@@ -219,7 +219,7 @@ def test_code_of_no_effort_has_the_same_bits(monkeypatch: pytest.MonkeyPatch) ->
     better: list[Any] = []
     monkeypatch.setattr(cache.Block, "improve", lambda block, make: better.append(make))
     for fused in (False, True):
-        cache.made.cache_clear()
+        cache.compile_or_load.cache_clear()
         built = lanes.build(*loop.parts, fused=fused)
         hurried = lanes.run(built, *run)
         built.block._codes.append(better.pop()())
@@ -234,7 +234,7 @@ def test_the_best_code_takes_the_place_of_the_first(monkeypatch: pytest.MonkeyPa
     assert len(built.block._codes) == 2
     outputs, _ = lanes.run(built, np.array([3.0]), np.empty((1, 0)), np.empty(0))
     assert outputs[0, 0, 0] == 51.0
-    cache.made.cache_clear()
+    cache.compile_or_load.cache_clear()
     again = lanes.build(stateless([a], [a * 17.0]), width=8)
     assert again.block.text == ""
 
@@ -244,7 +244,7 @@ def test_code_of_no_effort_has_to_fit_onto_the_stack(monkeypatch: pytest.MonkeyP
     a = ca.SX.sym("a")
     for room, codes in ((2**23, 2), (100, 1)):
         monkeypatch.setattr(cache, "stack", lambda room=room: room)
-        cache.made.cache_clear()
+        cache.compile_or_load.cache_clear()
         built = lanes.build(stateless([a], [a * float(room)]), width=8)
         built.block.settle()
         assert len(built.block._codes) == codes
@@ -339,9 +339,9 @@ def test_compiled_code_calls_nothing_but_the_c_library() -> None:
     shape = Shape(sizes, (), (), tuple(range(step.size1_out(1))))
     functions = kernel.graphs(step, (), shape, {}, {})
     made = kernel.source(functions, shape, here(), Arithmetic(), 8)
-    assert "sin" in compiled(made.text).calls
+    assert "sin" in compile_module(made.text).calls
     fused = kernel.source(functions, shape, here(), Arithmetic(fused=True), 8)
-    assert not {"sin", "cos", "exp", "log", "erf", "tanh"} & set(compiled(fused.text).calls)
+    assert not {"sin", "cos", "exp", "log", "erf", "tanh"} & set(compile_module(fused.text).calls)
 
 
 def test_the_environment_fixes_the_form(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -365,7 +365,7 @@ def test_a_form_tells_itself_as_the_environment_does(
         form = machine.form(instructions, 64)
         for each in (form, *machine.others(form)):
             monkeypatch.setenv(FIXED, each.text)
-            assert told_form() == each
+            assert form_from_environment() == each
 
 
 # --- The form is measured
@@ -378,7 +378,7 @@ def eager(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     monkeypatch.setattr(cache, "START", -1.0)
     monkeypatch.setattr(cache, "SHORT", -1.0)
     monkeypatch.setattr(cache, "CALLS", 3)
-    cache.made.cache_clear()
+    cache.compile_or_load.cache_clear()
     return tmp_path / "own"
 
 
@@ -468,10 +468,10 @@ def test_an_answer_is_kept_for_steps_of_the_same_size(
     (answer,) = [path for path in eager.glob("*.kernel") if path.stat().st_size < 200]
     for nonsense in (b"", b"[8, 2]", answer.read_bytes()[:-1] + b"x"):
         answer.write_bytes(nonsense)
-        cache.made.cache_clear()
+        cache.compile_or_load.cache_clear()
         assert lanes.build(step, fused=True).form == assumed.form
     assumed.block.trial._keep("")  # what was assumed is the fastest
-    cache.made.cache_clear()
+    cache.compile_or_load.cache_clear()
     found = lanes.build(step, fused=True)
     assert (found.form, found.block.trial) == (assumed.form, None)
 

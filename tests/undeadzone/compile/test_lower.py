@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_engines import BINARY, ELEMENTARY, SPECIAL, UNARY
 
-from undeadzone.compile.graph import needed
+from undeadzone.compile.graph import required_nodes
 from undeadzone.compile.lower import portable
 from undeadzone.compile.numpy_reference import replica
 from undeadzone.compile.print_c import literal
@@ -23,10 +23,10 @@ from undeadzone.compile.simplify import round_to_type
 from undeadzone.errors import InputError
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
-from undeadzone.plants.system import sampled
+from undeadzone.plants.system import sample_plant
 from undeadzone.util.arrays import Floats
 from undeadzone_export.accuracy import Compiled
-from undeadzone_export.code import code, operations, split
+from undeadzone_export.code import code, operations, split_results
 from undeadzone_export.exported_step import Field, Step
 
 
@@ -161,7 +161,7 @@ def test_no_NaN_is_computed_with() -> None:
     seen = ca.if_else(there, y, np.nan)
     inside = ca.if_else(ca.logic_and(seen < 1e300, seen > -1e300), seen - z, 0.0)
     results = portable(stateless([y, z], [inside]).function, "float64")
-    assert "nan" not in [node.text for node in needed(itertools.chain(*results))]
+    assert "nan" not in [node.text for node in required_nodes(itertools.chain(*results))]
     assert operations(results)["select"] <= 2
 
 
@@ -177,7 +177,7 @@ def test_a_split_step_computes_the_same() -> None:
         ["next", "out"],
     )
     results = portable(function, "float64")
-    phases = split(results, {"w1"})
+    phases = split_results(results, {"w1"})
     entries = {"s0": 0.3, "s1": 2.0, "w0": 1.7, "w1": -0.4}
     entries = {key: np.float64(value) for key, value in entries.items()}
     following, out = replica(results)(entries)
@@ -190,7 +190,7 @@ def test_a_split_step_computes_the_same() -> None:
 
 def test_increments_hold_a_slow_drift_that_float_would_lose(tmp_path: Path) -> None:
     """A plant that moves by 5e-7 of itself in a sample, as the product samples it."""
-    slow = sampled(system(Plant(A=[[-0.05]], B=[[10.0]], C=[[1.0]])), 1e-5)
+    slow = sample_plant(system(Plant(A=[[-0.05]], B=[[10.0]], C=[[1.0]])), 1e-5)
     x, u = ca.SX.sym("x"), ca.SX.sym("u")
     moved = slow.move(slow.params, x, u)
     function = ca.Function(

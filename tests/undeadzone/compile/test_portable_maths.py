@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from undeadzone.compile.elementary import FUNCTIONS, formula, needed
+from undeadzone.compile.elementary import FUNCTIONS, formula, required_functions
 from undeadzone.compile.numpy_reference import elementary
 from undeadzone.compile.print_c import Style, functions
 
@@ -110,8 +110,8 @@ def test_edges(single: bool) -> None:
 
 
 def test_a_function_brings_along_what_it_calls_and_nothing_else() -> None:
-    assert needed({"log1p"}) == ["log", "log1p"]
-    assert needed({"bits"}) == []
+    assert required_functions({"log1p"}) == ["log", "log1p"]
+    assert required_functions({"bits"}) == []
     texts = functions(["exp"], {"exp"}, Style("float32", "o"))
     assert [text.split("(")[0].split()[-1] for text in texts] == ["o_bits", "o_number", "o_exp"]
     assert len(functions(["hypot"], {"hypot"}, Style("float32", "o"))) == 1

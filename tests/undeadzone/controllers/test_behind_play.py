@@ -167,7 +167,7 @@ def test_exported_c_passes_its_self_test(tmp_path: Path) -> None:
     done = uz.export(
         motor(), out=tmp_path / "fw", precision="double", name="o", part="observer+controller"
     )
-    assert done.passed
+    assert done.has_passed
 
 
 # What feeding y back does

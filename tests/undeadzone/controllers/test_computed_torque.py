@@ -14,14 +14,14 @@ from scipy.linalg import expm, solve_discrete_are
 
 from scenes import random_plant, scene, slopes, table
 from undeadzone.controllers import LQR, ComputedTorque
-from undeadzone.controllers.lqr import Params, gains, linearised
+from undeadzone.controllers.lqr import Params, gains, linearise_trajectory
 from undeadzone.errors import InputError, ShapeError, StepError
 from undeadzone.feedforward.targets import Target, flat_targets
 from undeadzone.interfaces import Controller, Estimate
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.linalg.riccati import riccati, riccati_along
 from undeadzone.plants.robots.arm import acceleration
-from undeadzone.plants.system import System, sampled
+from undeadzone.plants.system import System, sample_plant
 from undeadzone.results.run import Run
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
@@ -84,7 +84,7 @@ def on_path(step: float = 1e-3) -> Target:
 
 def arm_model(Ts: float | None = None) -> System:
     model = resolve_scenario(moving(GRAVITY)).flow
-    return model if Ts is None else sampled(model, Ts, 1)
+    return model if Ts is None else sample_plant(model, Ts, 1)
 
 
 def torques(controller: Controller, x: Floats, target: Target, w: Floats | None = None) -> Floats:
@@ -285,7 +285,7 @@ def test_gravity_pd_brings_an_elastic_joint_to_rest_from_its_motor() -> None:
 
 @pytest.mark.parametrize("inputs_", [1, 2])
 def test_on_a_linear_plant_lqr_is_the_algebraic_solution(inputs_: int) -> None:
-    model = sampled(random_plant(np.random.default_rng(5), 4, inputs_, stable=False), 0.05)
+    model = sample_plant(random_plant(np.random.default_rng(5), 4, inputs_, stable=False), 0.05)
     A, B, _ = model.linear
     Q, R = np.diag([1.0, 2.0, 3.0, 4.0]), 0.5 * np.eye(inputs_)
     P = solve_discrete_are(A, B, Q, R)
@@ -315,7 +315,7 @@ def test_lqr_is_optimal_about_the_trajectory() -> None:
     offset = 1e-3 * np.array([1.0, -1.0, 0.0, 0.0])
     start = (target.x_ref[0] + offset).tolist()
     model, Q, R = arm_model(1e-3), np.diag([1.0, 1.0, 0.01, 0.01]), np.eye(2)
-    A, B = linearised(model, target, 1)
+    A, B = linearise_trajectory(model, target, 1)
 
     def stationary(k: int) -> tuple[Floats, Floats]:
         found = riccati(Matrices(A[k], B[k], np.eye(4)), Q, R, 1e-3)
@@ -431,7 +431,7 @@ def test_what_is_planned_varies_along_the_path_and_is_no_parameter() -> None:
     assert tree.size(problem.controller.params) == 0
 
 
-LINEAR = sampled(random_plant(np.random.default_rng(0), 2), 0.01)
+LINEAR = sample_plant(random_plant(np.random.default_rng(0), 2), 0.01)
 ELASTIC = resolve_scenario(
     moving(
         GRAVITY | {"k_p": 30.0, "k_d": 2.0}, reference={"kind": "step", "amplitude": 0.4}, **LINK

@@ -17,7 +17,7 @@ from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
-from undeadzone.plants.system import System, sampled
+from undeadzone.plants.system import System, sample_plant
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
 
@@ -62,7 +62,8 @@ def gain(options: StateFeedback, model: System) -> Floats:
 
 
 @pytest.mark.parametrize(
-    "model", [PAPER_PLANT, TWO_INPUTS, sampled(PAPER_PLANT, 0.05), sampled(TWO_INPUTS, 0.05)]
+    "model",
+    [PAPER_PLANT, TWO_INPUTS, sample_plant(PAPER_PLANT, 0.05), sample_plant(TWO_INPUTS, 0.05)],
 )
 def test_poles_are_placed_in_either_time(model: System) -> None:
     poles = -np.arange(3.0, 3.0 + model.n)
@@ -150,7 +151,7 @@ def test_wrong_state_feedback(options: dict[str, Any], error: type[Exception], w
 
 @pytest.mark.parametrize("Ts", [None, 0.02])
 def test_pd_is_42_with_a_filtered_derivative(Ts: float | None) -> None:
-    model = PAPER_PLANT if Ts is None else sampled(PAPER_PLANT, Ts)
+    model = PAPER_PLANT if Ts is None else sample_plant(PAPER_PLANT, Ts)
     tau, e, filtered, r = 0.1, 2.0, 0.5, 3.0
     after, u = law(PD(k_p=4.0, k_d=0.7, filter_time=tau).build(model), model)(
         filtered, np.zeros(2), e, r, np.zeros(2), 0.0
@@ -176,7 +177,7 @@ def test_pd_gains_from_34_are_alpha_BP_with_A_less_LC() -> None:
             linear(-np.eye(2), np.ones((2, 1)), np.eye(2)),
             "controller.method: 'pd' needs as many inputs as outputs, .* 1 and 2",
         ),
-        ({"k_p": 1.0}, sampled(PAPER_PLANT, 0.1), "controller: pd needs k_p and k_d"),
+        ({"k_p": 1.0}, sample_plant(PAPER_PLANT, 0.1), "controller: pd needs k_p and k_d"),
         ({}, linear([[-1.0]], [[1.0]], [[1.0]]), "controller: pd needs k_p and k_d"),
         (
             {"k_p": 1.0, "k_d": 1.0, "filter_time": 0.0},
@@ -200,7 +201,7 @@ def test_wrong_pd(options: dict[str, Any], model: System, words: str) -> None:
 def test_without_a_choice_the_loop_is_faster_than_the_plant(unit: float, Ts: float | None) -> None:
     """Poles of A - B K lie left of half the speed, five mean poles, in any unit of time."""
     plant = system(Plant(A=[[0.0, unit], [-unit, -0.2 * unit]], B=[[0.0], [unit]], C=[[1.0, 0.0]]))
-    model = plant if Ts is None else sampled(plant, Ts / unit)
+    model = plant if Ts is None else sample_plant(plant, Ts / unit)
     K = StateFeedback().build(model).K
     poles = np.linalg.eigvals(model.linear.A - model.linear.B @ K)
     rates = poles.real if Ts is None else np.log(np.abs(poles)) / Ts * unit

@@ -26,8 +26,8 @@ from undeadzone.compile import interpret, lanes
 from undeadzone.ensemble.batch import Batch, prepare
 from undeadzone.ensemble.result import Ensemble
 from undeadzone.ensemble.run_ensemble import (
+    compute_bands,
     deviation,
-    recorded_bands,
     replay,
     replay_run,
     run_ensemble,
@@ -144,7 +144,7 @@ def metrics(run: Run, batch: Batch, tolerance: float) -> dict[str, float]:
         "settling_time": float(run.t[late[-1]]) if late.size else 0.0,
         "silent_fraction": run.silent_fraction,
         "rms_input": float(np.sqrt(np.sum(run.u**2, axis=1).mean())),
-        "diverged": float(run.diverged_at is not None),
+        "diverged": float(run.divergence_time is not None),
         **widths,
     }
 
@@ -177,7 +177,7 @@ def test_the_virtual_machine_agrees_with_the_same_numbers(name: str) -> None:
         ones = {"noise": np.ones(2), "noise_before": np.ones(2)}  # scaled in the loop
         problem = problem._replace(sensor=msgspec.structs.replace(problem.sensor, **ones))
     for k in (0, 7, 149):
-        state, params = batch.binding.packed(batch.binding.draw(k, 1, RUNS)[0])
+        state, params = batch.binding.pack_run(batch.binding.draw(k, 1, RUNS)[0])
         inputs = exogenous(problem, run=k, seed=batch.binding.seed)
         expected = interpret.run(batch.loop.step, state, inputs, params)[1]
         assert distance(last[k, : state.size, None], expected[:, None]) < 1e-12
@@ -250,7 +250,7 @@ def test_a_file_holds_the_same_bytes_whatever_computed_it(tmp_path: Path) -> Non
 
 def test_bands_are_those_of_the_first_runs() -> None:
     batch = prepare(named("sampled", 300))
-    bands = recorded_bands(batch, 5)
+    bands = compute_bands(batch, 5)
     runs = [replay(batch, k) for k in range(5)]
     error = np.sort([np.abs(run.z[:, 0] - run.r[:, 0]) for run in runs], axis=0)
     expected = error[[0, 0, 2, 4, 4]].T
@@ -284,7 +284,7 @@ def test_runs_that_diverge_are_counted_and_left_out() -> None:
     assert np.isfinite(list(mean.values())).all()
     assert all(result.diverged[run] for run in result.worst())
     run = replay_run(result, result.worst()[0])
-    assert run.diverged_at is not None
+    assert run.divergence_time is not None
 
 
 def test_without_entries_runs_differ_by_their_noise_alone() -> None:

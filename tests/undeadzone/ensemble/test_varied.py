@@ -19,7 +19,7 @@ from undeadzone.ensemble.binding import Binding, bind, initial_copies
 from undeadzone.ensemble.varied import sizes
 from undeadzone.errors import InputError, UndeadzoneError
 from undeadzone.linalg import hold
-from undeadzone.plants.system import sampled
+from undeadzone.plants.system import sample_plant
 from undeadzone.scenario.address import matching
 from undeadzone.scenario.ensemble_table import TABLE, Distribution, Vary, spread
 from undeadzone.scenario.problem import resolve_scenario
@@ -182,7 +182,7 @@ def test_a_run_is_that_of_the_scenario_with_the_number_written_in(
     other = prepare(resolve_scenario(scene(simulation=simulation, **changed)))
     other_loop, other_state, other_exogenous = other
     binding = bind(problem, loop)
-    state, params = binding.packed(binding.draw(0, 1, 1)[0])
+    state, params = binding.pack_run(binding.draw(0, 1, 1)[0])
     if "noise" in address:
         exogenous = other_exogenous  # drawn also where the nominal noise is 0
     varied, _ = interpret.run(loop.step, state, exogenous, params)
@@ -200,7 +200,7 @@ def test_the_observers_model_can_vary_alone(simulation: dict[str, Any]) -> None:
     ensemble = {"observer.model.A[1,0]": uniform(-1.5, -1.5)}
     problem = resolve_scenario(scene(ensemble=ensemble, simulation=simulation))
     loop = prepare(problem)[0]
-    _, params = bind(problem, loop).packed(np.array([-1.5]))
+    _, params = bind(problem, loop).pack_run(np.array([-1.5]))
     model = {"A": [[0.0, 1.0], [-1.5, -2.0]]}
     varied = resolve_scenario(scene(model=model, simulation=simulation)).model.params
     expected = loop.params._replace(observer=loop.params.observer._replace(model=varied))
@@ -214,7 +214,7 @@ def test_the_belief_of_a_filter_starts_where_the_run_says(method: str) -> None:
         "observer": {"method": method, "right": [0.0, 2.0], "noise": 0.1},
     }
     binding = bound({"observer.mean[2]": uniform(0.3, 0.3)}, **changes)
-    state, _ = binding.packed(np.array([0.3]))
+    state, _ = binding.pack_run(np.array([0.3]))
     assert state[2 + 2] == 0.3
     levels = {"kalman": 1, "censored": 3}[method]
     assert np.count_nonzero(state != binding.state) == levels
@@ -274,7 +274,7 @@ def test_without_an_index_each_entry_has_its_own_draw() -> None:
     assert len(np.unique(values)) == values.size
     names = tree.names(prepare(resolve_scenario(scene(**TWO)))[0].params)
     for row in values:
-        params = dict(zip(names, binding.packed(row)[1], strict=True))
+        params = dict(zip(names, binding.pack_run(row)[1], strict=True))
         assert [params[name] for name in right] == row[:2].tolist()
         assert params["sensor.left[0]"] == params["sensor.left[1]"] == row[2]
 
@@ -286,7 +286,7 @@ def test_a_mass_divides_an_equation(simulation: dict[str, Any]) -> None:
     assert binding.names == ["plant.A[1,:] + plant.B[1,:] (relative)"]
     plant = PLANT | {"A": [[0.0, 1.0], [-0.5, -1.0]], "B": [[0.0], [0.5]]}
     heavy = resolve_scenario(scene(plant=plant, model=MODEL, simulation=simulation))
-    _, params = binding.packed(np.array([0.5]))
+    _, params = binding.pack_run(np.array([0.5]))
     expected = tree.pack(prepare(heavy)[0].params)
     np.testing.assert_allclose(params, expected, rtol=1e-13, atol=1e-16)
 
@@ -407,7 +407,7 @@ def test_blocks_do_not_matter_to_the_last_bit(sampling: str, first: int, count: 
     assert np.array_equal(values, binding.draw(0, runs, runs)[first : first + count])
     lanes = binding.lanes(values)
     for k in (0, count // 2, count - 1):
-        state, params = binding.packed(values[k])
+        state, params = binding.pack_run(values[k])
         assert np.array_equal(state, lanes.states[k])
         assert np.array_equal(params[list(binding.indices)], lanes.params[k])
 
@@ -433,7 +433,7 @@ def test_many_plants_are_held_as_one(seed: int, n: int, m: int, scale: float) ->
     plants = [random_plant(rng, n, m) for _ in range(5)]
     found = held(np.stack([np.hstack(plant.linear[:2]) for plant in plants]), scale)
     for plant, AB in zip(plants, found, strict=True):
-        expected = sampled(plant, scale).linear
+        expected = sample_plant(plant, scale).linear
         both = np.hstack([expected.A, expected.B])
         np.testing.assert_allclose(AB, both, rtol=0, atol=1e-13 * max(1.0, np.abs(both).max()))
 
@@ -481,7 +481,7 @@ def test_toml_and_python_use_the_same_words() -> None:
     expected = Vary(runs=7, sampling="sobol", entries=entries)
     data = table() | {"ensemble": parse_table(text)}
     assert convert(data).ensemble == expected
-    twice = TABLE.decoded(TABLE.decoded(data["ensemble"]))
+    twice = TABLE.decode_table(TABLE.decode_table(data["ensemble"]))
     assert convert(table() | {"ensemble": twice}).ensemble == expected
 
 

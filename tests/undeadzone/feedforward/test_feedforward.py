@@ -15,10 +15,10 @@ from scipy.integrate import solve_ivp
 
 from scenes import PAPER_PLANT, linear, random_plant, response
 from undeadzone.errors import TrackingError
-from undeadzone.feedforward.targets import inverted_targets, linear_targets, regulator
+from undeadzone.feedforward.targets import invert_targets, linear_targets, regulator
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant, SecondOrder, TransferFunction
-from undeadzone.plants.system import System, sampled
+from undeadzone.plants.system import System, sample_plant
 from undeadzone.signals.exosystem import (
     Exosystem,
     Signal,
@@ -114,7 +114,7 @@ def test_chains_far_from_unit_scale_are_followed(order: int, frequency: float) -
 
 @given(seeds, st.floats(0.01, 0.3))
 def test_sampled_targets_are_exact_at_the_samples(seed: int, Ts: float) -> None:
-    plant = sampled(random_plant(np.random.default_rng(seed), 3), Ts)
+    plant = sample_plant(random_plant(np.random.default_rng(seed), 3), Ts)
     A, B, C = plant.linear
     t = Ts * np.arange(200)
     reference = exo(Sine(amplitude=2.0, frequency=0.4 / (10 * Ts), phase=0.5, offset=1.0))
@@ -153,7 +153,7 @@ def test_a_zero_on_the_spectrum_is_named(
     with pytest.raises(
         TrackingError, match=f"^reference: .* a zero of the plant at s = {where} lies"
     ):
-        linear_targets(plant if Ts is None else sampled(plant, Ts), exo(signal), [0], T)
+        linear_targets(plant if Ts is None else sample_plant(plant, Ts), exo(signal), [0], T)
 
 
 def test_a_zero_elsewhere_is_no_obstacle() -> None:
@@ -188,7 +188,7 @@ PENDULUM: dict[str, Any] = {
 def test_inversion_of_a_pendulum_is_that_by_hand() -> None:
     reference = exo(Sine(amplitude=2.5, frequency=0.7, offset=0.3))
     r, dr, ddr = (reference.value(T, order)[:, 0] for order in range(3))
-    target = inverted_targets(plant_of(**PENDULUM), reference, [0], T, np.zeros(2))
+    target = invert_targets(plant_of(**PENDULUM), reference, [0], T, np.zeros(2))
     assert target.x_ref == pytest.approx(np.stack([r, dr], axis=1), abs=1e-10)
     assert target.u_ff[:, 0] == pytest.approx(ddr + 9.81 * np.sin(r) + 0.8 * dr, abs=1e-9)
 
@@ -201,7 +201,7 @@ def test_inversion_of_two_coupled_outputs() -> None:
         inputs=["u", "v"],
     )
     reference = exo(Sine(amplitude=[1.0, 0.5], frequency=0.5, phase=[0.0, 1.0]), 2)
-    target = inverted_targets(plant, reference, [0, 1], T, np.zeros(2))
+    target = invert_targets(plant, reference, [0, 1], T, np.zeros(2))
     (r, s), (dr, ds) = reference.value(T).T, reference.value(T, 1).T
     a, b, da = r - s**3, s, dr - 3 * s**2 * ds
     assert target.x_ref == pytest.approx(np.stack([a, b], axis=1), abs=1e-9)
@@ -212,7 +212,7 @@ def test_inversion_of_two_coupled_outputs() -> None:
 
 def test_inversion_agrees_with_the_regulator_equations_on_a_linear_plant() -> None:
     formulas = plant_of(f=["v", "-x - 2 * v + u"], h=["x"], states=["x", "v"])
-    by_inversion = inverted_targets(formulas, exo(SINE), [0], T, np.zeros(2))
+    by_inversion = invert_targets(formulas, exo(SINE), [0], T, np.zeros(2))
     by_regulator = linear_targets(PAPER_PLANT, exo(SINE), [0], T)
     for one, other in zip(by_inversion, by_regulator, strict=True):
         assert one == pytest.approx(other, abs=1e-9)
@@ -235,7 +235,7 @@ def test_inversion_says_what_it_cannot_do(
 ) -> None:
     changes = {"h": [text.replace("0 * torque + ", "") for text in changes["h"]]}
     with pytest.raises(TrackingError, match=words):
-        inverted_targets(
+        invert_targets(
             plant_of(**PENDULUM | changes),
             exo(Sine(amplitude=2.0, frequency=0.5), channels),
             list(range(channels)),
@@ -259,7 +259,7 @@ def test_inversion_of_fast_and_large_references() -> None:
         t = np.linspace(0, 1 / frequency, 501)
         reference = exo(Sine(amplitude=1.0, frequency=frequency))
         r, dr, ddr = (reference.value(t, order)[:, 0] for order in range(3))
-        target = inverted_targets(plant_of(**PENDULUM), reference, [0], t, np.zeros(2))
+        target = invert_targets(plant_of(**PENDULUM), reference, [0], t, np.zeros(2))
         assert target.u_ff[:, 0] == pytest.approx(
             ddr + 9.81 * np.sin(r) + 0.8 * dr, rel=1e-9, abs=1e-9 * np.abs(ddr).max()
         )

@@ -17,7 +17,7 @@ from undeadzone.logs.names import (
     parse_columns,
     split_unit,
 )
-from undeadzone.logs.samples import LogReader, Samples, placed, samples_of_text
+from undeadzone.logs.samples import LogReader, Samples, place_on_steps, samples_of_text
 from undeadzone.logs.stamps import stamps_of
 from undeadzone.logs.text import Text, dialect_of
 
@@ -263,7 +263,7 @@ def samples(t: list[float]) -> Samples:
 
 def test_gaps_become_missing_samples() -> None:
     t = [5.0, 5.1, 5.2, 5.5, np.nan, 5.7]  # of a line that could not be read nan
-    found = placed(samples(t), True, 0.1, "log")
+    found = place_on_steps(samples(t), True, 0.1, "log")
     np.testing.assert_allclose(found.samples.t, [5.0, 5.1, 5.2, 5.3, 5.4, 5.5, 5.6, 5.7])
     y = [0, 1, 2, np.nan, np.nan, 3, np.nan, 5]
     np.testing.assert_array_equal(found.samples.y[:, 0], y)
@@ -273,7 +273,7 @@ def test_gaps_become_missing_samples() -> None:
 
 @pytest.mark.parametrize("t", [[np.nan, np.nan], [np.nan, 5.0, np.nan]])
 def test_of_one_time_or_none_no_step_is_measured(t: list[float]) -> None:
-    found = placed(samples(t), True, 0.1, "log")
+    found = place_on_steps(samples(t), True, 0.1, "log")
     np.testing.assert_array_equal(found.samples.t, [time for time in t if time == time])
     assert (found.gaps, found.measured) == (0, None)
 
@@ -291,18 +291,18 @@ def test_of_one_time_or_none_no_step_is_measured(t: list[float]) -> None:
 )
 def test_other_steps_are_refused(t: list[float], words: str) -> None:
     with pytest.raises(FileError, match=words):
-        placed(samples(t), True, 0.1, "log")
+        place_on_steps(samples(t), True, 0.1, "log")
 
 
 def test_a_gap_in_every_line_does_not_fill_the_memory() -> None:
     steps = np.ones(4001)
     steps[2001:] = 90_000
     with pytest.raises(FileError, match="gaps"):
-        placed(samples((0.1 * np.cumsum(steps)).tolist()), True, 0.1, "log")
+        place_on_steps(samples((0.1 * np.cumsum(steps)).tolist()), True, 0.1, "log")
 
 
 def test_without_times_samples_are_one_step_apart() -> None:
-    found = placed(samples([np.nan] * 4), False, 0.5, "log")
+    found = place_on_steps(samples([np.nan] * 4), False, 0.5, "log")
     np.testing.assert_array_equal(found.samples.t, [0.0, 0.5, 1.0, 1.5])
 
 
@@ -333,7 +333,7 @@ def test_damaged_logs_give_an_error_or_samples() -> None:
             read = reader.feed(bytes(data), last=True)
             layout = reader.layout
             timed = layout is not None and layout.time is not None
-            regular = placed(read, timed, 0.01, "log").samples
+            regular = place_on_steps(read, timed, 0.01, "log").samples
         except InputError:
             continue
         assert regular.y.shape == (regular.t.size, 1)

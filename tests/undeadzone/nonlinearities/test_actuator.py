@@ -22,14 +22,14 @@ from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.nonlinearities.actuator import (
     Actuator,
     ActuatorModel,
-    believed,
+    believe_actuator,
     resolve_actuator,
     through_zone,
     within_rate,
 )
 from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.observers.filtering.constant_states import Zones, entering
-from undeadzone.plants.system import sampled
+from undeadzone.plants.system import sample_plant
 from undeadzone.report.log_page import estimation_page
 from undeadzone.report.run_figures import overview
 from undeadzone.report.run_page import run_page
@@ -112,7 +112,7 @@ def test_the_loop_limits_before_it_delays_before_the_zone() -> None:
     run = simulate(loop(actuator=tables, observer={"method": "full_state"}, **changes))
     drive = resolve_actuator(Actuator(**tables), 1)
     command, x = np.zeros(1), run.x[0]
-    model = sampled(PAPER_PLANT, TS).linear
+    model = sample_plant(PAPER_PLANT, TS).linear
     for k in range(200):
         limited = np.clip(run.u[k], -4.0, 4.0)
         command = within_rate(np, limited, command, drive, TS)
@@ -296,9 +296,9 @@ def test_an_integrator_shows_its_actuator_without_coasts_and_hides_its_sensor() 
 def test_no_mode_visited_tells_nothing_of_the_actuator() -> None:
     run = simulate(loop(compensator=INVERSE))
     problem = resolve_scenario(loop())
-    from undeadzone.analysis.branch_schedule import recorded
+    from undeadzone.analysis.branch_schedule import schedule_of_record
 
-    schedule = recorded(run.z, problem.sensor, TS, TS)
+    schedule = schedule_of_record(run.z, problem.sensor, TS, TS)
     found = both_ends(problem.model.linear, schedule, np.zeros((0, 1)), problem.belief.drive)
     assert not any((found.inputs[0].right, found.inputs[0].left, found.inputs[0].width))
 
@@ -373,7 +373,7 @@ def test_engines_agree_to_the_last_bit(
 
 def test_exported_c_passes_its_self_test(tmp_path: Path) -> None:
     scenario = loop(simulation={"duration": 2.0})
-    assert uz.export(scenario, out=tmp_path / "fw", precision="double", name="o").passed
+    assert uz.export(scenario, out=tmp_path / "fw", precision="double", name="o").has_passed
 
 
 @pytest.mark.parametrize("method", ["none", "inverse", "smooth_inverse", "adaptive_inverse"])
@@ -410,7 +410,7 @@ def test_an_ensemble_varies_the_actuator() -> None:
 
 
 def test_ranges_stand_for_their_middle_until_they_are_estimated() -> None:
-    belief = believed(ActuatorModel(right=[0.0, 6.0], left=[1.0, 2.0]), 1)
+    belief = believe_actuator(ActuatorModel(right=[0.0, 6.0], left=[1.0, 2.0]), 1)
     assert belief is not None
     assert belief.drive.right[0] == 3.0
     assert belief.drive.left[0] == 1.5

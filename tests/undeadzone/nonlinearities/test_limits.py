@@ -18,20 +18,20 @@ from test_engines import OBSERVERS, distance, parts, small
 
 import undeadzone as uz
 from scenes import OnNumbers, scene
-from undeadzone.analysis.branch_schedule import planned
+from undeadzone.analysis.branch_schedule import plan_schedule
 from undeadzone.cli import group
 from undeadzone.compile import interpret, lanes
 from undeadzone.ensemble.run_ensemble import deviation, replay_run, run_ensemble
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.interfaces import Estimate, Reading, graph_of, received
+from undeadzone.interfaces import Estimate, Reading, graph_of, receive_reading
 from undeadzone.logs.range_ends import RunningEnds, range_ends
 from undeadzone.nonlinearities.limits import Limits
-from undeadzone.nonlinearities.sensor import Sensor, Zone, deadzone, quantised, resolve
+from undeadzone.nonlinearities.sensor import Sensor, Zone, deadzone, quantise, resolve
 from undeadzone.observers.adaptive import branch_observer
 from undeadzone.observers.filtering.measurement_update import Ends, surely_exact
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
-from undeadzone.plants.system import System, sampled
+from undeadzone.plants.system import System, sample_plant
 from undeadzone.results.run import Run
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.simulation.simulate import simulate
@@ -53,7 +53,7 @@ WIDE = {"duration": 4.0, "step": 2e-3}
 
 
 def first_order() -> System:
-    return sampled(system(FIRST), TS)
+    return sample_plant(system(FIRST), TS)
 
 
 def zone(**changes: Any) -> Zone:
@@ -118,7 +118,7 @@ def test_a_limit_may_be_missing_on_either_side() -> None:
 )
 def test_the_side_of_a_reading_from_outside(y: float, side: int, seen: float) -> None:
     symbol = ca.SX.sym("y")
-    reading = received(symbol, 0.1, Limits(-0.6, 0.5))
+    reading = receive_reading(symbol, 0.1, Limits(-0.6, 0.5))
     found_y, found_side = ca.Function("f", [symbol], [reading.y, reading.side])(y)
     assert float(found_side) == side
     assert np.array_equal(float(found_y), seen, equal_nan=True)
@@ -139,7 +139,7 @@ def test_the_reading_is_that_of_the_dead_zone_kept_within_the_range(time: str) -
 def test_rounding_comes_before_the_range_and_a_missing_reading_stays_missing() -> None:
     sensor = {"right": 0.8, "left": 1.1, "quantum": 0.3, "dropout": 0.2, "range": [-1.6, 2.0]}
     run = simulate(scene(sensor=sensor, simulation=WIDE | {"time": "sampled"}))
-    expected = np.clip(quantised(deadzone(run.z, 0.8, 1.1), 0.3), -1.6, 2.0)
+    expected = np.clip(quantise(deadzone(run.z, 0.8, 1.1), 0.3), -1.6, 2.0)
     lost = np.isnan(run.y)
     assert 0.1 < lost.mean() < 0.3
     assert (run.y == expected)[~lost].all()
@@ -205,7 +205,7 @@ def test_exported_c_passes_its_self_test(precision: str, tmp_path: Path) -> None
     sensor = {"right": 0.5, "left": 0.3, "noise": 0.01, "range": [-INF, 0.6]}
     scenario = small("sampled", sensor=sensor)
     done = uz.export(scenario, out=tmp_path / "fw", precision=precision, name="o")
-    assert done.passed
+    assert done.has_passed
     assert not done.report["refusals"]
 
 
@@ -254,14 +254,14 @@ def rise(high: float, low: float, right: float, left: float, time: str) -> float
 def test_v_rises_if_a_limit_is_taken_with_the_wrong_sign(
     time: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    right_one = branch_observer.bounded
+    right_one = branch_observer.bound_reading
 
     def wrong(correction: Any, side: Any, jump: bool) -> Any:
         return right_one(correction, -side, jump)
 
-    monkeypatch.setattr(branch_observer, "bounded", wrong)
+    monkeypatch.setattr(branch_observer, "bound_reading", wrong)
     assert rise(1.0, 1.0, 1.0, 1.0, time) > 1e-4
-    monkeypatch.setattr(branch_observer, "bounded", lambda correction, side, jump: correction)
+    monkeypatch.setattr(branch_observer, "bound_reading", lambda correction, side, jump: correction)
     assert rise(1.0, 1.0, 1.0, 1.0, time) > 1e-4
 
 
@@ -422,7 +422,7 @@ def test_only_exact_readings_count_for_a_verdict() -> None:
     """r = 5 sin over a period: spans between d_r and d_r + hi, by their arc sines."""
     sensor = {"right": 1.0, "left": 0.7, "range": [-0.5, 1.5]}
     problem = resolve_scenario(scene(sensor=sensor))
-    schedule = planned(
+    schedule = plan_schedule(
         problem.model, problem.reference, problem.tracked, problem.sensor, problem.steps * 1e-3
     )
     period = schedule.spans.sum()
@@ -484,7 +484,7 @@ def test_readings_that_stick_on_their_way_show_a_range(
     ok = np.isfinite(y)
     ends = range_ends(y, ok, quantum)
     assert (ends.low, ends.high) == limits
-    assert ends.found == bool(ends.at(y, ok).any())
+    assert ends.has_ends == bool(ends.at(y, ok).any())
     assert ends.number == ends.at(y, ok).sum() == ((y == ends.low) | (y == ends.high)).sum()
     draw = np.random.default_rng(1)
     running = RunningEnds()  # as a log that is watched comes in

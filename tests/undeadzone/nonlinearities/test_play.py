@@ -18,7 +18,7 @@ from test_engines import distance, parts
 
 import undeadzone as uz
 from scenes import scene
-from undeadzone.analysis.branch_schedule import planned
+from undeadzone.analysis.branch_schedule import plan_schedule
 from undeadzone.compile import interpret, lanes
 from undeadzone.ensemble.run_ensemble import deviation, run_ensemble
 from undeadzone.errors import InputError
@@ -199,7 +199,7 @@ def test_a_young_line_asks_for_as_many_deviations_as_an_old_one(window: int) -> 
     for place in range(size):
         s = motion_detection.State(None, none, none, none, ca.DM.ones(1), none)
         for k in range(size):
-            line = motion_detection.followed(sensor, q, s, ca.DM(float(k == place)), 1.0)
+            line = motion_detection.follow_level(sensor, q, s, ca.DM(float(k == place)), 1.0)
             s = motion_detection.State(None, *line, ca.DM.ones(1), none)
             slopes[k, place] = float(s.slope)
             assert float(s.known) == min(k + 1, window)
@@ -381,7 +381,7 @@ def test_an_integrator_hides_the_centre_of_its_play_but_not_the_width() -> None:
 def test_a_plan_knows_the_gap_of_the_pass_before() -> None:
     problem = resolve_scenario(slow({}, CERTIFIED))
     reference = exosystem("reference", problem.scenario.reference, 1)
-    schedule = planned(problem.model, reference, [0], problem.sensor, 20.0)
+    schedule = plan_schedule(problem.model, reference, [0], problem.sensor, 20.0)
     assert schedule.periodic
     moving = schedule.spans @ (schedule.sides != 0) / schedule.spans.sum()
     gap = 2 * np.arccos(1 - 1.7 / 5) / (2 * np.pi)  # share of a period in which y holds
@@ -406,7 +406,7 @@ def test_engines_agree_to_the_last_bit(
 def test_exported_c_passes_its_self_test(tmp_path: Path) -> None:
     scenario = slow(READINGS["noise"], KALMAN, simulation={"duration": 2.0})
     done = uz.export(scenario, out=tmp_path / "fw", precision="double", name="o")
-    assert done.passed
+    assert done.has_passed
 
 
 def test_the_page_draws_a_play(tmp_path: Path) -> None:

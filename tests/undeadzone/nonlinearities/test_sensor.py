@@ -82,7 +82,7 @@ def test_decomposition_and_inverse(z: float, right: float, left: float, slope: f
     y, taken = deadzone(z, right, left, slope), sensor.saturation(z, right, left)
     assert y == slope * (z - taken)
     assert -left <= taken <= right
-    assert abs(taken) <= sensor.bound(right, left)
+    assert abs(taken) <= sensor.saturation_bound(right, left)
     side = sensor.side(y)
     if y == 0:
         assert -left <= z <= right

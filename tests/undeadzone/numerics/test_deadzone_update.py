@@ -20,7 +20,7 @@ from scenes import linear
 from undeadzone.interfaces import Reading
 from undeadzone.nonlinearities.sensor import Sensor, deadzone, resolve, side
 from undeadzone.numerics.hear import DeadzoneMemory, DeadzoneUpdate, deadzone_update
-from undeadzone.plants.system import sampled
+from undeadzone.plants.system import sample_plant
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
 
@@ -92,7 +92,7 @@ def test_a_narrow_belief_hears_one_edge() -> None:
 
 def graph(noise: float, before: float, disturbance: float) -> Any:
     """(step of `Censored` on numbers, its first state, steps to wait)."""
-    model = sampled(linear([[0.0, 1.0], [-4.0, -1.0]], [[0.0], [4.0]], [[1.0, 0.0]]), TS)
+    model = sample_plant(linear([[0.0, 1.0], [-4.0, -1.0]], [[0.0], [4.0]], [[1.0, 0.0]]), TS)
     zone = resolve(Sensor(right=1.0, left=1.0, noise=noise, noise_before=before), 1, TS, 2.0)
     options = uz.Censored(
         right=[0.3, 2.0],

@@ -14,8 +14,8 @@ from undeadzone.numerics.dense_output import (
     DenseStep,
     Levels,
     _crossing,
-    _moved,
     _secant,
+    _shift_inputs,
     runge_kutta,
     taylor,
 )
@@ -86,7 +86,9 @@ def test_dense_output_follows_the_solution(arc: Any) -> None:
 
 def test_inputs_over_the_rest_of_a_step_are_the_same_polynomial() -> None:
     """1 + 2 c + 3 c^2 after c = 0.4, as a polynomial of the fraction of what is left."""
-    moved = np.array([numbers(a)[0] for a in _moved([ca.SX(1), ca.SX(2), ca.SX(3)], 0.4, 0.6)])
+    moved = np.array(
+        [numbers(a)[0] for a in _shift_inputs([ca.SX(1), ca.SX(2), ca.SX(3)], 0.4, 0.6)]
+    )
     for c in (0.0, 0.5, 1.0):
         total = 0.4 + 0.6 * c
         assert moved @ c ** np.arange(3) == pytest.approx(1 + 2 * total + 3 * total**2)

@@ -13,8 +13,8 @@ from undeadzone.numerics.optimise import (
     _frame,
     _grid,
     _neighbours,
+    find_undominated,
     scalar,
-    undominated,
 )
 
 
@@ -49,7 +49,7 @@ def test_the_scalar_cost_is_the_largest_weighted_loss_and_a_little_of_all() -> N
 
 def test_the_front_is_what_nothing_beats_and_frames_what_is_admitted() -> None:
     values = np.array([[1.0, 4.0], [2.0, 2.0], [3.0, 3.0], [5.0, 1.0], [np.inf, 0.0]])
-    assert undominated(values[:4]).tolist() == [True, True, False, True]
+    assert find_undominated(values[:4]).tolist() == [True, True, False, True]
     least, greatest = _frame(values)
     assert least.tolist() == [1.0, 1.0]
     assert greatest.tolist() == [5.0, 4.0]

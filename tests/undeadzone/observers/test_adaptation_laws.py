@@ -28,7 +28,7 @@ from undeadzone.observers.adaptive.adaptation_laws import (
     Normalised,
     Sigma,
 )
-from undeadzone.plants.system import System, sampled
+from undeadzone.plants.system import System, sample_plant
 from undeadzone.simulation.simulate import simulate
 from undeadzone.util.arrays import Floats
 
@@ -36,7 +36,7 @@ seeds = st.integers(0, 2**32 - 1)
 TRUTH = np.array([1.3, 0.6])
 ZONE = resolve(Sensor(right=TRUTH[0], left=TRUTH[1]), 1, 1e-3)
 TS = 0.02
-SAMPLED = sampled(PAPER_PLANT, TS)
+SAMPLED = sample_plant(PAPER_PLANT, TS)
 L, GAMMA = np.array([1.0, 1.5]), 10.0
 SMALL = np.array([0.2, 0.1])  # |G| < 1: C (sI - A)^-1 L is 0.5 at s = 0 and falls
 

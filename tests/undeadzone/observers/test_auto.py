@@ -17,7 +17,7 @@ from undeadzone.nonlinearities.sensor import Sensor, Zone, resolve
 from undeadzone.observers import Auto, Censored, Certified, HighGain
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
-from undeadzone.plants.system import System, sampled
+from undeadzone.plants.system import System, sample_plant
 from undeadzone.simulation.simulate import simulate
 from undeadzone.util import tree
 from undeadzone_arena.contest.leaderboard import regrets
@@ -27,7 +27,7 @@ from undeadzone_arena.contest.trials import score
 
 RANGE = [0.3, 2.0]
 NOTHING_ELSE = {"disturbance": 0.0, "bias": 0.0, "tolerance": 0.0}
-MODEL = sampled(PAPER_PLANT, 0.01)
+MODEL = sample_plant(PAPER_PLANT, 0.01)
 PENDULUM = system(
     Plant(states=["a", "w"], f=["w", "-g * sin(a) - w + u"], h=["a"], parameters={"g": 9.81})
 )
@@ -44,8 +44,8 @@ def zone(kind: Any = "deadzone", right: float = 1.0, left: float = 0.6) -> Zone:
         ({}, MODEL, "deadzone", Censored),
         ({}, MODEL, "jump", Censored),
         (NOTHING_ELSE, MODEL, "deadzone", Censored),
-        ({}, sampled(PENDULUM, 0.01), "deadzone", Censored),
-        ({}, sampled(INTEGRATORS, 0.01), "deadzone", Censored),
+        ({}, sample_plant(PENDULUM, 0.01), "deadzone", Censored),
+        ({}, sample_plant(INTEGRATORS, 0.01), "deadzone", Censored),
         ({}, PAPER_PLANT, "deadzone", HighGain),
         (NOTHING_ELSE, PAPER_PLANT, "deadzone", Certified),
         (NOTHING_ELSE | {"tolerance": {"A[1,0]": 0.1}}, PAPER_PLANT, "deadzone", HighGain),
@@ -59,7 +59,7 @@ def zone(kind: Any = "deadzone", right: float = 1.0, left: float = 0.6) -> Zone:
 def test_which_observer_is_chosen(
     claims: dict[str, Any], model: System, kind: str, expected: type
 ) -> None:
-    chosen = Auto(right=RANGE, **claims).chosen(model, zone(kind))
+    chosen = Auto(right=RANGE, **claims).choose_observer(model, zone(kind))
     assert type(chosen) is expected
     chosen.build(model, zone(kind))
 
@@ -77,7 +77,7 @@ def test_every_claim_is_passed_on() -> None:
     }
     claims |= {"calibrated": 0.2, "tolerance": {"A[1,0]": 0.1}, "glitches": 0.1, "centre": 0.0}
     assert set(claims) == set(Auto.__struct_fields__)
-    chosen = Auto(**claims).chosen(MODEL, zone())
+    chosen = Auto(**claims).choose_observer(MODEL, zone())
     assert {name: getattr(chosen, name) for name in claims} == claims
 
 
@@ -88,9 +88,9 @@ def test_it_runs_as_the_one_that_it_chooses(time: str) -> None:
         sensor={"noise": 0.01},
         simulation={"time": time, "step": 0.005, "duration": 3.0},
     )
-    model = PAPER_PLANT if time == "continuous" else sampled(PAPER_PLANT, 0.005)
+    model = PAPER_PLANT if time == "continuous" else sample_plant(PAPER_PLANT, 0.005)
     assert isinstance(scenario.observer, Auto)
-    chosen = scenario.observer.chosen(model, zone())
+    chosen = scenario.observer.choose_observer(model, zone())
     runs = [
         simulate(msgspec.structs.replace(scenario, observer=observer), check_step=False)
         for observer in (scenario.observer, chosen)

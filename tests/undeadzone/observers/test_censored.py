@@ -31,18 +31,18 @@ from undeadzone.numerics import gaussian
 from undeadzone.observers import Censored, Kalman
 from undeadzone.observers.filtering import multiple_models
 from undeadzone.observers.filtering.gaussian_filter import Params, ambiguous
-from undeadzone.observers.filtering.multiple_models import mixture_std, weighted_mean, wider_of_two
+from undeadzone.observers.filtering.multiple_models import mean_of_models, mixture_std, wider_of_two
 from undeadzone.observers.filtering.unknown_inputs import (
     SMALL,
-    coloured,
+    coloured_noise_model,
     rest_under_bias,
-    sampled_slopes,
+    slopes_of_sampled_model,
     tolerances,
     unknowns,
 )
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
-from undeadzone.plants.system import System, sampled, time_scale
+from undeadzone.plants.system import System, sample_plant, time_scale
 from undeadzone.results.run import Run
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.simulation.simulate import prepare, simulate
@@ -51,7 +51,7 @@ from undeadzone.util.arrays import Floats
 
 seeds = st.integers(0, 2**32 - 1)
 TS = 0.02
-MODEL = sampled(PAPER_PLANT, TS)
+MODEL = sample_plant(PAPER_PLANT, TS)
 RANGE = [0.3, 2.0]
 PRIOR = 1.7 / np.sqrt(12)
 EXACT: dict[str, Any] = {
@@ -113,7 +113,7 @@ def centre_std(estimate: Estimate) -> float:
 @given(seeds, st.integers(1, 3), st.integers(1, 2))
 def test_without_silence_and_extras_it_is_kalman(seed: int, n: int, p: int) -> None:
     rng = np.random.default_rng(seed)
-    model, where = sampled(random_plant(rng, n, 1, p), TS), zone(p, noise=0.02)
+    model, where = sample_plant(random_plant(rng, n, 1, p), TS), zone(p, noise=0.02)
     common: dict[str, Any] = {"right": RANGE, "x_std": 2.0, "drift": 0.1}
     pair = [
         options.build(model, where)
@@ -160,7 +160,7 @@ def test_a_silence_that_contradicts_nothing_changes_nothing() -> None:
 def test_the_disturbance_is_first_order_noise_of_unit_rms(
     correlation: float, relative_step: float
 ) -> None:
-    colour = coloured(correlation, None, relative_step * correlation)
+    colour = coloured_noise_model(correlation, None, relative_step * correlation)
     assert np.concatenate([*colour.F, *colour.Q, *colour.cov, colour.C]) == pytest.approx(
         [np.exp(-relative_step), -np.expm1(-2 * relative_step), 1.0, 1.0]
     )
@@ -175,7 +175,7 @@ def test_with_a_washout_it_has_no_constant_part(
     Its integral is 0; a = 1 / correlation, b = 1 / washout.
     """
     Ts, washout = relative_step * correlation, ratio * correlation * 1.0001
-    F, Q, cov, w = coloured(correlation, washout, Ts)
+    F, Q, cov, w = coloured_noise_model(correlation, washout, Ts)
     assert F @ cov @ F.T + Q == pytest.approx(cov, rel=1e-9)
     a, b = 1 / correlation, 1 / washout
     for lag in (0, 1, 5, 20):
@@ -191,7 +191,7 @@ def test_with_a_washout_it_has_no_constant_part(
 def test_tolerances_are_derivatives_of_the_sampled_model(seed: int, n: int, m: int) -> None:
     rng = np.random.default_rng(seed)
     flow = random_plant(rng, n, m)
-    tolerance = tolerances(sampled(flow, TS), 0.1)
+    tolerance = tolerances(sample_plant(flow, TS), 0.1)
     A, B, C = flow.linear
     assert tolerance.std == pytest.approx(np.full(n * (n + m), 0.1))
     slopes, h = tolerance.slopes.reshape(-1, n, n + m), 1e-6
@@ -301,7 +301,7 @@ def test_a_wrong_model_is_found_out() -> None:
     taken for right.
     """
     plant, where = (
-        sampled(linear([[0, 1], [-1.1, -2]], [[0], [1]], [[1, 0]]), TS),
+        sample_plant(linear([[0, 1], [-1.1, -2]], [[0], [1]], [[1, 0]]), TS),
         zone(right=1.3, left=0.6, noise=0.01),
     )
     rng, u, x = np.random.default_rng(2), tones(30.0, 8.0), np.array([0.5, 0.0])
@@ -511,7 +511,7 @@ def test_a_mean_inside_a_range_is_that_of_the_truncated_normal_distribution(
     mean: float, std: float
 ) -> None:
     P = np.array([[std**2, 0.3 * std], [0.3 * std, 1.0]])
-    found = gaussian.cut_to(ca.SX(mean), ca.SX(P[0, 0]), -0.5, 1.0)
+    found = gaussian.truncate_scalar(ca.SX(mean), ca.SX(P[0, 0]), -0.5, 1.0)
     move, lost, chance = (np.asarray(ca.evalf(ca.SX(part)).full())[0, 0] for part in found)
     m = np.array([[mean], [0.0]]) + move * P[:, :1]
     cov = P - lost * P[:, :1] @ P[:1]
@@ -565,7 +565,7 @@ def closed(observer: dict[str, Any], **changes: Any) -> Run:
 def test_what_the_model_leaves_out_is_countered_at_rest(n: int) -> None:
     rng = np.random.default_rng(n)
     flow = random_plant(rng, n)
-    for model in (flow, sampled(flow, TS)):
+    for model in (flow, sample_plant(flow, TS)):
         at_rest = rest(model)
         A, B, C = flow.linear
         assert A @ at_rest[:n] + B @ at_rest[n:] == pytest.approx(-np.eye(n), abs=1e-9)
@@ -717,8 +717,8 @@ def test_tolerance_of_a_nonlinear_plant_is_one_number() -> None:
         Plant(states=["a", "w"], f=["w", "-g * sin(a) - w + u"], h=["a"], parameters={"g": 9.81})
     )
     with pytest.raises(InputError, match="takes one number"):
-        Censored(right=RANGE, tolerance={"A[1,0]": 0.1}).build(sampled(pendulum, TS), zone())
-    observer = Censored(**EXACT | {"tolerance": 0.1}).build(sampled(pendulum, TS), zone())
+        Censored(right=RANGE, tolerance={"A[1,0]": 0.1}).build(sample_plant(pendulum, TS), zone())
+    observer = Censored(**EXACT | {"tolerance": 0.1}).build(sample_plant(pendulum, TS), zone())
     assert len(observer.init(observer.params).filter.mean) == 2 + 2 + 1
 
 
@@ -728,7 +728,7 @@ def test_tolerance_of_a_nonlinear_plant_is_one_number() -> None:
 def test_a_small_bias_is_a_prior_a_hundred_times_narrower() -> None:
     """Where nothing has been read yet: its variance is (SMALL b)^2, and the odds stay."""
     rms = 0.7
-    colour, none = coloured(0.5, None, TS), np.zeros(1)
+    colour, none = coloured_noise_model(0.5, None, TS), np.zeros(1)
     augmentation = unknowns(MODEL, colour, none, np.array([rms]), 0.8, tolerances(MODEL, 0.0))
     assert augmentation.alternative is not None
     params = Params(*[None] * 10)._replace(augmentation=augmentation.params)
@@ -747,7 +747,7 @@ def test_slopes_of_a_sampled_model_are_its_derivatives() -> None:
     """Against differences of the exact zero-order hold, for an entry of A and one of B."""
     A, B, C = PAPER_PLANT.linear
     entries, Ts, h = [(1, 0), (1, 2)], 0.1, 1e-6
-    slopes = sampled_slopes(np.hstack([A, B]), entries, Ts).reshape(2, 2, 3)
+    slopes = slopes_of_sampled_model(np.hstack([A, B]), entries, Ts).reshape(2, 2, 3)
     for slope, at in zip(slopes, entries, strict=True):
         ends = []
         for change in (1 + h, 1 - h):
@@ -761,7 +761,7 @@ def test_a_mixture_spreads_by_its_parts_and_by_what_lies_between() -> None:
     share, means, stds = np.array([0.25, 0.75]), [1.0, 3.0], [0.5, 0.2]
     mean = 0.25 * 1.0 + 0.75 * 3.0
     square = 0.25 * (0.5**2 + 1.0**2) + 0.75 * (0.2**2 + 3.0**2)
-    assert weighted_mean(share, means) == pytest.approx(mean)
+    assert mean_of_models(share, means) == pytest.approx(mean)
     std = float(mixture_std(share, share, means, stds))
     assert std == pytest.approx(np.sqrt(square - mean**2))
 

@@ -19,10 +19,10 @@ from scenes import PAPER_PLANT
 from undeadzone.interfaces import Estimate, InPython, Reading
 from undeadzone.linalg.hold import zoh
 from undeadzone.nonlinearities.sensor import resolve
-from undeadzone.numerics.gaussian import Bound, Gaussian, cut, update_unless_glitch
+from undeadzone.numerics.gaussian import Bound, Gaussian, truncate_belief, update_unless_glitch
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
-from undeadzone.plants.system import arrival, sampled
+from undeadzone.plants.system import arrival, sample_plant
 from undeadzone.util.arrays import Floats
 
 LOW, HIGH = 0.2, 3.0
@@ -42,7 +42,7 @@ RIVALS = ("ekf", "ukf", "particle_filter", "moving_horizon")
 def built(name: str) -> Any:
     """The filter for the paper's plant, as something that steps on numbers."""
     options = FILTERS[name](right=[LOW, HIGH])
-    observer = options.build(sampled(PAPER_PLANT, TS), resolve(SENSOR, 1, TS))
+    observer = options.build(sample_plant(PAPER_PLANT, TS), resolve(SENSOR, 1, TS))
     return observer.python or options
 
 
@@ -132,14 +132,16 @@ def test_silence_leaves_alone_what_it_may_not_move(alpha: float, share: float, s
     excess = -alpha * np.sqrt(row @ P @ row + 0.01)
     belief = Gaussian(ca.SX(mean), ca.SX(P))
     for moved in ([1.0, 0.0, 1.0], [1.0, share, 1.0]):
-        one = cut(belief, [Bound(h, excess, 1.0)], 0.01, 1.6, -7.0, ca.SX(moved))
+        one = truncate_belief(belief, [Bound(h, excess, 1.0)], 0.01, 1.6, -7.0, ca.SX(moved))
         after, cov = numbers(*one.belief)
         assert np.linalg.eigvalsh(cov).min() > 0
         if moved[1] == 0.0:
             assert after[1, 0] == pytest.approx(mean[1], abs=1e-12)
             assert cov[1, 1] == pytest.approx(P[1, 1], rel=1e-9)
-    every = cut(belief, [Bound(h, excess, 1.0)], 0.01, 1.6, -7.0, ca.SX([1.0, 1.0, 1.0]))
-    plain = cut(belief, [Bound(h, excess, 1.0)], 0.01, 1.6, -7.0)
+    every = truncate_belief(
+        belief, [Bound(h, excess, 1.0)], 0.01, 1.6, -7.0, ca.SX([1.0, 1.0, 1.0])
+    )
+    plain = truncate_belief(belief, [Bound(h, excess, 1.0)], 0.01, 1.6, -7.0)
     for one, other in zip(numbers(*every.belief), numbers(*plain.belief), strict=True):
         assert one == pytest.approx(other, rel=1e-9, abs=1e-12)
 
@@ -302,7 +304,7 @@ def test_a_default_disturbance_is_as_strong_whatever_the_order(order: int) -> No
         a = np.poly([-1.0] * n)[:0:-1]
         A, B = np.eye(n, k=1), np.eye(n)[:, -1:]
         A[-1] = -a
-        plant = sampled(system(Plant(A=A, B=B, C=np.eye(n)[:1])), 0.01)
+        plant = sample_plant(system(Plant(A=A, B=B, C=np.eye(n)[:1])), 0.01)
         observer = uz.Censored(right=[0.0, 1.0]).build(
             plant, resolve(uz.Sensor(right=0.5, left=0.5), 1, 0.01)
         )

@@ -17,7 +17,7 @@ import once
 import undeadzone as uz
 from undeadzone.cli import group
 from undeadzone.numerics.first_passage import arriving, at_edge, beyond
-from undeadzone.numerics.gaussian import Gaussian, cut_to, mixed
+from undeadzone.numerics.gaussian import Gaussian, mix_gaussians, truncate_scalar
 from undeadzone.observers.contact_filter.drive import (
     PASSED,
     combine_joints,
@@ -31,12 +31,12 @@ from undeadzone.observers.contact_filter.modes import (
     Layout,
     Mode,
     Posterior,
-    _moved,
+    _predict_mode,
     condition_on_impact,
-    renewed,
+    replace_diverged_filter,
 )
 from undeadzone.plants.robots.build import two_link
-from undeadzone.plants.robots.geared import Gears, geared_motion
+from undeadzone.plants.robots.geared import Gears, motion_of_geared_arm
 from undeadzone.results import mjcf
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
@@ -145,7 +145,7 @@ def passages(samples: int, speed: float, spread: float) -> tuple[Any, Any, Any]:
         told.append(float(ca.evalf(arriving([before], [beyond(whole, h, whole.mean, slack)])[0])))
         kept = Gaussian(kept.mean + speed, kept.cov)
         cut.append(float(ca.evalf(beyond(kept, h, kept.mean, slack))))
-        shift, lost, _ = cut_to(kept.mean, kept.cov, -1e3, 0.0)
+        shift, lost, _ = truncate_scalar(kept.mean, kept.cov, -1e3, 0.0)
         kept = Gaussian(kept.mean + kept.cov * shift, kept.cov - lost * kept.cov**2)
     return np.array(true), np.array(told), np.array(cut)
 
@@ -176,7 +176,7 @@ def test_at_an_edge_a_position_tells_where_it_is() -> None:
 
 def test_a_mixture_has_the_moments_of_its_parts() -> None:
     parts = [Gaussian(ca.SX([0.0]), ca.SX([[1.0]])), Gaussian(ca.SX([2.0]), ca.SX([[3.0]]))]
-    mean, cov = (float(ca.evalf(part)) for part in mixed([0.25, 0.75], parts))
+    mean, cov = (float(ca.evalf(part)) for part in mix_gaussians([0.25, 0.75], parts))
     assert (mean, cov) == pytest.approx((1.5, 0.25 + 2.25 + 0.25 * 0.75 * 4))
 
 
@@ -248,7 +248,7 @@ def test_two_links_are_found_joint_by_joint() -> None:
 
 def test_what_a_motor_tells_of_its_gears_moves_the_free_links_of_others() -> None:
     """As the arm answers to an impulse at that joint; a link in contact is left to its readings."""
-    gears = geared_motion(two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
+    gears = motion_of_geared_arm(two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
     mean = ca.DM([0.3, 0.8, 0.3, 0.8, *[0.0] * 17])
     belief = Gaussian(ca.SX(11, 1), ca.SX.eye(11))
     told = Posterior((), (belief,) * 3, belief, belief.mean, 0.0, 1.0)
@@ -297,7 +297,7 @@ def test_filters_count_by_their_shares_and_one_that_overflows_is_renewed() -> No
     assert float(both.std) == pytest.approx(np.sqrt(4 + 1))
     runaway = Gaussian(ca.SX(np.full(entries, np.nan)), beliefs[0].cov)
     lost = told[0]._replace(beliefs=(runaway,) * 3, whole=runaway, news=runaway.mean, log=LOST)
-    kept = renewed([told[1], lost])
+    kept = replace_diverged_filter([told[1], lost])
     for one in kept:
         assert (np.asarray(ca.evalf(one.whole.mean)).ravel() == second).all()
         assert (np.asarray(ca.evalf(one.beliefs[2].mean)).ravel() == second).all()
@@ -314,7 +314,7 @@ def test_a_joint_has_up_to_three_filters() -> None:
 @pytest.mark.parametrize(("speed", "heard"), [(0.0, 0.0), (2.0, 1.0)])
 def test_joint_by_joint_a_gap_is_not_told_by_a_link_that_rests(speed: float, heard: float) -> None:
     """A link that comes upon a flank, 10 mrad later than foretold; the motor has a speed."""
-    gears = geared_motion(two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
+    gears = motion_of_geared_arm(two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
     of, mean = Layout(2).of, ca.DM.zeros(Layout(2).entries)
     place = of("half").start
     mean[of("half")], mean[of("motor_speed").start], mean[of("link").start] = 0.05, speed, -0.06
@@ -344,7 +344,7 @@ def test_half_gaps_drift_faster_joint_by_joint(joints: str, drift: float, apart:
 @pytest.mark.parametrize(("spread", "part"), [(0.0, 1.0), (0.5, 0.75), (1.0, 0.0), (2.0, 0.0)])
 def test_a_half_gap_drifts_up_to_a_share_of_its_claim(spread: float, part: float) -> None:
     """From a deviation so many times the largest one; what is more uncertain is left so."""
-    gears = geared_motion(two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
+    gears = motion_of_geared_arm(two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
     drive = drive_of(gears, 1e-3, 1)
     entries, half = drive.layout.entries, drive.layout.of("half").start
     claim, Q = 0.06, np.full(entries, 1e-9)
@@ -360,7 +360,7 @@ def test_a_half_gap_drifts_up_to_a_share_of_its_claim(spread: float, part: float
         high=np.full(entries, claim),
     )
     belief = Gaussian(ca.SX(ca.DM.zeros(entries)), cov)
-    after = _moved(drive, q, (0, 0), Mode(ca.SX(1.0), belief), ca.DM.zeros(2)).belief.cov
+    after = _predict_mode(drive, q, (0, 0), Mode(ca.SX(1.0), belief), ca.DM.zeros(2)).belief.cov
     assert float(after[half, half]) == pytest.approx(variance + part * 1e-9, rel=1e-9, abs=1e-16)
 
 

@@ -24,7 +24,7 @@ from undeadzone.observers import Censored, Extended, Kalman
 from undeadzone.observers.filtering.augmented_state import even_units
 from undeadzone.plants.build import system
 from undeadzone.plants.options import OneLink, Plant, TwoLink
-from undeadzone.plants.system import System, sampled
+from undeadzone.plants.system import System, sample_plant
 from undeadzone.simulation.simulate import simulate
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
@@ -42,7 +42,7 @@ def zone(p: int = 1, Ts: float = TS, **options: Any) -> Zone:
 
 def arm(kind: Any = TwoLink, Ts: float = TS, **numbers: float) -> System:
     """A sampled arm with some friction."""
-    return sampled(system(Plant(arm=kind(), parameters={"b1": 0.5} | numbers)), Ts, 1)
+    return sample_plant(system(Plant(arm=kind(), parameters={"b1": 0.5} | numbers)), Ts, 1)
 
 
 class Watched(NamedTuple):
@@ -130,7 +130,7 @@ def test_on_a_linear_plant_it_is_kalman_and_with_silence_and_disturbance_censore
     seed: int, n: int, p: int, shaken: bool
 ) -> None:
     rng = np.random.default_rng(seed)
-    model, where = sampled(random_plant(rng, n, 1, p), 0.02), zone(p, 0.02, noise=0.02)
+    model, where = sample_plant(random_plant(rng, n, 1, p), 0.02), zone(p, 0.02, noise=0.02)
     common: dict[str, Any] = {"right": [0.3, 2.0], "x_std": 2.0, "drift": 0.1}
     if shaken:
         common |= {"disturbance": 3.0, "levels": 1 + 2 * (n % 2), "bias": 0.5 * (n % 2)}
@@ -217,7 +217,11 @@ def test_it_is_the_textbook_extended_filter(blind: bool, seed: int) -> None:
     `blind` takes every reading for z.
     """
     Ts = 0.02
-    model, where, rng = sampled(system(PENDULUMS), Ts, 1), zone(2, Ts), np.random.default_rng(seed)
+    model, where, rng = (
+        sample_plant(system(PENDULUMS), Ts, 1),
+        zone(2, Ts),
+        np.random.default_rng(seed),
+    )
     options = Extended(
         right=RANGE,
         left=[0.0, 0.1],
@@ -278,7 +282,11 @@ def test_joints_that_do_not_touch_are_the_same_separate_as_coupled() -> None:
         h=["a", "b"],
         parameters={"m": 2.0, "M": 0.5},
     )
-    model, where, rng = sampled(system(carts), 0.01, 1), zone(2, 0.01), np.random.default_rng(4)
+    model, where, rng = (
+        sample_plant(system(carts), 0.01, 1),
+        zone(2, 0.01),
+        np.random.default_rng(4),
+    )
     common: dict[str, Any] = {
         "right": RANGE,
         "x_std": 0.5,
@@ -424,7 +432,7 @@ def test_a_jump_sensor_of_velocities_bounds_its_widths() -> None:
     """
     flow = system(Plant(arm=TwoLink(measured="velocity"), parameters={"b1": 0.5}))
     model, widths, path = (
-        sampled(flow, TS, 1),
+        sample_plant(flow, TS, 1),
         np.array([[0.3, 0.5], [0.4, 0.6]]),
         sines(8.0, 0.5, [2.0, 4.0], TS),
     )
@@ -544,7 +552,7 @@ SEPARATE: dict[str, Any] = {"joints": "separate", "disturbance": 0.1}
         ),
         (
             {"uncertain": {"a": 1.0}},
-            sampled(random_plant(np.random.default_rng(0), 2), TS),
+            sample_plant(random_plant(np.random.default_rng(0), 2), TS),
             "deadzone",
             InputError,
             "none with a name",
@@ -579,14 +587,14 @@ SEPARATE: dict[str, Any] = {"joints": "separate", "disturbance": 0.1}
         ),
         (
             SEPARATE,
-            sampled(system(PENDULUMS), TS),
+            sample_plant(system(PENDULUMS), TS),
             "deadzone",
             InputError,
             "observer.joints: separate joints need",
         ),
         (
             SEPARATE,
-            sampled(random_plant(np.random.default_rng(0), 2), TS),
+            sample_plant(random_plant(np.random.default_rng(0), 2), TS),
             "deadzone",
             InputError,
             "observer.joints: separate joints need",

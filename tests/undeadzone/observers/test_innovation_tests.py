@@ -16,7 +16,7 @@ import undeadzone as uz
 from undeadzone.interfaces import CLAIMS, Estimate, Reading, claims_in_words, false_claims
 from undeadzone.observers.filtering.innovation_tests import (
     Scores,
-    rejected_assumptions,
+    rejection_levels,
     start_scores,
     update_scores,
     verdict,
@@ -86,7 +86,7 @@ def followed(regress: Callable[[Any], Any], count: int = 400) -> dict[str, list[
     found: dict[str, list[float]] = {}
     for lane in range(lanes):
         one = Scores(*[ca.SX(part[lane]) for part in kept])
-        for name, ratio in rejected_assumptions(doubt, one).items():
+        for name, ratio in rejection_levels(doubt, one).items():
             found.setdefault(name, []).append(float(ratio))
     return found
 
@@ -141,7 +141,7 @@ def test_readings_are_refused_in_rows_again_and_again(
     rng, told = np.random.default_rng(0), np.resize(refused, 650)
     for k, one in enumerate(told):
         state = step.call([*state, 9.0 if one else rng.normal(), float(one), y[k % 2]])
-    ratio = rejected_assumptions(doubt, Scores(*[ca.SX(part) for part in state]))["sensor"]
+    ratio = rejection_levels(doubt, Scores(*[ca.SX(part) for part in state]))["sensor"]
     assert (float(ratio) > 1) is found
 
 

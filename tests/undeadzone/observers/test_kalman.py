@@ -32,14 +32,14 @@ from undeadzone.observers.filtering.measured_kalman import State
 from undeadzone.observers.filtering.prior import Assumptions, build_prior, width_ranges
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
-from undeadzone.plants.system import System, sampled
+from undeadzone.plants.system import System, sample_plant
 from undeadzone.results.run import Run
 from undeadzone.simulation.simulate import simulate
 from undeadzone.util.arrays import Floats
 
 seeds = st.integers(0, 2**32 - 1)
 TS = 0.05
-MODEL = sampled(PAPER_PLANT, TS)
+MODEL = sample_plant(PAPER_PLANT, TS)
 OPTIONS = {"method": "kalman", "right": [0.5, 2.0], "left": [0.5, 2.0], "disturbance": 0.0}
 NOTHING = float("nan")
 UPPER = ca.Sparsity.upper(4)
@@ -129,7 +129,7 @@ def test_cut_matches_the_moments_of_the_truncated_belief(seed: int, R: float) ->
     P, mean = root @ root.T, rng.normal(size=3)
     moments = evaluate(
         lambda m, P: (
-            gaussian.cut(
+            gaussian.truncate_belief(
                 Gaussian(m, P), [gaussian.Bound(ca.SX(h[None, :]), excess, 1.0)], R, 1e3
             ).belief
         ),
@@ -230,7 +230,7 @@ def test_where_every_reading_is_active_it_is_the_textbook_filter(
     seed: int, n: int, m: int, p: int
 ) -> None:
     rng = np.random.default_rng(seed)
-    model = sampled(random_plant(rng, n, m, p), TS)
+    model = sample_plant(random_plant(rng, n, m, p), TS)
     options = Kalman(
         right=[0.5, 2.0],
         left=[0.2, 3.0],
@@ -268,7 +268,7 @@ def test_without_process_noise_it_is_batch_least_squares(seed: int, n: int) -> N
     It minimises |theta - theta_0|^2 / P_0 + sum |y - h theta|^2 / noise^2.
     """
     rng = np.random.default_rng(seed)
-    model = sampled(random_plant(rng, n), TS)
+    model = sample_plant(random_plant(rng, n), TS)
     A, B, C = model.linear
     options = Kalman(right=[0.5, 2.0], noise=0.1, x_std=2.0, disturbance=0.0, glitches=0.0)
     observer = options.build(model, zone())
@@ -413,7 +413,7 @@ def test_filters_on_the_dead_zone_itself_are_confident_and_wrong(build: Any, rea
 
 
 def test_of_a_chain_of_integrators_only_the_width_becomes_known() -> None:
-    model = sampled(system(Plant(integrators=2, x0=[2.0, 0.0])), TS)
+    model = sample_plant(system(Plant(integrators=2, x0=[2.0, 0.0])), TS)
     where = zone(right=1.3, left=0.6)
     observer = Kalman(right=[0.5, 2.0], x_std=3.0, disturbance=0.0).build(model, where)
     step, state, x = (

@@ -19,7 +19,7 @@ from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.nonlinearities import sensor
 from undeadzone.nonlinearities.sensor import Sensor, Zone, resolve
 from undeadzone.observers import Certified, Luenberger, Oracle
-from undeadzone.plants.system import System, sampled
+from undeadzone.plants.system import System, sample_plant
 from undeadzone.simulation.simulate import simulate
 from undeadzone.util.arrays import Floats
 from undeadzone_paper.observer import Printed
@@ -55,7 +55,7 @@ def test_errors_of_certified_are_exactly_linear_on_every_side(
     rng = np.random.default_rng(seed)
     Ts = 0.05 if in_samples else 1.0
     flow = random_plant(rng, n, 1, p)
-    model = sampled(flow, Ts) if in_samples else flow
+    model = sample_plant(flow, Ts) if in_samples else flow
     where = zone(p, right=rng.uniform(0.5, 2, p), left=rng.uniform(0.5, 2, p), slope=slope)
     gain, gamma = rng.normal(size=(n, p)), rng.uniform(0.1, 5, p)
     observer = Certified(L=gain, gamma=gamma, widths0=1.0).build(model, where)
@@ -102,7 +102,7 @@ def test_V_never_rises_in_sampled_time(seed: int, n: int, silence: bool, narrow:
     """
     rng = np.random.default_rng(seed)
     Ts = float(rng.uniform(0.01, 0.5))
-    model = sampled(random_plant(rng, n), Ts)
+    model = sample_plant(random_plant(rng, n), Ts)
     where = zone(1, right=rng.uniform(0.2, 1.5), left=rng.uniform(0.2, 1.5))
     gamma = float(rng.uniform(0.1, 0.9)) / Ts
     limit = 1.6 if narrow else 100.0
@@ -189,7 +189,7 @@ def test_silence_innovation_says_which_edge_is_violated() -> None:
 def test_a_missing_sample_leaves_a_pure_prediction(
     kind: str, in_samples: bool, silence: bool
 ) -> None:
-    model = sampled(PAPER_PLANT, 0.1) if in_samples else PAPER_PLANT
+    model = sample_plant(PAPER_PLANT, 0.1) if in_samples else PAPER_PLANT
     where = zone(1, kind=kind, right=0.1, left=0.1)
     for options in (
         Certified(L=L, gamma=4.0, silence=silence, widths0=0.1),
@@ -305,7 +305,7 @@ def test_a_list_of_gains_needs_one_output_and_a_default_needs_stability() -> Non
 
 @pytest.mark.parametrize("Ts", [None, 0.1])
 def test_luenberger_takes_the_reading_for_the_output(Ts: float | None) -> None:
-    model = PAPER_PLANT if Ts is None else sampled(PAPER_PLANT, Ts)
+    model = PAPER_PLANT if Ts is None else sample_plant(PAPER_PLANT, Ts)
     where = zone(1, slope=2.0)
     step = OnNumbers(Luenberger(L=L).build(model, where), model)
     after, estimate = step((np.array([0.5, -1.0]),), 3.0, 1.6, 1.0)
@@ -326,7 +326,7 @@ def test_luenbergers_error_decays_at_its_poles(Ts: float | None) -> None:
     """Without a dead zone: x~(t) = e^{(A - L C) t} x~(0), python-control's acker giving L."""
     import control
 
-    model = PAPER_PLANT if Ts is None else sampled(PAPER_PLANT, Ts)
+    model = PAPER_PLANT if Ts is None else sample_plant(PAPER_PLANT, Ts)
     poles = np.array([-4.0, -10.0]) if Ts is None else np.exp(np.array([-4.0, -10.0]) * Ts)
     gain = np.asarray(control.acker(model.linear.A.T, model.linear.C.T, poles)).reshape(1, 2).T
     step = OnNumbers(
@@ -381,7 +381,7 @@ def test_printed_is_the_papers_text_with_its_stand_ins(
 
 def test_printed_is_for_one_linear_output_in_continuous_time() -> None:
     for model in (
-        sampled(PAPER_PLANT, 0.1),
+        sample_plant(PAPER_PLANT, 0.1),
         linear(np.diag([-1.0, -2.0]), np.ones((2, 1)), np.eye(2)),
     ):
         with pytest.raises(InputError, match=r"observer.method: 'printed' is defined for"):

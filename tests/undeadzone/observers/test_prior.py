@@ -13,13 +13,13 @@ from undeadzone.nonlinearities.sensor import Sensor, resolve
 from undeadzone.observers.filtering.prior import Assumptions, build_prior
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
-from undeadzone.plants.system import sampled
+from undeadzone.plants.system import sample_plant
 from undeadzone.results.run import Run
 from undeadzone.simulation.simulate import simulate
 from undeadzone.synthesis.check import check
 
 MOTOR = {"A": [[0.0, 1.0], [0.0, -10.0]], "B": [[0.0], [50.0]], "C": [[1.0, 0.0]]}
-MODEL = sampled(system(Plant(**MOTOR, x0=[0.0, 0.0])), 0.01)
+MODEL = sample_plant(system(Plant(**MOTOR, x0=[0.0, 0.0])), 0.01)
 
 
 def motor(**observer: Any) -> Any:

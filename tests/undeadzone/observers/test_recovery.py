@@ -22,7 +22,7 @@ from undeadzone.numerics import gaussian
 from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.observers.filtering.measured_kalman import log_likelihood
 from undeadzone.observers.filtering.measurement_update import Corrected
-from undeadzone.plants.system import sampled
+from undeadzone.plants.system import sample_plant
 from undeadzone.simulation.simulate import simulate
 from undeadzone.util.arrays import Floats
 
@@ -39,7 +39,7 @@ FILTERS = {
 @cache
 def drive() -> tuple[Floats, Floats, Floats]:
     """(u, z, y) of the paper's plant for 12 s, |z| <= 5, its readings right."""
-    model, rng, x = sampled(PAPER_PLANT, TS).linear, np.random.default_rng(0), np.zeros(2)
+    model, rng, x = sample_plant(PAPER_PLANT, TS).linear, np.random.default_rng(0), np.zeros(2)
     rows = []
     for k in range(1200):
         u, z = 30 * math.cos(math.pi * k * TS), float((model.C @ x)[0])
@@ -262,7 +262,7 @@ def test_a_silence_that_nothing_explains_is_fake(alpha: float) -> None:
     """Beyond what a thousandth explains, the belief stays."""
     belief = Gaussian(ca.SX(-alpha), ca.SX(1.0))
     bound = gaussian.Bound(ca.SX(1.0), ca.SX(-alpha), 1.0)
-    known = gaussian.cut(belief, [bound], 0.0, 1.6, np.log(1e-3))
+    known = gaussian.truncate_belief(belief, [bound], 0.0, 1.6, np.log(1e-3))
     mean, cov, trust = numbers(*known.belief, known.trust)
     chance = norm.cdf(alpha)
     beta = chance / (chance + 1e-3)

@@ -20,7 +20,7 @@ from undeadzone.cli import group
 from undeadzone.interfaces import graph_of
 from undeadzone.numerics.adjoint import Later, back
 from undeadzone.simulation.estimate import smooth
-from undeadzone.simulation.online import built_for
+from undeadzone.simulation.online import build_observer
 from undeadzone.util.arrays import Floats
 
 CLAIMS = {"right": [0.0, 2.0], "disturbance": 0.0, "drift": 0.0, "glitches": 0.0}
@@ -93,7 +93,7 @@ def test_where_all_is_linear_and_sure_both_filters_smooth_alike() -> None:
         if isinstance(options, uz.Extended):
             options = msgspec.structs.replace(options, silence=False)
         parts = (options, scenario().plant, scenario().sensor, 0.01, 10)
-        model, zone, observer = built_for(*parts)
+        model, zone, observer = build_observer(*parts)
         found.append(smooth(model, graph_of(observer), zone, run.y, run.u))
     for other in found[1:]:
         for name, one in found[0].items():

@@ -25,7 +25,7 @@ from undeadzone.compile import interpret
 from undeadzone.ensemble.batch import prepare
 from undeadzone.ensemble.run_ensemble import replay
 from undeadzone.errors import FileError, InputError, ShapeError, StepError, TrackingError
-from undeadzone.nonlinearities.sensor import quantised, side
+from undeadzone.nonlinearities.sensor import quantise, side
 from undeadzone.plants.build import system
 from undeadzone.plants.options import URDF, OneLink, Plant, TwoLink
 from undeadzone.plants.robots.arm import evaluate_rows, torque
@@ -216,7 +216,7 @@ def test_steep_friction_asks_for_shorter_steps() -> None:
             simulation=SAMPLED | {"duration": 0.4, "substeps": enough},
         )
     )
-    assert run.diverged_at is None
+    assert run.divergence_time is None
     assert run.rms_tip is not None
     assert run.rms_tip < 1e-3
 
@@ -297,7 +297,7 @@ def test_quantised_readings_are_multiples_whose_side_and_noise_count_the_quantum
 
 def test_rounding_is_to_the_nearest_and_none_without_a_quantum() -> None:
     np.testing.assert_allclose(
-        quantised(np.array([0.24, 0.26, -0.26, 0.3]), np.array([0.5, 0.5, 0.5, 0.0])),
+        quantise(np.array([0.24, 0.26, -0.26, 0.3]), np.array([0.5, 0.5, 0.5, 0.0])),
         [0.0, 0.5, -0.5, 0.3],
     )
 
@@ -480,7 +480,7 @@ def test_what_a_title_says_cannot_leave_the_script(both: tuple[Run, Run]) -> Non
     nasty = dataclasses.replace(
         both[0], info=msgspec.structs.replace(both[0].info, label="</script><b>")
     )
-    found = Auditor(animation.animated(nasty).text)
+    found = Auditor(animation.animation_canvas(nasty).text)
     assert found.tags.count("script") == 1
     assert "b" not in found.tags
 

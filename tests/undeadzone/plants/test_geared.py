@@ -16,7 +16,7 @@ from undeadzone.errors import InputError
 from undeadzone.numerics.runge_kutta import rk4_change
 from undeadzone.plants.robots.arm import arm
 from undeadzone.plants.robots.build import one_link, two_link
-from undeadzone.plants.robots.geared import Geared, Gears, geared_motion
+from undeadzone.plants.robots.geared import Geared, Gears, motion_of_geared_arm
 from undeadzone.scenario.reader import convert
 from undeadzone.util.arrays import Floats
 
@@ -51,7 +51,7 @@ MJCF = """
 
 
 def geared(**changes: Any) -> Geared:
-    return geared_motion(two_link(), Gears(**GEARS, viscous=[0.4, 0.2]), changes=changes)
+    return motion_of_geared_arm(two_link(), Gears(**GEARS, viscous=[0.4, 0.2]), changes=changes)
 
 
 def stepper(plant: Geared, h: float) -> ca.Function:
@@ -136,7 +136,7 @@ def test_across_the_gap_links_move_as_in_mujoco() -> None:
 def test_without_gap_and_with_stiff_contact_it_is_the_rigid_arm() -> None:
     """One link whose inertia has grown by the motor's."""
     h, u = 1e-4, 3 * np.sin(np.arange(6000) * 1e-3)[:, None]
-    stiff = geared_motion(one_link(), Gears(half=0.0, inertia=0.05, contact=2000.0))
+    stiff = motion_of_geared_arm(one_link(), Gears(half=0.0, inertia=0.05, contact=2000.0))
     x = along(stiff, np.zeros(4), u, h)
     body = arm(one_link()._replace(parameters=one_link().parameters | {"I": 0.025 + 0.05}))
     y, s = ca.SX.sym("y", 2), ca.SX.sym("s")
@@ -150,7 +150,7 @@ def test_without_gap_and_with_stiff_contact_it_is_the_rigid_arm() -> None:
 
 @pytest.mark.parametrize("damping", [0.0, 0.7])
 def test_energy_does_not_grow_without_friction_and_torque(damping: float) -> None:
-    plant = geared_motion(one_link(), Gears(half=0.04, inertia=0.05, damping=damping))
+    plant = motion_of_geared_arm(one_link(), Gears(half=0.04, inertia=0.05, damping=damping))
     x = along(plant, np.array([0.3, 0.3, 0.0, 0.0]), np.zeros((40_000, 1)), 5e-5)
     numbers = dict(zip(plant.names, plant.values, strict=True))
     K = plant.stiffness[0] * numbers["contact1"] ** 2

@@ -28,7 +28,7 @@ from undeadzone.plants.system import (
     fastest_pole,
     moving_poles,
     rates_of_motion,
-    sampled,
+    sample_plant,
     time_scale,
 )
 from undeadzone.simulation.simulate import simulate
@@ -194,13 +194,14 @@ def test_sampled_nonlinear_plant_has_order_four_in_its_substeps() -> None:
     ).y[:, -1]
     counts = np.array([8, 16, 32, 64])
     errors = [
-        np.abs(move(sampled(plant, Ts, int(count)), start, u) - exact).max() for count in counts
+        np.abs(move(sample_plant(plant, Ts, int(count)), start, u) - exact).max()
+        for count in counts
     ]
     assert slopes(1.0 / counts, errors) == pytest.approx(4.0, abs=0.3)
 
 
 def test_sampled_linear_plant_is_the_exact_hold() -> None:
-    found = sampled(PAPER_PLANT, 0.2)
+    found = sample_plant(PAPER_PLANT, 0.2)
     Ad, Bd, _ = zoh(PAPER_PLANT.linear, 0.2)
     assert move(found, [1.0, 2.0], 3.0) == pytest.approx(Ad @ [1, 2] + 3 * Bd[:, 0], abs=1e-15)
     assert found.Ts == 0.2
@@ -340,7 +341,7 @@ def test_integrators_are_no_moving_poles() -> None:
     assert sorted(moving_poles(plant)) == pytest.approx([2.0, 8.0])
     assert fastest_pole(plant) == pytest.approx(8.0)
     assert time_scale(plant.linear) == pytest.approx(np.pi / 2 / 4.0)
-    slow = sampled(plant, 0.1)
+    slow = sample_plant(plant, 0.1)
     assert moving_poles(slow) == pytest.approx(moving_poles(plant))
 
 

@@ -469,4 +469,7 @@ def test_what_else_is_refused() -> None:
 
 
 def test_changed_parameters_are_those_of_the_chain_alone() -> None:
-    assert build.changed({"m": 1.0, "l": 2.0}, {"l": 3.0, "b1": 4.0}) == {"m": 1.0, "l": 3.0}
+    assert build.change_parameters({"m": 1.0, "l": 2.0}, {"l": 3.0, "b1": 4.0}) == {
+        "m": 1.0,
+        "l": 3.0,
+    }

@@ -16,7 +16,7 @@ import pytest
 
 from scenes import scene
 from undeadzone.errors import FileError, InputError
-from undeadzone.results.files import untimed
+from undeadzone.results.files import without_times
 from undeadzone.results.run import Run
 from undeadzone.results.signals import RUN
 from undeadzone.simulation.simulate import simulate
@@ -47,7 +47,7 @@ def same(one: Run, other: Run) -> bool:
         (a is None and b is None) or (a.dtype == b.dtype and np.array_equal(a, b, equal_nan=True))
         for a, b in ((getattr(one, n), getattr(other, n)) for n in RUN.names)
     )
-    return arrays and untimed(one.info) == untimed(other.info)
+    return arrays and without_times(one.info) == without_times(other.info)
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".csv"])
@@ -148,9 +148,9 @@ def test_measures_of_a_run_by_hand(run: Run) -> None:
     assert by_hand.largest_rise_of_V == pytest.approx(0.5 / 3)
     assert by_hand.widths.tolist() == [[0, 2]]
     assert by_hand.silent_fraction == 1.0
-    assert by_hand.diverged_at is None
-    assert replace(by_hand, u=np.where(t[:, None] > 2.2, 1e13, 0)).diverged_at == 2.5
-    assert replace(by_hand, x=np.where(t[:, None] > 1.2, np.nan, 0)).diverged_at == 1.5
+    assert by_hand.divergence_time is None
+    assert replace(by_hand, u=np.where(t[:, None] > 2.2, 1e13, 0)).divergence_time == 2.5
+    assert replace(by_hand, x=np.where(t[:, None] > 1.2, np.nan, 0)).divergence_time == 1.5
 
 
 def test_saving_creates_folders_and_replaces_files(run: Run, tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from undeadzone.observers import Auto, Certified, Kalman
 from undeadzone.observers.adaptive.gain import default_adaptation, default_gain
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
-from undeadzone.plants.system import System, sampled
+from undeadzone.plants.system import System, sample_plant
 from undeadzone.results.feedback import describe_feedback, is_open_loop
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert, read_for_logs
@@ -45,7 +45,7 @@ def test_default_gains_are_those_of_the_plant_in_any_unit_of_time(unit: float) -
 
 @pytest.mark.parametrize("Ts", [None, 1e-3, 0.1, 0.5])
 def test_default_gains_are_certified_and_strong(Ts: float | None) -> None:
-    model = plant(1.0) if Ts is None else sampled(plant(1.0), Ts)
+    model = plant(1.0) if Ts is None else sample_plant(plant(1.0), Ts)
     L, gamma = default_gain(model), np.array([default_adaptation(model)])
     assert certify(model.linear, L, gamma, Ts).certified
     at_rest = -plant(1.0).linear.C @ np.linalg.solve(plant(1.0).linear.A, L)

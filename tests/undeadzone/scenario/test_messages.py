@@ -11,7 +11,7 @@ import pytest
 
 import undeadzone as uz
 from undeadzone.cli import group
-from undeadzone.cli.ending import ended
+from undeadzone.cli.ending import run_to_exit_code
 from undeadzone.errors import InputError
 from undeadzone.scenario.reader import parse, read, read_for_logs
 
@@ -125,7 +125,7 @@ def test_a_mistake_on_the_command_line_names_its_cure(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.toml").write_text(TEMPLATE)
     (tmp_path / "log.csv").write_text("t,u,y\n0,1,2\n0.01,1,2\n")
-    code = ended(lambda: group.main(words, standalone_mode=False))
+    code = run_to_exit_code(lambda: group.main(words, standalone_mode=False))
     assert code == 2
     assert told in capsys.readouterr().err
 

@@ -306,16 +306,18 @@ def test_coloured_lanes_have_the_same_bits(cuts: list[int]) -> None:
         first += count
     found = np.concatenate(parts)
     for j, run in enumerate(RUNS):
-        assert np.array_equal(found[:, :, j], noise.coloured(3, 1000, np.ones(2), 0.2, 0.01, run))
+        assert np.array_equal(
+            found[:, :, j], noise.coloured_noise(3, 1000, np.ones(2), 0.2, 0.01, run)
+        )
 
 
 def test_coloured_noise_has_its_rms_and_correlation_time() -> None:
     step, correlation = 0.01, 0.2
-    found = noise.coloured(3, 200_000, np.array([2.0, 0.5]), correlation, step)
+    found = noise.coloured_noise(3, 200_000, np.array([2.0, 0.5]), correlation, step)
     assert found.std(axis=0) == pytest.approx([2.0, 0.5], rel=0.05)
     lag = round(correlation / step)
     assert np.corrcoef(found[:-lag, 0], found[lag:, 0])[0, 1] == pytest.approx(np.exp(-1), abs=0.04)
-    starts = [noise.coloured(seed, 1, np.ones(1), correlation, step) for seed in range(2000)]
+    starts = [noise.coloured_noise(seed, 1, np.ones(1), correlation, step) for seed in range(2000)]
     assert np.std(starts) == pytest.approx(1.0, abs=0.08)
     white = noise.gaussian(3, noise.DISTURBANCE, 200_000, 2) * [2.0, 0.5]
     memory = np.exp(-step / correlation)

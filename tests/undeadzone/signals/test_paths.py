@@ -18,7 +18,13 @@ from tests.scenes import linear
 
 from undeadzone.errors import InputError, ShapeError, TrackingError
 from undeadzone.feedforward import joint_path as kinematics
-from undeadzone.feedforward.joint_path import equations_of, mapped, nearest, singular, solved
+from undeadzone.feedforward.joint_path import (
+    equations_of,
+    evaluate_at_inputs,
+    nearest,
+    singular,
+    solve_jacobians,
+)
 from undeadzone.feedforward.targets import linear_targets
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.plants.robots import build
@@ -614,10 +620,10 @@ def test_mapped_functions_are_those_of_each_row() -> None:
     q = ca.SX.sym("q", 2)
     function = ca.Function("f", [q], [ca.sin(q), ca.diag(q)])
     rows = np.random.default_rng(0).normal(size=(5, 2))
-    sines, diagonals = mapped(function, rows)
+    sines, diagonals = evaluate_at_inputs(function, rows)
     assert sines[:, :, 0] == pytest.approx(np.sin(rows))
     assert diagonals == pytest.approx(np.array([np.diag(row) for row in rows]))
-    (one,) = mapped(ca.Function("g", [q], [ca.sin(q)]), rows)
+    (one,) = evaluate_at_inputs(ca.Function("g", [q], [ca.sin(q)]), rows)
     assert one == pytest.approx(sines)
 
 
@@ -625,7 +631,9 @@ def test_solved_and_singular_jacobians() -> None:
     J = np.array([np.eye(2), np.diag([1.0, 1e-5]), np.diag([1.0, -2.0])])
     assert singular(J).tolist() == [False, True, True]
     goals = np.array([[1.0, 2.0], [3.0, 4e-5], [5.0, 6.0]])
-    assert solved(J, goals) == pytest.approx(np.array([[1.0, 2.0], [3.0, 4.0], [5.0, -3.0]]))
+    assert solve_jacobians(J, goals) == pytest.approx(
+        np.array([[1.0, 2.0], [3.0, 4.0], [5.0, -3.0]])
+    )
 
 
 def test_the_equations_of_an_arm_hold_where_it_starts() -> None:

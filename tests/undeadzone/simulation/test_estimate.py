@@ -18,7 +18,7 @@ from undeadzone.scenario.reader import read_for_logs
 from undeadzone.simulation.consistency import Consistency
 from undeadzone.simulation.estimate import smooth
 from undeadzone.simulation.log_diagnosis import what_would_fit
-from undeadzone.simulation.online import built_for
+from undeadzone.simulation.online import build_observer
 from undeadzone.util.arrays import Floats
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
@@ -187,7 +187,7 @@ def batch(run: uz.Run, model: object, N: int, variance: float) -> np.ndarray:
 @pytest.mark.parametrize("disturbance", [0.01, 0.5])
 def test_smoothing_is_the_least_squares_of_the_whole_log(run: uz.Run, disturbance: float) -> None:
     options = msgspec.structs.replace(KALMAN, disturbance=disturbance, x_std=10.0, glitches=0.0)
-    model, zone, observer = built_for(options, PLANT, SENSOR, 0.01, 10)
+    model, zone, observer = build_observer(options, PLANT, SENSOR, 0.01, 10)
     N = 250
     smoothed = smooth(model, graph_of(observer), zone, run.y[:N], run.u[:N])
     expected = batch(run, model, N, disturbance**2)

@@ -18,7 +18,7 @@ from scenes import scene, slopes
 from undeadzone.numerics.dense_output import Crossing
 from undeadzone.results.run import Run
 from undeadzone.signals import noise
-from undeadzone.simulation.close import Mode, entered, exogenous_at
+from undeadzone.simulation.close import Mode, branch_after_crossing, exogenous_at
 from undeadzone.simulation.simulate import simulate
 from undeadzone.util.arrays import Floats
 
@@ -424,7 +424,9 @@ def test_exogenous_inputs_run_through_their_three_instants() -> None:
 def test_motion_decides_the_zone_on_an_edge(edge: float, rising: int, zone: float) -> None:
     crossing = Crossing(ca.DM(1), ca.DM(1), ca.DM(1), ca.DM(rising))
     before = Mode(ca.DM(9), ca.DM(9))
-    after = entered(before, crossing, ca.DM(edge), ca.DM(1.0), ca.DM(0.5))
+    after = branch_after_crossing(before, crossing, ca.DM(edge), ca.DM(1.0), ca.DM(0.5))
     assert (float(after.zone), float(after.side)) == (zone, 1.0)
-    kept = entered(before, crossing._replace(changed=ca.DM(0)), ca.DM(edge), ca.DM(1), ca.DM(1))
+    kept = branch_after_crossing(
+        before, crossing._replace(changed=ca.DM(0)), ca.DM(edge), ca.DM(1), ca.DM(1)
+    )
     assert (float(kept.zone), float(kept.side)) == (9.0, 9.0)

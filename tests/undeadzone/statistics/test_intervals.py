@@ -27,11 +27,11 @@ from undeadzone.statistics.intervals import (
 from undeadzone.statistics.sensitivity import (
     chance,
     first_order,
-    given,
     indices,
     mean_ranks,
     rank_correlations,
     saltelli,
+    sensitivities_of_runs,
 )
 from undeadzone.util.arrays import Floats
 
@@ -153,7 +153,7 @@ def design(n: int, d: int, seed: int) -> Floats:
 @pytest.mark.parametrize("n", [500, 20_000])
 def test_ishigami_from_given_data(n: int) -> None:
     X = np.random.default_rng(4).uniform(-np.pi, np.pi, (n, 3))
-    entries = given(X, ishigami(X))
+    entries = sensitivities_of_runs(X, ishigami(X))
     for one, truth in zip(entries, FIRST, strict=True):
         assert covers(one.first_order, truth)
         assert one.first_order.high - one.first_order.low < 6 / np.sqrt(n)
@@ -195,7 +195,7 @@ def linear(n: int, weights: Floats, seed: int) -> tuple[Floats, Floats]:
 def test_linear_gaussian_closed_forms() -> None:
     """Variance share w^2; Spearman's correlation (6/pi) asin(w/2)."""
     weights = np.array([0.9, -0.3, 0.0])
-    trials = [given(*linear(400, weights, seed)) for seed in range(100)]
+    trials = [sensitivities_of_runs(*linear(400, weights, seed)) for seed in range(100)]
     slack = 3.5 * np.sqrt(LEVEL * (1 - LEVEL) / 100)
     for i, w in enumerate(weights):
         rank = 6 / np.pi * np.arcsin(w / 2)
@@ -246,13 +246,13 @@ def test_numbers_that_are_alike_share_their_ranks() -> None:
 
 def test_nothing_is_said_where_nothing_can_be() -> None:
     X = np.random.default_rng(9).random((100, 2))
-    assert given(X[:30], X[:30, 0]) == []
-    assert given(X, np.ones(100)) == []
+    assert sensitivities_of_runs(X[:30], X[:30, 0]) == []
+    assert sensitivities_of_runs(X, np.ones(100)) == []
     assert saltelli(X[:30].T.repeat(2, axis=0)) == []
     X[:, 1] = 3.0
-    idle = given(X, X[:, 0])[1]
+    idle = sensitivities_of_runs(X, X[:, 0])[1]
     assert idle.spearman.value == idle.partial.value == idle.first_order.value == 0
-    assert given(X, X[:, 0])[0].spearman[:3] == (1.0, 1.0, 1.0)
+    assert sensitivities_of_runs(X, X[:, 0])[0].spearman[:3] == (1.0, 1.0, 1.0)
 
 
 def test_chance_grows_as_runs_get_fewer() -> None:

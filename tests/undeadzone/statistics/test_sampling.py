@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from undeadzone.errors import InputError
-from undeadzone.statistics.sampling import BITS, ROUNDS, _feistel, permuted, points
+from undeadzone.statistics.sampling import BITS, ROUNDS, _feistel, permute, points
 from undeadzone.util.arrays import Floats
 
 DESIGNS = ["random", "latin_hypercube", "sobol", "saltelli"]
@@ -69,7 +69,7 @@ def test_a_latin_hypercube_has_one_run_in_each_interval_of_each_column(
 @given(size=st.integers(1, 5000), seed=st.integers(0, 2**32 - 1))
 def test_permutations_take_each_place_once(size: int, seed: int) -> None:
     keys = np.random.default_rng(seed).integers(0, 2**64, ROUNDS, dtype=np.uint64)
-    places = permuted(np.arange(size, dtype=np.uint64), size, keys)
+    places = permute(np.arange(size, dtype=np.uint64), size, keys)
     assert np.array_equal(np.sort(places), np.arange(size))
 
 
@@ -83,7 +83,7 @@ def test_rounds_of_the_cipher_permute_the_numbers_of_their_bits() -> None:
 def test_all_permutations_come_up_about_equally_often() -> None:
     rng = np.random.default_rng(0)
     keys = rng.integers(0, 2**64, (3000, ROUNDS), dtype=np.uint64)
-    permutations = [permuted(np.arange(3, dtype=np.uint64), 3, key) for key in keys]
+    permutations = [permute(np.arange(3, dtype=np.uint64), 3, key) for key in keys]
     counts = np.bincount(np.array(permutations).astype(int) @ [9, 3, 1], minlength=27)
     assert np.count_nonzero(counts) == 6
     assert stats.chisquare(counts[counts > 0]).pvalue > 1e-3

@@ -24,14 +24,19 @@ from undeadzone.errors import (
     UndeadzoneError,
 )
 from undeadzone.feedforward.targets import linear_targets
-from undeadzone.numerics.optimise import evolve, pareto, undominated
+from undeadzone.numerics.optimise import evolve, find_undominated, pareto
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
 from undeadzone.simulation.simulate import simulate
 from undeadzone.synthesis.check import check
 from undeadzone.synthesis.design import design, rounds
 from undeadzone.synthesis.gain_search import Weights
-from undeadzone.synthesis.task import candidate_of, certified, make_task, watched
+from undeadzone.synthesis.task import (
+    candidate_of,
+    make_task,
+    shrink_to_certified,
+    watch_frequencies,
+)
 from undeadzone.util.arrays import Floats
 
 SAMPLED = {"time": "sampled", "step": 1e-2}
@@ -82,7 +87,7 @@ def test_pareto_finds_a_front_that_is_known() -> None:
         costs, np.full(3, -3.0), np.full(3, 3.0), seed=0, starts=np.zeros((1, 3)), divisions=40
     )
     assert len(points) >= 30
-    assert undominated(found).all()
+    assert find_undominated(found).all()
     assert (points[:, 0] < 0.9).all()
     assert np.sqrt(found).sum(axis=1) == pytest.approx(2 * np.sqrt(3), rel=5e-3)
     assert [points[:, 1].min(), points[:, 1].max()] == pytest.approx([-1.0, 1.0], abs=0.1)
@@ -191,12 +196,12 @@ def test_shrunk_gains_meet_the_margin_and_no_more(changes: dict[str, Any]) -> No
         np.ones((10, task.p)),
     )
     for _ in range(3):
-        shrunk = certified(task, L, gamma, W)
+        shrunk = shrink_to_certified(task, L, gamma, W)
         proofs = [
             certify(problem.model.linear, task.units[:, None] * one, speed, problem.model.Ts)
             for one, speed in zip(shrunk, gamma, strict=True)
         ]
-        task = watched(
+        task = watch_frequencies(
             task, np.array([proof.frequency for proof in proofs if proof.frequency is not None])
         )
     for before, after, proof in zip(L, shrunk, proofs, strict=True):
@@ -250,7 +255,7 @@ def test_gains_near_the_present_ones_that_beat_them_are_found(
 def test_every_point_of_the_front_is_certified_and_undominated(knee: Design) -> None:
     costs = np.array([[-point.rate, point.disturbance, point.noise] for point in knee.front])
     assert len(costs) > 20
-    assert undominated(costs).all()
+    assert find_undominated(costs).all()
     assert (np.diff(costs[:, 0]) >= 0).all()
     assert max(point.rate for point in knee.front) > 1.45
     for point in knee.front:

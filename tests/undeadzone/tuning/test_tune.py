@@ -39,7 +39,7 @@ from undeadzone.tuning.tune import (
     FORBIDDEN,
     REACH,
     Evaluation,
-    _penalised,
+    _penalise_margin,
     gradient,
     sweep,
     tune,
@@ -72,7 +72,7 @@ def freely() -> Tuned:
 
 
 def of(what: Tune, scenario: Scenario, names: list[str], probes: Any) -> Objective:
-    return Objective(what, names, [scenario], [Frame()]).prepared(np.array(probes, float), 0)
+    return Objective(what, names, [scenario], [Frame()]).prepare_runs(np.array(probes, float), 0)
 
 
 def test_numbers_of_the_options_by_address() -> None:
@@ -233,7 +233,7 @@ def test_the_gradient_stays_in_the_box_and_off_what_is_refused() -> None:
 
 def test_without_certificate_a_candidate_costs_the_more_the_more_it_lacks() -> None:
     margin = np.array([0.3, 0.1, 0.0, -np.inf, np.inf])
-    cost = _penalised(Evaluation(np.arange(5.0), margin), 0.2)
+    cost = _penalise_margin(Evaluation(np.arange(5.0), margin), 0.2)
     assert cost[0] == 0.0
     assert cost[4] == 4.0
     assert FORBIDDEN < cost[1] < cost[2] < cost[3] < np.inf

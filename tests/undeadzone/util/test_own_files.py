@@ -12,7 +12,7 @@ import pytest
 
 from commands import undeadzone
 from undeadzone.errors import FileError
-from undeadzone.util.own_files import marked, require_own, write_own
+from undeadzone.util.own_files import mark_toml, require_own, write_own
 from undeadzone_export.targets import MANIFEST, manifest, write_folder
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
@@ -34,7 +34,7 @@ def test_a_text_is_own_until_someone_edits_it(tmp_path: Path) -> None:
         assert path.read_text() == edited
     write_own("d = 4\n", path, force=True)
     require_own(path)
-    assert path.read_text() == marked("d = 4\n")
+    assert path.read_text() == mark_toml("d = 4\n")
 
 
 def test_a_link_is_someone_elses(tmp_path: Path) -> None:

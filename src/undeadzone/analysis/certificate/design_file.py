@@ -15,14 +15,14 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from undeadzone.analysis.certificate.passivity import certify, recheck, stated_margin
+from undeadzone.analysis.certificate.passivity import certify, recheck, state_margin
 from undeadzone.analysis.error_dynamics import dynamics
 from undeadzone.errors import FileError, InputError, ProofError, ShapeError
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.util import shown, toml
 from undeadzone.util.arrays import Floats, matrix, vector
 from undeadzone.util.files import read_text, reason, write_text
-from undeadzone.util.own_files import marked
+from undeadzone.util.own_files import mark_toml
 
 Matrix = list[list[float]]
 
@@ -169,7 +169,7 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         Raises:
             FileError: if it cannot be written.
         """
-        return write_text(marked(toml.dumps(self)), path)
+        return write_text(mark_toml(toml.dumps(self)), path)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Design:
@@ -198,10 +198,10 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             raise FileError(
                 f"{path}: not a design saved by undeadzone; write it with undeadzone design"
             ) from None
-        return _recomputed(design, str(path))
+        return _recompute_design(design, str(path))
 
 
-def _recomputed(design: Design, path: str) -> Design:
+def _recompute_design(design: Design, path: str) -> Design:
     """Return a design as read, with everything recomputed that its file allows, and the rest named.
 
     Raises:
@@ -213,7 +213,7 @@ def _recomputed(design: Design, path: str) -> Design:
     design.require_proof(design.model, design.Ts, path)
     n, p = len(design.A), len(design.C)
     errors = dynamics(design.model, design.L, design.gamma, design.Ts)
-    margin, frequency = stated_margin(errors, vector("W", design.W, p))
+    margin, frequency = state_margin(errors, vector("W", design.W, p))
     if not abs(design.margin - margin) <= TOLERANCE * max(1.0, abs(margin)):
         raise ProofError(
             f"{path}: margin: the file says {design.margin:.6g}, its gains have {margin:.6g}; "

@@ -86,7 +86,7 @@ def output_rows(errors: Dynamics, scaling: Scaling, output: Floats | None) -> Fl
     return z * scaling.state
 
 
-def driven(
+def driven_inequality(
     errors: Dynamics,
     weights: Floats,
     mu: Floats,
@@ -110,7 +110,7 @@ def driven(
     state = np.hstack([none, *(channel.state for channel in signals)])
     reading = np.hstack([np.zeros((W.size, 0)), *(channel.reading for channel in signals)])
     terms = [(0, 0, z.T @ z), (1, 2, W[:, None] * reading), (2, 2, -np.diag(np.repeat(mu, counts)))]
-    return errors.extended(W, state, terms, decay)
+    return errors.extend_inequality(W, state, terms, decay)
 
 
 def original_storage(errors: Dynamics, scaling: Scaling, solution: Solution) -> Storage:
@@ -330,7 +330,7 @@ def _level(
     nothing = np.zeros((0, z.shape[1]))
 
     def family(q: Floats) -> Inequality:
-        return driven(scaled, q[:groups], q[groups:], signals, nothing, rate)
+        return driven_inequality(scaled, q[:groups], q[groups:], signals, nothing, rate)
 
     def confine(P: Floats, q: Floats) -> list[Floats]:
         return [np.block([[P, z.T], [z, np.eye(len(z))]])]

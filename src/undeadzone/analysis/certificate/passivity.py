@@ -131,7 +131,7 @@ def recheck(errors: Dynamics, P: Floats, W: Floats) -> Check:
     return proof._replace(proved=bool(proof.proved and one_weight and (W > 0).all()))
 
 
-def stated_margin(errors: Dynamics, W: Floats) -> tuple[float, float]:
+def state_margin(errors: Dynamics, W: Floats) -> tuple[float, float]:
     """Return `margin` of dynamics that are not balanced yet, as `certify_dynamics` says it.
 
     Args:

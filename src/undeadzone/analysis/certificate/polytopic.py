@@ -59,7 +59,7 @@ def certify_on(
     Raises:
         InputError: for a model that is not smooth on the box.
     """
-    return _certified(model, L, gamma, box, slopes_on(model, box), parts)
+    return _certify_model(model, L, gamma, box, slopes_on(model, box), parts)
 
 
 def design_on(model: System, gamma: Floats, box: Box) -> Certificate:
@@ -82,7 +82,7 @@ def design_on(model: System, gamma: Floats, box: Box) -> Certificate:
             "`certify_on` then judges its gains in sampled time"
         )
     slopes = slopes_on(model, box)
-    no_gain = _certified(model, np.zeros((model.n, model.p)), gamma, box, slopes, PARTS)
+    no_gain = _certify_model(model, np.zeros((model.n, model.p)), gamma, box, slopes, PARTS)
     if not no_gain.certified:
         raise StructureError(f"no gains can be certified on the region: {no_gain.reason}")
     P = _common_storage(no_gain.dynamics.A)
@@ -91,7 +91,7 @@ def design_on(model: System, gamma: Floats, box: Box) -> Certificate:
             "no gains were found on the region: the Jacobians are too far apart for the solver"
         )
     L = np.linalg.solve(P, model.linear.C.T)
-    return _certified(model, L, gamma, box, slopes, PARTS)
+    return _certify_model(model, L, gamma, box, slopes, PARTS)
 
 
 def _common_storage(vertices: tuple[Floats, ...]) -> Floats | None:
@@ -110,7 +110,7 @@ def _common_storage(vertices: tuple[Floats, ...]) -> Floats | None:
     return None if entries is None else symmetric(entries, n)
 
 
-def _certified(
+def _certify_model(
     model: System, L: Floats, gamma: Floats, box: Box, slopes: Slopes, parts: int
 ) -> Certificate:
     """Return `certify_on` with the model's Jacobian: vertices are added until V misses none."""
@@ -122,7 +122,7 @@ def _certified(
         certificate = certify_dynamics(errors)
         if not certificate.certified:
             return certificate._replace(reason=_why(certificate, points, model.n))
-        beyond = missed(certificate, slopes, box, parts)
+        beyond = find_missed_points(certificate, slopes, box, parts)
         if not beyond.size:
             return certificate
         points = np.vstack([points, beyond])
@@ -291,7 +291,7 @@ def _doubt(
     return middle[:, 0], loose[:, 0], turns * reach, doubt * reach
 
 
-def missed(certificate: Certificate, slopes: Slopes, box: Box, parts: int) -> Floats:
+def find_missed_points(certificate: Certificate, slopes: Slopes, box: Box, parts: int) -> Floats:
     """Return points of a box whose Jacobians the certificate's V misses or nearly does.
 
     Args:
@@ -324,12 +324,12 @@ def missed(certificate: Certificate, slopes: Slopes, box: Box, parts: int) -> Fl
         if short.any():
             return centre[short][np.argsort(depth[short])[:WORST]]
         effect = (np.abs(turns) + doubt)[open_] @ weight
-        low, high = halved(low, centre, high, effect, box)
+        low, high = halve_boxes(low, centre, high, effect, box)
         low, high = np.vstack([later_low, low]), np.vstack([later_high, high])
     return np.full((int(low.size > 0), box.low.size), np.nan)
 
 
-def halved(
+def halve_boxes(
     low: Floats, centre: Floats, high: Floats, effect: Floats, box: Box
 ) -> tuple[Floats, Floats]:
     """Return (low, high) of both halves of each part, cut across the side of most effect on M.
@@ -405,14 +405,14 @@ def slopes_on(model: System, box: Box) -> Slopes:
         try:
             enclosure(everything)(whole)  # raises where the model is not smooth
             bends = ca.densify(ca.jacobian(some, w))
-            return _bounded(function(some), numbers), _bounded(function(bends), numbers)
+            return _bound_entries(function(some), numbers), _bound_entries(function(bends), numbers)
         except InputError as error:
             raise InputError(f"region: the model cannot be certified on it: {error}") from None
 
     return Slopes(at, (rows, columns), bounds)
 
 
-def _bounded(function: ca.Function, numbers: Floats) -> Bounds:
+def _bound_entries(function: ca.Function, numbers: Floats) -> Bounds:
     """Bounds on a function of (p, [x, u]) over boxes of [x, u], one box a row.
 
     numbers: values of p, as a column. A value (r x c) comes back as (c x r) for each box.

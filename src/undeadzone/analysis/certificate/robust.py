@@ -17,7 +17,7 @@ from undeadzone.analysis import error_dynamics
 from undeadzone.analysis.certificate.driven import (
     Channel,
     channels,
-    driven,
+    driven_inequality,
     original_storage,
     output_rows,
     prove,
@@ -74,7 +74,7 @@ def l2_gain(
     unit = [Channel(signal.state / own, signal.reading / own) for signal, own in pairs]
 
     def family(q: Floats) -> Inequality:
-        return driven(scaled, q[:groups], q[groups:], unit, z / size)
+        return driven_inequality(scaled, q[:groups], q[groups:], unit, z / size)
 
     cost = np.r_[np.zeros(groups), np.square(sizes / sizes.max(initial=1e-300))]
     solution = prove(family, cost)

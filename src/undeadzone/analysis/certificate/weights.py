@@ -41,7 +41,7 @@ class _Cuts(NamedTuple):
         """Return the least of these bounds for q."""
         return float((self.over @ q / (self.under @ q)).min())
 
-    def joined(self, others: _Cuts) -> _Cuts:
+    def join_cuts(self, others: _Cuts) -> _Cuts:
         """Return both."""
         return _Cuts(*(np.vstack(rows) for rows in zip(self, others, strict=True)))
 
@@ -60,7 +60,7 @@ def margin(errors: Dynamics, W: Floats) -> tuple[float, float]:
 def best_weights(errors: Dynamics) -> Weights:
     """Return the weights that maximise the margin, with mean 1 over their groups."""
     if len(errors.A) > 1:
-        return _shared(errors)
+        return _share_weights(errors)
     equal = np.ones(errors.groups.shape[1])
     best, cuts = _worst(errors, errors.groups @ equal)
     if equal.size == 1:
@@ -70,7 +70,7 @@ def best_weights(errors: Dynamics) -> Weights:
         if q is None:
             break
         trial, more = _worst(errors, errors.groups @ q)
-        cuts = cuts.joined(more)
+        cuts = cuts.join_cuts(more)
         best = max(best, trial, key=lambda one: one.margin)
     return best
 
@@ -120,7 +120,7 @@ def _deep(cuts: _Cuts, level: float, groups: int) -> Floats | None:
     return np.maximum(np.append(solution[:-1], groups - solution[:-1].sum()), LEAST)
 
 
-def _shared(errors: Dynamics) -> Weights:
+def _share_weights(errors: Dynamics) -> Weights:
     """Return the weights for several A, of one P.
 
     The largest m with M + 2m diag(0, W) <= 0 for some P is quasi-convex in W: Dinkelbach's
@@ -133,7 +133,7 @@ def _shared(errors: Dynamics) -> Weights:
         if deepest is None:
             break
         P, W = deepest
-        trial = Weights(W, _reached(errors, P, W), None)
+        trial = Weights(W, _reachable_margin(errors, P, W), None)
         gain = trial.margin - best.margin
         if gain > 0:
             best = trial
@@ -154,7 +154,7 @@ def _deepest(errors: Dynamics, shift: float) -> tuple[Floats, Floats] | None:
 
     def family(q: Floats) -> Inequality:
         W = weights(q)
-        return errors.extended(W, none, [(1, 1, np.diag(2 * (shift * W + q[-1])))])
+        return errors.extend_inequality(W, none, [(1, 1, np.diag(2 * (shift * W + q[-1])))])
 
     def positive(P: Floats, q: Floats) -> list[Floats]:
         return [weights(q) - LEAST]
@@ -166,7 +166,7 @@ def _deepest(errors: Dynamics, shift: float) -> tuple[Floats, Floats] | None:
     return solution.P, np.maximum(weights(solution.q), LEAST)
 
 
-def _reached(errors: Dynamics, P: Floats, W: Floats) -> float:
+def _reachable_margin(errors: Dynamics, P: Floats, W: Floats) -> float:
     """Return the largest m with M + 2m diag(0, W) <= 0 for every M at this P; -inf if there is
     none.
     """

@@ -106,7 +106,7 @@ def falsify(
     if not np.linalg.eigvalsh(V.P)[0] > 0:
         raise InputError("V: its P is not positive definite, there is nothing to break")
     # V = |T e|^2 for the errors e of [x~; d~] that it sees; a width that it does not see is known.
-    seen, M = V.seen
+    seen, M = V.visible_errors
     T = np.linalg.cholesky(M).T
     inverse = np.linalg.inv(T)
     maps = passages(errors, modes, lambda F: T @ F[np.ix_(seen, seen)] @ inverse)

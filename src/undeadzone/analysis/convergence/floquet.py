@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.analysis.branch_schedule import Schedule, merged
+from undeadzone.analysis.branch_schedule import Schedule, merge_equal_neighbours
 from undeadzone.analysis.error_dynamics import dynamics, pattern
 from undeadzone.analysis.identifiability.linear import Unobservable, invisible
 from undeadzone.linalg.matrices import Matrices
@@ -69,10 +69,10 @@ def rates(
     """
     errors = dynamics(linear, L, gamma, schedule.Ts)
     n = linear.A.shape[0]
-    schedule = merged(schedule)
+    schedule = merge_equal_neighbours(schedule)
     adapted = (np.abs(errors.gamma).sum(axis=0) > 0) & (not jump)
     part = np.concatenate([np.ones(n, bool), adapted])
-    hidden = invisible(linear, schedule.visited(), schedule.Ts, jump=jump).within(part)
+    hidden = invisible(linear, schedule.visited_sides(), schedule.Ts, jump=jump).within(part)
     units = hidden.scale[part]
     F, _ = error_matrices(errors.A[0], errors.C, errors.L, errors.gamma, schedule.sides)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -263,7 +263,7 @@ def spans(F: Floats, weights: Sequence[Floats], schedule: Schedule, twice: int =
         term = coefficient * (_t(F) @ term + term @ F)
     whole = Span(Phi, G, GG, h)
     for k in range(halvings.max(initial=0)):
-        whole = _chosen(halvings > k, _then(whole, whole), whole)
+        whole = _select_spans(halvings > k, _then(whole, whole), whole)
     return whole
 
 
@@ -285,7 +285,7 @@ def mean_squares(
     means = []
     spreads = spans(_t(F), sources, schedule).G  # what one span adds to the covariance
     for source, spread in zip(sources, spreads, strict=True):
-        covariance = _settled(over.Phi, spread)
+        covariance = _stationary_covariance(over.Phi, spread)
         total = (over.GG[0] * source).sum(axis=(-3, -2, -1))
         for k in range(F.shape[-3]):
             total = total + (over.G[0, ..., k, :, :] * covariance).sum(axis=(-2, -1))
@@ -294,7 +294,7 @@ def mean_squares(
     return means
 
 
-def _settled(Phi: Floats, spread: Floats) -> Floats:
+def _stationary_covariance(Phi: Floats, spread: Floats) -> Floats:
     """Return the covariance (..., N, N) at the start of a pass after many passes, by doubling."""
     covariance: Floats = np.zeros(Phi.shape[:-3] + Phi.shape[-2:])
     for k in range(Phi.shape[-3]):
@@ -307,7 +307,7 @@ def _settled(Phi: Floats, spread: Floats) -> Floats:
     return covariance
 
 
-def forced_mean_square(
+def mean_square_of_forced_error(
     F: Floats, Z: Floats, push: Floats, S: Floats, starts: Floats, schedule: Schedule
 ) -> Floats:
     """Return mean over a pass of sum_j |Z x_j|^2 in the steady state of x_j' = F x_j + push_j w, w'
@@ -368,14 +368,14 @@ def _power(one: Span, times: Floats) -> Span:
     while True:
         odd = times % 2 == 1
         if odd.any():
-            whole = _chosen(odd, _then(whole, one), whole)
+            whole = _select_spans(odd, _then(whole, one), whole)
         times = times // 2
         if not times.any():
             return whole
         one = _then(one, one)
 
 
-def _chosen(which: np.ndarray, new: Span, old: Span) -> Span:
+def _select_spans(which: np.ndarray, new: Span, old: Span) -> Span:
     """Return the new spans where `which` (K) says so, and the old ones elsewhere."""
     if which.all():
         return new

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.analysis.branch_schedule import Schedule, merged
+from undeadzone.analysis.branch_schedule import Schedule, merge_equal_neighbours
 from undeadzone.analysis.convergence.falsify import Cycle, Mode, passages
 from undeadzone.analysis.convergence.floquet import error_matrices, power, product, transitions
 from undeadzone.analysis.error_dynamics import Dynamics, Storage, pattern
@@ -163,23 +163,25 @@ def settling(errors: Dynamics, V: Storage, schedule: Schedule, share: float = 0.
         The time in whole passes of the schedule [s]; None where some errors stay, or fall for more
         than 2^20 passes.
     """
-    seen, M = V.seen
-    F, _ = error_matrices(errors.A[0], errors.C, errors.L, errors.gamma, merged(schedule).sides)
-    once, size = product(transitions(F, merged(schedule)))
+    seen, M = V.visible_errors
+    F, _ = error_matrices(
+        errors.A[0], errors.C, errors.L, errors.gamma, merge_equal_neighbours(schedule).sides
+    )
+    once, size = product(transitions(F, merge_equal_neighbours(schedule)))
     passes = [np.asarray(once * np.exp(size))[np.ix_(seen, seen)]]  # 1, 2, 4, ... of them
-    while _left(passes[-1], M) > share:
+    while _largest_error_share(passes[-1], M) > share:
         if len(passes) > DOUBLINGS:
             return None
         passes.append(passes[-1] @ passes[-1])
     # The most passes that do not suffice, by their binary digits.
     count, done = 0, np.eye(len(M))
     for k in range(len(passes) - 2, -1, -1):
-        if _left(passes[k] @ done, M) > share:
+        if _largest_error_share(passes[k] @ done, M) > share:
             count, done = count + 2**k, passes[k] @ done
     return (count + 1) * schedule.duration
 
 
-def _left(E: Floats, M: Floats) -> float:
+def _largest_error_share(E: Floats, M: Floats) -> float:
     """Return the largest |E e| / |e| over all e, with |e|^2 = e'M e."""
     from scipy.linalg import eigh
 
@@ -198,7 +200,7 @@ def _passes(errors: Dynamics, schedule: Schedule, seconds: float) -> list[Mode]:
     more.
     """
     once = []
-    for sides, span in zip(*merged(schedule)[:2], strict=True):
+    for sides, span in zip(*merge_equal_neighbours(schedule)[:2], strict=True):
         once.append(_mode(errors, sides, span * (errors.Ts or 1.0)))
     modes: list[Mode] = []
     left = seconds
@@ -215,7 +217,7 @@ def _start(V: Storage, rng: np.random.Generator) -> Floats:
 
     What V does not see is 0.
     """
-    seen, M = V.seen
+    seen, M = V.visible_errors
     direction = rng.normal(size=len(M))
     error = np.zeros(seen.size)
     error[seen] = np.linalg.solve(np.linalg.cholesky(M).T, direction / np.linalg.norm(direction))

@@ -35,7 +35,7 @@ class Visited(NamedTuple):
     changes: int
 
 
-def visited(tau: Floats, step: float, unheard: Floats) -> list[Visited]:
+def visited_flanks(tau: Floats, step: float, unheard: Floats) -> list[Visited]:
     """What each joint does to its gears.
 
     Args:
@@ -74,7 +74,7 @@ def torques(body: Arm, params: Floats, path: Floats) -> Floats:
     return np.asarray(needed.map(len(path))(*(path[:, k].T for k in range(3)))).T
 
 
-def balanced(body: Arm, params: Floats, q: Floats, i: int) -> float | None:
+def balanced_position(body: Arm, params: Floats, q: Floats, i: int) -> float | None:
     """Return the position of joint i nearest to a posture at which gravity asks it for no torque
     [rad].
 
@@ -116,16 +116,18 @@ def flank_verdicts(
     """
     mean, tau, unheard = path[:, 0].mean(axis=0), torques(body, params, path), HEARD * friction
     most, slides, verdicts = np.abs(tau).max(axis=0, initial=0.0), body.chain.slides, []
-    for i, joint in enumerate(visited(tau, step, unheard)):
+    for i, joint in enumerate(visited_flanks(tau, step, unheard)):
         known = joint.right and joint.left
-        why = "" if known or most[i] >= unheard[i] else _hidden(most[i], friction[i], slides)
+        why = (
+            "" if known or most[i] >= unheard[i] else _friction_reason(most[i], friction[i], slides)
+        )
         if not (known or why):
-            why = _held(balanced(body, params, mean, i), "" if slides else " rad")
+            why = _gap_reasons(balanced_position(body, params, mean, i), "" if slides else " rad")
         verdicts.append(Verdict(known, known, known, known, reasons=(why,) if why else ()))
     return verdicts
 
 
-def _hidden(most: float, friction: float, slides: bool) -> str:
+def _friction_reason(most: float, friction: float, slides: bool) -> str:
     """That a motor's friction hides what its link asks for at most."""
     unit = "" if slides else " N m"
     asks = f"its link asks for {most:.2g}{unit} at most"
@@ -133,7 +135,7 @@ def _hidden(most: float, friction: float, slides: bool) -> str:
     return f"{asks}, which {hides}: its gap cannot be known; turn it faster"
 
 
-def _held(place: float | None, unit: str) -> str:
+def _gap_reasons(place: float | None, unit: str) -> str:
     """What keeps a gap from being known, and what would help.
 
     place, unit: where gravity asks the joint for no torque.

@@ -9,11 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.analysis.branch_schedule import Schedule, merged
+from undeadzone.analysis.branch_schedule import Schedule, merge_equal_neighbours
 from undeadzone.analysis.error_dynamics import pattern
 from undeadzone.analysis.identifiability.disturbance import Colour
 from undeadzone.analysis.identifiability.linear import Unobservable, invisible
-from undeadzone.linalg.hold import sampled_noise
+from undeadzone.linalg.hold import discrete_noise_covariance
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.util.arrays import Floats
 
@@ -89,10 +89,10 @@ def deviations(linear: Matrices, schedule: Schedule, readings: Readings) -> Devi
         readings: what tells.
     """
     states_of_plant, told, colour = linear.A.shape[0], readings.told, readings.colour
-    visited = schedule.visited(states_of_plant)
+    visited = schedule.visited_sides(states_of_plant)
     prior: Floats = np.zeros(states_of_plant)
     if colour is not None:
-        linear, readings = _coloured(linear, schedule.Ts, colour, readings)
+        linear, readings = _augment_disturbance(linear, schedule.Ts, colour, readings)
         prior = np.r_[prior, 1 / colour.rms**2]
     n, p = linear.A.shape[0], linear.C.shape[0]
     fisher = information(linear, schedule, readings)
@@ -103,7 +103,7 @@ def deviations(linear: Matrices, schedule: Schedule, readings: Readings) -> Devi
         rows[:, :states_of_plant] = told[:, :states_of_plant]
         rows[:, n:] = told[:, states_of_plant:]
         fisher[: n + 2 * p, : n + 2 * p] += rows.T @ rows
-        hidden = hidden.told(rows)
+        hidden = hidden.given_information(rows)
     units = np.outer(hidden.scale, hidden.scale)
     seen = np.linalg.svd(hidden.basis)[0][:, hidden.basis.shape[1] :]  # a basis of what is known
     covariance = units * (seen @ _inverse(seen.T @ (fisher * units) @ seen) @ seen.T)
@@ -115,24 +115,24 @@ def deviations(linear: Matrices, schedule: Schedule, readings: Readings) -> Devi
     return Deviations(widths, states, covariance, hidden)
 
 
-def _coloured(
+def _augment_disturbance(
     linear: Matrices, Ts: float | None, colour: Colour, readings: Readings
 ) -> tuple[Matrices, Readings]:
     """Return the model of [x; w], and what tells of it, with its process noise and its bias."""
     n, b = colour.B.shape
     own, white = colour.A, colour.Q
     if Ts is not None:
-        own, white = sampled_noise(colour.A, colour.Q, Ts)
+        own, white = discrete_noise_covariance(colour.A, colour.Q, Ts)
     A = np.block([[linear.A, colour.B], [np.zeros((b, n)), own]])
     C = np.hstack([linear.C, np.zeros((linear.C.shape[0], b))])
     process = np.zeros((n + b, n + b))
     process[:n, :n] = 0.0 if readings.process is None else readings.process
     process[n:, n:] = white
-    bias = None if readings.bias is None else padded(readings.bias, b)
-    return Matrices(A, padded(linear.B, b), C), readings._replace(process=process, bias=bias)
+    bias = None if readings.bias is None else pad_states(readings.bias, b)
+    return Matrices(A, pad_states(linear.B, b), C), readings._replace(process=process, bias=bias)
 
 
-def padded(B: Floats, more: int) -> Floats:
+def pad_states(B: Floats, more: int) -> Floats:
     """Return inputs of n states as those of n + more states, the last of which they do not move."""
     return np.vstack([B, np.zeros((more, B.shape[1]))])
 
@@ -158,7 +158,7 @@ def information(linear: Matrices, schedule: Schedule, readings: Readings) -> Flo
         Q[:n, :n] = process
     one_step = F + np.diag(np.r_[np.zeros(n), np.ones(size - n)])  # of a sampled model
     once = nothing(size)
-    for sides, span in zip(*merged(schedule)[:2], strict=True):
+    for sides, span in zip(*merge_equal_neighbours(schedule)[:2], strict=True):
         of_states = linear.C * np.abs(sides)[:, None]
         S = pattern(tuple(sides.astype(int)))
         rows = np.hstack([of_states, -S, np.zeros((p, B.shape[1]))])
@@ -216,8 +216,8 @@ def _flow(F: Floats, Q: Floats, H: Floats, span: float, step: float) -> Stretch:
     parts = max(1.0, float(np.linalg.norm(F, 1)) * span, readings)
     halvings = int(np.ceil(np.log2(parts)))
     part = span / 2**halvings
-    Phi, gained = sampled_noise(F, Q, part)
-    _, told = sampled_noise(F.T, H, part)
+    Phi, gained = discrete_noise_covariance(F, Q, part)
+    _, told = discrete_noise_covariance(F.T, H, part)
     return repeat(Stretch(Phi, gained, told), 2**halvings)
 
 

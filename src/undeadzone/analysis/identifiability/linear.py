@@ -39,7 +39,7 @@ class Cure(NamedTuple):
     text: str
 
 
-def unreached(schedule: Schedule, visited: np.ndarray, i: int) -> list[str]:
+def unreached_edges(schedule: Schedule, visited: np.ndarray, i: int) -> list[str]:
     """Why edges of output i are not visited, in words; nothing for an edge that is.
 
     Args:
@@ -52,10 +52,10 @@ def unreached(schedule: Schedule, visited: np.ndarray, i: int) -> list[str]:
     reasons = []
     if not visited[i, 0]:
         stays = f"stays below d_r, {high:.4g} against {right:.4g}" if right - high >= 0 else ""
-        reasons.append(_unreached("right", "d_r", stays))
+        reasons.append(_unreached_reason("right", "d_r", stays))
     if not visited[i, 1]:
         stays = f"stays above -d_l, {low:.4g} against {-left:.4g}" if left + low >= 0 else ""
-        reasons.append(_unreached("left", "-d_l", stays))
+        reasons.append(_unreached_reason("left", "-d_l", stays))
     return reasons
 
 
@@ -72,7 +72,7 @@ def rarely_exact(schedule: Schedule, i: int) -> list[str]:
     ]
 
 
-def _unreached(name: str, edge: str, stays: str) -> str:
+def _unreached_reason(name: str, edge: str, stays: str) -> str:
     """Why an edge is not visited; stays: where the output stays instead, empty if it passes it."""
     if stays:
         return f"the {name} edge is never reached: the output {stays}"
@@ -201,7 +201,7 @@ class Unobservable(NamedTuple):
         """Those that leave every unknown outside `part` (bool) as it is."""
         return self._replace(basis=self.basis @ kernel(self.basis[~part], self.present))
 
-    def told(self, rows: Floats) -> Unobservable:
+    def given_information(self, rows: Floats) -> Unobservable:
         """Those that stay once more is known of [x(0); d] than readings tell (k x n + 2p)."""
         part = self.scale[: rows.shape[1], None] * self.basis[: rows.shape[1]]
         size = np.linalg.norm(rows * self.scale[: rows.shape[1]], axis=1, keepdims=True)
@@ -310,16 +310,16 @@ def verdicts(
         jump: whether the sensor jumps.
         told: what is known beforehand (`beforehand`).
     """
-    visited = schedule.visited(linear.A.shape[0])
+    visited = schedule.visited_sides(linear.A.shape[0])
     if jump:
         return [_jump_verdict(schedule, visited, i) for i in range(visited.shape[0])]
     hidden = invisible(linear, visited, schedule.Ts, bias)
     if told is not None:
-        hidden = hidden.told(told)
+        hidden = hidden.given_information(told)
     judged = []
     for i in range(visited.shape[0]):
-        confounded = {} if told is not None else _confounded(linear, schedule, bias, i)
-        reasons = (*unreached(schedule, visited, i), *confounded, *rarely_exact(schedule, i))
+        confounded = {} if told is not None else _confounding_reasons(linear, schedule, bias, i)
+        reasons = (*unreached_edges(schedule, visited, i), *confounded, *rarely_exact(schedule, i))
         judged.append(Verdict(**hidden.widths(i), reasons=reasons))
     return judged
 
@@ -328,7 +328,7 @@ def _jump_verdict(schedule: Schedule, visited: np.ndarray, i: int) -> Verdict:
     """What a jump sensor's readings tell of output i: a width is known where its edge is passed."""
     right, left = bool(visited[i, 0]), bool(visited[i, 1])
     both = right and left
-    reasons = (*unreached(schedule, visited, i), *rarely_exact(schedule, i))
+    reasons = (*unreached_edges(schedule, visited, i), *rarely_exact(schedule, i))
     return Verdict(right, left, both, both, reasons)
 
 
@@ -343,14 +343,14 @@ def cures(
         bias: directions (n x b) of unknown constant inputs.
         jump: whether the sensor jumps.
     """
-    visited = schedule.visited(linear.A.shape[0])
+    visited = schedule.visited_sides(linear.A.shape[0])
     changes = []
     for i in range(visited.shape[0]):
         if not visited[i].all():
             changes.append(reaching(schedule, i))
         if jump:
             continue
-        for remedy in _confounded(linear, schedule, bias, i).values():
+        for remedy in _confounding_reasons(linear, schedule, bias, i).values():
             text = (
                 f"no reference can: {remedy}, or add a sensor without a dead zone; "
                 "or claim the centre d_r - d_l of a filter: observer.centre = [lo, hi], 0 if the "
@@ -360,11 +360,11 @@ def cures(
     return changes
 
 
-def _confounded(
+def _confounding_reasons(
     linear: Matrices, schedule: Schedule, bias: Floats | None, i: int
 ) -> dict[str, str]:
     """Why widths of output i stay unknown although their sides are visited: {reason: remedy}."""
-    visited = schedule.visited(linear.A.shape[0])
+    visited = schedule.visited_sides(linear.A.shape[0])
     edges = [name for name, seen in zip(("right", "left"), visited[i], strict=True) if seen]
 
     def known(bias: Floats | None) -> bool:

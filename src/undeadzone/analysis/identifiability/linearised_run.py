@@ -37,7 +37,7 @@ class LinearisedRun(NamedTuple):
     tolerance: float
 
 
-def linearised(
+def linearise_run(
     model: System, x: Floats, u: Floats, step: float, bias: Floats, uncertain: Sequence[str] = ()
 ) -> LinearisedRun:
     """Return the plant's linearisation along a run.
@@ -61,7 +61,7 @@ def linearised(
     if model.Ts is not None and (model.rate is None or 8 * work <= WORK):
         exact = _derivatives(model, model.move, bias, uncertain)
         steps, outputs = _along(exact, model, x, u, uncertain)
-        return _run(steps, outputs, np.arange(len(x)), TOLERANCE[0])
+        return _simulate_derivatives(steps, outputs, np.arange(len(x)), TOLERANCE[0])
     stride = 2 * max(1, int(np.ceil(1.5 * work / WORK)))
     first = np.arange(0, len(x), stride)
     last = np.minimum(first + stride, len(x) - 1)
@@ -78,7 +78,7 @@ def linearised(
     h = step * (last - first)[:, None, None]
     A0, A1, A2 = of_rates
     steps = exponential(_magnus(A0, A1, A2, h))
-    return _run(steps[:, : model.n], of_outputs[0], first, TOLERANCE[1])
+    return _simulate_derivatives(steps[:, : model.n], of_outputs[0], first, TOLERANCE[1])
 
 
 def _magnus(A0: Floats, A1: Floats, A2: Floats, h: Floats) -> Floats:
@@ -119,12 +119,14 @@ def _along(
     `_derivatives`.
     """
     theta = np.array([model.params[model.names.index(name)] for name in uncertain])
-    values = interpret.mapped(function, np.hstack([x, u]), theta)
+    values = interpret.evaluate_rows(function, np.hstack([x, u]), theta)
     both = values.reshape(len(x), -1, model.n + model.p).transpose(0, 2, 1)
     return both[:, : model.n], both[:, model.n :]
 
 
-def _run(steps: Floats, outputs: Floats, kept: Integers, tolerance: float) -> LinearisedRun:
+def _simulate_derivatives(
+    steps: Floats, outputs: Floats, kept: Integers, tolerance: float
+) -> LinearisedRun:
     """Return the run, up to where a derivative is not finite; the constants stay as they are."""
     good = np.isfinite(steps).all(axis=(1, 2)) & np.isfinite(outputs).all(axis=(1, 2))
     end = good.size if good.all() else int(good.argmin())

@@ -15,17 +15,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.analysis.branch_schedule import reading, reading_levels, recorded
+from undeadzone.analysis.branch_schedule import reading, reading_levels, schedule_of_record
 from undeadzone.analysis.identifiability import linear
 from undeadzone.analysis.identifiability.indistinguishable import second_truth
 from undeadzone.analysis.identifiability.information import EXACT, scale_of
 from undeadzone.analysis.identifiability.linear import (
     largest_deviations,
     rarely_exact,
-    unreached,
+    unreached_edges,
     vague,
 )
-from undeadzone.analysis.identifiability.linearised_run import LinearisedRun, linearised, symmetric
+from undeadzone.analysis.identifiability.linearised_run import (
+    LinearisedRun,
+    linearise_run,
+    symmetric,
+)
 from undeadzone.nonlinearities.sensor import DIRECTIONS, Zone
 from undeadzone.plants.system import System
 from undeadzone.util.arrays import Floats, Integers
@@ -104,7 +108,7 @@ def verdicts_along(
     diverged = np.flatnonzero(~(np.abs(np.hstack([x, u])).max(axis=1) < LIMIT))
     whole = slice(max(1, int(diverged[0])) if diverged.size else None)
     x, u, z, arrived = x[whole], u[whole], z[whole], arrived[whole]
-    schedule = recorded(z, sensor, step, model.Ts, arrived)
+    schedule = schedule_of_record(z, sensor, step, model.Ts, arrived)
     if sensor.kind == "jump":
         return linear.verdicts(model.linear, schedule, jump=True)
     side = np.where(arrived, reading(z, sensor).side, 0.0)
@@ -122,8 +126,8 @@ def verdicts_along(
     for i, (right, left) in enumerate(zip(sensor.right, sensor.left, strict=True)):
         std, most = known.std(i), largest_deviations(right, left, float(np.ptp(z[:, i])))
         reasons = (
-            *unreached(schedule, visited, i),
-            *_confounded(model, known, visited[i], i, biases, uncertain),
+            *unreached_edges(schedule, visited, i),
+            *_confounding_unknowns(model, known, visited[i], i, biases, uncertain),
             *vague(std, most, right, left),
             *rarely_exact(schedule, i),
         )
@@ -140,7 +144,7 @@ def variance(sensor: Zone) -> Floats:
     return np.maximum(sensor.rms, EXACT * scale_of(reading_levels(sensor))) ** 2
 
 
-def _confounded(
+def _confounding_unknowns(
     model: System,
     known: Observability,
     visited: np.ndarray,
@@ -160,9 +164,9 @@ def _confounded(
     start = f"the {whole} is not identifiable: "
     number = np.arange(hidden.scale.size)  # of each constant: widths, then biases, then parameters
     of_bias = (number >= 2 * model.p) & (number < 2 * model.p + biases)
-    if _caused_by(of_bias, hidden, i, edges):
+    if _is_caused_by(of_bias, hidden, i, edges):
         return [f"{start}constant input bias, {what} and bias cannot be told apart"]
-    if _caused_by(number >= 2 * model.p + biases, hidden, i, edges):
+    if _is_caused_by(number >= 2 * model.p + biases, hidden, i, edges):
         names = ", ".join(uncertain)
         return [f"{start}with {names} uncertain the {what} cannot be told from them"]
     rest = f"the {what} cannot be told from a shift of the state"
@@ -171,7 +175,7 @@ def _confounded(
     return [start + _state_shift(model, known, i, lost[0], what, rest)]
 
 
-def _caused_by(part: np.ndarray, hidden: linear.Unobservable, i: int, edges: list[str]) -> bool:
+def _is_caused_by(part: np.ndarray, hidden: linear.Unobservable, i: int, edges: list[str]) -> bool:
     """Return whether edges of output i would be known if these unknowns were (part: bool, one
     each).
     """
@@ -285,10 +289,10 @@ def observability(
     """
     n, p = model.n, model.p
     bias = np.zeros((model.m, 0)) if bias is None else bias
-    run = linearised(model, x, u, step, bias, uncertain)
+    run = linearise_run(model, x, u, step, bias, uncertain)
     R = root(run, side, variance, n)
     if told is not None and told.size:
-        R = _told(R, told)
+        R = _add_prior(R, told)
     scale = _units(R, n, p)
     states, constants = np.split(R * scale, [n], axis=1)
     U, s, V = np.linalg.svd(states, full_matrices=False)
@@ -303,7 +307,7 @@ def observability(
     return Observability(R, hidden, follow, singular, run.tolerance, spread @ spread.T)
 
 
-def _told(R: Floats, told: Floats) -> Floats:
+def _add_prior(R: Floats, told: Floats) -> Floats:
     """Return the root with what is known beforehand."""
     rows = np.pad(told, [(0, 0), (0, R.shape[1] - told.shape[1])])
     return np.asarray(np.linalg.qr(np.vstack([R, rows]), mode="r"))

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from undeadzone.analysis.branch_schedule import Schedule
-from undeadzone.analysis.identifiability.information import EXACT, Readings, deviations, padded
-from undeadzone.analysis.identifiability.linear import Verdict, invisible, unreached
+from undeadzone.analysis.identifiability.information import EXACT, Readings, deviations, pad_states
+from undeadzone.analysis.identifiability.linear import Verdict, invisible, unreached_edges
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.util.arrays import Floats
@@ -47,7 +47,7 @@ def with_gaps(linear: Matrices, Ts: float | None) -> Matrices:
     A = np.block([[linear.A, np.zeros((n, 2 * p))], [np.zeros((2 * p, n)), still]])
     taken = np.diag(np.tile([-1.0, 1.0], p))
     C = np.hstack([np.repeat(linear.C, 2, axis=0), taken])
-    return Matrices(A, padded(linear.B, 2 * p), C)
+    return Matrices(A, pad_states(linear.B, 2 * p), C)
 
 
 def by_contact(schedule: Schedule) -> Schedule:
@@ -100,12 +100,12 @@ def _twofold(linear: Matrices, readings: Readings) -> Readings:
     return readings._replace(
         noise=np.repeat(readings.noise, 2),
         arrive=np.repeat(arrive, 2),
-        bias=None if bias is None else padded(bias, 2 * p),
-        colour=None if colour is None else colour._replace(B=padded(colour.B, 2 * p)),
+        bias=None if bias is None else pad_states(bias, 2 * p),
+        colour=None if colour is None else colour._replace(B=pad_states(colour.B, 2 * p)),
     )
 
 
-def told_of_both(
+def gap_and_width_information(
     linear: Matrices, schedule: Schedule, readings: Readings
 ) -> list[WidthInformation]:
     """What the readings along a schedule tell of gaps and widths of each output.
@@ -120,8 +120,8 @@ def told_of_both(
     swing = float((schedule.high - schedule.low).max())
     least = EXACT * max(float(schedule.levels.max()), EXACT * swing) or EXACT
     twofold, told = _twofold(linear, readings), beforehand_of_gaps(linear, readings, least)
-    visited = twice.visited(n + 2 * p)
-    hidden = invisible(whole, visited, schedule.Ts, twofold.bias).told(told)
+    visited = twice.visited_sides(n + 2 * p)
+    hidden = invisible(whole, visited, schedule.Ts, twofold.bias).given_information(told)
     expected = deviations(whole, twice, twofold._replace(told=told))
     each = []
     for i in range(p):
@@ -133,9 +133,9 @@ def told_of_both(
         own = slice(n + 2 * i, n + 2 * i + 2)
         gap_std = float(np.sqrt(expected.covariance[own, own].sum())) if gap["width"] else np.inf
         reasons = (
-            *_unreached(schedule, n + 2 * p, i),
-            *_unturned(schedule, visited, i),
-            *_mixed(zone, gap, both, readings.gaps_known),
+            *_unreached_behind_gap(schedule, n + 2 * p, i),
+            *_single_contact_reason(schedule, visited, i),
+            *_asymmetry_information(zone, gap, both, readings.gaps_known),
         )
         told_of_zone = Verdict(**zone, reasons=reasons, std=expected.widths[2 * i])
         each.append(WidthInformation(told_of_zone, Verdict(**gap, reasons=()), both, gap_std))
@@ -146,9 +146,9 @@ def states_told(linear: Matrices, schedule: Schedule, readings: Readings) -> lis
     """Which states the readings along a schedule determine (n). Arguments as of `told_of_both`."""
     n, p = linear.A.shape[0], linear.C.shape[0]
     twofold = _twofold(linear, readings)
-    visited = by_contact(schedule).visited(n + 2 * p)
+    visited = by_contact(schedule).visited_sides(n + 2 * p)
     hidden = invisible(with_gaps(linear, schedule.Ts), visited, schedule.Ts, twofold.bias)
-    hidden = hidden.told(beforehand_of_gaps(linear, readings, 1.0))
+    hidden = hidden.given_information(beforehand_of_gaps(linear, readings, 1.0))
     return [hidden.state(i) for i in range(n)]
 
 
@@ -162,16 +162,16 @@ def _direction(
     return direction
 
 
-def _unreached(schedule: Schedule, n: int, i: int) -> list[str]:
+def _unreached_behind_gap(schedule: Schedule, n: int, i: int) -> list[str]:
     """Return `unreached` of an edge behind a gap."""
     words = []
-    for reason in unreached(schedule, schedule.visited(n), i):
+    for reason in unreached_edges(schedule, schedule.visited_sides(n), i):
         named = reason.replace("below d_r,", "below d_r + c_r,")
         words.append(named.replace("above -d_l,", "above -d_l - c_l,"))
     return words
 
 
-def _unturned(schedule: Schedule, visited: np.ndarray, i: int) -> list[str]:
+def _single_contact_reason(schedule: Schedule, visited: np.ndarray, i: int) -> list[str]:
     """That output i is read in one contact alone, beyond one edge or both, in words."""
     right, left = (bool(each.any()) for each in visited[2 * i : 2 * i + 2])
     if right == left:
@@ -183,7 +183,9 @@ def _unturned(schedule: Schedule, visited: np.ndarray, i: int) -> list[str]:
     ]
 
 
-def _mixed(zone: dict[str, bool], gap: dict[str, bool], both: bool, gaps_known: bool) -> list[str]:
+def _asymmetry_information(
+    zone: dict[str, bool], gap: dict[str, bool], both: bool, gaps_known: bool
+) -> list[str]:
     """What of centres is told, in words; nothing where every width is."""
     if (zone["right"] and zone["left"]) or gaps_known:
         return []

@@ -65,7 +65,7 @@ def both_ends(
         bias: directions (n x b) of unknown constant inputs.
     """
     n, m = linear.B.shape
-    visited = schedule.visited(n)
+    visited = schedule.visited_sides(n)
     constant = np.zeros((n, 0)) if bias is None else bias
     drives = [np.hstack([constant, _entering(linear.B, mode, drive)]) for mode in modes]
     hidden = invisible(linear, visited, schedule.Ts, drives=drives or [constant])

@@ -98,7 +98,7 @@ def coasting(options: Coasts, model: System) -> tuple[Numbers | None, State | No
     return numbers, State(none, numbers.every / 2, none, np.zeros(model.p))
 
 
-def coasted(
+def coast_input(
     q: Numbers | None, s: State | None, u: Any, estimate: Estimate, reading: Reading
 ) -> tuple[State | None, Any]:
     """Return (the next state, the input: u, or 0 while it coasts).
@@ -128,7 +128,7 @@ def coasted(
     return State(left, idle, s.count + 1, peak), ca.if_else(left > 0, 0.0, u)
 
 
-def known_drive(belief: Belief | None) -> Drive:
+def require_believed_drive(belief: Belief | None) -> Drive:
     """Return the believed actuator. Raises InputError where there is none."""
     if belief is None:
         raise InputError(
@@ -174,13 +174,13 @@ def inverting(
     def step(q: Inverse, s: Any, v: Any, estimate: Estimate, reading: Reading) -> Any:
         right, left = beyond(q.drive, estimate)
         part = 1.0 if q.soft is None else ca.fmin(ca.fabs(v) / q.soft, 1.0)
-        u = inverted(q.drive, v, part * right, part * left)
-        return coasted(q.coasts, s, u, estimate, reading)
+        u = invert_zone(q.drive, v, part * right, part * left)
+        return coast_input(q.coasts, s, u, estimate, reading)
 
     return Compensator(Inverse(drive, soft, numbers), lambda q: first, step)
 
 
-def inverted(drive: Drive, v: Any, right: Any, left: Any) -> Any:
+def invert_zone(drive: Drive, v: Any, right: Any, left: Any) -> Any:
     """Return the command u (m) for which v (m) enters the plant: v / m_r + b_r, v / m_l - b_l, or
     0.
 

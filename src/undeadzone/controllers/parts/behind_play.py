@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.feedforward.flank_path import crossing, led, turned
+from undeadzone.feedforward.flank_path import choose_flank, crossing, step_filters
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
 from undeadzone.nonlinearities.sensor import Zone, offset, side
@@ -43,7 +43,7 @@ class State(NamedTuple):
     towards: Any
 
 
-def led_across(
+def with_gap_compensation(
     controller: Controller, model: System, sensor: Zone, tracked: list[int], rate: float | None
 ) -> Controller:
     """Return the controller with a reference that is moved by the gap; itself without a rate.
@@ -77,10 +77,10 @@ def led_across(
     zero, kind = np.zeros(1), type(controller.params)
 
     def init(q: Any) -> State:
-        inner = controller.init(tree.parted(q, kind))
+        inner = controller.init(tree.drop_last_field(q, kind))
         return State(inner, np.zeros(model.n), zero, zero)
 
-    params = tree.joined(controller.params, "crossing", numbers)
+    params = tree.append_field(controller.params, "crossing", numbers)
     step = partial(step_across, controller, tracked[0])
     return controller._replace(params=params, init=init, step=step)
 
@@ -91,11 +91,11 @@ def step_across(
     """Return one sample of the controller with its target moved; q: its numbers, then the
     filter's.
     """
-    inner, numbers = tree.parted(q, type(controller.params)), q.crossing
+    inner, numbers = tree.drop_last_field(q, type(controller.params)), q.crossing
     moves = side(target.r - s.last, ROUNDING * (ca.fabs(target.r) + ca.fabs(s.last)))
-    towards = turned(moves, s.towards)
+    towards = choose_flank(moves, s.towards)
     wanted = offset(towards, estimate.right[output], estimate.left[output])
-    push, following = led(numbers, s.moved, wanted)
+    push, following = step_filters(numbers, s.moved, wanted)
     moved = target._replace(
         r=target.r + numbers.C @ s.moved,
         x_ref=target.x_ref + s.moved,

@@ -77,10 +77,12 @@ def predicting(controller: Controller, model: System, belief: Belief | None) -> 
     kind = type(controller.params)
 
     def init(q: Any) -> State:
-        return State(controller.init(tree.parted(q, kind)), np.zeros(model.delay * model.m))
+        return State(
+            controller.init(tree.drop_last_field(q, kind)), np.zeros(model.delay * model.m)
+        )
 
     numbers = Ahead(model.params, held_inputs(model), low, high)
-    params = tree.joined(controller.params, "ahead", numbers)
+    params = tree.append_field(controller.params, "ahead", numbers)
     step = partial(step_ahead, controller, model)
     return controller._replace(params=params, init=init, step=step)
 
@@ -91,7 +93,7 @@ def step_ahead(
     """Return one sample of the controller with the estimate moved on; q: its numbers, then
     `Ahead`.
     """
-    inner, ahead = tree.parted(q, type(controller.params)), q.ahead
+    inner, ahead = tree.drop_last_field(q, type(controller.params)), q.ahead
     x = estimate.x
     for acting in ca.vertsplit(s.line, model.m):
         x = model.move(ahead.model, x, acting)

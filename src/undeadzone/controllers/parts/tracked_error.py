@@ -19,7 +19,7 @@ def require_square(method: str, model: System) -> None:
         )
 
 
-def tracked_output(method: str, estimate: Estimate, target: Target) -> Any:
+def select_tracked_output(method: str, estimate: Estimate, target: Target) -> Any:
     """Return z^ of the tracked outputs, which must be all of them in their order.
 
     Raises InputError.

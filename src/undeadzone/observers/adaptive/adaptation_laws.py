@@ -30,7 +30,9 @@ def pairs(key: str, value: Array, p: int) -> Floats:
     return matrix(key, numbers, p, 2, "one [right, left] per output")
 
 
-def bounded_widths(widths0: Array, width_max: Array | None, p: int) -> tuple[Floats, Floats]:
+def initial_widths_and_bound(
+    widths0: Array, width_max: Array | None, p: int
+) -> tuple[Floats, Floats]:
     """Return initial widths and their upper bound.
 
     Args:

@@ -95,7 +95,7 @@ class Correction(NamedTuple):
     left: Driven
 
 
-def measured_side(
+def build_branch_observer(
     model: System,
     sensor: Zone,
     L: Floats,
@@ -146,7 +146,7 @@ def measured_side(
         adapts=bool(gamma.any()),
         told=np.array_equal(widths, np.stack([sensor.right, sensor.left], axis=1)),
     )
-    step, project = partial(measured_side_step, setup), partial(into_bounds, law)
+    step, project = partial(branch_observer_step, setup), partial(into_bounds, law)
     return with_motion_detection(Observer(params, init, step, project, traits), model, sensor)
 
 
@@ -161,7 +161,7 @@ def into_bounds(law: Law, p: Params, s: State) -> State:
     return State(s.x, right, left, right_gain, left_gain)
 
 
-def measured_side_step(
+def branch_observer_step(
     setup: Setup, p: Params, s: State, u: Any, reading: Reading
 ) -> tuple[State, Estimate]:
     """Return the state's derivative, or its next value when sampled, and the estimate."""
@@ -173,7 +173,7 @@ def measured_side_step(
     correct = correct_jump if setup.kind == "jump" else correct_deadzone
     correction = correct(s, z, y, reading.side, over, under)
     if setup.ends:
-        correction = bounded(correction, reading.side, setup.kind == "jump")
+        correction = bound_reading(correction, reading.side, setup.kind == "jump")
     soft = law.soften(p.law, ca.if_else(active, y, 0.0))
 
     def moved(told: Driven, width: Any, width0: Any, gain: Any) -> tuple[Any, Any]:
@@ -183,7 +183,7 @@ def measured_side_step(
 
     right, right_gain = moved(correction.right, s.right, p.right0, s.right_gain)
     left, left_gain = moved(correction.left, s.left, p.left0, s.left_gain)
-    x = model.pushed(p.model, s.x, u, p.L @ (soft * correction.e))
+    x = model.move_with_correction(p.model, s.x, u, p.L @ (soft * correction.e))
     after = State(x, right, left, right_gain, left_gain)
     if model.Ts is not None:
         after = into_bounds(law, p, after)
@@ -224,7 +224,7 @@ def correct_deadzone(s: State, z: Any, y: Any, side: Any, over: Any, under: Any)
     return Correction(e, Driven(right, adapt_right), Driven(left, adapt_left))
 
 
-def bounded(correction: Correction, side: Any, jump: bool) -> Correction:
+def bound_reading(correction: Correction, side: Any, jump: bool) -> Correction:
     """What a reading says if those at a limit of the range only bound z.
 
     At the upper limit z is at least what the reading says, so that an innovation below 0 says

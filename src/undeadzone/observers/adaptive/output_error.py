@@ -22,7 +22,7 @@ from undeadzone.interfaces import (
     no_further,
 )
 from undeadzone.nonlinearities.sensor import Zone, deadzone, jump, present
-from undeadzone.observers.adaptive.adaptation_laws import bounded_widths
+from undeadzone.observers.adaptive.adaptation_laws import initial_widths_and_bound
 from undeadzone.plants.system import System
 from undeadzone.util.arrays import Array, Floats, nonnegative
 
@@ -72,7 +72,7 @@ class State(NamedTuple):
     left: Any
 
 
-def adapted(
+def require_widths_and_gain(
     gamma: Array, widths0: Array, width_max: Array | None, model: System, sensor: Zone
 ) -> Widths:
     """Return checked widths and their gain. Raises InputError, ShapeError."""
@@ -82,10 +82,10 @@ def adapted(
             "observer.gamma: readings of a jump sensor only bound its widths, this method cannot "
             "adapt them; leave gamma out"
         )
-    return Widths(gain, *bounded_widths(widths0, width_max, model.p))
+    return Widths(gain, *initial_widths_and_bound(widths0, width_max, model.p))
 
 
-def measured(law: Any, s: State, z: Any, reading: Reading) -> tuple[Any, Any]:
+def measured_contacts(law: Any, s: State, z: Any, reading: Reading) -> tuple[Any, Any]:
     """Return whether the reading is on the right, on the left (p each)."""
     return reading.side > 0, reading.side < 0
 
@@ -102,7 +102,7 @@ def output_error(
     widths: Widths,
     law: Any = (),
     inject: Callable[[Any, Any], Any] = nothing,
-    where: Callable[[Any, State, Any, Reading], tuple[Any, Any]] = measured,
+    where: Callable[[Any, State, Any, Reading], tuple[Any, Any]] = measured_contacts,
 ) -> Observer:
     """Return x^' = A x^ + B u + L e + inject(law, e), d_r^' = -gamma e on the right, d_l^' = gamma
     e left.
@@ -138,7 +138,7 @@ def output_error(
         e = error(sensor, p, s, z, reading)
         right, left = where(p.law, s, z, reading)
         after = State(
-            model.pushed(p.model, s.x, u, p.L @ e + inject(p.law, e)),
+            model.move_with_correction(p.model, s.x, u, p.L @ e + inject(p.law, e)),
             model.keep * s.right - p.gamma * e * right,
             model.keep * s.left + p.gamma * e * left,
         )

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from undeadzone.numerics.gaussian import Gaussian, linearise, mixed
+from undeadzone.numerics.gaussian import Gaussian, linearise, mix_gaussians
 from undeadzone.numerics.runge_kutta import rk4_change
 from undeadzone.observers.contact_filter.modes import (
     CONSTANTS,
@@ -31,11 +31,11 @@ from undeadzone.observers.contact_filter.modes import (
     Numbers,
     Posterior,
     innovation,
-    normalised,
+    normalise_weights,
 )
-from undeadzone.observers.filtering.multiple_models import weighted_mean
+from undeadzone.observers.filtering.multiple_models import mean_of_models
 from undeadzone.plants.robots.arm import Chain
-from undeadzone.plants.robots.geared import Geared, Gears, geared_motion
+from undeadzone.plants.robots.geared import Geared, Gears, motion_of_geared_arm
 
 FADING = 0.2  # correlation time of the unknown torque of motors [s]
 LASTING = 0.01  # time for which the unknown torque of links lasts [s]
@@ -60,12 +60,14 @@ def drive_of(gears: Geared, Ts: float, substeps: int, apart: bool = False) -> Dr
 
     def rate(params: Any, x: Any, u: Any, contact: Contacts) -> tuple[Any, Any]:
         push = x[layout.of("push")]
-        dx, tau = gears.motion(believed(gears, params, x), x[: 4 * N], u + push, ca.DM(contact))
+        dx, tau = gears.motion(
+            believe_gears(gears, params, x), x[: 4 * N], u + push, ca.DM(contact)
+        )
         constant = ca.SX.zeros(5 * N)
         return ca.vertcat(dx, constant, -push / FADING, 0.0), tau
 
     def mobility(params: Any, x: Any) -> Any:
-        column = believed(gears, params, x)
+        column = believe_gears(gears, params, x)
         M = ca.densify(gears.arm.mass(gears.links(column), x[layout.of("link")]))
         return ca.vertcat(-ca.diag(1 / gears.number(column, "inertia")), ca.inv(M))
 
@@ -74,7 +76,7 @@ def drive_of(gears: Geared, Ts: float, substeps: int, apart: bool = False) -> Dr
     return Drive(layout, rate, mobility, readings, Ts, substeps, apart)
 
 
-def believed(gears: Geared, params: Any, x: Any) -> Any:
+def believe_gears(gears: Geared, params: Any, x: Any) -> Any:
     """Return the parameters of an arm with gears, with what a filter makes of them.
 
     Args:
@@ -113,7 +115,9 @@ def alone(gears: Geared, joint: int) -> Geared:
         plane=(0, 1),
         **Chain.free(1),
     )
-    one = geared_motion(link, Gears(half=0.0, inertia=1.0, measured=gears.measured), gears.rest)
+    one = motion_of_geared_arm(
+        link, Gears(half=0.0, inertia=1.0, measured=gears.measured), gears.rest
+    )
     here = slice(joint, joint + 1)
     return one._replace(stiffness=gears.stiffness[here], damping=gears.damping[here])
 
@@ -180,14 +184,14 @@ def either(told: Sequence[Posterior], shares: tuple[Any, Any]) -> Posterior:
     if len(told) == 1:
         return told[0]
     before, after = map(ca.vertsplit, shares)
-    heard = normalised([ca.if_else(share > FAINT, share, 0.0) for share in after])
+    heard = normalise_weights([ca.if_else(share > FAINT, share, 0.0) for share in after])
     chances: list[Any] = []
     beliefs: list[Gaussian] = []
     for share, one in zip(heard, told, strict=True):
         chances += [share * chance for chance in one.chances]
         beliefs += one.beliefs
-    whole = mixed(heard, [one.whole for one in told])
-    news = weighted_mean(heard, [one.news for one in told])
+    whole = mix_gaussians(heard, [one.whole for one in told])
+    news = mean_of_models(heard, [one.news for one in told])
     return Posterior(tuple(chances), tuple(beliefs), whole, news, *innovation(before, told))
 
 
@@ -226,7 +230,7 @@ def posture(gears: Geared, model: Any, mean: Any, u: Any) -> Posture:
         mean: of all unknowns.
         u: torque of the motors (N).
     """
-    layout, params, body = Layout(gears.size), believed(gears, model, mean), gears.arm
+    layout, params, body = Layout(gears.size), believe_gears(gears, model, mean), gears.arm
     links = gears.links(params)
     q, turning, v = (mean[layout.of(name)] for name in ("link", "motor_speed", "link_speed"))
     rubbed, mass = body.friction(links, v), ca.densify(body.mass(links, q))
@@ -240,7 +244,7 @@ def posture(gears: Geared, model: Any, mean: Any, u: Any) -> Posture:
         rubbed,
         body.bias(links, q, v) + rubbed,
         mass,
-        _solved(mass, ca.DM.eye(gears.size)),
+        _solve_inertia(mass, ca.DM.eye(gears.size)),
     )
 
 
@@ -338,7 +342,7 @@ def surroundings(
     for joint, (one, part) in enumerate(zip(ones, parts, strict=True)):
         known.append(part._replace(model=_column(gears, one, part.model, joint)))
     now = contact_forces(drives, known, told)
-    moved, tau = _moved(arm, now.chance), _lasting(arm, now, drives[0])
+    moved, tau = _link_accelerations(arm, now.chance), _lasting(arm, now, drives[0])
     a = arm.inverse @ (tau - arm.needed)
 
     def needed(at: Any) -> Any:
@@ -372,12 +376,12 @@ def _column(gears: Geared, one: Geared, params: Any, joint: int) -> Any:
     return column
 
 
-def _solved(M: Any, right: Any) -> Any:
+def _solve_inertia(M: Any, right: Any) -> Any:
     """Return M^-1 times a matrix."""
     return ca.ldl_solve(right, *ca.ldl(M))
 
 
-def _moved(arm: Posture, touching: Any) -> Any:
+def _link_accelerations(arm: Posture, touching: Any) -> Any:
     """Return the acceleration of each link by torques (N x N); others turn their motors where they
     touch.
 
@@ -387,7 +391,7 @@ def _moved(arm: Posture, touching: Any) -> Any:
     for joint in range(N):
         turned = touching * inertia
         turned[joint] = 0.0
-        rows.append(_solved(arm.mass + ca.diag(turned), ca.DM.eye(N)[:, joint]).T)
+        rows.append(_solve_inertia(arm.mass + ca.diag(turned), ca.DM.eye(N)[:, joint]).T)
     return ca.vertcat(*rows)
 
 

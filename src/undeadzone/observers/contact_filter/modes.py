@@ -25,16 +25,16 @@ from undeadzone.numerics.gaussian import (
     Gaussian,
     advance,
     below,
-    cut,
     from_upper,
-    mixed,
+    mix_gaussians,
     symmetric,
     together,
     triangle,
+    truncate_belief,
     update_unless_glitch,
 )
 from undeadzone.numerics.runge_kutta import rk4_change
-from undeadzone.observers.filtering.multiple_models import weighted_mean
+from undeadzone.observers.filtering.multiple_models import mean_of_models
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
 
@@ -224,32 +224,32 @@ def _beliefs(drive: Drive, s: Modes, y: Any) -> list[Gaussian]:
     return beliefs
 
 
-def corrected(drive: Drive, q: Numbers, s: Modes, y: Any) -> Posterior:
+def correct_modes(drive: Drive, q: Numbers, s: Modes, y: Any) -> Posterior:
     """Return the modes after the readings of a sample; one that is no number is missing."""
     beliefs, each = _beliefs(drive, s, y), []
     for contact, belief in zip(drive.layout.modes, beliefs, strict=True):
-        each.append(_read(drive, q, contact, belief, y))
+        each.append(_correct_mode(drive, q, contact, belief, y))
     before = ca.vertsplit(s.chances)
     alive = [ca.if_else(w > 0, one.log, -1e300) for w, one in zip(before, each, strict=True)]
     best = ca.mmax(ca.vertcat(*alive))
     logs = [ca.fmax(one.log - best, -MOST) for one in each]
     likely = [w * ca.exp(log) for w, log in zip(before, logs, strict=True)]
-    weights, log = normalised(likely), best + ca.log(ca.fmax(sum(likely), 1e-300))
+    weights, log = normalise_weights(likely), best + ca.log(ca.fmax(sum(likely), 1e-300))
     log = ca.if_else(log > LOST, log, LOST)  # also of a filter that overflows
-    shares = normalised([ca.if_else(weight < LEAST, 0.0, weight) for weight in weights])
-    whole = mixed(shares, [one.belief for one in each])
+    shares = normalise_weights([ca.if_else(weight < LEAST, 0.0, weight) for weight in weights])
+    whole = mix_gaussians(shares, [one.belief for one in each])
     kept = []
     for share, one in zip(shares, each, strict=True):
         kept.append(one_or_other(share > 0, one.belief, whole))
-    news = whole.mean - weighted_mean(before, [belief.mean for belief in beliefs])
+    news = whole.mean - mean_of_models(before, [belief.mean for belief in beliefs])
     return Posterior(tuple(shares), tuple(kept), whole, news, *innovation(before, each), log)
 
 
 def innovation(shares: Sequence[Any], each: Sequence[Posterior | Read]) -> tuple[Any, Any]:
     """Return the innovation of a mixture and its deviation, where each part has a share (K)."""
-    e = weighted_mean(shares, [one.e for one in each])
+    e = mean_of_models(shares, [one.e for one in each])
     variances = [one.std**2 + (one.e - e) ** 2 for one in each]
-    return e, ca.sqrt(weighted_mean(shares, variances))
+    return e, ca.sqrt(mean_of_models(shares, variances))
 
 
 class Read(NamedTuple):
@@ -267,7 +267,7 @@ class Read(NamedTuple):
     std: Any
 
 
-def _read(drive: Drive, q: Numbers, contact: Contacts, foretold: Gaussian, y: Any) -> Read:
+def _correct_mode(drive: Drive, q: Numbers, contact: Contacts, foretold: Gaussian, y: Any) -> Read:
     """Return one mode after the readings, with its numbers within their bounds."""
     belief, log, readings = foretold, ca.SX(0.0), []
     for row, entry in enumerate(drive.readings):
@@ -313,13 +313,13 @@ def one_or_other(use: Any, one: Gaussian, other: Gaussian) -> Gaussian:
     )
 
 
-def normalised(weights: list[Any]) -> list[Any]:
+def normalise_weights(weights: list[Any]) -> list[Any]:
     """Return the weights over their sum."""
     total = ca.fmax(sum(weights), 1e-300)
     return [weight / total for weight in weights]
 
 
-def renewed(told: Sequence[Posterior]) -> list[Posterior]:
+def replace_diverged_filter(told: Sequence[Posterior]) -> list[Posterior]:
     """Filters of one joint, of which one that ran away goes on as the one does that foretold best.
 
     Args:
@@ -350,7 +350,7 @@ class Mode(NamedTuple):
     belief: Gaussian
 
 
-def predicted(drive: Drive, q: Numbers, told: Posterior, u: Any) -> list[Mode]:
+def predict_modes(drive: Drive, q: Numbers, told: Posterior, u: Any) -> list[Mode]:
     """Return the modes a sample later: links leave flanks, all move, links reach flanks.
 
     Args:
@@ -363,12 +363,12 @@ def predicted(drive: Drive, q: Numbers, told: Posterior, u: Any) -> list[Mode]:
     now = [Mode(*each) for each in zip(told.chances, told.beliefs, strict=True)]
     signs = [_leaving(drive, q, mode, one, u) for mode, one in zip(modes, now, strict=True)]
     for joint in range(drive.layout.size):
-        now, signs = _released(drive, q, joint, now, signs)
-    after = [_moved(drive, q, mode, one, u) for mode, one in zip(modes, now, strict=True)]
+        now, signs = _release_links(drive, q, joint, now, signs)
+    after = [_predict_mode(drive, q, mode, one, u) for mode, one in zip(modes, now, strict=True)]
     each = zip(modes, now, after, strict=True)
     arrivals = [_arrivals(drive.layout, q.slack, *ways) for ways in each]
     for joint in range(drive.layout.size):
-        after, arrivals = _caught(drive, q, joint, after, arrivals)
+        after, arrivals = _catch_links(drive, q, joint, after, arrivals)
     return after
 
 
@@ -407,7 +407,7 @@ def _sides(layout: Layout, joint: int) -> list[dict[int, int]]:
     ]
 
 
-def _released(
+def _release_links(
     drive: Drive, q: Numbers, joint: int, modes: list[Mode], leaving: list[Any]
 ) -> tuple[list[Mode], list[Any]]:
     """Return the modes, and the shares that leave, after one joint has left its flanks."""
@@ -422,8 +422,8 @@ def _released(
             left.append(leaving[places[side]])
         parts = [*_resident(drive, q, joint, modes[gap], sum(one.chance for one in parts)), *parts]
         left = [leaving[gap], leaving[gap], *left]
-        after[gap], weights = _merged(parts)
-        shares[gap] = weighted_mean(weights, left)
+        after[gap], weights = _merge_moments(parts)
+        shares[gap] = mean_of_models(weights, left)
     return after, shares
 
 
@@ -436,13 +436,13 @@ def _resident(drive: Drive, q: Numbers, joint: int, gap: Mode, come: Any) -> lis
     """
     belief = gap.belief
     bounds = [Bound(h, h @ belief.mean, 1.0) for h in drive.layout.edges(joint)]
-    inside = cut(belief, bounds, q.slack, SURE).belief
+    inside = truncate_belief(belief, bounds, q.slack, SURE).belief
     late = sum(_beyond(drive.layout, joint, belief, q.slack)) > LATE
     share = ca.if_else(late, 1.0, come / ca.fmax(gap.chance + come, NONE))
     return [gap._replace(chance=gap.chance * (1 - share)), Mode(gap.chance * share, inside)]
 
 
-def _moved(drive: Drive, q: Numbers, contact: Contacts, one: Mode, u: Any) -> Mode:
+def _predict_mode(drive: Drive, q: Numbers, contact: Contacts, one: Mode, u: Any) -> Mode:
     """Return one mode a sample later, contacts held."""
     layout, (mean, cov), Q = drive.layout, one.belief, ca.SX(q.Q)
     motors, halves = layout.of("motor_speed"), layout.of("half")
@@ -469,7 +469,7 @@ def _arrivals(layout: Layout, slack: Any, contact: Contacts, start: Mode, end: M
     return shares
 
 
-def _caught(
+def _catch_links(
     drive: Drive, q: Numbers, joint: int, modes: list[Mode], arrivals: list[Any]
 ) -> tuple[list[Mode], list[Any]]:
     """Return the modes, and the shares that arrive, after one joint has reached its flanks."""
@@ -480,12 +480,12 @@ def _caught(
         for side, arrived in zip((1, -1), ca.horzsplit(share), strict=True):
             place = places[side]
             new = Mode(gap.chance * arrived, condition_on_impact(drive, q, joint, side, gap.belief))
-            after[place], (kept, come) = _merged([modes[place], new])
+            after[place], (kept, come) = _merge_moments([modes[place], new])
             shares[place] = kept * arrivals[place] + come * arrivals[places[0]]
     return after, shares
 
 
-def _merged(parts: list[Mode]) -> tuple[Mode, list[Any]]:
+def _merge_moments(parts: list[Mode]) -> tuple[Mode, list[Any]]:
     """What comes together in a mode, by its moments, and the share of each part.
 
     Where nothing comes, the first part stays.
@@ -494,7 +494,7 @@ def _merged(parts: list[Mode]) -> tuple[Mode, list[Any]]:
     empty = total < NONE
     shares = [ca.if_else(empty, 0.0, part.chance / ca.fmax(total, NONE)) for part in parts]
     shares[0] = ca.if_else(empty, 1.0, shares[0])
-    return Mode(total, mixed(shares, [part.belief for part in parts])), shares
+    return Mode(total, mix_gaussians(shares, [part.belief for part in parts])), shares
 
 
 def condition_on_impact(
@@ -540,7 +540,7 @@ def pack_modes(drive: Drive, moved: list[Mode], s: Modes, y: Any) -> Modes:
     def kept(new: Any, old: Any) -> Any:
         return ca.if_else(begun > 0.5, new, old)
 
-    chances = ca.vertcat(*normalised([one.chance for one in moved]))
+    chances = ca.vertcat(*normalise_weights([one.chance for one in moved]))
     means = map(kept, [one.belief.mean for one in moved], s.means)
     covs = map(kept, [triangle(one.belief.cov, entries) for one in moved], s.covs)
     return Modes(kept(chances, s.chances), tuple(means), tuple(covs), begun)

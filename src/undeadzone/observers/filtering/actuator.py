@@ -31,7 +31,9 @@ class State(NamedTuple):
     command: Any
 
 
-def built(options: Any, model: System, sensor: Zone, belief: Belief | None) -> Observer:
+def build_behind_actuator(
+    options: Any, model: System, sensor: Zone, belief: Belief | None
+) -> Observer:
     """Return the observer with these options for a model behind an actuator.
 
     Args:
@@ -90,17 +92,17 @@ def through_actuator(observer: Observer, model: System, belief: Belief) -> Obser
         belief: what is known of the actuator.
     """
     kind = type(observer.params)
-    rated = belief.drive.rated and model.Ts is not None
+    rated = belief.drive.has_rate_limit and model.Ts is not None
     last = np.zeros(model.m if rated else 0)
 
     def init(q: Any) -> State:
-        return State(observer.init(tree.parted(q, kind)), last)
+        return State(observer.init(tree.drop_last_field(q, kind)), last)
 
     def project(q: Any, s: State) -> State:
-        return s._replace(observer=observer.project(tree.parted(q, kind), s.observer))
+        return s._replace(observer=observer.project(tree.drop_last_field(q, kind), s.observer))
 
     step = partial(step_through, observer, model, belief.ranges is None)
-    params = tree.joined(observer.params, "actuator", belief.drive)
+    params = tree.append_field(observer.params, "actuator", belief.drive)
     return Observer(params, init, step, project, observer.traits)
 
 
@@ -152,7 +154,7 @@ def step_through(
     observer: Observer, model: System, known: bool, q: Any, s: State, u: Any, reading: Reading
 ) -> tuple[State, Estimate]:
     """Return one sample; q: numbers of the observer, then the actuator's `Drive`."""
-    drive, inner = q.actuator, tree.parted(q, type(observer.params))
+    drive, inner = q.actuator, tree.drop_last_field(q, type(observer.params))
     passed = within_limits(ca, u, drive)
     command = s.command
     if command.shape[0]:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from undeadzone.interfaces import Estimate, Observer, Reading
-from undeadzone.linalg.hold import sampled_noise
+from undeadzone.linalg.hold import discrete_noise_covariance
 from undeadzone.observers.filtering.prior import Prior, sample_time
 from undeadzone.plants.system import System, arrival, state_units, time_scale
 from undeadzone.util.arrays import Floats
@@ -32,7 +32,7 @@ def agitation(model: System, rms: float, span: float | None = None) -> Floats:
     A, B, C = model.continuous
     reached = []
     for b in B.T:
-        _, covariance = sampled_noise(A, np.outer(b, b), span or quarter_period(model))
+        _, covariance = discrete_noise_covariance(A, np.outer(b, b), span or quarter_period(model))
         reached.append(np.diag(C @ covariance @ C.T).max())
     variance = np.where(np.array(reached) > 0, reached, np.inf)
     return rms / np.sqrt(sample_time(model) * variance)
@@ -63,14 +63,14 @@ def even_units(model: System) -> Floats:
     return np.asarray(2.0 ** np.round(np.log2(state_units(model.continuous, model.Ts))))
 
 
-def counted_prior(prior: Prior, units: Floats) -> Prior:
+def prior_in_units(prior: Prior, units: Floats) -> Prior:
     """Return the prior of states that are counted in these units (n)."""
     n = units.size
     scale = np.concatenate([units, np.ones(prior.mean.size - n)])
     return prior._replace(mean=prior.mean / scale, std=prior.std / scale)
 
 
-def shown_states(observer: Observer, units: Floats) -> Observer:
+def show_in_plant_units(observer: Observer, units: Floats) -> Observer:
     """Return a filter of states counted in these units (n), that shows them in the plant's.
 
     Of a linear plant the units are numbers of its model (`in_units`), so that one graph serves

@@ -184,19 +184,19 @@ def with_consistency_tests(
             moments=lambda q, s, u, reading: member.smoothing.moments(q, s.filter, u, reading),
             odds=lambda s: member.smoothing.odds(s.filter),
             record=lambda s: s.record,
-            shown=partial(_shown_smoothed, setup),
+            shown=partial(_widen_smoothed, setup),
         )
-    step = partial(judged_step, setup)
+    step = partial(step_with_tests, setup)
     return Observer(member.params, init, step, traits=traits, smoothing=smoothing)
 
 
-def _shown_smoothed(setup: Setup, q: Params, beliefs: Any, share: Any, record: Record) -> Estimate:
+def _widen_smoothed(setup: Setup, q: Params, beliefs: Any, share: Any, record: Record) -> Estimate:
     """Return the estimate that shows smoothed beliefs, as wide as the record demands."""
     estimated = setup.member.smoothing.shown(q, beliefs, share, ())
     return widen_intervals(setup.model, q, record, estimated) if setup.widens else estimated
 
 
-def judged_step(
+def step_with_tests(
     setup: Setup, q: Params, s: State, u: Any, reading: Reading
 ) -> tuple[State, Estimate]:
     """Return one sample of the filter, and what it shows after its readings were judged.
@@ -264,7 +264,7 @@ def consistency_statistics(q: Params, record: Record) -> dict[str, Any]:
         lasting = ca.if_else(ca.sum1(record.constant) > 0, ca.fmax(lasting, REFUTED), lasting)
     found = {"gust": lasting, "glitches": ca.mmax(record.share) / LOST}
     return found | (
-        innovation_tests.rejected_assumptions(q.doubt, record.scores) if record.scores else {}
+        innovation_tests.rejection_levels(q.doubt, record.scores) if record.scores else {}
     )
 
 

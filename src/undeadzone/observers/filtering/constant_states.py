@@ -131,7 +131,7 @@ def gaps_at(q: Any, X: Any) -> Any:
     return q.gaps.middle + X[place(q, X.shape[0])]
 
 
-def informed(q: Any, model: System, cov: Any) -> Any:
+def width_correlation(q: Any, model: System, cov: Any) -> Any:
     """How far readings have told of each width: its correlation with what they said (N).
 
     The root of the share that they took from its prior variance; 1 for all that is not a width.
@@ -151,7 +151,7 @@ def informed(q: Any, model: System, cov: Any) -> Any:
     return shares
 
 
-def taken_by_play(q: Any, i: int, contact: Any, X: Any) -> Any:
+def gap_offset(q: Any, i: int, contact: Any, X: Any) -> Any:
     """What the play ahead of the zone of output i takes off z in a contact; 0 without one."""
     if q.gaps is None:
         return 0.0

@@ -11,7 +11,7 @@ import numpy as np
 
 from undeadzone.interfaces import Estimate, Reading, estimate
 from undeadzone.nonlinearities.sensor import Zone
-from undeadzone.numerics.gaussian import Gaussian, Products, cut_to, from_upper, linearise
+from undeadzone.numerics.gaussian import Gaussian, Products, from_upper, linearise, truncate_scalar
 from undeadzone.observers.filtering.prior import Prior
 from undeadzone.plants.system import System, held_inputs
 from undeadzone.util.arrays import Floats
@@ -105,7 +105,7 @@ def filter_numbers(model: System, sensor: Zone, prior: Prior, augmentation: Augm
     cov[:known, :known] = np.diag(prior.std**2)
     widths, cov[model.n : known, model.n : known] = prior.widths()
     cov[known:, known:] = augmentation.cov
-    rows, columns = kept_entries(model, augmentation).get_triplet()
+    rows, columns = covariance_entries(model, augmentation).get_triplet()
     return Params(
         model=model.params,
         augmentation=augmentation.params,
@@ -120,7 +120,7 @@ def filter_numbers(model: System, sensor: Zone, prior: Prior, augmentation: Augm
     )
 
 
-def kept_entries(model: System, augmentation: Augmentation) -> ca.Sparsity:
+def covariance_entries(model: System, augmentation: Augmentation) -> ca.Sparsity:
     """Return the entries of the covariance's upper triangle that a filter keeps."""
     if augmentation.entries is not None:
         return augmentation.entries
@@ -150,7 +150,7 @@ def motion(
     u = drive(belief.mean)
     noise_x, noise_extra = augmentation.noise(q, belief.mean[:n], u)
     if doubt is not None:
-        here = partial(_moved, augmentation, q, belief.mean[:n], belief.mean[known:])
+        here = partial(_state_change, augmentation, q, belief.mean[:n], belief.mean[known:])
         _, B = linearise(here, u)
         noise_x += B @ ca.diag(doubt) @ B.T
 
@@ -161,7 +161,7 @@ def motion(
     return change, ca.diagcat(noise_x, ca.diag(q.drift), noise_extra)
 
 
-def _moved(augmentation: Augmentation, q: Params, x: Any, extra: Any, u: Any) -> Any:
+def _state_change(augmentation: Augmentation, q: Params, x: Any, extra: Any, u: Any) -> Any:
     """Return the change of x over a step under an input."""
     return augmentation.change(q, x, extra, u)[0]
 
@@ -276,7 +276,7 @@ class Setup(NamedTuple):
         return self.careful and self.doubts and self.bounds and self.plain and not self.centred
 
     @property
-    def paced(self) -> bool:
+    def limits_pace(self) -> bool:
         """Return whether readings that leave silence are asked how far z can move."""
         return self.doubts and self.plain
 
@@ -288,7 +288,7 @@ class Setup(NamedTuple):
         return not self.jump and not self.sensor.moves
 
     @property
-    def limited(self) -> bool:
+    def uses_limits(self) -> bool:
         """Return whether readings at a limit of their range bound z; of a play they are missing."""
         return self.sensor.limits is not None and not self.sensor.moves
 
@@ -323,7 +323,7 @@ def clip_belief(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, An
         limited = ambiguous(stronger, limited, share)
     if setup.blind:
         return limited, 1.0
-    return clipped(setup.model.n, q, limited, setup.doubts, alone)
+    return clip_widths(setup.model.n, q, limited, setup.doubts, alone)
 
 
 def ambiguous(stronger: Gaussian, weaker: Gaussian, share: Any) -> Gaussian:
@@ -360,7 +360,7 @@ def excess_alone(n: int, q: Params, belief: Gaussian) -> Any:
     return ca.mmax(ca.if_else(excess**2 > BEYOND**2 * more * variance, excess**2, 0.0))
 
 
-def clipped(
+def clip_widths(
     n: int, q: Params, belief: Gaussian, doubts: bool, alone: Any = 0.0
 ) -> tuple[Gaussian, Any]:
     """Return the belief with every width's mean in its claimed range, and whether it may lie there.
@@ -415,8 +415,8 @@ def within_ranges(q: Params, n: int, belief: Gaussian) -> tuple[Gaussian, Any]:
         both = (n + i, n + p + i)
         pair = Gaussian(mean[both, :], P[both, both])
         ranges = q.ranges[(i, p + i), :]
-        one, first = _cut_to(pair, ranges, (0, 1))
-        other, second = _cut_to(pair, ranges, (1, 0))
+        one, first = _clip_displacement(pair, ranges, (0, 1))
+        other, second = _clip_displacement(pair, ranges, (1, 0))
         far = _is_inside(pair, ranges)
         mean = mean + P[:, both] @ (ca.logic_not(far) * (one + other) / 2)
         chance *= ca.if_else(far, 1.0, ca.sqrt(ca.fmax(first * second, LEAST)))
@@ -430,16 +430,16 @@ def _is_inside(pair: Gaussian, ranges: Any) -> Any:
     return ca.mmin(ca.logic_and(low < -least, high > least))
 
 
-def _cut_to(pair: Gaussian, ranges: Any, order: tuple[int, int]) -> tuple[Any, Any]:
+def _clip_displacement(pair: Gaussian, ranges: Any, order: tuple[int, int]) -> tuple[Any, Any]:
     """What a mean moves by along the columns of two widths that are cut to their ranges in order.
 
     Returns:
         (numbers by which the columns of the covariance move it (2), the chance).
     """
     (m, P), (i, j) = pair, order
-    shift, lost, chance = cut_to(m[i], P[i, i], ranges[i, 0], ranges[i, 1])
+    shift, lost, chance = truncate_scalar(m[i], P[i, i], ranges[i, 0], ranges[i, 1])
     after, variance = m[j] + shift * P[i, j], P[j, j] - lost * P[i, j] ** 2
-    second, _, likewise = cut_to(after, variance, ranges[j, 0], ranges[j, 1])
+    second, _, likewise = truncate_scalar(after, variance, ranges[j, 0], ranges[j, 1])
     moves = {i: shift - lost * P[i, j] * second, j: second}
     return ca.vertcat(moves[0], moves[1]), chance * likewise
 

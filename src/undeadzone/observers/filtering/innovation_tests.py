@@ -154,7 +154,7 @@ def resting(doubt: Any, s: Scores) -> Any:
     return ca.if_else(holding(doubt, s) > 1, s.rest / ca.fmax(s.held, HELD), 0.0)
 
 
-def rejected_assumptions(doubt: Any, s: Scores) -> dict[str, Any]:
+def rejection_levels(doubt: Any, s: Scores) -> dict[str, Any]:
     """By how much each claim is refuted: above 1 it is."""
     ratios = {"sensor": ca.fmax(ca.mmax(holding(doubt, s)), losing(s))}
     for name, square in squares(s).items():
@@ -174,7 +174,7 @@ def beyond(ratio: Any) -> Any:
 
 def stretch(doubt: Any, s: Scores) -> Any:
     """By how much deviations are to be larger, squared, where a score refutes its claim."""
-    worst, each = 1.0, rejected_assumptions(doubt, s)
+    worst, each = 1.0, rejection_levels(doubt, s)
     for name, share in WIDER.items():
         worst = ca.fmax(worst, share * limit_of(doubt, name) * beyond(each[name]))
     return worst

@@ -17,7 +17,7 @@ import numpy as np
 from undeadzone.interfaces import Estimate, Observer, Reading, Traits
 from undeadzone.nonlinearities.sensor import LEFT, RIGHT, Zone, present
 from undeadzone.numerics.gaussian import Gaussian, Weighed, advance, linearise, predict, symmetric
-from undeadzone.observers.filtering.augmented_state import counted_prior, shown_states
+from undeadzone.observers.filtering.augmented_state import prior_in_units, show_in_plant_units
 from undeadzone.observers.filtering.consistency import (
     Member,
     Step,
@@ -41,8 +41,8 @@ from undeadzone.observers.filtering.gaussian_filter import (
     Params,
     Setup,
     clip_belief,
+    covariance_entries,
     filter_numbers,
-    kept_entries,
     motion,
     to_estimate,
     with_unknowns,
@@ -99,7 +99,7 @@ class State(NamedTuple):
     pace: Pace
 
 
-def measured_filter(
+def build_gaussian_filter(
     plant: System,
     units: Floats,
     sensor: Zone,
@@ -132,12 +132,12 @@ def measured_filter(
         recovers: whether its state holds what a lasting misfit may be, so that it can end.
     """
     model = in_units(plant, units)
-    prior = counted_prior(prior, units)
+    prior = prior_in_units(prior, units)
     gaps = numbers_of(sensor, prior)
     zones = zones_of(model.actuator)
     augmentation = with_gaps(with_friction(augmentation, sensor), gaps)
     augmentation = with_widths(augmentation, zones)
-    entries = kept_entries(model, augmentation)
+    entries = covariance_entries(model, augmentation)
     doubts = glitches > 0 and not blind
     centred = prior.centre is not None
     setup = Setup(
@@ -146,7 +146,7 @@ def measured_filter(
     p, m = model.p, model.m
 
     def init(q: Params) -> State:
-        each, waits = np.zeros(p), np.zeros(4 * p if setup.limited else 2 * p)
+        each, waits = np.zeros(p), np.zeros(4 * p if setup.uses_limits else 2 * p)
         return State(
             q.mean, q.cov, each, each, waits, np.zeros(m), start_rejection_rate(p), resting(setup)
         )
@@ -169,7 +169,9 @@ def measured_filter(
     )
     member = Member(params, init, partial(filter_step, setup), smoothing)
     member = with_disturbance_levels(member, levels, claimed)
-    observer = shown_states(with_consistency_tests(member, model, doubts, traits, recovers), units)
+    observer = show_in_plant_units(
+        with_consistency_tests(member, model, doubts, traits, recovers), units
+    )
     return with_motion_detection(observer, plant, sensor)
 
 
@@ -190,11 +192,11 @@ def update_measurement(setup: Setup, q: Params, s: State, reading: Reading) -> U
     side = choose_branch(setup, q, s, reading, y, seen)
     before = Gaussian(s.mean, symmetric(s.cov, setup.entries))
     R = variances(q, reading)
-    surprises = normalised_innovation(setup, q, s.pace, y, side, R)
+    surprises = silence_log_ratio(setup, q, s.pace, y, side, R)
     corrected = correct(setup, q, before, y, side, R, surprises, reading.motion)
     heard = Corrected(corrected.belief, s.wait, corrected.trust, corrected.likely)
     heard = with_bounds(setup, q, s, heard, reading, y, side)
-    if setup.limited:
+    if setup.uses_limits:
         heard = heard._replace(trust=downweight_outliers(heard.trust, reading))
     return Update(y, side, before, corrected, heard)
 
@@ -205,7 +207,7 @@ def moments(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> tupl
     corrected, heard = taken.corrected, taken.heard
     rows, edges = rows_at(setup, q, taken.before.mean, taken.side)
     restarted = reset_if_invalid(
-        q, setup.entries, predicted(setup, q, heard.belief, u, reading.side)
+        q, setup.entries, predict_belief(setup, q, heard.belief, u, reading.side)
     )[2]
     slope = slope_at(setup, q, heard.belief, u)
     log = log_likelihood(setup, corrected, heard)
@@ -261,7 +263,7 @@ def filter_step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> 
     estimated = with_actuator(q.zones, estimated, shown)
     estimated = with_play(q, estimated, shown, reading)
     mean, cov, restarted = reset_if_invalid(
-        q, setup.entries, predicted(setup, q, heard.belief, u, reading.side)
+        q, setup.entries, predict_belief(setup, q, heard.belief, u, reading.side)
     )
     pace = predict_state(setup, q, s.pace, heard, u, side, reading)
     after = State(mean, cov, y, s.last, heard.wait, u, s.patience, pace)
@@ -304,7 +306,7 @@ def with_bounds(
         return heard._replace(silence=censoring_probabilities(setup, q, heard.belief, silent))
     if setup.both:
         return with_bounds_of_both(setup, q, s, heard, y, present(reading.y))
-    if not setup.limited:
+    if not setup.uses_limits:
         return use_bounds(setup, q, heard, silent, side, y if setup.play else None)
     edges = use_bounds(setup, q, heard, silent, side)
     return use_limits(setup, q, edges, s.wait[2 * setup.model.p :], y, reading.side)
@@ -341,7 +343,7 @@ def choose_branch(setup: Setup, q: Params, s: State, reading: Reading, y: Any, s
         return seen
     shown = setup.jump or setup.play
     side = reading.side if shown else sure_side(y, s.last, s.previous, q.gate)
-    if setup.limited:
+    if setup.uses_limits:
         exact = surely_exact(setup, q, y, s.last, s.previous, reading.side)
         side = ca.if_else(exact, side, 0.0)
     if setup.both:  # what holds tells no contact
@@ -368,7 +370,7 @@ def revise_branch(setup: Setup, q: Params, s: State, side: Any, trust: Any) -> S
     return s._replace(cov=cov, last=ca.if_else(trust < 0.5, 0.0, s.last), patience=patience)
 
 
-def predicted(setup: Setup, q: Params, belief: Gaussian, u: Any, side: Any) -> Gaussian:
+def predict_belief(setup: Setup, q: Params, belief: Gaussian, u: Any, side: Any) -> Gaussian:
     """Return the belief at the next sample, under an input u (m); side: that was measured (p)."""
     augmentation = setup.augmentation
     drive, doubt = entering(q.zones, belief, u)
@@ -407,13 +409,11 @@ class Pace(NamedTuple):
 
 def resting(setup: Setup) -> Pace:
     """Nothing is known of z so far."""
-    p = setup.model.p if setup.paced else 0
+    p = setup.model.p if setup.limits_pace else 0
     return Pace(np.zeros(p), np.zeros(p), np.zeros(2 * p))
 
 
-def normalised_innovation(
-    setup: Setup, q: Params, pace: Pace, y: Any, side: Any, R: Any
-) -> list[Any]:
+def silence_log_ratio(setup: Setup, q: Params, pace: Pace, y: Any, side: Any, R: Any) -> list[Any]:
     """Return log of the density of each reading given the silence before it, over that without (p).
 
     z was inside of the edge since[] steps ago, by a reading within the gate, and moved by so many
@@ -429,7 +429,7 @@ def normalised_innovation(
         R: variances of the readings (p) [z^2].
     """
     p = setup.model.p
-    if not setup.paced:
+    if not setup.limits_pace:
         return [0.0] * p
     each = []
     for i in range(p):
@@ -455,7 +455,7 @@ def predict_state(
         side: the sides on which readings were used (p).
         reading: what was read.
     """
-    if not setup.paced:
+    if not setup.limits_pace:
         return pace
     belief, n = heard.belief, setup.model.n
     drive, doubt = entering(q.zones, belief, u)

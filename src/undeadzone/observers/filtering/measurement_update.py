@@ -22,12 +22,12 @@ from undeadzone.numerics.gaussian import (
     Cut,
     Gaussian,
     Weighed,
-    cut,
     linearise,
     together,
+    truncate_belief,
     update_unless_glitch,
 )
-from undeadzone.observers.filtering.constant_states import informed, taken_by_play
+from undeadzone.observers.filtering.constant_states import gap_offset, width_correlation
 from undeadzone.observers.filtering.gaussian_filter import Params, Setup
 from undeadzone.observers.filtering.prior import HELD, SILENT, Prior
 from undeadzone.plants.system import System, pace, time_scale
@@ -63,7 +63,7 @@ def beyond_edge(setup: Setup, q: Params, i: int, side: Any, X: Any, contact: Any
     """
     n, p = setup.model.n, setup.model.p
     z = setup.model.output(q.model, X[:n])[i]
-    return z - offset(side, X[n + i], X[n + p + i]) - taken_by_play(q, i, contact, X)
+    return z - offset(side, X[n + i], X[n + p + i]) - gap_offset(q, i, contact, X)
 
 
 def correct(
@@ -100,7 +100,7 @@ def correct(
         expected, h = linearise(sight, belief.mean)
         e = ca.if_else(active, y[i] / q.slope[i] - expected, 0.0)
         odds, reach = q.doubt.glitch if setup.doubts else None, q.doubt.reach[i]
-        moved = moved_by(setup, q, belief, i, side[i]) if setup.apart else None
+        moved = moved_shares(setup, q, belief, i, side[i]) if setup.apart else None
         one = update_unless_glitch(belief, h, e, R[i], active, odds, reach, moved, surprise[i])
         belief = one.belief
         each.append(one)
@@ -125,14 +125,14 @@ def rest_of(model: System, sensor: Zone, lasting: float) -> float:
     return max(min(lasting, quarter), readings_of_motion(model.Ts, pace(model.flow, model.Ts)))
 
 
-def moved_by(setup: Setup, q: Params, belief: Gaussian, i: int, side: Any) -> Any:
+def moved_shares(setup: Setup, q: Params, belief: Gaussian, i: int, side: Any) -> Any:
     """Return the share by which a reading of output i moves each variable (N).
 
     What silence says of z and an edge binds them, though it moved the edge by a share only. A
     reading on the other edge, which tells of z, moves this one by no more.
     """
     n, p = setup.model.n, setup.model.p
-    moved = ca.SX(informed(q, setup.model, belief.cov))
+    moved = ca.SX(width_correlation(q, setup.model, belief.cov))
     for place, edge in ((n + i, RIGHT), (n + p + i, LEFT)):
         moved[place] = ca.if_else(side == edge, 1.0, moved[place])
     return moved
@@ -178,7 +178,7 @@ def use_bounds(
                 branch = ca.if_else(held[i] != 0, held[i], edge)
                 slack += ca.if_else(held[i] != 0, HELD / SILENT - 1, 0.0) * q.gate[i]
             slack = ca.if_else(silent[i], slack / q.slope[i], 0.0)
-            bounds.append(bound_at(setup, q, belief, i, edge, branch, outside, slack, heard))
+            bounds.append(edge_bound(setup, q, belief, i, edge, branch, outside, slack, heard))
         one = edge_constraint(setup, q, belief, i, bounds)
         belief = one.belief
         likely[i] *= one.likely
@@ -217,7 +217,7 @@ def find_censored(setup: Setup, q: Params, reading: Reading, y: Any) -> Any:
     silent = present(reading.y)
     if not setup.play:
         silent = ca.logic_and(silent, ca.fabs(y) <= q.gate)
-    if setup.limited:
+    if setup.uses_limits:
         silent = ca.logic_and(silent, ca.fabs(reading.side) < 2)
     return silent
 
@@ -235,20 +235,20 @@ def censoring_probabilities(
         belief: about [x; d; extra], which no silence moves here.
         silent: whether each output is silent (p).
     """
-    if not setup.paced:
+    if not setup.limits_pace:
         return ()
     each = []
     for i in range(setup.model.p):
         bounds = []
         for edge in (RIGHT, LEFT):
             slack = q.gate[i] / q.slope[i]
-            bounds.append(bound_at(setup, q, belief, i, edge, edge, 0.0, slack, 0.0))
+            bounds.append(edge_bound(setup, q, belief, i, edge, edge, 0.0, slack, 0.0))
         trust = edge_constraint(setup, q, belief, i, bounds).trust
         each.append(ca.logic_and(silent[i], trust > 0.5))
     return (ca.vertcat(*each),) * 2
 
 
-def bound_at(
+def edge_bound(
     setup: Setup,
     q: Params,
     belief: Gaussian,
@@ -283,9 +283,9 @@ def edge_constraint(
 ) -> Cut:
     """What edges of output i say; bounds: what each one is."""
     if not setup.doubts:
-        return cut(belief, bounds, q.R[i], DOUBT)
-    moved = informed(q, setup.model, belief.cov) if setup.careful else None
-    return cut(belief, bounds, q.R[i], DOUBT, q.doubt.fake, moved)
+        return truncate_belief(belief, bounds, q.R[i], DOUBT)
+    moved = width_correlation(q, setup.model, belief.cov) if setup.careful else None
+    return truncate_belief(belief, bounds, q.R[i], DOUBT, q.doubt.fake, moved)
 
 
 def sure_side(y: Any, last: Any, previous: Any, gate: Any) -> Any:
@@ -419,7 +419,7 @@ def limit_update(
     expected, h = linearise(partial(beyond_edge, setup, q, i, branch), belief.mean)
     bound = Bound(-end * h, end * (y / q.slope[i] - expected), heard)
     fake = q.doubt.glitch + math.log(BEYOND) if setup.doubts else None
-    return cut(belief, [bound], q.R[i], DOUBT, fake)
+    return truncate_belief(belief, [bound], q.R[i], DOUBT, fake)
 
 
 def downweight_outliers(trust: Any, reading: Reading) -> Any:

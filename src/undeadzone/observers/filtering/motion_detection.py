@@ -112,13 +112,13 @@ def with_motion_detection(observer: Observer, model: System, sensor: Zone) -> Ob
     none, kind = np.zeros(model.p), type(observer.params)
 
     def init(q: Any) -> State:
-        return State(observer.init(tree.parted(q, kind)), none, none, none, none, none)
+        return State(observer.init(tree.drop_last_field(q, kind)), none, none, none, none, none)
 
     def project(q: Any, s: State) -> State:
-        return s._replace(observer=observer.project(tree.parted(q, kind), s.observer))
+        return s._replace(observer=observer.project(tree.drop_last_field(q, kind), s.observer))
 
     step = partial(step_by_motion, observer, model, sensor)
-    params = tree.joined(observer.params, "motion", numbers)
+    params = tree.append_field(observer.params, "motion", numbers)
     return Observer(params, init, step, project, observer.traits)
 
 
@@ -138,11 +138,11 @@ def step_by_motion(
     """Return one sample of the observer with the side of its readings; q: its numbers, then
     `Motion`.
     """
-    inner, motion = tree.parted(q, type(observer.params)), q.motion
+    inner, motion = tree.drop_last_field(q, type(observer.params)), q.motion
     reading = exact(reading, sensor.limits)
     y = reading.y
     seen = present(y)
-    moving, heard, rms = sided(sensor, motion, s, y)
+    moving, heard, rms = side_of_motion(sensor, motion, s, y)
     moving = ca.if_else(seen, moving, 0.0)
     if sensor.play is None:
         taken = Reading(heard, moving, reading.x, heard, rms)
@@ -156,14 +156,14 @@ def step_by_motion(
     if estimate.refused.shape[0]:
         refused = estimate.refused
         regular = ca.logic_and(seen, refused == s.refused)
-    line = followed(sensor, motion, s, y, regular)
+    line = follow_level(sensor, motion, s, y, regular)
     after = State(moved, *line, ahead, refused)
     if sensor.play is not None:
         return after, estimate
     return after, estimate._replace(contact=taken.side)
 
 
-def sided(sensor: Zone, q: Motion, s: State, y: Any) -> tuple[Any, Any, Any]:
+def side_of_motion(sensor: Zone, q: Motion, s: State, y: Any) -> tuple[Any, Any, Any]:
     """Return (sides (p), the readings at the side (p) [y], what they are off by, rms (p) [y])."""
     parts = []
     for i in range(sensor.slope.size):
@@ -201,7 +201,7 @@ def by_line(q: Motion, s: State, y: Any, i: int) -> tuple[Any, Any, Any]:
     return ca.if_else(moving * s.ahead[i] > 0, moving, 0.0), y[i], 0.0
 
 
-def followed(sensor: Zone, q: Motion, s: State, y: Any, regular: Any) -> tuple[Any, Any, Any]:
+def follow_level(sensor: Zone, q: Motion, s: State, y: Any, regular: Any) -> tuple[Any, Any, Any]:
     """Return (level, slope, known) of the readings so far (p each); a new beginning where none was
     known.
 

@@ -61,10 +61,10 @@ def with_disturbance_levels(member: Member, levels: int, claimed: bool) -> Membe
     factors: Floats = np.geomspace(LOUDEST, FAINTEST, levels)
     if claimed:
         factors = FALL ** (1.0 * (levels >= DOUBTED) - np.arange(levels))
-    return bank(member, [partial(_scaled, factor) for factor in factors])
+    return bank(member, [partial(_scale_disturbance, factor) for factor in factors])
 
 
-def _scaled(factor: float, q: Any) -> Any:
+def _scale_disturbance(factor: float, q: Any) -> Any:
     """Return the numbers of a filter with the rms of the disturbance times a factor."""
     variance = q.augmentation.variance * factor**2
     return q._replace(augmentation=q.augmentation._replace(variance=variance))
@@ -83,7 +83,7 @@ def bank(member: Member, variants: Sequence[Callable[[Any], Any]]) -> Member:
         return State(tuple(member.init(q) for _ in variants), np.zeros(len(variants)))
 
     def step(q: Any, s: State, u: Any, reading: Reading) -> Step:
-        one_step = called(member.step, variants[0](q), s.members[0], u, reading)
+        one_step = reusable_step(member.step, variants[0](q), s.members[0], u, reading)
         steps = []
         for variant, state in zip(variants, s.members, strict=True):
             steps.append(one_step(variant(q), state, u, reading))
@@ -92,8 +92,8 @@ def bank(member: Member, variants: Sequence[Callable[[Any], Any]]) -> Member:
             state=State(tuple(one.state for one in steps), odds),
             estimate=mixture([one.estimate for one in steps], share),
             log=0.0,
-            trust=weighted_mean(share, [one.trust for one in steps]),
-            fits=weighted_mean(share, [one.fits for one in steps]),
+            trust=mean_of_models(share, [one.trust for one in steps]),
+            fits=mean_of_models(share, [one.fits for one in steps]),
             restarted=sum(one.restarted for one in steps) > 0,
             opened=sum(one.opened for one in steps) > 0,
         )
@@ -116,7 +116,7 @@ def update_weights(odds: Any, logs: Any, least: float = LEAST) -> tuple[Any, Any
     return odds, share / ca.sum1(share)
 
 
-def called(step: Callable[..., Step], *like: Any) -> Callable[..., Step]:
+def reusable_step(step: Callable[..., Step], *like: Any) -> Callable[..., Step]:
     """Return a step whose graph is built once: a call puts other expressions in the place of
     symbols.
 
@@ -164,7 +164,7 @@ def mixture(estimates: Sequence[Estimate], share: Any) -> Estimate:
     mixture's own.
     """
     wide = wider_of_two(share)
-    means = [weighted_mean(share, values) for values in zip(*estimates, strict=True)]
+    means = [mean_of_models(share, values) for values in zip(*estimates, strict=True)]
     stds = {}
     for field, parts in SPREAD.items():
         if getattr(estimates[0], field).shape[0]:
@@ -175,7 +175,7 @@ def mixture(estimates: Sequence[Estimate], share: Any) -> Estimate:
     return Estimate(*means)._replace(**stds)
 
 
-def weighted_mean(share: Any, values: Sequence[Any]) -> Any:
+def mean_of_models(share: Any, values: Sequence[Any]) -> Any:
     """Return the sum of the values, each times its share (K)."""
     return sum(share[k] * value for k, value in enumerate(values))
 
@@ -199,7 +199,7 @@ def mixture_std(share: Any, wide: Any, means: Sequence[Any], stds: Sequence[Any]
         wide: by which their variances count (K).
         means, stds: of the components.
     """
-    centre = weighted_mean(share, means)
-    within = weighted_mean(wide, [std**2 for std in stds])
-    between = weighted_mean(share, [(mean - centre) ** 2 for mean in means])
+    centre = mean_of_models(share, means)
+    within = mean_of_models(wide, [std**2 for std in stds])
+    between = mean_of_models(share, [(mean - centre) ** 2 for mean in means])
     return ca.sqrt(within + between)

@@ -10,7 +10,7 @@ import numpy as np
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Traits
 from undeadzone.linalg.hold import zoh
-from undeadzone.nonlinearities.limits import paired
+from undeadzone.nonlinearities.limits import require_pairs
 from undeadzone.nonlinearities.play import largest_gap
 from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.plants.system import System, state_units, time_scale
@@ -110,7 +110,7 @@ def build_prior(
         shown = np.hypot(sensor.noise, sensor.quantum / np.sqrt(12)) / sensor.slope
         least = floor * span.reshape(2, p).max(axis=0)
     else:
-        rms = shown = _claimed_noise(claims.noise, p)
+        rms = shown = _require_noise(claims.noise, p)
         least = np.zeros(p)
     if claims.x_std is None:
         spread = reach * largest * state_units(model.continuous, Ts)
@@ -145,7 +145,7 @@ def silence_gate(sensor: Zone, rms: Floats) -> Floats:
     return HELD * noise if sensor.kind == "play" else np.maximum(sensor.threshold, SILENT * noise)
 
 
-def claimed_traits(prior: Prior, x_std: Array | None) -> Traits:
+def traits_of_prior(prior: Prior, x_std: Array | None) -> Traits:
     """What verdicts may use of a filter's prior: a start and centres, where they are claimed.
 
     Args:
@@ -185,7 +185,7 @@ def _centres(claimed: Array, ranges: Floats, p: int) -> Floats:
     return np.stack([(low + high) / 2, (high - low) / np.sqrt(12)], axis=1)
 
 
-def _claimed_noise(noise: Array, p: int) -> Floats:
+def _require_noise(noise: Array, p: int) -> Floats:
     """Return the claimed rms of a reading (p) [z]. Raises InputError where it is 0."""
     rms = nonnegative("observer.noise", noise, p, "one per output")
     if not rms.all():
@@ -223,7 +223,7 @@ def width_ranges(right: Array, left: Array | None, p: int) -> Floats:
 
 def _ranges(key: str, value: Array, p: int) -> Floats:
     """Return the ranges of one side (p x 2). Raises InputError, ShapeError."""
-    given = paired(key, array(key, value), p, "the declared range [lo, hi]", "per output")
+    given = require_pairs(key, array(key, value), p, "the declared range [lo, hi]", "per output")
     ranges = np.broadcast_to(given, (p, 2))
     if (ranges[:, 0] < 0).any() or (ranges[:, 0] >= ranges[:, 1]).any():
         raise InputError(f"{key}: a range [lo, hi] must have 0 <= lo < hi, found {ranges.tolist()}")

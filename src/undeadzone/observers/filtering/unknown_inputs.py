@@ -14,10 +14,10 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.linalg.hold import sampled_noise, zoh_slopes
+from undeadzone.linalg.hold import discrete_noise_covariance, zoh_slopes
 from undeadzone.linalg.matrices import Matrices, similar
 from undeadzone.numerics.gaussian import Gaussian, Products, update
-from undeadzone.observers.filtering.constant_states import informed
+from undeadzone.observers.filtering.constant_states import width_correlation
 from undeadzone.observers.filtering.gaussian_filter import Augmentation, Params
 from undeadzone.plants.system import System, held_inputs, in_units, state_units, time_scale
 from undeadzone.util.arrays import Array, Floats, nonnegative, scalar
@@ -88,7 +88,7 @@ class Setup(NamedTuple):
     careful: bool
 
 
-def coloured(correlation: float, washout: float | None, Ts: float) -> Colour:
+def coloured_noise_model(correlation: float, washout: float | None, Ts: float) -> Colour:
     """Return first-order noise p_1' = -p_1 / correlation + white noise, sampled exactly.
 
     With a washout, p_1 - p_2 with p_2' = (p_1 - p_2) / washout instead: it has no constant part.
@@ -110,7 +110,7 @@ def coloured(correlation: float, washout: float | None, Ts: float) -> Colour:
         F = np.array([[-a, 0.0], [b, -b]])
         W = np.diag([2 * (a + b), 0.0])  # which makes the rms of p_1 - p_2 one
         C = np.array([1.0, -1.0])
-    Fd, Q = sampled_noise(F, W, Ts)
+    Fd, Q = discrete_noise_covariance(F, W, Ts)
     return Colour(Fd, (Q + Q.T) / 2, solve_discrete_lyapunov(Fd, Q), C)
 
 
@@ -257,7 +257,7 @@ def small_bias(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, Any
         (belief, its odds).
     """
     odds = q.augmentation.odds
-    moved = informed(q, setup.model, belief.cov) if setup.careful else 1.0
+    moved = width_correlation(q, setup.model, belief.cov) if setup.careful else 1.0
     first = setup.model.n + 2 * setup.model.p
     for i in range(setup.biased.shape[1]):
         R = q.augmentation.bias[i] ** 2 / (1 / SMALL**2 - 1)
@@ -290,7 +290,7 @@ class Tolerance(NamedTuple):
     changed: Callable[[Any, Any], Any] = lambda params, theta: params * (1 + theta)
 
 
-def named(model: System, stds: dict[str, float]) -> Tolerance:
+def named_parameters(model: System, stds: dict[str, float]) -> Tolerance:
     """Return named parameters of a nonlinear plant, of absolute standard deviations.
 
     Raises InputError.
@@ -350,7 +350,7 @@ def tolerances(
     AB = np.hstack(even.continuous[:2])
     return Tolerance(
         np.array(std),
-        sampled_slopes(AB, entries, model.Ts),
+        slopes_of_sampled_model(AB, entries, model.Ts),
         tuple(entries),
         np.array([AB[at] for at in entries]),
         held_inputs(even),
@@ -389,7 +389,7 @@ def _dynamic_entries(
     return stds
 
 
-def sampled_slopes(AB: Floats, entries: list[tuple[int, int]], Ts: float) -> Floats:
+def slopes_of_sampled_model(AB: Floats, entries: list[tuple[int, int]], Ts: float) -> Floats:
     """Return d[Ad, Bd] per relative change of each entry of [A, B], one below the other (K n x (n +
     m)).
 

@@ -15,11 +15,11 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.nonlinearities.limits import paired
+from undeadzone.nonlinearities.limits import require_pairs
 from undeadzone.plants.options import URDF, ArmOptions, ElasticJoint, OneLink, Plant, Rigid
 from undeadzone.plants.robots.arm import Arm, Chain, Numbers, acceleration, arm, numbers, torque
-from undeadzone.plants.robots.geared import Geared, geared_motion
-from undeadzone.plants.system import Flat, System, linearised
+from undeadzone.plants.robots.geared import Geared, motion_of_geared_arm
+from undeadzone.plants.system import Flat, System, with_linearisation
 from undeadzone.util.arrays import Array, Floats, array, positive, scalar, vector
 
 POSTURES = 8  # random ones, in which the mass matrix is checked
@@ -44,9 +44,9 @@ def robot(plant: Plant, options: ArmOptions, key: str) -> System:
 
 def _rigid(plant: Plant, options: Rigid, key: str) -> System:
     """Return the continuous-time plant of an arm with rigid joints."""
-    chain = _limited(options, _chain(options, plant, key), key)
+    chain = _with_limits(options, _chain(options, plant, key), key)
     if options.gears is not None:
-        return _geared(plant, options, chain, key)
+        return _build_geared(plant, options, chain, key)
     body = arm(chain, scalar(f"{key}.arm.rest", options.rest, above=0.0))
     params = numbers(body.names, body.values, plant.parameters, key)
     _require_mass(body, params, key)
@@ -63,12 +63,12 @@ def _rigid(plant: Plant, options: Rigid, key: str) -> System:
 
     x_eq = _equilibrium(plant, N, key)
     load = np.asarray(body.bias(params, x_eq[:N], np.zeros(N))).ravel()
-    u_eq = _held(plant, load, key)
-    plain = linearised(key, params, move, output, x_eq, u_eq)
+    u_eq = _equilibrium_input(plant, load, key)
+    plain = with_linearisation(key, params, move, output, x_eq, u_eq)
     return plain._replace(arm=body, flat=flat(body), limit=chain.torque, names=body.names)
 
 
-def _geared(plant: Plant, options: Rigid, chain: Chain, key: str) -> System:
+def _build_geared(plant: Plant, options: Rigid, chain: Chain, key: str) -> System:
     """Return the continuous-time plant of an arm with gears: x = [theta; q; theta'; q'], z = q.
 
     With encoders at motors and links z = [q; theta]. It is linearised on the flanks that carry the
@@ -82,16 +82,16 @@ def _geared(plant: Plant, options: Rigid, chain: Chain, key: str) -> System:
             "about a posture; leave it out"
         )
     rest = scalar(f"{key}.arm.rest", options.rest, above=0.0)
-    gears = geared_motion(chain, options.gears, rest, plant.parameters, key)
+    gears = motion_of_geared_arm(chain, options.gears, rest, plant.parameters, key)
     params, N = gears.values, gears.size
     _require_mass(gears.arm, gears.links(params), key)
     hold = _stops(options, chain, key)
-    at, given = _given(plant)
+    at, given = _linearisation_state(plant)
     x_eq = start(gears, given, f"{key}.{at}")
     if at == "x0":
         x_eq[2 * N :] = 0.0
     load = np.asarray(gears.arm.bias(gears.links(params), x_eq[N : 2 * N], np.zeros(N))).ravel()
-    u_eq = _held(plant, load, key)
+    u_eq = _equilibrium_input(plant, load, key)
     carrying = np.where(load < 0, -1.0, 1.0)
 
     def move(p: Any, x: Any, u: Any, contact: Any = None) -> Any:
@@ -110,7 +110,7 @@ def _geared(plant: Plant, options: Rigid, chain: Chain, key: str) -> System:
         return x[:N]
 
     output = both if gears.measured == "both" else links
-    return linearised(key, params, locked, output, x_eq, u_eq)._replace(
+    return with_linearisation(key, params, locked, output, x_eq, u_eq)._replace(
         move=move,
         arm=gears.arm,
         flat=_flat_of_links(gears),
@@ -165,12 +165,12 @@ def flat(body: Arm) -> Flat:
     return Flat(2, solve)
 
 
-def _given(plant: Plant) -> tuple[str, Array | None]:
+def _linearisation_state(plant: Plant) -> tuple[str, Array | None]:
     """Return (key, value) of the state at which an arm is linearised: x_eq, or else x0."""
     return ("x0", plant.x0) if plant.x_eq is None else ("x_eq", plant.x_eq)
 
 
-def _held(plant: Plant, load: Floats, key: str) -> Floats:
+def _equilibrium_input(plant: Plant, load: Floats, key: str) -> Floats:
     """Return u_eq: as given, or what holds a load (m). Raises ShapeError."""
     if plant.u_eq is None:
         return load
@@ -198,11 +198,11 @@ def _chain(options: Rigid, plant: Plant, key: str) -> Chain:
 
         return urdf.chain(options.path, options.joints, options.tip, options.gravity)
     chain = one_link() if isinstance(options, OneLink) else two_link()
-    check(changed(chain.parameters, plant.parameters), key)
+    check(change_parameters(chain.parameters, plant.parameters), key)
     return chain
 
 
-def _limited(options: Rigid, chain: Chain, key: str) -> Chain:
+def _with_limits(options: Rigid, chain: Chain, key: str) -> Chain:
     """Return the chain with the limits that the scenario gives in place of its own."""
     N = len(chain.joints)
     if options.torque_max is not None:
@@ -210,7 +210,7 @@ def _limited(options: Rigid, chain: Chain, key: str) -> Chain:
         chain = chain._replace(torque=torque_max)
     if options.limits is not None:
         where = f"{key}.arm.limits"
-        limits = paired(where, array(where, options.limits), N, "[lo, hi]", "per joint")
+        limits = require_pairs(where, array(where, options.limits), N, "[lo, hi]", "per joint")
         if (limits[..., 0] >= limits[..., 1]).any():
             raise InputError(
                 f"{where}: a range [lo, hi] must have lo < hi, found {limits.tolist()}"
@@ -299,7 +299,9 @@ def two_link() -> Chain:
     return _planar_chain(numbers, ("l1", "l2"), mass, bias)
 
 
-def changed(parameters: Mapping[str, float], changes: Mapping[str, float]) -> dict[str, float]:
+def change_parameters(
+    parameters: Mapping[str, float], changes: Mapping[str, float]
+) -> dict[str, float]:
     """Return the parameters of a chain, with the changes to them; changes of other names are left
     out.
     """
@@ -409,7 +411,7 @@ def elastic(plant: Plant, options: ElasticJoint, key: str = "plant") -> System:
         InputError: or a subclass, that names the key.
     """
     body = arm(joint(), scalar(f"{key}.arm.rest", options.rest, above=0.0))
-    check(changed(body.chain.parameters, plant.parameters), key)
+    check(change_parameters(body.chain.parameters, plant.parameters), key)
     params = numbers(body.names, body.values, plant.parameters, key)
     offset = scalar(f"{key}.arm.reference", options.reference)
     limit = np.inf
@@ -425,7 +427,7 @@ def elastic(plant: Plant, options: ElasticJoint, key: str = "plant") -> System:
 
     solve = _inverse(body)
     x_eq, u_eq = _elastic_equilibrium(plant, params, solve, key)
-    plain = linearised(key, params, move, output, x_eq, u_eq)
+    plain = with_linearisation(key, params, move, output, x_eq, u_eq)
     return plain._replace(arm=body, flat=Flat(4, solve), limit=np.array([limit]), names=body.names)
 
 
@@ -433,11 +435,14 @@ def _elastic_equilibrium(
     plant: Plant, params: Floats, solve: ca.Function, key: str
 ) -> tuple[Floats, Floats]:
     """Return (x_eq, u_eq): as given, or where the motor holds the link still at its angle in x0."""
-    (at, given), why = _given(plant), "the angles of motor and link, then their speeds"
+    (at, given), why = (
+        _linearisation_state(plant),
+        "the angles of motor and link, then their speeds",
+    )
     x = vector(f"{key}.{at}", np.zeros(4) if given is None else given, 4, why)
     at_rest = x[1] * np.eye(1, 5)  # the link's angle, its derivatives 0
     still, hold = (np.asarray(part).ravel() for part in solve(params, at_rest))
-    return x if at == "x_eq" else still, _held(plant, hold, key)
+    return x if at == "x_eq" else still, _equilibrium_input(plant, hold, key)
 
 
 def _inverse(body: Arm) -> ca.Function:

@@ -154,7 +154,7 @@ class Geared(NamedTuple):
         return q - self.number(params, "centre") + flank + tau / K
 
 
-def geared_motion(
+def motion_of_geared_arm(
     chain: Chain,
     gears: Gears,
     rest: float = 0.05,
@@ -182,7 +182,7 @@ def geared_motion(
     damping = scalar(f"{key}.arm.gears.damping", gears.damping, least=0.0)
     first = names.index("inertia1")
     rotors = positive(f"{key}.parameters.inertia", values[first : first + body.size], body.size)
-    links = np.diag(np.asarray(body.mass(_unloaded(body, values), np.zeros(body.size))))
+    links = np.diag(np.asarray(body.mass(_without_payload(body, values), np.zeros(body.size))))
     reduced = rotors * links / (rotors + links)
     return Geared(body, names, values, reduced, 2 * damping * reduced, rest, gears.measured)
 
@@ -206,7 +206,7 @@ def _numbers(gears: Gears, N: int, key: str) -> dict[str, Floats]:
     }
 
 
-def _unloaded(body: Arm, values: Floats) -> Floats:
+def _without_payload(body: Arm, values: Floats) -> Floats:
     """Return the parameters of the links, without payload."""
     links = values[: len(body.names)].copy()
     links[body.names.index("payload")] = 0.0

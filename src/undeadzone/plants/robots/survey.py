@@ -13,7 +13,7 @@ import numpy as np
 from undeadzone.errors import InputError
 from undeadzone.plants.robots import urdf
 from undeadzone.plants.robots.arm import Arm, arm, evaluate_rows
-from undeadzone.plants.robots.urdf_elements import MOVABLE, Joint, Robot, read
+from undeadzone.plants.robots.urdf_elements import MOVABLE, Joint, Robot, read_urdf
 from undeadzone.util.arrays import Array, Floats, vector
 
 POSTURES = 4096  # random ones, from the best of which the reach is climbed
@@ -71,8 +71,8 @@ def survey(
         InputError: joints, tip, at; or adam-robotics is missing.
     """
     body = arm(urdf.chain(path, joints, tip))
-    robot = read(Path(path))
-    moving, tip = urdf.selected(robot, joints, tip)
+    robot = read_urdf(Path(path))
+    moving, tip = urdf.select_joints(robot, joints, tip)
     limits = body.chain.limits
     q = _posture(limits) if at is None else vector("at", at, body.size, "one per moving joint")
     _require_within(moving, q)

@@ -15,7 +15,7 @@ import numpy as np
 
 from undeadzone.errors import FileError, InputError
 from undeadzone.plants.robots.arm import Chain, Numbers
-from undeadzone.plants.robots.urdf_elements import MOVABLE, Body, Joint, Robot, read, suggest
+from undeadzone.plants.robots.urdf_elements import MOVABLE, Body, Joint, Robot, read_urdf, suggest
 from undeadzone.util.arrays import Array, Floats, vector
 
 # Entries this close to 0 (cos(pi/2) of a file's digits), or to 1 and -1, become it: each would cost
@@ -47,7 +47,7 @@ class Frames(NamedTuple):
     turn: Floats
 
 
-def straightened(robot: Robot, moving: list[Joint], tip: str) -> Frames:
+def straighten_chain(robot: Robot, moving: list[Joint], tip: str) -> Frames:
     """Return the frames of an arm, with all joints that do not move fixed at 0.
 
     Args:
@@ -103,10 +103,10 @@ def _bodies(
             centre = place + turn @ body.centre
             inertia = turn @ body.inertia @ turn.T
             groups[before[-1]].append(Body(body.mass, centre, inertia))
-    return [_joined(group) for group in groups.values()]
+    return [_join_bodies(group) for group in groups.values()]
 
 
-def _joined(bodies: list[Body]) -> Body:
+def _join_bodies(bodies: list[Body]) -> Body:
     """Return bodies fixed to each other as one."""
     mass = sum(body.mass for body in bodies)
     centre = sum((body.mass * body.centre for body in bodies), np.zeros(3)) / (mass or 1)
@@ -243,9 +243,9 @@ def chain(
         InputError: joints, tip, gravity; or adam-robotics is missing.
     """
     g = vector("plant.arm.gravity", gravity, 3, "x, y, z")
-    robot = read(Path(path))
-    moving, tip = selected(robot, joints, tip)
-    frames = straightened(robot, moving, tip)
+    robot = read_urdf(Path(path))
+    moving, tip = select_joints(robot, joints, tip)
+    frames = straighten_chain(robot, moving, tip)
     _require_masses(path, moving, frames)
     parameters = {f"m{i + 1}": body.mass for i, body in enumerate(frames.bodies)} | {"payload": 0.0}
     mass, bias, points, turn = _functions(moving, frames, g)
@@ -280,7 +280,7 @@ def _require_masses(path: str | os.PathLike[str], moving: list[Joint], frames: F
             )
 
 
-def selected(
+def select_joints(
     robot: Robot, joints: Sequence[str] | None, tip: str | None
 ) -> tuple[list[Joint], str]:
     """Return the moving joints from base to tip, and the tip.

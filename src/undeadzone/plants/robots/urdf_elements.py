@@ -254,7 +254,7 @@ class Robot(NamedTuple):
         return upward[::-1]
 
 
-def read(path: Path, key: str = "plant.arm.path") -> Robot:
+def read_urdf(path: Path, key: str = "plant.arm.path") -> Robot:
     """Return the tree of a URDF file.
 
     Args:

@@ -136,7 +136,7 @@ def interval_step(
     shown = restarted(q, State(now, s.angle)).boxes
     boxes = shown if sampled else s.boxes
     e = (z.lo + z.hi) / 2 - q.model.C @ boxes.x
-    x = setup.model.pushed(q.model, boxes.x, u, q.L @ e)
+    x = setup.model.move_with_correction(q.model, boxes.x, u, q.L @ e)
     if sampled:
         after = next_boxes(setup, q, boxes._replace(x=x), phi, s.angle + q.turn, z)
     else:

@@ -11,13 +11,17 @@ import casadi as ca
 from undeadzone.interfaces import Observer, Reading, no_further
 from undeadzone.nonlinearities.sensor import Zone, present
 from undeadzone.numerics.gaussian import Gaussian, Weighed, symmetric, together
-from undeadzone.observers.filtering.augmented_state import counted_prior, even_units, shown_states
+from undeadzone.observers.filtering.augmented_state import (
+    even_units,
+    prior_in_units,
+    show_in_plant_units,
+)
 from undeadzone.observers.filtering.consistency import Member, Step, with_consistency_tests
 from undeadzone.observers.filtering.gaussian_filter import (
     Params,
-    clipped,
+    clip_widths,
+    covariance_entries,
     filter_numbers,
-    kept_entries,
     motion,
     to_estimate,
     white,
@@ -100,11 +104,11 @@ def joint_filter(
     share = glitch_share(glitches)
     units = even_units(model)
     model = in_units(model, units)
-    prior = prior._replace(prior=counted_prior(prior.prior, units))
+    prior = prior._replace(prior=prior_in_units(prior.prior, units))
     augmentation = white(model, prior.variance)
     doubt = doubt_numbers(model, sensor, prior.prior, share, claimed=False)
     params = filter_numbers(model, sensor, prior.prior, augmentation)._replace(doubt=doubt)
-    entries = kept_entries(model, augmentation)
+    entries = covariance_entries(model, augmentation)
 
     def step(q: Params, s: State, u: Any, reading: Reading) -> Step:
         seen = present(reading.y)
@@ -119,7 +123,7 @@ def joint_filter(
             each.append(correct(q, belief, sample))
             belief = each[-1].belief
         known = together(each)
-        shown, fits = clipped(model.n, q, belief, share > 0)
+        shown, fits = clip_widths(model.n, q, belief, share > 0)
         estimated = to_estimate(model, sensor, q, shown, reading, known.e, known.std)
         after = predict(belief, *motion(model, q, augmentation, belief, lambda X: u))
         mean, cov, restarted = reset_if_invalid(q, entries, after)
@@ -140,7 +144,7 @@ def joint_filter(
         )
 
     member = Member(params, lambda q: State(q.mean, q.cov, start_rejection_rate(model.p)), step)
-    return shown_states(
+    return show_in_plant_units(
         with_consistency_tests(member, model, widens=share > 0, recovers=False), units
     )
 

@@ -178,7 +178,7 @@ def learning_step(
     gate, psi = ca.diag(used), functions(setup, q, y, reading.side, z)
     inverse = y + psi @ s.W
     e = used * (inverse - z)
-    moved = model.pushed(q.model, s.x, u, q.L @ e)
+    moved = model.move_with_correction(q.model, s.x, u, q.L @ e)
     zeta, sensitivity = -psi, s.sensitivity
     if setup.filtered:
         _, F = linearise(lambda x: model.move(q.model, x, u), s.x)
