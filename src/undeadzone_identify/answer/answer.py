@@ -367,7 +367,7 @@ def _hardly_passed(answer: Answer, shown: Shown) -> list[str]:
         wider = widened(answer.fit, name, edge, answer.scale)
         more = (edge.low - wider.low, wider.high - edge.high)
         shown[name] = wider
-        for sum_of_both, further in (("width", more), ("centre", [max(more)] * 2)):
+        for sum_of_both, further in (("width", more), ("centre", [max(more) / 2] * 2)):
             interval = shown[sum_of_both]
             shown[sum_of_both] = None if interval is None else interval.reaching(*further)
         remarks.append(
@@ -388,8 +388,8 @@ def _shown_jump(case: Case) -> Shown:
         sides.append(Interval(edge.value * scale, low, high))
     right, left = sides
     width = Interval(right.value + left.value, right.low + left.low, right.high + left.high)
-    centre = Interval(right.value - left.value, right.low - left.high, right.high - left.low)
-    return {"right": right, "left": left, "width": width, "centre": centre}
+    apart = Interval(right.value - left.value, right.low - left.high, right.high - left.low)
+    return {"right": right, "left": left, "width": width, "centre": apart.scaled(0.5)}
 
 
 def _shown(answer: Answer, wider: float) -> Shown:

@@ -267,7 +267,7 @@ def servo_gap(log: Heard | None) -> ServoGap | None:
 
 
 def centre_of(found: ServoGap, level: float) -> Interval | None:
-    """Half the centre c_r - c_l of a gap, if z = 0 at u = 0 [y]; None of an integrating plant.
+    """The centre (c_r - c_l)/2 of a gap, if z = 0 at u = 0 [y]; None of an integrating plant.
 
     Args:
         found: the gap.

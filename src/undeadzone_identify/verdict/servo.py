@@ -302,7 +302,7 @@ def _widths(case: Case, servo: ServoGap, centre: Interval | None) -> dict[str, I
     half = math.hypot(even.half, centre.half)
     right = Interval.around(even.value + centre.value, half)
     left = Interval.around(even.value - centre.value, half)
-    return {"right": right, "left": left, "width": width, "centre": centre.scaled(2.0)}
+    return {"right": right, "left": left, "width": width, "centre": centre}
 
 
 def sampled_plant(servo: ServoGap, theta: Floats, scale: float) -> Floats:

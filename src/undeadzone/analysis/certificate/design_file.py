@@ -251,7 +251,7 @@ class Knowledge(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
     Attributes:
         right, left: whether they determine d_r, d_l.
-        width, centre: whether they determine d_r + d_l, d_r - d_l.
+        width, centre: whether they determine d_r + d_l, (d_r - d_l)/2.
         reasons: why not, for each 'no'.
         cures: what would turn a 'no' into a 'yes'.
         std: expected standard deviation of each, by its name [unit of z].

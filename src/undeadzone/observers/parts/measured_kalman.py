@@ -128,7 +128,7 @@ def measured_filter(
     augmentation = with_widths(augmentation, zones)
     entries = kept_entries(model, augmentation)
     doubts = glitches > 0 and not blind
-    centred = prior.centre is not None
+    centred = prior.asymmetry is not None
     setup = Setup(
         model, sensor, augmentation, entries, bounds, order, blind, doubts, careful, centred
     )
