@@ -20,6 +20,7 @@ import msgspec
 from undeadzone.catalogue import decode
 from undeadzone.errors import FileError, InputError
 from undeadzone.scenario.address import alike, require_finite, with_entries
+from undeadzone.scenario.earlier import translated
 from undeadzone.scenario.messages import explain
 from undeadzone.scenario.schema import Scenario
 from undeadzone.support.arrays import matlab
@@ -183,6 +184,7 @@ def convert(data: dict[str, Any], folder: Path = Path()) -> Scenario:
         data = with_entries(data)
         if "compare" in data:
             data["compare"] = alike(data["compare"], data.get("observer"))
+        data = translated(data)
         scenario = msgspec.convert(data, Scenario, dec_hook=decode)
     except RecursionError:
         raise InputError("the tables are nested too deeply for a scenario") from None
