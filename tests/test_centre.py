@@ -10,13 +10,16 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+import once
 import undeadzone as uz
 from commands import undeadzone
 from scenes import scene
+from undeadzone.analysis.certificate.design_file import Design
 from undeadzone.cli import common
 from undeadzone.ends.sensor import Sensor, resolve
 from undeadzone.errors import EarlierMeaning, InputError, ShapeError
@@ -25,9 +28,9 @@ from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import sampled
 from undeadzone.results.run import Run
-from undeadzone.scenario.earlier import SCHEMA
 from undeadzone.scenario.reader import convert, parse
 from undeadzone.simulation.simulate import simulate
+from undeadzone.support.earlier import SCHEMA
 from undeadzone.synthesis.check import check
 
 ROOT = Path(__file__).parents[1]
@@ -37,7 +40,7 @@ FORMULA = re.compile(r"\(?\b([dcb])_r\^? [-−] \1_l\b\^?\)?( ?/ ?2)?")
 TEXTS = ("README.md", "KNOWN_GAPS.md", "docs", "examples", "src", "benchmarks")
 BOTH = "(c_r - c_l + d_r - d_l)/2"  # the sum of two centres
 # Where the earlier meaning is told of.
-EARLIER = {"docs/versions.md", "src/undeadzone/scenario/earlier.py"}
+EARLIER = {"docs/versions.md", "src/undeadzone/support/earlier.py"}
 MOTOR = {"A": [[0.0, 1.0], [0.0, -10.0]], "B": [[0.0], [50.0]], "C": [[1.0, 0.0]]}
 MODEL = sampled(system(Plant(**MOTOR, x0=[0.0, 0.0])), 0.01)
 
@@ -276,6 +279,35 @@ def test_a_command_says_it_in_one_line(tmp_path: Path) -> None:
     assert line.startswith("undeadzone: observer.centre: is taken for (d_r - d_l)/2")
     path.write_text(f"schema = {SCHEMA}\n{path.read_text(encoding='utf-8')}", encoding="utf-8")
     assert undeadzone("check", path, "--no-figures", cwd=tmp_path).stderr == ""
+
+
+@pytest.mark.parametrize("suffix", ["npz", "csv"])
+def test_a_run_of_an_old_file_has_its_deviations_halved(suffix: str, tmp_path: Path) -> None:
+    run = simulate(motor(centre=[-0.05, 0.05]))
+    (told,) = run.info.identifiable
+    path = run.save(tmp_path / f"run.{suffix}")
+    assert Run.load(path).info.identifiable == [told]
+    before = told | {"std": told["std"] | {"centre": 2 * told["std"]["centre"]}}
+    info = msgspec.structs.replace(run.info, identifiable=[before], schema=None)
+    old = Run(info, run.signals).save(tmp_path / f"old.{suffix}")
+    with pytest.warns(EarlierMeaning, match=f"old.{suffix}: std.centre of schema 2"):
+        loaded = Run.load(old)
+    assert (loaded.info.identifiable, loaded.info.schema) == ([told], SCHEMA)
+
+
+def test_a_design_of_an_old_file_has_its_deviations_halved(tmp_path: Path) -> None:
+    designed = once.design(scene(), "rate")
+    assert (
+        Design.load(designed.save(tmp_path / "design.toml")).identifiable == designed.identifiable
+    )
+    before = [
+        msgspec.structs.replace(one, std=one.std | {"centre": 2 * one.std["centre"]})
+        for one in designed.identifiable
+    ]
+    old = msgspec.structs.replace(designed, identifiable=before, schema=None)
+    with pytest.warns(EarlierMeaning, match="std.centre of schema 2"):
+        loaded = Design.load(old.save(tmp_path / "old.toml"))
+    assert (loaded.identifiable, loaded.schema) == (designed.identifiable, SCHEMA)
 
 
 def test_files_and_json_count_their_schemas_alike() -> None:

@@ -20,10 +20,10 @@ import msgspec
 from undeadzone.catalogue import decode
 from undeadzone.errors import FileError, InputError
 from undeadzone.scenario.address import alike, require_finite, with_entries
-from undeadzone.scenario.earlier import translated
 from undeadzone.scenario.messages import explain
 from undeadzone.scenario.schema import Scenario
 from undeadzone.support.arrays import matlab
+from undeadzone.support.earlier import translated
 from undeadzone.support.files import LARGEST_TABLE, path_of, read_bytes, read_text, reason
 
 # What people write, by what such a line holds, and what to write instead.

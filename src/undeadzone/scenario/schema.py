@@ -28,13 +28,13 @@ from undeadzone.observers.parts.prior import Claims
 from undeadzone.plants.options import ElasticJoint, Plant
 from undeadzone.plants.region import Region
 from undeadzone.scenario.address import with_tables, with_value
-from undeadzone.scenario.earlier import CLAIMS, SCHEMA
 from undeadzone.scenario.ensemble_table import Vary
 from undeadzone.scenario.messages import require_kind
 from undeadzone.scenario.tune_table import Tune
 from undeadzone.signals.exosystem import Disturbance, Signal
 from undeadzone.support import shown, toml
 from undeadzone.support.arrays import Array, array
+from undeadzone.support.earlier import CLAIMS, SCHEMA
 from undeadzone.support.files import write_text
 
 VAGUE: Final = 3.0  # in largest widths: where the widths lie if nothing is declared

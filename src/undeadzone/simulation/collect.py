@@ -39,6 +39,7 @@ from undeadzone.simulation.verdicts import (
 )
 from undeadzone.support import toml
 from undeadzone.support.arrays import Floats
+from undeadzone.support.earlier import SCHEMA
 
 
 def verdicts_of_run(problem: Problem, signal: Outputs) -> list[Verdict]:
@@ -288,6 +289,7 @@ def _info(
         gaps=_true_gaps(problem, signal),
         scenario=_text(scenario),
         version=undeadzone.__version__,
+        schema=SCHEMA,
         seed=scenario.simulation.seed,
         gains=_gains(problem),
     )

@@ -18,6 +18,7 @@ from undeadzone.plants.system import System
 from undeadzone.scenario.problem import Problem, constant_gains, resolve_scenario, systems
 from undeadzone.scenario.schema import Scenario
 from undeadzone.support.arrays import Floats, scalar, seed_of
+from undeadzone.support.earlier import SCHEMA
 from undeadzone.support.progress import in_notebook
 from undeadzone.synthesis import gain_search
 from undeadzone.synthesis.assessment import determined, knowledge
@@ -89,6 +90,7 @@ def design(
         present=None if before is None else _point(before),
         identifiable=knowledge(problem, task.whole, None),
         front=[_point(candidate) for candidate in result.front],
+        schema=SCHEMA,
     )
 
 

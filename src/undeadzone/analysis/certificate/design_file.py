@@ -21,6 +21,7 @@ from undeadzone.errors import FileError, InputError, ProofError, ShapeError
 from undeadzone.linear.matrices import Matrices
 from undeadzone.support import shown, toml
 from undeadzone.support.arrays import Floats, matrix, vector
+from undeadzone.support.earlier import SCHEMA, translated_std
 from undeadzone.support.files import read_text, reason, write_text
 from undeadzone.support.own_files import marked
 
@@ -81,6 +82,7 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         present: the scenario's own gains, if they are certified.
         identifiable: what the readings tell, per output.
         front: the trade between rate and errors, by falling rate.
+        schema: number of the meanings that the names in it have (docs/json.md); None: at most 2.
     """
 
     title: str
@@ -102,6 +104,7 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     present: Point | None = None
     identifiable: list[Knowledge]
     front: list[Point]
+    schema: int | None = None
 
     @property
     def model(self) -> Matrices:
@@ -198,7 +201,15 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             raise FileError(
                 f"{path}: not a design saved by undeadzone; write it with undeadzone design"
             ) from None
-        return _recomputed(design, str(path))
+        return _recomputed(_of_today(design, str(path)), str(path))
+
+
+def _of_today(design: Design, path: str) -> Design:
+    """The design with deviations in the meanings of today."""
+    known = design.identifiable
+    stds = translated_std([one.std for one in known], design.schema, path)
+    told = [msgspec.structs.replace(one, std=std) for one, std in zip(known, stds, strict=True)]
+    return msgspec.structs.replace(design, identifiable=told, schema=SCHEMA)
 
 
 def _recomputed(design: Design, path: str) -> Design:

@@ -1,4 +1,4 @@
-"""Scenarios whose keys had another meaning in an earlier version.
+"""Files whose keys had another meaning in an earlier version.
 
 Up to schema 2 `centre` of an observer was d_r - d_l. It is (d_r - d_l)/2 since, the middle of the
 zone, as `plant.arm.gears.centre` always was.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 import warnings
+from collections.abc import Sequence
 from types import FrameType
 from typing import Any, Final
 
@@ -54,6 +55,26 @@ def translated(data: dict[str, Any]) -> dict[str, Any]:
         f"the numbers, and write schema = {SCHEMA}"
     )
     return own | {name: own[name] | {"centre": _halved(own[name]["centre"])} for name in moved}
+
+
+def translated_std(stds: Sequence[Any], schema: int | None, where: object) -> list[Any]:
+    """Return the deviations that a file of results keeps, in the meanings of today.
+
+    Args:
+        stds: deviations by name, of each output; what is no table stays as it is.
+        schema: of the file; None: it has no number, as files had none up to schema 2.
+        where: the file, for the warning.
+    """
+    if schema is not None and schema >= SCHEMA:
+        return list(stds)
+    found = [isinstance(std, dict) and isinstance(std.get("centre"), float) for std in stds]
+    if any(found):
+        _warn(
+            f"{where}: std.centre of schema {BEFORE} is that of d_r - d_l, and is halved; the next "
+            "version does not read it. Make the file anew"
+        )
+    pairs = zip(stds, found, strict=True)
+    return [std | {"centre": std["centre"] / 2} if old else std for std, old in pairs]
 
 
 def claims_centre(table: Any) -> bool:
