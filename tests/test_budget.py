@@ -18,7 +18,7 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 30_772, 267
+MOST_CODE, MOST_FILES = 30_883, 267
 # Lines of code of the packages beside the tool, which are none of it: what leaves a room for one of
 # them is counted there.
 BESIDE = {
@@ -30,28 +30,28 @@ BESIDE = {
 # Lines of code a room may have. Raising one takes an entry in docs/decisions.md; docstrings,
 # comments and blank lines are free, so that nobody saves by saying less.
 BUDGET = {
-    "(root)": 386,
-    "analysis": 3358,
-    "cli": 1539,
+    "(root)": 387,
+    "analysis": 3370,
+    "cli": 1543,
     "compensators": 147,
     "compile": 3782,
     "controllers": 785,
-    "ends": 417,
+    "ends": 420,
     "ensemble": 1832,
     "feedforward": 419,
     "linear": 399,
     "logs": 1206,
     "numerics": 841,
-    "observers": 3797,
+    "observers": 3798,
     "plants": 1608,
     "report": 2428,
-    "results": 910,
-    "scenario": 1419,
+    "results": 917,
+    "scenario": 1432,
     "signals": 383,
-    "simulation": 2199,
+    "simulation": 2200,
     "statistics": 265,
-    "support": 829,
-    "synthesis": 988,
+    "support": 897,
+    "synthesis": 990,
     "tuning": 835,
 }
 SILENT = {

@@ -289,7 +289,7 @@ class Run:
         info, *signals = files.read(path, RUN, Info)
         verdicts = info.identifiable
         stds = translated_std([one.get("std") for one in verdicts], info.schema, path)
-        told = [one | {"std": std} if std else one for one, std in zip(verdicts, stds, strict=True)]
+        told = [one | {"std": std} for one, std in zip(verdicts, stds, strict=True)]
         return cls(msgspec.structs.replace(info, identifiable=told, schema=SCHEMA), *signals)
 
 

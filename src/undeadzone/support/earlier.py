@@ -67,14 +67,22 @@ def translated_std(stds: Sequence[Any], schema: int | None, where: object) -> li
     """
     if schema is not None and schema >= SCHEMA:
         return list(stds)
-    found = [isinstance(std, dict) and isinstance(std.get("centre"), float) for std in stds]
-    if any(found):
+    if any(map(_has_centre, stds)):
         _warn(
             f"{where}: std.centre of schema {BEFORE} is that of d_r - d_l, and is halved; the next "
             "version does not read it. Make the file anew"
         )
-    pairs = zip(stds, found, strict=True)
-    return [std | {"centre": std["centre"] / 2} if old else std for std, old in pairs]
+    return list(map(_of_centre, stds))
+
+
+def _has_centre(std: Any) -> bool:
+    """Whether deviations by name have one of a centre."""
+    return isinstance(std, dict) and isinstance(std.get("centre"), float)
+
+
+def _of_centre(std: Any) -> Any:
+    """The deviations with that of the centre in place of that of d_r - d_l."""
+    return std | {"centre": std["centre"] / 2} if _has_centre(std) else std
 
 
 def claims_centre(table: Any) -> bool:
