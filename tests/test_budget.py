@@ -18,7 +18,7 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_CODE, MOST_FILES = 30_883, 267
+MOST_CODE, MOST_FILES = 30_883, 268
 # Lines of code of the packages beside the tool, which are none of it: what leaves a room for one of
 # them is counted there.
 BESIDE = {
