@@ -157,7 +157,7 @@ def claimed(tables: dict[str, Any], apart: float, folder: Path) -> bool:
     (known,) = knowledge(problem, plan(problem, None), None)
     return any(
         getattr(known, name) and HALF_95 * known.std[name] < share * apart
-        for name, share in (("right", 1.0), ("left", 1.0), ("centre", 2.0))
+        for name, share in (("right", 1.0), ("left", 1.0), ("centre", 1.0))
     )
 
 

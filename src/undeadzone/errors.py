@@ -47,5 +47,9 @@ class ClusterError(InputError):
     """
 
 
+class EarlierMeaning(DeprecationWarning):
+    """A file whose words had another meaning in an earlier version; a command prints one line."""
+
+
 class Terminated(BaseException):
     """SIGTERM reached a command: like KeyboardInterrupt, no error, and nothing should catch it."""

@@ -306,7 +306,7 @@ class Traits(NamedTuple):
         uncertain: names of the model's parameters that it estimates, as theta.
         start_std: standard deviation of x(0) about the claimed start (n); None: no start is
             claimed.
-        centre_std: standard deviation of each claimed d_r - d_l (p), infinite where none is
+        centre_std: standard deviation of each claimed (d_r - d_l)/2 (p), infinite where none is
             claimed; None: nowhere.
     """
 

@@ -259,7 +259,7 @@ def test_the_command_writes_a_scenario_that_runs(
     answer = json.loads((tmp_path / "log-identify" / "identify.json").read_text())
     assert answer["zone"] is True
     assert answer["verdict"] == "dead_zone"
-    for name, truth in (("right", 0.5), ("left", 0.3), ("width", 0.8), ("centre", 0.2)):
+    for name, truth in (("right", 0.5), ("left", 0.3), ("width", 0.8), ("centre", 0.1)):
         value, low, high = answer[name]
         assert low < value < high
         assert low - 0.01 <= truth <= high + 0.01

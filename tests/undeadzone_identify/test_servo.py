@@ -170,7 +170,7 @@ def test_a_play_behind_a_plant_of_first_order_is_one(quantum: float) -> None:
     y = quantum * np.round(y / quantum) if quantum else y
     found = uz.identify(t=0.05, u=u, y=y)
     assert found.verdict == "play"
-    for interval, truth in ((found.width, 0.5), (found.right, 0.3), (found.centre, 0.1)):
+    for interval, truth in ((found.width, 0.5), (found.right, 0.3), (found.centre, 0.05)):
         assert interval is not None
         assert interval.low - 1e-4 <= truth <= interval.high + 1e-4
         assert interval.half < 0.02

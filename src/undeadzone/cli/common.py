@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from undeadzone.results.info import LogInfo
 
 Command = TypeVar("Command", bound=Callable[..., Any])
-SCHEMA = 2  # of JSON: raised when a key goes or changes its meaning; keys may be added
+SCHEMA = 3  # of JSON: raised when a key goes or changes its meaning; keys may be added
 COLOURS = {"yes": "green", "OPEN LOOP": "yellow"}  # of verdicts; of others red
 # Where a cell begins, or after what is judged: right yes, left NO.
 VERDICT = re.compile(

@@ -19,7 +19,7 @@ from typing import Any, Final
 import click
 
 from undeadzone.cli.common import say
-from undeadzone.errors import Terminated, UndeadzoneError
+from undeadzone.errors import EarlierMeaning, Terminated, UndeadzoneError
 
 DONE: Final = 0
 BAD_INPUT: Final = 2
@@ -50,6 +50,8 @@ def run_to_exit_code(command: Callable[[], Any]) -> int:
         with warnings.catch_warnings():
             if not os.environ.get(DEBUG):  # NumPy's remarks are no message to a user
                 warnings.simplefilter("ignore")
+                warnings.simplefilter("default", EarlierMeaning)
+                warnings.showwarning = _warned
             code = command()
         sys.stdout.flush()
         return code if isinstance(code, int) else DONE
@@ -65,6 +67,11 @@ def run_to_exit_code(command: Callable[[], Any]) -> int:
         return _report_interruption("terminated", str(error), TERMINATED)
     except Exception as error:
         return report_failure(error)
+
+
+def _warned(message: Warning | str, *where: Any, **rest: Any) -> None:
+    """Print a warning as one line on stderr."""
+    say(f"undeadzone: {message}", err=True)
 
 
 def report_failure(error: Exception) -> int:

@@ -7,6 +7,7 @@ the widths (unit of z), m the slope (unit of y per unit of z).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import msgspec
@@ -25,9 +26,18 @@ from undeadzone.nonlinearities.play import KEY, Ahead, gaps_of
 from undeadzone.util.arrays import Array, Floats, nonnegative, scalar, vector
 
 RIGHT, LEFT = 1.0, -1.0  # sides; 0 is silent, twice a side is at the limit of its readings
-# Weights of d_r and d_l, or of c_r and c_l, in what is told of a pair of widths.
-DIRECTIONS = {"right": (1.0, 0.0), "left": (0.0, 1.0), "width": (1.0, 1.0), "centre": (1.0, -1.0)}
+# Weights of d_r and d_l, or of c_r and c_l, in what is known of a pair of widths. The centre is the
+# middle of the interval from -d_l to d_r.
+DIRECTIONS = {"right": (1.0, 0.0), "left": (0.0, 1.0), "width": (1.0, 1.0), "centre": (0.5, -0.5)}
 FALSE_ALARMS = 0.01  # rate at which noise may exceed a default threshold, in poles of the plant
+
+
+def heaviest(weights: Sequence[float]) -> float:
+    """Return the largest size among the weights of a sum: 1 of a width, 0.5 of a centre.
+
+    Limits and roundings that one edge has are those of the sum times this.
+    """
+    return max(map(abs, weights))
 
 
 def _ops(*values: Any) -> Any:

@@ -51,7 +51,7 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
     Attributes:
         right, left: claimed ranges [lo, hi] of d_r and d_l, one or one per output [z]; left
             defaults to that of right.
-        centre: claimed range [lo, hi] of d_r - d_l, a number where it is known (0: a symmetric
+        centre: claimed range [lo, hi] of (d_r - d_l)/2, a number where it is known (0: a symmetric
             zone), or one range per output [z]; default: what the ranges of d_r and d_l say.
         noise: rms of a reading on an active side, one or one per output [z]; default the sensor's.
         start: mean of x(0), one or one per state; with a small x_std, what homing tells.
@@ -141,7 +141,7 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
             return prior
         n, none = model.n, np.zeros(2 * model.p)
         mean, std = np.append(prior.mean[:n], none), np.append(prior.std[:n], none)
-        return prior._replace(mean=mean, std=std, drift=none, centre=None)
+        return prior._replace(mean=mean, std=std, drift=none, asymmetry=None)
 
     def _augmentation(
         self, model: System, colour: Colour, rms: Floats, bias: Floats

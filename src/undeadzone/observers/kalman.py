@@ -33,7 +33,7 @@ class Kalman(Options, frozen=True, kw_only=True, tag="kalman"):
     Attributes:
         right, left: claimed ranges [lo, hi] of d_r and d_l, one or one per output [z]; left
             defaults to that of right.
-        centre: claimed range [lo, hi] of d_r - d_l, a number where it is known (0: a symmetric
+        centre: claimed range [lo, hi] of (d_r - d_l)/2, a number where it is known (0: a symmetric
             zone), or one range per output [z]; default: what the ranges of d_r and d_l say.
         noise: rms of a reading on an active side, one or one per output [z]; default the sensor's.
         x_std: standard deviation of x(0) about 0, one or one per state; default what shows

@@ -295,9 +295,9 @@ def _ellipse(axes: Axes, known: Knowledge) -> None:
 def ellipse(std: dict[str, float]) -> Floats:
     """Return the border (2 x points) of the 95 % ellipse of (d_r, d_l) about the truth.
 
-    The covariance follows from the deviations of both, of their sum and of their difference.
+    The covariance follows from the deviations of both, of the width and of the centre.
     """
-    cross = (std["width"] ** 2 - std["centre"] ** 2) / 4
+    cross = std["width"] ** 2 / 4 - std["centre"] ** 2
     values, vectors = np.linalg.eigh([[std["right"] ** 2, cross], [cross, std["left"] ** 2]])
     angle = np.linspace(0.0, 2 * np.pi, 300)
     circle = np.stack([np.cos(angle), np.sin(angle)])

@@ -329,7 +329,7 @@ def knowledge_section(of: Assessment) -> list[html.Html]:
         "Whether an optimal estimator can know it, and its "
         f"{label('95 % interval', unit)} after {duration:g} s at the scenario's noise:"
     )
-    head = ("output", "d_r", "d_l", "width d_r + d_l", "centre d_r − d_l")
+    head = ("output", "d_r", "d_l", "width d_r + d_l", "centre (d_r − d_l)/2")
     parts = [html.paragraph(question), html.table(head, rows)]
     for other in in_words_of_truths([known.second for known in of.known]):
         parts.append(html.paragraph(f"Readings would be the same, but for noise, with {other}."))

@@ -296,7 +296,7 @@ _SYMBOLS: Final = (
     ("c_r, c_l; b_r, b_l", "gaps of a play ahead of it; widths of an actuator's dead zone"),
     ("x^, z^, d_r^, d_l^", "estimates of the observer"),
     ("x~, d~", "their errors, truth less estimate"),
-    ("d_r + d_l, d_r − d_l", "the width of the whole zone; its centre, 0 of a symmetric one"),
+    ("d_r + d_l, (d_r − d_l)/2", "width of the whole zone; its centre, 0 of a symmetric one"),
     ("L, γ, K", "gains of the observer for x^ and for the widths; of the controller, u = −K x^"),
     ("V", "storage (Lyapunov) function of the error; with a certificate it never rises"),
     ("0.98 [0.55, 1.41]", "a value and its 95 % interval, which the observer claims"),

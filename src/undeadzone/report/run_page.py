@@ -134,7 +134,7 @@ def _widths_table(run: Run) -> html.Html:
     """
     said = ([verdict[each] for each in DIRECTIONS] for verdict in run.info.identifiable)
     known = [[html.tag("span", *html.yes_no(each)) for each in verdict] for verdict in said]
-    heads = ("d_r can be known", "d_l", "d_r + d_l", "d_r − d_l")
+    heads = ("d_r can be known", "d_l", "width d_r + d_l", "centre (d_r − d_l)/2")
     return html.estimates("output", run.outputs, widths(run), heads, known)
 
 

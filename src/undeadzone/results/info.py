@@ -48,6 +48,7 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
         adapts: whether the observer estimates the widths.
         scenario: what was run, as TOML; empty where no text can hold it.
         version: of undeadzone.
+        schema: number of the meanings that the names in it have (docs/json.md); None: at most 2.
         seed: of every random number.
         gains: of the observer L (n x p) and gamma (p), of the controller K (m x n), where constant;
             in sampled time L and gamma are those of one step.
@@ -83,6 +84,7 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
     gaps: list[float] = []
     scenario: str = ""
     version: str = ""
+    schema: int | None = None
     seed: int = 0
     gains: dict[str, list[Any]] = {}
 

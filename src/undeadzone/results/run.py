@@ -7,6 +7,7 @@ import os
 from collections.abc import Sequence
 from typing import Any, ClassVar, Final
 
+import msgspec
 import numpy as np
 
 from undeadzone.analysis.identifiability.linear import yes_no
@@ -28,6 +29,7 @@ from undeadzone.results.signals import (
     output_names,
 )
 from undeadzone.util.arrays import Floats, finite, one_or_list
+from undeadzone.util.earlier import SCHEMA, translated_std
 from undeadzone.util.shown import Block, Rows, in_notebook, in_text, plot
 from undeadzone.util.text import label
 
@@ -296,7 +298,11 @@ class Run:
         Raises:
             FileError: it cannot be read, or is no run.
         """
-        return cls(*files.read_result(path, RUN, Info))
+        info, *signals = files.read_result(path, RUN, Info)
+        verdicts = info.identifiable
+        stds = translated_std([one.get("std") for one in verdicts], info.schema, path)
+        told = [one | {"std": std} for one, std in zip(verdicts, stds, strict=True)]
+        return cls(msgspec.structs.replace(info, identifiable=told, schema=SCHEMA), *signals)
 
 
 def last_samples(t: Floats) -> slice:

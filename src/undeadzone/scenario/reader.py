@@ -23,6 +23,7 @@ from undeadzone.scenario.address import alike, require_finite, with_entries
 from undeadzone.scenario.messages import explain
 from undeadzone.scenario.schema import Scenario
 from undeadzone.util.arrays import matlab
+from undeadzone.util.earlier import translated
 from undeadzone.util.files import LARGEST_TABLE, path_of, read_bytes, read_text, reason
 
 # What people write, by what such a line holds, and what to write instead.
@@ -184,6 +185,7 @@ def convert(data: dict[str, Any], folder: Path = Path()) -> Scenario:
         data = with_entries(data)
         if "compare" in data:
             data["compare"] = alike(data["compare"], data.get("observer"))
+        data = translated(data)
         scenario = msgspec.convert(data, Scenario, dec_hook=decode)
     except RecursionError:
         raise InputError("the tables are nested too deeply for a scenario") from None

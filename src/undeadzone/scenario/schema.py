@@ -34,12 +34,23 @@ from undeadzone.scenario.tune_table import Tune
 from undeadzone.signals.exosystem import Disturbance, Signal
 from undeadzone.util import shown, toml
 from undeadzone.util.arrays import Array, array
+from undeadzone.util.earlier import CLAIMS, SCHEMA
 from undeadzone.util.files import write_text
 
 VAGUE: Final = 3.0  # in largest widths: where the widths lie if nothing is declared
 SMALL: Final = 0.01  # half of a gap of gears, at least, where its range is not declared [rad]
 BANDWIDTH: Final = 10.0  # of a rigid arm [rad/s]
 UNNAMED: Final[Any] = None  # stands for an observer or a controller until the usual one does
+
+
+def _claims_centre(claims: Any) -> bool:
+    """Return whether a centre of the zone is claimed that is not 0; that of gears has a table of
+    its own.
+
+    A value that is no number is refused elsewhere.
+    """
+    names = set(getattr(claims, "__struct_fields__", ()))
+    return {"left", "centre"} <= names and str(claims.centre) not in ("None", "0", "0.0")
 
 
 def vague_claims(sensor: Sensor) -> Assumptions:
@@ -170,6 +181,8 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             `like = "observer"` it has the keys of [observer], but for those that it names.
         region: states and inputs on which `undeadzone check` certifies a nonlinear model.
         title: title of figures and pages.
+        schema: number of the meanings that keys have, 3; needed where a key had another one in an
+            earlier version, as a `centre` of the zone that is not 0 (docs/versions.md).
         actuator: what stands between the controller and the plant; default: nothing.
         compensator: what makes the actuator's command of the controller's input; default
             `smooth_inverse` where there is an actuator.
@@ -192,6 +205,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     compare: ObserverOptions | None = None
     region: Region | None = None
     title: str = "Untitled"
+    schema: int | None = None
     actuator: Actuator | None = None
     compensator: CompensatorOptions | None = None
 
@@ -203,6 +217,12 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
                 require_kind(field.name, value, field.type)
         for side in ("right", "left"):
             array(f"sensor.{side}", getattr(self.sensor, side))
+        if self.schema not in (None, SCHEMA):
+            raise InputError(f"schema: expected {SCHEMA}, found {self.schema!r:.40}")
+        if any(_claims_centre(getattr(self, name)) for name in CLAIMS):
+            msgspec.structs.force_setattr(
+                self, "schema", SCHEMA
+            )  # for the file that it is saved in
         if self.observer is UNNAMED:
             observer = usual_observer(self.plant, self.sensor, self.declared)
             msgspec.structs.force_setattr(self, "observer", observer)

@@ -39,6 +39,7 @@ from undeadzone.simulation.identifiability import (
 from undeadzone.simulation.loop import Outputs
 from undeadzone.util import toml
 from undeadzone.util.arrays import Floats
+from undeadzone.util.earlier import SCHEMA
 
 
 def verdicts_of_run(problem: Problem, signal: Outputs) -> list[Verdict]:
@@ -92,7 +93,7 @@ def _both_ends(problem: Problem, signal: Outputs, schedule: Schedule) -> list[Ve
     claimed = zip(e.right_std[-1], e.left_std[-1], e.width_std[-1], strict=True)
     judged = []
     for i, (right, left, width) in enumerate(claimed):
-        centre = np.sqrt(max(2 * (right**2 + left**2) - width**2, 0.0))
+        centre = np.sqrt(max(2 * (right**2 + left**2) - width**2, 0.0)) / 2
         std = dict(zip(DIRECTIONS, map(float, (right, left, width, centre)), strict=True))
         judged.append(as_far_as_known(problem, schedule, outputs[i], i, std))
     return judged
@@ -292,6 +293,7 @@ def _info(
         gaps=_true_gaps(problem, signal),
         scenario=_text(scenario),
         version=undeadzone.__version__,
+        schema=SCHEMA,
         seed=scenario.simulation.seed,
         gains=_gains(problem),
     )

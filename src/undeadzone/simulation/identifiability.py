@@ -152,8 +152,7 @@ def as_far_as_known(
     swing = float(schedule.high[i] - schedule.low[i])
     right, left = sensor.right[i], sensor.left[i]
     negligible = NEGLIGIBLE * swing
-    largest = largest_deviations(right, left, swing)
-    most = {name: max(value, negligible) for name, value in largest.items()}
+    most = largest_deviations(right, left, swing, negligible)
     known: dict[str, Any] = {
         name: getattr(verdict, name) and std[name] <= most[name] for name in DIRECTIONS
     }

@@ -21,6 +21,7 @@ from undeadzone.synthesis import gain_search
 from undeadzone.synthesis.assessment import determined_states, knowledge
 from undeadzone.synthesis.task import Candidate, candidate_of, make_task
 from undeadzone.util.arrays import Floats, scalar, seed_of
+from undeadzone.util.earlier import SCHEMA
 from undeadzone.util.progress import in_notebook
 
 AIMS = Literal["knee", "rate"]
@@ -89,6 +90,7 @@ def design(
         present=None if before is None else _point(before),
         identifiable=knowledge(problem, task.whole, None),
         front=[_point(candidate) for candidate in result.front],
+        schema=SCHEMA,
     )
 
 

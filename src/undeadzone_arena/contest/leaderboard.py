@@ -44,7 +44,7 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
         tracking: mean rms of z - r [z].
         estimation: mean rms of z - z^ [z].
         width: median error of d_r + d_l where identifiable, relative.
-        centre: median error of d_r - d_l where identifiable, relative.
+        centre: median error of (d_r - d_l)/2 where identifiable, relative to (d_r + d_l)/2.
         coverage: mean share of 95 % intervals that hold the truth.
         effort: median rms of u [u].
         slew: median rms of the change of u per step [u].

@@ -32,7 +32,7 @@ class Worth(msgspec.Struct, frozen=True, kw_only=True):
         estimation: z - z^ [z].
         width: |error| of d_r + d_l at the end, relative to the true d_r + d_l; None where the run's
             readings cannot tell or the method does not try.
-        centre: |error| of d_r - d_l at the end, likewise.
+        centre: |error| of (d_r - d_l)/2 at the end, relative to half of the true d_r + d_l.
         coverage: share of claimed 95 % intervals of widths that hold the truth at the end; None
             without claims.
         settling: from when on |z - r| stays within a tenth of the largest |r| [s]; None: never.
@@ -129,9 +129,7 @@ def _settling(t: Floats, error: Floats, r: Floats, tail: int) -> float | None:
 
 
 def _widths(problem: Problem, out: Outputs, truth: Floats) -> tuple[float | None, float | None]:
-    """Return the errors of d_r + d_l and of d_r - d_l at the end, relative, where they can be
-    known.
-    """
+    """Return the errors of width and centre at the end, relative, where they can be known."""
     estimated = np.stack([out.estimate.right, out.estimate.left], axis=1)
     if not (estimated != estimated[0]).any():
         return None, None
@@ -144,7 +142,7 @@ def _widths(problem: Problem, out: Outputs, truth: Floats) -> tuple[float | None
         judged = verdicts(linear, schedule, bias, sensor.kind == "jump")
     off, size = estimated[-1] - truth, truth.sum(axis=0)
     width = np.abs(off.sum(axis=0)) / size
-    centre = np.abs(off[0] - off[1]) / size
+    centre = np.abs(off[0] - off[1]) / size  # both halved
     width_known = np.array([verdict.width for verdict in judged])
     centre_known = np.array([verdict.centre for verdict in judged])
     return _mean(width[width_known]), _mean(centre[centre_known])

@@ -41,9 +41,9 @@ CAPTIONS: Final = {
 }
 NOTE: Final = (
     "In parentheses: 95 % intervals. Behind the best: median over scenarios of the difference on "
-    "the same scenario and seed. Width, centre: median errors of d_r + d_l and d_r − d_l relative "
-    "to d_r + d_l, where readings can tell. Coverage: of claimed 95 % intervals of the widths. "
-    "Cost: of a step, in those of the naive observer."
+    "the same scenario and seed. Width, centre: median errors of d_r + d_l, relative to it, and "
+    "of (d_r − d_l)/2, relative to half of the width, where readings can tell. Coverage: of "
+    "claimed 95 % intervals of the widths. Cost: of a step, in those of the naive observer."
 )
 RULES: Final = (
     "A run counts by J, the rms of z − r of the tracked outputs over its last "

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.nonlinearities.sensor import DIRECTIONS
+from undeadzone.nonlinearities.sensor import DIRECTIONS, heaviest
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.models import motion
 from undeadzone_identify.models.elements import PlayFit, PlayModel
@@ -94,7 +94,7 @@ def _intervals(theta: Floats, model: PlayModel, halves: dict[str, float]) -> dic
     intervals = {}
     for name, row in ROWS.items():
         value = float(np.dot(row, theta[model.base :][: len(row)]))
-        intervals[name] = Interval.around(value, math.hypot(halves[name], FINEST))
+        intervals[name] = Interval.around(value, math.hypot(halves[name], heaviest(row) * FINEST))
     return intervals
 
 

@@ -369,7 +369,7 @@ def _hardly_passed(answer: Answer, shown: Shown) -> list[str]:
         wider = widen_by_profile(answer.fit, name, edge, answer.scale)
         more = (edge.low - wider.low, wider.high - edge.high)
         shown[name] = wider
-        for sum_of_both, further in (("width", more), ("centre", [max(more)] * 2)):
+        for sum_of_both, further in (("width", more), ("centre", [max(more) / 2] * 2)):
             interval = shown[sum_of_both]
             shown[sum_of_both] = None if interval is None else interval.reaching(*further)
         remarks.append(
@@ -392,8 +392,8 @@ def _jump_edges(case: Case) -> Shown:
         sides.append(Interval(edge.value * scale, low, high))
     right, left = sides
     width = Interval(right.value + left.value, right.low + left.low, right.high + left.high)
-    centre = Interval(right.value - left.value, right.low - left.high, right.high - left.low)
-    return {"right": right, "left": left, "width": width, "centre": centre}
+    apart = Interval(right.value - left.value, right.low - left.high, right.high - left.low)
+    return {"right": right, "left": left, "width": width, "centre": apart.scale_interval(0.5)}
 
 
 def _widths_in_units(answer: Answer, wider: float) -> Shown:

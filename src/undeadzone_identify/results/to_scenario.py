@@ -206,8 +206,8 @@ def _sound(answer: Answer, right: Interval, left: Interval) -> tuple[Interval, I
         if edge.value < 0:
             cure = "take a constant offset away from the readings that are not silent, or from u"
             if answer.verdict == "play" and answer.centre is not None:
-                middle = -0.5 * answer.centre.value
-                cure = f"half of its centre is an offset: --zero {middle:.4g} makes both sides even"
+                middle = -answer.centre.value
+                cure = f"its centre is an offset: --zero {middle:.4g} makes both sides even"
             value = f"{edge.value:.4g}"
             raise InputError(
                 f"scenario: the {name} width {value} is negative: z = 0 is not inside; {cure}"

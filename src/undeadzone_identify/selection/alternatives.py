@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.nonlinearities.sensor import DIRECTIONS
+from undeadzone.nonlinearities.sensor import DIRECTIONS, heaviest
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.models import plant
 from undeadzone_identify.models.elements import (
@@ -438,7 +438,7 @@ def _zone_of(
     widths, least = {}, math.inf
     for name, row in DIRECTIONS.items():
         value, half, degrees = zoned.width(*before, *row)
-        half = with_offset(math.hypot(half, FINEST), row, offset)
+        half = with_offset(math.hypot(half, heaviest(row) * FINEST), row, offset)
         widths[name] = Interval.around(value, half).scale_interval(scale)
         least = min(least, degrees)
     return widths, least

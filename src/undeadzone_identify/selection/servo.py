@@ -311,7 +311,7 @@ def _widths(case: Case, servo: ServoGap, centre: Interval | None) -> dict[str, I
     half = math.hypot(even.half, centre.half)
     right = Interval.around(even.value + centre.value, half)
     left = Interval.around(even.value - centre.value, half)
-    return {"right": right, "left": left, "width": width, "centre": centre.scale_interval(2.0)}
+    return {"right": right, "left": left, "width": width, "centre": centre}
 
 
 def plant_without_friction(servo: ServoGap, theta: Floats, scale: float) -> Floats:

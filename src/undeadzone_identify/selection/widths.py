@@ -9,7 +9,7 @@ import numpy as np
 from scipy.stats import chi2
 from scipy.stats import f as fisher
 
-from undeadzone.nonlinearities.sensor import DIRECTIONS
+from undeadzone.nonlinearities.sensor import DIRECTIONS, heaviest
 from undeadzone.util.arrays import Floats, runs
 from undeadzone_identify.models.estimates import Interval, climb
 from undeadzone_identify.models.kalman_fit import KalmanFit
@@ -85,7 +85,7 @@ def find_widths(
         if half > 0:
             half = max(half, gap, 0.0 if last == "L3" else _gap(stages, row, "L3"))
             half = math.hypot(half, _spread_over_orders(name, others, chosen))
-            half = math.hypot(half, 0.5 * quantum)
+            half = math.hypot(half, heaviest(row) * 0.5 * quantum)
         half = with_offset(half, row, offset)
         intervals[name] = Interval.around(float(np.dot(row, stages[last])), half)
         for other in alike:

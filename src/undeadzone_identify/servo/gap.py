@@ -276,7 +276,7 @@ def servo_gap(log: Observations | None) -> ServoGap | None:
 
 
 def centre_of(found: ServoGap, level: float) -> Interval | None:
-    """Return half the centre c_r - c_l of a gap, if z = 0 at u = 0 [y]; None of an integrating
+    """Return the centre (c_r - c_l)/2 of a gap, if z = 0 at u = 0 [y]; None of an integrating
     plant.
 
     Args:

@@ -349,7 +349,7 @@ def test_a_known_start_tells_the_centre() -> None:
     (found,) = run.verdicts(prior=np.array([1e-3, np.inf]))
     assert found[:4] == (True, True, True, True)
     assert found.std is not None
-    assert found.std["centre"] == pytest.approx(2e-3, rel=1e-3)  # both edges shift with the start
+    assert found.std["centre"] == pytest.approx(1e-3, rel=1e-3)  # both edges shift with the start
     (unsure,) = run.verdicts(prior=np.array([0.4, np.inf]))
     assert unsure[:4] == (False, False, True, False)
     assert unsure.reasons[0].startswith("practically not")

@@ -1,29 +1,53 @@
-"""A claimed centre: what the filters start from, and what the verdict makes of it."""
+"""The centre of a zone is its middle, wherever it stands; what a claim of it does."""
 
 from __future__ import annotations
 
+import functools
+import json
+import re
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
+import once
+import undeadzone as uz
+from commands import undeadzone
 from scenes import scene
-from undeadzone.errors import InputError, ShapeError
+from undeadzone.analysis.certificate.design_file import Design
+from undeadzone.cli import common
+from undeadzone.errors import EarlierMeaning, InputError, ShapeError
 from undeadzone.nonlinearities.sensor import Sensor, resolve
 from undeadzone.observers.filtering.prior import Assumptions, build_prior
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import sample_plant
 from undeadzone.results.run import Run
+from undeadzone.scenario.reader import convert, parse
 from undeadzone.simulation.simulate import simulate
 from undeadzone.synthesis.check import check
+from undeadzone.util.earlier import SCHEMA
 
+ROOT = Path(__file__).parents[3]
+RIGHT, LEFT, CENTRE = 1.0, 0.4, 0.3  # of a zone from -0.4 to 1.0
+# What calls a formula a centre, or the other way round.
+FORMULA = re.compile(r"\(?\b([dcb])_r\^? [-−] \1_l\b\^?\)?( ?/ ?2)?")
+TEXTS = ("README.md", "KNOWN_GAPS.md", "docs", "examples", "src", "benchmarks")
+BOTH = "(c_r - c_l + d_r - d_l)/2"  # the sum of two centres
+# Where the earlier meaning is told of.
+EARLIER = {"docs/versions.md", "src/undeadzone/util/earlier.py"}
 MOTOR = {"A": [[0.0, 1.0], [0.0, -10.0]], "B": [[0.0], [50.0]], "C": [[1.0, 0.0]]}
 MODEL = sample_plant(system(Plant(**MOTOR, x0=[0.0, 0.0])), 0.01)
 
 
 def motor(**observer: Any) -> Any:
     return scene(
+        schema=SCHEMA,
         plant=MOTOR | {"x0": [0.3, 0.0]},
         sensor={"right": 0.12, "left": 0.12, "noise": 0.002},
         reference={"kind": "sine", "amplitude": 1.5, "frequency": 0.5},
@@ -40,7 +64,7 @@ def known(run: Run) -> tuple[bool, bool]:
 
 @pytest.mark.parametrize("claimed", [0.0, [-0.1, 0.1], [[0.05, 0.2]]])
 def test_the_prior_is_that_of_ranges_given_the_centre(claimed: Any) -> None:
-    """Of many draws from the ranges as Gaussians, weighed by the claim on d_r - d_l."""
+    """Of many draws from the ranges as Gaussians, weighed by the claim on (d_r - d_l)/2."""
     where = resolve(Sensor(right=0.1, left=0.1, noise=0.01), 1, 0.01)
     ranges = {"right": [0.2, 1.0], "left": [0.0, 0.6]}
     prior = build_prior(Assumptions(**ranges, x_std=1.0, drift=0.0), MODEL, where, centre=claimed)
@@ -49,7 +73,7 @@ def test_the_prior_is_that_of_ranges_given_the_centre(claimed: Any) -> None:
     spread = max((high - low) / np.sqrt(12), 0.01)
     rng = np.random.default_rng(0)
     drawn = rng.normal([0.6, 0.3], np.array([0.8, 0.6]) / np.sqrt(12), (400_000, 2))
-    off = (drawn[:, 0] - drawn[:, 1] - (low + high) / 2) / spread
+    off = ((drawn[:, 0] - drawn[:, 1]) / 2 - (low + high) / 2) / spread
     weight = np.exp(-(off**2) / 2)
     np.testing.assert_allclose(mean, np.average(drawn, axis=0, weights=weight), atol=5e-3)
     expected = np.cov(drawn.T, aweights=weight)
@@ -74,21 +98,21 @@ def test_without_a_claim_the_centre_of_an_integrator_stays_unknown() -> None:
 
 
 def test_a_vague_centre_is_known_as_well_as_it_is_claimed() -> None:
-    run = simulate(motor(centre=[-0.1, 0.1]))
+    run = simulate(motor(centre=[-0.05, 0.05]))
     assert known(run) == (True, True)
     deviation = run.info.identifiable[0]["std"]["centre"]
-    assert deviation == pytest.approx(0.2 / np.sqrt(12), rel=1e-3)
-    assert known(simulate(motor(centre=[-0.45, 0.45]))) == (True, False)  # wider than the zone
+    assert deviation == pytest.approx(0.1 / np.sqrt(12), rel=1e-3)
+    assert known(simulate(motor(centre=[-0.225, 0.225]))) == (True, False)  # wider than the zone
 
 
 @pytest.mark.parametrize(("x_std", "tells"), [([0.01, 0.1], True), ([1.0, 1.0], False)])
 def test_homing_tells_the_centre_of_a_linear_plant(x_std: list[float], tells: bool) -> None:
-    """A known start counts, a vague one does not; its deviation is twice that of the position."""
+    """A known start counts, a vague one does not; its deviation is that of the position."""
     run = simulate(motor(x_std=x_std))
     assert known(run) == (True, tells)
     if tells:
         verdict = run.info.identifiable[0]
-        assert verdict["std"]["centre"] == pytest.approx(2 * x_std[0], rel=0.05)
+        assert verdict["std"]["centre"] == pytest.approx(x_std[0], rel=0.05)
         assert verdict["reasons"][-1].endswith("from the declared start alone")
 
 
@@ -96,10 +120,195 @@ def test_homing_tells_the_centre_of_a_linear_plant(x_std: list[float], tells: bo
     ("claimed", "error", "words"),
     [
         ([0.2, 0.1], InputError, "lo <= hi"),
-        (0.7, InputError, "the ranges of d_r and d_l allow"),
-        ([0.0, 0.1, 0.2], ShapeError, "the range .lo, hi. of d_r - d_l"),
+        (0.35, InputError, "the ranges of d_r and d_l allow"),
+        ([0.0, 0.1, 0.2], ShapeError, r"the range .lo, hi. of \(d_r - d_l\)/2"),
     ],
 )
 def test_impossible_centres_are_refused(claimed: Any, error: type[Exception], words: str) -> None:
     with pytest.raises(error, match=f"observer.centre: .*{words}"):
         simulate(motor(centre=claimed))
+
+
+# --- One word, one meaning
+
+
+@functools.cache
+def identified() -> Any:
+    """What `identify` makes of a log behind a zone from -0.4 to 1.0."""
+    rng = np.random.default_rng(0)
+    u = np.repeat(rng.standard_normal(150), 10)
+    z = lfilter([0, 0.05, 0.03], [1, -1.6, 0.68], u) + 0.01 * rng.standard_normal(1500)
+    y = np.maximum(z - RIGHT, 0) + np.minimum(z + LEFT, 0)
+    return uz.identify(t=0.05, u=u, y=y, order=2, delay=0)
+
+
+def test_identify_gives_the_middle_in_python_in_json_and_on_the_screen() -> None:
+    found = identified()
+    assert found.verdict == "dead_zone"
+    assert found.centre.value == pytest.approx(CENTRE, abs=0.01)
+    assert found.centre.value == (found.right.value - found.left.value) / 2
+    assert json.loads(json.dumps(found.numbers()))["centre"] == list(found.centre)
+    (shown,) = re.findall(r"^centre +([-.\d]+) \[", str(found), re.M)
+    assert float(shown) == pytest.approx(CENTRE, abs=0.01)
+
+
+def test_gears_have_the_same_centre_as_the_zone_that_they_are() -> None:
+    text = (ROOT / "examples/two_link_gears.toml").read_text(encoding="utf-8")
+    tables = tomllib.loads(text)
+    tables["plant"]["arm"]["gears"] |= {"half": (RIGHT + LEFT) / 2, "centre": CENTRE}
+    plant = system(convert(tables).plant)
+    assert plant.gears is not None
+    right, left = (np.asarray(each).ravel() for each in plant.gears.widths(plant.params))
+    np.testing.assert_allclose(right, RIGHT)
+    np.testing.assert_allclose(left, LEFT)
+
+
+def test_a_claimed_centre_is_the_middle_of_the_zone_that_filters_begin_with() -> None:
+    where = resolve(Sensor(right=RIGHT, left=LEFT, noise=0.01), 1, 0.01)
+    claims = Assumptions(right=[0.0, 2.0], left=[0.0, 2.0], x_std=1.0, drift=0.0)
+    (right, left), _ = build_prior(claims, MODEL, where, centre=CENTRE).widths()
+    assert (right - left) / 2 == pytest.approx(CENTRE, rel=1e-12)
+
+
+def formulas() -> Iterator[tuple[str, str]]:
+    """Each formula of a difference that stands in a line with the word centre, and where."""
+    for name in TEXTS:
+        path = ROOT / name
+        files = [path] if path.is_file() else path.rglob("*")
+        for file in files:
+            where = file.relative_to(ROOT).as_posix()
+            if file.suffix not in (".md", ".py", ".toml", ".js", ".jinja", ".h", ".c", ".html"):
+                continue
+            if where in EARLIER or file.name == "live.html":
+                continue
+            text = file.read_text(encoding="utf-8").replace(BOTH, "")
+            for line in text.splitlines():
+                if re.search(r"\bcentres?\b", line, re.IGNORECASE):
+                    yield from ((where, each.group()) for each in FORMULA.finditer(line))
+
+
+def test_wherever_a_formula_is_called_centre_it_is_the_middle() -> None:
+    found = list(formulas())
+    assert {"docs/glossary.md", "docs/json.md", "docs/scenario.md"} <= {where for where, _ in found}
+    for where, formula in found:
+        words = re.sub(r"[dcb]_r\^?", str(RIGHT), formula.replace("−", "-"))
+        words = re.sub(r"[dcb]_l\^?", str(LEFT), words)
+        assert eval(words) == pytest.approx(CENTRE), f"{where}: {formula}"
+
+
+def test_no_exported_signal_is_called_centre() -> None:
+    """They have right and left; a reader takes half of the difference."""
+    names = uz.Estimate._fields
+    assert {"right", "left"} <= set(names)
+    assert not [name for name in names if "centre" in name]
+    for path in (ROOT / "src/undeadzone_export").rglob("*.*"):
+        if path.suffix != ".pyc":
+            assert "centre" not in path.read_text(encoding="utf-8"), path
+
+
+# --- Files of an earlier schema
+
+
+def claiming(centre: Any, **top: Any) -> dict[str, Any]:
+    """The tables of a scenario with a claimed centre."""
+    text = (ROOT / "examples/motor_position.toml").read_text(encoding="utf-8")
+    data = top | tomllib.loads(text)
+    data["observer"]["centre"] = centre
+    return data
+
+
+def centre_of(data: dict[str, Any], name: str = "observer") -> Any:
+    return np.asarray(getattr(convert(data), name).centre).tolist()
+
+
+def test_a_file_without_a_schema_is_asked_for_it_where_its_centre_is_not_0() -> None:
+    with pytest.warns(EarlierMeaning, match=f"observer.centre: .*Write schema = {SCHEMA} above"):
+        assert centre_of(claiming([-0.1, 0.3])) == [-0.1, 0.3]
+    assert centre_of(claiming(0.0)) == 0.0
+    assert centre_of(claiming([[0.0, 0]])) == [[0.0, 0.0]]
+    assert centre_of(claiming([-0.1, 0.3], schema=SCHEMA)) == [-0.1, 0.3]
+
+
+def test_the_old_schema_keeps_its_meaning_with_a_warning() -> None:
+    data = claiming([-0.1, 0.3], schema=2)
+    data["compare"] = {"like": "observer", "tolerance": 0.1}
+    data["declared"] = {"right": [0.0, 1.0], "centre": 0.6}
+    with pytest.warns(EarlierMeaning, match=f"Halve the numbers, and write schema = {SCHEMA}"):
+        scenario = convert(data)
+    assert np.asarray(scenario.observer.centre).tolist() == [-0.05, 0.15]
+    assert np.asarray(scenario.compare.centre).tolist() == [-0.05, 0.15]
+    assert float(scenario.declared.centre) == CENTRE
+    assert convert(claiming(0.0, schema=2)).schema is None
+
+
+def test_what_is_saved_is_read_without_a_warning(tmp_path: Path) -> None:
+    """Numbers given in Python have today's meaning."""
+    scenario = convert(claiming([-0.1, 0.3], schema=SCHEMA))
+    again = parse(str(scenario.replace("observer.centre", CENTRE)))
+    assert (float(again.observer.centre), again.schema) == (CENTRE, SCHEMA)
+    assert "schema" not in str(convert(claiming(0.0)))
+    path = (convert(claiming(0.0)) | {"observer": {"centre": CENTRE}}).save(tmp_path / "a.toml")
+    assert float(uz.read(path).observer.centre) == CENTRE
+
+
+def test_gears_that_contact_claims_had_this_meaning_before() -> None:
+    text = (ROOT / "examples/two_link_gears.toml").read_text(encoding="utf-8")
+    scenario = tomllib.loads(text)
+    scenario["observer"] = {"method": "contact", "half": [0.0, 0.02], "centre": 0.01}
+    assert convert(scenario).schema is None
+
+
+@pytest.mark.parametrize("schema", [1, 4, "3", True, [3]])
+def test_a_schema_that_is_not_known_is_refused(schema: Any) -> None:
+    with pytest.raises(InputError, match="schema: expected 3, or 2 of old files; found"):
+        convert(claiming(0.0, schema=schema))
+
+
+def test_a_scenario_made_in_python_has_the_schema_of_today() -> None:
+    with pytest.raises(InputError, match="schema: expected 3, found 2"):
+        scene().replace("schema", 2)
+
+
+def test_a_command_says_it_in_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "old.toml"
+    text = (ROOT / "examples/motor_position.toml").read_text(encoding="utf-8")
+    path.write_text(text.replace("centre = 0.0 ", "centre = [-0.1, 0.1] "), encoding="utf-8")
+    done = undeadzone("check", path, "--no-figures", cwd=tmp_path)
+    assert done.returncode == 0
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("undeadzone: observer.centre: is taken for (d_r - d_l)/2")
+    path.write_text(f"schema = {SCHEMA}\n{path.read_text(encoding='utf-8')}", encoding="utf-8")
+    assert undeadzone("check", path, "--no-figures", cwd=tmp_path).stderr == ""
+
+
+@pytest.mark.parametrize("suffix", ["npz", "csv"])
+def test_a_run_of_an_old_file_has_its_deviations_halved(suffix: str, tmp_path: Path) -> None:
+    run = simulate(motor(centre=[-0.05, 0.05]))
+    (told,) = run.info.identifiable
+    path = run.save(tmp_path / f"run.{suffix}")
+    assert Run.load(path).info.identifiable == [told]
+    before = told | {"std": told["std"] | {"centre": 2 * told["std"]["centre"]}}
+    info = msgspec.structs.replace(run.info, identifiable=[before], schema=None)
+    old = Run(info, run.signals).save(tmp_path / f"old.{suffix}")
+    with pytest.warns(EarlierMeaning, match=f"old.{suffix}: std.centre of schema 2"):
+        loaded = Run.load(old)
+    assert (loaded.info.identifiable, loaded.info.schema) == ([told], SCHEMA)
+
+
+def test_a_design_of_an_old_file_has_its_deviations_halved(tmp_path: Path) -> None:
+    designed = once.design(scene(), "rate")
+    assert (
+        Design.load(designed.save(tmp_path / "design.toml")).identifiable == designed.identifiable
+    )
+    before = [
+        msgspec.structs.replace(one, std=one.std | {"centre": 2 * one.std["centre"]})
+        for one in designed.identifiable
+    ]
+    old = msgspec.structs.replace(designed, identifiable=before, schema=None)
+    with pytest.warns(EarlierMeaning, match="std.centre of schema 2"):
+        loaded = Design.load(old.save(tmp_path / "old.toml"))
+    assert (loaded.identifiable, loaded.schema) == (designed.identifiable, SCHEMA)
+
+
+def test_files_and_json_count_their_schemas_alike() -> None:
+    assert SCHEMA == common.SCHEMA == 3

@@ -446,10 +446,10 @@ def test_the_ellipse_holds_the_deviations() -> None:
         "right": right,
         "left": left,
         "width": float(np.sqrt(right**2 + left**2 + both)),
-        "centre": float(np.sqrt(right**2 + left**2 - both)),
+        "centre": float(np.sqrt(right**2 + left**2 - both)) / 2,
     }
     x, y = ellipse(std)
-    reach = [np.abs(x).max(), np.abs(y).max(), np.abs(x + y).max(), np.abs(x - y).max()]
+    reach = [np.abs(x).max(), np.abs(y).max(), np.abs(x + y).max(), np.abs(x - y).max() / 2]
     np.testing.assert_allclose(reach, ELLIPSE * np.array([*std.values()]), rtol=1e-3)
 
 

@@ -21,6 +21,7 @@ from undeadzone.errors import FileError, InputError, ProofError, ShapeError
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.util import shown, toml
 from undeadzone.util.arrays import Floats, matrix, vector
+from undeadzone.util.earlier import SCHEMA, translated_std
 from undeadzone.util.files import read_text, reason, write_text
 from undeadzone.util.own_files import mark_toml
 
@@ -81,6 +82,7 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         present: the scenario's own gains, if they are certified.
         identifiable: what the readings tell, per output.
         front: the trade between rate and errors, by falling rate.
+        schema: number of the meanings that the names in it have (docs/json.md); None: at most 2.
     """
 
     title: str
@@ -102,6 +104,7 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     present: Point | None = None
     identifiable: list[Knowledge]
     front: list[Point]
+    schema: int | None = None
 
     @property
     def model(self) -> Matrices:
@@ -198,7 +201,15 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             raise FileError(
                 f"{path}: not a design saved by undeadzone; write it with undeadzone design"
             ) from None
-        return _recompute_design(design, str(path))
+        return _recompute_design(_of_today(design, str(path)), str(path))
+
+
+def _of_today(design: Design, path: str) -> Design:
+    """Return the design with deviations in the meanings of today."""
+    known = design.identifiable
+    stds = translated_std([one.std for one in known], design.schema, path)
+    told = [msgspec.structs.replace(one, std=std) for one, std in zip(known, stds, strict=True)]
+    return msgspec.structs.replace(design, identifiable=told, schema=SCHEMA)
 
 
 def _recompute_design(design: Design, path: str) -> Design:
@@ -251,7 +262,7 @@ class Knowledge(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
     Attributes:
         right, left: whether they determine d_r, d_l.
-        width, centre: whether they determine d_r + d_l, d_r - d_l.
+        width, centre: whether they determine d_r + d_l, (d_r - d_l)/2.
         reasons: why not, for each 'no'.
         cures: what would turn a 'no' into a 'yes'.
         std: expected standard deviation of each, by its name [unit of z].

@@ -16,7 +16,7 @@ import numpy as np
 from undeadzone.analysis.branch_schedule import Schedule
 from undeadzone.analysis.error_dynamics import pattern
 from undeadzone.linalg.matrices import Matrices, delta, sizes
-from undeadzone.nonlinearities.sensor import DIRECTIONS
+from undeadzone.nonlinearities.sensor import DIRECTIONS, heaviest
 from undeadzone.util.arrays import Floats
 
 RARE = 0.1  # share of exact readings beyond the edges, below which a verdict says so
@@ -82,17 +82,25 @@ def _unreached_reason(name: str, edge: str, stays: str) -> str:
     )
 
 
-def largest_deviations(right: float, left: float, swing: float) -> dict[str, float]:
-    """Return the largest deviation with which each of `DIRECTIONS` counts as known: that of its own
-    size.
+def largest_deviations(
+    right: float, left: float, swing: float, least: float = 0.0
+) -> dict[str, float]:
+    """Return the largest deviation with which each of `DIRECTIONS` counts as known: that of its
+    own size.
+
+    Of the centre it is half of the width.
 
     Args:
         right, left: widths of the output [z].
         swing: of the output, which counts where the widths are 0 [z].
+        least: deviation of a width that always counts as known [z].
     """
     both = right + left
     sizes = {"right": right, "left": left, "width": both, "centre": both}
-    return {name: float(size) or swing for name, size in sizes.items()}
+    return {
+        name: heaviest(DIRECTIONS[name]) * max(float(size) or swing, least)
+        for name, size in sizes.items()
+    }
 
 
 def vague(std: dict[str, float], most: dict[str, float], right: float, left: float) -> list[str]:
@@ -167,10 +175,10 @@ class Unobservable(NamedTuple):
 
         Args:
             i: the output.
-            name: `right`, `left`, `width` = d_r + d_l or `centre` = d_r - d_l.
+            name: `right`, `left`, `width` = d_r + d_l or `centre` = (d_r - d_l)/2.
         """
-        first = self.n + 2 * i
-        change = np.array(DIRECTIONS[name]) @ self.basis[first : first + 2]
+        first, weights = self.n + 2 * i, np.array(DIRECTIONS[name])
+        change = weights / heaviest(DIRECTIONS[name]) @ self.basis[first : first + 2]
         return not bool((np.abs(change) > self.present).any())
 
     def widths(self, i: int) -> dict[str, Any]:
@@ -227,7 +235,7 @@ class Verdict(NamedTuple):
 
     Attributes:
         right, left: d_r, d_l.
-        width, centre: d_r + d_l, d_r - d_l.
+        width, centre: d_r + d_l, (d_r - d_l)/2.
         reasons: why not, for each 'no', in words.
         std: the deviation that an optimal estimator reaches of each, by name, where noise is taken
             into account.
@@ -353,8 +361,8 @@ def cures(
         for remedy in _confounding_reasons(linear, schedule, bias, i).values():
             text = (
                 f"no reference can: {remedy}, or add a sensor without a dead zone; "
-                "or claim the centre d_r - d_l of a filter: observer.centre = [lo, hi], 0 if the "
-                "zone is symmetric"
+                "or claim the centre (d_r - d_l)/2 of a filter: observer.centre = [lo, hi], 0 if "
+                "the zone is symmetric"
             )
             changes.append(Cure(i, None, None, text))
     return changes

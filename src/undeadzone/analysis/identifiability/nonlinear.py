@@ -44,8 +44,8 @@ def beforehand(
         n: number of states.
         p: number of outputs.
         start_std: standard deviations of x(0), infinite where it is not known (n); None: unknown.
-        centre_std: those of each d_r - d_l (p), infinite where it is not known; None: unknown.
-        least: deviation of a centre that is known exactly [z].
+        centre_std: those of each (d_r - d_l)/2 (p), infinite where it is not known; None: unknown.
+        least: deviation of a d_r - d_l that is known exactly [z].
     """
     rows, eye = [], np.eye(n + 2 * p)
     if start_std is not None:
@@ -53,8 +53,8 @@ def beforehand(
         rows += [eye[i] / start_std[i] for i in known]
     if centre_std is not None:
         for i in np.flatnonzero(np.isfinite(centre_std)):
-            row = eye[n + 2 * i] - eye[n + 2 * i + 1]
-            rows.append(row / max(float(centre_std[i]), least))
+            row = (eye[n + 2 * i] - eye[n + 2 * i + 1]) / 2
+            rows.append(row / max(float(centre_std[i]), least / 2))
     return np.array(rows).reshape(len(rows), n + 2 * p)
 
 
@@ -101,7 +101,7 @@ def verdicts_along(
         prior: standard deviation of x(0) as far as it is known beforehand, infinite where it is
             not (n).
         arrived: whether each reading did (N x p); all of them if not given.
-        centre: standard deviations of d_r - d_l as far as it is known beforehand (p), likewise.
+        centre: standard deviations of (d_r - d_l)/2 as far as it is known beforehand (p), likewise.
     """
     arrived = np.ones(z.shape, dtype=bool) if arrived is None else arrived
     bias = np.zeros((model.m, 0)) if bias is None else bias

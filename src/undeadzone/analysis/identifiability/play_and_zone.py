@@ -24,7 +24,7 @@ class WidthInformation(NamedTuple):
     Attributes:
         zone: of its dead zone.
         gap: of its play: right and left gap, their sum and their difference.
-        both: whether the sum of both centres, c_r - c_l + d_r - d_l, is told.
+        both: whether the sum of both centres, (c_r - c_l + d_r - d_l)/2, is told.
         gap_std: deviation of c_r + c_l that an optimal estimator reaches [z].
     """
 

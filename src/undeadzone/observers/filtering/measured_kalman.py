@@ -139,7 +139,7 @@ def build_gaussian_filter(
     augmentation = with_widths(augmentation, zones)
     entries = covariance_entries(model, augmentation)
     doubts = glitches > 0 and not blind
-    centred = prior.centre is not None
+    centred = prior.asymmetry is not None
     setup = Setup(
         model, sensor, augmentation, entries, bounds, order, blind, doubts, careful, centred
     )

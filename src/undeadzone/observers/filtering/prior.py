@@ -33,8 +33,8 @@ class Prior(NamedTuple):
         drift: variance that the widths gain each step (2p) [z^2].
         worn: the same in squares of a range's extent; 0 where a drift is claimed.
         ranges: claimed ranges of all d_r, then of all d_l (2p x 2) [z].
-        centre: mean and standard deviation of each d_r - d_l (p x 2) [z]; None: nothing but what
-            the ranges say.
+        asymmetry: mean and standard deviation of each d_r - d_l (p x 2) [z]; None: nothing but
+            what the ranges say.
         largest: width that the ranges allow, or gap of a play ahead of the zone [z].
     """
 
@@ -45,7 +45,7 @@ class Prior(NamedTuple):
     drift: Floats
     worn: float
     ranges: Floats
-    centre: Floats | None = None
+    asymmetry: Floats | None = None
     largest: float = 0.0
 
     def widths(self) -> tuple[Floats, Floats]:
@@ -54,10 +54,10 @@ class Prior(NamedTuple):
         """
         n = self.mean.size - len(self.ranges)
         mean, cov = self.mean[n:], np.diag(self.std[n:] ** 2)
-        if self.centre is None:
+        if self.asymmetry is None:
             return mean, cov
-        p = len(self.centre)
-        for i, (claimed, std) in enumerate(self.centre):
+        p = len(self.asymmetry)
+        for i, (claimed, std) in enumerate(self.asymmetry):
             h = np.eye(2 * p)[i] - np.eye(2 * p)[p + i]
             gain = cov @ h / (h @ cov @ h + std**2)
             mean = mean + gain * (claimed - h @ mean)
@@ -93,7 +93,7 @@ def build_prior(
         reach: standard deviation of x(0), in largest widths, where none is claimed.
         wear: drift, in extents of the range per 1 / sqrt(|pole|), where none is claimed.
         start: mean of x(0), one number or one per state.
-        centre: claimed range of d_r - d_l, or its value; None: nothing is claimed.
+        centre: claimed range of (d_r - d_l)/2, or its value; None: nothing is claimed.
         silence: whether silent samples are heard. Then noise ahead of the zone, which never makes a
             silent sensor read, is not gated: it chose the readings, but the silences too.
 
@@ -129,7 +129,7 @@ def build_prior(
         drift=growth + worn * span**2,
         worn=worn,
         ranges=ranges,
-        centre=None if centre is None else _centres(centre, ranges, p),
+        asymmetry=None if centre is None else _asymmetries(centre, ranges, p),
         largest=largest,
     )
 
@@ -155,33 +155,33 @@ def traits_of_prior(prior: Prior, x_std: Array | None) -> Traits:
     n = prior.mean.size - len(prior.ranges)
     return Traits(
         start_std=None if x_std is None else prior.std[:n],
-        centre_std=None if prior.centre is None else prior.centre[:, 1],
+        centre_std=None if prior.asymmetry is None else prior.asymmetry[:, 1] / 2,
     )
 
 
-def _centres(claimed: Array, ranges: Floats, p: int) -> Floats:
-    """Return mean and standard deviation of each claimed d_r - d_l (p x 2).
+def _asymmetries(claimed: Array, ranges: Floats, p: int) -> Floats:
+    """Return mean and standard deviation of each d_r - d_l (p x 2).
 
+    That is twice the centre, which is claimed. A range stands for the uniform distribution over it.
     Raises InputError, ShapeError.
-
-    A range stands for the uniform distribution over it.
     """
     value = array("observer.centre", claimed)
     if value.ndim == 0:
         value = np.full(2, float(value))
     if value.shape not in ((2,), (p, 2)):
         raise ShapeError(
-            "observer.centre: expected the range [lo, hi] of d_r - d_l, its value, or one range "
-            f"per output ({p} x 2), found {' x '.join(map(str, value.shape))}"
+            "observer.centre: expected the range [lo, hi] of (d_r - d_l)/2, its value, or one "
+            f"range per output ({p} x 2), found {' x '.join(map(str, value.shape))}"
         )
     low, high = np.broadcast_to(value, (p, 2)).T
-    least, most = ranges[:p, 0] - ranges[p:, 1], ranges[:p, 1] - ranges[p:, 0]
+    least, most = (ranges[:p, 0] - ranges[p:, 1]) / 2, (ranges[:p, 1] - ranges[p:, 0]) / 2
     if (low > high).any() or (high < least).any() or (low > most).any():
         raise InputError(
-            "observer.centre: a range [lo, hi] of d_r - d_l must have lo <= hi and meet what the "
-            f"ranges of d_r and d_l allow, {least.tolist()} to {most.tolist()}; found "
+            "observer.centre: a range [lo, hi] of (d_r - d_l)/2 must have lo <= hi and meet what "
+            f"the ranges of d_r and d_l allow, {least.tolist()} to {most.tolist()}; found "
             f"{value.tolist()}"
         )
+    low, high = 2 * low, 2 * high
     return np.stack([(low + high) / 2, (high - low) / np.sqrt(12)], axis=1)
 
 
@@ -334,7 +334,7 @@ class Assumptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     Attributes:
         right, left: ranges [lo, hi] of d_r and d_l, one or one per output [z]; left defaults to
             that of right.
-        centre: claimed range [lo, hi] of d_r - d_l, a number where it is known (0: a symmetric
+        centre: claimed range [lo, hi] of (d_r - d_l)/2, a number where it is known (0: a symmetric
             zone), or one range per output [z]; default: what the ranges of d_r and d_l say.
         noise: rms of a reading on an active side, one or one per output [z]; default the sensor's.
         x_std: standard deviation of x(0) about 0, one or one per state; default what shows
