@@ -45,6 +45,11 @@ def capital(words: str) -> str:
     return words[0].upper() + words[1:]
 
 
+def escape_brackets(quotation: str) -> str:
+    """Return a quotation in which the paper's references, such as [16], are no links."""
+    return quotation.replace("[", "\\[").replace("]", "\\]")
+
+
 def page(paper: Paper) -> str:
     """docs/paper.md."""
     ranked = sorted(paper.claims, key=lambda claim: ORDER.index(claim.verdict))
@@ -61,7 +66,7 @@ def section(claim: Claim) -> str:
     return "\n".join(
         [
             f"### {text.id}\n",
-            wrapped(f"{text.claim}. The paper, {text.where}: “{text.words}”."),
+            wrapped(f"{text.claim}. The paper, {text.where}: “{escape_brackets(text.words)}”."),
             wrapped(f"*{capital(claim.verdict)}.* {text.why}"),
             wrapped(f"Measured: {claim.measured}."),
         ]

@@ -308,6 +308,8 @@ class Traits(NamedTuple):
             claimed.
         centre_std: standard deviation of each claimed (d_r - d_l)/2 (p), infinite where none is
             claimed; None: nowhere.
+        ranges: declared [lo, hi] of all d_r, then of all d_l (2p x 2) [z]; None: only that they are
+            not negative.
     """
 
     L: Floats | None = None
@@ -320,6 +322,15 @@ class Traits(NamedTuple):
     uncertain: tuple[str, ...] = ()
     start_std: Floats | None = None
     centre_std: Floats | None = None
+    ranges: Floats | None = None
+
+    @property
+    def ranges_in_turn(self) -> list[list[float]]:
+        """Return the declared [lo, hi] of d_r and d_l of each output in turn; empty: none."""
+        if self.ranges is None:
+            return []
+        right, left = np.split(self.ranges, 2)
+        return np.stack([right, left], axis=1).reshape(-1, 2).tolist()
 
 
 class InPython(NamedTuple):

@@ -73,6 +73,13 @@ def test_version_and_help() -> None:
     assert undeadzone("help", "wacth").returncode == 2
 
 
+def test_the_bare_command_prints_its_help() -> None:
+    bare, asked = undeadzone(), undeadzone("--help")
+    assert bare.returncode == asked.returncode == 0
+    assert bare.stdout == asked.stdout
+    assert not bare.stderr
+
+
 def test_the_short_template_has_25_lines_and_runs_as_the_full_one(tmp_path: Path) -> None:
     for name, words in (("short", []), ("full", ["--full"])):
         assert undeadzone("init", tmp_path / f"{name}.toml", *words).returncode == 0

@@ -115,6 +115,7 @@ def _registered_commands() -> dict[str, EntryPoint]:
 
 @click.group(
     cls=Commands,
+    invoke_without_command=True,
     epilog="Exit codes: 0 done; 1 it ran, and the answer is no (diverged, not certified, not "
     "identifiable); 2 bad input; 70 a mistake of undeadzone itself; 130 Ctrl-C; 143 terminated.",
     context_settings={
@@ -124,8 +125,12 @@ def _registered_commands() -> dict[str, EntryPoint]:
     },
 )
 @click.version_option(undeadzone.__version__, "-V", "--version", prog_name="undeadzone")
-def group() -> None:
-    """See through a sensor's dead zone."""
+@click.pass_context
+def group(ctx: click.Context) -> int:
+    """Estimate the true output and the width that a dead zone or backlash hides."""
+    if ctx.invoked_subcommand is None:
+        click.echo(ctx.get_help())
+    return 0
 
 
 COMMANDS = (run, ensemble, tune, check, design, init, estimate, watch, arm)

@@ -100,8 +100,8 @@ def deadzone_update(
         cov: covariance of that (N x N).
         C: row that reads z from the mean (N).
         y: reading [y]; NaN where it is missing, or at a limit of the sensor's range.
-        right, left: widths d_r, d_l: a number where one is known [z], or the row that reads it from
-            the mean (N).
+        right: width d_r: a number if it is known [z], or the row that reads it from the mean (N).
+        left: the same for d_l.
         noise: rms of the noise behind the zone [y].
         ear: what the last call returned, at first `Ear()`. A filter that has none would cut off
             the same tail at every sample.

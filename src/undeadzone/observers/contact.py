@@ -142,11 +142,26 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         first, numbers = self._numbers(model, gears, drives, sensor)
         params = Params(first, numbers, sensor.slope, fading(Ts, MEMORY), fading(Ts, PATIENCE))
         each = product(FRICTION, range(1, gears.size + 1))
-        traits = Traits(uncertain=("payload", *(f"{name}{joint}" for name, joint in each)))
+        uncertain = ("payload", *(f"{name}{joint}" for name, joint in each))
+        traits = Traits(uncertain=uncertain, ranges=self._ranges_of_gaps(model, gears))
         setup = Setup(drives, ones, model, gears, sensor.kind)
         return Observer(
             params, partial(_initial_state, setup), partial(_step, setup), traits=traits
         )
+
+    def _ranges_of_gaps(self, model: System, gears: Geared) -> Floats:
+        """Return the declared [lo, hi] of all d_r, then of all d_l (2p x 2) [rad].
+
+        They are half of the gap, moved by the gears' centre, which may be off by three deviations.
+        Encoders of motors, which hide nothing, come last.
+        """
+        N = gears.size
+        half = _ranges("observer.half", self.half, N)
+        middle = np.ravel(np.asarray(gears.number(model.params, "centre"), float))[:, None]
+        off = 3 * nonnegative("observer.centre", self.centre, N, "one per joint")[:, None]
+        right, left = (half + sign * middle + off * [-1.0, 1.0] for sign in (1.0, -1.0))
+        motors = np.tile([0.0, 1e300], (model.p - N, 1))
+        return np.vstack([right, motors, left, motors])
 
     def _numbers(
         self, model: System, gears: Geared, drives: tuple[Drive, ...], sensor: Zone

@@ -197,7 +197,7 @@ def _samples(info: LogInfo) -> str:
 
 def widths(info: LogInfo) -> list[list[Row]]:
     """Return the final widths of each output."""
-    return sheet.of_each(msgspec.structs.asdict(info), "d", info.units.output)
+    return sheet.of_each(msgspec.structs.asdict(info), "d", info.units.output, None, info.ranges)
 
 
 def gaps(info: LogInfo) -> list[list[Row]]:

@@ -46,6 +46,7 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
         uncertain: the parameters that the observer estimates, and their true values.
         label: what tells its observer from one that it is compared with; empty: the method does.
         adapts: whether the observer estimates the widths.
+        ranges: declared [lo, hi] of d_r and d_l of each output in turn [z]; empty: none.
         scenario: what was run, as TOML; empty where no text can hold it.
         version: of undeadzone.
         schema: number of the meanings that the names in it have (docs/json.md); None: at most 2.
@@ -76,6 +77,7 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
     uncertain: dict[str, float] = {}
     label: str = ""
     adapts: bool = True
+    ranges: list[list[float]] = []
     integration_share: float | None = None
     scales: list[float] = []
     listens: list[float | None] = []
@@ -110,6 +112,7 @@ class LogInfo(msgspec.Struct, frozen=True, kw_only=True):
         d_right, d_left: final widths (p) [z].
         d_right_std, d_left_std: their standard deviations (p) [z]; None: the observer gives none.
         adapts: whether the observer estimates the widths.
+        ranges: declared [lo, hi] of d_r and d_l of each output in turn [z]; empty: none.
         consistent: whether its innovations are what it claims; None: it cannot be tested.
         B: statistic of the test, about 1 where all is well.
         square: mean square of the normalised innovations, about 1 where all is well.
@@ -164,6 +167,7 @@ class LogInfo(msgspec.Struct, frozen=True, kw_only=True):
     claims: list[str] = []
     sensor: str = "deadzone"
     further: dict[str, Any] = {}
+    ranges: list[list[float]] = []
     faults: dict[str, int] = {}
 
     def summary(self) -> dict[str, Any]:

@@ -341,7 +341,9 @@ def parameters(run: Run) -> list[Row]:
 
 def widths(run: Run) -> list[list[Row]]:
     """Return the widths of each output."""
-    return sheet.of_each(_last_widths(run), "d", run.info.units.output, run.info.widths)
+    return sheet.of_each(
+        _last_widths(run), "d", run.info.units.output, run.info.widths, run.info.ranges
+    )
 
 
 def actuators(run: Run) -> list[list[Row]]:

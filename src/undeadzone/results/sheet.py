@@ -6,6 +6,7 @@ take label and `words`; a page takes title and `cell`, as `report.html.estimates
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -28,6 +29,7 @@ class Row(NamedTuple):
         key: of the number in a summary; empty: it stands there otherwise.
         form: of the number where it has no deviation.
         note: what a terminal says behind it.
+        least, most: ends of the range in which the number is known to lie.
     """
 
     label: str
@@ -39,13 +41,15 @@ class Row(NamedTuple):
     key: str = ""
     form: str = ".6g"
     note: str = ""
+    least: float = -math.inf
+    most: float = math.inf
 
     @property
     def value_with_interval(self) -> str:
         """Return the value, with its 95 % interval where that is known; nan where there is none."""
         if self.std is None:
             return number(finite(self.value), self.form)
-        return with_interval(finite(self.value), finite(self.std))
+        return with_interval(finite(self.value), finite(self.std), self.least, self.most)
 
     @property
     def words(self) -> str:
@@ -56,7 +60,7 @@ class Row(NamedTuple):
     @property
     def cell(self) -> Any:
         """Return the value as a page has it: a number, or words where its interval is known."""
-        return self.value if self.std is None else with_interval(self.value, self.std)
+        return self.value if self.std is None else self.value_with_interval
 
     @property
     def head(self) -> str:
@@ -102,7 +106,11 @@ def on_page(rows: Iterable[Row]) -> dict[str, Any]:
 
 
 def of_each(
-    final: Mapping[str, Any], name: str, unit: str, true: Sequence[float] | None = None
+    final: Mapping[str, Any],
+    name: str,
+    unit: str,
+    true: Sequence[float] | None = None,
+    ranges: Sequence[Sequence[float]] = (),
 ) -> list[list[Row]]:
     """What is found of each output's zone or play, or of each actuator; nothing of none.
 
@@ -112,32 +120,43 @@ def of_each(
         name: of the widths: d of a zone, b of an actuator, gap of a play ahead of a zone.
         unit: of all.
         true: right and left of each in turn; None: nobody knows them.
+        ranges: [lo, hi] within which right and left of each in turn are known to lie; empty: at
+            least 0.
     """
     sides = [f"{name}_right", f"{name}_left"]
     heads = [*sides, *(f"{side}_std" for side in sides), f"{name}_std"]
     known = [np.ravel(final[head]) for head in heads if final.get(head) is not None]
     found = np.array(known).T.tolist()
     truths = [None] * len(found) if true is None else np.reshape(true, (-1, 2)).tolist()
-    return [_of_one(name, one, unit, truth) for one, truth in zip(found, truths, strict=False)]
+    ends = (
+        np.reshape(ranges, (-1, 2, 2)).tolist() if ranges else [[[0.0, math.inf]] * 2] * len(found)
+    )
+    return [_of_one(name, *one, unit) for one in zip(found, truths, ends, strict=False)]
 
 
 def _of_one(
-    name: str, found: Sequence[float], unit: str, true: Sequence[float] | None
+    name: str,
+    found: Sequence[float],
+    true: Sequence[float] | None,
+    ranges: Sequence[Sequence[float]],
+    unit: str,
 ) -> list[Row]:
     """What is found of one zone, play or actuator; of gaps their sum too, which is told better.
 
     Args:
         name: of the widths.
         found: right and left; their deviations where known; of gaps that of the sum.
-        unit: of all.
         true: right and left; None: nobody knows them.
+        ranges: [lo, hi] of right and left.
+        unit: of all.
     """
     letter = "c" if name == "gap" else name
     rows = []
     for k, side in enumerate(("right", "left")):
         std = found[2 + k] if len(found) > 2 else None
         truth = None if true is None else true[k]
-        rows.append(Row(f"{name}_{side}", f"{letter}_{side[0]}^", found[k], unit, std, truth))
+        row = Row(f"{name}_{side}", f"{letter}_{side[0]}^", found[k], unit, std, truth)
+        rows.append(row._replace(least=ranges[k][0], most=ranges[k][1]))
     if name == "gap":
         title = " + ".join(row.title for row in rows)
         total = None if true is None else sum(true)

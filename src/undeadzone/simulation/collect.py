@@ -288,6 +288,7 @@ def _info(
         uncertain={name: _parameter(plant, name) for name in traits.uncertain},
         joints=[] if plant.arm is None else list(plant.arm.chain.joints),
         adapts=traits.adapts,
+        ranges=traits.ranges_in_turn,
         sensor=problem.sensor.kind,
         actuator=_true_actuator(problem),
         gaps=_true_gaps(problem, signal),

@@ -232,6 +232,7 @@ class Follower:
             d_right_std=None if stds is None else stds[:p].tolist(),
             d_left_std=None if stds is None else stds[p:].tolist(),
             adapts=self.observer.traits.adapts,
+            ranges=self.observer.traits.ranges_in_turn,
             threshold=self.zone.threshold.tolist(),
             uncertain=list(self.observer.traits.uncertain),
             joints=[] if self.model.arm is None else list(self.model.arm.chain.joints),

@@ -12,6 +12,7 @@ from typing import Any, Final
 # paragraph separators.
 UNPRINTABLE: Final = ("Cc", "Cf", "Cs", "Zl", "Zp")
 HALF_95: Final = 1.959964  # standard deviations in half of a 95 % interval
+LEAST_MASS: Final = 1e-9  # of a Gaussian inside of a range, below which its quantiles mean nothing
 _ASKED: Final = re.compile(r"^@\?([a-z_]+)@(.*\n)", re.MULTILINE)
 _WORD: Final = re.compile("@([a-z_]+)@")
 
@@ -41,21 +42,60 @@ def count_noun(number: int, what: str) -> str:
     return f"{number:,} {what}{'s' * (number != 1)}"
 
 
-def with_interval(value: float | None, std: float | None) -> str:
+def interval_95(
+    value: float, std: float, least: float = -math.inf, most: float = math.inf
+) -> tuple[float, float]:
+    """Return the 95 % interval of a Gaussian estimate that is known to lie in a range.
+
+    These are the quantiles of the Gaussian cut to the range, made to hold the value itself. If the
+    range excludes the Gaussian, no quantile is left and the interval is the range.
+
+    Args:
+        value: the estimate.
+        std: its standard deviation.
+        least, most: ends of the range.
+
+    >>> interval_95(1.0, 0.1)
+    (0.804, 1.196)
+    >>> low, high = interval_95(1.0, 0.577, 0.0, 2.0)
+    >>> round(low, 2), round(high, 2)
+    (0.12, 1.88)
+    """
+    half = HALF_95 * std
+    low, high = value - half, value + half
+    if least <= low and high <= most:
+        return low, high
+    if math.isinf(std):
+        return least, most
+    from statistics import NormalDist
+
+    unit = NormalDist()
+    below, above = unit.cdf((least - value) / std), unit.cdf((most - value) / std)
+    if above - below < LEAST_MASS:
+        return least, most
+    quantiles = [unit.inv_cdf(below + share * (above - below)) for share in (0.025, 0.975)]
+    low, high = (value + std * quantile for quantile in quantiles)
+    inside = min(max(value, least), most)
+    return max(least, min(low, inside)), min(most, max(high, inside))
+
+
+def with_interval(
+    value: float | None, std: float | None, least: float = -math.inf, most: float = math.inf
+) -> str:
     """Return a value and its 95 % interval, to the place of the second digit of its deviation.
 
     Args:
         value: the number; None: there is none.
         std: its standard deviation; None: not known.
+        least, most: ends of the range in which it is known to lie.
     """
     if value is None or std is None or not math.isfinite(value):
         return f"{_short(value)} (no interval)"
-    half = HALF_95 * std
     if std == 0.0:
         return _short(value)
     place = 1 - math.floor(math.log10(std)) if std < math.inf else -1
     form = ".4g" if place < 0 or abs(value) < 1e-4 or place > 12 else f".{place}f"
-    return bracket_interval(value, value - half, value + half, form)
+    return bracket_interval(value, *interval_95(value, std, least, most), form)
 
 
 def bracket_interval(value: float, low: float, high: float, form: str) -> str:

@@ -156,6 +156,7 @@ def traits_of_prior(prior: Prior, x_std: Array | None) -> Traits:
     return Traits(
         start_std=None if x_std is None else prior.std[:n],
         centre_std=None if prior.asymmetry is None else prior.asymmetry[:, 1] / 2,
+        ranges=prior.ranges,
     )
 
 
