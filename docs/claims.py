@@ -68,7 +68,7 @@ def section(claim: Claim) -> str:
             f"### {text.id}\n",
             wrapped(f"{text.claim}. The paper, {text.where}: “{escape_brackets(text.words)}”."),
             wrapped(f"*{capital(claim.verdict)}.* {text.why}"),
-            wrapped(f"Measured: {claim.measured}."),
+            wrapped(f"Measured: {claim.measured_in_words}."),
         ]
     )
 
