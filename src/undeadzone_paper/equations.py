@@ -123,7 +123,7 @@ _TABLE: Final[tuple[tuple[int, str, str | None, Status, str], ...]] = (
     (
         16,
         "observer x^' = A x^ + L (y - y^)",
-        "observers.adaptive.branch_observer.measured_side",
+        "observers.adaptive.branch_observer.build_branch_observer",
         "corrected",
         "B u was missing; L is n x 1; as printed in undeadzone_paper.observer",
     ),
@@ -137,21 +137,21 @@ _TABLE: Final[tuple[tuple[int, str, str | None, Status, str], ...]] = (
     (
         18,
         "(16) with (17) inserted",
-        "observers.adaptive.branch_observer.measured_side",
+        "observers.adaptive.branch_observer.build_branch_observer",
         "corrected",
         "as (16)",
     ),
     (
         19,
         "(18) by indicators",
-        "observers.adaptive.branch_observer.measured_side",
+        "observers.adaptive.branch_observer.build_branch_observer",
         "corrected",
         "needs one and the same side for plant and observer: the measured one",
     ),
     (
         20,
         "(19) in errors",
-        "observers.adaptive.branch_observer.measured_side",
+        "observers.adaptive.branch_observer.build_branch_observer",
         "corrected",
         "as (19)",
     ),
@@ -186,7 +186,7 @@ _TABLE: Final[tuple[tuple[int, str, str | None, Status, str], ...]] = (
     (
         25,
         "adaptation of d^",
-        "observers.adaptive.branch_observer.measured_side",
+        "observers.adaptive.branch_observer.build_branch_observer",
         "corrected",
         "shapes disagree; d^_r' = -gamma e on the right, d^_l' = gamma e on the left",
     ),
@@ -200,7 +200,7 @@ _TABLE: Final[tuple[tuple[int, str, str | None, Status, str], ...]] = (
     (
         27,
         "output error by indicators",
-        "observers.adaptive.branch_observer.measured_side",
+        "observers.adaptive.branch_observer.build_branch_observer",
         "corrected",
         "the innovation e, on the measured side",
     ),
